@@ -1,0 +1,28 @@
+"""The errors a user can meet. Each message is one sentence that names the file and the cure."""
+
+
+class ArticugenError(Exception):
+    """Base of every error that the command line prints as one sentence, without a traceback."""
+
+
+class InvalidSource(ArticugenError):
+    """A source, a URDF or a mesh cannot be read."""
+
+
+class InvalidRecipe(ArticugenError):
+    """A recipe file or a command-line setting makes no sense."""
+
+
+class RejectedInstance(ArticugenError):
+    """One object or instance cannot be made into data; the others can."""
+
+
+class CorruptShard(ArticugenError):
+    """A shard or manifest is damaged, of another version, or not one of ours."""
+
+
+class MissingExtra(ArticugenError):
+    """An optional library is not installed."""
+
+    def __init__(self, library: str, extra: str) -> None:
+        super().__init__(f"{library} is not installed; run: pip install 'articugen[{extra}]'")

@@ -1,0 +1,93 @@
+"""Rigid transforms, axis-angle, boxes and directions on a sphere.
+
+`T_a_b` is the 4x4 transform that takes b-coordinates to a-coordinates. Everything is float64 and
+right-handed; angles are radians.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def rotation_about(axis: ArrayLike, angle: float) -> Array:
+    """The (3, 3) rotation by `angle` about the unit vector `axis` (Rodrigues' formula)."""
+    x, y, z = np.asarray(axis, dtype=np.float64)
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * (K @ K)
+
+
+def rotation_from_rpy(rpy: ArrayLike) -> Array:
+    """The (3, 3) rotation of URDF's fixed-axis roll, pitch, yaw: Rz(yaw) Ry(pitch) Rx(roll)."""
+    roll, pitch, yaw = np.asarray(rpy, dtype=np.float64)
+    return (
+        rotation_about((0, 0, 1), yaw)
+        @ rotation_about((0, 1, 0), pitch)
+        @ rotation_about((1, 0, 0), roll)
+    )
+
+
+def transform(rotation: ArrayLike | None = None, translation: ArrayLike | None = None) -> Array:
+    """A (4, 4) transform from a (3, 3) rotation and a (3,) translation; each defaults to none."""
+    T = np.eye(4)
+    if rotation is not None:
+        T[:3, :3] = rotation
+    if translation is not None:
+        T[:3, 3] = translation
+    return T
+
+
+def apply(T: Array, points: ArrayLike) -> Array:
+    """`T` (4, 4) applied to `points` (..., 3)."""
+    return np.asarray(points, dtype=np.float64) @ T[:3, :3].T + T[:3, 3]
+
+
+def invert_rigid(T: Array) -> Array:
+    """The inverse of rigid transforms (..., 4, 4), exact up to rounding and cheap."""
+    inverse = np.zeros_like(T)
+    rotation_t = np.swapaxes(T[..., :3, :3], -1, -2)
+    inverse[..., :3, :3] = rotation_t
+    inverse[..., :3, 3] = -np.einsum("...ij,...j->...i", rotation_t, T[..., :3, 3])
+    inverse[..., 3, 3] = 1.0
+    return inverse
+
+
+def bounds(points: ArrayLike) -> Array:
+    """The axis-aligned box (2, 3) of `points` (n, 3): lower corner, upper corner."""
+    points = np.asarray(points, dtype=np.float64)
+    return np.stack([points.min(axis=0), points.max(axis=0)])
+
+
+def box_corners(box: Array) -> Array:
+    """The 8 corners (8, 3) of a box (2, 3)."""
+    pick = np.array([[(i >> k) & 1 for k in range(3)] for i in range(8)])
+    return np.take_along_axis(box, pick, axis=0)
+
+
+def fibonacci_sphere(count: int) -> Array:
+    """`count` unit directions (count, 3) spread evenly over the sphere.
+
+    Spherical Fibonacci points: z at the midpoints of equal slices, which have equal areas, and
+    longitude in steps of the golden angle (Gonzalez 2010, "Measurement of areas on a sphere using
+    Fibonacci and latitude-longitude lattices").
+    """
+    i = np.arange(count)
+    z = 1.0 - (2.0 * i + 1.0) / count
+    longitude = i * np.pi * (3.0 - np.sqrt(5.0))
+    radius = np.sqrt(1.0 - z * z)
+    return np.stack([radius * np.cos(longitude), radius * np.sin(longitude), z], axis=1)
+
+
+def look_along(direction: ArrayLike, eye: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
+    """`T_camera_world` (4, 4) of a camera at `eye` that looks along `direction`.
+
+    Camera axes: x right, y down, z forward (along `direction`). Image-up is the world's z, or its
+    y for a camera that looks straight up or down.
+    """
+    forward = np.asarray(direction, dtype=np.float64)
+    forward = forward / np.linalg.norm(forward)
+    up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.999 else np.array([0.0, 1.0, 0.0])
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    return transform(rotation, -rotation @ np.asarray(eye, dtype=np.float64))
