@@ -1,0 +1,1 @@
+"""Where objects come from: every source gives the same `ArticulatedObject`."""

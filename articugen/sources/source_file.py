@@ -1,0 +1,102 @@
+"""The schema of `urdf_sources/<source>/source.yaml`, which describes one source."""
+
+from pathlib import Path
+from typing import Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, ValidationError, model_validator
+
+from articugen.errors import InvalidSource
+from articugen.recipe import nearest
+
+Reader = Literal["urdf", "procedural", "partnet_mobility", "shape2motion"]
+Share = NonNegativeInt | tuple[str, ...] | None
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class CategorySettings(_Section):
+    """What a source says about one of its categories.
+
+    Attributes:
+        canonical: the joint value that is the canonical pose: 0, the lower or the upper limit.
+        movable: which joints move, as patterns with * and ? on the joint's name or its child link's
+            semantic; () means all of them.
+        yaw_degrees: turns the model about the world's z so that its joints point as
+            docs/conventions.md says.
+        train, test: how many objects each split has, or their ids. Ids of one split alone leave the
+            other objects to the other split; without either, a hash of the id decides, about 8 : 2.
+        model_cat: the names of this category in PartNet-Mobility's meta.json.
+    """
+
+    canonical: Literal["zero", "lower", "upper"] = "zero"
+    movable: tuple[str, ...] = ()
+    yaw_degrees: float = Field(0.0, ge=-360.0, le=360.0)
+    train: Share = None
+    test: Share = None
+    model_cat: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _splits_make_sense(self) -> "CategorySettings":
+        if isinstance(self.train, int) != isinstance(self.test, int):
+            raise ValueError("train and test are both numbers, or neither is")
+        if isinstance(self.train, tuple) and isinstance(self.test, tuple):
+            both = sorted(set(self.train) & set(self.test))
+            if both:
+                raise ValueError(f"object {both[0]!r} is in train and in test")
+        return self
+
+
+class SourceFile(_Section):
+    """One source.yaml.
+
+    Attributes:
+        origin: who made the models and where they are obtained.
+        licence: under which terms.
+        frame: the frame and unit of the models as they come, in words.
+        reader: the module under articugen/sources that reads them.
+        messy: (procedural only) write the objects as real data come.
+        path: the folder of the models, absolute or relative to source.yaml; by default
+            $ARTICUGEN_SOURCES/<source> where that exists, else the folder of source.yaml.
+        categories: by name.
+    """
+
+    origin: str
+    licence: str
+    frame: str
+    reader: Reader = "urdf"
+    messy: bool = False
+    path: Path | None = None
+    categories: dict[str, CategorySettings] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _procedural_has_counts(self) -> "SourceFile":
+        if self.reader == "procedural":
+            for name, category in self.categories.items():
+                if not isinstance(category.train, int):
+                    raise ValueError(f"categories.{name}: a procedural category needs counts")
+        return self
+
+
+def read_source_file(path: Path) -> SourceFile:
+    """Read and check one source.yaml.
+
+    Raises:
+        InvalidSource: unreadable, not YAML, an unknown key (with the nearest valid one), bad value.
+    """
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise InvalidSource(f"{path}: cannot be read as YAML: {error}") from None
+    try:
+        return SourceFile.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        if first["type"] == "extra_forbidden":
+            section = CategorySettings if first["loc"][0] == "categories" else SourceFile
+            hint = nearest(str(first["loc"][-1]), list(section.model_fields))
+            raise InvalidSource(f"{path}: unknown key {where!r}{hint}") from None
+        raise InvalidSource(f"{path}: {where or 'the file'}: {first['msg']}") from None
