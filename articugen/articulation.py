@@ -1,0 +1,293 @@
+"""Joint states and forward kinematics: which joints move, from where to where, and what follows.
+
+`resolve` is called once an object: it decides the canonical pose, the moving joints and their
+ranges. Everything after it sees joints that are 0 in the canonical pose. All functions are pure.
+"""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from typing import Literal
+
+import numpy as np
+
+from articugen.errors import RejectedInstance
+from articugen.geometry import invert_rigid, rotation_about, transform
+from articugen.recipe import Articulation
+from articugen.records import ArticulatedObject, Floats, Joint, JointState, Mimic, PosedObject
+
+Canonical = Literal["zero", "lower", "upper"]
+
+_TIE = 1e-6
+"""Rooms (rad or m) on the two sides of the canonical pose that differ by less count as equal."""
+
+
+def resolve(
+    obj: ArticulatedObject,
+    settings: Articulation,
+    *,
+    canonical: Canonical = "zero",
+    movable: Sequence[str] = (),
+) -> ArticulatedObject:
+    """The object as the recipe wants it: q = 0 is the canonical pose, limits are what is sampled.
+
+    A joint that moves counts up from the canonical pose: its axis is turned around where the limits
+    of the URDF leave more room on the other side. A joint that does not move becomes `fixed` in its
+    canonical pose, so that its links ride on what they hang on. A mimic joint follows its driver,
+    whatever `movable` says of itself: multiplier > 0, offset 0 and the driver's range times the
+    multiplier; where the driver is locked, so is it.
+
+    Args:
+        obj: as a source gives it, with the limits of its URDF.
+        settings: the recipe's choice.
+        canonical: the source's choice of canonical pose; a joint without the limit asked for has
+            its canonical pose at 0. `settings.canonical` other than "source" overrides it.
+        movable: the source's choice of joints, as fnmatch patterns on the joint's name or on its
+            child link's semantic; empty means all. `settings.movable`, if any, overrides it.
+
+    Returns:
+        The object with `notes` extended by what was decided against the letter of its URDF.
+
+    Raises:
+        RejectedInstance: no joint moves, a prismatic joint has no limit, the limits leave nothing
+            of the recipe's range, mimic joints drive each other.
+    """
+    chosen: Canonical = canonical if settings.canonical == "source" else settings.canonical
+    patterns = tuple(settings.movable) or tuple(movable)
+    remarks: dict[str, list[str]] = defaultdict(list)
+    plans: dict[str, _Plan] = {}
+    for joint in obj.joints:
+        if joint.kind != "fixed" and joint.mimic is None:
+            plan = _plan_driver(obj, joint, chosen, patterns, settings)
+            plans[joint.name] = plan
+            for remark in plan.remarks:
+                remarks[remark].append(joint.name)
+    followers = [j for j in obj.joints if j.kind != "fixed" and j.mimic is not None]
+    for joint in followers:
+        plans[joint.name] = _plan_follower(obj, joint, plans)
+        if not plans[joint.name].moves:
+            remarks["locked, as the joints that drive them are"].append(joint.name)
+    if not any(plan.moves for plan in plans.values()):
+        raise RejectedInstance(_nothing_moves(obj, patterns))
+    return replace(
+        obj,
+        joints=tuple(_planned(j, plans[j.name]) if j.name in plans else j for j in obj.joints),
+        notes=obj.notes + tuple(f"{text}: {', '.join(names)}" for text, names in remarks.items()),
+    )
+
+
+def canonical_state(obj: ArticulatedObject) -> JointState:
+    """All drivers at 0, driven joints where that puts them (0 too, in a resolved object)."""
+    return _driven_state(obj, {})
+
+
+def sample_joint_state(obj: ArticulatedObject, *, rng: np.random.Generator) -> JointState:
+    """A joint state of a resolved object: each driver uniform in its range, the others follow.
+
+    Draws one number a driver, in part order.
+    """
+    drivers = [joint for joint in obj.moving_joints if joint.mimic is None]
+    return _driven_state(obj, {j.name: rng.uniform(j.lower, j.upper) for j in drivers})
+
+
+def forward_kinematics(obj: ArticulatedObject, state: JointState) -> PosedObject:
+    """Where `state` puts every link, part and joint axis of `obj`: world frame, metres.
+
+    T_world_child = T_world_parent T_parent_joint M(q), with M a rotation by q about the joint's
+    axis or a translation by q along it (URDF's definition). Limits are not applied.
+
+    Raises:
+        ValueError: `state` has not one number for each moving joint.
+    """
+    moving = obj.moving_joints
+    if len(state.q) != len(moving):
+        raise ValueError(f"{len(state.q)} joint values for {len(moving)} moving joints")
+    q = dict(zip([joint.name for joint in moving], state.q, strict=True))
+    index = obj.link_index
+    T_world_link = np.tile(np.eye(4), (len(obj.links), 1, 1))
+    T_world_link[0] = obj.T_world_root
+    T_world_joint: dict[str, Floats] = {}
+    for joint in obj.joints:
+        T = T_world_link[index[joint.parent]] @ joint.T_parent_joint
+        T_world_joint[joint.name] = T
+        T_world_link[index[joint.child]] = T @ _motion(joint, q.get(joint.name, 0.0))
+    at = [T_world_joint[joint.name] for joint in moving]
+    axes = [T[:3, :3] @ joint.axis for T, joint in zip(at, moving, strict=True)]
+    return PosedObject(
+        T_world_link=T_world_link,
+        T_world_part=T_world_link[[0] + [index[joint.child] for joint in moving]],
+        pivots=np.array([T[:3, 3] for T in at]).reshape(-1, 3),
+        axes=np.array(axes).reshape(-1, 3),
+    )
+
+
+def part_motions(posed: PosedObject, canonical_posed: PosedObject) -> Floats:
+    """(P, 4, 4) the rigid motion of each part from the canonical pose, world frame, metres.
+
+    A point of part k at x in the canonical pose is at `apply(motions[k], x)` in the posed object.
+    Part 0 has the identity.
+    """
+    motions = posed.T_world_part @ invert_rigid(canonical_posed.T_world_part)
+    motions[0] = np.eye(4)
+    return motions
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What becomes of one joint.
+
+    Attributes:
+        value: the URDF's joint value that becomes q = 0.
+        sign: -1.0 where the axis is turned around, so that value_urdf = value + sign * q.
+        lower, upper: the range of q to sample from.
+        moves: or it is locked at q = 0.
+        mimic: what drives it.
+        remarks: for the notes.
+    """
+
+    value: float
+    sign: float = 1.0
+    lower: float = 0.0
+    upper: float = 0.0
+    moves: bool = False
+    mimic: Mimic | None = None
+    remarks: tuple[str, ...] = ()
+
+
+def _plan_driver(
+    obj: ArticulatedObject,
+    joint: Joint,
+    canonical: Canonical,
+    patterns: tuple[str, ...],
+    settings: Articulation,
+) -> _Plan:
+    value = {"zero": 0.0, "lower": joint.lower, "upper": joint.upper}[canonical]
+    remarks: list[str] = []
+    if not np.isfinite(value):
+        value = 0.0
+        remarks.append(f"no {canonical} limit, canonical pose at 0 instead")
+    if not _matches(obj, joint, patterns):
+        return _Plan(value, remarks=(*remarks, "locked, not among the movable joints"))
+    if not joint.lower - _TIE <= value <= joint.upper + _TIE:
+        remarks.append("canonical pose outside the limits of the URDF")
+    sign, lower, upper = _sampled_range(obj, joint, value, settings)
+    if lower == upper == 0.0:
+        return _Plan(value, remarks=(*remarks, "locked, its range is empty"))
+    if sign < 0.0:
+        remarks.append("axis turned around, more room on that side of the canonical pose")
+    ends = (value + sign * lower, value + sign * upper)
+    if min(ends) < joint.lower - _TIE or max(ends) > joint.upper + _TIE:
+        remarks.append("sampled beyond the limits of the URDF, as the recipe says")
+    return _Plan(value, sign, lower, upper, moves=True, remarks=tuple(remarks))
+
+
+def _sampled_range(
+    obj: ArticulatedObject, joint: Joint, value: float, settings: Articulation
+) -> tuple[float, float, float]:
+    """(sign, lower, upper): the axis is turned around for sign -1; the range is about `value`."""
+    below, above = value - joint.lower, joint.upper - value
+    sign = -1.0 if below > above + _TIE else 1.0
+    back, room = min(below, above), max(below, above)
+    if joint.kind != "prismatic":
+        lower, upper = np.radians(settings.revolute_degrees).tolist()
+    elif settings.prismatic_metres is not None:
+        lower, upper = settings.prismatic_metres
+    elif np.isfinite(room):
+        lower, upper = 0.0, max(room, 0.0)
+    else:
+        raise RejectedInstance(
+            f"{obj.object_id}: prismatic joint {joint.name!r} has no limit; "
+            "set articulation.prismatic_metres in the recipe"
+        )
+    if settings.clip_to_limits:
+        if max(lower, -back) > min(upper, room):
+            raise RejectedInstance(
+                f"{obj.object_id}: nothing of the recipe's range {lower:g} to {upper:g} lies in "
+                f"the limits of joint {joint.name!r}, {-back:g} to {room:g} from the canonical "
+                "pose; choose another articulation.canonical or clip_to_limits: false"
+            )
+        lower, upper = max(lower, -back), min(upper, room)
+    return (-sign, -upper, -lower) if upper <= 0.0 and lower < 0.0 else (sign, lower, upper)
+
+
+def _plan_follower(obj: ArticulatedObject, joint: Joint, plans: dict[str, _Plan]) -> _Plan:
+    """With v = m v_driver + b and v_driver = c + s q: v = (m c + b) + m s q."""
+    driver, multiplier, offset = _driver(obj, joint)
+    plan = plans.get(driver, _Plan(0.0))
+    value = multiplier * plan.value + offset
+    if not plan.moves or multiplier == 0.0:
+        return _Plan(value)
+    return _Plan(
+        value,
+        sign=float(np.sign(multiplier)) * plan.sign,
+        lower=abs(multiplier) * plan.lower,
+        upper=abs(multiplier) * plan.upper,
+        moves=True,
+        mimic=Mimic(driver, abs(multiplier), 0.0),
+    )
+
+
+def _driver(obj: ArticulatedObject, joint: Joint) -> tuple[str, float, float]:
+    """(name, multiplier, offset) of the joint that drives `joint` at the end of all mimics."""
+    by_name = {j.name: j for j in obj.joints}
+    multiplier, offset, seen = 1.0, 0.0, [joint.name]
+    while joint.mimic is not None and joint.kind != "fixed":
+        mimic = joint.mimic
+        if mimic.joint in seen or mimic.joint not in by_name:
+            raise RejectedInstance(
+                f"{obj.object_id}: the mimic joints {' -> '.join([*seen, mimic.joint])} end at no "
+                "joint that moves by itself; mend the <mimic> elements of its URDF"
+            )
+        multiplier, offset = multiplier * mimic.multiplier, multiplier * mimic.offset + offset
+        joint = by_name[mimic.joint]
+        seen.append(joint.name)
+    return joint.name, multiplier, offset
+
+
+def _driven_state(obj: ArticulatedObject, drivers: dict[str, float]) -> JointState:
+    """The state in which each driver has its value (0 where not given) and the others follow."""
+    q = np.zeros(len(obj.moving_joints))
+    for k, joint in enumerate(obj.moving_joints):
+        driver, multiplier, offset = _driver(obj, joint)
+        q[k] = multiplier * drivers.get(driver, 0.0) + offset
+    return JointState(q)
+
+
+def _planned(joint: Joint, plan: _Plan) -> Joint:
+    return replace(
+        joint,
+        kind=joint.kind if plan.moves else "fixed",
+        T_parent_joint=joint.T_parent_joint @ _motion(joint, plan.value),
+        axis=plan.sign * joint.axis,
+        lower=plan.lower,
+        upper=plan.upper,
+        mimic=plan.mimic,
+    )
+
+
+def _motion(joint: Joint, q: float) -> Floats:
+    """(4, 4) what the joint's value does to its child link, in the joint's frame."""
+    if joint.kind == "fixed":
+        return np.eye(4)
+    if joint.kind == "prismatic":
+        return transform(translation=q * joint.axis)
+    return transform(rotation_about(joint.axis, q))
+
+
+def _matches(obj: ArticulatedObject, joint: Joint, patterns: tuple[str, ...]) -> bool:
+    names = (joint.name, obj.links[obj.link_index[joint.child]].semantic)
+    return not patterns or any(fnmatchcase(name, p) for name in names for p in patterns)
+
+
+def _nothing_moves(obj: ArticulatedObject, patterns: tuple[str, ...]) -> str:
+    jointed = [joint for joint in obj.joints if joint.kind != "fixed"]
+    if not jointed:
+        return f"{obj.object_id}: no joint moves; all joints of its URDF are fixed, leave it out"
+    index = obj.link_index
+    named = [f"{j.name} ({obj.links[index[j.child]].semantic or 'no name'})" for j in jointed]
+    wanted = f"articulation.movable {list(patterns)} picks none" if patterns else "no range"
+    return (
+        f"{obj.object_id}: no joint moves: {wanted} of {', '.join(named)}; "
+        "name the joints or parts that move in articulation.movable"
+    )

@@ -1,0 +1,382 @@
+"""Articulation against closed forms; forward kinematics against yourdfpy and SAPIEN."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from articugen.articulation import (
+    canonical_state,
+    forward_kinematics,
+    part_motions,
+    resolve,
+    sample_joint_state,
+)
+from articugen.errors import RejectedInstance
+from articugen.geometry import apply, rotation_about, rotation_from_rpy, transform
+from articugen.recipe import Articulation
+from articugen.records import ArticulatedObject, Joint, JointState, Link, Mesh, Mimic
+
+NO_MESH = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+X, Y, Z = np.eye(3)
+
+
+def joint(name, kind="revolute", *, parent="base", at=(0, 0, 0), axis=Z, limits=(0.0, 1.0), **more):
+    """A joint `name` to a link of the same name."""
+    T = at if np.shape(at) == (4, 4) else transform(translation=at)
+    lower, upper = limits
+    return Joint(name, kind, parent, name, np.asarray(T), np.asarray(axis), lower, upper, **more)
+
+
+def tree(*joints, semantics=None, T_world_root=None):
+    """An object of a link `base` and one link a joint."""
+    semantics = semantics or {}
+    names = ["base", *(j.child for j in joints)]
+    return ArticulatedObject(
+        object_id="tree",
+        category="test",
+        links=tuple(Link(name, NO_MESH, semantics.get(name, "")) for name in names),
+        joints=joints,
+        T_world_root=np.eye(4) if T_world_root is None else T_world_root,
+        sha256="",
+    )
+
+
+def child_at(obj, q, link=-1):
+    """T_world_link of one link (the last one) with the moving joints at `q`."""
+    return forward_kinematics(obj, JointState(np.array(q, float))).T_world_link[link]
+
+
+# ------------------------------------------------------------------ forward kinematics
+
+
+def test_a_hinge_turns_points_about_its_axis():
+    obj = tree(joint("lid", at=(1, 0, 0), axis=Y))
+    moved = apply(child_at(obj, [math.pi / 2]), [-1, 0, 0])
+    # Right-handed about +y: -x goes to +z, about the pivot at x = 1.
+    np.testing.assert_allclose(moved, [1, 0, 1], atol=1e-15)
+
+
+def test_a_slider_moves_along_its_axis():
+    oblique = np.array([0.6, 0.0, 0.8])
+    obj = tree(joint("box", "prismatic", at=(0, 2, 0), axis=oblique))
+    np.testing.assert_allclose(child_at(obj, [0.5])[:3, 3], [0.3, 2, 0.4], atol=1e-15)
+
+
+def test_a_chain_is_the_planar_two_link_arm():
+    a, b = 0.3, -1.1
+    obj = tree(
+        joint("upper_arm", at=(0, 0, 0)),
+        joint("forearm", parent="upper_arm", at=(2, 0, 0)),
+        joint("hand", "fixed", parent="forearm", at=(1, 0, 0)),
+    )
+    posed = forward_kinematics(obj, JointState(np.array([a, b])))
+    reach = [2 * math.cos(a) + math.cos(a + b), 2 * math.sin(a) + math.sin(a + b), 0]
+    np.testing.assert_allclose(posed.T_world_link[3, :3, 3], reach, atol=1e-15)
+    np.testing.assert_allclose(posed.pivots[1], [2 * math.cos(a), 2 * math.sin(a), 0], atol=1e-15)
+    np.testing.assert_array_equal(obj.part_of_link, [0, 1, 2, 2])
+
+
+def test_the_world_transform_carries_links_pivots_and_axes():
+    T = transform(rotation_about(Z, math.pi / 2), (5, 0, 0))
+    hinge = joint("lid", at=(1, 0, 0), axis=X)
+    posed = forward_kinematics(tree(hinge, T_world_root=T), JointState(np.zeros(1)))
+    np.testing.assert_allclose(posed.T_world_link[0], T)
+    np.testing.assert_allclose(posed.T_world_part[0], T)
+    np.testing.assert_allclose(posed.pivots, [[5, 1, 0]], atol=1e-15)
+    np.testing.assert_allclose(posed.axes, [[0, 1, 0]], atol=1e-15)
+
+
+def test_the_pivot_of_a_slider_stays_where_the_slider_starts():
+    obj = tree(joint("box", "prismatic", at=(0, 2, 0), axis=X))
+    posed = forward_kinematics(obj, JointState(np.array([0.7])))
+    np.testing.assert_array_equal(posed.pivots, [[0, 2, 0]])
+
+
+def test_forward_kinematics_changes_nothing():
+    obj, state = tree(joint("lid")), JointState(np.array([0.4]))
+    first = forward_kinematics(obj, state)
+    forward_kinematics(obj, JointState(np.array([2.0])))
+    np.testing.assert_array_equal(forward_kinematics(obj, state).T_world_link, first.T_world_link)
+
+
+def test_a_state_of_the_wrong_length_is_refused():
+    with pytest.raises(ValueError, match="2 joint values for 1 moving"):
+        forward_kinematics(tree(joint("lid")), JointState(np.zeros(2)))
+
+
+@given(st.floats(-3, 3), st.floats(-1, 1))
+def test_part_motions_carry_the_canonical_pose_to_the_posed_one(angle, slide):
+    T = transform(rotation_from_rpy((0.3, -0.2, 1.0)), (1, 2, 3))
+    obj = tree(
+        joint("door", at=T, axis=Y),
+        joint("shelf", "prismatic", parent="door", at=(0.1, 0, 0), axis=X),
+        T_world_root=T,
+    )
+    canonical = forward_kinematics(obj, canonical_state(obj))
+    posed = forward_kinematics(obj, JointState(np.array([angle, slide])))
+    motions = part_motions(posed, canonical)
+    np.testing.assert_array_equal(motions[0], np.eye(4))
+    point = np.array([0.2, -0.3, 0.4])
+    for link, part in enumerate(obj.part_of_link):
+        before = apply(canonical.T_world_link[link], point)
+        after = apply(posed.T_world_link[link], point)
+        np.testing.assert_allclose(apply(motions[part], before), after, atol=1e-12)
+    # The door's own motion keeps its axis where it is.
+    np.testing.assert_allclose(apply(motions[1], canonical.pivots[0]), canonical.pivots[0])
+
+
+# ------------------------------------------------------------------ resolve
+
+
+def only(obj, settings=None, **choices):
+    """The one moving joint of the resolved object."""
+    (moving,) = resolve(obj, settings or Articulation(), **choices).moving_joints
+    return moving
+
+
+def test_paper_protocol_hinge_is_sampled_from_0_to_135_degrees():
+    moving = only(tree(joint("lid", limits=(0.0, 1.0))))
+    assert (moving.lower, moving.upper) == (0.0, pytest.approx(math.radians(135)))
+    np.testing.assert_array_equal(moving.axis, Z)
+
+
+def test_paper_protocol_slider_is_sampled_up_to_the_limit():
+    moving = only(tree(joint("box", "prismatic", limits=(-0.1, 0.5))))
+    assert (moving.lower, moving.upper) == (0.0, 0.5)
+
+
+def test_a_slider_from_its_lower_limit_has_the_whole_way():
+    moving = only(tree(joint("box", "prismatic", limits=(-0.2, 0.2))), canonical="lower")
+    assert (moving.lower, moving.upper) == (0.0, pytest.approx(0.4))
+    np.testing.assert_allclose(moving.T_parent_joint[:3, 3], [0, 0, -0.2])
+
+
+def test_the_recipe_sets_the_way_of_a_slider_without_limits():
+    free = tree(joint("box", "prismatic", limits=(-math.inf, math.inf)))
+    with pytest.raises(RejectedInstance, match=r"'box' has no limit; set .*prismatic_metres"):
+        resolve(free, Articulation())
+    moving = only(free, Articulation(prismatic_metres=(0.0, 0.3)))
+    assert (moving.lower, moving.upper) == (0.0, 0.3)
+    np.testing.assert_array_equal(moving.axis, Z)
+
+
+def test_a_laptop_that_opens_against_its_axis_is_turned_around():
+    # Real laptops: axis -x, limits [-2.34, 0.75], and the lid shut at the lower limit.
+    laptop = tree(joint("lid", axis=-X, limits=(-2.34, 0.75)))
+    from_rest = only(laptop)
+    np.testing.assert_array_equal(from_rest.axis, X)
+    shut = only(laptop, canonical="lower")
+    np.testing.assert_array_equal(shut.axis, -X)
+    np.testing.assert_allclose(
+        shut.T_parent_joint[:3, :3], rotation_about(-X, -2.34), rtol=0, atol=1e-15
+    )
+    assert shut.lower == from_rest.lower == 0.0
+
+
+def test_from_the_upper_limit_the_axis_is_turned_around():
+    obj = tree(joint("lid", limits=(-1.5, 0.2)))
+    resolved = resolve(obj, Articulation(canonical="upper", clip_to_limits=True))
+    (moving,) = resolved.moving_joints
+    np.testing.assert_array_equal(moving.axis, -Z)
+    assert (moving.lower, moving.upper) == (0.0, pytest.approx(1.7))
+    assert any("turned around" in note and "lid" in note for note in resolved.notes)
+
+
+def test_the_recipe_overrides_the_source():
+    obj = tree(joint("lid", limits=(-1.0, 2.0)), joint("knob"), semantics={"knob": "dial"})
+    by_recipe = Articulation(canonical="lower", movable=("di*",))
+    moving = only(obj, by_recipe, canonical="upper", movable=("lid",))
+    assert moving.name == "knob"
+    moving = only(obj, Articulation(), canonical="upper", movable=("lid",))
+    assert moving.name == "lid"
+    np.testing.assert_allclose(moving.T_parent_joint[:3, :3], rotation_about(Z, 2.0), atol=1e-15)
+
+
+def test_clipping_keeps_to_the_limits():
+    obj = tree(joint("lid", limits=(-0.5, 1.0)))
+    assert only(obj, Articulation(clip_to_limits=True)).upper == 1.0
+    beyond = resolve(obj, Articulation())
+    assert any("beyond the limits" in note for note in beyond.notes)
+    wide = Articulation(revolute_degrees=(-90.0, 90.0), clip_to_limits=True)
+    assert (only(obj, wide).lower, only(obj, wide).upper) == (-0.5, 1.0)
+
+
+def test_a_rest_pose_outside_the_limits_is_noted():
+    # The real washing machine's door: limits [-3.11, -1.22], at rest it stands open at 0.
+    obj = tree(joint("door", limits=(-3.11, -1.22)))
+    resolved = resolve(obj, Articulation(clip_to_limits=True, revolute_degrees=(0.0, 180.0)))
+    (moving,) = resolved.moving_joints
+    np.testing.assert_array_equal(moving.axis, -Z)
+    assert (moving.lower, moving.upper) == (pytest.approx(1.22), pytest.approx(3.11))
+    assert any("outside the limits" in note for note in resolved.notes)
+    with pytest.raises(RejectedInstance, match=r"'door'.*choose another"):
+        resolve(obj, Articulation(clip_to_limits=True, revolute_degrees=(0.0, 45.0)))
+
+
+def test_a_joint_without_the_limit_asked_for_starts_at_zero():
+    obj = tree(joint("knob", "continuous", limits=(-math.inf, math.inf)))
+    resolved = resolve(obj, Articulation(canonical="lower", clip_to_limits=True))
+    (moving,) = resolved.moving_joints
+    assert (moving.kind, moving.lower) == ("continuous", 0.0)
+    assert moving.upper == pytest.approx(math.radians(135))
+    np.testing.assert_array_equal(moving.axis, Z)
+    np.testing.assert_array_equal(moving.T_parent_joint, np.eye(4))
+    assert any("no lower limit" in note and "knob" in note for note in resolved.notes)
+
+
+def test_locked_joints_ride_on_what_they_hang_on():
+    obj = tree(
+        joint("door", at=(1, 0, 0)),
+        joint("knob", parent="door", limits=(0.25, 1.0)),
+        joint("tray", "prismatic", axis=X),
+        semantics={"knob": "dial", "tray": "drawer"},
+    )
+    resolved = resolve(obj, Articulation(), canonical="lower", movable=("door", "draw*"))
+    assert [j.name for j in resolved.moving_joints] == ["door", "tray"]
+    np.testing.assert_array_equal(resolved.part_of_link, [0, 1, 1, 2])
+    (knob,) = [j for j in resolved.joints if j.name == "knob"]
+    assert knob.kind == "fixed"
+    np.testing.assert_allclose(
+        forward_kinematics(resolved, canonical_state(resolved)).T_world_link[2],
+        transform(rotation_about(Z, 0.25), (1, 0, 0)),
+        atol=1e-15,
+    )
+    assert "locked, not among the movable joints: knob" in resolved.notes
+
+
+def test_an_object_in_which_nothing_moves_is_rejected():
+    lid = tree(joint("lid"), semantics={"lid": "screen"})
+    with pytest.raises(RejectedInstance, match=r"tree: no joint moves: .*'handle'.*lid \(screen\)"):
+        resolve(lid, Articulation(movable=("handle",)))
+    with pytest.raises(RejectedInstance, match="all joints of its URDF are fixed"):
+        resolve(tree(joint("lid", "fixed")), Articulation())
+    with pytest.raises(RejectedInstance, match="no joint moves"):
+        resolve(tree(joint("box", "prismatic", limits=(0.0, 0.0))), Articulation())
+
+
+limits = st.tuples(st.floats(-3, 3), st.floats(-3, 3)).map(lambda ends: (min(ends), max(ends)))
+
+
+@given(
+    limits,
+    st.sampled_from(["zero", "lower", "upper"]),
+    st.sampled_from([(0.0, 135.0), (-60.0, 0.0), (10.0, 20.0)]),
+    st.sampled_from(["revolute", "prismatic"]),
+    st.floats(0, 1),
+)
+def test_the_resolved_joint_reaches_the_same_poses_as_the_urdf(ends, canonical, degrees, kind, t):
+    obj = tree(joint("part", kind, at=(1, 2, 3), axis=[0.6, 0, 0.8], limits=ends))
+    settings = Articulation(revolute_degrees=degrees)
+    try:
+        resolved = resolve(obj, settings, canonical=canonical)
+    except RejectedInstance:
+        assert kind == "prismatic"
+        assert max(abs(e) for e in ends) == 0.0 or ends[0] == ends[1]
+        return
+    (moving,) = resolved.moving_joints
+    start = {"zero": 0.0, "lower": ends[0], "upper": ends[1]}[canonical]
+    sign = 1.0 if np.dot(moving.axis, [0.6, 0, 0.8]) > 0 else -1.0
+    assert moving.lower >= 0.0
+    q = moving.lower + t * (moving.upper - moving.lower)
+    np.testing.assert_allclose(
+        child_at(resolved, [q]), child_at(obj, [start + sign * q]), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        child_at(resolved, canonical_state(resolved).q), child_at(obj, [start]), atol=1e-12
+    )
+
+
+# ------------------------------------------------------------------ mimic
+
+
+def scissors(**driver):
+    """Two blades and a slider: `b` turns -0.5 times as far as `a`, plus 0.25; `c` follows `b`."""
+    return tree(
+        joint("a", axis=Y, **driver),
+        joint("b", axis=Z, limits=(-9.0, 9.0), mimic=Mimic("a", -0.5, 0.25)),
+        joint("c", "prismatic", axis=X, limits=(-9.0, 9.0), mimic=Mimic("b", 2.0, 0.1)),
+    )
+
+
+@pytest.mark.parametrize("canonical", ["zero", "lower", "upper"])
+@pytest.mark.parametrize("limits", [(0.0, 1.0), (-2.0, 0.5)])
+def test_followers_stay_with_their_driver_after_it_is_zeroed_and_turned(canonical, limits):
+    obj = scissors(limits=limits)
+    resolved = resolve(obj, Articulation(), canonical=canonical)
+    a, b, c = resolved.moving_joints
+    assert b.mimic == Mimic("a", 0.5, 0.0)
+    assert c.mimic == Mimic("a", 1.0, 0.0)
+    assert (b.lower, b.upper, c.upper) == (0.0, 0.5 * a.upper, a.upper)
+    start = {"zero": 0.0, "lower": limits[0], "upper": limits[1]}[canonical]
+    sign = 1.0 if a.axis[1] > 0 else -1.0
+    for seed in range(3):
+        state = sample_joint_state(resolved, rng=np.random.default_rng(seed))
+        turned = start + sign * state.q[0]
+        expected = child_at(obj, [turned, b_of(turned), 2 * b_of(turned) + 0.1], slice(None))
+        posed = forward_kinematics(resolved, state)
+        np.testing.assert_allclose(posed.T_world_link, expected, atol=1e-12)
+
+
+def b_of(a):
+    return -0.5 * a + 0.25
+
+
+def test_canonical_state_of_an_unresolved_object_obeys_its_mimics():
+    np.testing.assert_allclose(canonical_state(scissors()).q, [0.0, 0.25, 0.6])
+
+
+def test_a_locked_driver_locks_its_followers():
+    obj = tree(
+        joint("a", axis=Y),
+        joint("b", mimic=Mimic("a", 2.0, 0.5), limits=(0, 0)),
+        joint("lid"),
+    )
+    resolved = resolve(obj, Articulation(), canonical="upper", movable=("b", "lid"))
+    assert [j.name for j in resolved.moving_joints] == ["lid"]
+    locked = forward_kinematics(resolved, canonical_state(resolved)).T_world_link[2]
+    np.testing.assert_allclose(locked[:3, :3], rotation_about(Z, 2.5), atol=1e-15)
+    assert any("drive them" in note and ": b" in note for note in resolved.notes)
+
+
+def test_a_follower_moves_though_no_pattern_names_it():
+    resolved = resolve(scissors(), Articulation(), movable=("a",))
+    assert [j.name for j in resolved.moving_joints] == ["a", "b", "c"]
+
+
+def test_mimics_in_a_circle_and_mimics_of_nothing_are_rejected():
+    circle = tree(joint("a", mimic=Mimic("b")), joint("b", mimic=Mimic("a")), joint("lid"))
+    with pytest.raises(RejectedInstance, match="a -> b -> a end at no joint"):
+        resolve(circle, Articulation())
+    with pytest.raises(RejectedInstance, match="a -> ghost end at no joint"):
+        resolve(tree(joint("a", mimic=Mimic("ghost")), joint("lid")), Articulation())
+
+
+# ------------------------------------------------------------------ sampling
+
+
+def test_states_are_uniform_independent_and_inside_their_ranges():
+    obj = resolve(
+        tree(joint("lid"), joint("box", "prismatic", limits=(0.0, 0.4)), joint("door")),
+        Articulation(revolute_degrees=(20.0, 90.0)),
+    )
+    rng = np.random.default_rng(0)
+    q = np.array([sample_joint_state(obj, rng=rng).q for _ in range(2000)])
+    lower = np.array([j.lower for j in obj.moving_joints])
+    upper = np.array([j.upper for j in obj.moving_joints])
+    unit = (q - lower) / (upper - lower)
+    assert ((unit >= 0) & (unit <= 1)).all()
+    # The mean of 2000 uniform numbers has a standard deviation of 0.0065, a correlation 0.022.
+    np.testing.assert_allclose(unit.mean(axis=0), 0.5, atol=5 * 0.0065)
+    np.testing.assert_allclose(unit.var(axis=0), 1 / 12, atol=0.01)
+    np.testing.assert_allclose(np.corrcoef(unit.T), np.eye(3), atol=5 * 0.022)
+
+
+def test_one_generator_gives_one_state():
+    obj = resolve(scissors(), Articulation())
+    first, again = (sample_joint_state(obj, rng=np.random.default_rng(0)) for _ in range(2))
+    other = sample_joint_state(obj, rng=np.random.default_rng(1))
+    np.testing.assert_array_equal(first.q, again.q)
+    assert not np.array_equal(first.q, other.q)
