@@ -1,0 +1,277 @@
+"""A `Model` as files: `model.urdf`, OBJ meshes, `semantics.txt` and the exact `solids.json`.
+
+The same model gives the same bytes, and a folder appears under its name only when it is whole.
+
+`solids.json` holds the truth, in the frame of each link of the URDF beside it:
+
+    {"version": GENERATOR_VERSION, "object_id": "laptop_0003", "category": "laptop", "messy": false,
+     "links": {"<link name>": {
+         "cells":  [{"box": [[x, y, z], [x, y, z]], "half_spaces": [[nx, ny, nz, d], ...]}, ...],
+         "sheets": [{"triangles": [[[x, y, z], [x, y, z], [x, y, z]], ...], "thickness": t}, ...]}}}
+
+A point x is inside a cell if n . x <= d for all its half-spaces; it is inside a sheet if its foot
+lies in one of the triangles, no further away than thickness / 2. A link is the union of both.
+"""
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.geometry import Array, apply, invert_rigid, rotation_from_rpy, transform
+from articugen.sources.procedural.model import Model, ModelLink
+from articugen.sources.procedural.solids import Solid
+
+GENERATOR_VERSION = 1
+"""Raised whenever any generator's output changes, so that folders written before are replaced."""
+
+URDF_NAME = "model.urdf"
+TRUTH_NAME = "solids.json"
+
+_YUP_RPY = (1.5707963267948966, 0.0, -1.5707963267948966)
+"""Turns meshes with y up, as PartNet-Mobility publishes them, to z up."""
+
+_SHEET_LIMIT = 0.005
+"""Panels thinner than this part of the object's longest side become sheets in messy models."""
+
+
+def is_complete(folder: Path, *, messy: bool) -> bool:
+    """Whether `folder` holds an object that this version of the generators wrote."""
+    try:
+        header = json.loads((folder / TRUTH_NAME).read_text())
+    except (OSError, ValueError):
+        return False
+    return header.get("version") == GENERATOR_VERSION and header.get("messy") is messy
+
+
+def write_model(
+    model: Model, folder: Path, *, object_id: str, category: str, messy: bool = False
+) -> Path:
+    """Write `model` as the folder `folder` and return its URDF's path.
+
+    The files are made under a temporary name beside it and renamed, so two processes may write the
+    same object at once. A folder of another version is replaced.
+
+    Args:
+        messy: write the same object as real data come: triangles twice with both windings, one
+            visual a solid, y-up meshes turned by a fixed joint, the body as the last link, hidden
+            faces left open, thin panels as sheets.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    work = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    try:
+        work.chmod(0o755)
+        _write_files(model, work, object_id, category, messy)
+        _replace(work, folder, messy)
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+    return folder / URDF_NAME
+
+
+def _replace(work: Path, folder: Path, messy: bool) -> None:
+    """Give `work` the name `folder`, unless another process has already done so."""
+    for _ in range(10):
+        try:
+            work.rename(folder)
+            return
+        except OSError:
+            if is_complete(folder, messy=messy):
+                return
+        aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+        try:
+            folder.rename(aside / "old")
+        except FileNotFoundError:
+            pass
+        finally:
+            shutil.rmtree(aside, ignore_errors=True)
+    raise OSError(f"{folder}: other processes keep writing this folder; stop them")
+
+
+def _write_files(model: Model, work: Path, object_id: str, category: str, messy: bool) -> None:
+    R = rotation_from_rpy(_YUP_RPY).round() if messy else np.eye(3)
+    pivot = {joint.child: np.asarray(joint.origin, np.float64) for joint in model.joints}
+    limit = _SHEET_LIMIT * float(np.max(model.bounds[1] - model.bounds[0]))
+    truth: dict[str, dict[str, list]] = {}
+    visuals: dict[str, list[str]] = {}
+    for link in model.links:
+        T_link_object = invert_rigid(transform(R, pivot.get(link.name, np.zeros(3))))
+        sheets = [messy and s.sheet is not None and s.sheet.thickness <= limit for s in link.solids]
+        truth[link.name] = _link_truth(link, sheets, T_link_object)
+        # Messy meshes stay in the object's frame: each visual's origin takes the pivot away.
+        T_mesh_object = transform(R.T) if messy else T_link_object
+        visuals[link.name] = _write_meshes(work, link, sheets, T_mesh_object, messy)
+    (work / URDF_NAME).write_text(_urdf(model, object_id, visuals, R, messy))
+    (work / "semantics.txt").write_text(_semantics(model))
+    header = {
+        "version": GENERATOR_VERSION,
+        "object_id": object_id,
+        "category": category,
+        "messy": messy,
+        "links": truth,
+    }
+    with (work / TRUTH_NAME).open("w") as file:
+        file.write(json.dumps(header, separators=(",", ":")) + "\n")
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _link_truth(link: ModelLink, sheets: list[bool], T_link_object: Array) -> dict[str, list]:
+    cells, slabs = [], []
+    for solid, as_sheet in zip(link.solids, sheets, strict=True):
+        here = solid.moved(T_link_object)
+        if as_sheet and here.sheet is not None:
+            thickness = round(here.sheet.thickness, 12)
+            slabs.append({"triangles": _rounded(here.sheet.triangles), "thickness": thickness})
+            continue
+        for planes, box in zip(here.half_spaces, here.cell_bounds, strict=True):
+            cells.append({"box": _rounded(box), "half_spaces": _rounded(planes)})
+    return {"cells": cells, "sheets": slabs}
+
+
+def _rounded(array: Array) -> list:
+    return (array.round(12) + 0.0).tolist()
+
+
+def _write_meshes(
+    work: Path, link: ModelLink, sheets: list[bool], T_mesh_object: Array, messy: bool
+) -> list[str]:
+    """The link's OBJ files: one of all solids, or one a solid where `messy`."""
+    if not messy:
+        name = f"{link.name}.obj"
+        _write_obj(work / name, [(s.moved(T_mesh_object).vertices, s.faces) for s in link.solids])
+        return [name]
+    names = []
+    for k, (solid, as_sheet) in enumerate(zip(link.solids, sheets, strict=True)):
+        if as_sheet and solid.sheet is not None:
+            vertices = solid.sheet.triangles.reshape(-1, 3)
+            faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+        else:
+            vertices, faces = solid.vertices, _seen_faces(solid, k, link.solids)
+        if len(faces) == 0:
+            continue
+        both = np.stack([faces, faces[:, ::-1]], axis=1).reshape(-1, 3)
+        names.append(f"{link.name}-{k}.obj")
+        _write_obj(work / names[-1], [(apply(T_mesh_object, vertices), both)])
+    return names
+
+
+def _seen_faces(solid: Solid, index: int, others: Iterable[Solid]) -> NDArray[np.int32]:
+    """The faces of a solid without those that lie wholly on or in a cell of another solid.
+
+    Every second solid keeps all its faces, as in real data, so that no two drop their common one.
+    """
+    if index % 2 == 0:
+        return solid.faces
+    corners = solid.vertices[solid.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    outside = corners + 1e-6 * normals[:, None]
+    hidden = np.zeros(len(corners), bool)
+    for other in others:
+        if other is solid:
+            continue
+        for planes, (low, high) in zip(other.half_spaces, other.cell_bounds, strict=True):
+            near = np.all((outside >= low - 1e-7) & (outside <= high + 1e-7), axis=(1, 2))
+            near &= ~hidden
+            if near.any():
+                over = outside[near] @ planes[:, :3].T - planes[:, 3]
+                hidden[np.flatnonzero(near)[np.all(over <= 1e-7, axis=(1, 2))]] = True
+    return solid.faces[~hidden]
+
+
+def _write_obj(path: Path, pieces: list[tuple[Array, NDArray[np.int32]]]) -> None:
+    lines, base = [], 1
+    for vertices, faces in pieces:
+        # Nanometres: finer than any use, coarser than the last bits in which machines differ.
+        lines += [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in (vertices.round(9) + 0.0).tolist()]
+        lines += [f"f {a} {b} {c}" for a, b, c in (faces + base).tolist()]
+        base += len(vertices)
+    path.write_text("\n".join(lines) + "\n")
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(f"{round(float(v), 12) + 0.0:.12g}" for v in values)
+
+
+def _urdf(
+    model: Model, object_id: str, visuals: dict[str, list[str]], R: Array, messy: bool
+) -> str:
+    body = model.links[0].name
+    pivot = {body: np.zeros(3)}
+    joints = []
+    if messy:
+        rpy = " ".join(repr(angle) for angle in _YUP_RPY)
+        joints.append(
+            _joint("stand", "fixed", parent="base", child=body, origin=np.zeros(3), rpy=rpy)
+        )
+    for j in model.joints:
+        pivot[j.child] = np.asarray(j.origin, np.float64)
+        shift = R.T @ (pivot[j.child] - pivot[j.parent])
+        axis = None if j.kind == "fixed" else R.T @ np.asarray(j.axis, np.float64)
+        joints.append(
+            _joint(
+                j.name,
+                j.kind,
+                parent=j.parent,
+                child=j.child,
+                origin=shift,
+                axis=axis,
+                limits=(j.lower, j.upper),
+            )
+        )
+    links = [
+        _link(name, files, -(R.T @ pivot[name]) if messy else np.zeros(3))
+        for name, files in visuals.items()
+    ]
+    if messy:  # As PartNet-Mobility has it: an empty base first, the body last.
+        links = ['  <link name="base"/>', *links[1:], links[0]]
+    tree = "\n".join([*links, *joints])
+    return f'<?xml version="1.0"?>\n<robot name="{object_id}">\n{tree}\n</robot>\n'
+
+
+def _link(name: str, files: list[str], origin: Array) -> str:
+    lines = [f'  <link name="{name}">']
+    for file in files:
+        lines += [
+            "    <visual>",
+            f'      <origin xyz="{_numbers(origin)}"/>',
+            f'      <geometry><mesh filename="{file}"/></geometry>',
+            "    </visual>",
+        ]
+    return "\n".join([*lines, "  </link>"])
+
+
+def _joint(
+    name: str,
+    kind: str,
+    *,
+    parent: str,
+    child: str,
+    origin: Array,
+    axis: Array | None = None,
+    limits: tuple[float, float] = (0.0, 0.0),
+    rpy: str = "0 0 0",
+) -> str:
+    lines = [
+        f'  <joint name="{name}" type="{kind}">',
+        f'    <parent link="{parent}"/>',
+        f'    <child link="{child}"/>',
+        f'    <origin xyz="{_numbers(origin)}" rpy="{rpy}"/>',
+    ]
+    if axis is not None:
+        lower, upper = _numbers(limits[:1]), _numbers(limits[1:])
+        lines.append(f'    <axis xyz="{_numbers(axis)}"/>')
+        lines.append(f'    <limit lower="{lower}" upper="{upper}" effort="10" velocity="10"/>')
+    return "\n".join([*lines, "  </joint>"])
+
+
+def _semantics(model: Model) -> str:
+    """PartNet-Mobility's table: link, how it moves, what it is."""
+    moves = {"fixed": "fixed", "revolute": "hinge", "prismatic": "slider"}
+    kind = {joint.child: moves[joint.kind] for joint in model.joints}
+    return "".join(f"{k.name} {kind.get(k.name, 'heavy')} {k.semantic}\n" for k in model.links)
