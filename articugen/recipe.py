@@ -19,7 +19,7 @@ RECIPE_FOLDER = Path(__file__).resolve().parent.parent / "recipes"
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class Articulation(_Section):
@@ -36,20 +36,28 @@ class Articulation(_Section):
             canonical value and their links ride on what they hang on. [] means: ask source.yaml.
     """
 
-    states: int = Field(100, ge=0, le=65_535)
+    states: int = Field(default=100, ge=0, le=65_535)
     canonical: Literal["source", "zero", "lower", "upper"] = "source"
     revolute_degrees: tuple[float, float] = (0.0, 135.0)
     prismatic_metres: tuple[float, float] | None = None
     clip_to_limits: bool = False
     movable: tuple[str, ...] = ()
 
+    @model_validator(mode="after")
+    def _ranges_ascend(self) -> "Articulation":
+        for name in ("revolute_degrees", "prismatic_metres"):
+            ends = getattr(self, name)
+            if ends is not None and not ends[0] < ends[1]:
+                raise ValueError(f"{name} is a range from a lower to a higher value, not {ends}")
+        return self
+
 
 class ViewSettings(_Section):
     """The views that are fused: `count` of them, spread evenly over the sphere."""
 
-    count: int = Field(100, ge=4, le=10_000)
+    count: int = Field(default=100, ge=4, le=10_000)
     projection: Literal["orthographic", "pinhole"] = "orthographic"
-    resolution: int = Field(256, ge=16, le=4096)
+    resolution: int = Field(default=256, ge=16, le=4096)
     backend: Literal["rasterizer", "embree", "opengl", "sapien"] = "rasterizer"
 
 
@@ -64,22 +72,22 @@ class Fusion(_Section):
     """
 
     rule: Literal["seen", "mean"] = "seen"
-    truncation: float = Field(0.01, gt=0.0, le=0.5)
-    sheet_thickness: float = Field(1.5 / 256, ge=0.0, le=0.1)
+    truncation: float = Field(default=0.01, gt=0.0, le=0.5)
+    sheet_thickness: float = Field(default=1.5 / 256, ge=0.0, le=0.1)
 
 
 class Sampling(_Section):
     """How many samples an instance gets. Lengths are in the unit frame."""
 
     grids: tuple[int, ...] = (16, 32, 64)
-    surface_points: int = Field(8192, ge=0, le=1_000_000)
-    uniform_points: int = Field(8192, ge=0, le=1_000_000)
-    near_points: int = Field(8192, ge=0, le=1_000_000)
-    near_sigma: float = Field(0.01, gt=0.0, le=0.5)
-    partial_views: int = Field(4, ge=0, le=256)
-    partial_points: int = Field(1024, ge=0, le=1_000_000)
-    partial_resolution: int = Field(192, ge=16, le=2048)
-    depth_noise: float = Field(0.0, ge=0.0, le=0.1)
+    surface_points: int = Field(default=8192, ge=0, le=1_000_000)
+    uniform_points: int = Field(default=8192, ge=0, le=1_000_000)
+    near_points: int = Field(default=8192, ge=0, le=1_000_000)
+    near_sigma: float = Field(default=0.01, gt=0.0, le=0.5)
+    partial_views: int = Field(default=4, ge=0, le=256)
+    partial_points: int = Field(default=1024, ge=0, le=1_000_000)
+    partial_resolution: int = Field(default=192, ge=16, le=2048)
+    depth_noise: float = Field(default=0.0, ge=0.0, le=0.1)
 
     @model_validator(mode="after")
     def _grids_are_sizes(self) -> "Sampling":
@@ -96,9 +104,9 @@ class Recipe(_Section):
     views: ViewSettings = ViewSettings()
     fusion: Fusion = Fusion()
     sampling: Sampling = Sampling()
-    padding: float = Field(0.1, ge=0.0, lt=1.0)
-    objects: int | None = Field(None, ge=1)
-    max_rejected_fraction: float = Field(0.1, ge=0.0, le=1.0)
+    padding: float = Field(default=0.1, ge=0.0, lt=1.0)
+    objects: int | None = Field(default=None, ge=1)
+    max_rejected_fraction: float = Field(default=0.1, ge=0.0, le=1.0)
 
     def text(self) -> str:
         """The resolved recipe as canonical JSON; equal recipes have equal texts."""
@@ -106,6 +114,15 @@ class Recipe(_Section):
 
     def sha256(self) -> str:
         return hashlib.sha256(self.text().encode()).hexdigest()
+
+    def with_counts(self, *, objects: int | None = None, states: int | None = None) -> "Recipe":
+        """This recipe with other numbers of objects and of random states; None keeps its own."""
+        data = self.model_dump()
+        if objects is not None:
+            data["objects"] = objects
+        if states is not None:
+            data["articulation"]["states"] = states
+        return Recipe.model_validate(data)
 
 
 def load_recipe(name: str | Path | None, category: str) -> Recipe:
@@ -139,9 +156,11 @@ def _resolve(path: Path, category: str, chain: tuple[Path, ...]) -> dict[str, An
         raise InvalidRecipe(f"{path}: extends itself")
     try:
         data = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+    except OSError as error:
+        raise InvalidRecipe(f"{path}: cannot be read: {error.strerror}") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InvalidRecipe(f"{path}: not YAML: {error}") from None
-    if not isinstance(data, dict):
+        raise InvalidRecipe(f"{path}: not YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(data, dict) or not all(isinstance(key, str) for key in data):
         raise InvalidRecipe(f"{path}: a recipe is a mapping of keys to values")
     base = data.pop("extends", None)
     if base is None:
@@ -167,7 +186,8 @@ def _validate(data: dict[str, Any], path: Path) -> Recipe:
         if first["type"] == "extra_forbidden":
             hint = nearest(str(first["loc"][-1]), _keys_at(first["loc"][:-1]))
             raise InvalidRecipe(f"{path}: unknown key {where!r}{hint}") from None
-        raise InvalidRecipe(f"{path}: {where}: {first['msg']}") from None
+        message = first["msg"].removeprefix("Value error, ")
+        raise InvalidRecipe(f"{path}: {where}: {message}") from None
 
 
 def _keys_at(location: tuple[int | str, ...]) -> list[str]:

@@ -1,0 +1,93 @@
+# articugen: from a category's name to a verified data set. `make` lists the targets.
+
+PYTHON ?= python3
+VENV   ?= .venv
+SOURCE ?= procedural
+OUT    ?= data
+
+articugen := $(VENV)/bin/articugen
+pinned    := $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+
+# Stamps: an environment is made once, and again when what it is made from changes.
+generator := $(VENV)/.installed
+testing   := $(VENV)/.installed-test
+dev       := $(VENV)/.installed-dev
+backends  := $(VENV)/.installed-backends
+
+options = $(foreach pair,RECIPE:recipe OBJECTS:objects STATES:states JOBS:jobs SEED:seed,\
+    $(call option,$(word 1,$(subst :, ,$(pair))),$(word 2,$(subst :, ,$(pair)))))
+option = $(if $($(1)),--$(2) "$($(1))")
+
+.DEFAULT_GOAL := help
+.PHONY: help dataset inspect verify test check format bench backends clean
+
+help:  ## list the targets
+	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED=]"
+	@echo
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  \1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
+	@echo
+	@echo "Without CATEGORY, 'make dataset' lists the categories. RECIPE=quick takes under a minute."
+
+dataset: $(generator)  ## make a data set: articulate, render, fuse, sample, write shards
+ifdef CATEGORY
+	@$(articugen) generate --category "$(CATEGORY)" --source "$(SOURCE)" --out "$(OUT)" $(options)
+else
+	@$(articugen) sources
+	@echo "Choose one: make dataset CATEGORY=laptop"
+endif
+
+inspect: $(generator)  ## show what CATEGORY= holds and draw its contact sheet
+ifdef CATEGORY
+	@$(articugen) inspect "$(OUT)/$(CATEGORY)" --image "$(OUT)/$(CATEGORY)/contact_sheet.png"
+else
+	@echo "Choose one: make inspect CATEGORY=laptop" >&2; exit 2
+endif
+
+verify: $(generator)  ## check every byte and the geometry of OUT (or of CATEGORY= alone)
+	@$(articugen) verify "$(OUT)$(if $(CATEGORY),/$(CATEGORY))"
+
+test: $(testing)  ## run the tests; those of absent optional backends are skipped
+	@$(VENV)/bin/python -m pytest $(ARGS)
+
+check: $(dev)  ## lint, formatting and types
+	@$(VENV)/bin/ruff check
+	@$(VENV)/bin/ruff format --check
+	@$(VENV)/bin/pyright
+
+format: $(dev)  ## put the code in order
+	@$(VENV)/bin/ruff check --fix
+	@$(VENV)/bin/ruff format
+
+bench: $(testing)  ## time the stages
+	@$(VENV)/bin/python -m pytest tests/benchmarks --override-ini testpaths= $(ARGS)
+
+backends: $(backends)  ## install the optional renderers: open3d, pyrender, sapien
+
+clean:  ## remove caches and half-written shards; keep data and the environment
+	@rm -rf build dist .pytest_cache .ruff_cache .hypothesis
+	@find articugen tests -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(VENV)/bin/python:
+	@echo "Making $(VENV) ..."
+	@$(PYTHON) -c 'import sys; sys.exit("articugen needs Python 3.10 or newer, this is " + sys.version.split()[0] + "; run: make PYTHON=python3.11 ...") if sys.version_info < (3, 10) else None'
+	@$(PYTHON) -m venv $(VENV)
+
+$(generator): pyproject.toml constraints.txt | $(VENV)/bin/python
+	@echo "Installing the generator and its pinned libraries into $(VENV) ..."
+	@$(pinned) --editable .
+	@touch $@
+
+$(testing): $(generator)
+	@echo "Installing the test tools ..."
+	@$(pinned) --editable '.[test]'
+	@touch $@
+
+$(dev): $(testing)
+	@echo "Installing the developer tools ..."
+	@$(pinned) --editable '.[dev]'
+	@touch $@
+
+$(backends): $(generator)
+	@echo "Installing the optional renderers ..."
+	@$(pinned) --editable '.[backends]'
+	@touch $@

@@ -1,0 +1,129 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from articugen import geometry as g
+
+lengths = st.floats(-10, 10)
+angles = st.floats(-7, 7)
+points = arrays(np.float64, (5, 3), elements=lengths)
+directions = (
+    arrays(np.float64, (3,), elements=st.floats(-1, 1))
+    .filter(lambda v: np.linalg.norm(v) > 1e-3)
+    .map(lambda v: v / np.linalg.norm(v))
+)
+rigid = st.builds(
+    lambda axis, angle, t: g.transform(g.rotation_about(axis, angle), t),
+    directions,
+    angles,
+    arrays(np.float64, (3,), elements=lengths),
+)
+
+
+@pytest.mark.parametrize(
+    ("axis", "before", "after"),
+    [
+        ((0, 0, 1), (1, 0, 0), (0, 1, 0)),
+        ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+        ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
+        ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
+    ],
+)
+def test_a_quarter_turn_follows_the_right_hand(axis, before, after) -> None:
+    np.testing.assert_allclose(g.rotation_about(axis, np.pi / 2) @ before, after, atol=1e-15)
+
+
+@given(directions, angles)
+def test_rotation_about_is_a_rotation_that_keeps_its_axis(axis, angle) -> None:
+    R = g.rotation_about(axis, angle)
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(R), 1.0, atol=1e-12)
+    np.testing.assert_allclose(R @ axis, axis, atol=1e-12)
+    np.testing.assert_allclose(np.trace(R), 1 + 2 * np.cos(angle), atol=1e-12)
+
+
+def test_rpy_turns_about_the_fixed_axes_in_the_order_x_y_z() -> None:
+    """Roll takes y to z, then pitch takes z to x, then yaw takes x to y."""
+    quarter = np.pi / 2
+    np.testing.assert_allclose(
+        g.rotation_from_rpy((quarter, quarter, quarter)) @ (0, 1, 0), (0, 1, 0), atol=1e-15
+    )
+    np.testing.assert_allclose(
+        g.rotation_from_rpy((quarter, quarter, 0)) @ (0, 1, 0), (1, 0, 0), atol=1e-15
+    )
+
+
+@given(rigid, points)
+def test_inverting_undoes(T, x) -> None:
+    np.testing.assert_allclose(g.apply(g.invert_rigid(T), g.apply(T, x)), x, atol=1e-11)
+    np.testing.assert_allclose(g.invert_rigid(T), np.linalg.inv(T), atol=1e-11)
+
+
+@given(st.lists(rigid, min_size=2, max_size=4))
+def test_a_stack_is_inverted_like_each_of_its_members(Ts) -> None:
+    np.testing.assert_array_equal(
+        g.invert_rigid(np.stack(Ts)), np.stack([g.invert_rigid(T) for T in Ts])
+    )
+
+
+@given(rigid, rigid, points)
+def test_transforms_compose_by_their_names(T_a_b, T_b_c, x_c) -> None:
+    np.testing.assert_allclose(
+        g.apply(T_a_b @ T_b_c, x_c), g.apply(T_a_b, g.apply(T_b_c, x_c)), atol=1e-10
+    )
+
+
+@given(points)
+def test_the_box_holds_its_points_and_touches_them(x) -> None:
+    low, high = g.bounds(x)
+    assert np.all(low <= x)
+    assert np.all(x <= high)
+    np.testing.assert_array_equal(g.bounds(g.box_corners(np.stack([low, high]))), [low, high])
+
+
+def test_box_corners_are_eight_different_points() -> None:
+    corners = g.box_corners(np.array([[0.0, 0, 0], [1, 2, 3]]))
+    assert {tuple(c) for c in corners} == {
+        (x, y, z) for x in (0, 1) for y in (0, 2) for z in (0, 3)
+    }
+
+
+@pytest.mark.parametrize("count", [1, 2, 10, 100])
+def test_fibonacci_directions_are_of_unit_length_and_all_different(count: int) -> None:
+    d = g.fibonacci_sphere(count)
+    assert d.shape == (count, 3)
+    np.testing.assert_allclose(np.linalg.norm(d, axis=1), 1.0, atol=1e-15)
+    assert len(np.unique(d.round(9), axis=0)) == count
+
+
+def test_a_hundred_fibonacci_directions_leave_no_hole_wider_than_sixteen_degrees() -> None:
+    """A hundred equal caps that cover the sphere would be 11.5 degrees wide (1 - cos = 2/100)."""
+    probe = np.random.default_rng(0).normal(size=(20_000, 3))
+    probe /= np.linalg.norm(probe, axis=1, keepdims=True)
+    d = g.fibonacci_sphere(100)
+    nearest = np.degrees(np.arccos(np.clip((probe @ d.T).max(axis=1), -1, 1)))
+    assert nearest.max() < 16.0
+    assert np.linalg.norm(d.mean(axis=0)) < 0.01
+
+
+@given(directions, arrays(np.float64, (3,), elements=lengths), st.floats(0.1, 5))
+def test_what_the_camera_looks_at_lies_on_its_optical_axis(direction, eye, distance) -> None:
+    T_camera_world = g.look_along(direction, eye)
+    seen = g.apply(T_camera_world, eye + distance * direction)
+    np.testing.assert_allclose(seen, (0, 0, distance), atol=1e-11)
+    np.testing.assert_allclose(np.linalg.det(T_camera_world[:3, :3]), 1.0, atol=1e-12)
+
+
+def test_image_up_is_the_worlds_z_and_image_right_is_the_viewers_right() -> None:
+    R = g.look_along((1, 0, 0))[:3, :3]
+    np.testing.assert_allclose(R @ (0, 0, 1), (0, -1, 0), atol=1e-15)
+    np.testing.assert_allclose(R @ (0, -1, 0), (1, 0, 0), atol=1e-15)
+
+
+@pytest.mark.parametrize("straight", [(0, 0, 1), (0, 0, -1)])
+def test_a_camera_may_look_straight_up_or_down(straight) -> None:
+    R = g.look_along(straight)[:3, :3]
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(R @ (0, 1, 0), (0, -1, 0), atol=1e-15)

@@ -1,0 +1,120 @@
+import json
+from pathlib import Path
+
+import pytest
+
+from articugen.errors import InvalidRecipe
+from articugen.recipe import RECIPE_FOLDER, Recipe, load_recipe
+
+CATEGORIES = ("drawer", "eyeglasses", "laptop", "oven", "washing_machine")
+
+
+def written(folder: Path, text: str, name: str = "mine.yaml") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_category_recipes_are_the_papers_protocol(category: str) -> None:
+    recipe = load_recipe(None, category)
+    assert recipe.name == category
+    assert recipe.articulation.states == 100
+    assert recipe.views.count == 100
+    assert recipe.articulation.prismatic_metres is None  # up to the URDF's own maximum
+    upper = 90.0 if category == "eyeglasses" else 135.0
+    assert recipe.articulation.revolute_degrees == (0.0, upper)
+
+
+@pytest.mark.parametrize("path", sorted(RECIPE_FOLDER.glob("*.yaml")), ids=lambda p: p.stem)
+def test_every_recipe_in_the_repository_loads_for_every_category(path: Path) -> None:
+    for category in (*CATEGORIES, "anything"):
+        assert load_recipe(path.stem, category).name == path.stem
+
+
+def test_a_category_without_its_own_recipe_keeps_to_the_limits_of_its_joints() -> None:
+    recipe = load_recipe(None, "fridge")
+    assert recipe.name == "default"
+    assert recipe.articulation.clip_to_limits
+
+
+def test_quick_extends_the_category_it_is_used_for() -> None:
+    quick, full = load_recipe("quick", "eyeglasses"), load_recipe(None, "eyeglasses")
+    assert quick.articulation.revolute_degrees == full.articulation.revolute_degrees
+    assert quick.articulation.states < full.articulation.states
+    assert quick.sampling == full.sampling
+
+
+def test_extends_merges_sections_key_by_key(tmp_path: Path) -> None:
+    written(tmp_path, "sampling: {near_points: 5, near_sigma: 0.02}\nobjects: 4", "base.yaml")
+    path = written(tmp_path, f"extends: {tmp_path}/base.yaml\nsampling: {{near_points: 6}}")
+    recipe = load_recipe(path, "laptop")
+    assert (recipe.sampling.near_points, recipe.sampling.near_sigma, recipe.objects) == (6, 0.02, 4)
+    assert recipe.name == "mine"
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("samplng: {}", r"unknown key 'samplng'; did you mean 'sampling'\?"),
+        ("sampling: {near_point: 3}", r"'sampling.near_point'; did you mean 'near_points'\?"),
+        ("articulation: {zzz: 3}", r"unknown key 'articulation.zzz'$"),
+        ("sampling: {near_points: -1}", "sampling.near_points: .*greater than or equal to 0"),
+        ("sampling: {grids: [16, 16]}", "sampling: grids are different sizes from 1 to 256"),
+        ("fusion: {truncation: .nan}", "fusion.truncation: .*finite"),
+        ("articulation: {revolute_degrees: [90, 0]}", "from a lower to a higher value"),
+        ("views: {backend: blender}", "views.backend: .*rasterizer"),
+        ("objects: 0", "objects: .*greater than or equal to 1"),
+        ("- a list", "a recipe is a mapping"),
+        ("1: 2", "a recipe is a mapping"),
+        ("a: [", "not YAML"),
+        ("extends: nosuch", "no recipe 'nosuch'; there are: .*quick"),
+        ("a: !!python/object/apply:os.getcwd []", "not YAML"),
+    ],
+)
+def test_a_bad_recipe_is_refused_in_one_sentence(tmp_path: Path, text: str, sentence: str) -> None:
+    with pytest.raises(InvalidRecipe, match=sentence) as caught:
+        load_recipe(written(tmp_path, text), "laptop")
+    assert "\n" not in str(caught.value)
+
+
+def test_an_unknown_name_gets_the_nearest_one() -> None:
+    with pytest.raises(InvalidRecipe, match=r"no recipe 'quik'; did you mean 'quick'\?"):
+        load_recipe("quik", "laptop")
+
+
+def test_a_recipe_that_extends_itself_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "loop.yaml"
+    written(tmp_path, f"extends: {path}", "loop.yaml")
+    with pytest.raises(InvalidRecipe, match="extends itself"):
+        load_recipe(path, "laptop")
+
+
+def test_text_and_hash_depend_on_the_meaning_alone(tmp_path: Path) -> None:
+    one = load_recipe(
+        written(tmp_path, "name: a\nobjects: 3\nfusion: {truncation: 1.0e-2}", "one.yaml"), "laptop"
+    )
+    two = load_recipe(
+        written(tmp_path, "# a comment\nfusion:\n  truncation: 0.01\nobjects: 3\nname: a"), "laptop"
+    )
+    other = two.with_counts(objects=4)
+    assert one == two
+    assert one.sha256() == two.sha256() != other.sha256()
+    assert Recipe.model_validate(json.loads(one.text())) == one
+
+
+def test_the_hash_of_the_default_settings_has_not_moved() -> None:
+    """Data sets are resumed by this hash: change it only together with what the recipe means."""
+    assert Recipe(name="x").sha256() == (
+        "fd8658dd1bffe0a3efcee557eb306eaa98d8a71ecd806e8e190ad3a6982d8d2b"
+    )
+
+
+def test_with_counts_replaces_what_is_given_and_checks_it() -> None:
+    recipe = load_recipe("quick", "laptop")
+    assert recipe.with_counts() == recipe
+    assert recipe.with_counts(objects=3).objects == 3
+    changed = recipe.with_counts(states=2)
+    assert (changed.articulation.states, changed.objects) == (2, recipe.objects)
+    with pytest.raises(ValueError, match="greater than or equal to 1"):
+        recipe.with_counts(objects=0)
