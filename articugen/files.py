@@ -1,0 +1,74 @@
+"""Files that are either whole under their final name or not there at all."""
+
+import errno
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from articugen.errors import ArticugenError
+
+_CURES = {
+    errno.ENOSPC: "the disk is full; free {megabytes:.0f} MB or choose another output folder",
+    errno.EDQUOT: "the disk quota is used up; free {megabytes:.0f} MB or choose another folder",
+    errno.EFBIG: "files may not grow so large here; raise the limit (ulimit -f) or choose a folder "
+    "on another file system",
+    errno.ENOENT: "its folder does not exist; make it first",
+}
+_CURES |= dict.fromkeys(
+    (errno.EACCES, errno.EPERM, errno.EROFS),
+    "the folder cannot be written to; change its permissions or choose another output folder",
+)
+
+
+def write_atomically(
+    path: Path, data: bytes, *, check: Callable[[Path], None] | None = None
+) -> None:
+    """Write `data` so that `path` is at any moment what it was before, or all of `data`.
+
+    The bytes go to a temporary name in the same folder and to the disk (fsync); `check` looks at
+    that file and raises where it is not as it should be; only then it gets its name, and the folder
+    is synchronised, so that the name survives a power cut as well.
+
+    Raises:
+        ArticugenError: the disk is full, the folder cannot be written to, or the like.
+    """
+    temporary = path.with_name(f".{path.name}.partial")
+    try:
+        try:
+            with temporary.open("wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            if check is not None:
+                check(temporary)
+            temporary.replace(path)
+            sync_folder(path.parent)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise ArticugenError(cannot_write(path, error, len(data))) from error
+
+
+def cannot_write(path: Path, error: OSError, size: int = 0) -> str:
+    """One sentence on why `path` (of `size` bytes) could not be written, with the cure."""
+    cure = _CURES.get(error.errno or 0, f"{error.strerror or error}; choose another output folder")
+    return f"{path}: not written: {cure.format(megabytes=max(size, 1e6) / 1e6)}"
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names in `folder` as durable as the bytes behind them."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def sha256_of(path: Path) -> str:
+    """The hex digest of a file's bytes."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()

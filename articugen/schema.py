@@ -1,0 +1,270 @@
+"""What a shard holds, declared once; the writer, every check and docs/format.md follow from it."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+SCHEMA_VERSION = 1
+
+FORMAT = "articugen shard"
+"""The attribute `format` of every shard."""
+
+MAX_INSTANCES = 65_536
+MAX_CHUNK_BYTES = 1 << 26
+"""No field of one instance may take more than 64 MiB: what a reader risks on a hostile file."""
+
+MAX_TEXT = 255
+"""Bytes of an object_id in UTF-8."""
+
+SYMBOLS = {
+    "N": "instances in the shard",
+    "J": "moving joints",
+    "P": "parts, J + 1: part 0 is the fixed one, joint j carries part j + 1",
+    "R": "resolution of the grid",
+    "S": "surface points",
+    "U": "uniform points",
+    "K": "points near the surface",
+    "C": "cameras",
+    "M": "points a camera",
+}
+"""What the letters in the fields' shapes stand for; a letter is one number in a whole shard."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """One data set of a shard.
+
+    Attributes:
+        name: of the data set; <R> stands for a grid's resolution.
+        dtype: as numpy writes it, byte order included; "S" is UTF-8 of a fixed length, padded
+            with zero bytes.
+        shape: numbers, and letters from SYMBOLS; the first is always N.
+        unit: of one number.
+        frame: the coordinates it is given in, or "".
+        meaning: one sentence or two.
+        compressed: with gzip, for what gets smaller by it; random 16-bit coordinates do not.
+    """
+
+    name: str
+    dtype: str
+    shape: tuple[str | int, ...]
+    unit: str
+    frame: str
+    meaning: str
+    compressed: bool = False
+
+    def matches(self, name: str) -> bool:
+        """Whether a data set of this name is described by this field."""
+        if "<R>" not in self.name:
+            return name == self.name
+        return re.fullmatch(self.name.replace("<R>", "([1-9][0-9]{0,2})"), name) is not None
+
+    def fits(self, name: str, shape: tuple[int, ...], known: dict[str, int]) -> bool:
+        """Whether `shape` is this field's; the letters it settles are added to `known`."""
+        if len(shape) != len(self.shape):
+            return False
+        for want, size in zip(self.shape, shape, strict=True):
+            if want == "R":
+                want = int(name.rpartition("_")[2])
+            elif isinstance(want, str):
+                want = known.setdefault(want, size)
+            if size != want:
+                return False
+        return True
+
+
+_GRID = "occupancy_<R>"
+_FIXED_POINT = "1/65535"
+_UNIT = "unit"
+_STORED = "x = stored / 65535 - 0.5."
+
+FIELDS = (
+    Field("object_id", "S", ("N",), "UTF-8", "", "Which object it is."),
+    Field("state_index", "<u4", ("N",), "", "", "Counts an object's instances; 0 is canonical."),
+    Field("center", "<f8", ("N", 3), "m", "world", "x_world = x_unit * scale + center."),
+    Field("scale", "<f8", ("N",), "m", "", "Length of the unit frame's unit; one an object."),
+    Field(
+        "joint_kind", "|u1", ("N", "J"), "", "", "1 revolute (or continuous), 2 prismatic."
+    ),
+    Field(
+        "joint_parent", "|u1", ("N", "J"), "", "", "The part that joint j, and with it part j + 1, hangs on."
+    ),
+    Field(
+        "joint_state",
+        "<f8",
+        ("N", "J"),
+        "rad or unit",
+        "",
+        "How far each joint is from the canonical pose; prismatic ones in the unit frame's unit.",
+    ),
+    Field(
+        "joint_lower",
+        "<f8",
+        ("N", "J"),
+        "rad or unit",
+        "",
+        "Least joint state that is sampled; the canonical pose, 0, may lie below.",
+    ),
+    Field(
+        "joint_upper", "<f8", ("N", "J"), "rad or unit", "", "Greatest joint state that is sampled."
+    ),
+    Field(
+        "joint_axis",
+        "<f8",
+        ("N", "J", 3),
+        "1",
+        _UNIT,
+        "Unit direction in the canonical pose: a rotation is counter-clockwise about it, a "
+        "translation along it.",
+    ),
+    Field(
+        "joint_pivot", "<f8", ("N", "J", 3), "unit", _UNIT, "A point on the axis, canonical pose."
+    ),
+    Field(
+        "part_motion",
+        "<f8",
+        ("N", "P", 4, 4),
+        "unit",
+        _UNIT,
+        "Rigid motion of each part from the canonical pose: x = motion @ x_canonical. "
+        "motion[j + 1] = motion[joint_parent[j]] @ (what joint j does to the canonical pose).",
+    ),
+    Field(
+        _GRID,
+        "|u1",
+        ("N", "R", "R", "R"),
+        "label",
+        _UNIT,
+        "Label at the voxel centres (i + 0.5) / R - 0.5, indexed [x, y, z].",
+        True,
+    ),
+    Field(
+        "surface_points",
+        "<u2",
+        ("N", "S", 3),
+        _FIXED_POINT,
+        _UNIT,
+        f"Uniform by area over the visible surface, on the field's zero level. {_STORED}",
+    ),
+    Field(
+        "surface_normals",
+        "|i1",
+        ("N", "S", 3),
+        "1/127",
+        _UNIT,
+        "Outward unit normals there: n = stored / 127.",
+        True,
+    ),
+    Field("surface_part", "|u1", ("N", "S"), "part", "", "The part each belongs to.", True),
+    Field(
+        "uniform_points",
+        "<u2",
+        ("N", "U", 3),
+        _FIXED_POINT,
+        _UNIT,
+        f"Uniform in the unit cube. {_STORED}",
+    ),
+    Field("uniform_label", "|u1", ("N", "U"), "label", "", "Labels there.", True),
+    Field(
+        "near_points",
+        "<u2",
+        ("N", "K", 3),
+        _FIXED_POINT,
+        _UNIT,
+        f"Surface points moved by Gaussian noise (recipe: near_sigma). {_STORED}",
+    ),
+    Field("near_label", "|u1", ("N", "K"), "label", "", "Labels there.", True),
+    Field(
+        "partial_points",
+        "<u2",
+        ("N", "C", "M", 3),
+        _FIXED_POINT,
+        _UNIT,
+        f"What each of C depth cameras sees. {_STORED}",
+    ),
+    Field("partial_part", "|u1", ("N", "C", "M"), "part", "", "The part each belongs to.", True),
+    Field(
+        "partial_T_camera_world",
+        "<f8",
+        ("N", "C", 4, 4),
+        "unit",
+        "camera from unit",
+        "x_camera = T @ x_unit; camera axes: x right, y down, z forward.",
+    ),
+    Field(
+        "partial_intrinsics",
+        "<f8",
+        ("N", "C", 4),
+        "pixel",
+        "image",
+        "fx, fy, cx, cy: u = fx x / z + cx, v = fy y / z + cy; pixel centres at + 0.5.",
+    ),
+)
+"""Every data set; those without <R> are in every shard, that one once for each grid."""
+
+ATTRIBUTES: Mapping[str, tuple[type, str]] = {
+    "format": (str, f'Always "{FORMAT}".'),
+    "schema_version": (int, "Of this description; readers refuse any other."),
+    "category": (str, "For instance laptop."),
+    "split": (str, "train or test, say; each object is in one split only."),
+    "recipe": (str, "The resolved recipe as canonical JSON: everything that decides the content."),
+    "recipe_sha256": (str, "The hex digest of that text."),
+    "seed": (int, "The master seed."),
+    "articugen_version": (str, "What wrote it."),
+}
+"""Attributes of the file that every shard has; it may have more, all scalar."""
+
+
+def field_of(name: str) -> Field | None:
+    """The field that describes the data set `name`, or None."""
+    return next((field for field in FIELDS if field.matches(name)), None)
+
+
+def misfit(names_and_shapes: Mapping[str, tuple[int, ...]]) -> str | None:
+    """Why data sets of these names and shapes are not one shard; None where they are."""
+    known: dict[str, int] = {}
+    for name, shape in names_and_shapes.items():
+        field = field_of(name)
+        if field is None:
+            return f"data set {name!r} is not in the schema"
+        if not field.fits(name, shape, known):
+            return f"data set {name!r} has shape {shape}, not {written_shape(field)} with {known}"
+    missing = [f.name for f in FIELDS if f.name != _GRID and f.name not in names_and_shapes]
+    if missing:
+        return f"data set {missing[0]!r} is missing"
+    if known["P"] != known["J"] + 1:
+        return f"{known['P']} parts for {known['J']} joints"
+    if not 1 <= known["N"] <= MAX_INSTANCES:
+        return f"{known['N']} instances, not 1 to {MAX_INSTANCES}"
+    return None
+
+
+def written_shape(field: Field) -> str:
+    """The shape as people write it: (N, P, 4, 4)."""
+    return f"({', '.join(map(str, field.shape))}{',' if len(field.shape) == 1 else ''})"
+
+
+def markdown() -> str:
+    """The tables of docs/format.md."""
+    rows = [
+        f"| `{f.name}` | `{f.dtype}` | {written_shape(f)} | {f.unit} | {f.frame} | {f.meaning} |"
+        for f in FIELDS
+    ]
+    letters = [f"| {letter} | {meaning} |" for letter, meaning in SYMBOLS.items()]
+    attributes = [f"| `{n}` | {kind.__name__} | {what} |" for n, (kind, what) in ATTRIBUTES.items()]
+    return "\n".join(
+        [
+            "| data set | dtype | shape | unit | frame | meaning |",
+            "|---|---|---|---|---|---|",
+            *rows,
+            "",
+            "| letter | number of |",
+            "|---|---|",
+            *letters,
+            "",
+            "| attribute of the file | type | meaning |",
+            "|---|---|---|",
+            *attributes,
+            "",
+        ]
+    )
