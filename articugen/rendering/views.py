@@ -1,0 +1,77 @@
+"""Where the cameras stand: views spread over the sphere for fusion, random ones for partial clouds."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.geometry import apply, box_corners, fibonacci_sphere, look_along
+from articugen.recipe import ViewSettings
+from articugen.records import Views
+
+MARGIN = 2.0
+"""Pixels between the object and the image's border: what projects outside is seen free."""
+
+PINHOLE_DISTANCE = 1.5
+"""Distance of pinhole cameras from the centre of the box, in the unit frame. Occupancy Networks'
+1.0 leaves parts of a cube's faces outside the image; from 1.3 on nothing is lost."""
+
+
+def spread_order(count: int) -> NDArray[np.intp]:
+    """An order of 0..count-1 in which every prefix is spread out (van der Corput, base 2).
+
+    Views that come early then look from all around, so that most free points are seen free by one
+    of the first few.
+    """
+    bits = max(1, int(count - 1).bit_length())
+    codes = np.arange(1 << bits)
+    reversed_codes = np.zeros_like(codes)
+    for bit in range(bits):
+        reversed_codes |= ((codes >> bit) & 1) << (bits - 1 - bit)
+    return reversed_codes[reversed_codes < count]
+
+
+def fusion_views(settings: ViewSettings, box: NDArray[np.float64]) -> Views:
+    """`settings.count` views evenly over the sphere, each fitted to the corners of `box`.
+
+    Args:
+        box: (2, 3) lower and upper corner, unit frame, of all that will be drawn.
+    """
+    directions = -fibonacci_sphere(settings.count)[spread_order(settings.count)]
+    center = box.mean(axis=0)
+    back = 0.0 if settings.projection == "orthographic" else PINHOLE_DISTANCE
+    T = np.stack([look_along(d, center - back * d) for d in directions])
+    return fitted(settings.projection, T, box, settings.resolution, settings.resolution)
+
+
+def fitted(
+    projection: str, T_camera_world: NDArray[np.float64], box: NDArray[np.float64], w: int, h: int
+) -> Views:
+    """Views from the given cameras whose images the box (2, 3) just fills, `MARGIN` left free."""
+    corners = np.stack([apply(T, box_corners(box)) for T in T_camera_world])
+    x, y, z = np.moveaxis(corners, -1, 0)
+    if projection == "pinhole":
+        x, y = x / z, y / z
+    fx, cx = _fit(x, w)
+    fy, cy = _fit(y, h)
+    return Views(projection, T_camera_world, fx, fy, cx, cy, w, h)  # type: ignore[arg-type]
+
+
+def _fit(x: NDArray[np.float64], size: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    low, high = x.min(axis=1), x.max(axis=1)
+    focal = (size - 2.0 * MARGIN) / np.maximum(high - low, 1e-6)
+    return focal, size / 2.0 - focal * (low + high) / 2.0
+
+
+def random_pinhole_views(
+    count: int, resolution: int, box: NDArray[np.float64], *, rng: np.random.Generator
+) -> Views:
+    """`count` pinhole cameras that look at the box from random sides, as a depth camera would.
+
+    Directions are uniform over the sphere, distances from the centre uniform in 1.2 to 2.0 of the
+    unit frame; the field of view is just wide enough for the box.
+    """
+    center = box.mean(axis=0)
+    directions = rng.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    distances = rng.uniform(1.2, 2.0, size=count)
+    T = [look_along(-d, center + r * d) for d, r in zip(directions, distances, strict=True)]
+    return fitted("pinhole", np.array(T).reshape(-1, 4, 4), box, resolution, resolution)

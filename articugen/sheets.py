@@ -1,0 +1,164 @@
+"""From a triangle soup to solids: which faces are sheets, which way the others look.
+
+Real models are soups: every triangle twice, arbitrary winding, panels without thickness. Fusion
+knows inside from outside by visibility, and a sheet without thickness has no inside. So each part
+is looked at alone, from all around: a face that is seen from both sides is a sheet and gets a
+thickness; one that is seen from one side looks that way; one that is never seen is left as it is.
+A part alone, so that the answer does not change with its pose.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.records import LabelledMesh
+
+SAMPLE_AREA = 0.02**2
+MOST_SAMPLES = 16
+SHEET_SHARE = 1.0 / 3.0
+"""A face is a sheet where at least this share of its samples is seen free on both sides."""
+
+SMOOTH_COSINE = np.cos(np.radians(30.0))
+"""Sheets that meet at less than 30 degrees share their edge; steeper ones are walled on it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Probes:
+    """Sample points on faces, one offset to each side: `points` (2, n, 3), `face` (n,)."""
+
+    points: NDArray[np.float64]
+    face: NDArray[np.intp]
+
+
+def welded(vertices: NDArray[np.float64]) -> NDArray[np.intp]:
+    """(V,) the same number for vertices at the same place (within 1e-6 of the unit frame)."""
+    rounded = np.round(vertices * 2.0**20).astype(np.int64)
+    return np.unique(rounded, axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def without_repeats(mesh: LabelledMesh) -> LabelledMesh:
+    """The mesh with one of each set of coincident faces, whatever their winding, and no face
+    without area. Vertices are kept."""
+    corners = np.sort(welded(mesh.vertices)[mesh.faces], axis=1)
+    solid = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])
+    keys = np.column_stack([corners, mesh.part_of_face])[solid]
+    first = np.sort(np.unique(keys, axis=0, return_index=True)[1])
+    keep = np.flatnonzero(solid)[first]
+    areas = _areas(mesh.vertices, mesh.faces[keep])
+    keep = keep[areas > 1e-12]
+    return LabelledMesh(mesh.vertices, mesh.faces[keep], mesh.part_of_face[keep])
+
+
+def probes(mesh: LabelledMesh, distance: float) -> Probes:
+    """Points at `distance` from both sides of every face: side 0 along its normal, side 1 against.
+
+    One point for each 0.02 x 0.02 of area, 1 to 16 a face, spread by the R2 sequence (Roberts
+    2018); the first is the centroid.
+    """
+    corners = mesh.vertices[mesh.faces]
+    areas = _areas(mesh.vertices, mesh.faces)
+    counts = np.clip(np.ceil(areas / SAMPLE_AREA), 1, MOST_SAMPLES).astype(np.intp)
+    face = np.repeat(np.arange(len(counts)), counts)
+    rank = np.arange(len(face)) - np.repeat(np.cumsum(counts) - counts, counts)
+    a = (0.5 + rank * 0.7548776662466927) % 1.0
+    b = (0.5 + rank * 0.5698402909980532) % 1.0
+    folded = a + b > 1.0
+    a, b = np.where(folded, 1.0 - a, a), np.where(folded, 1.0 - b, b)
+    a, b = np.where(rank == 0, 1 / 3, a), np.where(rank == 0, 1 / 3, b)
+    weights = np.stack([1.0 - a - b, a, b], axis=1)
+    on_face = np.einsum("nc,nci->ni", weights, corners[face])
+    offset = distance * face_normals(mesh.vertices, mesh.faces)[face]
+    return Probes(np.stack([on_face + offset, on_face - offset]), face)
+
+
+def solidified(
+    mesh: LabelledMesh, where: Probes, free: NDArray[np.bool_], thickness: float
+) -> tuple[LabelledMesh, NDArray[np.bool_]]:
+    """The mesh with its sheets thickened and its faces turned outwards.
+
+    Args:
+        mesh: what `where` was made from.
+        free: (2, n) whether the point on each side of each probe is seen free.
+        thickness: given to sheets, half on each side.
+
+    Returns:
+        The mesh, and for each of its faces whether it can be seen at all.
+    """
+    count = np.bincount(where.face, minlength=len(mesh.faces))
+    share = [np.bincount(where.face, weights=w, minlength=len(mesh.faces)) / count
+             for w in (free[0], free[1], free[0] & free[1])]  # fmt: skip
+    sheet = share[2] >= SHEET_SHARE
+    if thickness <= 0.0:
+        sheet[:] = False
+    faces = np.where((share[1] > share[0])[:, None], mesh.faces[:, ::-1], mesh.faces)
+    seen = (share[0] > 0.0) | (share[1] > 0.0)
+    kept = LabelledMesh(mesh.vertices, faces[~sheet], mesh.part_of_face[~sheet])
+    slabs = _slabs(mesh.vertices, faces[sheet], mesh.part_of_face[sheet], thickness)
+    vertices = np.concatenate([kept.vertices, slabs.vertices])
+    all_faces = np.concatenate([kept.faces, slabs.faces + len(kept.vertices)])
+    parts = np.concatenate([kept.part_of_face, slabs.part_of_face])
+    seen = np.concatenate([seen[~sheet], np.ones(len(slabs.faces), np.bool_)])
+    return LabelledMesh(vertices, all_faces, parts), seen
+
+
+def _slabs(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    part_of_face: NDArray[np.uint8],
+    thickness: float,
+) -> LabelledMesh:
+    """Each face as a slab: two caps, and walls on the edges where the sheet ends or folds."""
+    corners = vertices[faces]
+    normals = face_normals(vertices, faces)
+    lifted = corners[:, None] + np.array([0.5, -0.5])[None, :, None, None] * (
+        thickness * normals[:, None, None, :]
+    )
+    base = 6 * np.arange(len(faces))[:, None]
+    caps = np.concatenate([base + [0, 1, 2], base + [5, 4, 3]])
+    walls, owner = [], []
+    for edge, (a, b) in enumerate(((0, 1), (1, 2), (2, 0))):
+        ends = np.flatnonzero(~_continued(vertices, faces, normals, edge))
+        foot = base[ends]
+        walls += [foot + [a, 3 + a, 3 + b], foot + [a, 3 + b, b]]
+        owner += [ends, ends]
+    all_faces = np.concatenate([caps, *walls]) if len(faces) else np.zeros((0, 3), np.int32)
+    source = np.concatenate([np.arange(len(faces))] * 2 + owner)
+    return LabelledMesh(lifted.reshape(-1, 3), all_faces, part_of_face[source])
+
+
+def _continued(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    normals: NDArray[np.float64],
+    edge: int,
+) -> NDArray[np.bool_]:
+    """Whether another face goes on smoothly over the given edge (0, 1 or 2) of each face."""
+    weld = welded(vertices)[faces]
+    pairs = np.concatenate([weld[:, [0, 1]], weld[:, [1, 2]], weld[:, [2, 0]]])
+    pairs = np.sort(pairs, axis=1)
+    owner = np.tile(np.arange(len(faces)), 3)
+    key = pairs[:, 0] * (weld.max(initial=0) + 1) + pairs[:, 1]
+    order = np.argsort(key, kind="stable")
+    mine = key[edge * len(faces) : (edge + 1) * len(faces)]
+    start = np.searchsorted(key[order], mine, side="left")
+    count = np.searchsorted(key[order], mine, side="right") - start
+    face = np.repeat(np.arange(len(faces)), count)
+    rank = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
+    other = owner[order[start[face] + rank]]
+    smooth = np.abs(np.einsum("ni,ni->n", normals[face], normals[other])) > SMOOTH_COSINE
+    return np.bincount(face, weights=smooth & (other != face), minlength=len(faces)) > 0
+
+
+def face_normals(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32]
+) -> NDArray[np.float64]:
+    """(F, 3) unit normals by the right-hand rule of each face's winding."""
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    normals = np.cross(b - a, c - a)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+
+
+def _areas(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
