@@ -5,11 +5,11 @@ trimesh accepts headers that lie. Whatever reads a file, `checked` sees the resu
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from articugen.errors import InvalidSource
 from articugen.records import Mesh
@@ -81,7 +81,7 @@ def checked(vertices: NDArray[np.floating], faces: NDArray[np.integer], path: Pa
     return Mesh(vertices, faces.astype(np.int32))
 
 
-def box(size: Sequence[float]) -> Mesh:
+def box(size: ArrayLike) -> Mesh:
     """A closed box of edge lengths `size` (3,), centred on the origin."""
     corners = np.array([[(i >> 2) & 1, (i >> 1) & 1, i & 1] for i in range(8)]) - 0.5
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -105,7 +105,7 @@ def sphere(radius: float, sections: int = 64) -> Mesh:
     return _lathe(radius * around, radius * np.cos(polar), sections)
 
 
-def scaled(mesh: Mesh, scale: Sequence[float]) -> Mesh:
+def scaled(mesh: Mesh, scale: ArrayLike) -> Mesh:
     """`mesh` scaled along x, y, z; a mirrored one is turned outside out again."""
     mirrored = np.prod(np.sign(scale)) < 0
     return Mesh(mesh.vertices * np.asarray(scale), mesh.faces[:, ::-1] if mirrored else mesh.faces)

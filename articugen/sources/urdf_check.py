@@ -1,0 +1,263 @@
+"""What a URDF must be before yourdfpy sees it; each fault is one sentence: file, element, cure.
+
+yourdfpy guesses where it should refuse: it retries broken XML with a recovering parser, takes
+floating and planar joints for fixed ones and drops what it cannot find. So the tree is checked here
+against the rules of the format (wiki.ros.org/urdf/XML), and stripped of all that is not used.
+"""
+
+import math
+from pathlib import Path
+from typing import Any
+
+from articugen.errors import InvalidSource
+from articugen.sources.xml_strict import parse_xml
+
+MAX_URDF_BYTES = 16 * 2**20
+MAX_LINKS = 10_000
+
+_READ = ("fixed", "revolute", "continuous", "prismatic")
+_REFUSED = ("planar", "floating", "spherical")
+_UNUSED = (
+    *("inertial", "collision", "material", "transmission", "gazebo"),
+    *("dynamics", "calibration", "safety_controller"),
+)
+
+
+def checked_robot(data: bytes, path: Path) -> tuple[Any, list[str]]:
+    """The `<robot>` element (lxml) of a sound URDF, and its links with collision shapes only.
+
+    Elements that are not used are removed, numbers are rewritten plainly. Stray text between
+    elements is harmless and accepted, and so are commas between numbers.
+
+    Raises:
+        InvalidSource: the first fault found.
+    """
+    if len(data) > MAX_URDF_BYTES:
+        raise InvalidSource(f"{path}: larger than {MAX_URDF_BYTES // 2**20} MiB; not a URDF")
+    robot = parse_xml(data, path)
+    if robot.tag != "robot":
+        raise InvalidSource(f"{path}: the root element is <{robot.tag}>, not <robot>; not a URDF")
+    if any("www.ros.org/wiki/xacro" in str(element.tag) for element in robot.iter()):
+        raise InvalidSource(f"{path}: is xacro source; expand it first: xacro in.xacro > out.urdf")
+    unseen = [
+        link.get("name", "")
+        for link in robot.findall("link")
+        if link.find("visual") is None and link.find("collision") is not None
+    ]
+    for element in list(robot.iter(*_UNUSED)):
+        element.getparent().remove(element)
+    robot.set("name", robot.get("name", ""))
+    check = _Check(path)
+    links = check.named(robot, "link")
+    if not links:
+        raise InvalidSource(f"{path}: <robot> has no <link>; a model needs at least one")
+    if len(links) > MAX_LINKS:
+        raise InvalidSource(f"{path}: more than {MAX_LINKS:,} links; split the model")
+    joints = check.named(robot, "joint")
+    for link in links.values():
+        check.link(link)
+    for joint in joints.values():
+        check.joint(joint)
+    _check_tree(check, list(links), joints)
+    _check_mimics(check, joints)
+    return robot, unseen
+
+
+class _Check:
+    """The rules for single elements of the URDF at `path`."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def refuse(self, element: Any, problem: str) -> InvalidSource:
+        """The error for an element, which is named by its nearest ancestor with a name."""
+        owner = element
+        while owner.tag not in ("link", "joint") and owner.getparent() is not None:
+            owner = owner.getparent()
+        name = owner.get("name")
+        where = f"{owner.tag} {name!r}" if name else f"<{owner.tag}> at line {owner.sourceline}"
+        return InvalidSource(f"{self.path}: {where}: {problem}")
+
+    def named(self, robot: Any, tag: str) -> dict[str, Any]:
+        """Every `<tag>` by its name."""
+        found: dict[str, Any] = {}
+        for element in robot.findall(tag):
+            name = element.get("name")
+            if not name:
+                raise self.refuse(element, "has no name; give it one")
+            if name in found:
+                raise self.refuse(
+                    element,
+                    f"a second {tag} of that name at line {element.sourceline}; rename one",
+                )
+            found[name] = element
+        return found
+
+    def link(self, link: Any) -> None:
+        for visual in link.findall("visual"):
+            self.origin(visual)
+            geometry = self.child(visual, "geometry", required=True)
+            if len(geometry) != 1:
+                raise self.refuse(geometry, f"<geometry> holds {len(geometry)} shapes; keep one")
+            self.shape(geometry[0])
+
+    def shape(self, shape: Any) -> None:
+        if shape.tag == "mesh":
+            if not shape.get("filename"):
+                raise self.refuse(shape, "<mesh> has no filename; name the file")
+            scale = self.numbers(shape, "scale", (1, 3), "1")
+            if 0.0 in scale:
+                raise self.refuse(shape, "<mesh> has a zero scale; give it one")
+            return
+        sizes = {
+            "box": {"size": (3,)},
+            "cylinder": {"radius": (1,), "length": (1,)},
+            "sphere": {"radius": (1,)},
+        }.get(shape.tag)
+        if sizes is None:
+            raise self.refuse(
+                shape, f"<{shape.tag}> is not a shape of URDF; use box, cylinder, sphere or mesh"
+            )
+        for attribute, counts in sizes.items():
+            if not all(x > 0.0 for x in self.numbers(shape, attribute, counts)):
+                raise self.refuse(shape, f"<{shape.tag}> {attribute} is not positive; make it so")
+
+    def joint(self, joint: Any) -> None:
+        kind = joint.get("type")
+        if kind in _REFUSED:
+            raise self.refuse(
+                joint,
+                f"type {kind!r} has more than one degree of freedom and is not read; make it "
+                f"{_either(_READ)}",
+            )
+        if kind not in _READ:
+            raise self.refuse(joint, f"unknown type {kind!r}; make it {_either(_READ)}")
+        for tag in ("parent", "child"):
+            if not self.child(joint, tag, required=True).get("link"):
+                raise self.refuse(joint, f"<{tag}> names no link; add link=")
+        self.origin(joint)
+        axis = self.child(joint, "axis")
+        direction = [1.0] if axis is None else self.numbers(axis, "xyz", (3,), "1 0 0")
+        if kind != "fixed" and not math.hypot(*direction) > 1e-12:
+            raise self.refuse(joint, "<axis> is zero; give it a direction")
+        self.limit(joint, kind)
+        mimic = self.child(joint, "mimic")
+        if mimic is not None:
+            self.numbers(mimic, "multiplier", (1,), "1")
+            self.numbers(mimic, "offset", (1,), "0")
+
+    def limit(self, joint: Any, kind: str) -> None:
+        limit = self.child(joint, "limit")
+        if limit is None or kind not in ("revolute", "prismatic"):
+            return
+        (lower,) = self.numbers(limit, "lower", (1,), "0", infinite=True)
+        (upper,) = self.numbers(limit, "upper", (1,), "0", infinite=True)
+        if lower > upper:
+            raise self.refuse(
+                joint, f"lower limit {lower:g} is above the upper limit {upper:g}; swap them"
+            )
+
+    def origin(self, element: Any) -> None:
+        origin = self.child(element, "origin")
+        if origin is not None:
+            self.numbers(origin, "xyz", (3,), "0 0 0")
+            self.numbers(origin, "rpy", (3,), "0 0 0")
+
+    def child(self, element: Any, tag: str, *, required: bool = False) -> Any:
+        """The one child `<tag>`, or None."""
+        found = element.findall(tag)
+        if len(found) > 1 or (required and not found):
+            raise self.refuse(element, f"has {len(found) or 'no'} <{tag}>; a {element.tag} has one")
+        return found[0] if found else None
+
+    def numbers(
+        self,
+        element: Any,
+        attribute: str,
+        counts: tuple[int, ...],
+        default: str | None = None,
+        *,
+        infinite: bool = False,
+    ) -> list[float]:
+        """The numbers of an attribute, as many as one of `counts`, finite unless `infinite`.
+
+        They are written back in one plain form, so that yourdfpy reads what was checked.
+        """
+        text = element.get(attribute, default)
+        if text is None:
+            raise self.refuse(element, f"<{element.tag}> has no {attribute}; add it")
+        wanted = " or ".join(map(str, counts)) + " number" + ("s" if counts[-1] > 1 else "")
+        try:
+            values = [float(word) for word in text.replace(",", " ").split()]
+        except ValueError:
+            values = []
+        fine = len(values) in counts and not any(map(math.isnan, values))
+        if not fine or not (infinite or all(map(math.isfinite, values))):
+            raise self.refuse(
+                element, f"<{element.tag}> {attribute}={text!r} is not {wanted}; correct it"
+            )
+        element.set(attribute, " ".join(map(repr, values)))
+        return values
+
+
+def _either(words: tuple[str, ...]) -> str:
+    return f"{', '.join(words[:-1])} or {words[-1]}"
+
+
+def _check_tree(check: _Check, links: list[str], joints: dict[str, Any]) -> None:
+    """Every link but one, the root, is the child of one joint, and all hang on the root."""
+    known = set(links)
+    parent_of: dict[str, str] = {}
+    hangs_on: dict[str, str] = {}
+    for name, joint in joints.items():
+        parent, child = (joint.find(tag).get("link") for tag in ("parent", "child"))
+        for link in (parent, child):
+            if link not in known:
+                raise check.refuse(joint, f"unknown link {link!r}; add the link or correct it")
+        if child in parent_of:
+            raise check.refuse(
+                joint,
+                f"link {child!r} is already the child of joint {hangs_on[child]!r}; a link has one"
+                " parent, remove one of the joints",
+            )
+        parent_of[child], hangs_on[child] = parent, name
+    reached: set[str] = set()
+    for start in links:
+        trail: list[str] = []
+        link = start
+        while link in parent_of and link not in reached:
+            reached.add(link)
+            trail.append(link)
+            link = parent_of[link]
+        if link in trail:
+            loop = sorted(hangs_on[name] for name in trail[trail.index(link) :])
+            raise check.refuse(
+                joints[loop[0]], f"the joints {', '.join(loop)} form a loop; remove one of them"
+            )
+    roots = [link for link in links if link not in parent_of]
+    if len(roots) > 1:
+        raise InvalidSource(
+            f"{check.path}: links {', '.join(map(repr, roots[:5]))} are all roots; join them with "
+            "fixed joints"
+        )
+
+
+def _check_mimics(check: _Check, joints: dict[str, Any]) -> None:
+    """Each mimic leads, over any number of others, to a joint that moves by itself."""
+    for name, joint in joints.items():
+        seen = [name]
+        mimic = joint.find("mimic")
+        while mimic is not None:
+            target = mimic.get("joint")
+            if target not in joints:
+                raise check.refuse(
+                    joints[seen[-1]], f"mimics the unknown joint {target!r}; correct its name"
+                )
+            if joints[target].get("type") == "fixed":
+                raise check.refuse(
+                    joints[seen[-1]], f"mimics {target!r}, which is fixed; remove the <mimic>"
+                )
+            if target in seen:
+                raise check.refuse(joint, f"its <mimic> leads back to {target!r}; remove one")
+            seen.append(target)
+            mimic = joints[target].find("mimic")
