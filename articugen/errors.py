@@ -26,3 +26,7 @@ class MissingExtra(ArticugenError):
 
     def __init__(self, library: str, extra: str) -> None:
         super().__init__(f"{library} is not installed; run: pip install 'articugen[{extra}]'")
+
+
+class MissingDriver(ArticugenError):
+    """An optional library is installed, but a system library or driver that it needs is not."""
