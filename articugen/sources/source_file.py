@@ -33,7 +33,7 @@ class CategorySettings(_Section):
 
     canonical: Literal["zero", "lower", "upper"] = "zero"
     movable: tuple[str, ...] = ()
-    yaw_degrees: float = Field(0.0, ge=-360.0, le=360.0)
+    yaw_degrees: float = Field(default=0.0, ge=-360.0, le=360.0)
     train: Share = None
     test: Share = None
     model_cat: tuple[str, ...] = ()
@@ -42,6 +42,8 @@ class CategorySettings(_Section):
     def _splits_make_sense(self) -> "CategorySettings":
         if isinstance(self.train, int) != isinstance(self.test, int):
             raise ValueError("train and test are both numbers, or neither is")
+        if self.train == 0 and self.test == 0:
+            raise ValueError("train and test are both 0")
         if isinstance(self.train, tuple) and isinstance(self.test, tuple):
             both = sorted(set(self.train) & set(self.test))
             if both:

@@ -13,7 +13,7 @@ from articugen.errors import InvalidSource
 from articugen.sources.xml_strict import parse_xml
 
 MAX_URDF_BYTES = 16 * 2**20
-MAX_LINKS = 10_000
+MAX_LINKS = 2_000
 
 _READ = ("fixed", "revolute", "continuous", "prismatic")
 _REFUSED = ("planar", "floating", "spherical")

@@ -1,0 +1,51 @@
+"""Which objects are for training and which for testing; disjoint by object, never random."""
+
+import hashlib
+from collections.abc import Mapping
+
+from articugen.sources.source_file import Share
+
+TEST_FRACTION = 0.2
+"""Of the objects of a source that says nothing about splits."""
+
+
+def assign_splits(group_of: Mapping[str, str], train: Share, test: Share) -> dict[str, str]:
+    """The split, "train" or "test", of each object.
+
+    Ids name the objects of a split; where both splits name theirs, other objects have none.
+    Otherwise a hash of its group decides for each object by itself, so that more objects change
+    nothing for the others, except that with two groups or more neither split is empty.
+
+    Args:
+        group_of: a group for each object id; objects of one group (the same meshes) stay together.
+        train, test: ids, or numbers whose ratio is kept, or None.
+    """
+    listed = {"train": train, "test": test}
+    named = {i: split for split, ids in listed.items() if isinstance(ids, tuple) for i in ids}
+    if isinstance(train, tuple) and isinstance(test, tuple):
+        return {i: named[i] for i in group_of if i in named}
+    if named:
+        other = "train" if isinstance(test, tuple) else "test"
+        return {i: named.get(i, other) for i in group_of}
+    fraction = TEST_FRACTION
+    if isinstance(train, int) and isinstance(test, int):
+        fraction = test / (train + test)
+    chosen = _test_groups(set(group_of.values()), fraction)
+    return {i: "test" if group in chosen else "train" for i, group in group_of.items()}
+
+
+def split_sizes(objects: int, train: int, test: int) -> dict[str, int]:
+    """`objects` divided as `train` : `test`; with two or more, each split that there is gets one."""
+    count = round(objects * test / (train + test))
+    if train and test and objects > 1:
+        count = min(max(count, 1), objects - 1)
+    return {"train": objects - count, "test": count}
+
+
+def _test_groups(groups: set[str], fraction: float) -> set[str]:
+    """The groups whose hash, as a number in [0, 1), is below `fraction`."""
+    ranked = sorted((hashlib.sha256(name.encode()).digest(), name) for name in groups)
+    count = sum(int.from_bytes(digest[:8], "big") < fraction * 2.0**64 for digest, _ in ranked)
+    if 0.0 < fraction < 1.0 and len(groups) > 1:
+        count = min(max(count, 1), len(groups) - 1)
+    return {name for _, name in ranked[:count]}
