@@ -4,7 +4,7 @@ Units are metres and radians in `Mesh`, `Link`, `Joint`, `ArticulatedObject` and
 `Normalization` on everything is in the unit frame: the object inside [-0.5, 0.5]^3.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Any, Literal
@@ -237,6 +237,26 @@ class LabelledMesh:
             faces=(np.int32, (None, 3)),
             part_of_face=(np.uint8, (len(self.faces),)),
         )
+
+    @staticmethod
+    def joined(meshes: Sequence["LabelledMesh"]) -> "LabelledMesh":
+        """Several meshes as one, in order."""
+        first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+        return LabelledMesh(
+            np.concatenate([mesh.vertices for mesh in meshes]),
+            np.concatenate([mesh.faces + n for mesh, n in zip(meshes, first, strict=False)]),
+            np.concatenate([mesh.part_of_face for mesh in meshes]),
+        )
+
+    def part(self, part: int) -> "LabelledMesh":
+        """The faces of one part, with the vertices they use."""
+        mine = self.part_of_face == part
+        return LabelledMesh(self.vertices, self.faces[mine], self.part_of_face[mine]).compact()
+
+    def compact(self) -> "LabelledMesh":
+        """The same faces without the vertices that none of them uses."""
+        used, faces = np.unique(self.faces, return_inverse=True)
+        return LabelledMesh(self.vertices[used], faces.reshape(-1, 3), self.part_of_face)
 
     def moved(self, T_part: Floats) -> "LabelledMesh":
         """The mesh with each part moved by its own transform; `T_part` (P, 4, 4).

@@ -1,0 +1,300 @@
+"""One object, one instance: the order of the stages, as a story.
+
+`prepare` makes what all instances of an object share, `make_instance` makes one of them. Everything
+random comes from `seeding.generator(seed, category, object, state, stage)`, so that an instance is
+the same whoever makes it, when, and in whatever order.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen import articulation, fusion, sampling, sheets
+from articugen.errors import RejectedInstance
+from articugen.geometry import apply, bounds
+from articugen.recipe import Recipe
+from articugen.records import (
+    JOINT_KINDS,
+    ArticulatedObject,
+    DepthMaps,
+    Floats,
+    Instance,
+    JointState,
+    LabelledMesh,
+    Normalization,
+    PosedObject,
+    Views,
+    dequantize,
+    quantize,
+)
+from articugen.rendering import rasterizer, render
+from articugen.rendering.views import fusion_views, random_pinhole_views
+from articugen.seeding import generator
+
+MOST_PARTS = 254
+"""Labels are uint8: 0 free, k + 1 inside part k."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """The voxel centres of a grid, and what is known of them in every pose.
+
+    Attributes:
+        points: (r^3, 3).
+        solid: indices of the voxels that part 0 alone fills: inside, whatever the other parts do.
+        open: indices of the others.
+    """
+
+    points: Floats
+    solid: NDArray[np.intp]
+    open: NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What all instances of an object share, in the unit frame.
+
+    Attributes:
+        obj: with the recipe's joints, see `articulation.resolve`.
+        recipe, seed: what the instances are made with.
+        states: one for each instance; 0 is the canonical pose.
+        canonical: the object in its canonical pose, world frame.
+        unit: the object's own unit frame.
+        mesh: all parts in the canonical pose, sheets thickened, faces outwards; part 0's first.
+        seen: (F,) whether a face can be seen at all.
+        neighbours: of each face.
+        views: the views that are fused.
+        static: the depth maps of part 0 alone, which every instance shares.
+        own: each moving part alone.
+        grids: by resolution.
+    """
+
+    obj: ArticulatedObject
+    recipe: Recipe
+    seed: int
+    states: tuple[JointState, ...]
+    canonical: PosedObject
+    unit: Normalization
+    mesh: LabelledMesh
+    seen: NDArray[np.bool_]
+    neighbours: fusion.Neighbours
+    views: Views
+    static: DepthMaps
+    own: tuple[fusion.OwnSolid, ...]
+    grids: dict[int, Grid]
+
+    def rng(self, *path: str | int) -> np.random.Generator:
+        return generator(self.seed, self.obj.category, self.obj.object_id, *path)
+
+
+def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
+    """Everything that the instances of `obj` share.
+
+    Args:
+        obj: already resolved by `articulation.resolve`.
+
+    Raises:
+        RejectedInstance: the object has no faces, or too many parts.
+    """
+    if obj.part_count > MOST_PARTS:
+        raise RejectedInstance(f"{obj.part_count} parts; at most {MOST_PARTS} can be labelled")
+    states = _joint_states(obj, recipe.articulation.states, seed)
+    posed = [articulation.forward_kinematics(obj, state) for state in states]
+    motions = np.stack([articulation.part_motions(p, posed[0]) for p in posed])
+    world = sheets.without_repeats(_canonical_mesh(obj, posed[0]))
+    unit = _normalization(_swept_box(world, motions), recipe.padding)
+    soup = LabelledMesh(unit.to_unit(world.vertices), world.faces, world.part_of_face)
+
+    parts = [_solid_part(soup.part(k), recipe) for k in range(obj.part_count)]
+    mesh = LabelledMesh.joined([part.mesh for part in parts])
+    views = fusion_views(recipe.views, _swept_box(mesh, unit.rigid_to_unit(motions)))
+    static = _render(parts[0].mesh, views, recipe)
+    static_field = fusion.fuse(static, parts[0].mesh, recipe.fusion)
+    return Prepared(
+        obj=obj,
+        recipe=recipe,
+        seed=seed,
+        states=states,
+        canonical=posed[0],
+        unit=unit,
+        mesh=mesh,
+        seen=np.concatenate([part.seen for part in parts]),
+        neighbours=fusion.face_neighbours(mesh),
+        views=views,
+        static=static,
+        own=tuple(part.own for part in parts[1:]),
+        grids={r: _grid(r, static_field) for r in recipe.sampling.grids},
+    )
+
+
+def make_instance(prepared: Prepared, state_index: int) -> Instance:
+    """The instance of the object at its `state_index`-th joint state.
+
+    Raises:
+        RejectedInstance: nothing of it can be seen.
+    """
+    p, sampled = prepared, prepared.recipe.sampling
+    state = p.states[state_index]
+    posed = articulation.forward_kinematics(p.obj, state)
+    motion = p.unit.rigid_to_unit(articulation.part_motions(posed, p.canonical))
+    mesh = p.mesh.moved(motion)
+    maps = _render_posed(p, mesh)
+    field = fusion.fuse(maps, mesh, p.recipe.fusion, p.neighbours)
+    fields = fusion.PosedFields(field, p.own, motion)
+
+    surface = sampling.surface_points(
+        mesh, p.seen, field.is_free, max(sampled.surface_points, 1024),
+        rng=p.rng(state_index, "surface"),
+    )  # fmt: skip
+    uniform = quantize(
+        sampling.uniform_points(sampled.uniform_points, rng=p.rng(state_index, "uniform"))
+    )
+    near = quantize(
+        sampling.near_points(
+            surface.points, sampled.near_points, sampled.near_sigma,
+            rng=p.rng(state_index, "near"),
+        )
+    )  # fmt: skip
+    rng = p.rng(state_index, "partial")
+    cameras = random_pinhole_views(
+        sampled.partial_views, sampled.partial_resolution, bounds(mesh.vertices), rng=rng
+    )
+    clouds = sampling.partial_clouds(
+        rasterizer.render(mesh, cameras), mesh.part_of_face, sampled.partial_points,
+        sampled.depth_noise, rng=rng,
+    )  # fmt: skip
+    count = sampled.surface_points
+    return Instance(
+        object_id=p.obj.object_id,
+        state_index=state_index,
+        center=p.unit.center,
+        scale=p.unit.scale,
+        **_joint_fields(p, posed, state),
+        part_motion=motion,
+        occupancy={r: _labelled_grid(grid, fields, r) for r, grid in p.grids.items()},
+        surface_points=quantize(surface.points[:count]),
+        surface_normals=np.round(surface.normals[:count] * 127.0).astype(np.int8),
+        surface_part=surface.part[:count],
+        uniform_points=uniform,
+        uniform_label=fields.labels(dequantize(uniform)),
+        near_points=near,
+        near_label=fields.labels(dequantize(near)),
+        partial_points=quantize(clouds.points),
+        partial_part=clouds.part,
+        partial_T_camera_world=cameras.T_camera_world,
+        partial_intrinsics=np.stack([cameras.fx, cameras.fy, cameras.cx, cameras.cy], axis=1),
+    )
+
+
+def _joint_states(obj: ArticulatedObject, count: int, seed: int) -> tuple[JointState, ...]:
+    random = [
+        articulation.sample_joint_state(
+            obj, rng=generator(seed, obj.category, obj.object_id, index, "joints")
+        )
+        for index in range(1, count + 1)
+    ]
+    return (articulation.canonical_state(obj), *random)
+
+
+def _canonical_mesh(obj: ArticulatedObject, posed: PosedObject) -> LabelledMesh:
+    """All links in the canonical pose, world frame, metres; the links of part 0 first."""
+    part_of_link = obj.part_of_link
+    pieces = []
+    for index in np.argsort(part_of_link, kind="stable"):
+        mesh = obj.links[index].mesh
+        part = np.full(len(mesh.faces), part_of_link[index], np.uint8)
+        pieces.append(
+            LabelledMesh(apply(posed.T_world_link[index], mesh.vertices), mesh.faces, part)
+        )
+    joined = LabelledMesh.joined(pieces)
+    if not len(joined.faces):
+        raise RejectedInstance("the object has no faces: its links carry no visual geometry")
+    return joined
+
+
+def _swept_box(mesh: LabelledMesh, motions: Floats) -> Floats:
+    """The box (2, 3) of the mesh's faces in all poses; `motions` (N, P, 4, 4)."""
+    boxes = []
+    for part in np.unique(mesh.part_of_face):
+        used = np.unique(mesh.faces[mesh.part_of_face == part])
+        boxes += [bounds(apply(T, mesh.vertices[used])) for T in motions[:, part]]
+    lower, upper = np.moveaxis(np.array(boxes), 1, 0)
+    return np.stack([lower.min(axis=0), upper.max(axis=0)])
+
+
+def _normalization(box: Floats, padding: float) -> Normalization:
+    """One frame for all instances: the longest edge of their common box becomes 1 - padding."""
+    extent = float(np.max(box[1] - box[0]))
+    if not extent > 0.0:
+        raise RejectedInstance("the object has no extent: all its vertices coincide")
+    return Normalization(box.mean(axis=0), extent / (1.0 - padding))
+
+
+@dataclass(frozen=True, eq=False)
+class _SolidPart:
+    mesh: LabelledMesh
+    seen: NDArray[np.bool_]
+    own: fusion.OwnSolid
+
+
+def _solid_part(soup: LabelledMesh, recipe: Recipe) -> _SolidPart:
+    """One part alone, canonical pose: sheets thickened, faces outwards, and its own field."""
+    if not len(soup.faces):
+        return _SolidPart(soup, np.zeros(0, np.bool_), _own_solid(soup, recipe))
+    thickness = recipe.fusion.sheet_thickness
+    where = sheets.probes(soup, max(thickness, 1e-3) / 3.0)
+    alone = _own_solid(soup, recipe).field
+    free = np.stack([alone.is_free(side) for side in where.points])
+    mesh, seen = sheets.solidified(soup, where, free, thickness)
+    return _SolidPart(mesh, seen, _own_solid(mesh, recipe))
+
+
+def _own_solid(mesh: LabelledMesh, recipe: Recipe) -> fusion.OwnSolid:
+    box = bounds(mesh.vertices[np.unique(mesh.faces)]) if len(mesh.faces) else np.zeros((2, 3))
+    views = fusion_views(recipe.views, box)
+    return fusion.OwnSolid(fusion.fuse(_render(mesh, views, recipe), mesh, recipe.fusion), box)
+
+
+def _render(mesh: LabelledMesh, views: Views, recipe: Recipe) -> DepthMaps:
+    return render(mesh, views, backend=recipe.views.backend)
+
+
+def _render_posed(p: Prepared, mesh: LabelledMesh) -> DepthMaps:
+    """The depth maps of a posed object; with our rasterizer, drawn over those of part 0."""
+    if p.recipe.views.backend != "rasterizer":
+        return _render(mesh, p.views, p.recipe)
+    first = int(np.searchsorted(mesh.part_of_face, 1))
+    moving = LabelledMesh(mesh.vertices, mesh.faces[first:], mesh.part_of_face[first:])
+    return rasterizer.render(moving.compact(), p.views, onto=p.static, first_face=first)
+
+
+def _grid(resolution: int, static: fusion.Field) -> Grid:
+    points = sampling.grid_points(resolution)
+    free = static.is_free(points)
+    return Grid(points, np.flatnonzero(~free), np.flatnonzero(free))
+
+
+def _labelled_grid(
+    grid: Grid, fields: fusion.PosedFields, resolution: int
+) -> NDArray[np.uint8]:
+    label = np.zeros(len(grid.points), np.uint8)
+    label[grid.open] = fields.labels(grid.points[grid.open])
+    label[grid.solid] = 1 + fields.part_of_inside(grid.points[grid.solid])
+    return label.reshape(resolution, resolution, resolution)
+
+
+def _joint_fields(p: Prepared, posed: PosedObject, state: JointState) -> dict[str, NDArray]:
+    """The fields of an instance that describe its joints; lengths in the unit frame."""
+    joints = p.obj.moving_joints
+    part_of_link = dict(zip((link.name for link in p.obj.links), p.obj.part_of_link, strict=True))
+    length = np.array([p.unit.scale if j.kind == "prismatic" else 1.0 for j in joints])
+    return {
+        "joint_kind": np.array([JOINT_KINDS[j.kind] for j in joints], np.uint8),
+        "joint_parent": np.array([part_of_link[j.parent] for j in joints], np.uint8),
+        "joint_state": state.q / length,
+        "joint_lower": np.array([j.lower for j in joints]) / length,
+        "joint_upper": np.array([j.upper for j in joints]) / length,
+        "joint_axis": posed.axes,
+        "joint_pivot": p.unit.to_unit(posed.pivots),
+    }

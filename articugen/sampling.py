@@ -1,0 +1,149 @@
+"""What is drawn from a posed object: grids, query points, surface points, partial clouds.
+
+Functions here ask the field through a callable and draw through a generator; they know neither how
+the field is made nor what is done with the samples. All coordinates are in the unit frame.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.errors import RejectedInstance
+from articugen.records import DepthMaps, Floats, LabelledMesh
+
+IsFree = Callable[[Floats], NDArray[np.bool_]]
+
+SURFACE_OFFSET = 1e-4
+"""A surface point is visible where the point this far in front of it is seen free."""
+
+SURFACE_ROUNDS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class SurfacePoints:
+    """`points` (n, 3), unit `normals` (n, 3) outwards, `part` (n,), `face` (n,)."""
+
+    points: Floats
+    normals: Floats
+    part: NDArray[np.uint8]
+    face: NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class PartialClouds:
+    """Per view: `points` (C, m, 3) unit frame, `part` (C, m)."""
+
+    points: Floats
+    part: NDArray[np.uint8]
+
+
+def grid_points(resolution: int) -> Floats:
+    """Voxel centres (resolution^3, 3), x slowest: (i + 0.5) / resolution - 0.5."""
+    axis = (np.arange(resolution) + 0.5) / resolution - 0.5
+    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def uniform_points(count: int, *, rng: np.random.Generator) -> Floats:
+    """(count, 3) uniform in the cube [-0.5, 0.5]^3."""
+    return rng.random((count, 3)) - 0.5
+
+
+def near_points(surface: Floats, count: int, sigma: float, *, rng: np.random.Generator) -> Floats:
+    """(count, 3): surface points moved by a Gaussian of `sigma` on each axis, kept in the cube."""
+    chosen = surface[np.arange(count) % len(surface)]
+    return np.clip(chosen + sigma * rng.normal(size=(count, 3)), -0.5, 0.5)
+
+
+def surface_points(
+    mesh: LabelledMesh,
+    seen: NDArray[np.bool_],
+    is_free: IsFree,
+    count: int,
+    *,
+    rng: np.random.Generator,
+) -> SurfacePoints:
+    """`count` points uniform by area over the visible surface.
+
+    Drawn uniformly over all faces that can be seen and kept where the point just in front is free:
+    what is kept is uniform over the part of the surface that a view sees.
+
+    Args:
+        mesh: posed, faces outwards.
+        seen: (F,) faces that can be seen at all; the others are left out.
+
+    Raises:
+        RejectedInstance: next to nothing of the surface is visible.
+    """
+    corners = mesh.vertices[mesh.faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    doubled = np.linalg.norm(cross, axis=1)
+    cumulative = np.cumsum(np.where(seen, doubled, 0.0))
+    if not len(cumulative) or cumulative[-1] <= 0.0:
+        raise RejectedInstance("no face of the object can be seen; is its mesh empty?")
+    normals = cross / np.maximum(doubled, 1e-30)[:, None]
+    kept: list[tuple[Floats, NDArray[np.intp]]] = []
+    have = drawn = 0
+    for _ in range(SURFACE_ROUNDS):
+        share = max(have / drawn, 0.02) if drawn else 0.6
+        draw = int((count - have) / share * 1.05) + 64
+        face = np.searchsorted(cumulative, rng.random(draw) * cumulative[-1], side="right")
+        face = np.minimum(face, len(cumulative) - 1)
+        points = _in_triangles(corners[face], rng)
+        visible = is_free(points + SURFACE_OFFSET * normals[face])
+        kept.append((points[visible], face[visible]))
+        drawn, have = drawn + draw, have + int(visible.sum())
+        if have >= count:
+            break
+    else:
+        raise RejectedInstance(f"only {have} of {drawn} points on the surface can be seen")
+    points = np.concatenate([p for p, _ in kept])[:count]
+    face = np.concatenate([f for _, f in kept])[:count]
+    return SurfacePoints(points, normals[face], mesh.part_of_face[face], face)
+
+
+def _in_triangles(corners: Floats, rng: np.random.Generator) -> Floats:
+    """One uniform point in each triangle (n, 3, 3): (n, 3)."""
+    a, b = rng.random((2, len(corners), 1))
+    folded = a + b > 1.0
+    a, b = np.where(folded, 1.0 - a, a), np.where(folded, 1.0 - b, b)
+    return corners[:, 0] * (1.0 - a - b) + corners[:, 1] * a + corners[:, 2] * b
+
+
+def partial_clouds(
+    maps: DepthMaps,
+    part_of_face: NDArray[np.uint8],
+    count: int,
+    noise: float,
+    *,
+    rng: np.random.Generator,
+) -> PartialClouds:
+    """`count` points of each view's depth map, without repeats where it has that many.
+
+    Args:
+        maps: pinhole depth maps that say which face is seen.
+        noise: standard deviation of the depth, unit frame; 0 for none.
+
+    Raises:
+        RejectedInstance: a view sees nothing.
+    """
+    assert maps.face is not None
+    views = maps.views
+    clouds = np.zeros((len(views), count, 3))
+    parts = np.zeros((len(views), count), np.uint8)
+    for k in range(len(views)):
+        hits = np.flatnonzero(maps.face[k] >= 0)
+        if not len(hits):
+            raise RejectedInstance("a depth camera sees nothing of the object")
+        chosen = rng.permutation(hits)[np.arange(count) % len(hits)]
+        i, j = np.divmod(chosen, views.width)
+        z = maps.depth[k][i, j].astype(np.float64)
+        if noise > 0.0:
+            z = z + noise * rng.normal(size=count)
+        x = (j + 0.5 - views.cx[k]) / views.fx[k] * z
+        y = (i + 0.5 - views.cy[k]) / views.fy[k] * z
+        T = views.T_camera_world[k]
+        clouds[k] = (np.stack([x, y, z], axis=1) - T[:3, 3]) @ T[:3, :3]
+        parts[k] = part_of_face[maps.face[k][i, j]]
+    return PartialClouds(np.clip(clouds, -0.5, 0.5), parts)
