@@ -1,11 +1,16 @@
 """Articulation against closed forms; forward kinematics against yourdfpy and SAPIEN."""
 
+import importlib.util
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import yourdfpy
 from hypothesis import given
 from hypothesis import strategies as st
+from lxml import etree
+from real_models import REAL_MODELS, needs_real_models
 
 from articugen.articulation import (
     canonical_state,
@@ -14,10 +19,11 @@ from articugen.articulation import (
     resolve,
     sample_joint_state,
 )
-from articugen.errors import RejectedInstance
+from articugen.errors import InvalidSource, RejectedInstance
 from articugen.geometry import apply, rotation_about, rotation_from_rpy, transform
 from articugen.recipe import Articulation
 from articugen.records import ArticulatedObject, Joint, JointState, Link, Mesh, Mimic
+from articugen.sources.urdf import load_urdf
 
 NO_MESH = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
 X, Y, Z = np.eye(3)
@@ -380,3 +386,86 @@ def test_one_generator_gives_one_state():
     other = sample_joint_state(obj, rng=np.random.default_rng(1))
     np.testing.assert_array_equal(first.q, again.q)
     assert not np.array_equal(first.q, other.q)
+
+
+# ------------------------------------------------------------------ real models, other programs
+
+READABLE = sorted(
+    path for path in REAL_MODELS.rglob("*.urdf") if not path.name.startswith("error_")
+)
+
+
+def within_reach(joint):
+    """The joint with limits to sample from: at most a turn or so, in either sense, or 3 metres."""
+    ends = np.clip(sorted((joint.lower, joint.upper)), -3.0, 3.0)
+    return replace(joint, lower=ends[0], upper=ends[1])
+
+
+NEEDS_SAPIEN = pytest.mark.skipif(
+    importlib.util.find_spec("sapien") is None, reason="sapien is not installed"
+)
+
+
+@needs_real_models
+@pytest.mark.parametrize("program", ["yourdfpy", pytest.param("sapien", marks=NEEDS_SAPIEN)])
+@pytest.mark.parametrize("path", READABLE, ids=lambda path: f"{path.parent.name}/{path.stem}")
+def test_forward_kinematics_agrees_with_other_programs(path, program, tmp_path):
+    try:
+        obj = load_urdf(path, object_id="real", category="any", missing_ok="*")
+    except InvalidSource as refused:
+        pytest.skip(f"refused: {refused}")
+    obj = replace(obj, joints=tuple(within_reach(joint) for joint in obj.joints))
+    bare = tmp_path / "kinematics.urdf"
+    bare.write_bytes(kinematics_only(path))
+    their_links = {"yourdfpy": yourdfpy_links, "sapien": sapien_links}[program](bare)
+    rng = np.random.default_rng(0)
+    for _ in range(4):
+        state = sample_joint_state(obj, rng=rng)
+        ours = forward_kinematics(obj, state).T_world_link
+        theirs = their_links(dict(zip(obj.moving_joints, state.q, strict=True)))
+        reach = max(1.0, np.abs(ours).max())  # SAPIEN computes in float32
+        for link, T in zip(obj.links, ours, strict=True):
+            np.testing.assert_allclose(T, theirs[link.name], rtol=0, atol=1e-6 * reach)
+
+
+def kinematics_only(path):
+    """The URDF without shapes and masses, which SAPIEN would want a renderer or sense for."""
+    root = etree.parse(path, etree.XMLParser(remove_comments=True)).getroot()
+    for unused in root.xpath("//visual | //collision | //inertial | //dynamics"):
+        unused.getparent().remove(unused)
+    for joint in root.xpath("joint[not(limit)]"):  # SAPIEN refuses a joint without
+        etree.SubElement(joint, "limit", lower="-3", upper="3")
+    return etree.tostring(root)
+
+
+def yourdfpy_links(path):
+    """Link poses by yourdfpy. It moves sliders by q times the axis's length in the file."""
+    model = yourdfpy.URDF.load(str(path), load_meshes=False, build_scene_graph=True)
+    length = {
+        j.name: np.linalg.norm(j.axis) if j.type == "prismatic" else 1.0 for j in model.robot.joints
+    }
+
+    def links(values):
+        drivers = {joint.name: q for joint, q in values.items() if joint.mimic is None}
+        model.update_cfg({name: q / length[name] for name, q in drivers.items()})
+        return {k.name: model.get_transform(k.name, model.base_link) for k in model.robot.links}
+
+    return links
+
+
+def sapien_links(path):
+    """Link poses by SAPIEN, to which a mimic joint is one like any other."""
+    sapien = importlib.import_module("sapien")
+    scene = sapien.Scene([sapien.physx.PhysxCpuSystem()])
+    loader = scene.create_urdf_loader()
+    loader.fix_root_link = True
+    robot = loader.load(str(path))
+    order = [joint.name for joint in robot.get_active_joints()]
+
+    def links(values):
+        assert scene  # the robot lives as long as its scene
+        q = {joint.name: value for joint, value in values.items()}
+        robot.set_qpos(np.array([q[name] for name in order], np.float32))
+        return {link.name: link.entity_pose.to_transformation_matrix() for link in robot.links}
+
+    return links

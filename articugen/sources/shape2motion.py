@@ -1,0 +1,169 @@
+"""Shape2Motion (the Motion Dataset) models, in the raw layout or in the URDF form of A-NCSH.
+
+Raw: `part_objs/none_motion.obj`, `part_objs/<dof_name>.obj`, ... and `motion_attributes.json`, a
+tree of `{dof_name, motion_type, center, direction, children}` in the coordinates of the meshes and
+without any limits. URDF form: one `.urdf` with the meshes beside it; it says +-3.1415 where the raw
+data has no limit.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from articugen.errors import InvalidSource
+from articugen.geometry import rotation_about, transform
+from articugen.records import ArticulatedObject, Floats, Joint, JointKind, Link, Mesh
+from articugen.sources.meshes import read_mesh
+from articugen.sources.model_files import ModelFiles
+from articugen.sources.registry import ObjectRef
+from articugen.sources.source_file import CategorySettings
+from articugen.sources.urdf import load_urdf
+
+_ATTRIBUTES = "motion_attributes.json"
+_NO_LIMIT = 3.1415
+"""A-NCSH writes this limit, with either sign, for every revolute joint."""
+
+_KINDS: dict[str, JointKind] = {"none": "fixed", "rotation": "revolute", "translation": "prismatic"}
+
+
+class _Dof(BaseModel):
+    """One node of motion_attributes.json; the root is the part that does not move."""
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+    dof_name: str
+    motion_type: Literal["none", "rotation", "translation", "spiral"]
+    center: tuple[float, float, float]
+    direction: tuple[float, float, float]
+    children: tuple["_Dof", ...] | None = ()
+
+
+def load(folder: Path, ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
+    """One model, with limits of -inf and inf where the data set has none.
+
+    Args:
+        folder: the model's folder.
+        ref: which object it is.
+        settings: what source.yaml says of its category.
+
+    Raises:
+        InvalidSource: anything amiss in the folder, or a spiral joint.
+    """
+    turn = transform(rotation_about((0.0, 0.0, 1.0), np.radians(settings.yaw_degrees)))
+    if (folder / _ATTRIBUTES).is_file():
+        return _load_raw(folder, ref, turn)
+    return _load_urdf_form(folder, ref, turn)
+
+
+def _load_urdf_form(folder: Path, ref: ObjectRef, turn: Floats) -> ArticulatedObject:
+    variants = sorted(folder.glob("*.urdf"), key=lambda path: (len(path.name), path.name))
+    if not variants:
+        raise InvalidSource(f"{folder}: has neither {_ATTRIBUTES} nor a .urdf file; add one")
+    obj = load_urdf(
+        variants[0],
+        object_id=ref.object_id,
+        category=ref.category,
+        source=ref.source,
+        root=folder,
+        T_world_root=turn,
+    )
+    notes = list(obj.notes)
+    if len(variants) > 1:
+        others = ", ".join(path.name for path in variants[1:])
+        notes.append(f"read from {variants[0].name}; left aside: {others}")
+    unlimited = [j.name for j in obj.joints if j.kind == "revolute" and _says_no_limit(j)]
+    if unlimited:
+        notes.append(f"limits of +-{_NO_LIMIT} taken as none: {', '.join(unlimited)}")
+    joints = [
+        replace(j, lower=-np.inf, upper=np.inf) if j.name in unlimited else j for j in obj.joints
+    ]
+    return replace(obj, joints=tuple(joints), notes=tuple(notes))
+
+
+def _says_no_limit(joint: Joint) -> bool:
+    return np.allclose((-joint.lower, joint.upper), _NO_LIMIT, rtol=0.0, atol=1e-4)
+
+
+def _load_raw(folder: Path, ref: ObjectRef, turn: Floats) -> ArticulatedObject:
+    files = ModelFiles(folder)
+    path = folder / _ATTRIBUTES
+    try:
+        root = _Dof.model_validate_json(files.read(path))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "the file"
+        raise InvalidSource(f"{path}: {where}: {first['msg']}; correct it there") from None
+    links = [Link(root.dof_name, _part(files, "none_motion", np.zeros(3)))]
+    joints: list[Joint] = []
+    for dof, parent, parent_center in _walk(root):
+        center = np.array(dof.center)
+        if dof.dof_name in [link.name for link in links]:
+            raise InvalidSource(f"{path}: two parts are called {dof.dof_name!r}; rename one")
+        links.append(Link(dof.dof_name, _part(files, dof.dof_name, center)))
+        joints.append(_joint(dof, parent, center - parent_center, path))
+    return ArticulatedObject(
+        object_id=ref.object_id,
+        category=ref.category,
+        links=tuple(links),
+        joints=tuple(joints),
+        T_world_root=turn,
+        sha256=files.sha256(),
+        source=ref.source,
+        notes=_unused_parts(folder, links),
+    )
+
+
+def _walk(dof: _Dof, center: Floats | None = None) -> Iterator[tuple[_Dof, str, Floats]]:
+    """Every dof below `dof` with its parent's name and centre, parents first.
+
+    The root's frame is the model's own, whatever centre the file gives it.
+    """
+    center = np.zeros(3) if center is None else center
+    for child in dof.children or ():
+        yield child, dof.dof_name, center
+        yield from _walk(child, np.array(child.center))
+
+
+def _part(files: ModelFiles, name: str, center: Floats) -> Mesh:
+    """The mesh of one part, in a frame that is the model's moved to `center`."""
+    wanted = f"part_objs/{name}.obj"
+    path = files.find(wanted)
+    if path is None:
+        raise InvalidSource(
+            f"{files.folder}: {wanted} is missing, but {_ATTRIBUTES} names the part; add the file"
+        )
+    mesh = read_mesh(path, files)
+    return Mesh(mesh.vertices - center, mesh.faces)
+
+
+def _joint(dof: _Dof, parent: str, offset: Floats, path: Path) -> Joint:
+    if dof.motion_type == "spiral":
+        raise InvalidSource(
+            f"{path}: {dof.dof_name!r} is a spiral joint, which turns and slides at once; leave "
+            "this object out, or make it a rotation or a translation"
+        )
+    kind = _KINDS[dof.motion_type]
+    length = np.linalg.norm(dof.direction)
+    if kind != "fixed" and not length > 0.0:
+        raise InvalidSource(f"{path}: {dof.dof_name!r} has a zero direction; give it one")
+    limit = 0.0 if kind == "fixed" else np.inf
+    return Joint(
+        name=dof.dof_name,
+        kind=kind,
+        parent=parent,
+        child=dof.dof_name,
+        T_parent_joint=transform(translation=offset),
+        axis=np.array(dof.direction) / length if length > 0.0 else np.array([1.0, 0.0, 0.0]),
+        lower=-limit,
+        upper=limit,
+    )
+
+
+def _unused_parts(folder: Path, links: list[Link]) -> tuple[str, ...]:
+    used = {"none_motion", *(link.name for link in links)}
+    unused = sorted(p.name for p in (folder / "part_objs").glob("*.obj") if p.stem not in used)
+    return (f"meshes without a joint, left out: {', '.join(unused)}",) if unused else ()

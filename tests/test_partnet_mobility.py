@@ -1,0 +1,325 @@
+"""The PartNet-Mobility reader: a synthetic folder for its rules, real models for its choices."""
+
+import json
+import math
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from real_models import REAL_MODELS, needs_real_models
+
+from articugen.articulation import canonical_state, forward_kinematics, resolve
+from articugen.errors import InvalidSource
+from articugen.geometry import apply, bounds
+from articugen.recipe import load_recipe
+from articugen.records import JointState
+from articugen.sources.partnet_mobility import load
+from articugen.sources.registry import ObjectRef
+from articugen.sources.source_file import CategorySettings, read_source_file
+
+SOURCE = read_source_file(
+    Path(__file__).parent.parent / "urdf_sources" / "partnet_mobility" / "source.yaml"
+)
+
+URDF = """<robot name="partnet">
+  <link name="base"/>
+  <link name="link_0">{drawer}</link>
+  <joint name="joint_0" type="prismatic"><origin xyz="0 0 0"/><axis xyz="0 0 1"/>
+    <child link="link_0"/><parent link="link_2"/><limit lower="-0.25" upper="0.5"/></joint>
+  <link name="link_1">{door}</link>
+  <joint name="joint_1" type="revolute"><origin xyz="0.5 0 0.5"/><axis xyz="0 -1 0"/>
+    <child link="link_1"/><parent link="link_2"/><limit lower="-1.5" upper="0"/></joint>
+  <link name="link_2">{body}</link>
+  <joint name="joint_2" type="fixed"><origin rpy="1.570796326794897 0 -1.570796326794897"/>
+    <child link="link_2"/><parent link="base"/></joint>
+</robot>
+"""
+BOX = """v 0 0 0
+v 1 0 0
+v 0 1 0
+v 0 0 1
+f 1 3 2
+f 1 2 4
+f 1 4 3
+f 2 3 4
+"""
+SEMANTICS = "link_0 slider drawer\nlink_1 hinge rotation_door\nlink_2 heavy furniture_body\n"
+
+
+def annotated(kind, a=0.0, b=0.0, direction=(0, 0, 1), no_limit=False, **more):
+    data = {
+        "axis": {"origin": [0, 0, 0], "direction": list(direction)},
+        "limit": {"a": a, "b": b, "noLimit": no_limit, **more},
+    }
+    return {"id": 0, "parent": 2, "joint": kind, "name": "x", "parts": [], "jointData": data}
+
+
+def annotations():
+    """What agrees with the URDF: a junk part, a drawer, a door about the other sign of y."""
+    still = annotated("heavy") | {"jointData": {}}
+    return [
+        annotated("junk"),
+        annotated("slider", -0.25, 0.5),
+        annotated("hinge", math.degrees(1.5) + 360, 360, (0, 1, 0)),
+        still,
+    ]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A cabinet of one drawer and one door."""
+    meshes = tmp_path / "textured_objs"
+    meshes.mkdir()
+    (meshes / "original-1.obj").write_text(BOX)
+    visual = '<visual><geometry><mesh filename="textured_objs/{}.obj"/></geometry></visual>'
+    shape = visual.format("original-1")
+    urdf = URDF.format(drawer=shape + visual.format("new-7"), door=shape, body=shape)
+    (tmp_path / "mobility.urdf").write_text(urdf)
+    (tmp_path / "semantics.txt").write_text(SEMANTICS)
+    (tmp_path / "meta.json").write_text(json.dumps({"model_cat": "StorageFurniture"}))
+    (tmp_path / "mobility_v2.json").write_text(json.dumps(annotations()))
+    return tmp_path
+
+
+def read(folder, category="drawer", settings=None):
+    ref = ObjectRef("partnet_mobility", category, folder.name, "train", folder)
+    return load(folder, ref, settings or SOURCE.categories[category])
+
+
+# ------------------------------------------------------------------ rules
+
+
+def test_links_get_their_names_from_semantics_txt(folder):
+    obj = read(folder)
+    named = {link.name: link.semantic for link in obj.links}
+    assert named == {
+        "base": "",
+        "link_0": "drawer",
+        "link_1": "rotation_door",
+        "link_2": "furniture_body",
+    }
+
+
+def test_a_missing_mesh_that_was_never_published_is_noted(folder):
+    obj = read(folder)
+    assert any("new-7.obj" in note for note in obj.notes)
+    assert len(obj.links[obj.link_index["link_0"]].mesh.faces) == 4
+
+
+def test_any_other_missing_mesh_is_refused(folder):
+    (folder / "textured_objs" / "original-1.obj").unlink()
+    with pytest.raises(InvalidSource, match=r"original-1\.obj"):
+        read(folder)
+
+
+def test_nothing_is_said_where_urdf_and_annotation_agree(folder):
+    notes = read(folder).notes
+    assert not [note for note in notes if "mobility_v2" in note or "meta.json" in note]
+
+
+@pytest.mark.parametrize(
+    ("index", "part", "says"),
+    [
+        (
+            1,
+            annotated("slider", -0.25, 0.75),
+            r"other axis or limits.*joint_0 \(prismatic -0\.25 to",
+        ),
+        (1, annotated("slider", -0.25, 0.5, (0, 1, 0)), "other axis or limits.*joint_0"),
+        (1, annotated("slider", -0.25, 0.5, rotates=True), r"prismatic in.*joint_0 \(screw"),
+        (1, annotated("heavy"), r"prismatic in the URDF but not.*joint_0 \(fixed\)"),
+        (
+            2,
+            annotated("hinge", 0, 86, (0, -1, 0)),
+            r"other axis or limits.*joint_1 \(revolute 0 to",
+        ),
+        (2, annotated("hinge", no_limit=True), r"revolute in the URDF.*joint_1 \(continuous\)"),
+        (3, annotated("hinge", 0, 90), r"fixed in the URDF.*joint_2 \(revolute 0 to 1\.571\)"),
+    ],
+)
+def test_the_notes_say_where_urdf_and_annotation_differ(folder, index, part, says):
+    parts = annotations()
+    parts[index] = part
+    (folder / "mobility_v2.json").write_text(json.dumps(parts))
+    (note,) = [note for note in read(folder).notes if "mobility_v2" in note]
+    assert re.search(says, note), note
+
+
+def test_the_notes_say_where_the_category_differs(folder):
+    (folder / "meta.json").write_text(json.dumps({"model_cat": "Microwave"}))
+    assert any("'Microwave'" in note for note in read(folder).notes)
+
+
+def test_side_files_may_be_absent_and_count_in_the_hash(folder):
+    full = read(folder).sha256
+    (folder / "semantics.txt").write_text(SEMANTICS.replace("drawer", "tray"))
+    assert read(folder).sha256 != full
+    for name in ("meta.json", "mobility_v2.json", "semantics.txt"):
+        (folder / name).unlink()
+    bare = read(folder)
+    assert {link.semantic for link in bare.links} == {""}
+
+
+def test_the_hash_does_not_depend_on_the_place(folder, tmp_path_factory):
+    copy = tmp_path_factory.mktemp("elsewhere") / folder.name
+    shutil.copytree(folder, copy)
+    assert read(copy).sha256 == read(folder).sha256
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "says"),
+    [
+        ("meta.json", "{", r"meta\.json: not JSON"),
+        ("mobility_v2.json", "[" * 10**5, r"mobility_v2\.json: not JSON"),
+        ("mobility_v2.json", '[{"joint": 3}]', r"mobility_v2\.json: 0\.joint"),
+        ("mobility_v2.json", "{}", r"mobility_v2\.json: .*list"),
+        ("semantics.txt", b"\xff\xfe", r"semantics\.txt: is not UTF-8"),
+    ],
+)
+def test_bad_side_files_are_refused_with_a_sentence(folder, name, text, says):
+    (folder / name).write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(InvalidSource, match=says):
+        read(folder)
+
+
+def test_yaw_turns_the_model_about_z(folder):
+    obj = read(folder, settings=CategorySettings(yaw_degrees=180))
+    np.testing.assert_allclose(obj.T_world_root, np.diag([-1, -1, 1, 1]), atol=1e-15)
+
+
+# ------------------------------------------------------------------ real models
+
+LAPTOPS = ["9748", "10040", "10101", "10125", "10248", "10697", "11030", "11405"]
+GLASSES = ["101287", "101326"]
+OVENS = ["7138", "101940"]
+DRAWERS = ["20555", "22692", "23472", "29557", "45213", "45940"]
+
+
+class Opened:
+    """A real model as the paper's protocol has it, to look at its parts at any joint values."""
+
+    def __init__(self, category, object_id):
+        settings = SOURCE.categories[category]
+        self.source = read(REAL_MODELS / "partnet_mobility" / category / object_id, category)
+        self.obj = resolve(
+            self.source,
+            load_recipe(None, category).articulation,
+            canonical=settings.canonical,
+            movable=settings.movable,
+        )
+        self.joints = self.obj.moving_joints
+        self.axes = forward_kinematics(self.obj, canonical_state(self.obj)).axes
+
+    def part(self, part, *q):
+        """The world vertices (V, 3) of a part, at the joint values `q` (by default all 0)."""
+        state = JointState(np.array(q)) if q else canonical_state(self.obj)
+        posed = forward_kinematics(self.obj, state)
+        return np.concatenate(
+            [
+                apply(T, link.mesh.vertices)
+                for link, T, own in zip(
+                    self.obj.links, posed.T_world_link, self.obj.part_of_link, strict=True
+                )
+                if own == part
+            ]
+        )
+
+
+@needs_real_models
+@pytest.mark.parametrize("object_id", LAPTOPS)
+def test_real_laptops_are_shut_and_open_upwards_about_y(object_id):
+    laptop = Opened("laptop", object_id)
+    np.testing.assert_allclose(laptop.axes, [[0, 1, 0]], atol=1e-6)
+    body, shut = laptop.part(0), laptop.part(1)
+    far = shut[:, 0] < shut[:, 0].min() + 0.1
+    # Shut: a flat lid that covers the base and lies on it.
+    assert np.ptp(shut[:, 2]) < 0.15
+    assert abs(shut[far, 2].mean() - body[:, 2].max()) < 0.08
+    np.testing.assert_allclose(bounds(shut)[:, 0], bounds(body)[:, 0], atol=0.16)
+    # Opening: the far edge describes a circle that starts upwards and ends behind the hinge.
+    heights = []
+    for degrees in (30, 60, 90, 135):
+        lid = laptop.part(1, math.radians(degrees))
+        heights.append(np.mean(lid[far, 2] - shut[far, 2]) / np.ptp(shut[:, 0]))
+        assert lid[far, 2].min() > body[:, 2].max()
+    np.testing.assert_allclose(
+        heights, np.sin(np.radians([30, 60, 90, 135])), atol=0.2, err_msg="height of the far edge"
+    )
+    assert laptop.part(1, math.radians(135))[far, 0].mean() > shut[:, 0].max()
+
+
+@needs_real_models
+@pytest.mark.parametrize("object_id", GLASSES)
+def test_real_eyeglasses_fold_their_temples_inwards_about_z(object_id):
+    glasses = Opened("eyeglasses", object_id)
+    np.testing.assert_allclose(np.abs(glasses.axes), [[0, 0, 1]] * 2, atol=1e-6)
+    assert glasses.axes[:, 2].sum() == pytest.approx(0.0, abs=1e-6)
+    assert [j.upper for j in glasses.joints] == [pytest.approx(math.pi / 2)] * 2
+    for part in (1, 2):
+        worn = glasses.part(part)
+        folded = glasses.part(part, *(math.pi / 2 * (np.arange(1, 3) == part)))
+        assert np.ptp(worn[:, 0]) > 3 * np.ptp(worn[:, 1]), "worn: temples point along x"
+        assert np.ptp(folded[:, 1]) > 3 * np.ptp(folded[:, 0]), "folded: along y"
+        tip = worn[:, 0].argmin()
+        assert folded[tip, 1] * worn[tip, 1] < 0.0, "folded: the tip has crossed the middle"
+
+
+@needs_real_models
+@pytest.mark.parametrize("object_id", OVENS)
+def test_real_ovens_open_their_door_forwards_and_down_about_y(object_id):
+    oven = Opened("oven", object_id)
+    assert len(oven.joints) == 1
+    np.testing.assert_allclose(oven.axes, [[0, 1, 0]], atol=1e-6)
+    shut, level = oven.part(1), oven.part(1, math.pi / 2)
+    body = oven.part(0)
+    assert shut[:, 0].min() > body[:, 0].max() - 0.2, "shut: in front of the body"
+    assert np.ptp(shut[:, 2]) > 3 * np.ptp(shut[:, 0])
+    assert level[:, 0].mean() > shut[:, 0].max(), "open: in front of where it was"
+    assert level[:, 2].max() < shut[:, 2].mean(), "open: level, at the height of its hinge"
+    knobs = [j for j in oven.source.joints if j.kind == "continuous"]
+    assert len(knobs) == (4 if object_id == "101940" else 0)
+    assert all(any(k.name in note for note in oven.obj.notes) for k in knobs)
+
+
+@needs_real_models
+def test_the_real_washing_machine_opens_its_door_to_the_side_about_z():
+    machine = Opened("washing_machine", "103480")
+    np.testing.assert_allclose(machine.axes, [[0, 0, -1]], atol=1e-6)
+    body, shut = machine.part(0), machine.part(1)
+    quarter = machine.part(1, math.pi / 2)
+    assert shut[:, 0].max() <= body[:, 0].max() + 0.02, "shut: flush with the front"
+    assert quarter[:, 0].mean() > body[:, 0].max(), "open: in front of it"
+    fixed = [note for note in machine.obj.notes if note.startswith("fixed in the URDF")]
+    assert [note.count("prismatic") for note in fixed] == [6]
+    assert "joint_7 (continuous)" in fixed[0]
+
+
+@needs_real_models
+@pytest.mark.parametrize("object_id", DRAWERS)
+def test_real_drawers_start_shut_and_slide_forwards_by_their_limits(object_id):
+    cabinet = Opened("drawer", object_id)
+    body = cabinet.part(0)
+    sliders = [j for j in cabinet.source.joints if j.kind == "prismatic"]
+    assert len(cabinet.joints) == len(sliders) >= 1
+    np.testing.assert_allclose(cabinet.axes, [[1, 0, 0]] * len(sliders), atol=1e-6)
+    for k, (joint, slider) in enumerate(zip(cabinet.joints, sliders, strict=True)):
+        assert (joint.lower, joint.upper) == (0.0, pytest.approx(slider.upper - slider.lower))
+        shut = cabinet.part(k + 1)
+        assert shut[:, 0].max() < body[:, 0].max() + 0.05, "shut: not in front of the body"
+        q = np.zeros(len(sliders))
+        q[k] = joint.upper
+        np.testing.assert_allclose(
+            cabinet.part(k + 1, *q) - shut, np.tile([joint.upper, 0, 0], (len(shut), 1)), atol=1e-9
+        )
+
+
+@needs_real_models
+def test_limits_that_somebody_changed_are_noted():
+    notes = Opened("drawer", "23472").obj.notes
+    assert any("other axis or limits" in n and "0.296; URDF -0.264 to 0.4" in n for n in notes)
+    fixed = Opened("drawer", "22692").obj.notes
+    assert any(
+        "fixed in the URDF" in n and "joint_0 (prismatic -0.388 to 0.396)" in n for n in fixed
+    )
