@@ -166,7 +166,8 @@ def _plan_driver(
     remarks: list[str] = []
     if not np.isfinite(value):
         value = 0.0
-        remarks.append(f"no {canonical} limit, canonical pose at 0 instead")
+        if joint.kind != "continuous":
+            remarks.append(f"no {canonical} limit, canonical pose at 0 instead")
     if not _matches(obj, joint, patterns):
         return _Plan(value, remarks=(*remarks, "locked, not among the movable joints"))
     if not joint.lower - _TIE <= value <= joint.upper + _TIE:

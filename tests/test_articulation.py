@@ -222,15 +222,17 @@ def test_a_rest_pose_outside_the_limits_is_noted():
         resolve(obj, Articulation(clip_to_limits=True, revolute_degrees=(0.0, 45.0)))
 
 
-def test_a_joint_without_the_limit_asked_for_starts_at_zero():
-    obj = tree(joint("knob", "continuous", limits=(-math.inf, math.inf)))
+@pytest.mark.parametrize("kind", ["revolute", "continuous"])
+def test_a_joint_without_the_limit_asked_for_starts_at_zero(kind):
+    obj = tree(joint("knob", kind, limits=(-math.inf, math.inf)))
     resolved = resolve(obj, Articulation(canonical="lower", clip_to_limits=True))
     (moving,) = resolved.moving_joints
-    assert (moving.kind, moving.lower) == ("continuous", 0.0)
+    assert (moving.kind, moving.lower) == (kind, 0.0)
     assert moving.upper == pytest.approx(math.radians(135))
     np.testing.assert_array_equal(moving.axis, Z)
     np.testing.assert_array_equal(moving.T_parent_joint, np.eye(4))
-    assert any("no lower limit" in note and "knob" in note for note in resolved.notes)
+    noted = "no lower limit, canonical pose at 0 instead: knob" in resolved.notes
+    assert noted == (kind == "revolute"), "a continuous joint never has a limit"
 
 
 def test_locked_joints_ride_on_what_they_hang_on():
