@@ -52,7 +52,7 @@ test: $(testing)  ## run the tests; those of absent optional backends are skippe
 check: $(dev)  ## lint, formatting and types
 	@$(VENV)/bin/ruff check
 	@$(VENV)/bin/ruff format --check
-	@$(VENV)/bin/pyright
+	@$(VENV)/bin/pyright --pythonpath $(VENV)/bin/python
 
 format: $(dev)  ## put the code in order
 	@$(VENV)/bin/ruff check --fix

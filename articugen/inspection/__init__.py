@@ -1,0 +1,1 @@
+"""Looking at what was made: tables in the terminal, pictures of the stored points."""

@@ -1,0 +1,300 @@
+"""Pictures of labelled surface points: each point is drawn as a small lit disc (a surfel).
+
+A shard holds points with normals, not triangles, so the picture shows just what was stored.
+"""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.geometry import apply, look_along
+
+Array = NDArray[np.float64]
+
+NEIGHBOURS = 10
+"""The spacing of the points, and how far a disc must reach so that random gaps between them close,
+is judged by the distance to the neighbour of this rank: about 1.8 spacings on a plane."""
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera: `T_camera_world` (4, 4), focal length and principal point in pixels.
+
+    Axes as in `records.Views`; images are `size` pixels wide and high.
+    """
+
+    T_camera_world: Array
+    focal: float
+    cx: float
+    cy: float
+    size: int
+
+    def rays(self) -> Array:
+        """(size, size, 3) world directions through the pixels' centres, of unit depth."""
+        at = np.arange(self.size) + 0.5
+        x, y = np.meshgrid((at - self.cx) / self.focal, (at - self.cy) / self.focal)
+        return np.stack([x, y, np.ones_like(x)], axis=-1) @ self.T_camera_world[:3, :3]
+
+    @property
+    def eye(self) -> Array:
+        return -self.T_camera_world[:3, :3].T @ self.T_camera_world[:3, 3]
+
+
+def framed(points: Array, azimuth: float, elevation: float, size: int, *, fill: float) -> Camera:
+    """The camera at `azimuth`, `elevation` (rad) whose square image `points` (n, 3) fill.
+
+    `fill` is the fraction of the width or height that their box takes, the larger of the two.
+    """
+    toward_eye = np.array(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ]
+    )
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    T_camera_world = look_along(-toward_eye, middle + 3.5 * toward_eye)
+    seen = apply(T_camera_world, points)
+    flat = seen[:, :2] / seen[:, 2:]
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    focal = fill * size / (high - low).max()
+    cx, cy = 0.5 * size - focal * 0.5 * (low + high)
+    return Camera(T_camera_world, focal, cx, cy, size)
+
+
+@dataclass(frozen=True, eq=False)
+class Surfels:
+    """Oriented discs.
+
+    Attributes:
+        points, normals: (n, 3), unit frame.
+        spacing: the side of the square that each point stands for.
+        radius: (n,) of the discs.
+        light: (n,) how much of the sky a point sees, from 0 to 1.
+        clip_start: (n + 1,) offsets into `clip`.
+        clip: for every disc the neighbours across a convex edge; it ends at their planes.
+    """
+
+    points: Array
+    normals: Array
+    spacing: float
+    radius: Array
+    light: Array
+    clip_start: NDArray[np.int64]
+    clip: NDArray[np.int32]
+
+
+def surfels(points: Array, normals: Array, part: NDArray[np.uint8]) -> Surfels:
+    """Discs for `points` (n, 3) that lie on a surface uniformly, with unit `normals` (n, 3)."""
+    points, normals = np.ascontiguousarray(points), np.ascontiguousarray(normals)
+    rank = min(NEIGHBOURS, len(points) - 1)
+    sample = np.linspace(0, len(points) - 1, min(256, len(points))).astype(np.int64)
+    # rank = pi * distance^2 / spacing^2 on a plane.
+    spacing = float(np.median(_distance_of_rank(points, sample, rank)) * np.sqrt(np.pi / rank))
+    light = 1.0 - _occlusion(points, normals, points, normals, spacing)
+    reach, slack = 6.0 * spacing, 0.15 * spacing
+    radius, start, clip = _outline(points, normals, part, reach, slack, NEIGHBOURS)
+    return Surfels(points, normals, spacing, radius, light, start, clip)
+
+
+def occlusion_at(receivers: Array, normals: Array, discs: Surfels) -> Array:
+    """How much of the sky the discs hide from `receivers` (m, 3) that face `normals`: (m,)."""
+    return _occlusion(receivers, normals, discs.points, discs.normals, discs.spacing)
+
+
+def draw(discs: Surfels, values: Array, camera: Camera) -> tuple[Array, Array, Array]:
+    """The discs as a camera sees them.
+
+    Args:
+        values: (n, C) what to interpolate between the discs, for instance colours.
+
+    Returns:
+        Depth (H, W), inf where nothing is; unit normals (H, W, 3); values (H, W, C).
+    """
+    facing = np.einsum("ij,ij->i", camera.eye - discs.points, discs.normals) > 0.0
+    x, y, z = apply(camera.T_camera_world, discs.points).T
+    box = np.stack(
+        [
+            _ends(x, z, discs.radius, camera.focal, camera.cx, camera.size),
+            _ends(y, z, discs.radius, camera.focal, camera.cy, camera.size),
+        ],
+        axis=1,
+    )
+    depth, blended = _splat(
+        discs.points,
+        discs.normals,
+        discs.radius,
+        discs.clip_start,
+        discs.clip,
+        np.concatenate([discs.normals, values], axis=1),
+        facing,
+        box,
+        camera.rays(),
+        camera.eye,
+        discs.spacing,
+    )
+    length = np.linalg.norm(blended[..., :3], axis=-1, keepdims=True)
+    return depth, blended[..., :3] / np.maximum(length, 1e-12), blended[..., 3:]
+
+
+def _ends(
+    x: Array, z: Array, radius: Array, focal: float, c: float, size: int
+) -> NDArray[np.int64]:
+    """(n, 2) the first column (or row) and one past the last that discs can touch."""
+    middle, reach = focal * x / z + c, focal * radius / (z - radius)
+    ends = np.stack([np.floor(middle - reach), np.ceil(middle + reach) + 1], axis=1)
+    return np.clip(ends, 0, size).astype(np.int64)
+
+
+@numba.njit(cache=True, nogil=True)
+def _distance_of_rank(points, sample, rank):
+    found = np.empty(len(sample))
+    squared = np.empty(len(points))
+    for s in range(len(sample)):
+        for j in range(len(points)):
+            squared[j] = ((points[j] - points[sample[s]]) ** 2).sum()
+        found[s] = np.sqrt(np.partition(squared, rank)[rank])
+    return found
+
+
+@numba.njit(cache=True, nogil=True)
+def _occlusion(at, facing, points, normals, spacing):
+    """Bunnell 2005, "Dynamic ambient occlusion and indirect lighting": sums of form factors."""
+    area = spacing * spacing
+    hidden = np.empty(len(at))
+    for i in range(len(at)):
+        total = 0.0
+        for j in range(len(points)):
+            x = points[j, 0] - at[i, 0]
+            y = points[j, 1] - at[i, 1]
+            z = points[j, 2] - at[i, 2]
+            above = x * facing[i, 0] + y * facing[i, 1] + z * facing[i, 2]
+            toward = -(x * normals[j, 0] + y * normals[j, 1] + z * normals[j, 2])
+            if above > 0.0 and toward > 0.0:
+                squared = x * x + y * y + z * z
+                total += area * above * toward / (squared * (np.pi * squared + area))
+        hidden[i] = min(total, 1.0)
+    return hidden
+
+
+@numba.njit(cache=True, nogil=True)
+def _outline(points, normals, part, reach, slack, rank):
+    """The radius of each disc, and the neighbours across a convex edge, in one list with offsets.
+
+    The radius is the distance to the neighbour of the given rank on the same face. Neighbour j
+    bounds disc i where each lies behind the other and all of the face of i lies behind j too; one
+    neighbour a plane is enough.
+    """
+    radius = np.full(len(points), 0.5 * reach)
+    start = np.zeros(len(points) + 1, np.int64)
+    found = []
+    others = np.empty(len(points), np.int32)
+    face = np.empty(len(points), np.int32)
+    distance = np.empty(len(points))
+    for i in range(len(points)):
+        behind = level = 0
+        for j in range(len(points)):
+            if part[j] != part[i] or _squared(points[i], points[j]) > reach * reach:
+                continue
+            ahead = _ahead(points[j], points[i], normals[i])
+            alike = _dot(normals[i], normals[j]) > 0.9
+            if alike and abs(ahead) < slack:
+                face[level] = j
+                distance[level] = np.sqrt(_squared(points[i], points[j]))
+                level += 1
+            elif not alike and ahead < 0.0:
+                others[behind] = j
+                behind += 1
+        if level > rank:
+            radius[i] = min(np.partition(distance[:level], rank)[rank], 0.5 * reach)
+        for j in others[:behind]:
+            gap = -_ahead(points[i], points[j], normals[j])
+            if (
+                0.0 < gap < radius[i]
+                and not _is_known(points, normals, found[start[i] :], j, slack)
+                and _all_behind(points, face[:level], points[j], normals[j], slack)
+            ):
+                found.append(j)
+        start[i + 1] = len(found)
+    return radius, start, np.array(found, dtype=np.int32)
+
+
+@numba.njit(cache=True, nogil=True)
+def _is_known(points, normals, planes, j, slack):
+    """Whether one of `planes` is the plane of j."""
+    for k in planes:
+        level = abs(_ahead(points[j], points[k], normals[k])) < slack
+        if level and _dot(normals[j], normals[k]) > 0.99:
+            return True
+    return False
+
+
+@numba.njit(cache=True, nogil=True)
+def _all_behind(points, chosen, origin, normal, slack):
+    for k in chosen:  # noqa: SIM110 (numba compiles no all)
+        if _ahead(points[k], origin, normal) > slack:
+            return False
+    return True
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _squared(a, b):
+    return (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _ahead(point, origin, normal):
+    """How far `point` lies in front of the plane through `origin`."""
+    return (
+        (point[0] - origin[0]) * normal[0]
+        + (point[1] - origin[1]) * normal[1]
+        + (point[2] - origin[2]) * normal[2]
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _splat(points, normals, radius, clip_start, clip, values, facing, box, rays, eye, spacing):
+    """Two passes: the nearest depth of each pixel, then the mean of the discs at that depth."""
+    depth = np.full(rays.shape[:2], np.inf)
+    weight = np.full(rays.shape[:2], 1e-30)
+    blended = np.zeros((*rays.shape[:2], values.shape[1]))
+    at = np.empty(3)
+    for final in (False, True):
+        for i in np.flatnonzero(facing):
+            offset = _ahead(points[i], eye, normals[i])
+            planes = clip[clip_start[i] : clip_start[i + 1]]
+            for row in range(box[i, 1, 0], box[i, 1, 1]):
+                for column in range(box[i, 0, 0], box[i, 0, 1]):
+                    ray = rays[row, column]
+                    slope = min(_dot(ray, normals[i]), -1e-3)
+                    t = offset / slope
+                    if t > depth[row, column] + (spacing if final else 0.0):
+                        continue
+                    for k in range(3):
+                        at[k] = eye[k] + t * ray[k]
+                    squared = _squared(at, points[i])
+                    if squared > radius[i] * radius[i] or _is_cut(points, normals, planes, at):
+                        continue
+                    if final:
+                        w = np.exp(-4.0 * squared / (spacing * spacing)) + 1e-12
+                        weight[row, column] += w
+                        for k in range(values.shape[1]):
+                            blended[row, column, k] += w * values[i, k]
+                    else:
+                        depth[row, column] = t
+    return depth, blended / weight.reshape((*weight.shape, 1))
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _is_cut(points, normals, planes, at):
+    for j in planes:  # noqa: SIM110 (nor any)
+        if _ahead(at, points[j], normals[j]) > 0.0:
+            return True
+    return False
