@@ -33,7 +33,7 @@ def write_atomically(
     Raises:
         ArticugenError: the disk is full, the folder cannot be written to, or the like.
     """
-    temporary = path.with_name(f".{path.name}.partial")
+    temporary = path.with_name(partial_name(path.name))
     try:
         try:
             with temporary.open("wb") as file:
@@ -48,6 +48,11 @@ def write_atomically(
             temporary.unlink(missing_ok=True)
     except OSError as error:
         raise ArticugenError(cannot_write(path, error, len(data))) from error
+
+
+def partial_name(name: str) -> str:
+    """What a file is called until it is whole; the same each time, so that none are left over."""
+    return f".{name}.partial"
 
 
 def cannot_write(path: Path, error: OSError, size: int = 0) -> str:

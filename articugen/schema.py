@@ -64,11 +64,13 @@ class Field:
         if len(shape) != len(self.shape):
             return False
         for want, size in zip(self.shape, shape, strict=True):
-            if want == "R":
-                want = int(name.rpartition("_")[2])
-            elif isinstance(want, str):
-                want = known.setdefault(want, size)
-            if size != want:
+            if isinstance(want, int):
+                expected = want
+            elif want == "R":
+                expected = int(name.rpartition("_")[2])
+            else:
+                expected = known.setdefault(want, size)
+            if size != expected:
                 return False
         return True
 
@@ -83,11 +85,14 @@ FIELDS = (
     Field("state_index", "<u4", ("N",), "", "", "Counts an object's instances; 0 is canonical."),
     Field("center", "<f8", ("N", 3), "m", "world", "x_world = x_unit * scale + center."),
     Field("scale", "<f8", ("N",), "m", "", "Length of the unit frame's unit; one an object."),
+    Field("joint_kind", "|u1", ("N", "J"), "", "", "1 revolute (or continuous), 2 prismatic."),
     Field(
-        "joint_kind", "|u1", ("N", "J"), "", "", "1 revolute (or continuous), 2 prismatic."
-    ),
-    Field(
-        "joint_parent", "|u1", ("N", "J"), "", "", "The part that joint j, and with it part j + 1, hangs on."
+        "joint_parent",
+        "|u1",
+        ("N", "J"),
+        "",
+        "",
+        "The part that joint j and part j + 1 hang on.",
     ),
     Field(
         "joint_state",

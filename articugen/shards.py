@@ -13,6 +13,8 @@ from types import MappingProxyType, TracebackType
 from typing import Any
 
 import h5py
+import h5py.h5l
+import h5py.h5o
 import numpy as np
 from numpy.typing import NDArray
 
@@ -68,11 +70,12 @@ def write_shard(
     """
     rows = list(instances)
     given = {"format": schema.FORMAT, "schema_version": schema.SCHEMA_VERSION, **attributes}
-    lacking = [n for n, (kind, _) in schema.ATTRIBUTES.items() if not isinstance(given.get(n), kind)]
-    if lacking:
-        raise ValueError(f"{path}: attribute {lacking[0]!r} is missing or not of its type")
-    image = _image(rows, given)
-    content = content_digests(_columns(rows), [(row.object_id, row.state_index) for row in rows])
+    for name, (kind, _) in schema.ATTRIBUTES.items():
+        if not isinstance(given.get(name), kind):
+            raise ValueError(f"{path}: attribute {name!r} is missing or not of its type")
+    columns = list(_columns(rows))
+    image = _image(columns, given)
+    content = content_digests(columns, [(row.object_id, row.state_index) for row in rows])
 
     def is_whole(temporary: Path) -> None:
         with open_shard(temporary) as shard:
@@ -259,29 +262,29 @@ def _columns(rows: Sequence[Instance]) -> Iterator[tuple[str, NDArray[Any]]]:
             yield name, np.stack([np.asarray(value, field.dtype) for value in column])
 
 
-def _image(rows: Sequence[Instance], attributes: Mapping[str, Attribute]) -> bytes:
+def _image(
+    columns: Sequence[tuple[str, NDArray[Any]]], attributes: Mapping[str, Attribute]
+) -> bytes:
     """The bytes of the HDF5 file. Format v110 (HDF5 1.10, 2016) has checksums on its metadata."""
+    fault = schema.misfit({name: array.shape for name, array in columns})
+    if fault:
+        raise ValueError(f"instances that do not make a shard: {fault}")
     with h5py.File(
         "shard.h5", "w", driver="core", backing_store=False, block_size=1 << 22, libver="v110"
     ) as file:
         _describe(file, attributes)
-        shapes: dict[str, tuple[int, ...]] = {}
-        for name, array in _columns(rows):
-            field = schema.field_of(name)
-            assert field is not None  # _columns has seen to it
-            shapes[name] = array.shape
-            _add(file, name, field, array)
-        fault = schema.misfit(shapes)
-        if fault:
-            raise ValueError(f"instances that do not make a shard: {fault}")
+        for name, array in columns:
+            _add(file, name, array)
         file.flush()
         return file.id.get_file_image()
 
 
-def _add(file: h5py.File, name: str, field: Field, array: NDArray[Any]) -> None:
+def _add(file: h5py.File, name: str, array: NDArray[Any]) -> None:
     """One data set, one instance a chunk, with what the schema says of it as attributes."""
+    field = schema.field_of(name)
+    assert field is not None  # _columns has seen to it
     if array[0].nbytes > schema.MAX_CHUNK_BYTES:
-        raise ValueError(f"{name}: an instance takes {array[0].nbytes} bytes; ask for fewer samples")
+        raise ValueError(f"{name}: {array[0].nbytes} bytes an instance; ask for fewer samples")
     if field.dtype == "S":
         array = array.astype(h5py.string_dtype("utf-8", array.itemsize))
     dataset = file.create_dataset(
@@ -356,14 +359,14 @@ def _attribute(file: h5py.File, name: str) -> Attribute:
         value = file.attrs[name]
         return value.decode() if isinstance(value, bytes) else str(value)
     if plain and not is_text and stored.dtype in (np.dtype("<i8"), np.dtype("<f8")):
-        return file.attrs[name].item()
+        return np.asarray(file.attrs[name]).item()
     raise CorruptShard(f"attribute {name!r} is neither a number nor a text of a fixed length")
 
 
 def _checked(file: h5py.File) -> dict[str, tuple[int, ...]]:
     """The shape of every data set, once all is as the schema says."""
     shapes: dict[str, tuple[int, ...]] = {}
-    for name in file:
+    for name in map(str, file):
         field = schema.field_of(name)
         if field is None:
             raise CorruptShard(f"{name!r} is not in the schema")

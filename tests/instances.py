@@ -103,7 +103,9 @@ def hinged_box(
 ) -> tuple[Instance, ...]:
     """One instance for each (hinge angle in rad, slide in metres); the first is canonical."""
     motions = np.stack([part_motions(*state) for state in states])
-    corners = np.stack([apply(T, box) for motion in motions for T, box in zip(motion, _corners())])
+    corners = np.stack(
+        [apply(T, box) for motion in motions for T, box in zip(motion, _corners(), strict=True)]
+    )
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     unit = Normalization((low + high) / 2, float((high - low).max()) / (1.0 - recipe.padding))
     return tuple(

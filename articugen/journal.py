@@ -1,0 +1,250 @@
+"""The journal: how a run goes on where an earlier one stopped, and what it may replace.
+
+While a run is under way its folder has a journal in place of the manifest: one line for each
+finished object, on the disk as soon as its shard is.
+"""
+
+import fcntl
+import json
+import os
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from articugen.errors import ArticugenError, CorruptShard
+from articugen.files import cannot_write, partial_name, sha256_of, sync_folder, write_atomically
+from articugen.manifest import MANIFEST_NAME, Key, Manifest, Outcome, ShardEntry
+
+JOURNAL_NAME = ".articugen-journal.jsonl"
+
+
+class Journal:
+    """What a folder already holds, and the record of a run in it; one run at a time.
+
+    Nothing is believed that is not on the disk as it was recorded: a shard counts only with the
+    size and digest that its line states. Shards of ours that are out of date are replaced; files
+    that no line names are never touched.
+
+    Use it as `with Journal(folder) as journal:`. The journal's first line that claims a file name
+    is on the disk before the file is, so that a run that was killed recognises its own files.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Read what `folder` holds, and keep other runs out of it. Nothing is written yet.
+
+        Raises:
+            ArticugenError: another run is at work in it, it cannot be read.
+            CorruptShard: its manifest or journal is damaged.
+        """
+        self.folder = folder
+        self._path = folder / JOURNAL_NAME
+        self._trusted: dict[ShardEntry, bool] = {}
+        self._outcomes: dict[tuple[str, str], Outcome] = {}
+        self._ours: set[str] = set()
+        self._claimed = False
+        self._lock: int | None = None
+        if folder.exists():
+            self._take_lock()
+            try:
+                self._load()
+            except BaseException:
+                self.close()
+                raise
+
+    def __enter__(self) -> "Journal":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let other runs into the folder."""
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    def why(self, key: Key) -> str | None:
+        """Why the object must be made (again); None where what is on the disk will do."""
+        outcome = self._outcomes.get((key.split, key.object_id))
+        if outcome is None:
+            return "it has not been made yet"
+        difference = key.difference(outcome.key)
+        if difference is not None or outcome.shard is None:
+            return difference
+        if outcome.shard not in self._trusted:
+            self._trusted[outcome.shard] = self._is_whole(outcome.shard)
+        if not self._trusted[outcome.shard]:
+            return f"its shard {outcome.shard.name} is missing or altered"
+        return None
+
+    def finished(self, key: Key) -> Outcome | None:
+        """What became of the object, where that still holds: see `why`."""
+        return None if self.why(key) else self._outcomes[key.split, key.object_id]
+
+    def conflict(self, keys: Sequence[Key]) -> str | None:
+        """One sentence, where the folder holds data that a run for `keys` would replace."""
+        wanted = {(key.split, key.object_id): key for key in keys}
+        reasons = Counter[str]()
+        for name, outcome in self._outcomes.items():
+            if outcome.shard is None:
+                continue
+            key = wanted.get(name)
+            reason = key.difference(outcome.key) if key else "this run does not ask for it"
+            if reason is not None:
+                reasons[reason] += 1
+        if not reasons:
+            return None
+        told = ", ".join(f"{reason}: {count}" for reason, count in reasons.most_common())
+        return (
+            f"{self.folder}: {sum(reasons.values())} shards of an earlier run will be replaced or "
+            f"removed ({told}); to keep them, choose another output folder"
+        )
+
+    def shard_names(self, keys: Sequence[Key]) -> dict[Key, str]:
+        """A shard's name for each object: the one it has where it is finished, else a free one.
+
+        In a new folder that is `<split>-<place among the keys of its split>.h5`.
+        """
+        names = {
+            key: done.shard.name for key in keys if (done := self.finished(key)) and done.shard
+        }
+        taken, place = set(names.values()), Counter[str]()
+        homeless: list[Key] = []
+        for key in keys:
+            own = f"{key.split}-{place[key.split]:05d}.h5"
+            place[key.split] += 1
+            if key in names:
+                continue
+            if own in taken:
+                homeless.append(key)
+            else:
+                names[key] = own
+                taken.add(own)
+        for key in homeless:
+            numbered = (f"{key.split}-{number:05d}.h5" for number in range(len(taken) + 1))
+            names[key] = next(name for name in numbered if name not in taken)
+            taken.add(names[key])
+        return names
+
+    def claim(self, names: Iterable[str]) -> None:
+        """Say that shards of these names are about to be written; the manifest goes, if any.
+
+        Raises:
+            ArticugenError: a file of that name is there and not ours; the folder cannot be written.
+        """
+        names = sorted(set(names))
+        if self._lock is None:
+            self._take_lock()
+        foreign = [n for n in names if n not in self._ours and (self.folder / n).exists()]
+        if foreign:
+            raise ArticugenError(
+                f"{self.folder / foreign[0]}: exists and was not made by an earlier run here; "
+                "move it away or choose another output folder"
+            )
+        self._ours.update(names)
+        lines: list[dict[str, Any]] = [{"claims": sorted(self._ours)}]
+        lines += [outcome.model_dump(mode="json") for outcome in self._outcomes.values()]
+        text = "".join(json.dumps(line) + "\n" for line in lines)
+        write_atomically(self._path, text.encode())
+        self._remove([MANIFEST_NAME, *(partial_name(name) for name in names)])
+        self._claimed = True
+
+    def record(self, outcome: Outcome) -> None:
+        """Add a finished object: on the disk when this returns. Its shard must be in place."""
+        if not self._claimed:
+            raise ValueError("claim the shards' names before the first record")
+        self._outcomes[outcome.key.split, outcome.key.object_id] = outcome
+        if outcome.shard is not None:
+            name = outcome.shard.name
+            self._trusted = {shard: ok for shard, ok in self._trusted.items() if shard.name != name}
+            self._trusted[outcome.shard] = True
+        line = outcome.model_dump_json() + "\n"
+        try:
+            with self._path.open("ab") as file:
+                file.write(line.encode())
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise ArticugenError(cannot_write(self._path, error, len(line))) from None
+
+    def finish(self, manifest: Manifest) -> None:
+        """Write the manifest, then remove the journal and those of our shards it does not name."""
+        manifest.write(self.folder)
+        self._remove(sorted(self._ours - {shard.name for shard in manifest.shards}))
+        self._remove([JOURNAL_NAME])
+        self._claimed = False
+
+    def _take_lock(self) -> None:
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            self._lock = _locked(self.folder)
+        except OSError as error:
+            raise ArticugenError(cannot_write(self.folder, error)) from None
+
+    def _load(self) -> None:
+        if (self.folder / MANIFEST_NAME).exists():
+            manifest = Manifest.read(self.folder)
+            shards = {shard.name: shard for shard in manifest.shards}
+            self._ours.update(shards)
+            self._take(Outcome(made=o, shard=shards[o.shard]) for o in manifest.objects)
+            self._take(Outcome(rejected=rejection) for rejection in manifest.rejected)
+        if self._path.exists():
+            self._load_journal()
+
+    def _load_journal(self) -> None:
+        try:
+            lines = self._path.read_bytes().split(b"\n")
+        except OSError as error:
+            raise ArticugenError(f"{self._path}: cannot be read ({error.strerror})") from None
+        for number, line in enumerate(lines[:-1], start=1):  # what follows the last \n is torn
+            try:
+                if number == 1:
+                    self._ours.update(json.loads(line)["claims"])
+                else:
+                    self._take([Outcome.model_validate_json(line)])
+            except (ValueError, KeyError, TypeError):
+                raise CorruptShard(
+                    f"{self._path}: line {number} is damaged; delete that file and the shards "
+                    "beside it to start afresh"
+                ) from None
+
+    def _take(self, outcomes: Iterable[Outcome]) -> None:
+        for outcome in outcomes:
+            self._outcomes[outcome.key.split, outcome.key.object_id] = outcome
+
+    def _is_whole(self, shard: ShardEntry) -> bool:
+        path = self.folder / shard.name
+        try:
+            return path.stat().st_size == shard.bytes and sha256_of(path) == shard.sha256
+        except OSError:
+            return False
+
+    def _remove(self, names: Iterable[str]) -> None:
+        try:
+            for name in names:
+                (self.folder / name).unlink(missing_ok=True)
+            sync_folder(self.folder)
+        except OSError as error:
+            raise ArticugenError(cannot_write(self.folder, error)) from None
+
+
+def _locked(folder: Path) -> int:
+    """A handle that keeps other runs out for as long as it, or this process, lives."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        raise ArticugenError(
+            f"{folder}: another run is writing here; wait for it or choose another output folder"
+        ) from None
+    except OSError:
+        pass  # a file system without locks: there the user must see to it
+    return handle

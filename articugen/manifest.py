@@ -1,0 +1,339 @@
+"""The manifest: what was made, from what, by which version, and what was not and why.
+
+It is written last: a folder with a manifest is complete. journal.py tells of the others.
+"""
+
+import hashlib
+import json
+import os
+import platform
+import subprocess
+from collections import Counter
+from collections.abc import Iterable
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from articugen import __version__
+from articugen.errors import CorruptShard
+from articugen.files import write_atomically
+from articugen.schema import SCHEMA_VERSION
+from articugen.shards import ShardRecord, content_sha256
+
+MANIFEST_NAME = "manifest.json"
+
+_SHA256 = r"^[0-9a-f]{64}$"
+_SHARD_NAME = r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.h5$"
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+class Key(_Record):
+    """What decides one object's data; the same key means the same bytes.
+
+    Attributes:
+        split, object_id: which object.
+        ref: what it is read from: a digest of its files, or whatever a source finds cheap and sure.
+        recipe_sha256: of all in the recipe that decides an object's content.
+        seed: the master seed.
+        generator: the version of the code.
+    """
+
+    split: str
+    object_id: str
+    ref: str
+    recipe_sha256: str = Field(pattern=_SHA256)
+    seed: int
+    generator: str
+
+    def difference(self, made: "Key") -> str | None:
+        """Why data made for the key `made` will not do for this one; None where it does."""
+        if made.ref != self.ref:
+            return "its source has changed"
+        if made.recipe_sha256 != self.recipe_sha256:
+            return "the recipe has changed"
+        if made.seed != self.seed:
+            return f"the seed was {made.seed}, is {self.seed}"
+        if made.generator != self.generator:
+            return f"it was made by version {made.generator}, this is {self.generator}"
+        return None
+
+
+class ShardEntry(_Record):
+    """A shard: its name in the folder, digest and size of the file, how many instances it holds."""
+
+    name: str = Field(pattern=_SHARD_NAME, max_length=200)
+    sha256: str = Field(pattern=_SHA256)
+    bytes: int = Field(gt=0)
+    instances: int = Field(gt=0)
+
+
+class ObjectEntry(_Record):
+    """An object that was made into data.
+
+    Attributes:
+        key: what decided its content.
+        input_sha256: of the files it was read from.
+        shard: the name of the shard that holds all its instances.
+        instances: how many.
+        content_sha256: `shards.content_sha256` of its instances.
+        notes: what a user should know of it.
+        seconds: it took one worker.
+    """
+
+    key: Key
+    input_sha256: str
+    shard: str
+    instances: int = Field(gt=0)
+    content_sha256: str = Field(pattern=_SHA256)
+    notes: tuple[str, ...] = ()
+    seconds: float = Field(0.0, ge=0.0)
+
+
+class Rejection(_Record):
+    """An object that could not be made into data, and why."""
+
+    key: Key
+    reason: str
+
+
+class Outcome(_Record):
+    """What became of one object: data in a shard, or a rejection."""
+
+    made: ObjectEntry | None = None
+    shard: ShardEntry | None = None
+    rejected: Rejection | None = None
+
+    @model_validator(mode="after")
+    def _is_one_of_two(self) -> "Outcome":
+        if (self.made is None) != (self.shard is None) or (self.made is None) == (
+            self.rejected is None
+        ):
+            raise ValueError("an outcome is an object with its shard, or a rejection")
+        if self.made and self.shard and self.made.shard != self.shard.name:
+            raise ValueError("the object is said to be in another shard")
+        return self
+
+    @staticmethod
+    def of_shard(
+        key: Key,
+        record: ShardRecord,
+        *,
+        input_sha256: str,
+        notes: tuple[str, ...] = (),
+        seconds: float = 0.0,
+    ) -> "Outcome":
+        """The outcome of an object whose instances, and only those, are in the shard `record`."""
+        made = ObjectEntry(
+            key=key,
+            input_sha256=input_sha256,
+            shard=record.name,
+            instances=record.instances,
+            content_sha256=content_sha256(record.content),
+            notes=notes,
+            seconds=seconds,
+        )
+        shard = ShardEntry(
+            name=record.name,
+            sha256=record.sha256,
+            bytes=record.bytes,
+            instances=record.instances,
+        )
+        return Outcome(made=made, shard=shard)
+
+    @property
+    def key(self) -> Key:
+        entry = self.made or self.rejected
+        assert entry is not None  # _is_one_of_two has seen to it
+        return entry.key
+
+
+class Timings(_Record):
+    """Of the run that wrote the manifest; what it took over from an earlier run is not counted."""
+
+    seconds: float = Field(ge=0.0)
+    instances_per_second: float = Field(ge=0.0)
+    peak_memory_bytes: int = Field(ge=0)
+    workers: int = Field(ge=1)
+
+
+class Manifest(_Record):
+    """Everything one needs to trust a data set, and to make it again.
+
+    Attributes:
+        schema_version: of its shards.
+        category, source, licence: of the models.
+        recipe: the resolved recipe as canonical JSON; `recipe_sha256` its digest.
+        seed: the master seed.
+        articugen_version, commit: of the code; the commit only where it ran from a checkout, with
+            "+changes" where that had any.
+        versions: of Python and the libraries that decide numbers or bytes.
+        machine: what it ran on.
+        objects, shards, rejected: what was made and what was not.
+        content_sha256: `content_of` the objects: the same for the same recipe, seed, models and
+            code, whatever the number of workers, the grouping into shards or the HDF5 version.
+        timings: of the last run.
+    """
+
+    schema_version: int
+    category: str
+    source: str
+    licence: str
+    recipe: str
+    recipe_sha256: str = Field(pattern=_SHA256)
+    seed: int
+    articugen_version: str
+    commit: str | None
+    versions: dict[str, str]
+    machine: dict[str, str | int]
+    objects: tuple[ObjectEntry, ...]
+    shards: tuple[ShardEntry, ...]
+    rejected: tuple[Rejection, ...]
+    content_sha256: str = Field(pattern=_SHA256)
+    timings: Timings
+
+    @model_validator(mode="after")
+    def _agrees_with_itself(self) -> "Manifest":
+        if hashlib.sha256(self.recipe.encode()).hexdigest() != self.recipe_sha256:
+            raise ValueError("recipe_sha256 is not the digest of recipe")
+        if content_of(self.objects) != self.content_sha256:
+            raise ValueError("content_sha256 is not the digest of the objects'")
+        held = Counter({shard.name: shard.instances for shard in self.shards})
+        told = Counter[str]()
+        for entry in self.objects:
+            told[entry.shard] += entry.instances
+        if held != told or len(held) != len(self.shards):
+            raise ValueError("objects and shards do not tell of the same instances")
+        return self
+
+    @staticmethod
+    def of(
+        outcomes: Iterable[Outcome],
+        *,
+        category: str,
+        source: str,
+        licence: str,
+        recipe: str,
+        seed: int,
+        timings: Timings,
+    ) -> "Manifest":
+        """The manifest of a finished run: of these outcomes, made here and now by this code."""
+        outcomes = sorted(outcomes, key=lambda o: (o.key.split, o.key.object_id))
+        objects = tuple(o.made for o in outcomes if o.made)
+        return Manifest(
+            schema_version=SCHEMA_VERSION,
+            category=category,
+            source=source,
+            licence=licence,
+            recipe=recipe,
+            recipe_sha256=hashlib.sha256(recipe.encode()).hexdigest(),
+            seed=seed,
+            articugen_version=__version__,
+            commit=this_commit(),
+            versions=library_versions(),
+            machine=this_machine(),
+            objects=objects,
+            shards=tuple(sorted((o.shard for o in outcomes if o.shard), key=lambda s: s.name)),
+            rejected=tuple(o.rejected for o in outcomes if o.rejected),
+            content_sha256=content_of(objects),
+            timings=timings,
+        )
+
+    def write(self, folder: Path) -> None:
+        """Write manifest.json in one step.
+
+        Raises:
+            ArticugenError: the disk is full, the folder cannot be written to.
+        """
+        write_atomically(folder / MANIFEST_NAME, (self.model_dump_json(indent=1) + "\n").encode())
+
+    @staticmethod
+    def read(folder: Path) -> "Manifest":
+        """The manifest of a data set.
+
+        Raises:
+            CorruptShard: there is none, it is of another version, or not as it was written.
+        """
+        path = folder / MANIFEST_NAME
+        try:
+            text = path.read_bytes()
+        except OSError as error:
+            raise CorruptShard(
+                f"{path}: cannot be read ({error.strerror}); a run that was cut short goes on when "
+                "it is started again"
+            ) from None
+        found = _version_in(text)
+        if found is not None and found != SCHEMA_VERSION:
+            raise CorruptShard(
+                f"{path}: schema version {found}, this articugen reads {SCHEMA_VERSION} only; "
+                "make the data set again in another folder"
+            )
+        try:
+            return Manifest.model_validate_json(text)
+        except ValidationError as error:
+            raise CorruptShard(
+                f"{path}: {_first_fault(error)}; fetch it again, or delete the folder and make it "
+                "again"
+            ) from None
+
+
+def content_of(objects: Iterable[ObjectEntry]) -> str:
+    """The digest of a whole data set: over the sorted (split, object_id, content_sha256)."""
+    lines = sorted(f"{o.key.split}\x1f{o.key.object_id}\x1f{o.content_sha256}" for o in objects)
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+
+def library_versions() -> dict[str, str]:
+    """Of Python and of the libraries that decide a data set's numbers or bytes."""
+    names = ("numpy", "numba", "h5py", "trimesh", "yourdfpy")
+    return {"python": platform.python_version()} | {n: metadata.version(n) for n in names}
+
+
+def this_machine() -> dict[str, str | int]:
+    """What we run on: system, architecture, processor, number of cores."""
+    processor = platform.processor() or platform.machine()
+    information = Path("/proc/cpuinfo")
+    if information.is_file():
+        lines = information.read_text(errors="replace").splitlines()
+        names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+        processor = names[0] if names else processor
+    return {
+        "system": f"{platform.system()} {platform.release()}",
+        "architecture": platform.machine(),
+        "processor": processor,
+        "cores": os.cpu_count() or 1,
+    }
+
+
+def this_commit() -> str | None:
+    """The git commit of the checkout that this package is tracked in; None for an installed one."""
+    package = Path(__file__).resolve().parent
+
+    def git(*arguments: str) -> str:
+        command = ["git", "-C", str(package), *arguments]
+        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=20)
+        return done.stdout
+
+    try:
+        git("ls-files", "--error-unmatch", "__init__.py")
+        changes = git("status", "--porcelain", "--untracked-files=no", "--", ".")
+        return git("rev-parse", "HEAD").strip() + ("+changes" if changes else "")
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+def _version_in(text: bytes) -> Any:
+    try:
+        return json.loads(text)["schema_version"]
+    except (ValueError, KeyError, TypeError):
+        return None
+
+
+def _first_fault(error: ValidationError) -> str:
+    first = error.errors()[0]
+    where = ".".join(str(part) for part in first["loc"])
+    return f"{where}: {first['msg']}" if where else first["msg"]
