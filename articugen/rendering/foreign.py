@@ -4,6 +4,7 @@ import importlib
 from types import ModuleType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from articugen.errors import MissingDriver, MissingExtra
 from articugen.records import Floats, LabelledMesh, Views
@@ -51,6 +52,6 @@ def depth_ranges(mesh: LabelledMesh, views: Views) -> Floats:
     return ranges + room[:, None] * (-1.0, 1.0)
 
 
-def unseen(views: Views) -> np.ndarray:
+def unseen(views: Views) -> NDArray[np.float32]:
     """(K, H, W) float32 depth maps in which nothing is seen."""
     return np.full((len(views), views.height, views.width), np.inf, np.float32)

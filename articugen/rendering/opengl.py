@@ -37,14 +37,14 @@ def render(mesh: LabelledMesh, views: Views) -> DepthMaps:
     if len(mesh.faces) == 0:
         return DepthMaps(depth, None, views)
 
+    ranges = depth_ranges(mesh, views)
     scene = pyrender.Scene()
     scene.add(pyrender.Mesh([pyrender.Primitive(mesh.vertices, indices=mesh.faces)]))
     camera = _camera_class()()
     scene.add(camera)
     flags = pyrender.RenderFlags.DEPTH_ONLY | pyrender.RenderFlags.OFFSCREEN
-    with _context(pyrender, views):
-        renderer = _renderer_class()(views.width, views.height)
-        for k, (near, far) in enumerate(depth_ranges(mesh, views)):
+    with _renderer(pyrender, views) as renderer:
+        for k, (near, far) in enumerate(ranges):
             T_clip_camera = _projection(views, k, near, far)
             camera.T_clip_world = T_clip_camera @ views.T_camera_world[k]
             stored = renderer.render(scene, flags).astype(np.float64)
@@ -53,7 +53,6 @@ def render(mesh: LabelledMesh, views: Views) -> DepthMaps:
             else:
                 z = near + stored * (far - near)
             depth[k] = np.where(stored < 1.0, z, np.inf)
-        renderer.delete()
     return DepthMaps(depth, None, views)
 
 
@@ -79,15 +78,17 @@ def _system_packages() -> str:
 
 
 @contextmanager
-def _context(pyrender: ModuleType, views: Views) -> Iterator[None]:
-    """A current OpenGL context, on the platform that PYOPENGL_PLATFORM names."""
+def _renderer(pyrender: ModuleType, views: Views) -> Iterator[Any]:
+    """A renderer in an OpenGL context of its own, on the platform that PYOPENGL_PLATFORM names."""
     try:
         context = pyrender.OffscreenRenderer(views.width, views.height)
     except Exception as error:  # OpenGL's bindings raise whatever they stumble over
         raise missing_driver("pyrender", _system_packages(), error) from error
+    renderer = _renderer_class()(views.width, views.height)
     try:
-        yield
+        yield renderer
     finally:
+        renderer.delete()
         context.delete()
 
 
