@@ -29,8 +29,8 @@ from articugen.geometry import apply, invert_rigid
 from articugen.recipe import Fusion
 from articugen.records import DepthMaps, LabelledMesh
 
-_NO_DEPTH = np.zeros((0, 0, 0), np.float32)
-_NO_FACES = np.zeros((0, 0, 0), np.int32)
+_NO_DEPTH = np.zeros((1, 0, 0), np.float32)
+_NO_FACES = np.zeros((1, 0, 0), np.int32)
 
 
 class Neighbours(NamedTuple):

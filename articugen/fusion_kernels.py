@@ -19,8 +19,8 @@ class Scene(NamedTuple):
     """Depth maps and faces as the kernels read them; float32 and int32 arrays.
 
     Attributes:
-        depth: (K, H, W), or empty where `face` is known.
-        face: (K, H, W), or empty where only depth is known.
+        depth: (K, H, W), or (1, 0, 0) where `face` is known.
+        face: (K, H, W), or (1, 0, 0) where only depth is known.
         cameras: (K, 3, 4) world to camera.
         intrinsics: (K, 4) fx, fy, cx, cy.
         eyes: (K, 3) the eye (pinhole), or the unit direction to the camera (orthographic).
@@ -49,12 +49,13 @@ def is_free(points, scene):
     free = np.zeros(points.shape[0], np.bool_)
     waiting = np.arange(points.shape[0])
     left = points.shape[0]
-    w = np.empty(3, np.float32)
     for k in range(scene.cameras.shape[0]):
+        T, face, depth, lens, eye = _view(k, scene)
         kept = 0
         for n in range(left):
             index = waiting[n]
-            if _look(points[index], w, k, scene) > 0.0:
+            p = (points[index, 0], points[index, 1], points[index, 2])
+            if _look(p, T, face, depth, lens, eye, scene) > 0.0:
                 free[index] = True
             else:
                 waiting[kept] = index
@@ -69,10 +70,11 @@ def value(points, scene, truncation, mean):
     n = points.shape[0]
     total = np.zeros((n, 2))  # of the views that see the point free, and that it lies close behind
     views = np.zeros((n, 2))
-    w = np.empty(3, np.float32)
     for k in range(scene.cameras.shape[0]):
+        T, face, depth, lens, eye = _view(k, scene)
         for i in range(n):
-            s = _look(points[i], w, k, scene)
+            p = (points[i, 0], points[i, 1], points[i, 2])
+            s = _look(p, T, face, depth, lens, eye, scene)
             if s > 0.0:
                 total[i, 0] += min(np.float64(s), truncation)
                 views[i, 0] += 1.0
@@ -92,108 +94,128 @@ def value(points, scene, truncation, mean):
     return result
 
 
-@njit(cache=True, nogil=True)
-def _look(p, w, k, scene):
-    """What view `k` says of `p`: how far in front of the surface it lies, nan for no say.
+@njit(cache=True, nogil=True, inline="always")
+def _view(k, scene):
+    """One view's numbers as tuples, which cost nothing to pass, and its map."""
+    c, i, e = scene.cameras, scene.intrinsics, scene.eyes
+    T = (
+        (c[k, 0, 0], c[k, 0, 1], c[k, 0, 2], c[k, 0, 3]),
+        (c[k, 1, 0], c[k, 1, 1], c[k, 1, 2], c[k, 1, 3]),
+        (c[k, 2, 0], c[k, 2, 1], c[k, 2, 2], c[k, 2, 3]),
+    )
+    by_depth = scene.face.shape[1] == 0
+    face = scene.face[0 if by_depth else k]
+    depth = scene.depth[k if by_depth else 0]
+    return T, face, depth, (i[k, 0], i[k, 1], i[k, 2], i[k, 3]), (e[k, 0], e[k, 1], e[k, 2])
 
-    `w` is scratch for the direction from the point to the camera.
-    """
-    T = scene.cameras[k]
-    x = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
-    y = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
-    z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
+
+@njit(cache=True, nogil=True, inline="always")
+def _row(row, p):
+    return row[0] * p[0] + row[1] * p[1] + row[2] * p[2] + row[3]
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _look(p, T, face, depth, lens, eye, scene):
+    """What a view says of `p`: how far in front of the surface it lies, nan for no say."""
+    x = _row(T[0], p)
+    y = _row(T[1], p)
     if scene.pinhole:
+        z = _row(T[2], p)
         x /= z
         y /= z
     # pixel centres lie at + 0.5: the four around the projection are (i, j) .. (i + 1, j + 1)
-    u = scene.intrinsics[k, 0] * x + scene.intrinsics[k, 2] - np.float32(0.5)
-    v = scene.intrinsics[k, 1] * y + scene.intrinsics[k, 3] - np.float32(0.5)
-    by_depth = scene.face.shape[0] == 0
-    H, W = scene.depth.shape[1:] if by_depth else scene.face.shape[1:]
+    u = lens[0] * x + lens[2] - np.float32(0.5)
+    v = lens[1] * y + lens[3] - np.float32(0.5)
+    by_depth = face.shape[0] == 0
+    H, W = depth.shape if by_depth else face.shape
     if not (u >= 0.0 and v >= 0.0 and u < W - 1 and v < H - 1):
         return UNSEEN
     j = np.int64(u)
     i = np.int64(v)
     if by_depth:
-        return _by_depth(scene.depth[k], i, j, u - j, v - i, z, SMOOTH_STEP * scene.pixel)
-    face = scene.face[k]
-    f0, f1, f2, f3 = face[i, j], face[i, j + 1], face[i + 1, j], face[i + 1, j + 1]
-    if f0 < 0 and f1 < 0 and f2 < 0 and f3 < 0:
-        return UNSEEN
-    _towards_camera(p, scene.eyes[k], scene.pinhole, w)
-    if f0 == f1 and f0 == f2 and f0 == f3:
-        return _in_front(p, w, scene.triangles[f0])
-    return _weigh(p, w, (f0, f1, f2, f3), scene)
+        return _by_depth(depth, i, j, u - j, v - i, _row(T[2], p), SMOOTH_STEP * scene.pixel)
+    shown = (face[i, j], face[i, j + 1], face[i + 1, j], face[i + 1, j + 1])
+    if shown[0] == shown[1] and shown[0] == shown[2] and shown[0] == shown[3]:
+        if shown[0] < 0:
+            return UNSEEN
+        w = _towards_camera(p, eye, scene.pinhole)
+        return _in_front(p, w, scene.triangles, shown[0])
+    return _weigh(p, _towards_camera(p, eye, scene.pinhole), shown, scene)
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _towards_camera(p, eye, pinhole, w):
+def _towards_camera(p, eye, pinhole):
     if not pinhole:
-        w[0], w[1], w[2] = eye[0], eye[1], eye[2]
-        return
-    w[0], w[1], w[2] = eye[0] - p[0], eye[1] - p[1], eye[2] - p[2]
-    scale = np.float32(1.0) / np.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
-    w[0] *= scale
-    w[1] *= scale
-    w[2] *= scale
+        return eye
+    x, y, z = eye[0] - p[0], eye[1] - p[1], eye[2] - p[2]
+    scale = np.float32(1.0) / np.sqrt(x * x + y * y + z * z)
+    return x * scale, y * scale, z * scale
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _weigh(p, w, shown, scene):
     """The say of four pixels that show different faces."""
     nearest = UNSEEN
     farthest = -UNSEEN
     for f in shown:
-        s = _in_front(p, w, scene.triangles[f]) if f >= 0 else UNSEEN
+        s = _in_front(p, w, scene.triangles, f) if f >= 0 else UNSEEN
         nearest = min(nearest, s)
         farthest = max(farthest, s)
     if nearest > 0.0:  # in front of all
         return nearest
     if farthest <= 0.0:  # behind all
         return farthest
+    reach = np.float32(2.0) * scene.pixel
+    return _at_edge(p, w, shown, scene.triangles, scene.start, scene.neighbours, reach)
+
+
+@njit(cache=True, nogil=True)
+def _at_edge(p, w, shown, triangles, start, neighbours, reach):
+    """The say of four pixels that lie on both sides of an edge: of the face that the ray meets."""
     held = np.float32(np.nan)
     for f in shown:
-        if f >= 0 and _ray_meets(p, w, scene.triangles[f]):
-            s = _in_front(p, w, scene.triangles[f])
+        if f >= 0 and _ray_meets(p, w, triangles, f):
+            s = _in_front(p, w, triangles, f)
             if s <= 0.0:
                 return s
             if not held <= s:
                 held = s
     # further in front than two pixels' width: beside an edge, and what passes between the pixels
     # may belong to something else
-    if not held < np.float32(2.0) * scene.pixel:
+    if not held < reach:
         return np.float32(np.nan)
     # `p` is in front of a face that its ray meets and behind others that it misses: a face smaller
     # than a pixel may still hide it, and such a face hangs on one of those
     for f in shown:
-        if f >= 0 and _in_front(p, w, scene.triangles[f]) <= 0.0:
-            for n in range(scene.start[f], scene.start[f + 1]):
-                near = scene.triangles[scene.neighbours[n]]
-                if _in_front(p, w, near) <= 0.0 and _ray_meets(p, w, near):
+        if f >= 0 and _in_front(p, w, triangles, f) <= 0.0:
+            for n in range(start[f], start[f + 1]):
+                near = neighbours[n]
+                if _in_front(p, w, triangles, near) <= 0.0 and _ray_meets(p, w, triangles, near):
                     return np.float32(np.nan)
     return held
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _in_front(p, w, triangle):
-    """How far `p` lies in front of the triangle's plane, along the direction `w` to the camera."""
-    gap = triangle[0] * p[0] + triangle[1] * p[1] + triangle[2] * p[2] - triangle[3]
-    slope = triangle[0] * w[0] + triangle[1] * w[1] + triangle[2] * w[2]
+def _in_front(p, w, triangles, f):
+    """How far `p` lies in front of face f's plane, along the direction `w` to the camera."""
+    x, y, z = triangles[f, 0], triangles[f, 1], triangles[f, 2]
+    slope = x * w[0] + y * w[1] + z * w[2]
     if slope == 0.0:
         slope = np.float32(1e-12)
-    return gap / slope
+    return (x * p[0] + y * p[1] + z * p[2] - triangles[f, 3]) / slope
 
 
 @njit(cache=True, nogil=True)
-def _ray_meets(p, w, triangle):
-    """Whether the line through `p` along `w` passes through the triangle, either way round.
+def _ray_meets(p, w, triangles, f):
+    """Whether the line through `p` along `w` passes through face f, either way round.
 
-    Signs of the volumes that the line spans with each edge; the two triangles at an edge compute
-    the same number with opposite sign, so no line slips between them.
+    Signs of the volumes that the line spans with each edge; the two faces at an edge compute the
+    same number with opposite sign, so no line slips between them.
     """
-    ax, ay, az = triangle[4] - p[0], triangle[5] - p[1], triangle[6] - p[2]
-    bx, by, bz = triangle[7] - p[0], triangle[8] - p[1], triangle[9] - p[2]
-    cx, cy, cz = triangle[10] - p[0], triangle[11] - p[1], triangle[12] - p[2]
+    t = triangles
+    ax, ay, az = t[f, 4] - p[0], t[f, 5] - p[1], t[f, 6] - p[2]
+    bx, by, bz = t[f, 7] - p[0], t[f, 8] - p[1], t[f, 9] - p[2]
+    cx, cy, cz = t[f, 10] - p[0], t[f, 11] - p[1], t[f, 12] - p[2]
     ab = w[0] * (ay * bz - az * by) + w[1] * (az * bx - ax * bz) + w[2] * (ax * by - ay * bx)
     bc = w[0] * (by * cz - bz * cy) + w[1] * (bz * cx - bx * cz) + w[2] * (bx * cy - by * cx)
     ca = w[0] * (cy * az - cz * ay) + w[1] * (cz * ax - cx * az) + w[2] * (cx * ay - cy * ax)
