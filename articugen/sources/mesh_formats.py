@@ -6,6 +6,7 @@ in; materials and textures are not read. `meshes.checked` sees the result.
 
 import io
 import json
+import os
 import re
 import struct
 from pathlib import Path
@@ -124,7 +125,7 @@ def _check_gltf(text: bytes, path: Path, files: ModelFiles) -> _Buffers:
     buffers = _Buffers()
     for name in names:
         if not name.startswith("data:"):
-            found = files.find(str(path.parent / unquote(name)))
+            found = files.find(os.path.relpath(path.resolve().parent / unquote(name), files.folder))
             if found is None:
                 raise InvalidSource(f"{path}: its buffer {name!r} is missing; put it beside it")
             buffers[name] = files.read(found)

@@ -4,6 +4,7 @@ OBJ has a reader of its own because a real model has up to 270 small OBJ files, 
 trimesh accepts headers that lie. Whatever reads a file, `checked` sees the result.
 """
 
+import codecs
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -150,6 +151,7 @@ def _read_obj(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
     coordinates: list[float] = []
     corners: list[int] = []
     counts: list[int] = []
+    data = data.removeprefix(codecs.BOM_UTF8)
     if b"\\" in data:
         data = re.sub(rb"\\\r?\n", b" ", data)
     line = b""

@@ -24,7 +24,7 @@ def assign_splits(group_of: Mapping[str, str], train: Share, test: Share) -> dic
     named = {i: split for split, ids in listed.items() if isinstance(ids, tuple) for i in ids}
     if isinstance(train, tuple) and isinstance(test, tuple):
         return {i: named[i] for i in group_of if i in named}
-    if named:
+    if isinstance(train, tuple) or isinstance(test, tuple):
         other = "train" if isinstance(test, tuple) else "test"
         return {i: named.get(i, other) for i in group_of}
     fraction = TEST_FRACTION
@@ -35,7 +35,7 @@ def assign_splits(group_of: Mapping[str, str], train: Share, test: Share) -> dic
 
 
 def split_sizes(objects: int, train: int, test: int) -> dict[str, int]:
-    """`objects` divided as `train` : `test`; with two or more, each split that there is gets one."""
+    """`objects` divided as `train` : `test`; of two or more, each split that is not 0 gets one."""
     count = round(objects * test / (train + test))
     if train and test and objects > 1:
         count = min(max(count, 1), objects - 1)

@@ -1,0 +1,454 @@
+"""Mesh readers against trimesh and closed forms; files that lie against their refusal."""
+
+import io
+import json
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from articugen.errors import InvalidSource
+from articugen.records import Mesh
+from articugen.sources import meshes, model_files
+from articugen.sources.meshes import EmptyMesh, box, cylinder, fans, read_mesh, scaled, sphere
+from articugen.sources.model_files import ModelFiles
+
+SQUARE_OBJ = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
+
+
+def volume(mesh: Mesh) -> float:
+    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+def area(mesh: Mesh) -> float:
+    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2.0)
+
+
+def is_closed(mesh: Mesh) -> bool:
+    """Every directed edge once, and its opposite once."""
+    edges = np.concatenate([mesh.faces[:, [i, (i + 1) % 3]] for i in range(3)]).tolist()
+    directed = {tuple(edge) for edge in edges}
+    return len(directed) == len(edges) and all((b, a) in directed for a, b in directed)
+
+
+def triangles(mesh: Mesh) -> np.ndarray:
+    """(F, 9) corners; each triangle starts at its smallest corner and the rows are sorted."""
+    corners = mesh.vertices[mesh.faces].round(9)
+    rows = [min(np.roll(t, -k, axis=0).ravel().tolist() for k in range(3)) for t in corners]
+    return np.array(sorted(rows))
+
+
+def write(path: Path, content: str | bytes) -> Path:
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+def scene_with_nodes() -> trimesh.Scene:
+    """A unit tetrahedron: turned and moved by two nested nodes, and mirrored and stretched."""
+    tetrahedron = trimesh.Trimesh(
+        [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]],
+        [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+        process=False,
+    )
+    scene = trimesh.Scene()
+    turn = trimesh.transformations.rotation_matrix(np.pi / 2, [0, 0, 1])
+    scene.graph.update(
+        "outer", "world", matrix=trimesh.transformations.translation_matrix([5, 0, 0])
+    )
+    scene.graph.update("inner", "outer", matrix=turn, geometry="t")
+    scene.graph.update("mirror", "world", matrix=np.diag([-2.0, 1.0, 3.0, 1.0]), geometry="t")
+    scene.geometry["t"] = tetrahedron
+    return scene
+
+
+# --- OBJ
+
+
+@given(
+    sizes=st.lists(st.integers(3, 7), min_size=1, max_size=6),
+    form=st.sampled_from(["{v}", "{v}/{v}", "{v}//{v}", "{v}/{v}/{v}"]),
+    negative=st.booleans(),
+    data=st.data(),
+)
+@settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_obj_agrees_with_trimesh(tmp_path, sizes, form, negative, data):
+    count = max(sizes)
+    points = data.draw(
+        st.lists(
+            st.tuples(*[st.floats(-9, 9, width=32)] * 3),
+            min_size=count,
+            max_size=count,
+            unique=True,
+        )
+    )
+    polygons = [data.draw(st.permutations(range(count)))[:n] for n in sizes]
+    head = "# a comment\nmtllib none.mtl\no thing\n"
+    head += "".join("v {!r} {!r} {!r}\nvt 0 0\nvn 0 0 1\n".format(*p) for p in points)
+    text = plain = head + "usemtl skin\n"
+    for polygon in polygons:
+        corners = [i - count if negative else i + 1 for i in polygon]
+        text += "f " + " ".join(form.format(v=i) for i in corners) + "\n"
+        plain += "f " + " ".join(str(i + 1) for i in polygon) + "\n"
+    mine = read_mesh(write(tmp_path / "m.obj", text))
+    # trimesh sees plain positive indices: it fails on negative ones with texture coordinates
+    theirs = trimesh.load(io.BytesIO(plain.encode()), file_type="obj", process=False)
+    assert mine.faces.shape == theirs.faces.shape
+    theirs = Mesh(theirs.vertices, theirs.faces.astype(np.int32))
+    np.testing.assert_allclose(triangles(mine), triangles(theirs), rtol=0, atol=1e-6)
+    assert len(mine.vertices) == count
+
+
+def test_obj_in_every_odd_form(tmp_path):
+    text = "\ufeffv 0 0 0 1.0\r\n  v\t1 0 0 0.5 0.5 0.5\nv 1 \\\n 1 0\n\nv 0 1 0\n"
+    text += "l 1 2\np 1\ns off\nf 1 2 3 4 # a quad\nf 1 1 2\nf 1 2\nf -4/1 -3/2 -2/3\n"
+    mesh = read_mesh(write(tmp_path / "m.obj", text))
+    assert mesh.vertices.tolist() == [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+    assert mesh.faces.tolist() == [[0, 1, 2], [0, 2, 3], [0, 1, 2]]
+
+
+@pytest.mark.parametrize(
+    ("faces", "problem"),
+    [
+        ("f 1 2 5\n", "names a vertex that is not there"),
+        ("f 0 1 2\n", "names a vertex that is not there"),
+        ("f -5 1 2\n", "names a vertex that is not there"),
+        ("f a b c\n", "'f a b c' is not OBJ"),
+        ("v 1 2\nf 1 2 3\n", "'v 1 2' is not OBJ"),
+        ("v nan 0 0\nf 1 2 3\n", "not finite"),
+        ("v inf 0 0\nf 1 2 3\n", "not finite"),
+        ("v 1e10 0 0\nf 1 2 3\n", "not finite, or beyond"),
+    ],
+)
+def test_broken_obj_is_refused(tmp_path, faces, problem):
+    with pytest.raises(InvalidSource, match=problem) as caught:
+        read_mesh(write(tmp_path / "m.obj", SQUARE_OBJ + faces))
+    assert str(tmp_path / "m.obj") in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", SQUARE_OBJ, SQUARE_OBJ + "l 1 2\nf 1 1 2\n"])
+def test_mesh_without_triangles_is_refused(tmp_path, text):
+    with pytest.raises(EmptyMesh, match="no triangle"):
+        read_mesh(write(tmp_path / "m.obj", text))
+
+
+@given(st.lists(st.integers(0, 6), min_size=1, max_size=8))
+def test_fans_equal_the_naive_loop(counts):
+    corners = np.arange(100, 100 + sum(counts))
+    naive, start = [], 0
+    for count in counts:
+        polygon = corners[start : start + count]
+        naive += [[polygon[0], polygon[k], polygon[k + 1]] for k in range(1, count - 1)]
+        start += count
+    assert fans(corners, np.array(counts)).tolist() == naive
+
+
+# --- other formats
+
+
+@pytest.mark.parametrize("suffix", ["stl", "ply", "glb", "gltf", "dae", "obj", "ascii.stl"])
+def test_every_format_gives_the_same_box(tmp_path, suffix):
+    wanted = box((1.0, 2.0, 4.0))
+    source = trimesh.Trimesh(wanted.vertices, wanted.faces, process=False)
+    path = tmp_path / f"box.{suffix}"
+    if suffix == "gltf":
+        for name, content in source.export(file_type="gltf").items():
+            write(tmp_path / name, content)
+        path = tmp_path / "model.gltf"
+    else:
+        kind = "stl_ascii" if suffix == "ascii.stl" else suffix
+        write(path, source.export(file_type=kind))
+    np.testing.assert_allclose(triangles(read_mesh(path)), triangles(wanted), atol=1e-6)
+
+
+@pytest.mark.parametrize("suffix", ["glb", "dae"])
+def test_nodes_of_a_scene_are_baked_in(tmp_path, suffix):
+    if suffix == "dae":
+        flat = scene_with_nodes().to_mesh()
+        mesh = read_mesh(write(tmp_path / "s.dae", flat.export(file_type="dae")))
+    else:
+        mesh = read_mesh(write(tmp_path / "s.glb", scene_with_nodes().export(file_type="glb")))
+    corners = mesh.vertices[np.unique(mesh.faces)]
+    np.testing.assert_allclose(corners.min(axis=0), [-2, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(corners.max(axis=0), [5, 1, 3], atol=1e-6)
+    assert volume(mesh) == pytest.approx(1 / 6 + 6 / 6)  # both outside out, the mirrored one too
+
+
+def test_stl_that_lies_is_refused(tmp_path):
+    good = trimesh.creation.box().export(file_type="stl")
+    for bad in (
+        good[:80] + struct.pack("<I", 4_000_000_000) + good[84:],
+        good[:-10],
+        good + b"more",
+        b"\0" * 50,
+        b"",
+        b"solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nendloop\nendfacet\n",
+        b"solid\nouter loop\nvertex 0 0 x\nvertex 1 0 0\nvertex 1 1 0\nendloop\nendfacet\n",
+    ):
+        with pytest.raises(InvalidSource, match="export it again"):
+            read_mesh(write(tmp_path / "m.stl", bad))
+    nan = bytearray(good)
+    nan[96:100] = struct.pack("<f", np.nan)
+    with pytest.raises(InvalidSource, match="not finite"):
+        read_mesh(write(tmp_path / "m.stl", bytes(nan)))
+
+
+def test_ply_that_lies_is_refused(tmp_path):
+    good = trimesh.creation.box().export(file_type="ply", encoding="ascii")
+    assert len(read_mesh(write(tmp_path / "m.ply", good)).faces) == 12
+    for bad in (
+        good.replace(b"vertex 8", b"vertex 800000000"),
+        good.replace(b"face 12", b"face 400000000"),
+        good.replace(b"face 12", b"face 13"),
+        good[:-9],
+        good[10:],
+    ):
+        assert bad != good
+        with pytest.raises(InvalidSource, match=r"m\.ply"):
+            read_mesh(write(tmp_path / "m.ply", bad))
+
+
+def test_dae_unit_is_applied_and_doctype_refused(tmp_path):
+    good = trimesh.creation.box().export(file_type="dae")
+    in_centimetres = good.replace(b"<asset>", b'<asset><unit name="cm" meter="0.01"/>')
+    assert in_centimetres != good
+    mesh = read_mesh(write(tmp_path / "m.dae", in_centimetres))
+    np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0), 0.01)
+    root = good.index(b"<COLLADA")
+    with pytest.raises(InvalidSource, match="DOCTYPE"):
+        read_mesh(write(tmp_path / "m.dae", good[:root] + b"<!DOCTYPE COLLADA>" + good[root:]))
+
+
+def edited_glb(edit) -> bytes:
+    """The GLB of a box with its JSON changed by `edit(document)`."""
+    good = trimesh.creation.box().export(file_type="glb")
+    length = struct.unpack_from("<I", good, 12)[0]
+    document = json.loads(good[20 : 20 + length])
+    edit(document)
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    rest = good[20 + length :]
+    head = struct.pack("<4sIIII", b"glTF", 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A)
+    return head + text + rest
+
+
+def _loop(document):
+    document["nodes"] = [{"children": [1]}, {"children": [0], "mesh": 0}]
+
+
+def _two_parents(document):
+    document["nodes"] = [{"children": [2]}, {"children": [2]}, {"mesh": 0}]
+
+
+def _huge(document):
+    for accessor in document["accessors"]:
+        accessor["count"] = 2**31
+
+
+def _sparse(document):
+    del document["accessors"][1]["bufferView"]
+    del document["accessors"][0]["bufferView"]
+
+
+def _quantised(document):
+    position = document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
+    document["accessors"][position]["componentType"] = 5123
+
+
+def _overrun(document):
+    document["bufferViews"][-1]["byteLength"] += 1000
+
+
+def _negative(document):
+    document["bufferViews"][0]["byteOffset"] = -4
+
+
+def _fan(document):
+    document["meshes"][0]["primitives"][0]["mode"] = 6
+
+
+def _escape(document):
+    document["buffers"][0]["uri"] = "../outside.bin"
+
+
+@pytest.mark.parametrize(
+    ("edit", "problem"),
+    [
+        (_loop, "loop"),
+        (_two_parents, "tree"),
+        (_huge, "too many"),
+        (_sparse, "compressed or sparse"),
+        (_quantised, "quantised"),
+        (_overrun, "export it again"),
+        (_negative, "negative"),
+        (_fan, "fans"),
+        (_escape, "leads out of"),
+        (lambda document: document.pop("accessors"), "not a glTF document"),
+    ],
+)
+def test_glb_that_lies_is_refused(tmp_path, edit, problem):
+    with pytest.raises(InvalidSource, match=problem):
+        read_mesh(write(tmp_path / "m.glb", edited_glb(edit)))
+
+
+def test_glb_header_must_fit(tmp_path):
+    good = edited_glb(lambda document: None)
+    assert len(read_mesh(write(tmp_path / "m.glb", good)).faces) == 12
+    for bad in (good[:-4], good + b"more", b"GLTF" + good[4:], good[:10], good[:16] + good):
+        with pytest.raises(InvalidSource, match="header"):
+            read_mesh(write(tmp_path / "m.glb", bad))
+
+
+def test_gltf_buffers_stay_in_the_folder_and_count_in_the_hash(tmp_path):
+    for name, content in trimesh.creation.box().export(file_type="gltf").items():
+        write(tmp_path / name, content)
+    path = tmp_path / "model.gltf"
+    buffer = next(tmp_path.glob("*.bin"))
+    files = ModelFiles(tmp_path)
+    read_mesh(path, files)
+    before = files.sha256()
+    buffer.write_bytes(buffer.read_bytes()[:-4] + b"\0\0\0\0")
+    files = ModelFiles(tmp_path)
+    files.read(path), files.read(buffer)
+    assert files.sha256() != before
+    buffer.unlink()
+    with pytest.raises(InvalidSource, match=r"buffer .* is missing"):
+        read_mesh(path)
+
+
+def test_unknown_format_names_the_known_ones(tmp_path):
+    with pytest.raises(InvalidSource, match=r"convert it to one of \.obj, \.stl"):
+        read_mesh(write(tmp_path / "m.3ds", b""))
+
+
+# --- primitives
+
+
+def test_primitives_are_closed_with_the_right_volume_and_area():
+    assert volume(box((1, 2, 3))) == pytest.approx(6)
+    assert area(box((1, 2, 3))) == pytest.approx(22)
+    assert volume(cylinder(0.5, 2.0)) == pytest.approx(np.pi * 0.5, rel=2e-3)
+    assert area(cylinder(0.5, 2.0)) == pytest.approx(2.5 * np.pi, rel=2e-3)
+    assert volume(sphere(0.5)) == pytest.approx(np.pi / 6, rel=5e-3)
+    assert area(sphere(0.5)) == pytest.approx(np.pi, rel=5e-3)
+    for mesh in (box((1, 2, 3)), cylinder(0.5, 2.0), sphere(0.5)):
+        assert is_closed(mesh)
+    np.testing.assert_allclose(np.linalg.norm(sphere(0.5).vertices, axis=1), 0.5)
+    np.testing.assert_allclose(np.abs(cylinder(0.5, 2.0).vertices[:, 2]), 1.0)
+
+
+@given(st.tuples(*[st.sampled_from([-2.0, -1.0, 0.5, 3.0])] * 3))
+def test_scaling_keeps_the_outside_outside(scale):
+    assert volume(scaled(box((1, 1, 1)), scale)) == pytest.approx(abs(np.prod(scale)))
+
+
+# --- the files of a model
+
+
+@pytest.fixture
+def model(tmp_path) -> ModelFiles:
+    """robots/pkg/{package.xml, urdf/b.obj, meshes/a.obj} and robots/secret.obj; pkg is the root."""
+    package = tmp_path / "robots" / "pkg"
+    (package / "urdf").mkdir(parents=True)
+    (package / "meshes").mkdir()
+    write(package / "package.xml", "<package><name>arm</name></package>")
+    write(package / "meshes" / "a.obj", SQUARE_OBJ + "f 1 2 3\n")
+    write(package / "urdf" / "b.obj", SQUARE_OBJ + "f 1 2 4\n")
+    write(tmp_path / "robots" / "secret.obj", SQUARE_OBJ + "f 1 2 3\n")
+    return ModelFiles(package / "urdf", package)
+
+
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        ("../meshes/a.obj", "meshes/a.obj"),
+        ("b.obj", "urdf/b.obj"),
+        ("package://arm/meshes/a.obj", "meshes/a.obj"),
+        ("package://pkg/meshes/a.obj", "meshes/a.obj"),
+        ("package://meshes/a.obj", "meshes/a.obj"),
+        ("/home/somebody/data/b.obj", "urdf/b.obj"),
+        ("file:///home/somebody/data/b.obj", "urdf/b.obj"),
+        ("../meshes/none.obj", None),
+        ("/home/somebody/none.obj", None),
+        ("package://arm/none.obj", None),
+        ("../meshes", None),
+    ],
+)
+def test_names_lead_to_files(model, name, found):
+    assert model.find(name) == (found and model.root / found)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "../../secret.obj",
+        "package://arm/../secret.obj",
+        "package://robots/secret.obj",
+        "package://../secret.obj",
+        "package:///secret.obj",
+        "package://nowhere/a.obj",
+        "http://example.org/a.obj",
+        "link.obj",
+        "package://arm/urdf/link.obj",
+    ],
+)
+def test_names_that_lead_out_are_refused(model, name):
+    (model.folder / "link.obj").symlink_to(model.root.parent / "secret.obj")
+    with pytest.raises(InvalidSource):
+        model.find(name)
+
+
+def test_existing_file_outside_is_not_read_by_its_absolute_path(model):
+    assert model.find(str(model.root.parent / "secret.obj")) is None
+
+
+def test_hash_depends_on_names_and_bytes_alone(model, tmp_path):
+    a, b = model.root / "meshes" / "a.obj", model.root / "urdf" / "b.obj"
+    orders = [ModelFiles(model.folder, model.root) for _ in range(2)]
+    for files, paths in zip(orders, ([a, b], [b, a, b]), strict=True):
+        for path in paths:
+            files.read(path)
+    assert orders[0].sha256() == orders[1].sha256()
+    moved = tmp_path / "elsewhere"
+    os.rename(model.root, moved)
+    files = ModelFiles(moved / "urdf", moved)
+    files.read(moved / "meshes" / "a.obj"), files.read(moved / "urdf" / "b.obj")
+    assert files.sha256() == orders[0].sha256()
+    swapped = ModelFiles(moved / "urdf", moved)
+    (moved / "urdf" / "b.obj").rename(moved / "urdf" / "c.obj")
+    swapped.read(moved / "meshes" / "a.obj"), swapped.read(moved / "urdf" / "c.obj")
+    assert swapped.sha256() != orders[0].sha256()
+
+
+def test_limits_on_size(tmp_path, monkeypatch):
+    path = write(tmp_path / "m.obj", SQUARE_OBJ + "f 1 2 3\n" * 9)
+    monkeypatch.setattr(meshes, "MAX_COUNT", 8)
+    with pytest.raises(InvalidSource, match="more than 8 vertices or faces"):
+        read_mesh(path)
+    monkeypatch.setattr(model_files, "MAX_FILE_BYTES", 50)
+    with pytest.raises(InvalidSource, match="larger than"):
+        read_mesh(path)
+
+
+# --- real models
+
+
+@pytest.mark.skipif("ARTICUGEN_REAL_MODELS" not in os.environ, reason="ARTICUGEN_REAL_MODELS unset")
+def test_every_real_obj_agrees_with_trimesh():
+    paths = sorted(Path(os.environ["ARTICUGEN_REAL_MODELS"]).rglob("*.obj"))[::5]
+    assert len(paths) > 100
+    for path in paths:
+        mine = read_mesh(path)
+        theirs = trimesh.load(path, process=False, force="mesh", skip_materials=True)
+        assert mine.faces.shape == theirs.faces.shape, path
+        corners = (mine.vertices[mine.faces], theirs.vertices[theirs.faces])
+        a, b = (np.sort(c.reshape(-1, 3), axis=0) for c in corners)
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-12, err_msg=str(path))
