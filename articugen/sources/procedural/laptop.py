@@ -1,0 +1,450 @@
+"""Laptops: a base with keyboard and trackpad, a lid with a screen, one revolute joint.
+
+q = 0 is the closed lid; the lid opens about +y to 135 degrees. The front looks towards -x and the
+hinge is at the rear. Everything is drawn in the user's frame (x to the right, y away, z up) with
+the origin on the hinge's axis and turned at the end.
+
+No two parts meet at any q: the base stays in the quadrant below and before the axis, the lid starts
+above and before it and turns away from the base; behind the axis there is only the rear block,
+which stays below what the lid's rear edge reaches.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from articugen.geometry import Array, transform
+from articugen.sources.procedural.keyboard import Keyboard
+from articugen.sources.procedural.model import Model, ModelJoint, ModelLink
+from articugen.sources.procedural.outlines import (
+    circle,
+    ellipse,
+    matched,
+    rounded_rectangle,
+)
+from articugen.sources.procedural.solids import (
+    Solid,
+    along_x,
+    block,
+    box,
+    cylinder,
+    loft,
+    prism,
+    ring,
+    stack,
+    sweep,
+)
+
+MM = 1e-3
+_T_WORLD_USER = transform([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """The ranges of one kind of laptop, millimetres and inches."""
+
+    diagonal: tuple[float, float]
+    base_rear: tuple[float, float]
+    wedge: tuple[float, float]
+    lid: tuple[float, float]
+    corner: tuple[float, float]
+    bezel: tuple[float, float]
+    hinges: tuple[str, ...]
+
+
+_KINDS = {
+    "ultrabook": _Kind((12, 15), (9, 14), (0.35, 0.8), (4, 6), (6, 16), (4, 9), ("center", "full")),
+    "business": _Kind((12.5, 15.6), (15, 22), (0.75, 1), (6, 9), (3, 8), (8, 16), ("pair", "full")),
+    "gaming": _Kind(
+        (15.6, 17.3), (20, 28), (0.8, 1), (7, 10), (2, 12), (7, 14), ("pair", "center")
+    ),
+    "retro": _Kind((10, 14), (26, 40), (0.7, 1), (10, 15), (4, 14), (16, 28), ("pair", "full")),
+    "rugged": _Kind((10, 14), (26, 36), (0.95, 1), (13, 18), (6, 12), (16, 26), ("full", "pair")),
+    "netbook": _Kind(
+        (8.9, 11.6), (16, 24), (0.7, 1), (8, 12), (12, 26), (12, 22), ("full", "center")
+    ),
+}
+_ASPECTS = (16 / 9, 16 / 10, 3 / 2, 4 / 3)
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """One laptop's measures, metres, in the user's frame with the origin on the hinge's axis.
+
+    Attributes:
+        reach: from the axis to the rear edges of base and lid.
+        gap: between the closed lid and the deck.
+        bottom_rear, bottom_front: heights of the base's underside.
+        floor: what the feet stand on.
+        well: by how much the keys' floor lies below the deck.
+        recess: by how much the screen lies behind its bezel.
+    """
+
+    kind: str
+    width: float
+    depth: float
+    corner: float
+    reach: float
+    barrel: float
+    gap: float
+    bottom_rear: float
+    bottom_front: float
+    floor: float
+    base_bevel: float
+    well: float
+    lid: float
+    lid_inset: float
+    lid_bevel: float
+    recess: float
+    bezel: tuple[float, float, float]
+    hinge: str
+
+    @property
+    def deck(self) -> float:
+        return -self.gap / 2
+
+    @property
+    def rear(self) -> float:
+        return -self.reach
+
+    @property
+    def front(self) -> float:
+        return -self.reach - self.depth
+
+    @property
+    def middle(self) -> Array:
+        return np.array([0.0, (self.rear + self.front) / 2])
+
+    def outline(self, inset: float, segments: int = 5) -> Array:
+        """The outline from above, `inset` within the base's walls."""
+        size = self.width - 2 * inset, self.depth - 2 * inset
+        return rounded_rectangle(*size, max(self.corner - inset, 0.5 * MM), self.middle, segments)
+
+    def bottom(self, y: Array | float) -> Array | float:
+        """The height of the base's underside, which falls to the rear."""
+        t = (np.asarray(y) - self.front) / self.depth
+        return self.bottom_front + t * (self.bottom_rear - self.bottom_front)
+
+
+def build(rng: np.random.Generator) -> Model:
+    """A laptop with links `base` and `lid` and the joint `hinge`."""
+    shape = _draw(rng)
+    base_knuckles, lid_knuckles = _hinge(rng, shape)
+    base = [*_chassis(shape), *_feet(rng, shape), *_deck(rng, shape), *base_knuckles]
+    lid = [*_lid(rng, shape), *lid_knuckles]
+    if shape.kind == "rugged":
+        base += [*_bumpers(shape, shape.floor + 2 * MM, shape.deck), *_handle(rng, shape)]
+        lid += _bumpers(shape, shape.gap / 2, shape.gap / 2 + shape.lid + 2 * MM)
+    T = _T_WORLD_USER @ transform(translation=(0.0, 0.0, -shape.floor))
+    joint = ModelJoint(
+        name="hinge",
+        kind="revolute",
+        parent="base",
+        child="lid",
+        origin=T[:3, 3],
+        axis=(0.0, 1.0, 0.0),
+        upper=np.deg2rad(135.0),
+    )
+    links = (
+        ModelLink("base", "base_body", tuple(s.moved(T) for s in base)),
+        ModelLink("lid", "screen_frame", tuple(s.moved(T) for s in lid)),
+    )
+    return Model(links, (joint,))
+
+
+def _draw(rng: np.random.Generator) -> _Shape:
+    kind = str(rng.choice(list(_KINDS)))
+    ranges = _KINDS[kind]
+    diagonal = rng.uniform(*ranges.diagonal) * 25.4 * MM
+    ratio = _ASPECTS[2 + rng.integers(2)] if kind == "retro" else _ASPECTS[rng.integers(3)]
+    screen = diagonal * np.array([ratio, 1.0]) / np.hypot(ratio, 1.0)
+    side = rng.uniform(*ranges.bezel) * MM
+    top, chin = side * rng.uniform(1.0, 1.6), side * rng.uniform(1.3, 3.0)
+    lid = rng.uniform(*ranges.lid) * MM
+    rear = rng.uniform(*ranges.base_rear) * MM
+    gap = rng.uniform(1.2, 2.4) * MM
+    barrel = min(rng.uniform(0.55, 0.95) * (lid + gap), 0.5 * rear)
+    foot = rng.uniform(1.2, 3.0) * MM
+    bottom_rear = -gap / 2 - rear
+    return _Shape(
+        kind=kind,
+        width=screen[0] + 2 * side,
+        depth=screen[1] + top + chin,
+        corner=rng.uniform(*ranges.corner) * MM,
+        reach=barrel + 0.5 * MM,
+        barrel=barrel,
+        gap=gap,
+        bottom_rear=bottom_rear,
+        bottom_front=-gap / 2 - rear * rng.uniform(*ranges.wedge),
+        floor=bottom_rear - foot,
+        base_bevel=rng.choice([0.08, 0.2, 0.35]) * rear * ranges.wedge[0],
+        well=rng.choice([0.6, 1.0, 1.5]) * MM,
+        lid=lid,
+        lid_inset=rng.choice([0.0, 0.0, 0.8]) * MM,
+        lid_bevel=rng.choice([0.1, 0.25, 0.45]) * lid,
+        recess=rng.uniform(0.12, 0.3) * lid,
+        bezel=(side, top, chin),
+        hinge=str(rng.choice(ranges.hinges)),
+    )
+
+
+def _chassis(s: _Shape) -> list[Solid]:
+    """The base's body up to the floor that the keys stand on; a wedge with a bevelled underside."""
+    top = s.deck - s.well
+    layers = [(s.base_bevel * 1.5, 0.0), (0.0, s.base_bevel)]
+    rings = []
+    for inset, lift in layers:
+        outline = s.outline(inset)
+        rings.append(np.c_[outline, s.bottom(outline[:, 1]) + lift])
+    rings.append(np.c_[s.outline(0.0), np.full(len(rings[0]), top)])
+    body = [loft(rings)]
+    if s.kind in ("gaming", "retro"):
+        body += _rear_block(s)
+    return body
+
+
+def _rear_block(s: _Shape) -> list[Solid]:
+    """What juts out behind the hinge, below the lid's reach: an exhaust, or ports."""
+    back = s.reach + (14 if s.kind == "gaming" else 6) * MM
+    top = -s.barrel - 1.5 * MM
+    bottom = s.bottom_rear + s.base_bevel
+    if top - bottom < 5 * MM:
+        return []
+    half = s.width / 2 - s.corner
+    if s.kind == "retro":
+        half *= 0.8
+    outline = [(-half, s.rear - MM), (half, s.rear - MM), (half * 0.93, back), (-half * 0.93, back)]
+    solids = [prism(np.array(outline), bottom, top)]
+    for x in np.linspace(-0.85, 0.85, 24 if s.kind == "gaming" else 9) * half:
+        fin = (
+            (x - 1.5 * MM, back - MM, bottom + 1.5 * MM),
+            (x + 1.5 * MM, back + MM, top - 1.5 * MM),
+        )
+        solids.append(box(*fin))
+    return solids
+
+
+def _feet(rng: np.random.Generator, s: _Shape) -> list[Solid]:
+    """Four round feet or two long strips, on the floor and well into the underside."""
+    x, y0, y1 = s.width * 0.38, s.front + 0.12 * s.depth, s.rear - 0.12 * s.depth
+    depth = min(2 * MM, 0.2 * (s.deck - s.well - s.bottom_front))
+    tops = {y: float(s.bottom(y)) + depth for y in (y0, y1)}
+    if rng.random() < 0.5:
+        radius = rng.uniform(4, 8) * MM
+        return [
+            cylinder(radius, s.floor, tops[y], sides=16).shifted(sign * x, y)
+            for y in (y0, y1)
+            for sign in (-1, 1)
+        ]
+    half = rng.uniform(2.5, 4) * MM
+    return [
+        block((-x, y - half, s.floor), (x, y + half, tops[y]), radius=half * 0.9) for y in (y0, y1)
+    ]
+
+
+def _deck(rng: np.random.Generator, s: _Shape) -> list[Solid]:
+    """The plate around the keys, the keys, the trackpad and what stands beside them."""
+    board = _keyboard(rng, s)
+    width, depth = board.size
+    rear = s.rear - rng.uniform(0.25, 0.6) * (s.depth - depth) * 0.55 - 3 * MM
+    margin = 2 * MM
+    well = np.array([0.0, rear - depth / 2])
+    opening = rounded_rectangle(width + 2 * margin, depth + 2 * margin, 2 * MM, well, segments=2)
+    plate = ring(*matched(s.outline(0.0), opening, well), s.deck - s.well, s.deck)
+    proud = min(rng.uniform(0.2, 0.9) * MM, s.gap - 0.5 * MM)
+    keys = board.solids(-width / 2, rear, s.deck - s.well, s.deck + proud)
+    typing = -width / 2 + 7.5 * board.pitch[0]
+    palm_rest = rear - depth - margin - s.front
+    return [
+        plate,
+        *keys,
+        *_trackpad(rng, s, typing * rng.choice([0.0, 0.8]), palm_rest),
+        *_beside_keys(rng, s, width / 2 + margin, rear),
+    ]
+
+
+def _keyboard(rng: np.random.Generator, s: _Shape) -> Keyboard:
+    number_pad = s.width > 330 * MM and rng.random() < 0.7
+    units = 19.25 if number_pad else 15.0
+    room = s.width - 2 * rng.uniform(8, 26) * MM
+    across = min(room / units, 19.5 * MM)
+    along = min(across * rng.uniform(0.92, 1.0), 0.5 * s.depth / 6.0)
+    island = rng.random() < 0.6
+    return Keyboard(
+        pitch=(across, along),
+        gap=across * (rng.uniform(0.13, 0.22) if island else rng.uniform(0.04, 0.07)),
+        taper=across * (0.02 if island else rng.uniform(0.06, 0.12)),
+        corner=across * 0.12 if rng.random() < 0.5 else 0.0,
+        function_row=float(rng.choice([0.0, 0.55, 0.7, 1.0], p=[0.1, 0.35, 0.35, 0.2])),
+        function_keys=int(rng.integers(12, 17)),
+        last_row=int(rng.integers(4)),
+        big_enter=bool(rng.random() < 0.35),
+        number_pad=bool(number_pad),
+    )
+
+
+def _trackpad(rng: np.random.Generator, s: _Shape, x: float, palm_rest: float) -> list[Solid]:
+    """A plate of slight relief, sometimes with buttons of its own; or, rarely, a trackball."""
+    depth = palm_rest * rng.uniform(0.6, 0.88)
+    width = min(depth * rng.uniform(1.25, 2.0), 0.5 * s.width)
+    y = s.front + palm_rest / 2
+    relief = rng.uniform(0.3, 0.6) * MM
+    z = s.deck, s.deck + relief
+    style = rng.choice(["plate", "plate", "buttons", "ball"], p=[0.4, 0.3, 0.25, 0.05])
+    if style == "ball":
+        radii = 12 * MM * np.sin(np.linspace(np.pi / 2, 0.05, 4))
+        heights = [s.deck + relief * h for h in (0.0, 0.5, 0.85, 1.0)]
+        return [stack([circle(r, 20, (x, y)) for r in radii], heights)]
+    corner = rng.uniform(0.5, 5) * MM
+    if style == "plate":
+        return [prism(rounded_rectangle(width, depth, corner, (x, y), 3), *z, panel=True)]
+    strip = 0.22 * depth
+    pad = (x, y + strip / 2 + 0.5 * MM)
+    row = y - depth / 2 + strip / 2 - 0.5 * MM
+    solids = [prism(rounded_rectangle(width, depth - strip, corner, pad, 3), *z, panel=True)]
+    for sign in (-1, 1):
+        low = (x + sign * (width / 4) - width / 4 + MM / 2, row - strip / 2, s.deck)
+        high = (low[0] + width / 2 - MM, row + strip / 2 - MM / 2, z[1])
+        solids.append(block(low, high, radius=1.5 * MM, segments=2))
+    return solids
+
+
+def _beside_keys(rng: np.random.Generator, s: _Shape, half: float, rear: float) -> list[Solid]:
+    """Ribs over the loudspeakers where there is room, and a power button."""
+    solids = []
+    top = s.deck + 0.35 * MM
+    side = s.width / 2 - half
+    if side > 14 * MM and rng.random() < 0.8:
+        for y in np.arange(rear - 0.4 * s.depth, rear - 4 * MM, 5 * MM):
+            for sign in (-1, 1):
+                x = sign * (half + side / 2)
+                low, high = (x - side * 0.28, y, s.deck), (x + side * 0.28, y + 2 * MM, top)
+                solids.append(box(low, high))
+    strip = s.rear - rear
+    if strip > 12 * MM:
+        y = s.rear - strip / 2 + MM
+        if rng.random() < 0.5:
+            n = int(rng.integers(20, 40))
+            for x in np.linspace(-0.3, 0.3, n) * s.width:
+                solids.append(box((x - MM, y - 2.5 * MM, s.deck), (x + MM, y + 2.5 * MM, top)))
+        x = s.width * rng.choice([-0.42, 0.42])
+        solids.append(cylinder(3.5 * MM, s.deck, top, sides=16).shifted(x, y))
+    return solids
+
+
+def _lid(rng: np.random.Generator, s: _Shape) -> list[Solid]:
+    """Bezel, screen and back, drawn closed: the screen looks down."""
+    under, back = s.gap / 2, s.gap / 2 + s.lid
+    face = under + s.recess
+    side, top, chin = s.bezel
+    low = np.array([-s.width / 2 + side, s.front + top])
+    high = np.array([s.width / 2 - side, s.rear - chin])
+    middle = (low + high) / 2
+    size = high - low
+    corner = rng.choice([0.2, 4.0]) * MM
+    opening = rounded_rectangle(size[0], size[1], corner, middle, segments=2)
+    outer = s.outline(s.lid_inset)
+    bezel = ring(*matched(outer, opening, middle), under, face)
+    b = s.lid_bevel
+    layers = [(0.0, face), (0.0, back - b), (b, back)]
+    if rng.random() < 0.5:  # A softer back.
+        layers = [(0.0, face), (0.0, back - b), (0.35 * b, back - 0.4 * b), (1.6 * b, back)]
+    shell = stack([s.outline(s.lid_inset + d) for d, _ in layers], [z for _, z in layers])
+    screen = prism(opening, face - 0.4 * s.recess, face, panel=True)
+    return [shell, bezel, screen, *_camera(rng, s, under, face), *_emblem(rng, s, back)]
+
+
+def _camera(rng: np.random.Generator, s: _Shape, under: float, face: float) -> list[Solid]:
+    """A lens in the bezel, sometimes in a tab that juts out of the lid's free edge; bumpers."""
+    y = s.front + s.bezel[1] / 2
+    proud = 0.3 * s.gap
+    solids = [
+        cylinder(min(2.5 * MM, s.bezel[1] * 0.3), under - proud, face, sides=12).shifted(0, y)
+    ]
+    if rng.random() < 0.3:
+        half = rng.uniform(12, 40) * MM
+        low = (-half, s.front - rng.uniform(2, 4) * MM, under)
+        solids.append(
+            block(low, (half, s.front + 0.9 * s.bezel[1], face + 0.3 * s.lid), radius=2 * MM)
+        )
+    for x in (-0.44, 0.44):
+        solids.append(
+            cylinder(1.8 * MM, under - 0.6 * s.gap, face, sides=10).shifted(x * s.width, y)
+        )
+    return solids
+
+
+def _emblem(rng: np.random.Generator, s: _Shape, back: float) -> list[Solid]:
+    """What stands out on the lid's back."""
+    z = back, back + rng.uniform(0.4, 0.8) * MM
+    x, y = s.middle
+    size = rng.uniform(12, 26) * MM
+    style = str(rng.choice(["none", "round", "oval", "hexagon", "bar", "panel", "stripes"]))
+    inner = s.width - 4 * (s.lid_inset + 1.6 * s.lid_bevel) - 20 * MM
+    if style == "panel":
+        outline = rounded_rectangle(inner * 0.8, s.depth * 0.6, 8 * MM, (x, y))
+        return [prism(outline, z[0], z[1] + MM)]
+    if style == "stripes":
+        bar = np.array([(-4, -0.35), (4, -0.35), (10, 0.35), (2, 0.35)]) * (MM, s.depth)
+        return [prism(bar + np.array([sign * inner * 0.25, y]), *z, panel=True) for sign in (-1, 1)]
+    outlines = {
+        "round": circle(size, 28, (x, y)),
+        "oval": ellipse(size * 1.6, size * 0.7, 28, (x, y)),
+        "hexagon": circle(size, 6, (x, y)),
+        "bar": rounded_rectangle(4 * size, 0.5 * size, 2 * MM, (x, y)),
+    }
+    return [prism(outlines[style], *z, panel=True)] if style in outlines else []
+
+
+def _hinge(rng: np.random.Generator, s: _Shape) -> tuple[list[Solid], list[Solid]]:
+    """The knuckles of the base and those of the lid, side by side on the axis."""
+    slit = 0.4 * MM
+    if s.hinge == "pair":
+        x, half = s.width * rng.uniform(0.26, 0.38), s.width * rng.uniform(0.03, 0.07)
+        cuts = [(-x - half, -x, "lid"), (-x, -x + half, "base")]
+        cuts += [(-b, -a, owner) for a, b, owner in cuts]
+    elif s.hinge == "center":
+        x, end = s.width * rng.uniform(0.25, 0.36), s.width * rng.uniform(0.02, 0.05)
+        cuts = [(-x - end, -x, "base"), (-x, x, "lid"), (x, x + end, "base")]
+    else:
+        count = int(rng.choice([3, 5, 7]))
+        weight = np.where(np.arange(count) % 2 == 0, rng.uniform(0.3, 1.0), 1.0)
+        edges = np.concatenate([[0.0], np.cumsum(weight)]) / weight.sum() - 0.5
+        edges *= s.width - 2 * max(s.corner, 6 * MM)
+        cuts = [(edges[i], edges[i + 1], ("base", "lid")[i % 2]) for i in range(count)]
+    knuckles: dict[str, list[Solid]] = {"base": [], "lid": []}
+    for left, right, owner in cuts:
+        a, b = left + slit / 2, right - slit / 2
+        bevel = min(0.25 * s.barrel, 0.2 * (b - a))
+        knuckles[owner].append(along_x(cylinder(s.barrel, a, b, sides=20, bevel=bevel)))
+        near, far = s.gap / 2, 0.85 * s.barrel
+        low, high = (-far, -near) if owner == "base" else (near, far)
+        knuckles[owner].append(box((a + bevel, s.rear - MM, low), (b - bevel, 0.0, high)))
+    return knuckles["base"], knuckles["lid"]
+
+
+def _bumpers(s: _Shape, z0: float, z1: float) -> list[Solid]:
+    """Padding around the four corners; it reaches less far back than the hinge's axis."""
+    out, size = min(2.5 * MM, 0.4 * s.reach), s.corner + 14 * MM
+    bumpers = []
+    for sx in (-1, 1):
+        for sy in (-1, 1):
+            sign = np.array([sx, sy])
+            corner = s.middle + sign * (np.array([s.width, s.depth]) / 2 + out)
+            inner = corner - sign * size
+            low, high = np.minimum(corner, inner), np.maximum(corner, inner)
+            bumpers.append(block((*low, z0), (*high, z1), radius=5 * MM, bevel=MM))
+    return bumpers
+
+
+def _handle(rng: np.random.Generator, s: _Shape) -> list[Solid]:
+    """A carrying handle at the front."""
+    half, out, r = s.width * rng.uniform(0.18, 0.3), rng.uniform(24, 34) * MM, 5 * MM
+    z = (s.deck + s.floor) / 2
+    turn = np.linspace(0.0, np.pi / 2, 5)[:, None] * np.ones(2)
+    bend = 14 * MM
+    arc = np.stack([-half + bend * (1 - np.cos(turn[:, 0])), -bend * np.sin(turn[:, 0])], 1)
+    arc[:, 1] += s.front - out + bend
+    left = np.concatenate([[(-half, s.front + 3 * MM)], arc])
+    path = np.concatenate([left, left[::-1] * (-1, 1)])
+    return [sweep(np.c_[path, np.full(len(path), z)], circle(r, 12))]
