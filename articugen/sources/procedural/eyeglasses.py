@@ -1,0 +1,381 @@
+"""Eyeglasses: a front with two lenses and two temples that fold inwards.
+
+q = 0 is open: the wearer looks towards -x, z is up and the temples reach straight back along +x.
+The left temple (at -y, the wearer's left) folds by +90 degrees about +z, the right one by +90
+degrees about -z.
+
+Neither temple ever meets the front: a temple stays behind its hinge's axis in x at every q, and
+the front, knuckles and end pieces before it. The two temples do cross each other in part of the
+states in which both are folded, as they do in other data sets of eyeglasses: the paper samples both
+joints independently.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from articugen.geometry import Array, rotation_about, transform
+from articugen.sources.procedural.model import Model, ModelJoint, ModelLink
+from articugen.sources.procedural.outlines import circle, ellipse, rounded_rectangle
+from articugen.sources.procedural.solids import (
+    Solid,
+    along_x,
+    cylinder,
+    prism,
+    stack,
+    sweep,
+)
+
+MM = 1e-3
+_SLIT = 0.35 * MM
+"""Between the knuckles of a hinge and between a folding temple and the front."""
+
+
+@dataclass(frozen=True)
+class _Lens:
+    """A lens's outline: a superellipse that is warped.
+
+    Attributes:
+        aspect: height / width.
+        power: 2 is an ellipse, more is squarer.
+        taper: how much wider the top is than the bottom.
+        lift: of the outer top corner, as a part of the width (cat-eye).
+        droop: of the outer bottom corner, as a part of the width (aviator).
+        sides: vertices; few make a polygon that is seen as one.
+    """
+
+    aspect: float
+    power: float
+    taper: float
+    lift: float
+    droop: float
+    sides: int = 44
+
+
+def _lens_shapes(rng: np.random.Generator) -> dict[str, _Lens]:
+    u = rng.uniform
+    return {
+        "round": _Lens(u(0.93, 1.0), 2.0, 0.0, 0.0, 0.0),
+        "oval": _Lens(u(0.58, 0.72), u(2.0, 2.3), 0.0, u(0, 0.03), 0.0),
+        "square": _Lens(u(0.72, 0.9), u(4.0, 6.5), u(0.0, 0.06), 0.0, 0.0),
+        "rectangle": _Lens(u(0.48, 0.62), u(3.5, 6.0), u(0.0, 0.08), u(0, 0.03), 0.0),
+        "trapezoid": _Lens(u(0.7, 0.85), u(3.0, 4.5), u(0.1, 0.2), u(0.0, 0.06), 0.0),
+        "aviator": _Lens(u(0.82, 0.95), u(2.3, 2.9), u(0.04, 0.12), 0.0, u(0.08, 0.16)),
+        "cat-eye": _Lens(u(0.6, 0.75), u(2.3, 3.2), u(0.05, 0.15), u(0.12, 0.2), 0.0),
+        "polygon": _Lens(u(0.82, 0.95), 2.0, 0.0, 0.0, 0.0, int(rng.integers(6, 9))),
+    }
+
+
+def _lens_outline(lens: _Lens, width: float, slant: float) -> Array:
+    """The outline (n, 2) of the right lens about its middle: x outward, y up."""
+    # Vertices at equal steps of length: first many, then as many as wanted.
+    angles = np.linspace(0.0, 2.0 * np.pi, 721)
+    cosine, sine = np.cos(angles), np.sin(angles)
+    x = np.sign(cosine) * np.abs(cosine) ** (2.0 / lens.power)
+    y = np.sign(sine) * np.abs(sine) ** (2.0 / lens.power)
+    outward = np.clip((x + 1.0) / 2.0, 0.0, 1.0)
+    warped_x = x * (1.0 + lens.taper * y)
+    warped_y = y * lens.aspect
+    warped_y += 2.0 * lens.lift * outward**3 * np.clip(y, 0.0, 1.0)
+    warped_y -= 2.0 * lens.droop * outward**2 * np.clip(-y, 0.0, 1.0)
+    warped_y += slant * x
+    dense = np.stack([warped_x, warped_y], axis=1) * width / 2
+    if lens.sides < 20:
+        steps = np.linspace(0.0, 720.0, lens.sides, endpoint=False) + 720.0 / lens.sides / 2
+        return dense[steps.astype(int)]
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(dense, axis=0), axis=1))])
+    at = (np.arange(lens.sides) + 0.5) * length[-1] / lens.sides
+    return np.stack([np.interp(at, length, dense[:, k]) for k in range(2)], axis=1)
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """One pair of glasses, metres.
+
+    Attributes:
+        style: "wire" (metal rims), "acetate" (broad rims), "half" (rims above only), "browline"
+            (broad above, wire below) or "rimless".
+        lens: its outline, x outward and y up, about its middle.
+        lens_y: from the middle of the face to the middle of a lens.
+        wire: radius of the metal parts.
+        rim: (width across the lens's edge, depth along x) of a broad rim.
+        wrap: by how much a lens is turned about z, following the face, radians.
+        hinge_z: height of hinges and temples above the lenses' middle.
+        temple: (thickness, height) at the hinge.
+        round_temple: of round section, as wire frames have it.
+    """
+
+    style: str
+    lens: Array
+    lens_y: float
+    lens_thickness: float
+    wire: float
+    rim: tuple[float, float]
+    wrap: float
+    hinge_z: float
+    temple: tuple[float, float]
+    round_temple: bool
+
+    @property
+    def edge_depth(self) -> float:
+        """Along x, of what holds the lens."""
+        return 2 * self.wire if self.style == "wire" else self.rim[1]
+
+    def placed(self, solid: Solid) -> Solid:
+        """A solid drawn about the right lens's middle (along_x applied), moved to its place."""
+        turn = transform(rotation_about((0, 0, 1), -self.wrap))
+        return solid.moved(turn).shifted(y=self.lens_y)
+
+    def place(self, point: Array) -> Array:
+        """(y, z) on the right lens's plane to where it stands (x, y, z)."""
+        turned = rotation_about((0, 0, 1), -self.wrap) @ np.array([0.0, *point])
+        return turned + np.array([0.0, self.lens_y, 0.0])
+
+
+def build(rng: np.random.Generator) -> Model:
+    """Eyeglasses with links `front`, `left_temple`, `right_temple` and a joint for each temple."""
+    shape = _draw(rng)
+    right = _eye(rng, shape)
+    middle = [*_bridge(rng, shape), *_nose_pads(rng, shape)]
+    face = [*right, *(s.mirrored(1) for s in right), *middle]
+    hinge = _hinge_place(shape, face)
+    front_side = [_end_piece(shape, hinge), *_knuckles(shape, hinge, of_temple=False)]
+    temple = [*_temple(rng, shape, hinge), *_knuckles(shape, hinge, of_temple=True)]
+    front = [*face, *front_side, *(s.mirrored(1) for s in front_side)]
+    lowest = min(float(s.vertices[:, 2].min()) for s in [*front, *temple])
+    links, joints = [ModelLink("front", "frame", tuple(s.shifted(z=-lowest) for s in front))], []
+    for side, sign in (("left", -1.0), ("right", 1.0)):
+        solids = temple if sign > 0 else [s.mirrored(1) for s in temple]
+        links.append(
+            ModelLink(f"{side}_temple", "leg", tuple(s.shifted(z=-lowest) for s in solids))
+        )
+        joints.append(
+            ModelJoint(
+                name=f"{side}_hinge",
+                kind="revolute",
+                parent="front",
+                child=f"{side}_temple",
+                origin=hinge * (1.0, sign, 1.0) - (0.0, 0.0, lowest),
+                axis=(0.0, 0.0, -sign),
+                upper=np.deg2rad(90.0),
+            )
+        )
+    return Model(tuple(links), tuple(joints))
+
+
+def _draw(rng: np.random.Generator) -> _Shape:
+    style = str(
+        rng.choice(
+            ["wire", "acetate", "half", "browline", "rimless"], p=[0.3, 0.36, 0.1, 0.12, 0.12]
+        )
+    )
+    shapes = _lens_shapes(rng)
+    name = str(rng.choice(list(shapes)))
+    if style in ("half", "browline") and name in ("round", "polygon"):
+        name = "rectangle"
+    width = rng.uniform(46, 56) * MM
+    outline = _lens_outline(shapes[name], width, slant=rng.uniform(0.0, 0.05))
+    wire = rng.uniform(1.6, 2.3) * MM
+    broad = rng.uniform(4.0, 7.0) * MM
+    depth = rng.uniform(3.6, 5.0) * MM
+    rim = {"wire": 2 * wire, "rimless": 0.0}.get(style, broad)
+    nose = rng.uniform(15, 21) * MM
+    metal = style in ("wire", "rimless") or (style != "acetate" and rng.random() < 0.6)
+    round_temple = metal and rng.random() < 0.5
+    flat = rng.uniform(2.6, 4.2) * MM, rng.uniform(4.5, 11.0 if style == "acetate" else 6.5) * MM
+    return _Shape(
+        style=style,
+        lens=outline,
+        lens_y=float(nose / 2 + rim / 2 - outline[:, 0].min()),
+        lens_thickness=rng.uniform(0.6, 2.4) * MM,
+        wire=wire,
+        rim=(broad, depth),
+        wrap=np.deg2rad(rng.uniform(1.0, 7.0)),
+        hinge_z=float(outline[:, 1].max() * rng.uniform(0.25, 0.75)),
+        temple=(2.2 * wire, 2.2 * wire) if round_temple else flat,
+        round_temple=round_temple,
+    )
+
+
+def _eye(rng: np.random.Generator, s: _Shape) -> list[Solid]:
+    """The right lens and what holds it."""
+    t = s.lens_thickness if s.style != "rimless" else max(s.lens_thickness, 1.8 * MM)
+    lens = s.placed(along_x(prism(s.lens, -t / 2, t / 2, panel=True)))
+    path = np.c_[np.zeros(len(s.lens)), s.lens]
+    wire = circle(s.wire, 8)
+    broad = _flat_section(*s.rim)
+    if s.style == "rimless":
+        return [lens]
+    if s.style in ("wire", "acetate"):
+        section = wire if s.style == "wire" else broad
+        return [lens, s.placed(sweep(path, section, closed=True, up=(1, 0, 0)))]
+    upper = path[_upper_run(s.lens)]
+    brow = s.placed(sweep(upper, broad, up=(1, 0, 0)))
+    if s.style == "half":
+        return [lens, brow]
+    thin = circle(min(s.wire, 1.7 * MM), 8)
+    return [lens, brow, s.placed(sweep(path, thin, closed=True, up=(1, 0, 0)))]
+
+
+def _flat_section(thickness: float, height: float) -> Array:
+    """A section with cut corners."""
+    return rounded_rectangle(thickness, height, 0.3 * min(thickness, height), segments=1)
+
+
+def _upper_run(outline: Array) -> list[int]:
+    """The vertices of the upper half, in the order of the outline."""
+    n = len(outline)
+    above = outline[:, 1] > 0.12 * outline[:, 1].max()
+    first = next(i for i in range(n) if above[i] and not above[i - 1])
+    return [(first + k) % n for k in range(int(above.sum()))]
+
+
+def _bridge(rng: np.random.Generator, s: _Shape) -> list[Solid]:
+    """What joins the two eyes: a saddle, a wire, two wires, or a straight bar above."""
+    heights = [rng.uniform(0.15, 0.45)]
+    if s.style in ("wire", "rimless") and rng.random() < 0.35:
+        heights = [rng.uniform(0.1, 0.2), rng.uniform(0.72, 0.85)]
+    bars = []
+    for k, height in enumerate(heights):
+        start = s.place(_inner_point(s, height * s.lens[:, 1].max()))
+        arch = 0.0 if k else rng.uniform(2.0, 6.0) * MM
+        bars.append(_arch(s, start, arch, rng.uniform(0.0, 2.5) * MM))
+    return bars
+
+
+def _arch(s: _Shape, start: Array, rise: float, forward: float) -> Solid:
+    """A bar from `start`, in the right rim, to its mirror image, arched up and forward."""
+    u = np.linspace(1.0, -1.0, 11)
+    bow = 1.0 - u**2
+    path = np.stack([start[0] - forward * bow, start[1] * u, start[2] + rise * bow], axis=1)
+    if s.style in ("wire", "rimless"):
+        section = circle(s.wire, 8)
+    elif s.style == "acetate":
+        section = _flat_section(s.rim[1] * 0.95, s.rim[0] * 1.15)
+    else:
+        section = _flat_section(s.rim[1] * 0.7, s.wire * 2.2)
+    return sweep(path, section)
+
+
+def _inner_point(s: _Shape, z: float) -> Array:
+    """The point (y, z) of the lens's edge that is nearest to the nose at height `z`."""
+    inner = s.lens[s.lens[:, 0] < 0.0]
+    order = np.argsort(inner[:, 1])
+    depth = 1.5 * s.wire if s.style == "rimless" else 0.0
+    return np.array([np.interp(z, inner[order, 1], inner[order, 0]) + depth, z])
+
+
+def _nose_pads(rng: np.random.Generator, s: _Shape) -> list[Solid]:
+    """Two pads on arms, or, on broad rims, two swellings of the rim."""
+    point = _inner_point(s, -0.25 * s.lens[:, 1].max())
+    start = s.place(point)
+    if s.style == "acetate":
+        radii = (3.2 * MM, 5.2 * MM)
+        outlines = [ellipse(f * radii[0], f * radii[1], 14) for f in (1.0, 0.85, 0.5)]
+        swelling = stack(outlines, (0.0, 2.4 * MM, 3.6 * MM))
+        pad = along_x(swelling).shifted(start[0] + s.rim[1] / 2 - 0.4 * MM, start[1], start[2])
+        return [pad, pad.mirrored(1)]
+    arm = 1.1 * MM
+    size = rng.uniform(2.6, 3.4) * MM, rng.uniform(5.0, 7.0) * MM
+    center = start + np.array([rng.uniform(5.0, 8.0), -1.5, -2.0]) * MM
+    middle = (start + center) / 2 + np.array([1.0, 1.2, 1.0]) * MM
+    pad = stack([ellipse(f * size[0], f * size[1], 14) for f in (0.7, 1, 0.7)], _pad_layers())
+    # The pad's flat side looks to the nose and a little to the front.
+    turn = rotation_about((0, 0, 1), np.deg2rad(60.0)) @ np.eye(3)[[2, 0, 1]]
+    pad = pad.moved(transform(turn, center))
+    solids = [sweep([start, middle, center], circle(arm, 6)), pad]
+    return [*solids, *(solid.mirrored(1) for solid in solids)]
+
+
+def _pad_layers() -> tuple[float, float, float]:
+    return -1.0 * MM, 0.0, 1.0 * MM
+
+
+def _knuckle_radius(s: _Shape) -> float:
+    return float(np.clip(0.5 * s.temple[0], 1.5 * MM, 2.2 * MM))
+
+
+def _clear(s: _Shape) -> float:
+    """How far end piece and temple stay from the hinge's axis."""
+    return max(s.temple[0] / 2, _knuckle_radius(s)) + _SLIT
+
+
+def _hinge_place(s: _Shape, face: list[Solid]) -> Array:
+    """The right hinge's axis: outside the lens and behind all that the folded temple passes."""
+    deepest = max(float(solid.vertices[:, 0].max()) for solid in face)
+    outermost = max(float(solid.vertices[:, 1].max()) for solid in face)
+    x = max(deepest + s.temple[0] / 2 + 2 * _SLIT, _clear(s) + 2 * MM)
+    return np.array([x, outermost + s.temple[0] / 2 + 0.5 * MM, s.hinge_z])
+
+
+def _temple_section(s: _Shape, scale: float = 1.0) -> Array:
+    if s.round_temple:
+        return circle(s.temple[0] / 2 * scale, 8)
+    return _flat_section(s.temple[0], s.temple[1] * scale)
+
+
+def _end_piece(s: _Shape, hinge: Array) -> Solid:
+    """From the right rim outwards and back to the hinge."""
+    outer = s.lens[s.lens[:, 0] > 0.0]
+    order = np.argsort(outer[:, 1])
+    y = float(np.interp(s.hinge_z, outer[order, 1], outer[order, 0]))
+    inset = 4 * MM if s.style == "rimless" else 0.0
+    start = s.place(np.array([y - inset, s.hinge_z]))
+    start[2] = s.hinge_z
+    end = hinge - (_clear(s), 0.0, 0.0)
+    bend = min(3 * MM, 0.6 * (end[0] - start[0]))
+    path = [start, (start[0], end[1] - bend, end[2]), (start[0] + bend, end[1], end[2]), end]
+    if np.linalg.norm(np.subtract(path[1], path[0])) < MM or path[1][1] < start[1]:
+        path = [start, (start[0] + bend, end[1], end[2]), end]
+    return sweep(path, _temple_section(s))
+
+
+def _knuckles(s: _Shape, hinge: Array, *, of_temple: bool) -> list[Solid]:
+    """The right hinge's barrel: the front's knuckles above and below that of the temple."""
+    height = max(s.temple[1], 5.0 * MM)
+    third = height / 3
+    runs = [(-third / 2, third / 2)]
+    if not of_temple:
+        runs = [(-height / 2, -third / 2), (third / 2, height / 2)]
+    radius = _knuckle_radius(s)
+    way = 1.0 if of_temple else -1.0
+    reach = _clear(s) + 0.6 * MM
+    solids = []
+    for low, high in runs:
+        z0, z1 = low + _SLIT / 2, high - _SLIT / 2
+        solids.append(cylinder(radius, z0, z1, sides=14).shifted(*hinge))
+        half = 0.7 * radius
+        outline = np.array([(0, -half), (way * reach, -half), (way * reach, half), (0, half)])
+        outline = outline if of_temple else outline[::-1]
+        solids.append(prism(outline, z0, z1).shifted(*hinge))
+    return solids
+
+
+def _temple(rng: np.random.Generator, s: _Shape, hinge: Array) -> list[Solid]:
+    """The right temple: back along +x, then bent down behind the ear, sometimes with a sleeve."""
+    start = _clear(s)
+    straight, tip = rng.uniform(82, 100) * MM, rng.uniform(30, 48) * MM
+    bend = np.deg2rad(rng.choice([rng.uniform(8, 18), rng.uniform(28, 48), rng.uniform(60, 120)]))
+    radius = rng.uniform(8, 16) * MM
+    turn = np.linspace(0.0, bend, max(3, round(np.rad2deg(bend) / 7)) + 1)
+    arc = np.stack([straight + radius * np.sin(turn), -radius * (1 - np.cos(turn))], axis=1)
+    way = np.array([np.cos(bend), -np.sin(bend)])
+    tip = min(tip, 12 * MM) if bend > np.deg2rad(60) else tip
+    line = np.linspace(start, straight, 8)[:-1]
+    flat = np.concatenate([np.c_[line, 0 * line], arc, arc[-1:] + way * tip])
+    along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(flat, axis=0), axis=1))])
+    along /= along[-1]
+    # Bowed a little outwards in the middle and back inwards at the tip, as heads are.
+    bow = rng.uniform(0.0, 3.0) * MM * np.sin(np.pi * along) - rng.uniform(0, 6) * MM * along**3
+    path = np.stack([flat[:, 0], bow, flat[:, 1]], axis=1) + hinge
+    waist, end = rng.uniform(0.55, 1.0), rng.uniform(0.7, 1.3)
+    scale = np.interp(along, [0.0, 0.5, 1.0], [1.0, waist, max(end, 0.6)])
+    floor = 2.2 * s.wire / s.temple[1]
+    sections = np.stack([_temple_section(s, max(f, floor)) for f in scale])
+    solids = [sweep(path, sections)]
+    if s.style in ("wire", "rimless", "browline", "half") and rng.random() < 0.7:
+        first = min(int(np.searchsorted(along, rng.uniform(0.5, 0.66))), len(path) - 4)
+        sleeve = ellipse(0.62 * s.temple[0], max(0.62 * s.temple[1] * waist, 1.3 * s.wire), 10)
+        thicker = [sleeve * f for f in np.linspace(1.0, 1.25, len(path) - first)]
+        solids.append(sweep(path[first:], np.stack(thicker)))
+    return solids
