@@ -137,6 +137,18 @@ def settings(ref: ObjectRef) -> CategorySettings:
     )
 
 
+def is_procedural(source: str) -> bool:
+    """Whether the source's objects are made by our own generators."""
+    named = _named(source)
+    return named is not None and named.file.reader == "procedural"
+
+
+def licence(source: str) -> str:
+    """The licence of a source's models; "not stated" for a plain folder."""
+    named = _named(source)
+    return named.file.licence if named else "not stated"
+
+
 def load(ref: ObjectRef) -> ArticulatedObject:
     """Read one object; a procedural one is written first where it is not there yet.
 
