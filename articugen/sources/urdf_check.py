@@ -196,7 +196,8 @@ class _Check:
             raise self.refuse(
                 element, f"<{element.tag}> {attribute}={text!r} is not {wanted}; correct it"
             )
-        element.set(attribute, " ".join(map(repr, values)))
+        if attribute in element.attrib:
+            element.set(attribute, " ".join(map(repr, values)))
         return values
 
 
