@@ -137,8 +137,9 @@ def test_depth_of_a_turned_box_is_that_of_its_planes(backend, projection):
 def test_the_face_seen_lies_on_the_side_that_the_ray_enters(backend, projection):
     mesh, views = box(), cameras(projection)
     maps = render(mesh, views, backend=backend)
-    if maps.face is None:
-        pytest.skip(f"{backend} does not tell the faces")
+    if backend in ("opengl", "sapien"):  # they cannot tell
+        assert maps.face is None
+        return
     assert maps.face.dtype == np.int32
     np.testing.assert_array_equal(maps.face == -1, np.isinf(maps.depth))
     a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
@@ -188,7 +189,7 @@ def test_a_soup_of_random_triangles_agrees_with_a_naive_ray_caster(backend, proj
         slope = np.max([np.abs(d[inside] - exact[inside]) for d in near_by], axis=0)
         error = np.abs(depth[inside] - exact[inside])
         smooth = slope < 0.01
-        assert inside.sum() > 800
+        assert inside.sum() > 500
         assert smooth.mean() > 0.9
         assert np.all(error[smooth] < TOLERANCE[backend] + 1e-3 * slope[smooth])
 
