@@ -152,7 +152,9 @@ def _picture(tile: _Tile, camera: Camera, floor: float) -> Image.Image:
     direct = np.clip(normals @ (lamp / np.linalg.norm(lamp)), 0.0, 1.0)
     sky = 0.75 + 0.25 * normals[..., 2]
     open_ = 0.15 + 0.85 * values[..., 3] ** 1.2
-    surface = values[..., :3] * (open_ * (0.5 * sky + 0.62 * direct))[..., None]
+    toward_us = np.clip(normals @ -camera.T_camera_world[2, :3], 0.0, 1.0)
+    lit = open_ * (0.42 * sky + 0.58 * direct + 0.13 * toward_us)
+    surface = values[..., :3] * lit[..., None]
     ground = _linear(PAPER) * (1.0 - 0.5 * _shadow(tile, camera, floor))[..., None]
     pixels = np.where(np.isfinite(depth)[..., None], surface, ground)
     size = camera.size // SUPERSAMPLING
@@ -168,6 +170,7 @@ def _shadow(tile: _Tile, camera: Camera, floor: float) -> Array:
     receivers = np.stack([x.ravel(), y.ravel(), np.full(x.size, floor - 0.012)], axis=1)
     up = np.broadcast_to((0.0, 0.0, 1.0), receivers.shape).copy()
     hidden = occlusion_at(receivers, up, tile.discs).reshape(count, count)
+    hidden = np.clip(hidden - 0.04, 0.0, None)  # fades out before the tile's edge
     rays = camera.rays()
     t = (floor - camera.eye[2]) / np.minimum(rays[..., 2], -1e-6)
     on_floor = camera.eye[:2] + t[..., None] * rays[..., :2]

@@ -73,7 +73,7 @@ class Surfels:
         spacing: the side of the square that each point stands for.
         radius: (n,) of the discs.
         light: (n,) how much of the sky a point sees, from 0 to 1.
-        clip_start: (n + 1,) offsets into `clip`.
+        clip_ends: (n, 2) where each disc's part of `clip` begins and ends.
         clip: for every disc the neighbours across a convex edge; it ends at their planes.
     """
 
@@ -82,7 +82,7 @@ class Surfels:
     spacing: float
     radius: Array
     light: Array
-    clip_start: NDArray[np.int64]
+    clip_ends: NDArray[np.int64]
     clip: NDArray[np.int32]
 
 
@@ -93,15 +93,15 @@ def surfels(points: Array, normals: Array, part: NDArray[np.uint8]) -> Surfels:
     sample = np.linspace(0, len(points) - 1, min(256, len(points))).astype(np.int64)
     # rank = pi * distance^2 / spacing^2 on a plane.
     spacing = float(np.median(_distance_of_rank(points, sample, rank)) * np.sqrt(np.pi / rank))
-    light = 1.0 - _occlusion(points, normals, points, normals, spacing)
+    light = 1.0 - _occlusion(points, normals, points, normals, spacing * spacing)
     reach, slack = 6.0 * spacing, 0.15 * spacing
-    radius, start, clip = _outline(points, normals, part, reach, slack, NEIGHBOURS)
-    return Surfels(points, normals, spacing, radius, light, start, clip)
+    radius, ends, clip = _outline(points, normals, part, reach, slack, NEIGHBOURS)
+    return Surfels(points, normals, spacing, radius, light, ends, clip)
 
 
 def occlusion_at(receivers: Array, normals: Array, discs: Surfels) -> Array:
     """How much of the sky the discs hide from `receivers` (m, 3) that face `normals`: (m,)."""
-    return _occlusion(receivers, normals, discs.points, discs.normals, discs.spacing)
+    return _occlusion(receivers, normals, discs.points, discs.normals, discs.spacing**2)
 
 
 def draw(discs: Surfels, values: Array, camera: Camera) -> tuple[Array, Array, Array]:
@@ -126,7 +126,7 @@ def draw(discs: Surfels, values: Array, camera: Camera) -> tuple[Array, Array, A
         discs.points,
         discs.normals,
         discs.radius,
-        discs.clip_start,
+        discs.clip_ends,
         discs.clip,
         np.concatenate([discs.normals, values], axis=1),
         facing,
@@ -160,13 +160,16 @@ def _distance_of_rank(points, sample, rank):
 
 
 @numba.njit(cache=True, nogil=True)
-def _occlusion(at, facing, points, normals, spacing):
-    """Bunnell 2005, "Dynamic ambient occlusion and indirect lighting": sums of form factors."""
-    area = spacing * spacing
+def _occlusion(at, facing, points, normals, area):
+    """Bunnell 2005, "Dynamic ambient occlusion and indirect lighting": sums of form factors.
+
+    Every second disc, with twice its area, stands for all of them.
+    """
+    area = 2.0 * area
     hidden = np.empty(len(at))
     for i in range(len(at)):
         total = 0.0
-        for j in range(len(points)):
+        for j in range(0, len(points), 2):
             x = points[j, 0] - at[i, 0]
             y = points[j, 1] - at[i, 1]
             z = points[j, 2] - at[i, 2]
@@ -181,21 +184,28 @@ def _occlusion(at, facing, points, normals, spacing):
 
 @numba.njit(cache=True, nogil=True)
 def _outline(points, normals, part, reach, slack, rank):
-    """The radius of each disc, and the neighbours across a convex edge, in one list with offsets.
+    """The radius of each disc, and the neighbours across a convex edge, in one list.
 
-    The radius is the distance to the neighbour of the given rank on the same face. Neighbour j
+    The radius is the distance to the neighbour of the given rank on the same face, or a quarter of
+    the reach where so many are not there. Neighbour j
     bounds disc i where each lies behind the other and all of the face of i lies behind j too; one
     neighbour a plane is enough.
     """
-    radius = np.full(len(points), 0.5 * reach)
-    start = np.zeros(len(points) + 1, np.int64)
-    found = []
+    radius = np.full(len(points), 0.25 * reach)
+    ends = np.zeros((len(points), 2), np.int64)
+    found = [np.int32(0) for _ in range(0)]
     others = np.empty(len(points), np.int32)
     face = np.empty(len(points), np.int32)
     distance = np.empty(len(points))
-    for i in range(len(points)):
+    order = np.argsort(points[:, 0])
+    first = 0
+    for i in order:
+        while points[order[first], 0] < points[i, 0] - reach:
+            first += 1
         behind = level = 0
-        for j in range(len(points)):
+        for j in order[first:]:
+            if points[j, 0] > points[i, 0] + reach:
+                break
             if part[j] != part[i] or _squared(points[i], points[j]) > reach * reach:
                 continue
             ahead = _ahead(points[j], points[i], normals[i])
@@ -209,16 +219,17 @@ def _outline(points, normals, part, reach, slack, rank):
                 behind += 1
         if level > rank:
             radius[i] = min(np.partition(distance[:level], rank)[rank], 0.5 * reach)
+        ends[i] = len(found)
         for j in others[:behind]:
             gap = -_ahead(points[i], points[j], normals[j])
             if (
                 0.0 < gap < radius[i]
-                and not _is_known(points, normals, found[start[i] :], j, slack)
+                and not _is_known(points, normals, found[ends[i, 0] :], j, slack)
                 and _all_behind(points, face[:level], points[j], normals[j], slack)
             ):
                 found.append(j)
-        start[i + 1] = len(found)
-    return radius, start, np.array(found, dtype=np.int32)
+        ends[i, 1] = len(found)
+    return radius, ends, np.array(found, dtype=np.int32)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -239,17 +250,17 @@ def _all_behind(points, chosen, origin, normal, slack):
     return True
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@numba.njit(cache=True, nogil=True)
 def _squared(a, b):
     return (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@numba.njit(cache=True, nogil=True)
 def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@numba.njit(cache=True, nogil=True)
 def _ahead(point, origin, normal):
     """How far `point` lies in front of the plane through `origin`."""
     return (
@@ -260,16 +271,17 @@ def _ahead(point, origin, normal):
 
 
 @numba.njit(cache=True, nogil=True)
-def _splat(points, normals, radius, clip_start, clip, values, facing, box, rays, eye, spacing):
+def _splat(points, normals, radius, clip_ends, clip, values, facing, box, rays, eye, spacing):
     """Two passes: the nearest depth of each pixel, then the mean of the discs at that depth."""
     depth = np.full(rays.shape[:2], np.inf)
     weight = np.full(rays.shape[:2], 1e-30)
     blended = np.zeros((*rays.shape[:2], values.shape[1]))
     at = np.empty(3)
+    gap = 0.1 * spacing  # so that faces that meet leave no crack
     for final in (False, True):
         for i in np.flatnonzero(facing):
             offset = _ahead(points[i], eye, normals[i])
-            planes = clip[clip_start[i] : clip_start[i + 1]]
+            planes = clip[clip_ends[i, 0] : clip_ends[i, 1]]
             for row in range(box[i, 1, 0], box[i, 1, 1]):
                 for column in range(box[i, 0, 0], box[i, 0, 1]):
                     ray = rays[row, column]
@@ -280,7 +292,7 @@ def _splat(points, normals, radius, clip_start, clip, values, facing, box, rays,
                     for k in range(3):
                         at[k] = eye[k] + t * ray[k]
                     squared = _squared(at, points[i])
-                    if squared > radius[i] * radius[i] or _is_cut(points, normals, planes, at):
+                    if squared > radius[i] * radius[i] or _is_cut(points, normals, planes, at, gap):
                         continue
                     if final:
                         w = np.exp(-4.0 * squared / (spacing * spacing)) + 1e-12
@@ -292,9 +304,9 @@ def _splat(points, normals, radius, clip_start, clip, values, facing, box, rays,
     return depth, blended / weight.reshape((*weight.shape, 1))
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-def _is_cut(points, normals, planes, at):
+@numba.njit(cache=True, nogil=True)
+def _is_cut(points, normals, planes, at, gap):
     for j in planes:  # noqa: SIM110 (nor any)
-        if _ahead(at, points[j], normals[j]) > 0.0:
+        if _ahead(at, points[j], normals[j]) > gap:
             return True
     return False
