@@ -8,6 +8,7 @@ The depth buffer spends its precision on the mesh alone: the near and the far pl
 just enclose it.
 """
 
+import importlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -95,12 +96,12 @@ def _renderer(pyrender: ModuleType, views: Views) -> Iterator[Any]:
 @cache
 def _camera_class() -> Any:
     """A pyrender camera with a projection of our own; made late since pyrender is optional."""
-    from pyrender import Camera  # noqa: PLC0415  # pyright: ignore[reportMissingImports]
+    Camera: Any = importlib.import_module("pyrender").Camera
 
     class ProjectionCamera(Camera):
         T_clip_world: Floats
 
-        def get_projection_matrix(self, width=None, height=None) -> Floats:
+        def get_projection_matrix(self, width: int, height: int) -> Floats:
             return self.T_clip_world
 
     return ProjectionCamera
@@ -109,8 +110,8 @@ def _camera_class() -> Any:
 @cache
 def _renderer_class() -> Any:
     """pyrender's renderer with its faults mended; made late since pyrender is optional."""
-    from OpenGL import GL  # noqa: PLC0415  # pyright: ignore[reportMissingImports]
-    from pyrender.renderer import Renderer  # noqa: PLC0415  # pyright: ignore[reportMissingImports]
+    GL = importlib.import_module("OpenGL.GL")
+    Renderer: Any = importlib.import_module("pyrender.renderer").Renderer
 
     class DepthRenderer(Renderer):
         def _configure_main_framebuffer(self) -> None:
