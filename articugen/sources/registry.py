@@ -342,6 +342,8 @@ def _folder_refs(path: Path, category: str) -> list[ObjectRef]:
         if path.suffix != ".urdf":
             raise InvalidSource(f"{path}: is not a .urdf file; name one, or a folder of them")
         found = [_Found(path.stem, path, path.stem)]
+    elif _layout(path) != "urdf":
+        found = [_Found(path.name, path, path.name)]
     elif (path / category).is_dir():
         found = _any_objects(path / category)
     else:
@@ -354,9 +356,7 @@ def _folder_refs(path: Path, category: str) -> list[ObjectRef]:
 
 
 def _any_objects(base: Path) -> list[_Found]:
-    """Every object in `base`, whatever its layout; `base` may itself be one model."""
-    if _layout(base) != "urdf":
-        return [_Found(base.name, base, base.name)]
+    """Every object in `base`, whatever its layout."""
     known = {f for f in _visible(base) if _layout(f) != "urdf"}
     found = [_Found(folder.name, folder, folder.name) for folder in known]
     return sorted(found + _urdf_objects(base, skip=known), key=lambda f: f.object_id)

@@ -4,7 +4,15 @@ from pathlib import Path
 from typing import Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    NonNegativeInt,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from articugen.errors import InvalidSource
 from articugen.recipe import nearest
@@ -37,6 +45,13 @@ class CategorySettings(_Section):
     train: Share = None
     test: Share = None
     model_cat: tuple[str, ...] = ()
+
+    @field_validator("train", "test", mode="before")
+    @classmethod
+    def _ids_are_text(cls, value: object) -> object:
+        if isinstance(value, list) and not all(isinstance(item, str) for item in value):
+            raise ValueError('ids are text, in quotes: "10040"')
+        return value
 
     @model_validator(mode="after")
     def _splits_make_sense(self) -> "CategorySettings":

@@ -1,0 +1,333 @@
+"""Which objects a source has, their splits, and that each is read by the right reader."""
+
+import os
+import pickle
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from articugen.errors import InvalidSource
+from articugen.sources import procedural, registry
+from articugen.sources.registry import ObjectRef, load, object_refs, source_names
+from articugen.sources.source_file import CategorySettings, read_source_file
+from articugen.sources.splits import assign_splits, split_sizes
+
+PAPER = {
+    "drawer": (24, 6),
+    "eyeglasses": (35, 7),
+    "laptop": (73, 13),
+    "oven": (30, 7),
+    "washing_machine": (39, 6),
+}
+URDF = """<robot name="r"><link name="a"><visual><geometry>{}</geometry></visual></link>
+<link name="b"/>
+<joint name="j" type="revolute"><parent link="a"/><child link="b"/></joint></robot>"""
+BOX_URDF = URDF.format('<box size="1 2 3"/>')
+
+
+def add(path: Path, text: str = BOX_URDF) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def add_partnet(folder: Path, category: str) -> None:
+    add(folder / "mobility.urdf")
+    add(folder / "meta.json", f'{{"model_cat": "{category}"}}')
+
+
+def ids(refs: tuple[ObjectRef, ...], split: str | None = None) -> list[str]:
+    return [ref.object_id for ref in refs if split in (None, ref.split)]
+
+
+@pytest.fixture
+def own_sources(tmp_path, monkeypatch) -> Path:
+    """A folder that ARTICUGEN_SOURCES names."""
+    folder = tmp_path / "own"
+    folder.mkdir()
+    monkeypatch.setenv("ARTICUGEN_SOURCES", str(folder))
+    return folder
+
+
+# --- procedural
+
+
+@pytest.mark.parametrize("source", ["procedural", "procedural_messy"])
+@pytest.mark.parametrize("category", PAPER)
+def test_procedural_counts_are_the_papers(source, category):
+    refs = object_refs(source, category)
+    counts = Counter(ref.split for ref in refs)
+    assert (counts["train"], counts["test"]) == PAPER[category]
+    assert ids(refs) == [procedural.object_id(category, i) for i in range(len(refs))]
+    assert {ref.location.name for ref in refs} == set(ids(refs))
+
+
+@given(category=st.sampled_from(sorted(PAPER)), objects=st.integers(1, 400))
+def test_any_number_of_procedural_objects_keeps_the_ratio(category, objects):
+    train, test = PAPER[category]
+    refs = object_refs("procedural", category, objects=objects)
+    assert len(refs) == len(set(ids(refs))) == objects
+    tests = len(ids(refs, "test"))
+    assert abs(tests - objects * test / (train + test)) <= 1
+    assert (tests >= 1 and tests < objects) or objects == 1
+    more = object_refs("procedural", category, objects=objects + 50)
+    split_of = {ref.object_id: ref.split for ref in more}
+    assert all(split_of.get(ref.object_id, ref.split) == ref.split for ref in refs)
+
+
+def test_loading_a_procedural_object_writes_it(own_sources):
+    add(
+        own_sources / "procedural" / "source.yaml",
+        "{origin: x, licence: x, frame: x, reader: procedural,"
+        " categories: {drawer: {train: 1, test: 1, yaw_degrees: 90}}}",
+    )
+    ref = object_refs("procedural", "drawer")[0]
+    assert ref.location == own_sources / "procedural" / "drawer" / "drawer_0000"
+    obj = load(ref)
+    assert (obj.object_id, obj.category, obj.source) == ("drawer_0000", "drawer", "procedural")
+    assert [j.kind for j in obj.moving_joints] == ["prismatic"] * 3
+    np.testing.assert_allclose(obj.T_world_root[:3, :3] @ [1, 0, 0], [0, 1, 0], atol=1e-12)
+    assert load(pickle.loads(pickle.dumps(ref))).sha256 == obj.sha256
+
+
+# --- any folder
+
+
+def test_folder_of_urdfs_in_many_layouts(tmp_path):
+    add(tmp_path / "plain.urdf")
+    add(tmp_path / "single" / "urdf" / "whatever.urdf", URDF.format('<mesh filename="../m.obj"/>'))
+    add(tmp_path / "single" / "m.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    add(tmp_path / "several" / "one.urdf")
+    add(tmp_path / "several" / "deep" / "two.urdf")
+    add(tmp_path / "meshes" / "none.obj", "")
+    add(tmp_path / ".hidden" / "x.urdf")
+    refs = object_refs(str(tmp_path), "anything")
+    assert ids(refs) == ["plain", "several.deep.two", "several.one", "single"]
+    assert len({ref.split for ref in refs if ref.object_id.startswith("several")}) == 1
+    assert {ref.split for ref in refs} == {"train", "test"}
+    for ref in refs:
+        obj = load(ref)
+        assert (obj.object_id, obj.category, len(obj.joints)) == (ref.object_id, "anything", 1)
+    assert object_refs(tmp_path, "anything") == refs
+    assert len(object_refs(tmp_path, "anything", objects=99)) == 4
+    assert len(ids(object_refs(tmp_path, "anything", objects=2), "test")) == 1
+
+
+def test_single_file_and_category_folder(tmp_path):
+    path = add(tmp_path / "lamp" / "a.urdf")
+    add(tmp_path / "chair" / "b.urdf")
+    assert ids(object_refs(path, "anything")) == ["a"]
+    assert ids(object_refs(tmp_path, "lamp")) == ["a"]
+    assert ids(object_refs(tmp_path, "table")) == ["chair", "lamp"]
+
+
+def test_folders_are_read_by_the_reader_they_look_like(tmp_path, monkeypatch):
+    add_partnet(tmp_path / "100", "Laptop")
+    add_partnet(tmp_path / "200", "Oven")
+    add(tmp_path / "300" / "motion_attributes.json", "{}")
+    (tmp_path / "300" / "part_objs").mkdir()
+    add(tmp_path / "400" / "x.urdf")
+    refs = object_refs(tmp_path, "laptop")
+    assert ids(refs) == ["100", "300", "400"]
+    seen = []
+
+    def reader(folder, ref, settings):
+        seen.append((folder.name, ref.object_id, settings))
+
+    for name in ("partnet_mobility", "shape2motion"):
+        monkeypatch.setattr(f"articugen.sources.{name}.load", reader)
+    assert [load(ref) for ref in refs[:2]] == [None, None]
+    assert load(refs[2]).object_id == "400"
+    assert [found[:2] for found in seen] == [("100", "100"), ("300", "300")]
+    partnet = read_source_file(registry.SOURCE_FOLDER / "partnet_mobility" / "source.yaml")
+    assert seen[0][2] == partnet.categories["laptop"]
+    assert ids(object_refs(tmp_path / "200", "anything")) == ["200"]
+
+
+def test_flat_partnet_models_of_no_such_category(tmp_path):
+    add_partnet(tmp_path / "100", "Laptop")
+    add_partnet(tmp_path / "200", "Oven")
+    with pytest.raises(InvalidSource, match="its models are Laptop, Oven, none is a 'chair'"):
+        object_refs(tmp_path, "chair")
+
+
+@pytest.mark.parametrize("layout", ["flat", "sorted"])
+def test_named_source_finds_its_models(own_sources, layout):
+    for name, category in [("1", "Laptop"), ("2", "Laptop"), ("3", "Oven")]:
+        below = category.lower() if layout == "sorted" else "."
+        add_partnet(own_sources / "partnet_mobility" / below / name, category)
+    assert ids(object_refs("partnet_mobility", "laptop")) == ["1", "2"]
+    assert ids(object_refs("partnet_mobility", "oven")) == ["3"]
+    (info,) = [info for info in source_names() if info.name == "partnet_mobility"]
+    assert info.present
+    assert info.folder == own_sources / "partnet_mobility"
+    assert {c.name: c.train + c.test for c in info.categories if c.train} == {
+        "laptop": 2,
+        "oven": 1,
+    }
+
+
+def test_own_source_with_lists_of_ids(own_sources, tmp_path):
+    for name in ("a", "b", "c", "d"):
+        add(tmp_path / "models" / "lamp" / f"{name}.urdf")
+    add(
+        own_sources / "mine" / "source.yaml",
+        "{origin: x, licence: x, frame: x, path: ../../models,"
+        " categories: {lamp: {test: [b, zz]}}}",
+    )
+    refs = object_refs("mine", "lamp")
+    assert ids(refs, "train") == ["a", "c", "d"]
+    assert ids(refs, "test") == ["b"]
+    assert load(refs[0]).source == "mine"
+
+
+# --- refusals
+
+
+@pytest.mark.parametrize(
+    ("source", "category", "objects", "problem"),
+    [
+        ("procedurl", "laptop", None, "no source 'procedurl'; did you mean 'procedural'"),
+        ("./nowhere", "laptop", None, "no source './nowhere'; there are: "),
+        ("procedural", "lapto", None, "no category 'lapto'; did you mean 'laptop'"),
+        ("procedural", "laptop", 0, "ask for one at least"),
+        ("tests/test_registry.py", "laptop", None, "is not a .urdf file"),
+        ("tests/benchmarks", "laptop", None, "holds no URDF"),
+    ],
+)
+def test_what_is_not_there(source, category, objects, problem, monkeypatch):
+    monkeypatch.chdir(registry.SOURCE_FOLDER.parent)
+    Path("tests/benchmarks").mkdir(exist_ok=True)
+    with pytest.raises(InvalidSource, match=problem):
+        object_refs(source, category, objects=objects)
+
+
+def test_named_source_without_models_names_its_readme(own_sources):
+    add(
+        own_sources / "mine" / "source.yaml",
+        "{origin: x, licence: x, frame: x, categories: {lamp: {}}}",
+    )
+    with pytest.raises(InvalidSource, match=r"no model of 'lamp' under .*mine; .*README\.md says"):
+        object_refs("mine", "lamp")
+    assert not next(info for info in source_names() if info.name == "mine").present
+
+
+def test_sources_folder_that_is_none(monkeypatch):
+    monkeypatch.setenv("ARTICUGEN_SOURCES", "/nowhere/at/all")
+    with pytest.raises(InvalidSource, match="ARTICUGEN_SOURCES=/nowhere/at/all is not a folder"):
+        source_names()
+
+
+def test_two_objects_of_one_name(tmp_path):
+    add(tmp_path / "a.urdf")
+    add(tmp_path / "a" / "x.urdf")
+    with pytest.raises(InvalidSource, match="2 objects are called 'a'"):
+        object_refs(tmp_path, "x")
+
+
+@pytest.mark.parametrize(
+    ("yaml", "problem"),
+    [
+        ("licens: x", "unknown key 'licens'; did you mean 'licence'"),
+        (
+            "categories: {a: {yaw_degree: 1}}",
+            "unknown key 'categories.a.yaw_degree'; did you mean 'yaw_degrees'",
+        ),
+        ("categories: {a: {canonical: middle}}", "categories.a.canonical"),
+        ("categories: {a: {train: 3}}", "both numbers, or neither"),
+        ("categories: {a: {train: 0, test: 0}}", "both 0"),
+        ("categories: {a: {train: [x], test: [x]}}", "object 'x' is in train and in test"),
+        ("categories: {a: {test: [10040]}}", "ids are text, in quotes"),
+        ("categories: {}", "categories"),
+        ("reader: procedural", "a procedural category needs counts"),
+        ("reader: pickle", "reader"),
+        ("[", "cannot be read as YAML"),
+    ],
+)
+def test_wrong_source_file(tmp_path, yaml, problem):
+    good = "origin: x\nlicence: x\nframe: x\n"
+    good += "" if yaml.startswith("categories") else "categories: {a: {}}\n"
+    path = add(tmp_path / "source.yaml", good + yaml)
+    with pytest.raises(InvalidSource, match=problem) as caught:
+        read_source_file(path)
+    assert str(path) in str(caught.value)
+
+
+# --- splits
+
+names = st.sets(st.text("abc123", min_size=1, max_size=6), min_size=2, max_size=60)
+
+
+@given(names, names)
+def test_hash_split_is_stable_and_never_one_sided(some, more):
+    splits = assign_splits({name: name for name in some}, None, None)
+    assert set(splits.values()) == {"train", "test"}
+    larger = assign_splits({name: name for name in some | more}, None, None)
+    changed = [name for name in some if splits[name] != larger[name]]
+    assert len(changed) <= 1  # the one that was taken because a split was empty
+
+
+def test_hash_split_is_about_eight_to_two():
+    splits = assign_splits({str(i): str(i) for i in range(2000)}, None, None)
+    assert Counter(splits.values())["test"] == pytest.approx(400, abs=60)
+    halves = assign_splits({str(i): str(i) for i in range(2000)}, 5, 5)
+    assert Counter(halves.values())["test"] == pytest.approx(1000, abs=70)
+
+
+@given(names)
+def test_groups_stay_together(groups):
+    splits = assign_splits({f"{g}.{k}": g for g in groups for k in range(3)}, None, None)
+    assert all(len({splits[f"{g}.{k}"] for k in range(3)}) == 1 for g in groups)
+
+
+@pytest.mark.parametrize(
+    ("train", "test", "wanted"),
+    [
+        (None, ("b",), "train test train train"),
+        (("b",), None, "test train test test"),
+        (("a",), ("b", "z"), "train test - -"),
+        (None, (), "train train train train"),
+    ],
+)
+def test_listed_splits(train, test, wanted):
+    splits = assign_splits({name: name for name in "abcd"}, train, test)
+    assert " ".join(splits.get(name, "-") for name in "abcd") == wanted
+
+
+@given(st.integers(1, 500), st.integers(0, 50), st.integers(0, 50))
+def test_split_sizes(objects, train, test):
+    if train + test == 0:
+        return
+    sizes = split_sizes(objects, train, test)
+    assert sum(sizes.values()) == objects
+    assert abs(sizes["test"] - objects * test / (train + test)) <= 1
+    for split, weight in (("train", train), ("test", test)):
+        assert (sizes[split] > 0) == (weight > 0) or objects == 1 or not (train and test)
+
+
+def test_settings_defaults(tmp_path):
+    ref = object_refs(add(tmp_path / "a.urdf"), "laptop")[0]
+    assert registry.settings(ref) == CategorySettings()
+
+
+# --- real models
+
+
+@pytest.mark.skipif("ARTICUGEN_REAL_MODELS" not in os.environ, reason="ARTICUGEN_REAL_MODELS unset")
+@pytest.mark.parametrize("named", [True, False])
+def test_every_real_model_loads(monkeypatch, named):
+    root = Path(os.environ["ARTICUGEN_REAL_MODELS"])
+    monkeypatch.setenv("ARTICUGEN_SOURCES", str(root))
+    loaded = Counter()
+    for source in ("partnet_mobility", "shape2motion"):
+        for category in sorted(path.name for path in (root / source).iterdir()):
+            for ref in object_refs(source if named else root / source, category):
+                obj = load(ref)
+                loaded[source] += 1
+                assert len(obj.moving_joints) > 0
+                assert all(np.isfinite(link.mesh.vertices).all() for link in obj.links)
+    assert loaded == {"partnet_mobility": 19, "shape2motion": 2 if named else 4}

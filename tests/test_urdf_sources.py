@@ -1,0 +1,60 @@
+"""A lint of urdf_sources/: every source is described, and no model is committed."""
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from articugen.recipe import load_recipe
+from articugen.sources import procedural
+from articugen.sources.registry import SOURCE_FOLDER, source_names
+from articugen.sources.source_file import read_source_file
+
+FOLDERS = sorted(path.parent for path in SOURCE_FOLDER.glob("*/source.yaml"))
+
+
+def test_the_four_sources_are_there():
+    assert {folder.name for folder in FOLDERS} >= {
+        "partnet_mobility",
+        "procedural",
+        "procedural_messy",
+        "shape2motion",
+    }
+    listed = {info.name: info for info in source_names()}
+    assert listed.keys() == {folder.name for folder in FOLDERS}
+    assert listed["procedural"].present
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+def test_source_is_described(folder: Path):
+    source = read_source_file(folder / "source.yaml")
+    for text in (source.origin, source.licence, source.frame):
+        assert len(text) >= 3
+    assert len((folder / "README.md").read_text(encoding="utf-8").split()) > 20
+    for category, own in source.categories.items():
+        assert load_recipe(None, category).articulation.states > 0
+        assert source.reader != "partnet_mobility" or own.model_cat
+
+
+def test_messy_objects_are_the_clean_ones():
+    clean, messy = (
+        read_source_file(SOURCE_FOLDER / name / "source.yaml")
+        for name in ("procedural", "procedural_messy")
+    )
+    assert clean.categories == messy.categories
+    assert set(clean.categories) == set(procedural.CATEGORIES)
+    assert (clean.messy, messy.messy) == (False, True)
+
+
+def test_no_model_is_committed():
+    listing = subprocess.run(
+        ["git", "ls-files", "--", "urdf_sources"],
+        cwd=SOURCE_FOLDER.parent,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if listing.returncode != 0:
+        pytest.skip("not a git checkout")
+    names = {Path(line).name for line in listing.stdout.splitlines()}
+    assert names <= {"source.yaml", "README.md"}
