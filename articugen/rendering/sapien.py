@@ -15,7 +15,7 @@ from articugen.geometry import invert_rigid
 from articugen.records import DepthMaps, LabelledMesh, Views
 from articugen.rendering.foreign import depth_ranges, import_library, missing_driver, unseen
 
-SYSTEM_PACKAGES = "-t bookworm-backports mesa-vulkan-drivers"
+SYSTEM_PACKAGES = "-t bookworm-backports mesa-vulkan-drivers libx11-6"
 
 CV_FROM_SAPIEN = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]], np.float64)
 """SAPIEN's cameras look along x, with y to the left and z up."""
