@@ -119,11 +119,16 @@ FIELDS = (
         ("N", "J", 3),
         "1",
         _UNIT,
-        "Unit direction in the canonical pose: a rotation is counter-clockwise about it, a "
-        "translation along it.",
+        "Unit direction, at this instance's joint state: a rotation is counter-clockwise about it, "
+        "a translation along it.",
     ),
     Field(
-        "joint_pivot", "<f8", ("N", "J", 3), "unit", _UNIT, "A point on the axis, canonical pose."
+        "joint_pivot",
+        "<f8",
+        ("N", "J", 3),
+        "unit",
+        _UNIT,
+        "A point on the axis, at this instance's state.",
     ),
     Field(
         "part_motion",
@@ -132,7 +137,7 @@ FIELDS = (
         "unit",
         _UNIT,
         "Rigid motion of each part from the canonical pose: x = motion @ x_canonical. "
-        "motion[j + 1] = motion[joint_parent[j]] @ (what joint j does to the canonical pose).",
+        "motion[j + 1] = (rotation about, or translation along, axis j) @ motion[joint_parent[j]].",
     ),
     Field(
         _GRID,
