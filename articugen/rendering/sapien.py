@@ -1,4 +1,4 @@
-"""Depth by SAPIEN's renderer, which runs on Vulkan; it is the one that published PPD's data set.
+"""Depth by the renderer of SAPIEN, the home of PartNet-Mobility; it runs on Vulkan.
 
 Its "Position" picture holds each pixel's point in camera coordinates as float32, and the depth
 buffer beside it. Without a graphics card, Mesa's lavapipe of version 24.3 or newer will do.
@@ -29,9 +29,8 @@ def render(mesh: LabelledMesh, views: Views) -> DepthMaps:
         ValueError: a part of the mesh does not lie in front of a pinhole camera.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore"
-        )  # it warns where it brings its own Vulkan loader: that works
+        # It warns on import that it falls back to the Vulkan loader it brings along, which is fine.
+        warnings.simplefilter("ignore")
         sapien = import_library("sapien", "sapien", SYSTEM_PACKAGES)
     depth = unseen(views)
     if len(mesh.faces) == 0:
