@@ -4,9 +4,8 @@ Volumetric fusion (Curless and Levoy 1996) averages, over the views, the truncat
 along the ray from a point to the depth map. Read at whole pixels, that swells or erodes every thin
 part. Here each view is read exactly: the maps say which face is seen at each pixel, so the distance
 to a face's plane is known at the point's own sub-pixel position. Where the four pixels around it
-disagree, the face whose triangle holds the position decides, and its neighbours too small to be
-seen at a pixel's centre are asked. A view in which nothing is certain has no say. Maps from a
-backend that does not tell faces are interpolated instead, which is less exact.
+disagree and no face among theirs settles it, the ray itself is followed through the faces. Maps
+from a backend that does not tell faces are interpolated instead, which is less exact.
 
 Rules (`recipe.Fusion.rule`):
     seen: a point is outside where at least one view sees it free. Its value is the mean truncated
@@ -18,26 +17,18 @@ In both, a point that no view sees, or only from further behind than the truncat
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from articugen import fusion_kernels
 from articugen.geometry import apply, invert_rigid
+from articugen.hierarchy import Hierarchy, build, triangle_table
 from articugen.recipe import Fusion
 from articugen.records import DepthMaps, LabelledMesh
 
 _NO_DEPTH = np.zeros((1, 0, 0), np.float32)
 _NO_FACES = np.zeros((1, 0, 0), np.int32)
-
-
-class Neighbours(NamedTuple):
-    """The faces that share a corner with face f: `faces[start[f] : start[f + 1]]`."""
-
-    start: NDArray[np.int32]
-    faces: NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,14 +37,16 @@ class Field:
 
     Attributes:
         maps: best with the face seen at each pixel.
-        triangles: (F, 16) float32, see `triangle_table`.
-        neighbours: of each face.
+        triangles: (F, 16) float32 of the faces as posed, see `hierarchy.triangle_table`.
+        hierarchy: of each part in its canonical pose.
+        part_motion: (P, 4, 4) of each part from its canonical pose.
         settings: rule and truncation.
     """
 
     maps: DepthMaps
     triangles: NDArray[np.float32]
-    neighbours: Neighbours
+    hierarchy: Hierarchy
+    part_motion: NDArray[np.float64]
     settings: Fusion
 
     def is_free(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
@@ -89,8 +82,8 @@ class Field:
             eyes=np.ascontiguousarray(eyes, np.float32),
             pinhole=pinhole,
             triangles=self.triangles,
-            start=self.neighbours.start,
-            neighbours=self.neighbours.faces,
+            hierarchy=self.hierarchy,
+            to_part=np.ascontiguousarray(invert_rigid(self.part_motion)[:, :3], np.float32),
             pixel=np.float32(np.max(away / np.minimum(views.fx, views.fy))),
         )
 
@@ -137,62 +130,21 @@ class PosedFields:
 
 
 def fuse(
-    maps: DepthMaps, mesh: LabelledMesh, settings: Fusion, neighbours: Neighbours | None = None
+    maps: DepthMaps,
+    mesh: LabelledMesh,
+    settings: Fusion,
+    *,
+    hierarchy: Hierarchy | None = None,
+    part_motion: NDArray[np.float64] | None = None,
 ) -> Field:
     """The field of `maps`, which show the faces of `mesh`.
 
     Args:
-        neighbours: of the mesh's faces, where they are known already: poses do not change them.
+        hierarchy, part_motion: of the mesh's parts in the canonical pose, and how they moved from
+            there; without them the mesh is taken as it is.
     """
-    return Field(maps, triangle_table(mesh), neighbours or face_neighbours(mesh), settings)
-
-
-def triangle_table(mesh: LabelledMesh) -> NDArray[np.float32]:
-    """(F, 16) float32, one cache line a face: unit normal, offset, three corners, padding."""
     corners = mesh.vertices[mesh.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    table = np.zeros((len(corners), 16), np.float32)
-    table[:, :3] = normals
-    table[:, 3] = np.einsum("fi,fi->f", normals, corners.mean(axis=1))
-    table[:, 4:13] = corners.reshape(-1, 9)
-    return table
-
-
-def face_neighbours(mesh: LabelledMesh) -> Neighbours:
-    """For each face the others of its part that have a corner in the same place (to 1e-6)."""
-    places = np.column_stack(
-        [
-            np.round(mesh.vertices[mesh.faces].reshape(-1, 3) * 2.0**20).astype(np.int64),
-            np.repeat(mesh.part_of_face, 3),
-        ]
-    )
-    place = np.unique(places, axis=0, return_inverse=True)[1].reshape(-1)
-    order = np.argsort(place, kind="stable")
-    start = np.searchsorted(place[order], np.arange(place.max(initial=-1) + 2))
-    return Neighbours(*_neighbours(place.reshape(-1, 3), start, order // 3))
-
-
-@njit(cache=True, nogil=True)
-def _neighbours(place, first, face_at):
-    F = place.shape[0]
-    start = np.zeros(F + 1, np.int32)
-    faces = np.empty(0, np.int32)
-    for fill in range(2):
-        count = 0
-        listed_for = np.full(F, -1, np.int32)
-        for f in range(F):
-            listed_for[f] = f
-            for corner in range(3):
-                at = place[f, corner]
-                for n in range(first[at], first[at + 1]):
-                    other = face_at[n]
-                    if listed_for[other] != f:
-                        listed_for[other] = f
-                        if fill:
-                            faces[count] = other
-                        count += 1
-            start[f + 1] = count
-        if not fill:
-            faces = np.empty(count, np.int32)
-    return start, faces
+    if hierarchy is None or part_motion is None:
+        part_motion = np.eye(4)[None]
+        hierarchy = build(corners, np.zeros(len(corners), np.uint8), 1)
+    return Field(maps, triangle_table(corners), hierarchy, part_motion, settings)

@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
+from articugen.hierarchy import in_front, line_meets, meets
+
 UNSEEN = np.float32(1e9)
 """Signed distance where a view sees nothing behind the point."""
 
@@ -25,9 +27,9 @@ class Scene(NamedTuple):
         intrinsics: (K, 4) fx, fy, cx, cy.
         eyes: (K, 3) the eye (pinhole), or the unit direction to the camera (orthographic).
         pinhole: whether the cameras are pinholes.
-        triangles: (F, 16) unit normal, offset, three corners, padding.
-        start, neighbours: the faces that share a corner with face f are
-            `neighbours[start[f] : start[f + 1]]`.
+        triangles: (F, 16) as posed, see `hierarchy.triangle_table`.
+        hierarchy: of each part in its canonical pose.
+        to_part: (P, 3, 4) from the pose at hand to each part's canonical pose.
         pixel: the width of a pixel at the object, unit frame.
     """
 
@@ -38,8 +40,8 @@ class Scene(NamedTuple):
     eyes: Any
     pinhole: Any
     triangles: Any
-    start: Any
-    neighbours: Any
+    hierarchy: Any
+    to_part: Any
     pixel: Any
 
 
@@ -139,7 +141,7 @@ def _look(p, T, face, depth, lens, eye, scene):
         if shown[0] < 0:
             return UNSEEN
         w = _towards_camera(p, eye, scene.pinhole)
-        return _in_front(p, w, scene.triangles, shown[0])
+        return in_front(p, w, scene.triangles, shown[0])
     return _weigh(p, _towards_camera(p, eye, scene.pinhole), shown, scene)
 
 
@@ -158,68 +160,36 @@ def _weigh(p, w, shown, scene):
     nearest = UNSEEN
     farthest = -UNSEEN
     for f in shown:
-        s = _in_front(p, w, scene.triangles, f) if f >= 0 else UNSEEN
+        s = in_front(p, w, scene.triangles, f) if f >= 0 else UNSEEN
         nearest = min(nearest, s)
         farthest = max(farthest, s)
     if nearest > 0.0:  # in front of all
         return nearest
     if farthest <= 0.0:  # behind all
         return farthest
-    reach = np.float32(2.0) * scene.pixel
-    return _at_edge(p, w, shown, scene.triangles, scene.start, scene.neighbours, reach)
-
-
-@njit(cache=True, nogil=True)
-def _at_edge(p, w, shown, triangles, start, neighbours, reach):
-    """The say of four pixels that lie on both sides of an edge: of the face that the ray meets."""
-    held = np.float32(np.nan)
     for f in shown:
-        if f >= 0 and _ray_meets(p, w, triangles, f):
-            s = _in_front(p, w, triangles, f)
-            if s <= 0.0:
+        if f >= 0 and line_meets(p, w, scene.triangles, f):
+            s = in_front(p, w, scene.triangles, f)
+            if s <= 0.0:  # behind a face that its ray meets
                 return s
-            if not held <= s:
-                held = s
-    # further in front than two pixels' width: beside an edge, and what passes between the pixels
-    # may belong to something else
-    if not held < reach:
+    # in front of some and behind others, and none of them is in the way: something that shows at
+    # no pixel's centre may still be
+    h = scene.hierarchy
+    if meets(p, w, scene.to_part, h.box, h.skip, h.leaf, h.triangles, h.roots):
         return np.float32(np.nan)
-    # `p` is in front of a face that its ray meets and behind others that it misses: a face smaller
-    # than a pixel may still hide it, and such a face hangs on one of those
-    for f in shown:
-        if f >= 0 and _in_front(p, w, triangles, f) <= 0.0:
-            for n in range(start[f], start[f + 1]):
-                near = neighbours[n]
-                if _in_front(p, w, triangles, near) <= 0.0 and _ray_meets(p, w, triangles, near):
-                    return np.float32(np.nan)
-    return held
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _in_front(p, w, triangles, f):
-    """How far `p` lies in front of face f's plane, along the direction `w` to the camera."""
-    x, y, z = triangles[f, 0], triangles[f, 1], triangles[f, 2]
-    slope = x * w[0] + y * w[1] + z * w[2]
-    if slope == 0.0:
-        slope = np.float32(1e-12)
-    return (x * p[0] + y * p[1] + z * p[2] - triangles[f, 3]) / slope
+    return _just_in_front(p, w, shown, scene.triangles)
 
 
 @njit(cache=True, nogil=True)
-def _ray_meets(p, w, triangles, f):
-    """Whether the line through `p` along `w` passes through face f, either way round.
-
-    Signs of the volumes that the line spans with each edge; the two faces at an edge compute the
-    same number with opposite sign, so no line slips between them.
-    """
-    t = triangles
-    ax, ay, az = t[f, 4] - p[0], t[f, 5] - p[1], t[f, 6] - p[2]
-    bx, by, bz = t[f, 7] - p[0], t[f, 8] - p[1], t[f, 9] - p[2]
-    cx, cy, cz = t[f, 10] - p[0], t[f, 11] - p[1], t[f, 12] - p[2]
-    ab = w[0] * (ay * bz - az * by) + w[1] * (az * bx - ax * bz) + w[2] * (ax * by - ay * bx)
-    bc = w[0] * (by * cz - bz * cy) + w[1] * (bz * cx - bx * cz) + w[2] * (bx * cy - by * cx)
-    ca = w[0] * (cy * az - cz * ay) + w[1] * (cz * ax - cx * az) + w[2] * (cx * ay - cy * ax)
-    return (ab >= 0.0 and bc >= 0.0 and ca >= 0.0) or (ab <= 0.0 and bc <= 0.0 and ca <= 0.0)
+def _just_in_front(p, w, shown, triangles):
+    """How far `p` is in front of the nearest of the faces shown that it is in front of."""
+    nearest = UNSEEN
+    for f in shown:
+        if f >= 0:
+            s = in_front(p, w, triangles, f)
+            if s > 0.0:
+                nearest = min(nearest, s)
+    return nearest
 
 
 @njit(cache=True, nogil=True)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from articugen import articulation, fusion, sampling, sheets
 from articugen.errors import RejectedInstance
 from articugen.geometry import apply, bounds
+from articugen.hierarchy import Hierarchy, build
 from articugen.recipe import Recipe
 from articugen.records import (
     JOINT_KINDS,
@@ -63,7 +64,7 @@ class Prepared:
         unit: the object's own unit frame.
         mesh: all parts in the canonical pose, sheets thickened, faces outwards; part 0's first.
         seen: (F,) whether a face can be seen at all.
-        neighbours: of each face.
+        hierarchy: of all parts.
         views: the views that are fused.
         static: the depth maps of part 0 alone, which every instance shares.
         own: each moving part alone.
@@ -78,7 +79,7 @@ class Prepared:
     unit: Normalization
     mesh: LabelledMesh
     seen: NDArray[np.bool_]
-    neighbours: fusion.Neighbours
+    hierarchy: Hierarchy
     views: Views
     static: DepthMaps
     own: tuple[fusion.OwnSolid, ...]
@@ -120,7 +121,7 @@ def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
         unit=unit,
         mesh=mesh,
         seen=np.concatenate([part.seen for part in parts]),
-        neighbours=fusion.face_neighbours(mesh),
+        hierarchy=build(mesh.vertices[mesh.faces], mesh.part_of_face, obj.part_count),
         views=views,
         static=static,
         own=tuple(part.own for part in parts[1:]),
@@ -140,7 +141,9 @@ def make_instance(prepared: Prepared, state_index: int) -> Instance:
     motion = p.unit.rigid_to_unit(articulation.part_motions(posed, p.canonical))
     mesh = p.mesh.moved(motion)
     maps = _render_posed(p, mesh)
-    field = fusion.fuse(maps, mesh, p.recipe.fusion, p.neighbours)
+    field = fusion.fuse(
+        maps, mesh, p.recipe.fusion, hierarchy=p.hierarchy, part_motion=motion
+    )
     fields = fusion.PosedFields(field, p.own, motion)
 
     surface = sampling.surface_points(

@@ -1,0 +1,203 @@
+"""Bounding boxes around boxes: whether a ray leaves a part without meeting any of its faces.
+
+One tree a part, built once in the canonical pose; a ray is taken to the part instead of the part to
+the ray, so that no pose needs a new tree. Nodes lie in depth-first order with skip links
+(Smits 1998, "Efficiency issues for ray tracing"): the walk needs no stack.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+LEAF_FACES = 4
+
+
+class Hierarchy(NamedTuple):
+    """The trees of all parts, one after the other. N nodes, F faces.
+
+    Attributes:
+        box: (N, 6) float32: lower and upper corner.
+        skip: (N,) int32: the node to go on with where the ray misses the box.
+        leaf: (N, 2) int32: the first face of a leaf and how many; (0, 0) for an inner node.
+        triangles: (F, 16) float32: the faces in the order of the leaves, see `triangle_table`.
+        roots: (P + 1,) int32: part k has the nodes roots[k] to roots[k + 1] - 1.
+    """
+
+    box: Any
+    skip: Any
+    leaf: Any
+    triangles: Any
+    roots: Any
+
+
+def triangle_table(corners: NDArray[np.float64]) -> NDArray[np.float32]:
+    """(F, 16), one cache line a face: unit normal, offset, three corners; from (F, 3, 3)."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    table = np.zeros((len(corners), 16), np.float32)
+    table[:, :3] = normals
+    table[:, 3] = np.einsum("fi,fi->f", normals, corners.mean(axis=1))
+    table[:, 4:13] = corners.reshape(-1, 9)
+    return table
+
+
+def build(corners: NDArray[np.float64], part_of_face: NDArray[np.uint8], parts: int) -> Hierarchy:
+    """The trees of `parts` parts over the faces' corners (F, 3, 3), each in its canonical pose."""
+    trees, tables = [], []
+    roots, first_face = [0], 0
+    for part in range(parts):
+        own = np.ascontiguousarray(corners[part_of_face == part])
+        order, box, skip, leaf = _build(own)
+        leaf[:, 0] += np.where(leaf[:, 1] > 0, first_face, 0).astype(np.int32)
+        trees.append((box, skip + roots[-1], leaf))
+        tables.append(triangle_table(own[order]))
+        roots.append(roots[-1] + len(skip))
+        first_face += len(own)
+    box, skip, leaf = (np.concatenate(arrays) for arrays in zip(*trees, strict=True))
+    return Hierarchy(
+        box, skip.astype(np.int32), leaf, np.concatenate(tables), np.array(roots, np.int32)
+    )
+
+
+@njit(cache=True, nogil=True)
+def _build(corners):
+    """Split at the middle of the longer side of the centres' box until few faces are left."""
+    F = corners.shape[0]
+    centers = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
+    order = np.arange(F)
+    most = max(2 * F, 1)
+    box = np.zeros((most, 6), np.float32)
+    right = np.full(most, -1, np.int64)
+    leaf = np.zeros((most, 2), np.int32)
+    waiting = [(0, F, -1)]  # range of faces, and the parent that this is the right child of
+    count = 0
+    if F == 0:
+        waiting.pop()
+    while len(waiting) > 0:
+        low, high, parent = waiting.pop()
+        node = count
+        count += 1
+        if parent >= 0:
+            right[parent] = node
+        axis, middle = _measure(corners, centers, order, low, high, box[node])
+        if high - low <= LEAF_FACES:
+            leaf[node, 0] = low
+            leaf[node, 1] = high - low
+            continue
+        cut = low
+        for n in range(low, high):
+            if centers[order[n], axis] < middle:
+                order[n], order[cut] = order[cut], order[n]
+                cut += 1
+        if cut == low or cut == high:  # all centres in one place
+            cut = (low + high) // 2
+        waiting.append((cut, high, node))
+        waiting.append((low, cut, -1))
+    skip = np.empty(count, np.int64)
+    if count > 0:
+        skip[0] = count
+    for node in range(count):
+        if right[node] >= 0:
+            skip[node + 1] = right[node]
+            skip[right[node]] = skip[node]
+    return order, box[:count], skip, leaf[:count]
+
+
+@njit(cache=True, nogil=True)
+def _measure(corners, centers, order, low, high, box):
+    """Set the box of the faces; return the longest axis of their centres' box and its middle."""
+    first = np.full(3, np.inf)
+    last = np.full(3, -np.inf)
+    for axis in range(3):
+        lower, upper = np.inf, -np.inf
+        for n in range(low, high):
+            f = order[n]
+            first[axis] = min(first[axis], centers[f, axis])
+            last[axis] = max(last[axis], centers[f, axis])
+            for corner in range(3):
+                lower = min(lower, corners[f, corner, axis])
+                upper = max(upper, corners[f, corner, axis])
+        box[axis] = lower - 1e-6  # single precision must not lose what lies on the border
+        box[axis + 3] = upper + 1e-6
+    axis = int(np.argmax(last - first))
+    return axis, (first[axis] + last[axis]) / 2.0
+
+
+@njit(cache=True, nogil=True)
+def meets(p, w, to_part, box, skip, leaf, triangles, roots):
+    """Whether the ray from `p` along `w` meets any face of any part.
+
+    Args:
+        p, w: tuples of three float32.
+        to_part: (P, 3, 4) float32: from the pose at hand to each part's canonical pose.
+        box, skip, leaf, triangles, roots: the `Hierarchy`.
+    """
+    for part in range(roots.shape[0] - 1):
+        T = to_part[part]
+        q = (
+            T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3],
+            T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3],
+            T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3],
+        )
+        d = (
+            T[0, 0] * w[0] + T[0, 1] * w[1] + T[0, 2] * w[2],
+            T[1, 0] * w[0] + T[1, 1] * w[1] + T[1, 2] * w[2],
+            T[2, 0] * w[0] + T[2, 1] * w[1] + T[2, 2] * w[2],
+        )
+        inverse = (_inverse(d[0]), _inverse(d[1]), _inverse(d[2]))
+        node = roots[part]
+        while node < roots[part + 1]:
+            if not _enters(q, inverse, box, node):
+                node = skip[node]
+                continue
+            for f in range(leaf[node, 0], leaf[node, 0] + leaf[node, 1]):
+                if in_front(q, d, triangles, f) <= 0.0 and line_meets(q, d, triangles, f):
+                    return True
+            node += 1
+    return False
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _inverse(x):
+    return np.float32(1.0) / x if abs(x) > 1e-20 else np.float32(1e20)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _enters(q, inverse, box, node):
+    near = np.float32(0.0)
+    far = np.float32(1e30)
+    for axis in range(3):
+        a = (box[node, axis] - q[axis]) * inverse[axis]
+        b = (box[node, axis + 3] - q[axis]) * inverse[axis]
+        near = max(near, min(a, b))
+        far = min(far, max(a, b))
+    return near <= far
+
+
+@njit(cache=True, nogil=True, inline="always")
+def in_front(p, w, triangles, f):
+    """How far `p` lies in front of face f's plane, along the direction `w` to the camera."""
+    x, y, z = triangles[f, 0], triangles[f, 1], triangles[f, 2]
+    slope = x * w[0] + y * w[1] + z * w[2]
+    if slope == 0.0:
+        slope = np.float32(1e-12)
+    return (x * p[0] + y * p[1] + z * p[2] - triangles[f, 3]) / slope
+
+
+@njit(cache=True, nogil=True)
+def line_meets(p, w, triangles, f):
+    """Whether the line through `p` along `w` passes through face f, either way round.
+
+    Signs of the volumes that the line spans with each edge; the two faces at an edge compute the
+    same number with opposite sign, so no line slips between them.
+    """
+    t = triangles
+    ax, ay, az = t[f, 4] - p[0], t[f, 5] - p[1], t[f, 6] - p[2]
+    bx, by, bz = t[f, 7] - p[0], t[f, 8] - p[1], t[f, 9] - p[2]
+    cx, cy, cz = t[f, 10] - p[0], t[f, 11] - p[1], t[f, 12] - p[2]
+    ab = w[0] * (ay * bz - az * by) + w[1] * (az * bx - ax * bz) + w[2] * (ax * by - ay * bx)
+    bc = w[0] * (by * cz - bz * cy) + w[1] * (bz * cx - bx * cz) + w[2] * (bx * cy - by * cx)
+    ca = w[0] * (cy * az - cz * ay) + w[1] * (cz * ax - cx * az) + w[2] * (cx * ay - cy * ax)
+    return (ab >= 0.0 and bc >= 0.0 and ca >= 0.0) or (ab <= 0.0 and bc <= 0.0 and ca <= 0.0)
