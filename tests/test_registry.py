@@ -196,12 +196,11 @@ def test_own_source_with_lists_of_ids(own_sources, tmp_path):
         ("procedural", "lapto", None, "no category 'lapto'; did you mean 'laptop'"),
         ("procedural", "laptop", 0, "ask for one at least"),
         ("tests/test_registry.py", "laptop", None, "is not a .urdf file"),
-        ("tests/benchmarks", "laptop", None, "holds no URDF"),
+        ("articugen/sources", "laptop", None, "holds no URDF"),
     ],
 )
 def test_what_is_not_there(source, category, objects, problem, monkeypatch):
     monkeypatch.chdir(registry.SOURCE_FOLDER.parent)
-    Path("tests/benchmarks").mkdir(exist_ok=True)
     with pytest.raises(InvalidSource, match=problem):
         object_refs(source, category, objects=objects)
 

@@ -5,10 +5,7 @@ just hold the models of a named source), or a path to any folder of URDFs.
 """
 
 import importlib
-import json
 import os
-from collections import Counter
-from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +15,8 @@ from articugen.errors import InvalidSource
 from articugen.geometry import rotation_about, transform
 from articugen.recipe import nearest
 from articugen.records import ArticulatedObject
-from articugen.sources.source_file import CategorySettings, Reader, SourceFile, read_source_file
+from articugen.sources.discovery import Found, any_models, layout, model_category, models_for
+from articugen.sources.source_file import CategorySettings, SourceFile, read_source_file
 from articugen.sources.splits import assign_splits, split_sizes
 
 SOURCE_FOLDER = Path(__file__).resolve().parent.parent.parent / "urdf_sources"
@@ -131,7 +129,7 @@ def settings(ref: ObjectRef) -> CategorySettings:
     named = _named(ref.source)
     if named is not None:
         return _category(named, ref.category)
-    like = _source(_layout(ref.location))
+    like = _source(layout(ref.location))
     return (
         like.file.categories.get(ref.category, CategorySettings()) if like else CategorySettings()
     )
@@ -156,7 +154,7 @@ def load(ref: ObjectRef) -> ArticulatedObject:
         InvalidSource: anything amiss with its files.
     """
     named = _named(ref.source)
-    reader = named.file.reader if named else _layout(ref.location)
+    reader = named.file.reader if named else layout(ref.location)
     own = settings(ref)
     if reader in ("partnet_mobility", "shape2motion"):
         module = importlib.import_module(f"articugen.sources.{reader}")
@@ -263,43 +261,15 @@ def _info(name: str) -> SourceInfo:
     )
 
 
-@dataclass(frozen=True)
-class _Found:
-    """An object on the disk; objects of one `group` stay in one split."""
-
-    object_id: str
-    location: Path
-    group: str
-    root: Path | None = None
-
-
-def _layout(location: Path) -> Reader:
-    """Which reader a folder or file on the disk is for."""
-    if (location / "mobility.urdf").is_file() and (location / "meta.json").is_file():
-        return "partnet_mobility"
-    if (location / "motion_attributes.json").is_file() and (location / "part_objs").is_dir():
-        return "shape2motion"
-    return "urdf"
-
-
 def _named_refs(named: _Named, category: str, objects: int | None) -> list[ObjectRef]:
     own = named.file.categories[category]
     if named.file.reader == "procedural":
         return _procedural_refs(named, category, objects)
     sorted_out = (named.folder / category).is_dir()
     base = named.folder / category if sorted_out else named.folder
-    if named.file.reader == "urdf":
-        found = _urdf_objects(base)
-    else:
-        marks = {"partnet_mobility": "mobility.urdf", "shape2motion": "motion_attributes.json"}
-        found = [
-            _Found(folder.name, folder, folder.name)
-            for folder in _visible(base)
-            if (folder / marks[named.file.reader]).is_file()
-            or (named.file.reader == "shape2motion" and any(folder.glob("*.urdf")))
-        ]
+    found = models_for(named.file.reader, base)
     if not sorted_out and named.file.reader == "partnet_mobility":
-        found = [f for f in found if _model_cat(f.location) in own.model_cat]
+        found = [f for f in found if model_category(f.location) in own.model_cat]
     elif not sorted_out:
         found = []
     return _refs(found, own, named.name, category)
@@ -325,9 +295,7 @@ def _procedural_refs(named: _Named, category: str, objects: int | None) -> list[
     return refs
 
 
-def _refs(
-    found: list[_Found], own: CategorySettings, source: str, category: str
-) -> list[ObjectRef]:
+def _refs(found: list[Found], own: CategorySettings, source: str, category: str) -> list[ObjectRef]:
     """Objects with their splits; those that the category's lists leave out are left out."""
     splits = assign_splits({f.object_id: f.group for f in found}, own.train, own.test)
     return [
@@ -341,13 +309,13 @@ def _folder_refs(path: Path, category: str) -> list[ObjectRef]:
     if path.is_file():
         if path.suffix != ".urdf":
             raise InvalidSource(f"{path}: is not a .urdf file; name one, or a folder of them")
-        found = [_Found(path.stem, path, path.stem)]
-    elif _layout(path) != "urdf":
-        found = [_Found(path.name, path, path.name)]
+        found = [Found(path.stem, path, path.stem)]
+    elif layout(path) != "urdf":
+        found = [Found(path.name, path, path.name)]
     elif (path / category).is_dir():
-        found = _any_objects(path / category)
+        found = any_models(path / category)
     else:
-        found = _of_category(_any_objects(path), path, category)
+        found = _of_category(any_models(path), path, category)
     if not found:
         raise InvalidSource(
             f"{path}: holds no URDF; put each model there as <id>.urdf or <id>/<any name>.urdf"
@@ -355,43 +323,14 @@ def _folder_refs(path: Path, category: str) -> list[ObjectRef]:
     return _refs(found, CategorySettings(), str(path), category)
 
 
-def _any_objects(base: Path) -> list[_Found]:
-    """Every object in `base`, whatever its layout."""
-    known = {f for f in _visible(base) if _layout(f) != "urdf"}
-    found = [_Found(folder.name, folder, folder.name) for folder in known]
-    return sorted(found + _urdf_objects(base, skip=known), key=lambda f: f.object_id)
-
-
-def _urdf_objects(base: Path, skip: Collection[Path] = ()) -> list[_Found]:
-    """URDF files directly in `base`, and those up to three folders deep in a folder of it."""
-    found: list[_Found] = []
-    for child in _visible(base):
-        if child.is_file() and child.suffix == ".urdf":
-            found.append(_Found(child.stem, child, child.stem))
-        elif child.is_dir() and child not in skip:
-            deep = [p for depth in ("", "*/", "*/*/") for p in sorted(child.glob(depth + "*.urdf"))]
-            for urdf in deep:
-                inside = urdf.relative_to(child).with_suffix("").parts
-                name = child.name if len(deep) == 1 else ".".join((child.name, *inside))
-                found.append(_Found(name, urdf, child.name, root=child))
-    for name, count in Counter(f.object_id for f in found).items():
-        if count > 1:
-            raise InvalidSource(f"{base}: {count} objects are called {name!r}; rename all but one")
-    return found
-
-
-def _visible(base: Path) -> list[Path]:
-    if not base.is_dir():
-        return []
-    return sorted(path for path in base.iterdir() if not path.name.startswith("."))
-
-
-def _of_category(found: list[_Found], path: Path, category: str) -> list[_Found]:
+def _of_category(found: list[Found], path: Path, category: str) -> list[Found]:
     """Leave out PartNet-Mobility models of other categories, which SAPIEN ships side by side."""
     like = _source("partnet_mobility")
     mapped = like.file.categories.get(category, CategorySettings()).model_cat if like else ()
     wanted = {_plain(name) for name in (category, *mapped)}
-    names = {f: _model_cat(f.location) for f in found if _layout(f.location) == "partnet_mobility"}
+    names = {
+        f: model_category(f.location) for f in found if layout(f.location) == "partnet_mobility"
+    }
     kept = [f for f in found if f not in names or _plain(names[f]) in wanted]
     if found and not kept:
         raise InvalidSource(
@@ -403,11 +342,3 @@ def _of_category(found: list[_Found], path: Path, category: str) -> list[_Found]
 
 def _plain(name: str) -> str:
     return "".join(filter(str.isalnum, name)).lower()
-
-
-def _model_cat(folder: Path) -> str:
-    """The category that a PartNet-Mobility model's meta.json gives; "" where it gives none."""
-    try:
-        return str(json.loads((folder / "meta.json").read_bytes())["model_cat"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return ""
