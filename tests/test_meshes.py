@@ -189,6 +189,7 @@ def test_stl_that_lies_is_refused(tmp_path):
         good[:-10],
         good + b"more",
         b"\0" * 50,
+        b"\0" * 34,
         b"",
         b"solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nendloop\nendfacet\n",
         b"solid\nouter loop\nvertex 0 0 x\nvertex 1 0 0\nvertex 1 1 0\nendloop\nendfacet\n",
@@ -327,6 +328,37 @@ def test_gltf_buffers_stay_in_the_folder_and_count_in_the_hash(tmp_path):
 def test_unknown_format_names_the_known_ones(tmp_path):
     with pytest.raises(InvalidSource, match=r"convert it to one of \.obj, \.stl"):
         read_mesh(write(tmp_path / "m.3ds", b""))
+
+
+def damaged(data: bytes, rng: np.random.Generator) -> bytes:
+    """`data` with bits flipped, cut off, a piece moved, or a strange value put in."""
+    i, j = sorted(int(k) for k in rng.integers(len(data), size=2))
+    strange = [b"999999999", b"nan", b"-1", b'"', b"\0", b"1e999", b"<", b"[]"]
+    return [
+        data[:i] + bytes([data[i] ^ (1 << int(rng.integers(8)))]) + data[i + 1 :],
+        data[:i],
+        data[:i] + data[j:],
+        data[:j] + data[i:],
+        data[:i] + strange[int(rng.integers(len(strange)))] + data[i + 1 :],
+    ][int(rng.integers(5))]
+
+
+@pytest.mark.parametrize("suffix", ["obj", "stl", "ply", "dae", "glb"])
+def test_a_damaged_file_is_read_or_refused_and_nothing_else(tmp_path, suffix):
+    rng = np.random.default_rng(0)
+    good = trimesh.creation.box().export(file_type=suffix)
+    good = good.encode() if isinstance(good, str) else good
+    refused = 0
+    for _ in range(200):
+        try:
+            mesh = read_mesh(write(tmp_path / f"m.{suffix}", damaged(good, rng)))
+        except InvalidSource:
+            refused += 1
+        else:
+            assert len(mesh.faces) > 0
+            assert mesh.faces.max() < len(mesh.vertices)
+            assert np.isfinite(mesh.vertices).all()
+    assert 50 < refused < 200
 
 
 # --- primitives

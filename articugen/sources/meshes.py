@@ -184,7 +184,7 @@ _STL_VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)")
 
 def _read_stl(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
     """STL, binary where the size fits the count in the header, else ASCII."""
-    count = int.from_bytes(data[80:84], "little") if len(data) >= 84 else -1
+    count = int.from_bytes(data[80:84], "little")
     if len(data) == 84 + count * _STL_TRIANGLE.itemsize:
         corners = np.frombuffer(data, _STL_TRIANGLE, offset=84)["corners"]
     elif data.lstrip()[:5].lower() == b"solid" and b"\0" not in data:
@@ -197,7 +197,7 @@ def _read_stl(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
             raise InvalidSource(f"{path}: a facet has not three vertices; export it again")
     else:
         raise InvalidSource(
-            f"{path}: {len(data)} bytes do not hold the {max(count, 0):,} triangles that its STL"
+            f"{path}: {len(data)} bytes do not hold the {count:,} triangles that its STL"
             " header claims; export it again"
         )
     vertices = corners.reshape(-1, 3).astype(np.float64)
