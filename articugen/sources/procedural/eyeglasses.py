@@ -27,6 +27,8 @@ from articugen.sources.procedural.solids import (
 )
 
 MM = 1e-3
+_SLEEVE, _SLEEVE_GROWTH = 0.62, 1.25
+"""Half the thickness of a tip's sleeve over the temple's, and how much it grows to its end."""
 _SLIT = 0.35 * MM
 """Between the knuckles of a hinge and between a folding temple and the front."""
 
@@ -94,7 +96,7 @@ class _Shape:
 
     Attributes:
         style: "wire" (metal rims), "acetate" (broad rims), "half" (rims above only), "browline"
-            (broad above, wire below) or "rimless".
+            (broad above, wire below), "rimless" or "shield" (one curved pane).
         lens: its outline, x outward and y up, about its middle.
         lens_y: from the middle of the face to the middle of a lens.
         wire: radius of the metal parts.
@@ -103,6 +105,7 @@ class _Shape:
         hinge_z: height of hinges and temples above the lenses' middle.
         temple: (thickness, height) at the hinge.
         round_temple: of round section, as wire frames have it.
+        hug: how far a temple's tip reaches inwards, as heads are.
     """
 
     style: str
@@ -115,11 +118,7 @@ class _Shape:
     hinge_z: float
     temple: tuple[float, float]
     round_temple: bool
-
-    @property
-    def edge_depth(self) -> float:
-        """Along x, of what holds the lens."""
-        return 2 * self.wire if self.style == "wire" else self.rim[1]
+    hug: float
 
     def placed(self, solid: Solid) -> Solid:
         """A solid drawn about the right lens's middle (along_x applied), moved to its place."""
@@ -135,11 +134,14 @@ class _Shape:
 def build(rng: np.random.Generator) -> Model:
     """Eyeglasses with links `front`, `left_temple`, `right_temple` and a joint for each temple."""
     shape = _draw(rng)
-    right = _eye(rng, shape)
-    middle = [*_bridge(rng, shape), *_nose_pads(rng, shape)]
-    face = [*right, *(s.mirrored(1) for s in right), *middle]
+    if shape.style == "shield":
+        face, outer = _shield(rng, shape)
+    else:
+        right, outer = _eye(rng, shape), _outer_point(shape)
+        middle = [*_bridge(rng, shape), *_nose_pads(rng, shape)]
+        face = [*right, *(s.mirrored(1) for s in right), *middle]
     hinge = _hinge_place(shape, face)
-    front_side = [_end_piece(shape, hinge), *_knuckles(shape, hinge, of_temple=False)]
+    front_side = [_end_piece(shape, outer, hinge), *_knuckles(shape, hinge, of_temple=False)]
     temple = [*_temple(rng, shape, hinge), *_knuckles(shape, hinge, of_temple=True)]
     front = [*face, *front_side, *(s.mirrored(1) for s in front_side)]
     lowest = min(float(s.vertices[:, 2].min()) for s in [*front, *temple])
@@ -163,37 +165,44 @@ def build(rng: np.random.Generator) -> Model:
     return Model(tuple(links), tuple(joints))
 
 
+_STYLES = {
+    "wire": 0.27,
+    "acetate": 0.33,
+    "half": 0.09,
+    "browline": 0.11,
+    "rimless": 0.1,
+    "shield": 0.1,
+}
+
+
 def _draw(rng: np.random.Generator) -> _Shape:
-    style = str(
-        rng.choice(
-            ["wire", "acetate", "half", "browline", "rimless"], p=[0.3, 0.36, 0.1, 0.12, 0.12]
-        )
-    )
+    style = str(rng.choice(list(_STYLES), p=list(_STYLES.values())))
     shapes = _lens_shapes(rng)
     name = str(rng.choice(list(shapes)))
     if style in ("half", "browline") and name in ("round", "polygon"):
-        name = "rectangle"
-    width = rng.uniform(46, 56) * MM
-    outline = _lens_outline(shapes[name], width, slant=rng.uniform(0.0, 0.05))
-    wire = rng.uniform(1.6, 2.3) * MM
-    broad = rng.uniform(4.0, 7.0) * MM
-    depth = rng.uniform(3.6, 5.0) * MM
+        name = "trapezoid"
+    width = rng.uniform(42, 58) * MM
+    outline = _lens_outline(shapes[name], width, slant=rng.uniform(0.0, 0.08))
+    wire = rng.uniform(1.6, 2.4) * MM
+    broad = rng.uniform(3.6, 8.5) * MM
     rim = {"wire": 2 * wire, "rimless": 0.0}.get(style, broad)
-    nose = rng.uniform(15, 21) * MM
-    metal = style in ("wire", "rimless") or (style != "acetate" and rng.random() < 0.6)
+    metal = style in ("wire", "rimless") or (style in ("half", "browline") and rng.random() < 0.5)
+    tall = rng.uniform(5.0, 16.0) if style in ("acetate", "shield") else rng.uniform(4.0, 8.0)
     round_temple = metal and rng.random() < 0.5
-    flat = rng.uniform(2.6, 4.2) * MM, rng.uniform(4.5, 11.0 if style == "acetate" else 6.5) * MM
     return _Shape(
         style=style,
         lens=outline,
-        lens_y=float(nose / 2 + rim / 2 - outline[:, 0].min()),
+        lens_y=float(rng.uniform(14, 21) * MM / 2 + rim / 2 - outline[:, 0].min()),
         lens_thickness=rng.uniform(0.6, 2.4) * MM,
         wire=wire,
-        rim=(broad, depth),
-        wrap=np.deg2rad(rng.uniform(1.0, 7.0)),
-        hinge_z=float(outline[:, 1].max() * rng.uniform(0.25, 0.75)),
-        temple=(2.2 * wire, 2.2 * wire) if round_temple else flat,
+        rim=(broad, rng.uniform(3.6, 5.5) * MM),
+        wrap=np.deg2rad(rng.uniform(0.0, 9.0)),
+        hinge_z=float(outline[:, 1].max() * rng.uniform(0.15, 0.75)),
+        temple=(2.2 * wire, 2.2 * wire)
+        if round_temple
+        else (rng.uniform(2.6, 4.4) * MM, tall * MM),
         round_temple=round_temple,
+        hug=rng.uniform(0.0, 5.0) * MM,
     )
 
 
@@ -215,6 +224,31 @@ def _eye(rng: np.random.Generator, s: _Shape) -> list[Solid]:
         return [lens, brow]
     thin = circle(min(s.wire, 1.7 * MM), 8)
     return [lens, brow, s.placed(sweep(path, thin, closed=True, up=(1, 0, 0)))]
+
+
+def _shield(rng: np.random.Generator, s: _Shape) -> tuple[list[Solid], Array]:
+    """One pane bent around the face, with a bar above, and where its right end is."""
+    half, bend = rng.uniform(62, 72) * MM, np.deg2rad(rng.uniform(28, 48))
+    radius = half / np.sin(bend)
+    turn = np.linspace(-bend, bend, 33)
+    path = np.stack([radius * (1 - np.cos(turn)), radius * np.sin(turn), 0 * turn], axis=1)
+    u = np.abs(turn) / bend
+    top = rng.uniform(14, 20) * MM - rng.uniform(0, 4) * MM * u**2
+    nose = np.clip(1.0 - u / 0.3, 0.0, 1.0)
+    deep = rng.uniform(20, 34) * MM
+    bottom = -deep * (1.0 - u**4 * rng.uniform(0.3, 0.75)) + deep * nose**1.5 * rng.uniform(
+        0.5, 0.75
+    )
+    t = max(s.lens_thickness, 1.2 * MM) / 2
+    corners = [np.stack([x + 0 * u, z], axis=1) for x, z in ((-t, bottom), (t, bottom))]
+    corners += [np.stack([x + 0 * u, z], axis=1) for x, z in ((t, top), (-t, top))]
+    pane = sweep(path, np.stack(corners, axis=1))
+    bar = np.c_[path[:, :2], top]
+    rim = sweep(bar, _flat_section(s.rim[1], s.rim[0]))
+    pad = along_x(stack([ellipse(f * 3 * MM, f * 6 * MM, 14) for f in (1, 0.8)], (0.0, 4 * MM)))
+    pad = pad.shifted(path[21, 0] - MM, path[21, 1], (bottom[21] + top[21]) / 2)
+    outer = np.array([path[-1, 0], path[-1, 1] - MM, min(s.hinge_z, top[-1] - MM)])
+    return [pane, rim, pad, pad.mirrored(1)], outer
 
 
 def _flat_section(thickness: float, height: float) -> Array:
@@ -304,7 +338,8 @@ def _hinge_place(s: _Shape, face: list[Solid]) -> Array:
     """The right hinge's axis: outside the lens and behind all that the folded temple passes."""
     deepest = max(float(solid.vertices[:, 0].max()) for solid in face)
     outermost = max(float(solid.vertices[:, 1].max()) for solid in face)
-    x = max(deepest + s.temple[0] / 2 + 2 * _SLIT, _clear(s) + 2 * MM)
+    half = s.temple[0] * _SLEEVE * _SLEEVE_GROWTH
+    x = max(deepest + half + s.hug + _SLIT, _clear(s) + 2 * MM)
     return np.array([x, outermost + s.temple[0] / 2 + 0.5 * MM, s.hinge_z])
 
 
@@ -314,19 +349,20 @@ def _temple_section(s: _Shape, scale: float = 1.0) -> Array:
     return _flat_section(s.temple[0], s.temple[1] * scale)
 
 
-def _end_piece(s: _Shape, hinge: Array) -> Solid:
-    """From the right rim outwards and back to the hinge."""
+def _outer_point(s: _Shape) -> Array:
+    """Where the right end piece starts, on the rim or, without one, a little inside the lens."""
     outer = s.lens[s.lens[:, 0] > 0.0]
     order = np.argsort(outer[:, 1])
     y = float(np.interp(s.hinge_z, outer[order, 1], outer[order, 0]))
-    inset = 4 * MM if s.style == "rimless" else 0.0
-    start = s.place(np.array([y - inset, s.hinge_z]))
-    start[2] = s.hinge_z
-    end = hinge - (_clear(s), 0.0, 0.0)
+    return s.place(np.array([y - (4 * MM if s.style == "rimless" else 0.0), s.hinge_z]))
+
+
+def _end_piece(s: _Shape, start: Array, hinge: Array) -> Solid:
+    """From the right rim outwards and back to the hinge."""
+    end = hinge - np.array([_clear(s), 0.0, 0.0])
     bend = min(3 * MM, 0.6 * (end[0] - start[0]))
-    path = [start, (start[0], end[1] - bend, end[2]), (start[0] + bend, end[1], end[2]), end]
-    if np.linalg.norm(np.subtract(path[1], path[0])) < MM or path[1][1] < start[1]:
-        path = [start, (start[0] + bend, end[1], end[2]), end]
+    elbow = np.array([start[0], max(end[1] - bend, start[1] + MM), end[2]])
+    path = [start, elbow, (start[0] + bend, end[1], end[2]), end]
     return sweep(path, _temple_section(s))
 
 
@@ -354,28 +390,34 @@ def _knuckles(s: _Shape, hinge: Array, *, of_temple: bool) -> list[Solid]:
 def _temple(rng: np.random.Generator, s: _Shape, hinge: Array) -> list[Solid]:
     """The right temple: back along +x, then bent down behind the ear, sometimes with a sleeve."""
     start = _clear(s)
-    straight, tip = rng.uniform(82, 100) * MM, rng.uniform(30, 48) * MM
+    straight, tip = rng.uniform(92, 112) * MM, rng.uniform(26, 45) * MM
     bend = np.deg2rad(rng.choice([rng.uniform(8, 18), rng.uniform(28, 48), rng.uniform(60, 120)]))
     radius = rng.uniform(8, 16) * MM
-    turn = np.linspace(0.0, bend, max(3, round(np.rad2deg(bend) / 7)) + 1)
-    arc = np.stack([straight + radius * np.sin(turn), -radius * (1 - np.cos(turn))], axis=1)
     way = np.array([np.cos(bend), -np.sin(bend)])
     tip = min(tip, 12 * MM) if bend > np.deg2rad(60) else tip
+    # Folded, the tip must end before the other end piece.
+    slant = np.sin(min(bend, np.pi / 2))
+    reach = radius * slant + tip * max(way[0], 0.0) + 0.85 * max(s.temple) * slant
+    straight = min(straight, 2 * hinge[1] - s.temple[0] / 2 - MM - reach)
+    turn = np.linspace(0.0, bend, max(3, round(np.rad2deg(bend) / 7)) + 1)
+    arc = np.stack([straight + radius * np.sin(turn), -radius * (1 - np.cos(turn))], axis=1)
     line = np.linspace(start, straight, 8)[:-1]
     flat = np.concatenate([np.c_[line, 0 * line], arc, arc[-1:] + way * tip])
     along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(flat, axis=0), axis=1))])
     along /= along[-1]
     # Bowed a little outwards in the middle and back inwards at the tip, as heads are.
-    bow = rng.uniform(0.0, 3.0) * MM * np.sin(np.pi * along) - rng.uniform(0, 6) * MM * along**3
+    bow = rng.uniform(0.0, 3.0) * MM * np.sin(np.pi * along) - s.hug * along**3
     path = np.stack([flat[:, 0], bow, flat[:, 1]], axis=1) + hinge
     waist, end = rng.uniform(0.55, 1.0), rng.uniform(0.7, 1.3)
     scale = np.interp(along, [0.0, 0.5, 1.0], [1.0, waist, max(end, 0.6)])
     floor = 2.2 * s.wire / s.temple[1]
     sections = np.stack([_temple_section(s, max(f, floor)) for f in scale])
     solids = [sweep(path, sections)]
-    if s.style in ("wire", "rimless", "browline", "half") and rng.random() < 0.7:
+    if s.style in ("wire", "rimless", "browline", "half") and rng.random() < 0.6:
         first = min(int(np.searchsorted(along, rng.uniform(0.5, 0.66))), len(path) - 4)
-        sleeve = ellipse(0.62 * s.temple[0], max(0.62 * s.temple[1] * waist, 1.3 * s.wire), 10)
-        thicker = [sleeve * f for f in np.linspace(1.0, 1.25, len(path) - first)]
+        sleeve = ellipse(
+            _SLEEVE * s.temple[0], max(_SLEEVE * s.temple[1] * waist, 1.3 * s.wire), 10
+        )
+        thicker = [sleeve * f for f in np.linspace(1.0, _SLEEVE_GROWTH, len(path) - first)]
         solids.append(sweep(path[first:], np.stack(thicker)))
     return solids
