@@ -85,10 +85,10 @@ FIELDS = (
     Field("state_index", "<u4", ("N",), "", "", "Counts an object's instances; 0 is canonical."),
     Field("center", "<f8", ("N", 3), "m", "world", "x_world = x_unit * scale + center."),
     Field("scale", "<f8", ("N",), "m", "", "Length of the unit frame's unit; one an object."),
-    Field("joint_kind", "|u1", ("N", "J"), "", "", "1 revolute (or continuous), 2 prismatic."),
+    Field("joint_kind", "u1", ("N", "J"), "", "", "1 revolute (or continuous), 2 prismatic."),
     Field(
         "joint_parent",
-        "|u1",
+        "u1",
         ("N", "J"),
         "",
         "",
@@ -141,7 +141,7 @@ FIELDS = (
     ),
     Field(
         _GRID,
-        "|u1",
+        "u1",
         ("N", "R", "R", "R"),
         "label",
         _UNIT,
@@ -158,14 +158,14 @@ FIELDS = (
     ),
     Field(
         "surface_normals",
-        "|i1",
+        "i1",
         ("N", "S", 3),
         "1/127",
         _UNIT,
         "Outward unit normals there: n = stored / 127.",
         True,
     ),
-    Field("surface_part", "|u1", ("N", "S"), "part", "", "The part each belongs to.", True),
+    Field("surface_part", "u1", ("N", "S"), "part", "", "The part each belongs to.", True),
     Field(
         "uniform_points",
         "<u2",
@@ -174,7 +174,7 @@ FIELDS = (
         _UNIT,
         f"Uniform in the unit cube. {_STORED}",
     ),
-    Field("uniform_label", "|u1", ("N", "U"), "label", "", "Labels there.", True),
+    Field("uniform_label", "u1", ("N", "U"), "label", "", "Labels there.", True),
     Field(
         "near_points",
         "<u2",
@@ -183,7 +183,7 @@ FIELDS = (
         _UNIT,
         f"Surface points moved by Gaussian noise (recipe: near_sigma). {_STORED}",
     ),
-    Field("near_label", "|u1", ("N", "K"), "label", "", "Labels there.", True),
+    Field("near_label", "u1", ("N", "K"), "label", "", "Labels there.", True),
     Field(
         "partial_points",
         "<u2",
@@ -192,7 +192,7 @@ FIELDS = (
         _UNIT,
         f"What each of C depth cameras sees. {_STORED}",
     ),
-    Field("partial_part", "|u1", ("N", "C", "M"), "part", "", "The part each belongs to.", True),
+    Field("partial_part", "u1", ("N", "C", "M"), "part", "", "The part each belongs to.", True),
     Field(
         "partial_T_camera_world",
         "<f8",
@@ -257,7 +257,8 @@ def written_shape(field: Field) -> str:
 def markdown() -> str:
     """The tables of docs/format.md."""
     rows = [
-        f"| `{f.name}` | `{f.dtype}` | {written_shape(f)} | {f.unit} | {f.frame} | {f.meaning} |"
+        f"| `{f.name}` | `{f.dtype}`{' gzip' if f.compressed else ''} | {written_shape(f)} "
+        f"| {f.unit} | {f.frame} | {f.meaning} |"
         for f in FIELDS
     ]
     letters = [f"| {letter} | {meaning} |" for letter, meaning in SYMBOLS.items()]

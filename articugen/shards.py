@@ -291,6 +291,8 @@ def _add(file: h5py.File, name: str, array: NDArray[Any]) -> None:
         name,
         data=array,
         chunks=_chunks(array.shape),
+        # An empty data set has to be allowed to grow before h5py accepts chunks for it.
+        maxshape=tuple(size or None for size in array.shape),
         compression=_GZIP_LEVEL if field.compressed else None,
         fletcher32=True,
         track_times=False,
@@ -325,7 +327,8 @@ def _opened(path: Path) -> h5py.File:
     try:
         return h5py.File(path, "r", locking=False)
     except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
-        raise CorruptShard(f"{path}: cannot be opened ({error.strerror})") from None
+        reason = os.strerror(error.errno or 0)
+        raise CorruptShard(f"{path}: cannot be opened ({reason})") from None
     except OSError:
         raise CorruptShard(
             f"{path}: not an HDF5 file, or cut short; make it again or fetch it again"

@@ -1,0 +1,473 @@
+"""Shards: what is written is read back, and nothing else is taken for a shard."""
+
+import errno
+import hashlib
+import os
+import pickle
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from instances import SMALL, hinged_box
+
+from articugen import schema
+from articugen.errors import ArticugenError, CorruptShard
+from articugen.records import Instance
+from articugen.shards import content_digests, content_sha256, open_shard, write_shard
+
+ROWS = hinged_box()
+ABOUT = {
+    "category": "box",
+    "split": "train",
+    "recipe": SMALL.text(),
+    "recipe_sha256": SMALL.sha256(),
+    "seed": 0,
+    "articugen_version": "0",
+}
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    path = tmp_path_factory.mktemp("shard") / "train-00000.h5"
+    return path, write_shard(path, ROWS, ABOUT)
+
+
+@pytest.fixture
+def copy(written, tmp_path):
+    return Path(shutil.copy(written[0], tmp_path / "copy.h5"))
+
+
+def assert_same(a: Instance, b: Instance) -> None:
+    left, right = a.arrays(), b.arrays()
+    assert left.keys() == right.keys()
+    for name, value in left.items():
+        assert np.asarray(value).dtype == np.asarray(right[name]).dtype, name
+        np.testing.assert_array_equal(value, right[name], err_msg=name)
+
+
+def test_instances_come_back_as_they_were(written):
+    path, record = written
+    with open_shard(path) as shard:
+        assert len(shard) == record.instances == len(ROWS)
+        for index, row in enumerate(ROWS):
+            assert_same(shard.instance(index), row)
+        assert shard.object_ids() == ("box-0",) * len(ROWS)
+        assert ABOUT.items() <= shard.attributes.items()
+        with pytest.raises(IndexError, match="no instance 4"):
+            shard.instance(4)
+
+
+def test_record_tells_of_the_file(written):
+    path, record = written
+    data = path.read_bytes()
+    assert (record.name, record.bytes) == (path.name, len(data))
+    assert record.sha256 == hashlib.sha256(data).hexdigest()
+    with open_shard(path) as shard:
+        assert shard.content() == record.content
+
+
+def test_content_digest_is_the_one_documented(written):
+    row = ROWS[2]
+    text = b"object_id box-0\n"
+    for name, value in sorted(row.arrays().items()):
+        if name != "object_id":
+            field = schema.field_of(name)
+            assert field is not None
+            array = np.asarray(value, field.dtype)
+            text += f"{name} {array.dtype.str} {array.shape}\n".encode() + array.tobytes()
+    digest = hashlib.sha256(text).hexdigest()
+    assert written[1].content[2] == ("box-0", 2, digest)
+    lines = sorted(f"{i}\x1f{s}\x1f{d}" for i, s, d in written[1].content)
+    expected = hashlib.sha256("\n".join(lines).encode()).hexdigest()
+    assert content_sha256(reversed(written[1].content)) == expected
+
+
+def test_content_digest_does_not_depend_on_the_layout(written, copy):
+    _rewrite(copy, "uniform_points", lambda a: {"data": a, "compression": 9, "fletcher32": True})
+    with h5py.File(copy) as file:
+        names = sorted(file)
+        states = [("box-0", int(s)) for s in file["state_index"][()]]
+        digests = content_digests(((name, file[name][()]) for name in names), states)
+    assert digests == written[1].content
+    assert copy.read_bytes() != written[0].read_bytes()
+
+
+def test_same_instances_same_bytes(written, tmp_path):
+    time.sleep(1.1)  # HDF5 counts time in seconds
+    again = tmp_path / "another-name.h5"
+    assert write_shard(again, iter(ROWS), ABOUT).sha256 == written[1].sha256
+
+
+def test_format_page_is_true():
+    page = (Path(__file__).parents[1] / "docs" / "format.md").read_text()
+    assert schema.markdown() in page, "docs/format.md: put in what schema.markdown() returns"
+    assert f"version {schema.SCHEMA_VERSION}\n" in page
+    assert set(ROWS[0].arrays()) == {
+        name.replace("<R>", str(r)) for name in (f.name for f in schema.FIELDS) for r in (8, 16, 32)
+    }
+
+
+def test_plain_h5py_reads_it_and_finds_it_described(written):
+    with h5py.File(written[0]) as file:
+        for name, dataset in file.items():
+            field = schema.field_of(name)
+            assert dataset.chunks == (1, *dataset.shape[1:])
+            assert dataset.fletcher32
+            assert (dataset.compression == "gzip") is field.compressed
+            assert dataset.attrs["meaning"].decode() == field.meaning
+            assert dataset.attrs["shape"].decode() == schema.written_shape(field)
+            assert dataset.attrs.get("unit", b"").decode() == field.unit
+            assert dataset.attrs.get("frame", b"").decode() == field.frame
+        points = file["surface_points"][1] / 65535 - 0.5
+        assert np.abs(points).max() <= 0.45 + 1e-5
+
+
+def test_batch_is_the_rows_asked_for(written):
+    with open_shard(written[0]) as shard:
+        batch = shard.batch([3, 0, 3], ["surface_points", "scale", "object_id"])
+        np.testing.assert_array_equal(
+            batch["surface_points"], [ROWS[i].surface_points for i in (3, 0, 3)]
+        )
+        assert batch["scale"].shape == (3,)
+        assert batch["object_id"].tolist() == [b"box-0"] * 3
+        part = shard.read("occupancy_16", slice(1, 3))
+        np.testing.assert_array_equal(part, [ROWS[1].occupancy[16], ROWS[2].occupancy[16]])
+
+
+def test_workers_open_the_file_for_themselves(written):
+    with open_shard(written[0]) as shard:
+        with pickle.loads(pickle.dumps(shard)) as sent:
+            assert_same(sent.instance(1), ROWS[1])
+        child = os.fork()
+        if child == 0:
+            same = np.array_equal(shard.read("surface_points", 2), ROWS[2].surface_points)
+            os._exit(0 if same and shard._process == os.getpid() else 1)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+        assert_same(shard.instance(2), ROWS[2])
+
+
+@st.composite
+def shards(draw):
+    """Instances of one random shape, filled with random bytes."""
+    J, S, U, K, C, M = (draw(st.integers(0, 4)) for _ in range(6))
+    grids = draw(st.sets(st.integers(1, 5), max_size=2))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    known = {"J": J, "P": J + 1, "S": S, "U": U, "K": K, "C": C, "M": M}
+
+    def values(field):
+        shape = [known[s] if isinstance(s, str) else s for s in field.shape[1:]]
+        if field.dtype == "<f8":
+            return rng.normal(size=shape)
+        return rng.integers(0, 100, shape).astype(field.dtype)
+
+    names = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), min_size=1)
+    rows = []
+    for index in range(draw(st.integers(1, 3))):
+        arrays = {
+            f.name: values(f) for f in schema.FIELDS if "<R>" not in f.name and f.dtype != "S"
+        }
+        arrays |= {"state_index": index, "scale": float(arrays["scale"])}
+        occupancy = {r: rng.integers(0, 9, (r, r, r)).astype(np.uint8) for r in grids}
+        rows.append(Instance(object_id=draw(names), occupancy=occupancy, **arrays))
+    return rows
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(shards())
+def test_any_shape_comes_back(tmp_path_factory, rows):
+    path = tmp_path_factory.mktemp("any") / "shard.h5"
+    record = write_shard(path, rows, ABOUT)
+    with open_shard(path) as shard:
+        assert shard.content() == record.content
+        for index, row in enumerate(rows):
+            assert_same(shard.instance(index), row)
+
+
+def test_mixed_shapes_are_refused(tmp_path):
+    other = hinged_box(recipe=SMALL.model_copy(update={"padding": 0.2}))[0]
+    fewer = Instance(**{**_kept(other), "occupancy": {8: other.occupancy[8]}})
+    with pytest.raises(ValueError, match="not in every instance"):
+        write_shard(tmp_path / "a.h5", [ROWS[0], fewer], ABOUT)
+    with pytest.raises(ValueError, match="'split' is missing"):
+        write_shard(tmp_path / "a.h5", ROWS, {k: v for k, v in ABOUT.items() if k != "split"})
+    assert not list(tmp_path.iterdir())
+
+
+def _kept(row: Instance) -> dict:
+    return {name: v for name, v in row.arrays().items() if not name.startswith("occupancy_")}
+
+
+# Damage.
+
+
+def test_no_flipped_bit_goes_unnoticed(written, tmp_path):
+    path, record = written
+    whole = path.read_bytes()
+    rng = np.random.default_rng(0)
+    noticed = 0
+    for position in rng.integers(0, len(whole), 150):
+        damaged = bytearray(whole)
+        damaged[position] ^= 1 << int(rng.integers(8))
+        (tmp_path / "damaged.h5").write_bytes(damaged)
+        try:
+            with open_shard(tmp_path / "damaged.h5") as shard:
+                assert shard.content() == record.content  # a byte that nobody reads
+                assert ABOUT.items() <= shard.attributes.items()
+        except CorruptShard:
+            noticed += 1
+    assert noticed > 120
+
+
+@pytest.mark.parametrize("keep", [0, 7, 1000, -1000])
+def test_cut_short(copy, keep):
+    copy.write_bytes(copy.read_bytes()[:keep])
+    with pytest.raises(CorruptShard, match="not an HDF5 file, or cut short"):
+        open_shard(copy)
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(CorruptShard, match=r"cannot be opened \(No such file"):
+        open_shard(tmp_path / "none.h5")
+
+
+# Files that are not shards, or mean harm.
+
+
+def _rewrite(path, name, how) -> None:
+    """Replace a data set by one made with the keywords that `how` says of its array."""
+    with h5py.File(path, "r+") as file:
+        array = file[name][()]
+        del file[name]
+        file.create_dataset(name, **{"chunks": (1, *array.shape[1:]), **how(array)})
+
+
+def _edit(change):
+    def edit(path):
+        with h5py.File(path, "r+") as file:
+            change(file)
+
+    return edit
+
+
+def _soft_link(file):
+    del file["near_label"]
+    file["near_label"] = h5py.SoftLink("/uniform_label")
+
+
+def _external_link(file):
+    del file["near_label"]
+    file["near_label"] = h5py.ExternalLink("/etc/passwd", "/x")
+
+
+def _external_storage(file):
+    del file["scale"]
+    file.create_dataset("scale", (4,), "<f8", external=[("/etc/passwd", 0, 32)])
+
+
+def _virtual(file):
+    layout = h5py.VirtualLayout((4,), "<f8")
+    layout[:] = h5py.VirtualSource("/etc/passwd", "x", (4,))
+    del file["scale"]
+    file.create_virtual_dataset("scale", layout)
+
+
+def _group(file):
+    del file["scale"]
+    file.create_group("scale")
+
+
+def _bomb(file):
+    for name in list(file):
+        old = file[name]
+        shape, dtype, zipped = (60_000, *old.shape[1:]), old.dtype, old.compression
+        del file[name]
+        file.create_dataset(
+            name, shape, dtype, chunks=(1, *shape[1:]), compression=zipped, fletcher32=True
+        )
+
+
+def _big_chunk(file):
+    del file["partial_part"]
+    file.create_dataset(
+        "partial_part",
+        (4, 2, 1 << 26),
+        "u1",
+        chunks=(1, 2, 1 << 26),
+        compression=4,
+        fletcher32=True,
+    )
+
+
+def _variable_string(file):
+    del file["object_id"]
+    file.create_dataset("object_id", data=["a"] * 4, chunks=(1,))
+
+
+HARM = {
+    "a soft link": (_edit(_soft_link), "link to elsewhere"),
+    "a link to another file": (_edit(_external_link), "link to elsewhere"),
+    "another file's bytes": (_edit(_external_storage), "not stored one instance a chunk"),
+    "a virtual data set": (_edit(_virtual), "not stored one instance a chunk"),
+    "a group": (_edit(_group), "not a data set"),
+    "an unknown name": (_edit(lambda f: f.create_dataset("x", data=1)), "'x' is not in the schema"),
+    "a missing field": (_edit(lambda f: f.pop("scale")), "'scale' is missing"),
+    "a shape bomb": (_edit(_bomb), "0 chunks for shape"),
+    "a chunk bomb": (_edit(_big_chunk), "bytes an instance"),
+    "text of variable length": (_edit(_variable_string), "not of dtype S"),
+    "another dtype": (
+        lambda p: _rewrite(p, "scale", lambda a: {"data": a.astype("<f4"), "fletcher32": True}),
+        "'scale' is not of dtype <f8",
+    ),
+    "another byte order": (
+        lambda p: _rewrite(p, "scale", lambda a: {"data": a.astype(">f8"), "fletcher32": True}),
+        "'scale' is not of dtype <f8",
+    ),
+    "no checksum": (lambda p: _rewrite(p, "scale", lambda a: {"data": a}), "not the schema's"),
+    "another filter": (
+        lambda p: _rewrite(
+            p, "near_label", lambda a: {"data": a, "compression": "lzf", "fletcher32": True}
+        ),
+        "not the schema's",
+    ),
+    "no chunks": (
+        lambda p: _rewrite(p, "scale", lambda a: {"data": a, "chunks": None}),
+        "not stored one instance a chunk",
+    ),
+    "other chunks": (
+        lambda p: _rewrite(p, "scale", lambda a: {"data": a, "chunks": (4,), "fletcher32": True}),
+        "not stored one instance a chunk",
+    ),
+    "other shape": (
+        lambda p: _rewrite(p, "scale", lambda a: {"data": a[:3], "fletcher32": True}),
+        "'scale' has shape",
+    ),
+    "other version": (_edit(lambda f: f.attrs.modify("schema_version", 99)), "schema version 99"),
+    "no version": (_edit(lambda f: f.attrs.pop("schema_version")), "schema version None"),
+    "other format": (_edit(lambda f: f.attrs.pop("format")), "not an articugen shard"),
+    "attribute of variable length": (
+        _edit(lambda f: f.attrs.create("note", "text")),
+        "'note' is neither a number nor a text",
+    ),
+    "array attribute": (_edit(lambda f: f.attrs.create("note", [1, 2])), "'note' is neither"),
+    "missing attribute": (_edit(lambda f: f.attrs.pop("seed")), "'seed' is missing"),
+}
+
+
+@pytest.mark.parametrize("what", HARM)
+def test_refused(copy, what):
+    harm, sentence = HARM[what]
+    harm(copy)
+    with pytest.raises(CorruptShard, match=sentence) as caught:
+        open_shard(copy)
+    assert str(caught.value).startswith(f"{copy}: ")
+    assert "\n" not in str(caught.value)
+
+
+# Disks that fail, processes that die.
+
+
+def _leftovers(folder):
+    return sorted(p.name for p in folder.iterdir())
+
+
+@pytest.mark.parametrize("name", ["fsync", "replace", "write"])
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO])
+def test_failing_step_leaves_what_was_there(written, tmp_path, monkeypatch, name, code):
+    path = tmp_path / "train-00000.h5"
+    path.write_bytes(b"old")
+
+    def fail(*_args):
+        raise OSError(code, os.strerror(code))
+
+    if name == "replace":
+        monkeypatch.setattr(Path, "replace", fail)
+    elif name == "fsync":
+        monkeypatch.setattr(os, "fsync", fail)
+    else:
+        path = tmp_path / "full" / "train-00000.h5"
+    with pytest.raises(ArticugenError, match="not written: ") as caught:
+        write_shard(path, ROWS, ABOUT)
+    assert "\n" not in str(caught.value)
+    assert _leftovers(tmp_path) == ["train-00000.h5"]
+    assert (tmp_path / "train-00000.h5").read_bytes() == b"old"
+
+
+SCRIPT = """
+import sys
+sys.path.insert(0, {tests!r})
+from test_shards import ABOUT, ROWS
+from articugen.errors import ArticugenError
+from articugen.shards import write_shard
+from pathlib import Path
+"""
+
+
+def _script(rest: str) -> list[str]:
+    head = SCRIPT.format(tests=str(Path(__file__).parent))
+    return [sys.executable, "-c", head + rest]
+
+
+WRITE = "try: write_shard(Path(sys.argv[1]), ROWS, ABOUT)\nexcept ArticugenError as e: print(e)"
+
+
+def test_file_size_limit_is_one_sentence(tmp_path):
+    limit = 50_000
+    done = subprocess.run(
+        [*_script(WRITE), str(tmp_path / "train-00000.h5")],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+    )
+    assert "files may not grow so large here" in done.stdout
+    assert _leftovers(tmp_path) == []
+
+
+def test_full_disk_is_one_sentence(tmp_path):
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(disk)]
+    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("only root can mount a small disk to fill")
+    try:
+        with pytest.raises(ArticugenError, match="the disk is full; free 1 MB"):
+            write_shard(disk / "train-00000.h5", ROWS, ABOUT)
+        assert _leftovers(disk) == []
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_killed_while_writing(written, tmp_path):
+    """Whenever the process dies, the final name is absent or a whole shard."""
+    path = tmp_path / "train-00000.h5"
+    loop = "print('go', flush=True)\nwhile True: write_shard(Path(sys.argv[1]), ROWS, ABOUT)"
+    for moment in (0.01, 0.13, 0.2):
+        process = subprocess.Popen([*_script(loop), str(path)], stdout=subprocess.PIPE)
+        assert process.stdout is not None
+        process.stdout.readline()
+        until = time.monotonic() + moment
+        while time.monotonic() < until:
+            _assert_absent_or_whole(path, written[1].sha256)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        process.stdout.close()
+        _assert_absent_or_whole(path, written[1].sha256)
+    assert path.exists()
+    assert set(_leftovers(tmp_path)) <= {path.name, f".{path.name}.partial"}
+    write_shard(path, ROWS, ABOUT)
+    assert _leftovers(tmp_path) == [path.name]
+
+
+def _assert_absent_or_whole(path: Path, sha256: str) -> None:
+    if path.exists():
+        assert hashlib.sha256(path.read_bytes()).hexdigest() == sha256
