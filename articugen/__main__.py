@@ -1,0 +1,5 @@
+"""`python -m articugen`."""
+
+from articugen.cli import main
+
+main()

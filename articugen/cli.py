@@ -1,0 +1,228 @@
+"""The command line: a thin face, each command calls one function.
+
+Exit status: 0 done; 1 an error, said in one sentence on stderr; 2 wrong usage; 3 the data set is
+complete, but for objects that were rejected (within the recipe's limit); 130 interrupted.
+"""
+
+# Everything else is imported where it is used: --help should not wait for numba, h5py and trimesh.
+# ruff: noqa: PLC0415
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from articugen import __version__
+from articugen.errors import ArticugenError, CorruptShard
+
+FAILED, REJECTED, INTERRUPTED = 1, 3, 130
+
+out = Console(highlight=False)
+err = Console(stderr=True, highlight=False)
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Articulated URDF models in, labelled HDF5 training data out.",
+    epilog="Exit status: 0 done, 1 error, 2 wrong usage, 3 done but some objects were rejected, "
+    "130 interrupted.",
+)
+
+
+def main() -> None:
+    """Run the command line and exit."""
+    app(prog_name="articugen")
+
+
+@contextmanager
+def _said_in_one_sentence(interrupted: str = "interrupted") -> Iterator[None]:
+    """Our errors go to stderr without a traceback; others are faults of ours and keep theirs."""
+    try:
+        yield
+    except ArticugenError as error:
+        err.print(f"[bold red]error:[/] {escape(str(error))}", soft_wrap=True)
+        raise typer.Exit(FAILED) from None
+    except KeyboardInterrupt:
+        err.print(interrupted, soft_wrap=True)
+        raise typer.Exit(INTERRUPTED) from None
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        out.print(f"articugen {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _common(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Say which and exit."),
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command(
+    epilog="Example: articugen sources",
+)
+def sources() -> None:
+    """List the sources of models, their categories and how many objects there are."""
+    with _said_in_one_sentence():
+        from articugen.console import sources_table
+        from articugen.sources.registry import source_names
+
+        out.print(sources_table(source_names()))
+
+
+@app.command(
+    epilog="Examples:\n\n"
+    "articugen generate --category laptop --recipe quick\n\n"
+    "articugen generate --category oven --objects 6 --states 10 --out /tmp/data\n\n"
+    "articugen generate --category cabinet --source path/to/urdfs --dry-run",
+)
+def generate(
+    category: Annotated[
+        str, typer.Option("--category", "-c", help="What to make, as `articugen sources` lists it.")
+    ],
+    source: Annotated[
+        str, typer.Option("--source", "-s", help="A source's name, or a folder of URDFs.")
+    ] = "procedural",
+    recipe: Annotated[
+        str | None,
+        typer.Option(
+            "--recipe", "-r", help="A name under recipes/ or a file.", show_default="category's"
+        ),
+    ] = None,
+    objects: Annotated[
+        int | None,
+        typer.Option(
+            "--objects",
+            "-n",
+            min=1,
+            help="So many objects, in the splits' ratio.",
+            show_default="all",
+        ),
+    ] = None,
+    states: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="Random joint states an object, besides the canonical pose.",
+            show_default="recipe's",
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option("--jobs", "-j", min=1, help="Worker processes.", show_default="all cores"),
+    ] = None,
+    folder: Annotated[
+        Path, typer.Option("--out", "-o", help="The data set goes to a folder <category> in here.")
+    ] = Path("data"),
+    seed: Annotated[int, typer.Option(help="The master seed; 0 is one like any other.")] = 0,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print what would be made and why; make nothing.")
+    ] = False,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Replace data that was made in another way.")
+    ] = False,
+) -> None:
+    """Make a data set, or what is missing of it: run it again to resume."""
+    with _said_in_one_sentence("finished work is kept; run the same command to resume"):
+        from articugen import console, pipeline
+        from articugen.recipe import load_recipe
+
+        job = pipeline.Job(
+            source=source,
+            category=category,
+            recipe=load_recipe(recipe, category).with_counts(objects=objects, states=states),
+            seed=seed,
+            out=folder / category,
+            jobs=jobs or pipeline.default_jobs(),
+        )
+        plan = pipeline.plan(job)
+        if dry_run:
+            out.print(console.plan_table(job, plan))
+            return
+        if plan.conflict and not replace:
+            raise ArticugenError(f"{plan.conflict}, or add --replace")
+        with console.progress(err, plan) as on_object:
+            manifest = pipeline.generate(job, on_object)
+        if not plan.tasks:
+            out.print("nothing to do, all of it was there already")
+        out.print(console.made_table(manifest, job.out))
+        out.print(f"next: articugen inspect {job.out} --image {job.out}/sheet.png", soft_wrap=True)
+    if manifest.rejected:
+        raise typer.Exit(REJECTED)
+
+
+@app.command(
+    epilog="Examples:\n\n"
+    "articugen inspect data/laptop\n\n"
+    "articugen inspect data/laptop/test-00000.h5 --image sheet.png",
+)
+def inspect(
+    path: Annotated[Path, typer.Argument(help="A shard, or the folder of a data set.")],
+    image: Annotated[
+        Path | None, typer.Option("--image", "-i", help="Draw a contact sheet into this PNG.")
+    ] = None,
+    objects: Annotated[int, typer.Option(min=1, max=64, help="Rows of the sheet.")] = 4,
+    states: Annotated[int, typer.Option(min=1, max=64, help="Columns of the sheet.")] = 6,
+) -> None:
+    """Print what a shard or a data set holds, and draw it."""
+    with _said_in_one_sentence():
+        from articugen.inspection.summary import shards_of, summary
+
+        shards = shards_of(path)
+        out.print(summary(shards))
+        if image is not None:
+            from articugen.inspection.contact_sheet import contact_sheet
+
+            with err.status("drawing ..."):
+                contact_sheet(shards, image, objects=objects, states=states)
+            out.print(f"drawn: {image}", soft_wrap=True)
+
+
+@app.command(epilog="Example: articugen verify data/laptop")
+def verify(
+    path: Annotated[Path, typer.Argument(help="The folder of a data set, or one of such folders.")],
+    jobs: Annotated[
+        int | None,
+        typer.Option("--jobs", "-j", min=1, help="Worker processes.", show_default="all cores"),
+    ] = None,
+) -> None:
+    """Check checksums, schema, value ranges and geometry of data sets."""
+    sound = True
+    with _said_in_one_sentence():
+        from articugen.pipeline import default_jobs
+        from articugen.verify import verify as verify_folder
+
+        for folder in _data_sets(path):
+            report = verify_folder(folder, jobs=jobs or default_jobs())
+            for finding in report.findings:
+                out.print(f"[red]✗[/] {folder}: {escape(str(finding))}", soft_wrap=True)
+            if report.ok:
+                out.print(
+                    f"[green]✓[/] {folder}: {report.shards} shards, {report.instances:,} instances"
+                    " are as they were made",
+                    soft_wrap=True,
+                )
+            sound = sound and report.ok
+    if not sound:
+        raise typer.Exit(FAILED)
+
+
+def _data_sets(path: Path) -> list[Path]:
+    """The data set in `path`, or those in its folders."""
+    if next(path.glob("*.h5"), None) or (path / "manifest.json").exists():
+        return [path]
+    folders = sorted({shard.parent for shard in path.glob("*/*.h5")})
+    if not folders:
+        raise CorruptShard(f"{path}: holds no data set; make one with: articugen generate")
+    return folders

@@ -1,0 +1,161 @@
+"""Tables of what a shard or a data set holds, for the terminal."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from articugen import schema
+from articugen.errors import CorruptShard
+from articugen.inspection.tables import DIM, quiet_table, size
+from articugen.shards import Shard, open_shard
+
+LOOKED_AT = 256
+"""Points and grids of so many instances, spread evenly, stand for all of them."""
+
+BARS = " ▁▂▃▄▅▆▇█"
+BINS = 24
+
+REVOLUTE = 1
+KINDS = {REVOLUTE: "revolute", 2: "prismatic"}
+"""`joint_kind` in a shard."""
+
+
+def shards_of(path: Path) -> list[Path]:
+    """The shards that `path`, a shard or the folder of a data set, stands for.
+
+    Raises:
+        CorruptShard: there is none.
+    """
+    if path.is_dir():
+        shards = sorted(path.glob("*.h5"))
+        if not shards:
+            raise CorruptShard(f"{path}: holds no shard; make one with: articugen generate")
+        return shards
+    if not path.exists():
+        raise CorruptShard(f"{path}: there is no such shard or folder")
+    return [path]
+
+
+def summary(shards: Sequence[Path]) -> RenderableType:
+    """What the shards hold: fields with their sizes, joints with their states, parts.
+
+    Raises:
+        CorruptShard: one of them cannot be read.
+    """
+    return Group(_heading(shards), _fields(shards), _joints(shards), _parts(shards))
+
+
+def _each(paths: Sequence[Path]) -> Iterator[Shard]:
+    """The shards, one open at a time."""
+    for path in paths:
+        with open_shard(path) as shard:
+            yield shard
+
+
+def _heading(paths: Sequence[Path]) -> Text:
+    objects: set[tuple[str, str]] = set()
+    instances = 0
+    about: Mapping[str, str | int | float] = {}
+    for shard in _each(paths):
+        about = shard.attributes
+        objects |= {(str(about["split"]), object_id) for object_id in shard.object_ids()}
+        instances += len(shard)
+    per_split = Counter(split for split, _ in objects)
+    counts = ", ".join(f"{n} {split}" for split, n in sorted(per_split.items(), reverse=True))
+    return Text.assemble(
+        (f"{about['category']}", "bold"),
+        f"  {len(objects)} objects ({counts}), {instances:,} instances, seed {about['seed']}, "
+        f"schema {about['schema_version']}, articugen {about['articugen_version']}",
+    )
+
+
+def _fields(paths: Sequence[Path]) -> Table:
+    shapes: dict[str, set[tuple[int, ...]]] = {}
+    stored = Counter[str]()
+    instances = 0
+    for shard in _each(paths):
+        instances += len(shard)
+        for name, shape in shard.fields.items():
+            shapes.setdefault(name, set()).add(shape[1:])
+            stored[name] += shard.stored_bytes(name)
+    table = quiet_table("data set", "dtype", "shape", "unit", ">on disk", ">each")
+    for field in schema.FIELDS:
+        for name in sorted(filter(field.matches, shapes)):
+            shape = " or ".join(str(shape) for shape in sorted(shapes[name])).replace("()", "")
+            sizes = (size(stored[name]), size(stored[name] / instances))
+            table.add_row(name, field.dtype, shape, field.unit, *sizes)
+    files = sum(path.stat().st_size for path in paths)
+    table.add_row("index, headers", "", "", "", size(files - stored.total()), "", style=DIM)
+    table.add_row("all", "", "", "", size(files), size(files / instances), style="bold")
+    return table
+
+
+def _joints(paths: Sequence[Path]) -> Table:
+    """Revolute joints in degrees, prismatic ones in centimetres."""
+    states: dict[tuple[int, int], list[NDArray[np.float64]]] = {}
+    for shard in _each(paths):
+        kinds, scale = shard.read("joint_kind"), shard.read("scale")
+        columns = [shard.read(f"joint_{name}") for name in ("lower", "upper", "state")]
+        values = np.stack(columns, axis=-1)
+        for joint, kind in np.ndindex(kinds.shape[1], len(KINDS) + 1):
+            here = kinds[:, joint] == kind
+            unit = np.degrees(1.0) if kind == REVOLUTE else 100.0 * scale[here, None]
+            states.setdefault((joint, kind), []).append(values[here, joint] * unit)
+    table = quiet_table(
+        ">joint", "kind", ">instances", ">range sampled from", "states, low to high"
+    )
+    for (joint, kind), pieces in sorted(states.items()):
+        rows = np.concatenate(pieces)
+        if len(rows):
+            unit = "°" if kind == REVOLUTE else " cm"
+            low, high = float(rows[:, 0].min()), float(rows[:, 1].max())
+            bars = histogram(rows[:, 2], low, high)
+            limits = f"{low:.1f} to {high:.1f}{unit}"
+            table.add_row(str(joint), KINDS[kind], f"{len(rows):,}", limits, bars)
+    return table
+
+
+def histogram(values: NDArray[np.float64], low: float, high: float) -> str:
+    """`values` from `low` to `high` as a row of bars, the fullest of full height."""
+    if not high > low:
+        return ""
+    counts, _ = np.histogram(values, BINS, (low, high))
+    heights = np.ceil((len(BARS) - 1) * counts / max(int(counts.max()), 1)).astype(int)
+    return "".join(BARS[height] for height in heights)
+
+
+def _parts(paths: Sequence[Path]) -> Table:
+    """For each part its share of the points, and of the finest grid."""
+    counts: dict[str, NDArray[np.int64]] = {}
+    for shard in _each(paths):
+        grids = sorted((n for n in shard.fields if n.startswith("occupancy_")), key=_resolution)
+        some = min(len(shard), -(-LOOKED_AT // len(paths)))
+        for name in ("surface_part", "partial_part", "uniform_label", "near_label", *grids[-1:]):
+            total = counts.setdefault(name, np.zeros(256, np.int64))
+            for row in np.linspace(0, len(shard) - 1, some).astype(int):
+                total += np.bincount(shard.read(name, int(row)).ravel(), minlength=256)
+    shares = {name: _shares(name, total) for name, total in counts.items()}
+    table = quiet_table(">part", *(f">{name}" for name in shares))
+    for part in range(max(map(len, shares.values()), default=0)):
+        table.add_row(
+            str(part), *(f"{s[part]:.2%}" if part < len(s) else "" for s in shares.values())
+        )
+    inside = (f"{s.sum():.2%}" for s in shares.values())
+    table.add_row("all", *inside, style="bold")
+    return table
+
+
+def _resolution(name: str) -> int:
+    return int(name.rpartition("_")[2])
+
+
+def _shares(name: str, counts: NDArray[np.int64]) -> NDArray[np.float64]:
+    """(P,) the fraction of the points that lies in each part; label 0 is free space."""
+    fractions = counts / max(int(counts.sum()), 1)
+    return np.trim_zeros(fractions if name.endswith("_part") else fractions[1:], "b")
