@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from articugen.geometry import Array, rotation_about, transform
+from articugen.sources.procedural.lenses import lens_outline, lens_shapes
 from articugen.sources.procedural.model import Model, ModelJoint, ModelLink
 from articugen.sources.procedural.outlines import circle, ellipse, rounded_rectangle
 from articugen.sources.procedural.solids import (
@@ -31,63 +32,6 @@ _SLEEVE, _SLEEVE_GROWTH = 0.62, 1.25
 """Half the thickness of a tip's sleeve over the temple's, and how much it grows to its end."""
 _SLIT = 0.35 * MM
 """Between the knuckles of a hinge and between a folding temple and the front."""
-
-
-@dataclass(frozen=True)
-class _Lens:
-    """A lens's outline: a superellipse that is warped.
-
-    Attributes:
-        aspect: height / width.
-        power: 2 is an ellipse, more is squarer.
-        taper: how much wider the top is than the bottom.
-        lift: of the outer top corner, as a part of the width (cat-eye).
-        droop: of the outer bottom corner, as a part of the width (aviator).
-        sides: vertices; few make a polygon that is seen as one.
-    """
-
-    aspect: float
-    power: float
-    taper: float
-    lift: float
-    droop: float
-    sides: int = 44
-
-
-def _lens_shapes(rng: np.random.Generator) -> dict[str, _Lens]:
-    u = rng.uniform
-    return {
-        "round": _Lens(u(0.93, 1.0), 2.0, 0.0, 0.0, 0.0),
-        "oval": _Lens(u(0.58, 0.72), u(2.0, 2.3), 0.0, u(0, 0.03), 0.0),
-        "square": _Lens(u(0.72, 0.9), u(4.0, 6.5), u(0.0, 0.06), 0.0, 0.0),
-        "rectangle": _Lens(u(0.48, 0.62), u(3.5, 6.0), u(0.0, 0.08), u(0, 0.03), 0.0),
-        "trapezoid": _Lens(u(0.7, 0.85), u(3.0, 4.5), u(0.1, 0.2), u(0.0, 0.06), 0.0),
-        "aviator": _Lens(u(0.82, 0.95), u(2.3, 2.9), u(0.04, 0.12), 0.0, u(0.08, 0.16)),
-        "cat-eye": _Lens(u(0.6, 0.75), u(2.3, 3.2), u(0.05, 0.15), u(0.12, 0.2), 0.0),
-        "polygon": _Lens(u(0.82, 0.95), 2.0, 0.0, 0.0, 0.0, int(rng.integers(6, 9))),
-    }
-
-
-def _lens_outline(lens: _Lens, width: float, slant: float) -> Array:
-    """The outline (n, 2) of the right lens about its middle: x outward, y up."""
-    # Vertices at equal steps of length: first many, then as many as wanted.
-    angles = np.linspace(0.0, 2.0 * np.pi, 721)
-    cosine, sine = np.cos(angles), np.sin(angles)
-    x = np.sign(cosine) * np.abs(cosine) ** (2.0 / lens.power)
-    y = np.sign(sine) * np.abs(sine) ** (2.0 / lens.power)
-    outward = np.clip((x + 1.0) / 2.0, 0.0, 1.0)
-    warped_x = x * (1.0 + lens.taper * y)
-    warped_y = y * lens.aspect
-    warped_y += 2.0 * lens.lift * outward**3 * np.clip(y, 0.0, 1.0)
-    warped_y -= 2.0 * lens.droop * outward**2 * np.clip(-y, 0.0, 1.0)
-    warped_y += slant * x
-    dense = np.stack([warped_x, warped_y], axis=1) * width / 2
-    if lens.sides < 20:
-        steps = np.linspace(0.0, 720.0, lens.sides, endpoint=False) + 720.0 / lens.sides / 2
-        return dense[steps.astype(int)]
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(dense, axis=0), axis=1))])
-    at = (np.arange(lens.sides) + 0.5) * length[-1] / lens.sides
-    return np.stack([np.interp(at, length, dense[:, k]) for k in range(2)], axis=1)
 
 
 @dataclass(frozen=True)
@@ -177,12 +121,12 @@ _STYLES = {
 
 def _draw(rng: np.random.Generator) -> _Shape:
     style = str(rng.choice(list(_STYLES), p=list(_STYLES.values())))
-    shapes = _lens_shapes(rng)
+    shapes = lens_shapes(rng)
     name = str(rng.choice(list(shapes)))
     if style in ("half", "browline") and name in ("round", "polygon"):
         name = "trapezoid"
     width = rng.uniform(42, 58) * MM
-    outline = _lens_outline(shapes[name], width, slant=rng.uniform(0.0, 0.08))
+    outline = lens_outline(shapes[name], width, slant=rng.uniform(0.0, 0.08))
     wire = rng.uniform(1.6, 2.4) * MM
     broad = rng.uniform(3.6, 8.5) * MM
     rim = {"wire": 2 * wire, "rimless": 0.0}.get(style, broad)
@@ -246,7 +190,7 @@ def _shield(rng: np.random.Generator, s: _Shape) -> tuple[list[Solid], Array]:
     bar = np.c_[path[:, :2], top]
     rim = sweep(bar, _flat_section(s.rim[1], s.rim[0]))
     pad = along_x(stack([ellipse(f * 3 * MM, f * 6 * MM, 14) for f in (1, 0.8)], (0.0, 4 * MM)))
-    pad = pad.shifted(path[21, 0] - MM, path[21, 1], (bottom[21] + top[21]) / 2)
+    pad = pad.shifted(path[21, 0] + 0.4 * MM, path[21, 1], (bottom[21] + top[21]) / 2)
     outer = np.array([path[-1, 0], path[-1, 1] - MM, min(s.hinge_z, top[-1] - MM)])
     return [pane, rim, pad, pad.mirrored(1)], outer
 

@@ -9,12 +9,11 @@ above and before it and turns away from the base; behind the axis there is only 
 which stays below what the lid's rear edge reaches.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from articugen.geometry import Array, transform
+from articugen.geometry import transform
 from articugen.sources.procedural.keyboard import Keyboard
+from articugen.sources.procedural.laptop_shape import MM, LaptopShape, draw_shape
 from articugen.sources.procedural.model import Model, ModelJoint, ModelLink
 from articugen.sources.procedural.outlines import (
     circle,
@@ -35,100 +34,12 @@ from articugen.sources.procedural.solids import (
     sweep,
 )
 
-MM = 1e-3
 _T_WORLD_USER = transform([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-
-
-@dataclass(frozen=True)
-class _Kind:
-    """The ranges of one kind of laptop, millimetres and inches."""
-
-    diagonal: tuple[float, float]
-    base_rear: tuple[float, float]
-    wedge: tuple[float, float]
-    lid: tuple[float, float]
-    corner: tuple[float, float]
-    bezel: tuple[float, float]
-    hinges: tuple[str, ...]
-
-
-_KINDS = {
-    "ultrabook": _Kind((12, 15), (9, 14), (0.35, 0.8), (4, 6), (6, 16), (4, 9), ("center", "full")),
-    "business": _Kind((12.5, 15.6), (15, 22), (0.75, 1), (6, 9), (3, 8), (8, 16), ("pair", "full")),
-    "gaming": _Kind(
-        (15.6, 17.3), (20, 28), (0.8, 1), (7, 10), (2, 12), (7, 14), ("pair", "center")
-    ),
-    "retro": _Kind((10, 14), (26, 40), (0.7, 1), (10, 15), (4, 14), (16, 28), ("pair", "full")),
-    "rugged": _Kind((10, 14), (26, 36), (0.95, 1), (13, 18), (6, 12), (16, 26), ("full", "pair")),
-    "netbook": _Kind(
-        (8.9, 11.6), (16, 24), (0.7, 1), (8, 12), (12, 26), (12, 22), ("full", "center")
-    ),
-}
-_ASPECTS = (16 / 9, 16 / 10, 3 / 2, 4 / 3)
-
-
-@dataclass(frozen=True)
-class _Shape:
-    """One laptop's measures, metres, in the user's frame with the origin on the hinge's axis.
-
-    Attributes:
-        reach: from the axis to the rear edges of base and lid.
-        gap: between the closed lid and the deck.
-        bottom_rear, bottom_front: heights of the base's underside.
-        floor: what the feet stand on.
-        well: by how much the keys' floor lies below the deck.
-        recess: by how much the screen lies behind its bezel.
-    """
-
-    kind: str
-    width: float
-    depth: float
-    corner: float
-    reach: float
-    barrel: float
-    gap: float
-    bottom_rear: float
-    bottom_front: float
-    floor: float
-    base_bevel: float
-    well: float
-    lid: float
-    lid_inset: float
-    lid_bevel: float
-    recess: float
-    bezel: tuple[float, float, float]
-    hinge: str
-
-    @property
-    def deck(self) -> float:
-        return -self.gap / 2
-
-    @property
-    def rear(self) -> float:
-        return -self.reach
-
-    @property
-    def front(self) -> float:
-        return -self.reach - self.depth
-
-    @property
-    def middle(self) -> Array:
-        return np.array([0.0, (self.rear + self.front) / 2])
-
-    def outline(self, inset: float, segments: int = 5) -> Array:
-        """The outline from above, `inset` within the base's walls."""
-        size = self.width - 2 * inset, self.depth - 2 * inset
-        return rounded_rectangle(*size, max(self.corner - inset, 0.5 * MM), self.middle, segments)
-
-    def bottom(self, y: Array | float) -> Array | float:
-        """The height of the base's underside, which falls to the rear."""
-        t = (np.asarray(y) - self.front) / self.depth
-        return self.bottom_front + t * (self.bottom_rear - self.bottom_front)
 
 
 def build(rng: np.random.Generator) -> Model:
     """A laptop with links `base` and `lid` and the joint `hinge`."""
-    shape = _draw(rng)
+    shape = draw_shape(rng)
     base_knuckles, lid_knuckles = _hinge(rng, shape)
     base = [*_chassis(shape), *_feet(rng, shape), *_deck(rng, shape), *base_knuckles]
     lid = [*_lid(rng, shape), *lid_knuckles]
@@ -152,43 +63,7 @@ def build(rng: np.random.Generator) -> Model:
     return Model(links, (joint,))
 
 
-def _draw(rng: np.random.Generator) -> _Shape:
-    kind = str(rng.choice(list(_KINDS)))
-    ranges = _KINDS[kind]
-    diagonal = rng.uniform(*ranges.diagonal) * 25.4 * MM
-    ratio = _ASPECTS[2 + rng.integers(2)] if kind == "retro" else _ASPECTS[rng.integers(3)]
-    screen = diagonal * np.array([ratio, 1.0]) / np.hypot(ratio, 1.0)
-    side = rng.uniform(*ranges.bezel) * MM
-    top, chin = side * rng.uniform(1.0, 1.6), side * rng.uniform(1.3, 3.0)
-    lid = rng.uniform(*ranges.lid) * MM
-    rear = rng.uniform(*ranges.base_rear) * MM
-    gap = rng.uniform(1.2, 2.4) * MM
-    barrel = min(rng.uniform(0.55, 0.95) * (lid + gap), 0.5 * rear)
-    foot = rng.uniform(1.2, 3.0) * MM
-    bottom_rear = -gap / 2 - rear
-    return _Shape(
-        kind=kind,
-        width=screen[0] + 2 * side,
-        depth=screen[1] + top + chin,
-        corner=rng.uniform(*ranges.corner) * MM,
-        reach=barrel + 0.5 * MM,
-        barrel=barrel,
-        gap=gap,
-        bottom_rear=bottom_rear,
-        bottom_front=-gap / 2 - rear * rng.uniform(*ranges.wedge),
-        floor=bottom_rear - foot,
-        base_bevel=rng.choice([0.08, 0.2, 0.35]) * rear * ranges.wedge[0],
-        well=rng.choice([0.6, 1.0, 1.5]) * MM,
-        lid=lid,
-        lid_inset=rng.choice([0.0, 0.0, 0.8]) * MM,
-        lid_bevel=rng.choice([0.1, 0.25, 0.45]) * lid,
-        recess=rng.uniform(0.12, 0.3) * lid,
-        bezel=(side, top, chin),
-        hinge=str(rng.choice(ranges.hinges)),
-    )
-
-
-def _chassis(s: _Shape) -> list[Solid]:
+def _chassis(s: LaptopShape) -> list[Solid]:
     """The base's body up to the floor that the keys stand on; a wedge with a bevelled underside."""
     top = s.deck - s.well
     layers = [(s.base_bevel * 1.5, 0.0), (0.0, s.base_bevel)]
@@ -203,7 +78,7 @@ def _chassis(s: _Shape) -> list[Solid]:
     return body
 
 
-def _rear_block(s: _Shape) -> list[Solid]:
+def _rear_block(s: LaptopShape) -> list[Solid]:
     """What juts out behind the hinge, below the lid's reach: an exhaust, or ports."""
     back = s.reach + (14 if s.kind == "gaming" else 6) * MM
     top = -s.barrel - 1.5 * MM
@@ -224,7 +99,7 @@ def _rear_block(s: _Shape) -> list[Solid]:
     return solids
 
 
-def _feet(rng: np.random.Generator, s: _Shape) -> list[Solid]:
+def _feet(rng: np.random.Generator, s: LaptopShape) -> list[Solid]:
     """Four round feet or two long strips, on the floor and well into the underside."""
     x, y0, y1 = s.width * 0.38, s.front + 0.12 * s.depth, s.rear - 0.12 * s.depth
     depth = min(2 * MM, 0.2 * (s.deck - s.well - s.bottom_front))
@@ -242,7 +117,7 @@ def _feet(rng: np.random.Generator, s: _Shape) -> list[Solid]:
     ]
 
 
-def _deck(rng: np.random.Generator, s: _Shape) -> list[Solid]:
+def _deck(rng: np.random.Generator, s: LaptopShape) -> list[Solid]:
     """The plate around the keys, the keys, the trackpad and what stands beside them."""
     board = _keyboard(rng, s)
     width, depth = board.size
@@ -263,7 +138,7 @@ def _deck(rng: np.random.Generator, s: _Shape) -> list[Solid]:
     ]
 
 
-def _keyboard(rng: np.random.Generator, s: _Shape) -> Keyboard:
+def _keyboard(rng: np.random.Generator, s: LaptopShape) -> Keyboard:
     number_pad = s.width > 330 * MM and rng.random() < 0.7
     units = 19.25 if number_pad else 15.0
     room = s.width - 2 * rng.uniform(8, 26) * MM
@@ -283,7 +158,7 @@ def _keyboard(rng: np.random.Generator, s: _Shape) -> Keyboard:
     )
 
 
-def _trackpad(rng: np.random.Generator, s: _Shape, x: float, palm_rest: float) -> list[Solid]:
+def _trackpad(rng: np.random.Generator, s: LaptopShape, x: float, palm_rest: float) -> list[Solid]:
     """A plate of slight relief, sometimes with buttons of its own; or, rarely, a trackball."""
     depth = palm_rest * rng.uniform(0.6, 0.88)
     width = min(depth * rng.uniform(1.25, 2.0), 0.5 * s.width)
@@ -309,7 +184,7 @@ def _trackpad(rng: np.random.Generator, s: _Shape, x: float, palm_rest: float) -
     return solids
 
 
-def _beside_keys(rng: np.random.Generator, s: _Shape, half: float, rear: float) -> list[Solid]:
+def _beside_keys(rng: np.random.Generator, s: LaptopShape, half: float, rear: float) -> list[Solid]:
     """Ribs over the loudspeakers where there is room, and a power button."""
     solids = []
     top = s.deck + 0.35 * MM
@@ -332,7 +207,7 @@ def _beside_keys(rng: np.random.Generator, s: _Shape, half: float, rear: float) 
     return solids
 
 
-def _lid(rng: np.random.Generator, s: _Shape) -> list[Solid]:
+def _lid(rng: np.random.Generator, s: LaptopShape) -> list[Solid]:
     """Bezel, screen and back, drawn closed: the screen looks down."""
     under, back = s.gap / 2, s.gap / 2 + s.lid
     face = under + s.recess
@@ -354,7 +229,7 @@ def _lid(rng: np.random.Generator, s: _Shape) -> list[Solid]:
     return [shell, bezel, screen, *_camera(rng, s, under, face), *_emblem(rng, s, back)]
 
 
-def _camera(rng: np.random.Generator, s: _Shape, under: float, face: float) -> list[Solid]:
+def _camera(rng: np.random.Generator, s: LaptopShape, under: float, face: float) -> list[Solid]:
     """A lens in the bezel, sometimes in a tab that juts out of the lid's free edge; bumpers."""
     y = s.front + s.bezel[1] / 2
     proud = 0.3 * s.gap
@@ -374,7 +249,7 @@ def _camera(rng: np.random.Generator, s: _Shape, under: float, face: float) -> l
     return solids
 
 
-def _emblem(rng: np.random.Generator, s: _Shape, back: float) -> list[Solid]:
+def _emblem(rng: np.random.Generator, s: LaptopShape, back: float) -> list[Solid]:
     """What stands out on the lid's back."""
     z = back, back + rng.uniform(0.4, 0.8) * MM
     x, y = s.middle
@@ -396,7 +271,7 @@ def _emblem(rng: np.random.Generator, s: _Shape, back: float) -> list[Solid]:
     return [prism(outlines[style], *z, panel=True)] if style in outlines else []
 
 
-def _hinge(rng: np.random.Generator, s: _Shape) -> tuple[list[Solid], list[Solid]]:
+def _hinge(rng: np.random.Generator, s: LaptopShape) -> tuple[list[Solid], list[Solid]]:
     """The knuckles of the base and those of the lid, side by side on the axis."""
     slit = 0.4 * MM
     if s.hinge == "pair":
@@ -423,7 +298,7 @@ def _hinge(rng: np.random.Generator, s: _Shape) -> tuple[list[Solid], list[Solid
     return knuckles["base"], knuckles["lid"]
 
 
-def _bumpers(s: _Shape, z0: float, z1: float) -> list[Solid]:
+def _bumpers(s: LaptopShape, z0: float, z1: float) -> list[Solid]:
     """Padding around the four corners; it reaches less far back than the hinge's axis."""
     out, size = min(2.5 * MM, 0.4 * s.reach), s.corner + 14 * MM
     bumpers = []
@@ -437,7 +312,7 @@ def _bumpers(s: _Shape, z0: float, z1: float) -> list[Solid]:
     return bumpers
 
 
-def _handle(rng: np.random.Generator, s: _Shape) -> list[Solid]:
+def _handle(rng: np.random.Generator, s: LaptopShape) -> list[Solid]:
     """A carrying handle at the front."""
     half, out, r = s.width * rng.uniform(0.18, 0.3), rng.uniform(24, 34) * MM, 5 * MM
     z = (s.deck + s.floor) / 2

@@ -146,12 +146,13 @@ def _write_meshes(
         _write_obj(work / name, [(s.moved(T_mesh_object).vertices, s.faces) for s in link.solids])
         return [name]
     names = []
+    closed = [s for s, as_sheet in zip(link.solids, sheets, strict=True) if not as_sheet]
     for k, (solid, as_sheet) in enumerate(zip(link.solids, sheets, strict=True)):
         if as_sheet and solid.sheet is not None:
             vertices = solid.sheet.triangles.reshape(-1, 3)
             faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
         else:
-            vertices, faces = solid.vertices, _seen_faces(solid, k, link.solids)
+            vertices, faces = solid.vertices, _seen_faces(solid, k, closed)
         if len(faces) == 0:
             continue
         both = np.stack([faces, faces[:, ::-1]], axis=1).reshape(-1, 3)
@@ -195,7 +196,7 @@ def _write_obj(path: Path, pieces: list[tuple[Array, NDArray[np.int32]]]) -> Non
 
 
 def _numbers(values: Iterable[float]) -> str:
-    return " ".join(f"{round(float(v), 12) + 0.0:.12g}" for v in values)
+    return " ".join(f"{round(float(v), 12) + 0.0:.15g}" for v in values)
 
 
 def _urdf(
