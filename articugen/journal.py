@@ -43,6 +43,7 @@ class Journal:
         self._trusted: dict[ShardEntry, bool] = {}
         self._outcomes: dict[tuple[str, str], Outcome] = {}
         self._ours: set[str] = set()
+        self._in_manifest: set[Key] = set()
         self._claimed = False
         self._lock: int | None = None
         if folder.exists():
@@ -92,6 +93,11 @@ class Journal:
     def finished(self, key: Key) -> Outcome | None:
         """What became of the object, where that still holds: see `why`."""
         return None if self.why(key) else self._outcomes[key.split, key.object_id]
+
+    def is_complete(self, keys: Sequence[Key]) -> bool:
+        """Whether a run for `keys` has nothing to do: all made, and the manifest says just that."""
+        told = not self._path.exists() and self._in_manifest == set(keys)
+        return told and all(self.why(key) is None for key in keys)
 
     def conflict(self, keys: Sequence[Key]) -> str | None:
         """One sentence, where the folder holds data that a run for `keys` would replace."""
@@ -154,6 +160,7 @@ class Journal:
                 "move it away or choose another output folder"
             )
         self._ours.update(names)
+        self._in_manifest.clear()
         lines: list[dict[str, Any]] = [{"claims": sorted(self._ours)}]
         lines += [outcome.model_dump(mode="json") for outcome in self._outcomes.values()]
         text = "".join(json.dumps(line) + "\n" for line in lines)
@@ -200,6 +207,7 @@ class Journal:
             self._ours.update(shards)
             self._take(Outcome(made=o, shard=shards[o.shard]) for o in manifest.objects)
             self._take(Outcome(rejected=rejection) for rejection in manifest.rejected)
+            self._in_manifest = {entry.key for entry in (*manifest.objects, *manifest.rejected)}
         if self._path.exists():
             self._load_journal()
 

@@ -1,0 +1,362 @@
+"""The manifest is read strictly; the journal resumes, replaces only its own, trusts nothing."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from instances import SMALL, hinged_box
+
+from articugen.errors import ArticugenError, CorruptShard
+from articugen.files import sha256_of
+from articugen.journal import JOURNAL_NAME, Journal
+from articugen.manifest import (
+    MANIFEST_NAME,
+    Key,
+    Manifest,
+    Outcome,
+    Rejection,
+    Timings,
+    content_of,
+    library_versions,
+    this_commit,
+    this_machine,
+)
+from articugen.shards import write_shard
+
+TIMINGS = Timings(seconds=1.5, instances_per_second=2.0, peak_memory_bytes=10, workers=1)
+STATES = ((0.0, 0.0), (0.9, 0.1))
+LAST = "box-3"
+"""The object that is always rejected."""
+
+
+def key(object_id="box-0", split="train", **other) -> Key:
+    values = {"ref": "r", "recipe_sha256": SMALL.sha256(), "seed": 0, "generator": "1"} | other
+    return Key(split=split, object_id=object_id, **values)
+
+
+def keys(**other) -> list[Key]:
+    splits = {"box-0": "train", "box-1": "train", "box-2": "test", LAST: "test"}
+    return [key(name, split, **other) for name, split in splits.items()]
+
+
+def make(folder: Path, k: Key, name: str) -> Outcome:
+    """What a worker does."""
+    if k.object_id == LAST:
+        return Outcome(rejected=Rejection(key=k, reason="it has no lid"))
+    rows = hinged_box(STATES, object_id=k.object_id, seed=k.seed)
+    about = {"category": "box", "split": k.split, "recipe": SMALL.text(), "seed": k.seed}
+    about |= {"recipe_sha256": SMALL.sha256(), "articugen_version": "1"}
+    record = write_shard(folder / name, rows, about)
+    return Outcome.of_shard(k, record, input_sha256="f" * 64, notes=("a note",), seconds=0.5)
+
+
+def run(folder: Path, wanted: list[Key], *, stop_after: int | None = None) -> list[str]:
+    """What the pipeline does, in one process; returns the objects it made."""
+    made = []
+    with Journal(folder) as journal:
+        todo = [k for k in wanted if journal.finished(k) is None]
+        names = journal.shard_names(wanted)
+        if todo:
+            journal.claim(names[k] for k in todo)
+        for k in todo:
+            if stop_after == len(made):
+                return made
+            journal.record(make(folder, k, names[k]))
+            made.append(k.object_id)
+        if not journal.is_complete(wanted):
+            outcomes = [done for k in wanted if (done := journal.finished(k))]
+            assert len(outcomes) == len(wanted)
+            journal.finish(manifest_of(outcomes))
+    return made
+
+
+def manifest_of(outcomes) -> Manifest:
+    return Manifest.of(
+        outcomes,
+        category="box",
+        source="tests",
+        licence="MIT",
+        recipe=SMALL.text(),
+        seed=0,
+        timings=TIMINGS,
+    )
+
+
+def names_in(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+COMPLETE = ["manifest.json", "test-00000.h5", "train-00000.h5", "train-00001.h5"]
+
+
+@pytest.fixture(scope="module")
+def complete(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("data") / "box"
+    assert run(folder, keys()) == ["box-0", "box-1", "box-2", LAST]
+    return folder
+
+
+@pytest.fixture
+def folder(complete, tmp_path):
+    copy = tmp_path / "box"
+    copy.mkdir()
+    for path in complete.iterdir():
+        (copy / path.name).write_bytes(path.read_bytes())
+    return copy
+
+
+# The manifest.
+
+
+def test_manifest_tells_what_was_made(complete):
+    manifest = Manifest.read(complete)
+    assert names_in(complete) == COMPLETE
+    assert [o.key.object_id for o in manifest.objects] == ["box-2", "box-0", "box-1"]
+    assert [s.name for s in manifest.shards] == COMPLETE[1:]
+    assert all(sha256_of(complete / s.name) == s.sha256 for s in manifest.shards)
+    assert [(r.key.object_id, r.reason) for r in manifest.rejected] == [(LAST, "it has no lid")]
+    assert manifest.content_sha256 == content_of(reversed(manifest.objects))
+    assert manifest.versions == library_versions()
+    assert manifest.machine == this_machine()
+    assert manifest.objects[0].notes == ("a note",)
+
+
+def test_manifest_comes_back_as_it_was(complete, tmp_path):
+    manifest = Manifest.read(complete)
+    manifest.write(tmp_path)
+    assert Manifest.read(tmp_path) == manifest
+    assert (tmp_path / MANIFEST_NAME).read_bytes() == (complete / MANIFEST_NAME).read_bytes()
+
+
+def test_content_hash_depends_on_content_alone(complete, tmp_path):
+    assert run(tmp_path, list(reversed(keys()))) == [LAST, "box-2", "box-1", "box-0"]
+    assert Manifest.read(tmp_path).content_sha256 == Manifest.read(complete).content_sha256
+    run(tmp_path, keys(seed=1))
+    assert Manifest.read(tmp_path).content_sha256 != Manifest.read(complete).content_sha256
+
+
+def _edited(change):
+    def edit(text: str) -> str:
+        data = json.loads(text)
+        change(data)
+        return json.dumps(data)
+
+    return edit
+
+
+@pytest.mark.parametrize(
+    ("edit", "sentence"),
+    [
+        (lambda text: text[:-20], "JSON"),
+        (lambda _: "", "JSON"),
+        (lambda _: "[]", "should be an object"),
+        (_edited(lambda m: m.update(colour="red")), "colour: Extra inputs"),
+        (_edited(lambda m: m["objects"][0].update(colour="red")), "objects.0.colour: Extra inputs"),
+        (_edited(lambda m: m.pop("seed")), "seed: Field required"),
+        (_edited(lambda m: m.update(seed="0")), "seed: Input should be a valid integer"),
+        (_edited(lambda m: m.update(schema_version=99)), "schema version 99, this articugen reads"),
+        (_edited(lambda m: m["shards"][0].update(name="../x.h5")), r"shards\.0\.name"),
+        (_edited(lambda m: m["shards"][0].update(sha256="0")), r"shards\.0\.sha256"),
+        (_edited(lambda m: m["shards"].pop()), "same instances"),
+        (_edited(lambda m: m["objects"].pop()), "content_sha256"),
+        (_edited(lambda m: m.update(recipe="{}")), "recipe_sha256"),
+    ],
+)
+def test_damaged_manifest(folder, edit, sentence):
+    path = folder / MANIFEST_NAME
+    path.write_text(edit(path.read_text()))
+    with pytest.raises(CorruptShard, match=sentence) as caught:
+        Manifest.read(folder)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_no_manifest(tmp_path):
+    with pytest.raises(CorruptShard, match="cut short goes on when it is started again"):
+        Manifest.read(tmp_path)
+
+
+def test_commit_is_the_one_checked_out():
+    root = Path(__file__).parents[1]
+    done = subprocess.run(
+        ["git", "-C", str(root), "rev-parse", "HEAD"], capture_output=True, text=True, check=False
+    )
+    commit = this_commit()
+    if done.returncode:
+        assert commit is None
+    else:
+        assert commit is not None
+        assert commit.removesuffix("+changes") == done.stdout.strip()
+
+
+# The journal.
+
+
+def test_complete_folder_is_left_alone(complete):
+    before = {p.name: (p.stat().st_mtime_ns, p.stat().st_ino) for p in complete.iterdir()}
+    assert run(complete, keys()) == []
+    assert {p.name: (p.stat().st_mtime_ns, p.stat().st_ino) for p in complete.iterdir()} == before
+
+
+@pytest.mark.parametrize("stop_after", [0, 1, 2, 3])
+def test_stopped_run_goes_on(complete, tmp_path, stop_after):
+    first = run(tmp_path, keys(), stop_after=stop_after)
+    assert len(first) == stop_after
+    assert MANIFEST_NAME not in names_in(tmp_path)
+    assert first + run(tmp_path, keys()) == ["box-0", "box-1", "box-2", LAST]
+    assert names_in(tmp_path) == COMPLETE
+    assert Manifest.read(tmp_path).objects == Manifest.read(complete).objects
+    assert Manifest.read(tmp_path).shards == Manifest.read(complete).shards
+
+
+@pytest.mark.parametrize("moment", ["before its line", "in its line", "in its shard"])
+def test_killed_run_goes_on(complete, tmp_path, moment):
+    run(tmp_path, keys(), stop_after=1)
+    journal = tmp_path / JOURNAL_NAME
+    if moment == "in its shard":
+        (tmp_path / ".train-00001.h5.partial").write_bytes(b"half")
+    else:
+        make(tmp_path, keys()[1], "train-00001.h5")
+    if moment == "in its line":
+        with journal.open("a") as file:
+            file.write('{"made": {"key": {"split": "tra')
+    assert run(tmp_path, keys()) == ["box-1", "box-2", LAST]
+    assert names_in(tmp_path) == COMPLETE
+    assert Manifest.read(tmp_path).content_sha256 == Manifest.read(complete).content_sha256
+
+
+def test_killed_between_manifest_and_journal(folder):
+    run(folder.parent / "other", keys(), stop_after=2)
+    (folder / JOURNAL_NAME).write_bytes((folder.parent / "other" / JOURNAL_NAME).read_bytes())
+    (folder / "train-00007.h5").write_bytes(b"of an earlier recipe")
+    text = (folder / JOURNAL_NAME).read_text()
+    (folder / JOURNAL_NAME).write_text(text.replace('"test-', '"train-00007.h5", "test-', 1))
+    assert run(folder, keys()) == []
+    assert names_in(folder) == COMPLETE
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"recipe_sha256": "0" * 64}, "the recipe has changed"),
+        ({"seed": 1}, "the seed was 0, is 1"),
+        ({"generator": "2"}, "it was made by version 1, this is 2"),
+        ({"ref": "other"}, "its source has changed"),
+    ],
+)
+def test_stale_data_are_named_and_replaced(folder, change, why):
+    (folder / "mine.h5").write_bytes(b"not of ours")
+    with Journal(folder) as journal:
+        assert [journal.why(k) for k in keys(**change)] == [why] * 4
+        assert [journal.finished(k) for k in keys(**change)] == [None] * 4
+        told = journal.conflict(keys(**change))
+        assert told is not None
+        assert f"3 shards of an earlier run will be replaced or removed ({why}: 3)" in told
+        assert journal.conflict(keys()) is None
+    assert len(run(folder, keys(**change))) == 4
+    assert names_in(folder) == sorted([*COMPLETE, "mine.h5"])
+    assert all(
+        o.key == key(o.key.object_id, o.key.split, **change) for o in Manifest.read(folder).objects
+    )
+
+
+def test_never_made(tmp_path):
+    with Journal(tmp_path / "new") as journal:
+        assert journal.why(key()) == "it has not been made yet"
+        assert journal.conflict(keys()) is None
+    assert not (tmp_path / "new").exists()  # a plan writes nothing
+
+
+@pytest.mark.parametrize("harm", ["missing", "altered", "other size"])
+def test_damaged_shard_is_made_again(complete, folder, harm):
+    path = folder / "train-00001.h5"
+    data = bytearray(path.read_bytes())
+    data[-1] ^= 1
+    path.unlink()
+    if harm != "missing":
+        path.write_bytes(data if harm == "altered" else data + b"x")
+    with Journal(folder) as journal:
+        assert journal.why(key("box-1")) == "its shard train-00001.h5 is missing or altered"
+    assert run(folder, keys()) == ["box-1"]
+    assert sha256_of(path) == sha256_of(complete / path.name)
+
+
+def test_fewer_and_more_objects(complete, folder):
+    few = [k for k in keys() if k.object_id in ("box-1", "box-2")]
+    with Journal(folder) as journal:
+        assert "this run does not ask for it: 1" in (journal.conflict(few) or "")
+    run(folder, [*few, key("box-9")])
+    assert run(folder, few) == []
+    assert names_in(folder) == ["manifest.json", "test-00000.h5", "train-00001.h5"]
+    run(folder, [*few, key("box-9")])
+    assert [(o.key.object_id, o.shard) for o in Manifest.read(folder).objects] == [
+        ("box-2", "test-00000.h5"),
+        ("box-1", "train-00001.h5"),  # finished, so it stays where it is
+        ("box-9", "train-00000.h5"),
+    ]
+    assert run(folder, keys()) == ["box-0", LAST]
+    assert Manifest.read(folder).content_sha256 == Manifest.read(complete).content_sha256
+
+
+def test_foreign_file_is_never_replaced(tmp_path):
+    (tmp_path / "train-00000.h5").write_bytes(b"mine")
+    with pytest.raises(ArticugenError, match="was not made by an earlier run here; move it away"):
+        run(tmp_path, keys())
+    assert names_in(tmp_path) == ["train-00000.h5"]
+    assert (tmp_path / "train-00000.h5").read_bytes() == b"mine"
+
+
+def test_one_run_at_a_time(tmp_path):
+    with Journal(tmp_path), pytest.raises(ArticugenError, match="another run is writing here"):
+        Journal(tmp_path)
+    Journal(tmp_path).close()
+
+
+def test_dead_run_does_not_keep_the_folder(tmp_path):
+    code = "import sys, time; from pathlib import Path; from articugen.journal import Journal\n"
+    code += "j = Journal(Path(sys.argv[1])); print('held', flush=True); time.sleep(60)"
+    command = [sys.executable, "-c", code, str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"held\n"
+        with pytest.raises(ArticugenError, match="another run"):
+            Journal(tmp_path)
+        process.send_signal(signal.SIGKILL)
+    Journal(tmp_path).close()
+
+
+def test_damaged_journal(tmp_path):
+    run(tmp_path, keys(), stop_after=2)
+    path = tmp_path / JOURNAL_NAME
+    lines = path.read_text().split("\n")
+    path.write_text("\n".join([lines[0], lines[1][:-9], *lines[2:]]))
+    with pytest.raises(CorruptShard, match="line 2 is damaged; delete that file"):
+        Journal(tmp_path)
+    path.unlink()
+    Journal(tmp_path).close()
+
+
+def test_record_needs_a_claim(tmp_path):
+    with Journal(tmp_path) as journal, pytest.raises(ValueError, match="claim"):
+        journal.record(Outcome(rejected=Rejection(key=key(), reason="x")))
+
+
+def test_unwritable_folder(tmp_path):
+    (tmp_path / "file").write_text("")
+    with (
+        pytest.raises(ArticugenError, match="file/box: not written: "),
+        Journal(tmp_path / "file" / "box") as journal,
+    ):
+        journal.claim(["train-00000.h5"])
+    if os.geteuid() != 0:
+        tmp_path.chmod(0o500)
+        with (
+            pytest.raises(ArticugenError, match="cannot be written to"),
+            Journal(tmp_path) as journal,
+        ):
+            journal.claim(["train-00000.h5"])
+        tmp_path.chmod(0o700)
