@@ -111,22 +111,31 @@ class PosedFields:
     part_motion: NDArray[np.float64]
 
     def labels(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
-        """(n,) 0 where free, k + 1 inside part k, for `points` (n, 3)."""
-        label = np.zeros(len(points), np.uint8)
-        inside = np.flatnonzero(~self.whole.is_free(points))
-        label[inside] = 1 + self.part_of_inside(points[inside])
+        """(n,) 0 where free, k + 1 inside part k, for `points` (n, 3).
+
+        A point is inside part k > 0 where that part's own solid holds it (the first such part), and
+        inside part 0 where none does and no view sees it free: part 0 has what the parts enclose.
+        """
+        label = self._moving_part(points)
+        rest = np.flatnonzero(label == 0)
+        label[rest] = ~self.whole.is_free(points[rest])
         return label
 
-    def part_of_inside(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
-        """(n,) the part of points that are inside: the first moving part whose own solid holds the
-        point; part 0 holds the rest, and with it what the parts enclose together."""
-        part = np.zeros(len(points), np.uint8)
+    def labels_inside(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
+        """The same for points that are known to be inside."""
+        return np.maximum(self._moving_part(points), 1)
+
+    def _moving_part(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
+        """(n,) k + 1 for the first part k > 0 whose own solid holds the point, else 0."""
+        points = np.ascontiguousarray(points, np.float32)
+        label = np.zeros(len(points), np.uint8)
         for k, own in enumerate(self.own, start=1):
-            canonical = apply(invert_rigid(self.part_motion[k]), points)
-            in_box = np.all((canonical > own.box[0]) & (canonical < own.box[1]), axis=1)
-            asked = np.flatnonzero(in_box & (part == 0))
-            part[asked[~own.field.is_free(canonical[asked])]] = k
-        return part
+            to_canonical = invert_rigid(self.part_motion[k])
+            near = fusion_kernels.in_box(points, to_canonical, own.box)
+            asked = near[label[near] == 0]
+            held = ~own.field.is_free(apply(to_canonical, points[asked]))
+            label[asked[held]] = k + 1
+        return label
 
 
 def fuse(

@@ -8,10 +8,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from articugen.hierarchy import in_front, line_meets, meets
+from articugen.hierarchy import behind, in_front, line_meets, meets
 
 UNSEEN = np.float32(1e9)
 """Signed distance where a view sees nothing behind the point."""
+
+_HIDDEN, _FREE, _UNSURE = 0, 1, 2
+
+BLOCK = 2048
+"""Points that are projected at a time: their coordinates stay in the first-level cache."""
 
 SMOOTH_STEP = np.float32(4.0)
 """Without face ids: depths that differ by less than this many pixels' width are one surface."""
@@ -47,37 +52,99 @@ class Scene(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def is_free(points, scene):
-    """(n,) which points at least one view sees free; a point is done with at the first."""
-    free = np.zeros(points.shape[0], np.bool_)
-    waiting = np.arange(points.shape[0])
-    left = points.shape[0]
+    """(n,) which points at least one view sees free; a point is done with at the first.
+
+    View by view over the points that are left, which stay packed: projecting them is one
+    vectorised loop a block, and a view's map stays in the cache.
+    """
+    n = points.shape[0]
+    free = np.zeros(n, np.bool_)
+    x, y, z = points[:, 0].copy(), points[:, 1].copy(), points[:, 2].copy()
+    index = np.arange(n)
+    u, v, depth = (
+        np.empty(BLOCK, np.float32),
+        np.empty(BLOCK, np.float32),
+        np.empty(BLOCK, np.float32),
+    )
+    left = n
+    # arrays out of the tuple once, not at every point: each time counts its references
+    triangles, hierarchy, to_part = scene.triangles, scene.hierarchy, scene.to_part
+    pinhole, pixel, by_depth = scene.pinhole, scene.pixel, scene.face.shape[1] == 0
     for k in range(scene.cameras.shape[0]):
-        T, face, depth, lens, eye = _view(k, scene)
+        camera = _camera(k, scene)
+        face_map, depth_map = _maps(k, scene)
         kept = 0
-        for n in range(left):
-            index = waiting[n]
-            p = (points[index, 0], points[index, 1], points[index, 2])
-            if _look(p, T, face, depth, lens, eye, scene) > 0.0:
-                free[index] = True
-            else:
-                waiting[kept] = index
-                kept += 1
+        for first in range(0, left, BLOCK):
+            size = min(BLOCK, left - first)
+            _project(
+                x[first : first + size], y[first : first + size], z[first : first + size],
+                camera, pinhole, u, v, depth,
+            )  # fmt: skip
+            for b in range(size):
+                i = first + b
+                p = (x[i], y[i], z[i])
+                if by_depth:
+                    verdict = _verdict_by_depth(u[b], v[b], depth[b], depth_map, pixel)
+                else:
+                    verdict = _verdict(p, u[b], v[b], camera, pinhole, face_map, triangles)
+                if verdict == _FREE or (
+                    verdict == _UNSURE
+                    and _leaves(
+                        p, u[b], v[b], camera, pinhole, face_map, triangles, hierarchy, to_part
+                    )
+                ):
+                    free[index[i]] = True
+                else:
+                    x[kept], y[kept], z[kept] = p
+                    index[kept] = index[i]
+                    kept += 1
         left = kept
     return free
+
+
+@njit(cache=True, nogil=True)
+def in_box(points, T, box):
+    """The indices of the points (n, 3) that the transform T (4, 4) takes into the box (2, 3)."""
+    found = np.empty(points.shape[0], np.int64)
+    count = 0
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        inside = True
+        for axis in range(3):
+            at = T[axis, 0] * x + T[axis, 1] * y + T[axis, 2] * z + T[axis, 3]
+            inside = inside and box[0, axis] < at < box[1, axis]
+        if inside:
+            found[count] = i
+            count += 1
+    return found[:count]
 
 
 @njit(cache=True, nogil=True)
 def value(points, scene, truncation, mean):
     """(n,) the truncated signed distances of the views, averaged as `fusion` says."""
     n = points.shape[0]
+    x, y, z = points[:, 0].copy(), points[:, 1].copy(), points[:, 2].copy()
+    u, v, depth = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
     total = np.zeros((n, 2))  # of the views that see the point free, and that it lies close behind
     views = np.zeros((n, 2))
+    triangles, hierarchy, to_part = scene.triangles, scene.hierarchy, scene.to_part
+    pinhole, pixel, by_depth = scene.pinhole, scene.pixel, scene.face.shape[1] == 0
     for k in range(scene.cameras.shape[0]):
-        T, face, depth, lens, eye = _view(k, scene)
+        camera = _camera(k, scene)
+        face_map, depth_map = _maps(k, scene)
+        _project(x, y, z, camera, scene.pinhole, u, v, depth)
         for i in range(n):
-            p = (points[i, 0], points[i, 1], points[i, 2])
-            s = _look(p, T, face, depth, lens, eye, scene)
-            if s > 0.0:
+            p = (x[i], y[i], z[i])
+            if by_depth:
+                verdict = _verdict_by_depth(u[i], v[i], depth[i], depth_map, pixel)
+            else:
+                verdict = _verdict(p, u[i], v[i], camera, pinhole, face_map, triangles)
+            free = verdict == _FREE or (
+                verdict == _UNSURE
+                and _leaves(p, u[i], v[i], camera, pinhole, face_map, triangles, hierarchy, to_part)
+            )
+            s = _distance(p, u[i], v[i], depth[i], camera, face_map, depth_map, scene, free)
+            if free:
                 total[i, 0] += min(np.float64(s), truncation)
                 views[i, 0] += 1.0
             elif s >= -truncation:
@@ -97,52 +164,113 @@ def value(points, scene, truncation, mean):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _view(k, scene):
-    """One view's numbers as tuples, which cost nothing to pass, and its map."""
+def _camera(k, scene):
+    """One view's numbers as tuples, which cost nothing to pass: three rows, lens, eye."""
     c, i, e = scene.cameras, scene.intrinsics, scene.eyes
-    T = (
+    return (
         (c[k, 0, 0], c[k, 0, 1], c[k, 0, 2], c[k, 0, 3]),
         (c[k, 1, 0], c[k, 1, 1], c[k, 1, 2], c[k, 1, 3]),
         (c[k, 2, 0], c[k, 2, 1], c[k, 2, 2], c[k, 2, 3]),
+        (i[k, 0], i[k, 1], i[k, 2], i[k, 3]),
+        (e[k, 0], e[k, 1], e[k, 2]),
     )
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _maps(k, scene):
     by_depth = scene.face.shape[1] == 0
-    face = scene.face[0 if by_depth else k]
-    depth = scene.depth[k if by_depth else 0]
-    return T, face, depth, (i[k, 0], i[k, 1], i[k, 2], i[k, 3]), (e[k, 0], e[k, 1], e[k, 2])
+    return scene.face[0 if by_depth else k], scene.depth[k if by_depth else 0]
+
+
+@njit(cache=True, nogil=True)
+def _project(x, y, z, camera, pinhole, u, v, depth):
+    """Where points fall between pixel centres: pixel (i, j) is at (u, v) = (j, i) here."""
+    a, b, c, lens, _ = camera
+    fx, fy = lens[0], lens[1]
+    cx, cy = lens[2] - np.float32(0.5), lens[3] - np.float32(0.5)
+    for n in range(x.shape[0]):
+        right = a[0] * x[n] + a[1] * y[n] + a[2] * z[n] + a[3]
+        down = b[0] * x[n] + b[1] * y[n] + b[2] * z[n] + b[3]
+        ahead = c[0] * x[n] + c[1] * y[n] + c[2] * z[n] + c[3]
+        w = np.float32(1.0) / ahead if pinhole else np.float32(1.0)
+        u[n] = fx * right * w + cx
+        v[n] = fy * down * w + cy
+        depth[n] = ahead
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _row(row, p):
-    return row[0] * p[0] + row[1] * p[1] + row[2] * p[2] + row[3]
+def _shown(face_map, u, v):
+    """The faces at the four pixels around (u, v)."""
+    i, j = np.int64(v), np.int64(u)
+    return face_map[i, j], face_map[i, j + 1], face_map[i + 1, j], face_map[i + 1, j + 1]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _look(p, T, face, depth, lens, eye, scene):
-    """What a view says of `p`: how far in front of the surface it lies, nan for no say."""
-    x = _row(T[0], p)
-    y = _row(T[1], p)
-    if scene.pinhole:
-        z = _row(T[2], p)
-        x /= z
-        y /= z
-    # pixel centres lie at + 0.5: the four around the projection are (i, j) .. (i + 1, j + 1)
-    u = lens[0] * x + lens[2] - np.float32(0.5)
-    v = lens[1] * y + lens[3] - np.float32(0.5)
-    by_depth = face.shape[0] == 0
-    H, W = depth.shape if by_depth else face.shape
-    if not (u >= 0.0 and v >= 0.0 and u < W - 1 and v < H - 1):
-        return UNSEEN
-    j = np.int64(u)
-    i = np.int64(v)
-    if by_depth:
-        return _by_depth(depth, i, j, u - j, v - i, _row(T[2], p), SMOOTH_STEP * scene.pixel)
-    shown = (face[i, j], face[i, j + 1], face[i + 1, j], face[i + 1, j + 1])
+def _outside(u, v, image):
+    return not (u >= 0.0 and v >= 0.0 and u < image.shape[1] - 1 and v < image.shape[0] - 1)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _verdict(p, u, v, camera, pinhole, face_map, triangles):
+    """What a view says of a point: _FREE, _HIDDEN, or _UNSURE where an edge runs close by."""
+    if _outside(u, v, face_map):
+        return _FREE
+    shown = _shown(face_map, u, v)
+    w = _towards_camera(p, camera[4], pinhole)
     if shown[0] == shown[1] and shown[0] == shown[2] and shown[0] == shown[3]:
-        if shown[0] < 0:
+        if shown[0] < 0 or not behind(p, w, triangles, shown[0]):
+            return _FREE
+        return _HIDDEN
+    hidden = 0
+    for f in shown:
+        if f >= 0 and behind(p, w, triangles, f):
+            hidden += 1
+    if hidden == 0:
+        return _FREE
+    return _HIDDEN if hidden == 4 else _UNSURE
+
+
+@njit(cache=True, nogil=True)
+def _verdict_by_depth(u, v, depth, depth_map, pixel):
+    if _outside(u, v, depth_map):
+        return _FREE
+    return _FREE if _by_depth(depth_map, u, v, depth, SMOOTH_STEP * pixel) > 0.0 else _HIDDEN
+
+
+@njit(cache=True, nogil=True)
+def _leaves(p, u, v, camera, pinhole, face_map, triangles, hierarchy, to_part):
+    """Whether the ray from `p` meets nothing on its way to the camera."""
+    w = _towards_camera(p, camera[4], pinhole)
+    for f in _shown(face_map, u, v):
+        if f >= 0 and behind(p, w, triangles, f) and line_meets(p, w, triangles, f):
+            return False
+    # none of what shows is in the way: something that shows at no pixel's centre may still be
+    h = hierarchy
+    return not meets(p, w, to_part, h.box, h.skip, h.leaf, h.triangles, h.roots)
+
+
+@njit(cache=True, nogil=True)
+def _distance(p, u, v, depth, camera, face_map, depth_map, scene, free):
+    """How far in front of the surface a view sees the point, given whether it sees it free.
+
+    To the nearest of the four faces on that side; along the optical axis without face ids.
+    """
+    if face_map.shape[0] == 0:
+        if _outside(u, v, depth_map):
             return UNSEEN
-        w = _towards_camera(p, eye, scene.pinhole)
-        return in_front(p, w, scene.triangles, shown[0])
-    return _weigh(p, _towards_camera(p, eye, scene.pinhole), shown, scene)
+        return _by_depth(depth_map, u, v, depth, SMOOTH_STEP * scene.pixel)
+    nearest = UNSEEN if free else -UNSEEN
+    if _outside(u, v, face_map):
+        return nearest
+    w = _towards_camera(p, camera[4], scene.pinhole)
+    for f in _shown(face_map, u, v):
+        if f >= 0:
+            s = in_front(p, w, scene.triangles, f)
+            if free and s > 0.0:
+                nearest = min(nearest, s)
+            elif not free and s <= 0.0:
+                nearest = max(nearest, s)
+    return nearest
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -154,53 +282,18 @@ def _towards_camera(p, eye, pinhole):
     return x * scale, y * scale, z * scale
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _weigh(p, w, shown, scene):
-    """The say of four pixels that show different faces."""
-    nearest = UNSEEN
-    farthest = -UNSEEN
-    for f in shown:
-        s = in_front(p, w, scene.triangles, f) if f >= 0 else UNSEEN
-        nearest = min(nearest, s)
-        farthest = max(farthest, s)
-    if nearest > 0.0:  # in front of all
-        return nearest
-    if farthest <= 0.0:  # behind all
-        return farthest
-    for f in shown:
-        if f >= 0 and line_meets(p, w, scene.triangles, f):
-            s = in_front(p, w, scene.triangles, f)
-            if s <= 0.0:  # behind a face that its ray meets
-                return s
-    # in front of some and behind others, and none of them is in the way: something that shows at
-    # no pixel's centre may still be
-    h = scene.hierarchy
-    if meets(p, w, scene.to_part, h.box, h.skip, h.leaf, h.triangles, h.roots):
-        return np.float32(np.nan)
-    return _just_in_front(p, w, shown, scene.triangles)
-
-
 @njit(cache=True, nogil=True)
-def _just_in_front(p, w, shown, triangles):
-    """How far `p` is in front of the nearest of the faces shown that it is in front of."""
-    nearest = UNSEEN
-    for f in shown:
-        if f >= 0:
-            s = in_front(p, w, triangles, f)
-            if s > 0.0:
-                nearest = min(nearest, s)
-    return nearest
+def _by_depth(depth_map, u, v, z, step):
+    """How far in front of four depths, at (u, v) among them, along the optical axis.
 
-
-@njit(cache=True, nogil=True)
-def _by_depth(depth, i, j, a, b, z, step):
-    """The say of four depths alone, at (a, b) between them: along the optical axis.
-
-    One smooth surface is interpolated; across a silhouette the four must agree, or have no say.
+    One smooth surface is interpolated; across a silhouette the four must agree: else nan, no say.
     """
-    d0, d1, d2, d3 = depth[i, j], depth[i, j + 1], depth[i + 1, j], depth[i + 1, j + 1]
-    low = min(min(d0, d1), min(d2, d3))
-    high = max(max(d0, d1), max(d2, d3))
+    i, j = np.int64(v), np.int64(u)
+    a, b = u - np.float32(j), v - np.float32(i)
+    d0, d1 = depth_map[i, j], depth_map[i, j + 1]
+    d2, d3 = depth_map[i + 1, j], depth_map[i + 1, j + 1]
+    low = min(d0, d1, d2, d3)
+    high = max(d0, d1, d2, d3)
     if high - low < step:
         one = np.float32(1.0)
         return (one - b) * ((one - a) * d0 + a * d1) + b * ((one - a) * d2 + a * d3) - z

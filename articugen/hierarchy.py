@@ -91,7 +91,7 @@ def _build(corners):
             if centers[order[n], axis] < middle:
                 order[n], order[cut] = order[cut], order[n]
                 cut += 1
-        if cut == low or cut == high:  # all centres in one place
+        if cut in (low, high):  # all centres in one place
             cut = (low + high) // 2
         waiting.append((cut, high, node))
         waiting.append((low, cut, -1))
@@ -153,7 +153,7 @@ def meets(p, w, to_part, box, skip, leaf, triangles, roots):
                 node = skip[node]
                 continue
             for f in range(leaf[node, 0], leaf[node, 0] + leaf[node, 1]):
-                if in_front(q, d, triangles, f) <= 0.0 and line_meets(q, d, triangles, f):
+                if behind(q, d, triangles, f) and line_meets(q, d, triangles, f):
                     return True
             node += 1
     return False
@@ -184,6 +184,15 @@ def in_front(p, w, triangles, f):
     if slope == 0.0:
         slope = np.float32(1e-12)
     return (x * p[0] + y * p[1] + z * p[2] - triangles[f, 3]) / slope
+
+
+@njit(cache=True, nogil=True, inline="always")
+def behind(p, w, triangles, f):
+    """Whether `p` lies behind face f's plane, seen from the direction `w`: `in_front` <= 0."""
+    x, y, z = triangles[f, 0], triangles[f, 1], triangles[f, 2]
+    gap = x * p[0] + y * p[1] + z * p[2] - triangles[f, 3]
+    slope = x * w[0] + y * w[1] + z * w[2]
+    return gap * slope <= 0.0
 
 
 @njit(cache=True, nogil=True)

@@ -39,17 +39,19 @@ MOST_PARTS = 254
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """The voxel centres of a grid, and what is known of them in every pose.
+    """The voxels of a grid, and what is known of them in every pose.
 
     Attributes:
-        points: (r^3, 3).
-        solid: indices of the voxels that part 0 alone fills: inside, whatever the other parts do.
-        open: indices of the others.
+        solid: (s,) flat indices of the voxels that part 0 alone fills: inside, whatever the other
+            parts do.
+        open: (o,) flat indices of the others.
+        solid_points, open_points: (s, 3), (o, 3) float32 their centres.
     """
 
-    points: Floats
     solid: NDArray[np.intp]
     open: NDArray[np.intp]
+    solid_points: NDArray[np.float32]
+    open_points: NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,9 +143,7 @@ def make_instance(prepared: Prepared, state_index: int) -> Instance:
     motion = p.unit.rigid_to_unit(articulation.part_motions(posed, p.canonical))
     mesh = p.mesh.moved(motion)
     maps = _render_posed(p, mesh)
-    field = fusion.fuse(
-        maps, mesh, p.recipe.fusion, hierarchy=p.hierarchy, part_motion=motion
-    )
+    field = fusion.fuse(maps, mesh, p.recipe.fusion, hierarchy=p.hierarchy, part_motion=motion)
     fields = fusion.PosedFields(field, p.own, motion)
 
     surface = sampling.surface_points(
@@ -273,17 +273,15 @@ def _render_posed(p: Prepared, mesh: LabelledMesh) -> DepthMaps:
 
 
 def _grid(resolution: int, static: fusion.Field) -> Grid:
-    points = sampling.grid_points(resolution)
+    points = sampling.grid_points(resolution).astype(np.float32)
     free = static.is_free(points)
-    return Grid(points, np.flatnonzero(~free), np.flatnonzero(free))
+    return Grid(np.flatnonzero(~free), np.flatnonzero(free), points[~free], points[free])
 
 
-def _labelled_grid(
-    grid: Grid, fields: fusion.PosedFields, resolution: int
-) -> NDArray[np.uint8]:
-    label = np.zeros(len(grid.points), np.uint8)
-    label[grid.open] = fields.labels(grid.points[grid.open])
-    label[grid.solid] = 1 + fields.part_of_inside(grid.points[grid.solid])
+def _labelled_grid(grid: Grid, fields: fusion.PosedFields, resolution: int) -> NDArray[np.uint8]:
+    label = np.empty(resolution**3, np.uint8)
+    label[grid.open] = fields.labels(grid.open_points)
+    label[grid.solid] = fields.labels_inside(grid.solid_points)
     return label.reshape(resolution, resolution, resolution)
 
 

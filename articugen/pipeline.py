@@ -307,7 +307,8 @@ def _check_rejects(outcomes: list[Outcome], job: Job) -> None:
 def _timings(todo: Plan, seconds: float, workers: int) -> Timings:
     unit = 1 if sys.platform == "darwin" else 1024
     peak = max(
-        resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+        resource.getrusage(who).ru_maxrss
+        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     )
     return Timings(
         seconds=seconds,

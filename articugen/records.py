@@ -244,7 +244,7 @@ class LabelledMesh:
         first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
         return LabelledMesh(
             np.concatenate([mesh.vertices for mesh in meshes]),
-            np.concatenate([mesh.faces + n for mesh, n in zip(meshes, first, strict=False)]),
+            np.concatenate([m.faces + np.int32(n) for m, n in zip(meshes, first, strict=False)]),
             np.concatenate([mesh.part_of_face for mesh in meshes]),
         )
 
@@ -256,7 +256,9 @@ class LabelledMesh:
     def compact(self) -> "LabelledMesh":
         """The same faces without the vertices that none of them uses."""
         used, faces = np.unique(self.faces, return_inverse=True)
-        return LabelledMesh(self.vertices[used], faces.reshape(-1, 3), self.part_of_face)
+        return LabelledMesh(
+            self.vertices[used], faces.reshape(-1, 3).astype(np.int32), self.part_of_face
+        )
 
     def moved(self, T_part: Floats) -> "LabelledMesh":
         """The mesh with each part moved by its own transform; `T_part` (P, 4, 4).
@@ -300,7 +302,7 @@ class Views:
     def __post_init__(self) -> None:
         count = len(self.T_camera_world)
         _freeze(self, T_camera_world=(np.float64, (count, 4, 4)))
-        _freeze(self, **{name: (np.float64, (count,)) for name in ("fx", "fy", "cx", "cy")})
+        _freeze(self, **dict.fromkeys(("fx", "fy", "cx", "cy"), (np.float64, (count,))))
         if self.projection not in ("orthographic", "pinhole"):
             raise ValueError(f"Views.projection: {self.projection!r}")
 

@@ -114,14 +114,15 @@ def _slabs(
     lifted = corners[:, None] + np.array([0.5, -0.5])[None, :, None, None] * (
         thickness * normals[:, None, None, :]
     )
-    base = 6 * np.arange(len(faces))[:, None]
-    caps = np.concatenate([base + [0, 1, 2], base + [5, 4, 3]])
+    first = 6 * np.arange(len(faces))[:, None]  # each face has six vertices of its own
+    top, bottom = np.array([0, 1, 2]), np.array([5, 4, 3])
+    caps = np.concatenate([first + top, first + bottom])
     walls, owner = [], []
     for edge, (a, b) in enumerate(((0, 1), (1, 2), (2, 0))):
         ends = np.flatnonzero(~_continued(vertices, faces, normals, edge))
-        foot = base[ends]
-        walls += [foot + [a, 3 + a, 3 + b], foot + [a, 3 + b, b]]
-        owner += [ends, ends]
+        for corners_of_half in ((a, 3 + a, 3 + b), (a, 3 + b, b)):
+            walls.append(first[ends] + np.array(corners_of_half))
+            owner.append(ends)
     all_faces = np.concatenate([caps, *walls]) if len(faces) else np.zeros((0, 3), np.int32)
     source = np.concatenate([np.arange(len(faces))] * 2 + owner)
     return LabelledMesh(lifted.reshape(-1, 3), all_faces, part_of_face[source])
@@ -150,9 +151,7 @@ def _continued(
     return np.bincount(face, weights=smooth & (other != face), minlength=len(faces)) > 0
 
 
-def face_normals(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32]
-) -> NDArray[np.float64]:
+def face_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
     """(F, 3) unit normals by the right-hand rule of each face's winding."""
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     normals = np.cross(b - a, c - a)

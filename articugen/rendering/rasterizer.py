@@ -193,7 +193,7 @@ def _edge(xa, ya, xb, yb):
     A = ya - yb
     B = xb - xa
     C = xa * yb - ya * xb
-    # interior on the left of a -> b (y down: clockwise on screen); a top or left edge owns its pixels
+    # inside is E >= 0; of two triangles at an edge the one that has it on top or left owns it
     if not (A > 0 or (A == 0 and B > 0)):
         C -= 1
     return A, B, C

@@ -1,4 +1,4 @@
-"""Where the cameras stand: views spread over the sphere for fusion, random ones for partial clouds."""
+"""Where the cameras stand: spread over the sphere for fusion, at random for partial clouds."""
 
 import numpy as np
 from numpy.typing import NDArray
