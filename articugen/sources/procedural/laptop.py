@@ -38,7 +38,7 @@ _T_WORLD_USER = transform([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 def build(rng: np.random.Generator) -> Model:
-    """A laptop with links `base` and `lid` and the joint `hinge`."""
+    """A laptop with links `body` and `lid` and the joint `hinge`."""
     shape = draw_shape(rng)
     base_knuckles, lid_knuckles = _hinge(rng, shape)
     base = [*_chassis(shape), *_feet(rng, shape), *_deck(rng, shape), *base_knuckles]
@@ -50,14 +50,14 @@ def build(rng: np.random.Generator) -> Model:
     joint = ModelJoint(
         name="hinge",
         kind="revolute",
-        parent="base",
+        parent="body",
         child="lid",
         origin=T[:3, 3],
         axis=(0.0, 1.0, 0.0),
         upper=np.deg2rad(135.0),
     )
     links = (
-        ModelLink("base", "base_body", tuple(s.moved(T) for s in base)),
+        ModelLink("body", "base_body", tuple(s.moved(T) for s in base)),
         ModelLink("lid", "screen_frame", tuple(s.moved(T) for s in lid)),
     )
     return Model(links, (joint,))

@@ -13,6 +13,9 @@ from numpy.typing import ArrayLike
 from articugen.geometry import Array
 from articugen.sources.procedural.solids import Solid
 
+ROOT_NAME = "base"
+"""The empty link on which a messy model stands."""
+
 
 @dataclass(frozen=True, eq=False)
 class ModelLink:
@@ -57,6 +60,8 @@ class Model:
 
     def __post_init__(self) -> None:
         hung = [self.links[0].name]
+        if any(link.name == ROOT_NAME for link in self.links):
+            raise ValueError(f"a link may not be called {ROOT_NAME}: messy models have one")
         for joint in self.joints:
             if joint.parent not in hung or joint.child in hung:
                 raise ValueError(f"joint {joint.name}: its parent must come first, its child once")

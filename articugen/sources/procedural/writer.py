@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.geometry import Array, apply, invert_rigid, rotation_from_rpy, transform
-from articugen.sources.procedural.model import Model, ModelLink
+from articugen.sources.procedural.model import ROOT_NAME, Model, ModelLink
 from articugen.sources.procedural.solids import Solid
 
 GENERATOR_VERSION = 1
@@ -36,8 +36,9 @@ TRUTH_NAME = "solids.json"
 _YUP_RPY = (1.5707963267948966, 0.0, -1.5707963267948966)
 """Turns meshes with y up, as PartNet-Mobility publishes them, to z up."""
 
-_SHEET_LIMIT = 0.005
-"""Panels thinner than this part of the object's longest side become sheets in messy models."""
+_SHEET_LIMIT = 0.0065
+"""Panels thinner than this part of the object's longest side become sheets in messy models: about
+what the default recipe takes a sheet's thickness to be."""
 
 
 def is_complete(folder: Path, *, messy: bool) -> bool:
@@ -208,7 +209,7 @@ def _urdf(
     if messy:
         rpy = " ".join(repr(angle) for angle in _YUP_RPY)
         joints.append(
-            _joint("stand", "fixed", parent="base", child=body, origin=np.zeros(3), rpy=rpy)
+            _joint("stand", "fixed", parent=ROOT_NAME, child=body, origin=np.zeros(3), rpy=rpy)
         )
     for j in model.joints:
         pivot[j.child] = np.asarray(j.origin, np.float64)
@@ -230,7 +231,7 @@ def _urdf(
         for name, files in visuals.items()
     ]
     if messy:  # As PartNet-Mobility has it: an empty base first, the body last.
-        links = ['  <link name="base"/>', *links[1:], links[0]]
+        links = [f'  <link name="{ROOT_NAME}"/>', *links[1:], links[0]]
     tree = "\n".join([*links, *joints])
     return f'<?xml version="1.0"?>\n<robot name="{object_id}">\n{tree}\n</robot>\n'
 

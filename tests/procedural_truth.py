@@ -1,0 +1,82 @@
+"""Procedural objects in tests: where their links stand, how they are closed, whether they meet."""
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.articulation import forward_kinematics
+from articugen.geometry import apply
+from articugen.records import ArticulatedObject, Floats, JointState
+from articugen.sources.procedural import write_object
+from articugen.sources.procedural.model import Model
+from articugen.sources.procedural.solids import Solid
+from articugen.sources.procedural.truth import Truth, load_truth
+from articugen.sources.urdf import load_urdf
+
+
+def written(
+    category: str, object_id: str, folder: Path, *, messy: bool = False
+) -> tuple[ArticulatedObject, Truth]:
+    """An object written to `folder`, read back, and its truth."""
+    path = write_object(category, object_id, folder, messy=messy)
+    return load_urdf(path, object_id=object_id, category=category), load_truth(folder)
+
+
+def link_frames(obj: ArticulatedObject, q: Floats) -> dict[str, Floats]:
+    """T_world_link (4, 4) of each link by its name."""
+    posed = forward_kinematics(obj, JointState(q))
+    return {link.name: T for link, T in zip(obj.links, posed.T_world_link, strict=True)}
+
+
+def random_state(obj: ArticulatedObject, rng: np.random.Generator) -> Floats:
+    return np.array([rng.uniform(j.lower, j.upper) for j in obj.moving_joints])
+
+
+def is_closed(faces: NDArray[np.int32]) -> bool:
+    """Every directed edge once, and its opposite once: a closed, consistently wound surface."""
+    edges = Counter((int(f[k]), int(f[(k + 1) % 3])) for f in faces for k in range(3))
+    return all(n == 1 and edges[b, a] == 1 for (a, b), n in edges.items())
+
+
+def mesh_volume(solid: Solid) -> float:
+    """The volume that the boundary encloses, by the divergence theorem; positive if outward."""
+    a, b, c = np.moveaxis(solid.vertices[solid.faces], 1, 0)
+    return float(np.sum(a * np.cross(b, c)) / 6.0)
+
+
+def assert_sound(model: Model) -> None:
+    """Every solid is closed, wound outward, of convex cells, and as large as its cells together."""
+    for link in model.links:
+        for k, solid in enumerate(link.solids):
+            name = f"{link.name}, solid {k}"
+            assert is_closed(solid.faces), name
+            assert len(solid.half_spaces) == len(solid.cells), name
+            assert solid.volume > 0.0, name
+            assert abs(mesh_volume(solid) - solid.volume) < 1e-9 * solid.volume + 1e-15, name
+
+
+def surface_points(
+    obj: ArticulatedObject, link: str, count: int, rng: np.random.Generator
+) -> Floats:
+    """Points on a link's mesh, uniform by area, and all its vertices; in the link's frame."""
+    mesh = obj.links[obj.link_index[link]].mesh
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    face = rng.choice(len(area), count, p=area / area.sum())
+    w = rng.dirichlet([1.0, 1.0, 1.0], count)
+    on_faces = a[face] * w[:, :1] + b[face] * w[:, 1:2] + c[face] * w[:, 2:]
+    return np.concatenate([on_faces, mesh.vertices])
+
+
+def crossings(
+    obj: ArticulatedObject, truth: Truth, q: Floats, rng: np.random.Generator, count: int = 3000
+) -> set[tuple[str, str]]:
+    """Pairs of links (a, b) of which a's surface is somewhere inside b."""
+    T = link_frames(obj, q)
+    pairs = set()
+    for link in truth.links:
+        holds = truth.holds(apply(T[link], surface_points(obj, link, count, rng)), T)
+        pairs |= {(link, o) for k, o in enumerate(truth.links) if o != link and holds[:, k].any()}
+    return pairs

@@ -1,0 +1,77 @@
+"""Eyeglasses: two temples that fold inwards, clear of the front, and no two pairs alike."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from articugen.geometry import apply
+from articugen.seeding import generator
+from articugen.sources.procedural import build_model, object_id
+from tests.procedural_truth import assert_sound, crossings, link_frames, written
+
+IDS = [object_id("eyeglasses", k) for k in range(42)]
+BETWEEN_TEMPLES = {("left_temple", "right_temple"), ("right_temple", "left_temple")}
+
+
+@pytest.mark.parametrize("name", IDS[:6])
+def test_eyeglasses_are_sound_and_the_temples_clear_the_front(name: str, tmp_path: Path) -> None:
+    assert_sound(build_model("eyeglasses", name))
+    obj, truth = written("eyeglasses", name, tmp_path / name)
+    rng = generator(0, name)
+    assert crossings(obj, truth, np.zeros(2), rng) == set()
+    states = [(90.0, 0.0), (0.0, 90.0), (90.0, 90.0), *rng.uniform(0, 90, (4, 2))]
+    for state in states:
+        found = crossings(obj, truth, np.radians(state), rng)
+        assert found <= BETWEEN_TEMPLES, state
+        if min(state) == 0.0:
+            assert not found, state
+
+
+def test_the_temples_fold_inwards_about_z(tmp_path: Path) -> None:
+    obj, _ = written("eyeglasses", IDS[1], tmp_path / IDS[1])
+    left, right = obj.moving_joints
+    np.testing.assert_array_equal([left.axis, right.axis], [(0, 0, 1), (0, 0, -1)])
+    assert np.degrees([left.lower, left.upper, right.lower, right.upper]) == pytest.approx(
+        [0, 90, 0, 90]
+    )
+    for joint, side in ((left, -1.0), (right, 1.0)):
+        points = obj.links[obj.link_index[joint.child]].mesh.vertices
+        opened = apply(link_frames(obj, np.zeros(2))[joint.child], points)
+        folded = apply(link_frames(obj, np.radians([90.0, 90.0]))[joint.child], points)
+        assert np.ptp(opened[:, 0]) > 0.09
+        assert np.ptp(folded[:, 1]) == pytest.approx(np.ptp(opened[:, 0]), abs=1e-9)
+        assert (side * opened[:, 1]).min() > 0.04
+        # The tip has come across the middle of the face.
+        assert (side * folded[:, 1]).min() < 0.0
+
+
+def test_eyeglasses_are_symmetric_when_open() -> None:
+    model = build_model("eyeglasses", IDS[3])
+    left, right = (
+        np.concatenate([s.vertices for s in model.links[k].solids]) * (1, sign, 1)
+        for k, sign in ((1, -1), (2, 1))
+    )
+    np.testing.assert_allclose(left, right, atol=1e-12)
+
+
+def test_eyeglasses_are_thick_enough_and_small_enough() -> None:
+    """No solid is thinner than 0.002 of the unit frame, in which the object is 0.9 long."""
+    for name in IDS[:6]:
+        model = build_model("eyeglasses", name)
+        unit = 0.9 / np.ptp(model.bounds, axis=0).max()
+        solids = [s for link in model.links for s in link.solids]
+        assert 1_000 < sum(len(s.faces) for s in solids) < 6_000
+        for solid in solids:
+            middle = solid.vertices - solid.vertices.mean(axis=0)
+            normals = np.concatenate([planes[:, :3] for planes in solid.half_spaces])
+            assert np.ptp(middle @ normals.T, axis=0).min() * unit > 0.002
+
+
+def test_eyeglasses_differ() -> None:
+    models = [build_model("eyeglasses", name) for name in IDS]
+    sizes = np.array([np.ptp(model.bounds, axis=0) for model in models])
+    assert len(np.unique(sizes.round(6), axis=0)) == len(IDS)
+    height = sizes[:, 2] / sizes[:, 1]
+    assert height.max() > 1.4 * height.min()
+    assert len({len(model.links[0].solids) for model in models}) > 5
