@@ -64,7 +64,7 @@ def build(rng: np.random.Generator) -> Model:
     layout = LAYOUTS[rng.integers(len(LAYOUTS))](rng)
     width, depth, height = layout.size
     extent = max(width, height, 1.9 * depth)
-    board = rng.uniform(0.015, 0.024) * extent
+    board = rng.uniform(0.017, 0.025) * extent
     style = _style(rng, extent, board)
     legs, lift = support(rng, layout, board)
     slab = rng.uniform(0.9, 1.5) * board
@@ -174,12 +174,12 @@ def _front(rect: Rect, x: float, carcass: Carcass, style: Style) -> list[Solid]:
         case "bevel":
             solids = [plate(rect, x, x + t, bevel=0.45 * t)]
         case "shaker":
-            solids = [frame(rect, hole, x, x + t, segments=1), panel(hole, x, x + 0.5 * t)]
+            solids = [frame(rect, hole, x, x + t, segments=1), panel(hole, x, x + 0.7 * t)]
         case "raised":
             solids = [plate(rect, x, x + t, bevel=0.15 * t)]
             solids += [plate(field, x + t, x + 1.5 * t, bevel=0.45 * t)]
         case "slats":
-            solids = [panel(rect, x, x + 0.55 * t), *_slats(rect, x + 0.55 * t, x + t)]
+            solids = [panel(rect, x, x + 0.7 * t), *_slats(rect, x + 0.7 * t, x + 1.15 * t)]
         case "bow":
             solids = [prism(_bowed(rect, x, carcass, style), rect.z0, rect.z1)]
         case "slot":
@@ -199,10 +199,12 @@ def _face(rect: Rect, x: float, y: float, carcass: Carcass, style: Style) -> flo
     t = style.thickness
     if style.front == "shaker":
         on_bar = abs(y - rect.center[0]) > 0.5 * rect.width - _stile(rect)
-        return x + (t if on_bar else 0.5 * t)
+        return x + (t if on_bar else 0.7 * t)
     if style.front == "raised":
         on_field = abs(y - rect.center[0]) < 0.5 * rect.width - 0.3 * min(rect.width, rect.height)
         return x + (1.5 if on_field else 1.0) * t
+    if style.front == "slats":
+        return x + 1.15 * t
     return x + t + style.bow * _bulge(np.array([y]), carcass)[0] - (0.1 * t if style.bow else 0.0)
 
 

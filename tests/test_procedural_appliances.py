@@ -1,0 +1,281 @@
+"""Ovens, washing machines and drawers: closed solids, exact kinematics, free ways, real hollows."""
+
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from articugen.geometry import Array, apply, bounds, rotation_about, transform
+from articugen.sources.procedural import build_model, drawer, oven, washing_machine, write_object
+from articugen.sources.procedural.model import Model, ModelJoint
+from articugen.sources.procedural.solids import Solid
+from articugen.sources.procedural.truth import Truth, load_truth
+
+CATEGORIES = ("oven", "washing_machine", "drawer")
+GENERATORS = (oven, washing_machine, drawer)
+CASES = [(category, f"{category}_{k:04d}") for category in CATEGORIES for k in range(5)]
+CLEARANCE = 0.0005  # Metres that must stay free between parts, everywhere and always.
+
+
+@cache
+def model_of(category: str, name: str) -> Model:
+    return build_model(category, name)
+
+
+@pytest.fixture(scope="module")
+def truth_of(tmp_path_factory: pytest.TempPathFactory):
+    folder = tmp_path_factory.mktemp("objects")
+
+    @cache
+    def read(category: str, name: str) -> Truth:
+        return load_truth(write_object(category, name, folder / name).parent)
+
+    return read
+
+
+def link_motions(model: Model, q: list[float]) -> dict[str, Array]:
+    """The motion of each link of an object whose joints all hang on the body; a naive oracle."""
+    motions = {model.links[0].name: np.eye(4)}
+    for joint, value in zip(model.joints, q, strict=True):
+        assert joint.parent == model.links[0].name
+        axis, pivot = np.asarray(joint.axis), np.asarray(joint.origin)
+        if joint.kind == "revolute":
+            R = rotation_about(axis, value)
+            motions[joint.child] = transform(R, pivot - R @ pivot)
+        else:
+            motions[joint.child] = transform(translation=axis * value)
+    return motions
+
+
+def world_links(model: Model, q: list[float]) -> dict[str, Array]:
+    """T_world_link: links but the first have their frame at the joint's origin."""
+    origin = {joint.child: joint.origin for joint in model.joints}
+    return {
+        name: T @ transform(translation=origin.get(name, np.zeros(3)))
+        for name, T in link_motions(model, q).items()
+    }
+
+
+def states(model: Model, count: int, rng: np.random.Generator) -> Iterator[list[float]]:
+    """Closed, just open, fully open, and `count` random joint states."""
+    for share in (0.0, 0.02, 0.1, 1.0):
+        yield [joint.lower + share * (joint.upper - joint.lower) for joint in model.joints]
+    for _ in range(count):
+        yield [rng.uniform(joint.lower, joint.upper) for joint in model.joints]
+
+
+def skin(solid: Solid, distance: float, count: int, rng: np.random.Generator) -> Array:
+    """Points `distance` outside the faces of a solid: all over them, and close to all corners."""
+    corners = solid.vertices[solid.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normal, axis=1)
+    normal /= area[:, None]
+    near_corner = 0.98 * np.eye(3) + 0.02 / 3
+    tips = np.einsum("kc,fcd->fkd", near_corner, corners) + distance * normal[:, None]
+    face = rng.choice(len(corners), count, p=area / area.sum())
+    spread = np.einsum("nc,ncd->nd", rng.dirichlet((1, 1, 1), count), corners[face])
+    return np.concatenate([tips.reshape(-1, 3), spread + distance * normal[face]])
+
+
+def clashes(model: Model, truth: Truth, q: list[float], rng: np.random.Generator) -> int:
+    """How many points within CLEARANCE of one link, or in it, lie in another."""
+    motions, frames = link_motions(model, q), world_links(model, q)
+    posed = [[s.moved(motions[link.name]) for s in link.solids] for link in model.links]
+    boxes = [bounds(np.concatenate([s.vertices for s in solids])) for solids in posed]
+    total = 0
+    for k, (link, solids) in enumerate(zip(model.links, posed, strict=True)):
+        points = np.concatenate(
+            [skin(s, CLEARANCE, 20, rng) for s in solids] + [s.vertices for s in solids]
+        )
+        near = [np.all((points > b[0]) & (points < b[1]), axis=1) for b in boxes]
+        del near[k]
+        held = truth.holds(points[np.any(near, axis=0)], frames)
+        held[:, truth.links.index(link.name)] = False
+        total += int(held.any(axis=1).sum())
+    return total
+
+
+def hit(truth: Truth, frames: dict[str, Array], link: str, start: Array, way: tuple) -> float:
+    """How far from `start` along `way` the first point in `link` is, in steps of 1 mm; inf."""
+    distance = np.arange(0.0, 1.5, 0.001)
+    held = truth.holds(start + distance[:, None] * np.array(way, float), frames)
+    inside = held[:, truth.links.index(link)]
+    return float(distance[inside.argmax()]) if inside.any() else np.inf
+
+
+@pytest.mark.parametrize(("category", "name"), CASES)
+def test_solids_are_closed_and_wound_outward(category: str, name: str):
+    model = model_of(category, name)
+    for solid in (s for link in model.links for s in link.solids):
+        edges = np.concatenate([solid.faces[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))])
+        ways = {(int(a), int(b)) for a, b in edges}
+        assert len(ways) == len(edges), "an edge is walked twice in one direction"
+        assert all((b, a) in ways for a, b in ways), "an edge has no face on its other side"
+        a, b, c = np.moveaxis(solid.vertices[solid.faces], 1, 0)
+        signed = np.sum(a * np.cross(b, c)) / 6.0
+        assert signed == pytest.approx(solid.volume, rel=1e-6, abs=1e-12)
+        assert signed > 0.0
+
+
+@pytest.mark.parametrize("generator", GENERATORS, ids=CATEGORIES)
+@settings(max_examples=8, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_every_seed_builds_convex_cells_of_sane_size(generator, seed: int):
+    model = generator.build(np.random.default_rng(seed))
+    solids = [s for link in model.links for s in link.solids]
+    assert all(planes.shape[1] == 4 for s in solids for planes in s.half_spaces)
+    assert sum(len(s.faces) for s in solids) <= 8000
+    size = np.ptp(model.bounds, axis=0)
+    assert np.all((size > 0.2) & (size < 2.2))
+    assert model.bounds[0, 2] > -1e-9, "closed, it stands on the floor"
+    opened = extent_when_open(model)
+    sheets = [s.sheet.thickness for s in solids if s.sheet is not None]
+    assert all(t >= 0.01 * opened for t in sheets)
+
+
+def extent_when_open(model: Model) -> float:
+    """The longest side of the box around the object closed and fully open."""
+    points = []
+    for share in (0.0, 0.67, 1.0):
+        motions = link_motions(model, [share * joint.upper for joint in model.joints])
+        points += [apply(motions[k.name], s.vertices) for k in model.links for s in k.solids]
+    return float(np.ptp(np.concatenate(points), axis=0).max())
+
+
+@pytest.mark.parametrize(("category", "name"), CASES)
+def test_kinematics(category: str, name: str):
+    model = model_of(category, name)
+    if category == "drawer":
+        assert [j.kind for j in model.joints] == ["prismatic"] * 3
+        for joint in model.joints:
+            assert tuple(np.asarray(joint.axis)) == (1.0, 0.0, 0.0)
+            assert joint.lower == 0.0
+            depth = np.ptp(box_of(model, joint)[:, 0])
+            assert 0.5 * depth < joint.upper < 0.9 * depth
+        return
+    (joint,) = model.joints
+    assert (joint.kind, joint.lower) == ("revolute", 0.0)
+    assert joint.upper == pytest.approx(np.deg2rad(135.0))
+    axes = [(0.0, 1.0, 0.0)] if category == "oven" else [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0)]
+    assert tuple(np.asarray(joint.axis)) in axes
+
+
+def box_of(model: Model, joint: ModelJoint) -> Array:
+    """The box (2, 3) around a joint's child, closed."""
+    (link,) = (link for link in model.links if link.name == joint.child)
+    return bounds(np.concatenate([s.vertices for s in link.solids]))
+
+
+def on_axis(joint: ModelJoint) -> Array:
+    return np.asarray(joint.origin, dtype=np.float64)
+
+
+def test_washing_machines_are_hinged_on_both_sides():
+    sides = {
+        model_of("washing_machine", name).joints[0].axis[2] for c, name in CASES if c[0] == "w"
+    }
+    assert sides == {1.0, -1.0}
+
+
+@pytest.mark.parametrize(("category", "name"), CASES)
+def test_doors_and_drawers_open_towards_plus_x(category: str, name: str):
+    model = model_of(category, name)
+    for share in (0.05, 0.4, 1.0):
+        motions = link_motions(model, [share * joint.upper for joint in model.joints])
+        for joint in model.joints:
+            middle = box_of(model, joint).mean(axis=0)
+            moved = apply(motions[joint.child], middle) - middle
+            assert moved[0] > 0.0
+            if category == "oven" and share > 0.1:
+                assert moved[2] < 0.0, "an oven's door goes down"
+
+
+@pytest.mark.parametrize(("category", "name"), CASES)
+def test_parts_keep_clear_of_each_other(category: str, name: str, truth_of):
+    model, truth, rng = model_of(category, name), truth_of(category, name), np.random.default_rng(5)
+    for q in states(model, 6, rng):
+        assert clashes(model, truth, q, rng) == 0, q
+    pushed_in = [-0.1 if joint.kind == "revolute" else -0.02 for joint in model.joints]
+    assert clashes(model, truth, pushed_in, rng) > 0, "this check must see a clash"
+
+
+@pytest.mark.parametrize("name", [name for category, name in CASES if category == "drawer"])
+def test_drawers_are_hollow_boxes_open_above(name: str, truth_of):
+    model, truth = model_of("drawer", name), truth_of("drawer", name)
+    rng = np.random.default_rng(1)
+    q = [rng.uniform(0.0, joint.upper) for joint in model.joints]
+    frames = world_links(model, q)
+    for joint, value in zip(model.joints, q, strict=True):
+        low, high = box_of(model, joint)
+        middle = np.array([low[0] + 0.4 * (high[0] - low[0]) + value, *on_axis(joint)[1:]])
+        assert not truth.holds(middle[None], frames).any(), "the air inside is free"
+        walls = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, -1))
+        assert all(hit(truth, frames, joint.child, middle, way) < 1.0 for way in walls)
+        assert hit(truth, frames, joint.child, middle, (0, 0, 1)) == np.inf
+
+
+@pytest.mark.parametrize("name", [name for category, name in CASES if category == "oven"])
+def test_an_ovens_cavity_is_empty_but_for_its_racks(name: str, truth_of):
+    model, truth, rng = model_of("oven", name), truth_of("oven", name), np.random.default_rng(2)
+    (joint,) = model.joints
+    low, high = box_of(model, joint)
+    center, half = (low + high) / 2, (high - low) / 2
+    depth = -model.bounds[0, 0]
+    center[0], half[0] = -0.45 * depth, 0.3 * depth
+    points = center + rng.uniform(-0.6, 0.6, (4000, 3)) * half
+    frames = world_links(model, [0.0])
+    assert truth.holds(points, frames).any(axis=1).mean() < 0.15
+    free = points[~truth.holds(points, frames).any(axis=1)][0]
+    walls = ((-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
+    assert all(hit(truth, frames, "body", free, way) < 1.0 for way in walls)
+    assert hit(truth, frames, "door", free, (1, 0, 0)) < 1.0, "closed"
+    opened = world_links(model, [np.pi / 2])
+    assert hit(truth, opened, "door", free, (1, 0, 0)) == np.inf, "open"
+
+
+@pytest.mark.parametrize("name", [name for category, name in CASES if category[0] == "w"])
+def test_a_washing_machines_drum_is_round_and_empty(name: str, truth_of):
+    model, truth = model_of("washing_machine", name), truth_of("washing_machine", name)
+    (joint,) = model.joints
+    frames = world_links(model, [joint.upper])
+    depth, z = -model.bounds[0, 0], on_axis(joint)[2]
+    radius = abs(on_axis(joint)[1])
+    inside = np.array([-0.4 * depth, 0.0, z])
+    assert not truth.holds(inside[None], frames).any()
+    angles = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
+    reach = [hit(truth, frames, "body", inside, (0.0, np.cos(a), np.sin(a))) for a in angles]
+    assert 0.4 * radius < min(reach), "only the lifters stand in"
+    assert max(reach) == pytest.approx(np.median(reach), rel=0.05)
+    assert hit(truth, frames, "body", inside, (1, 0, 0)) == np.inf, "open in front"
+    assert hit(truth, frames, "body", inside, (-1, 0, 0)) < depth
+    closed = world_links(model, [0.0])
+    assert hit(truth, closed, "door", inside, (1, 0, 0)) < 0.4 * depth + 0.1
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_same_id_same_bytes(category: str, tmp_path: Path):
+    name = f"{category}_0011"
+    first = write_object(category, name, tmp_path / "a" / name).parent
+    second = write_object(category, name, tmp_path / "b" / name).parent
+    files = sorted(path.name for path in first.iterdir())
+    assert files == sorted(path.name for path in second.iterdir())
+    assert all((first / f).read_bytes() == (second / f).read_bytes() for f in files)
+    other = write_object(category, f"{category}_0012", tmp_path / "other").parent
+    assert (first / "body.obj").read_bytes() != (other / "body.obj").read_bytes()
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_twenty_objects_are_twenty_products(category: str):
+    """No two are alike in proportions and build; both vary widely."""
+    builds, shapes = [], []
+    for k in range(20):
+        model = build_model(category, f"{category}_{k:04d}")
+        builds.append(tuple(len(s.faces) for link in model.links for s in link.solids))
+        size = np.ptp(model.bounds, axis=0)
+        shapes.append(size / size.max())
+    assert len(set(builds)) >= 18
+    assert np.all(np.std(shapes, axis=0).max() > 0.08)
