@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from articugen.errors import ArticugenError
+from articugen.geometry import apply
 from articugen.inspection.surfels import Camera, Surfels, draw, framed, occlusion_at, surfels
 from articugen.records import Instance, dequantize
 from articugen.shards import open_shard
@@ -132,13 +133,16 @@ def _camera(row: _Row, azimuth: float) -> Camera:
     return framed(row.points, azimuth, ELEVATION, SUPERSAMPLING * TILE, fill=0.86)
 
 
-def _seen(tile: _Tile, azimuth: float) -> int:
-    """How many of the points can be seen from this side."""
+def _seen(tile: _Tile, azimuth: float) -> float:
+    """How much of the parts can be seen from this side: their fractions, added up."""
     camera = framed(tile.points, azimuth, ELEVATION, 128, fill=0.9)
     depth, _, _ = draw(tile.discs, np.zeros((len(tile.points), 0)), camera)
-    seen = tile.points @ camera.T_camera_world[:3, :3].T + camera.T_camera_world[:3, 3]
-    column, row = (camera.focal * seen[:, :2] / seen[:, 2:] + (camera.cx, camera.cy)).T.astype(int)
-    return int((seen[:, 2] < depth[row, column] + tile.discs.spacing).sum())
+    x, y, z = apply(camera.T_camera_world, tile.points).T
+    column = (camera.focal * x / z + camera.cx).astype(int)
+    row = (camera.focal * y / z + camera.cy).astype(int)
+    part = tile.instance.surface_part
+    seen = np.bincount(part[z < depth[row, column] + tile.discs.spacing], minlength=256)
+    return float((seen / np.maximum(np.bincount(part, minlength=256), 1)).sum())
 
 
 def _picture(tile: _Tile, camera: Camera, floor: float) -> Image.Image:

@@ -17,6 +17,9 @@ NEIGHBOURS = 10
 """The spacing of the points, and how far a disc must reach so that random gaps between them close,
 is judged by the distance to the neighbour of this rank: about 1.8 spacings on a plane."""
 
+SAME_FACE = np.cos(np.radians(25.0))
+"""Normals that differ by less belong to one face, others to two that meet in an edge."""
+
 
 @dataclass(frozen=True, eq=False)
 class Camera:
@@ -75,6 +78,7 @@ class Surfels:
         light: (n,) how much of the sky a point sees, from 0 to 1.
         clip_ends: (n, 2) where each disc's part of `clip` begins and ends.
         clip: for every disc the neighbours across a convex edge; it ends at their planes.
+        trim: (n, 4) a direction in its plane and how far it goes that way.
     """
 
     points: Array
@@ -84,6 +88,7 @@ class Surfels:
     light: Array
     clip_ends: NDArray[np.int64]
     clip: NDArray[np.int32]
+    trim: Array
 
 
 def surfels(points: Array, normals: Array, part: NDArray[np.uint8]) -> Surfels:
@@ -95,8 +100,8 @@ def surfels(points: Array, normals: Array, part: NDArray[np.uint8]) -> Surfels:
     spacing = float(np.median(_distance_of_rank(points, sample, rank)) * np.sqrt(np.pi / rank))
     light = 1.0 - _occlusion(points, normals, points, normals, spacing * spacing)
     reach, slack = 6.0 * spacing, 0.15 * spacing
-    radius, ends, clip = _outline(points, normals, part, reach, slack, NEIGHBOURS)
-    return Surfels(points, normals, spacing, radius, light, ends, clip)
+    radius, ends, clip, trim = _outline(points, normals, part, reach, slack, NEIGHBOURS)
+    return Surfels(points, normals, spacing, radius, light, ends, clip, trim)
 
 
 def occlusion_at(receivers: Array, normals: Array, discs: Surfels) -> Array:
@@ -128,6 +133,7 @@ def draw(discs: Surfels, values: Array, camera: Camera) -> tuple[Array, Array, A
         discs.radius,
         discs.clip_ends,
         discs.clip,
+        discs.trim,
         np.concatenate([discs.normals, values], axis=1),
         facing,
         box,
@@ -187,11 +193,13 @@ def _outline(points, normals, part, reach, slack, rank):
     """The radius of each disc, and the neighbours across a convex edge, in one list.
 
     The radius is the distance to the neighbour of the given rank on the same face, or a quarter of
-    the reach where so many are not there. Neighbour j
-    bounds disc i where each lies behind the other and all of the face of i lies behind j too; one
-    neighbour a plane is enough.
+    the reach where so many are not there. Neighbour j bounds disc i where each lies behind the
+    other and the face of i does not go on beyond j; one neighbour a plane is enough. A disc that
+    nothing bounds is trimmed to its face.
     """
     radius = np.full(len(points), 0.25 * reach)
+    trim = np.zeros((len(points), 4))
+    trim[:, 3] = np.inf
     ends = np.zeros((len(points), 2), np.int64)
     found = [np.int32(0) for _ in range(0)]
     others = np.empty(len(points), np.int32)
@@ -202,21 +210,24 @@ def _outline(points, normals, part, reach, slack, rank):
     for i in order:
         while points[order[first], 0] < points[i, 0] - reach:
             first += 1
-        behind = level = 0
+        behind = before = level = 0
         for j in order[first:]:
             if points[j, 0] > points[i, 0] + reach:
                 break
-            if part[j] != part[i] or _squared(points[i], points[j]) > reach * reach:
+            away = np.sqrt(_squared(points[i], points[j]))
+            if part[j] != part[i] or away > reach:
                 continue
             ahead = _ahead(points[j], points[i], normals[i])
-            alike = _dot(normals[i], normals[j]) > 0.9
+            alike = _dot(normals[i], normals[j]) > SAME_FACE
             if alike and abs(ahead) < slack:
                 face[level] = j
-                distance[level] = np.sqrt(_squared(points[i], points[j]))
+                distance[level] = away
                 level += 1
             elif not alike and ahead < 0.0:
                 others[behind] = j
                 behind += 1
+            elif not alike and away < 0.5 * reach:
+                before += 1
         if level > rank:
             radius[i] = min(np.partition(distance[:level], rank)[rank], 0.5 * reach)
         ends[i] = len(found)
@@ -225,11 +236,34 @@ def _outline(points, normals, part, reach, slack, rank):
             if (
                 0.0 < gap < radius[i]
                 and not _is_known(points, normals, found[ends[i, 0] :], j, slack)
-                and _all_behind(points, face[:level], points[j], normals[j], slack)
+                and not _goes_on(points, face[:level], points[j], normals[j], 0.5 * reach, slack)
             ):
                 found.append(j)
         ends[i, 1] = len(found)
-    return radius, ends, np.array(found, dtype=np.int32)
+        if ends[i, 0] == ends[i, 1] and before == 0:
+            _trim(points, i, face[:level], radius[i], 0.25 * reach / 6.0, trim)
+    return radius, ends, np.array(found, dtype=np.int32), trim
+
+
+@numba.njit(cache=True, nogil=True)
+def _trim(points, i, face, radius, margin, trim):
+    """Where the points of a face lie on one side of disc i, it ends a little beyond the last."""
+    away = np.zeros(3)
+    count = 0
+    for k in face:
+        if _squared(points[i], points[k]) < radius * radius:
+            away += points[i] - points[k]
+            count += 1
+    length = np.sqrt(_dot(away, away))
+    if length < 0.3 * radius * count:
+        return
+    away /= length
+    last = 0.0
+    for k in face:
+        if _squared(points[i], points[k]) < radius * radius:
+            last = max(last, _ahead(points[k], points[i], away))
+    trim[i, :3] = away
+    trim[i, 3] = last + margin
 
 
 @numba.njit(cache=True, nogil=True)
@@ -243,11 +277,12 @@ def _is_known(points, normals, planes, j, slack):
 
 
 @numba.njit(cache=True, nogil=True)
-def _all_behind(points, chosen, origin, normal, slack):
-    for k in chosen:  # noqa: SIM110 (numba compiles no all)
-        if _ahead(points[k], origin, normal) > slack:
-            return False
-    return True
+def _goes_on(points, face, origin, normal, near, slack):
+    """Whether a face goes on in front of a plane, nearby."""
+    for k in face:
+        if _squared(points[k], origin) < near * near and _ahead(points[k], origin, normal) > slack:
+            return True
+    return False
 
 
 @numba.njit(cache=True, nogil=True)
@@ -271,7 +306,7 @@ def _ahead(point, origin, normal):
 
 
 @numba.njit(cache=True, nogil=True)
-def _splat(points, normals, radius, clip_ends, clip, values, facing, box, rays, eye, spacing):
+def _splat(points, normals, radius, clip_ends, clip, trim, values, facing, box, rays, eye, spacing):
     """Two passes: the nearest depth of each pixel, then the mean of the discs at that depth."""
     depth = np.full(rays.shape[:2], np.inf)
     weight = np.full(rays.shape[:2], 1e-30)
@@ -292,7 +327,11 @@ def _splat(points, normals, radius, clip_ends, clip, values, facing, box, rays, 
                     for k in range(3):
                         at[k] = eye[k] + t * ray[k]
                     squared = _squared(at, points[i])
-                    if squared > radius[i] * radius[i] or _is_cut(points, normals, planes, at, gap):
+                    if (
+                        squared > radius[i] * radius[i]
+                        or _ahead(at, points[i], trim[i, :3]) > trim[i, 3]
+                        or _is_cut(points, normals, planes, at, gap)
+                    ):
                         continue
                     if final:
                         w = np.exp(-4.0 * squared / (spacing * spacing)) + 1e-12
@@ -306,7 +345,7 @@ def _splat(points, normals, radius, clip_ends, clip, values, facing, box, rays, 
 
 @numba.njit(cache=True, nogil=True)
 def _is_cut(points, normals, planes, at, gap):
-    for j in planes:  # noqa: SIM110 (nor any)
+    for j in planes:  # noqa: SIM110 (numba compiles no any)
         if _ahead(at, points[j], normals[j]) > gap:
             return True
     return False
