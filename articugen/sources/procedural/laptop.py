@@ -274,18 +274,21 @@ def _emblem(rng: np.random.Generator, s: LaptopShape, back: float) -> list[Solid
 def _hinge(rng: np.random.Generator, s: LaptopShape) -> tuple[list[Solid], list[Solid]]:
     """The knuckles of the base and those of the lid, side by side on the axis."""
     slit = 0.4 * MM
+    corner = s.corner + 15 * MM if s.kind == "rugged" else max(s.corner, 6 * MM)
+    end = s.width / 2 - corner  # Beyond it the outline is round, or padded.
     if s.hinge == "pair":
         x, half = s.width * rng.uniform(0.26, 0.38), s.width * rng.uniform(0.03, 0.07)
+        x = min(x, end - half)
         cuts = [(-x - half, -x, "lid"), (-x, -x + half, "base")]
         cuts += [(-b, -a, owner) for a, b, owner in cuts]
     elif s.hinge == "center":
-        x, end = s.width * rng.uniform(0.25, 0.36), s.width * rng.uniform(0.02, 0.05)
-        cuts = [(-x - end, -x, "base"), (-x, x, "lid"), (x, x + end, "base")]
+        x, side = s.width * rng.uniform(0.25, 0.36), s.width * rng.uniform(0.02, 0.05)
+        cuts = [(-x - side, -x, "base"), (-x, x, "lid"), (x, x + side, "base")]
     else:
         count = int(rng.choice([3, 5, 7]))
         weight = np.where(np.arange(count) % 2 == 0, rng.uniform(0.3, 1.0), 1.0)
         edges = np.concatenate([[0.0], np.cumsum(weight)]) / weight.sum() - 0.5
-        edges *= s.width - 2 * max(s.corner, 6 * MM)
+        edges *= 2 * end
         cuts = [(edges[i], edges[i + 1], ("base", "lid")[i % 2]) for i in range(count)]
     knuckles: dict[str, list[Solid]] = {"base": [], "lid": []}
     for left, right, owner in cuts:
