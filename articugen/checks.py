@@ -167,36 +167,57 @@ def _inside_box(row: Instance, recipe: Recipe) -> Iterator[str]:
 
 
 def _grids_agree(row: Instance, _: Recipe) -> Iterator[str]:
-    """Where the 8 fine voxels about a coarse voxel's centre agree, it mostly agrees with them."""
+    """Where the 8 finest voxels about a point agree, its own label is mostly theirs."""
     *coarser, finest = sorted(row.occupancy) or [0]
-    for resolution in coarser:
-        label = row.occupancy[resolution].ravel()
-        about = _about(row.occupancy[finest], _centres(resolution))
+    if finest == 0:
+        return
+    labelled = {f"occupancy_{r}": (_centres(r), row.occupancy[r].ravel()) for r in coarser}
+    labelled["uniform_label"] = dequantize(row.uniform_points), row.uniform_label
+    for name, (points, label) in labelled.items():
+        about = _about(row.occupancy[finest], points)
         clear = (about == about[:, :1]).all(axis=1)
-        for kind, chosen, least in (
-            ("occupied", clear & (about[:, 0] > 0), 0.8),
-            ("free", clear & (about[:, 0] == 0), 0.6),
-        ):
-            if chosen.sum() >= 20 and (share := (label == about[:, 0])[chosen].mean()) < least:
+        for wanted in range(len(row.part_motion) + 1):
+            judged = label[clear & (about[:, 0] == wanted)]
+            if len(judged) >= 20 and (share := (judged == wanted).mean()) < 0.6:
                 yield (
-                    f"occupancy_{resolution} agrees with occupancy_{finest} at {share:.0%} of the "
-                    f"clearly {kind} voxels"
+                    f"{name} agrees with occupancy_{finest} at {share:.0%} of the places that are "
+                    f"clearly of label {wanted}"
                 )
 
 
-def _queries_agree(row: Instance, _: Recipe) -> Iterator[str]:
-    """A query point very near a voxel's centre mostly has the voxel's label."""
-    finest = max(row.occupancy, default=0)
-    if finest < 32:  # a thin sheet may lie between a coarser voxel's centre and the point
+def _grids_filled(row: Instance, _: Recipe) -> Iterator[str]:
+    """Voxels of a part lie where other samples are occupied, and are about as many.
+
+    The other way about proves nothing: a thin panel may lie between all voxels' centres.
+    """
+    if len(row.uniform_points) < 4000:  # too sparse to reach every place deep inside
         return
     points, label = _queries(row)
-    at = (points + 0.5) * finest
-    index = np.minimum(at.astype(np.intp), finest - 1)
-    close = np.linalg.norm(at - index - 0.5, axis=1) < 0.2
-    same = row.occupancy[finest][tuple(index.T)] == label
-    for kind, chosen in (("occupied", close & (label > 0)), ("free", close & (label == 0))):
-        if chosen.sum() >= 20 and (share := same[chosen].mean()) < 0.4:
-            yield f"occupancy_{finest} agrees with {share:.0%} of the {kind} points beside it"
+    occupied = np.concatenate([points[label > 0], dequantize(row.surface_points)])
+    for resolution, grid in sorted(row.occupancy.items()):
+        for part in range(len(row.part_motion)):
+            voxels = np.argwhere(grid == part + 1)
+            if len(voxels) < 20:
+                continue
+            centres = (voxels[:: len(voxels) // 500 + 1] + 0.5) / resolution - 0.5
+            if (share := (_nearest(occupied, centres, 0.05) >= 0).mean()) < 0.8:
+                yield (
+                    f"only {share:.0%} of the voxels of part {part} in occupancy_{resolution} are "
+                    "where the points show anything"
+                )
+        share, expected = (grid > 0).mean(), (row.uniform_label > 0).mean()
+        if expected >= 0.02 and not 0.1 * expected <= share <= 0.1 + 3.0 * expected:
+            yield f"occupancy_{resolution} is {share:.0%} full, uniform_label {expected:.0%}"
+
+
+def _near(row: Instance, recipe: Recipe) -> Iterator[str]:
+    """Points near the surface are near the surface points."""
+    if len(row.surface_points) < 1000 or not len(row.near_points):
+        return
+    reach = 0.05 + 4.0 * recipe.sampling.near_sigma
+    met = _nearest(dequantize(row.surface_points), dequantize(row.near_points), reach) >= 0
+    if met.mean() < 0.9:
+        yield f"only {met.mean():.0%} of near_points are near surface_points"
 
 
 def _zero_level(row: Instance, _: Recipe) -> Iterator[str]:
@@ -208,7 +229,7 @@ def _zero_level(row: Instance, _: Recipe) -> Iterator[str]:
     ahead = np.einsum("ni,ni->n", points - surface[nearest], row.surface_normals[nearest] / 127.0)
     beside = np.linalg.norm(points - surface[nearest], axis=1)
     clear = (np.abs(ahead) > 0.001) & (np.abs(ahead) > 0.5 * beside)
-    if clear.sum() >= 30 and (share := ((label == 0) == (ahead > 0.0))[clear].mean()) < 0.7:
+    if clear.sum() >= 30 and (share := ((label == 0) == (ahead > 0.0))[clear].mean()) < 0.75:
         yield f"surface_points bound what is occupied at {share:.0%} of the places one can tell"
     inside = clear & (label > 0) & (ahead < 0.0)
     same = label == row.surface_part[nearest] + 1
@@ -323,7 +344,8 @@ GEOMETRY_CHECKS: dict[str, InstanceCheck] = {
     "motion": _motion,
     "box": _inside_box,
     "grids": _grids_agree,
-    "queries": _queries_agree,
+    "filling": _grids_filled,
+    "near": _near,
     "zero level": _zero_level,
     "cameras": _cameras,
     "partial parts": _partial_parts,

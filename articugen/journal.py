@@ -43,7 +43,7 @@ class Journal:
         self._trusted: dict[ShardEntry, bool] = {}
         self._outcomes: dict[tuple[str, str], Outcome] = {}
         self._ours: set[str] = set()
-        self._in_manifest: set[Key] = set()
+        self._in_manifest: tuple[Key, ...] = ()
         self._claimed = False
         self._lock: int | None = None
         if folder.exists():
@@ -96,7 +96,7 @@ class Journal:
 
     def is_complete(self, keys: Sequence[Key]) -> bool:
         """Whether a run for `keys` has nothing to do: all made, and the manifest says just that."""
-        told = not self._path.exists() and self._in_manifest == set(keys)
+        told = not self._path.exists() and set(self._in_manifest) == set(keys)
         return told and all(self.why(key) is None for key in keys)
 
     def conflict(self, keys: Sequence[Key]) -> str | None:
@@ -160,7 +160,7 @@ class Journal:
                 "move it away or choose another output folder"
             )
         self._ours.update(names)
-        self._in_manifest.clear()
+        self._in_manifest = ()
         lines: list[dict[str, Any]] = [{"claims": sorted(self._ours)}]
         lines += [outcome.model_dump(mode="json") for outcome in self._outcomes.values()]
         text = "".join(json.dumps(line) + "\n" for line in lines)
@@ -207,7 +207,7 @@ class Journal:
             self._ours.update(shards)
             self._take(Outcome(made=o, shard=shards[o.shard]) for o in manifest.objects)
             self._take(Outcome(rejected=rejection) for rejection in manifest.rejected)
-            self._in_manifest = {entry.key for entry in (*manifest.objects, *manifest.rejected)}
+            self._in_manifest = tuple(e.key for e in (*manifest.objects, *manifest.rejected))
         if self._path.exists():
             self._load_journal()
 

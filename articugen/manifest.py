@@ -32,7 +32,7 @@ class _Record(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
 
-class Key(_Record, frozen=True):
+class Key(_Record):
     """What decides one object's data; the same key means the same bytes.
 
     Attributes:
