@@ -13,9 +13,9 @@ from articugen.geometry import apply, look_along
 
 Array = NDArray[np.float64]
 
-NEIGHBOURS = 10
+NEIGHBOURS = 14
 """The spacing of the points, and how far a disc must reach so that random gaps between them close,
-is judged by the distance to the neighbour of this rank: about 1.8 spacings on a plane."""
+is judged by the distance to the neighbour of this rank: about 2.1 spacings on a plane."""
 
 SAME_FACE = np.cos(np.radians(25.0))
 """Normals that differ by less belong to one face, others to two that meet in an edge."""
@@ -192,12 +192,12 @@ def _occlusion(at, facing, points, normals, area):
 def _outline(points, normals, part, reach, slack, rank):
     """The radius of each disc, and the neighbours across a convex edge, in one list.
 
-    The radius is the distance to the neighbour of the given rank on the same face, or a quarter of
+    The radius is the distance to the neighbour of the given rank on the same face, or a third of
     the reach where so many are not there. Neighbour j bounds disc i where each lies behind the
     other and the face of i does not go on beyond j; one neighbour a plane is enough. A disc that
     nothing bounds is trimmed to its face.
     """
-    radius = np.full(len(points), 0.25 * reach)
+    radius = np.full(len(points), reach / 3.0)
     trim = np.zeros((len(points), 4))
     trim[:, 3] = np.inf
     ends = np.zeros((len(points), 2), np.int64)

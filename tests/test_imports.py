@@ -1,0 +1,129 @@
+"""Who may import whom, kept by reading the source: docs/architecture.md draws the same picture."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import articugen
+
+PACKAGE = Path(articugen.__file__).parent
+
+BASE = {"errors", "geometry", "records", "seeding", "recipe"}
+STAGES = {
+    "articulation": set(),
+    "rendering": set(),
+    "fusion": {"fusion_kernels", "hierarchy"},
+    "fusion_kernels": {"hierarchy"},
+    "hierarchy": set(),
+    "sheets": set(),
+    "sampling": set(),
+    "sources": set(),
+}
+STORE = {"files", "schema", "shards", "manifest", "journal"}
+
+MAY_IMPORT: dict[str, set[str]] = {
+    "errors": set(),
+    "geometry": set(),
+    "seeding": set(),
+    "records": {"geometry"},
+    "recipe": {"errors"},
+    **{stage: BASE | own for stage, own in STAGES.items()},
+    "instance": BASE | set(STAGES),
+    "files": {"errors"},
+    "schema": set(),
+    "shards": {"errors", "records", "files", "schema"},
+    "manifest": {"errors", "files", "schema", "shards"},
+    "journal": {"errors", "files", "manifest"},
+    "checks": BASE,
+    "verify": BASE | STORE | {"checks"},
+    "pipeline": BASE | STORE | {"sources", "articulation", "instance"},
+    "inspection": BASE | STORE,
+    "console": {"inspection", "manifest", "pipeline", "sources"},
+    "cli": {"errors", "console", "inspection", "pipeline", "recipe", "sources", "verify"},
+    "__main__": {"cli"},
+}
+"""For each module or subpackage, the others of ours that it may import."""
+
+FOREIGN: dict[str, set[str]] = {
+    "h5py": {"shards"},
+    "yourdfpy": {"sources.urdf"},
+    "lxml": {"sources.urdf", "sources.xml_strict"},
+    "trimesh": {"sources.mesh_formats"},
+    "PIL": {"inspection.contact_sheet"},
+    "typer": {"cli"},
+    "rich": {"cli", "console", "inspection.summary", "inspection.tables"},
+    "open3d": {"rendering.embree"},
+    "pyrender": {"rendering.opengl"},
+    "OpenGL": {"rendering.opengl"},
+    "sapien": {"rendering.sapien"},
+}
+"""The modules that wrap a library; nobody else imports it."""
+
+EVERYWHERE = {"numpy", "numba", "pydantic", "yaml"}
+
+
+def modules() -> list[str]:
+    names = (path.relative_to(PACKAGE).with_suffix("") for path in PACKAGE.rglob("*.py"))
+    return sorted(".".join(n.parts).removesuffix(".__init__") for n in names)
+
+
+def imports(module: str) -> Iterator[str]:
+    """Absolute names of all that a module imports, wherever in it."""
+    path = PACKAGE.joinpath(*module.split("."))
+    path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{module} imports relatively"
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+@pytest.mark.parametrize("module", [m for m in modules() if m != "__init__"])
+def test_a_module_imports_only_what_it_may(module: str) -> None:
+    own = module.partition(".")[0]
+    for name in imports(module):
+        top, _, rest = name.partition(".")
+        if top == "articugen":
+            ours = rest.split(".")[0]
+            assert ours in MAY_IMPORT[own] | {own, "__version__"}, f"{module} imports {name}"
+        elif top not in sys.stdlib_module_names | EVERYWHERE:
+            assert module in FOREIGN.get(top, set()), f"{module} imports {name}"
+
+
+def test_every_module_has_its_place_in_the_picture() -> None:
+    tops = {module.split(".")[0] for module in modules()} - {"__init__"}
+    assert tops == set(MAY_IMPORT)
+
+
+def test_the_picture_has_no_cycle() -> None:
+    left = {name: wanted - {name} for name, wanted in MAY_IMPORT.items()}
+    while left:
+        free = {name for name, wanted in left.items() if not wanted & left.keys()}
+        assert free, f"a cycle among {sorted(left)}"
+        left = {name: wanted for name, wanted in left.items() if name not in free}
+
+
+def test_help_waits_for_no_heavy_library() -> None:
+    code = "import sys, articugen.cli; print(*sorted(m for m in sys.modules if '.' not in m))"
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert "typer" in loaded
+    assert not {"numpy", "numba", "h5py", "trimesh", "yourdfpy", "pydantic"} & set(loaded)
+
+
+def test_the_core_needs_no_optional_library() -> None:
+    """Everything but the backends' own files imports where open3d and the like are absent."""
+    optional = ("open3d", "pyrender", "OpenGL", "sapien", "torch", "scipy")
+    names = [m for m in modules() if m not in ("__init__", "__main__")]
+    code = (
+        f"import sys, importlib\nfor name in {optional}: sys.modules[name] = None\n"
+        f"for name in {names}: importlib.import_module('articugen.' + name)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
