@@ -25,6 +25,8 @@ Face = tuple[int, ...]
 FLAT = 1e-9
 """Metres by which a vertex may lie off its face's plane."""
 
+_ALMOST = 1.0 - 1e-6
+
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
@@ -66,8 +68,7 @@ class Solid:
                 key = frozenset(face)
                 if outer.pop(key, None) is None:
                     outer[key] = face
-        triangles = [t for face in outer.values() for t in _triangulated(self.vertices, face)]
-        return np.array(triangles, np.int32).reshape(-1, 3)
+        return _triangles(self.vertices, list(outer.values()))
 
     @cached_property
     def half_spaces(self) -> tuple[Array, ...]:
@@ -76,7 +77,17 @@ class Solid:
         Raises:
             ValueError: a cell is not convex.
         """
-        return tuple(_half_spaces(self.vertices, cell) for cell in self.cells)
+        planes = _planes(self.vertices, [face for cell in self.cells for face in cell])
+        ends = np.cumsum([len(cell) for cell in self.cells])[:-1]
+        by_cell = tuple(np.split(planes, ends))
+        for cell, behind in zip(self.cells, by_cell, strict=True):
+            corners = self.vertices[sorted({v for face in cell for v in face})]
+            over = np.max(corners @ behind[:, :3].T - behind[:, 3])
+            if over > FLAT:
+                raise ValueError(
+                    f"a cell is not convex: a vertex stands {over:.2e} m beyond a face"
+                )
+        return by_cell
 
     @cached_property
     def cell_bounds(self) -> Array:
@@ -156,8 +167,8 @@ def prism(outline: Array, z0: float, z1: float, *, panel: bool = False) -> Solid
     if not panel:
         return solid
     middle = np.c_[outline, np.full(n, (z0 + z1) / 2)]
-    triangles = [t for piece in convex_pieces(outline) for t in _triangulated(middle, tuple(piece))]
-    return replace(solid, sheet=Sheet(middle[np.array(triangles)], z1 - z0))
+    triangles = _triangles(middle, [tuple(piece) for piece in convex_pieces(outline)])
+    return replace(solid, sheet=Sheet(middle[triangles], z1 - z0))
 
 
 def loft(rings: ArrayLike, *, closed: bool = False) -> Solid:
@@ -301,28 +312,37 @@ def _side(vertices: Array, a: list[int], b: list[int], i: int) -> list[Face]:
     return [(quad[0], quad[1], quad[2]), (quad[0], quad[2], quad[3])]
 
 
-def _normal(points: Array) -> Array:
-    """The unit normal of a polygon (n, 3), by Newell's method."""
-    normal = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)
-    return normal / np.linalg.norm(normal)
+def _planes(vertices: Array, faces: list[Face]) -> Array:
+    """(len(faces), 4) each face's outward unit normal, by Newell's method, and its offset."""
+    longest = max(map(len, faces))
+    # Faces are made equally long by repeating their last vertex, which adds nothing to the sum.
+    index = np.array([[*face, *[face[-1]] * (longest - len(face))] for face in faces])
+    middle = vertices.mean(axis=0)
+    points = vertices[index] - middle
+    normals = np.cross(points, np.roll(points, -1, axis=1)).sum(axis=1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    lengths = np.array([len(face) for face in faces])[:, None]
+    used = (np.arange(longest) < lengths)[:, :, None]
+    centers = (points * used).sum(axis=1) / lengths
+    return np.c_[normals, np.sum(normals * (centers + middle), axis=1)]
 
 
-def _half_spaces(vertices: Array, cell: tuple[Face, ...]) -> Array:
-    middle = vertices[sorted({v for face in cell for v in face})]
-    planes = []
-    for face in cell:
-        points = vertices[list(face)] - middle.mean(axis=0)
-        normal = _normal(points)
-        planes.append([*normal, normal @ (points.mean(axis=0) + middle.mean(axis=0))])
-    planes = np.array(planes)
-    over = np.max(middle @ planes[:, :3].T - planes[:, 3])
-    if over > FLAT:
-        raise ValueError(f"a cell is not convex: a vertex stands {over:.2e} m beyond a face")
-    return planes
+def _triangles(vertices: Array, faces: list[Face]) -> NDArray[np.int32]:
+    """The faces as triangles (n, 3), none of them flat though corners of a face may be."""
+    quads = np.array([face for face in faces if len(face) == 4], np.int32).reshape(-1, 4)
+    others = [t for face in faces if len(face) != 4 for t in _clipped(vertices, face)]
+    p = vertices[quads]
+    before, after = np.roll(p, 1, axis=1), np.roll(p, -1, axis=1)
+    area = np.linalg.norm(np.cross(p - before, after - p), axis=2)
+    # The diagonal that leaves the larger of the two smaller triangles; rounding decides no draw.
+    cut_02 = np.minimum(area[:, 1], area[:, 3]) >= _ALMOST * np.minimum(area[:, 0], area[:, 2])
+    turned = np.where(cut_02[:, None], quads, np.roll(quads, -1, axis=1))
+    halves = np.stack([turned[:, [0, 1, 2]], turned[:, [0, 2, 3]]], axis=1).reshape(-1, 3)
+    return np.concatenate([halves, np.array(others, np.int32).reshape(-1, 3)])
 
 
-def _triangulated(vertices: Array, face: Face) -> list[Face]:
-    """A convex polygon as triangles, none of them flat though corners of the polygon may be."""
+def _clipped(vertices: Array, face: Face) -> list[Face]:
+    """A convex polygon as triangles, cut off ear by ear, the fattest first."""
     left = list(face)
     triangles = []
     while len(left) > 3:
@@ -331,7 +351,9 @@ def _triangulated(vertices: Array, face: Face) -> list[Face]:
         area = np.linalg.norm(np.cross(p - before, after - p), axis=1)
         whole = np.linalg.norm(np.cross(p, after).sum(axis=0))
         fatness = area / np.sum((after - before) ** 2, axis=1)
-        k = int(np.argmax(np.where(area < whole * (1.0 - 1e-9), fatness, -1.0)))
+        # What stays must not be flat. Of equal ears the first is taken, whatever the rounding.
+        fatness = np.where(area < whole * (1.0 - 1e-9), fatness, -1.0)
+        k = int(np.argmax(fatness >= _ALMOST * fatness.max()))
         triangles.append((left[k - 1], left[k], left[(k + 1) % len(left)]))
         del left[k]
     return [*triangles, (left[0], left[1], left[2])]
