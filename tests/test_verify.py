@@ -46,6 +46,12 @@ def test_sound_instances(rows):
     assert list(checks.faults(rows, RICH if rows is RICH_ROWS else SMALL)) == []
 
 
+def test_part_without_surface_points_has_no_flow_to_judge():
+    rows = [edited(row, "surface_part", lambda part: np.minimum(part, 1)) for row in RICH_ROWS]
+    checked = [f for f in checks.faults(rows, RICH) if f.check == "flow"]
+    assert checked == []
+
+
 def test_default_recipe_and_an_empty_one_are_sound():
     full = Recipe(name="full")
     assert list(checks.faults(hinged_box(STATES, recipe=full), full)) == []
