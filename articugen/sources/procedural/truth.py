@@ -140,17 +140,16 @@ def _holds(points, cells, link_of_cell, link_count):  # pragma: no cover
     for i in range(len(points)):
         x, y, z = points[i]
         for c in range(len(boxes)):
-            low, high = boxes[c]
-            if x < low[0] or y < low[1] or z < low[2]:
+            # Scalars, not rows: a view made in this loop would cost more than all else.
+            if x < boxes[c, 0, 0] or y < boxes[c, 0, 1] or z < boxes[c, 0, 2]:
                 continue
-            if x > high[0] or y > high[1] or z > high[2]:
+            if x > boxes[c, 1, 0] or y > boxes[c, 1, 1] or z > boxes[c, 1, 2]:
                 continue
             if holds[i, link_of_cell[c]]:
                 continue
             behind = True
             for m in range(first_plane[c], first_plane[c + 1]):
-                p = planes[m]
-                if p[0] * x + p[1] * y + p[2] * z > p[3]:
+                if planes[m, 0] * x + planes[m, 1] * y + planes[m, 2] * z > planes[m, 3]:
                     behind = False
                     break
             if behind:
