@@ -105,11 +105,11 @@ def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
     states = _joint_states(obj, recipe.articulation.states, seed)
     posed = [articulation.forward_kinematics(obj, state) for state in states]
     motions = np.stack([articulation.part_motions(p, posed[0]) for p in posed])
-    world = sheets.without_repeats(_canonical_mesh(obj, posed[0]))
+    world = _canonical_mesh(obj, posed[0])
     unit = _normalization(_swept_box(world, motions), recipe.padding)
     soup = LabelledMesh(unit.to_unit(world.vertices), world.faces, world.part_of_face)
 
-    parts = [_solid_part(soup.part(k), recipe) for k in range(obj.part_count)]
+    parts = [solid_part(soup.part(k), recipe) for k in range(obj.part_count)]
     mesh = LabelledMesh.joined([part.mesh for part in parts])
     views = fusion_views(recipe.views, _swept_box(mesh, unit.rigid_to_unit(motions)))
     static = _render(parts[0].mesh, views, recipe)
@@ -235,22 +235,23 @@ def _normalization(box: Floats, padding: float) -> Normalization:
 
 
 @dataclass(frozen=True, eq=False)
-class _SolidPart:
+class SolidPart:
     mesh: LabelledMesh
     seen: NDArray[np.bool_]
     own: fusion.OwnSolid
 
 
-def _solid_part(soup: LabelledMesh, recipe: Recipe) -> _SolidPart:
+def solid_part(soup: LabelledMesh, recipe: Recipe) -> SolidPart:
     """One part alone, canonical pose: sheets thickened, faces outwards, and its own field."""
     if not len(soup.faces):
-        return _SolidPart(soup, np.zeros(0, np.bool_), _own_solid(soup, recipe))
+        return SolidPart(soup, np.zeros(0, np.bool_), _own_solid(soup, recipe))
+    soup = sheets.without_repeats(soup)
     thickness = recipe.fusion.sheet_thickness
     where = sheets.probes(soup, max(thickness, 1e-3) / 3.0)
     alone = _own_solid(soup, recipe).field
     free = np.stack([alone.is_free(side) for side in where.points])
     mesh, seen = sheets.solidified(soup, where, free, thickness)
-    return _SolidPart(mesh, seen, _own_solid(mesh, recipe))
+    return SolidPart(mesh, seen, _own_solid(mesh, recipe))
 
 
 def _own_solid(mesh: LabelledMesh, recipe: Recipe) -> fusion.OwnSolid:

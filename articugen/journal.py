@@ -71,11 +71,6 @@ class Journal:
             os.close(self._lock)
             self._lock = None
 
-    @property
-    def complete(self) -> bool:
-        """Whether the folder has a manifest, and no run in it was cut short since."""
-        return (self.folder / MANIFEST_NAME).exists() and not self._path.exists()
-
     def why(self, key: Key) -> str | None:
         """Why the object must be made (again); None where what is on the disk will do."""
         outcome = self._outcomes.get((key.split, key.object_id))

@@ -84,12 +84,14 @@ class Plan:
     """What a run would do.
 
     Attributes:
+        keys: of all objects.
         tasks: the objects it would make.
         done: what the folder has already.
         instances, bytes, seconds: of the tasks; the latter two are estimates.
         conflict: one sentence where data of another run would be replaced.
     """
 
+    keys: tuple[Key, ...]
     tasks: tuple[Task, ...]
     done: tuple[Outcome, ...]
     instances: int
@@ -125,7 +127,7 @@ def generate(job: Job, on_object: Callable[[ObjectReport], None]) -> Manifest:
         outcomes = list(todo.done)
         for outcome in outcomes:
             on_object(_report(outcome, reused=True))
-        if not todo.tasks and journal.complete:
+        if journal.is_complete(todo.keys):
             return Manifest.read(job.out)
         journal.claim(task.shard for task in todo.tasks)
         for outcome in _made(job, todo.tasks):
@@ -197,6 +199,7 @@ def _plan(job: Job, journal: Journal) -> Plan:
     instances = len(tasks) * (job.recipe.articulation.states + 1)
     seconds = instances * SECONDS_PER_INSTANCE + len(tasks) * SECONDS_PER_OBJECT
     return Plan(
+        keys=tuple(keys),
         tasks=tuple(tasks),
         done=tuple(done),
         instances=instances,
@@ -211,7 +214,7 @@ def _key(job: Job, ref: ObjectRef) -> Key:
         split=ref.split,
         object_id=ref.object_id,
         ref=_source_digest(ref),
-        recipe_sha256=job.recipe.content_sha256(),
+        recipe_sha256=job.recipe.for_one_object().sha256(),
         seed=job.seed,
         generator=generator_version(),
     )
@@ -267,13 +270,14 @@ def _leave_interrupts_to_the_parent() -> None:
 
 
 def _attributes(job: Job, ref: ObjectRef) -> dict[str, str | int]:
+    recipe = job.recipe.for_one_object()
     return {
         "category": job.category,
         "split": ref.split,
         "source": ref.source,
         "licence": registry.licence(ref.source),
-        "recipe": job.recipe.text(),
-        "recipe_sha256": job.recipe.sha256(),
+        "recipe": recipe.text(),
+        "recipe_sha256": recipe.sha256(),
         "seed": job.seed,
         "articugen_version": generator_version(),
     }

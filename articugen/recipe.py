@@ -112,11 +112,10 @@ class Recipe(_Section):
         """The resolved recipe as canonical JSON; equal recipes have equal texts."""
         return json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
 
-    def content_sha256(self) -> str:
-        """The digest of what decides an object's data: neither names nor numbers of objects."""
-        deciding = self.model_dump(mode="json", exclude={"name", "objects", "max_rejected_fraction"})
-        text = json.dumps(deciding, sort_keys=True, separators=(",", ":"))
-        return hashlib.sha256(text.encode()).hexdigest()
+    def for_one_object(self) -> "Recipe":
+        """What of the recipe decides an object's data: neither its name nor how many objects."""
+        aside = {"name": "object", "objects": None, "max_rejected_fraction": 1.0}
+        return self.model_copy(update=aside)
 
     def sha256(self) -> str:
         return hashlib.sha256(self.text().encode()).hexdigest()

@@ -15,18 +15,18 @@ PINHOLE_DISTANCE = 1.5
 1.0 leaves parts of a cube's faces outside the image; from 1.3 on nothing is lost."""
 
 
-def spread_order(count: int) -> NDArray[np.intp]:
-    """An order of 0..count-1 in which every prefix is spread out (van der Corput, base 2).
+def spread_order(directions: NDArray[np.float64]) -> NDArray[np.intp]:
+    """An order of unit directions (K, 3) in which each is as far as can be from those before it.
 
     Views that come early then look from all around, so that most free points are seen free by one
     of the first few.
     """
-    bits = max(1, int(count - 1).bit_length())
-    codes = np.arange(1 << bits)
-    reversed_codes = np.zeros_like(codes)
-    for bit in range(bits):
-        reversed_codes |= ((codes >> bit) & 1) << (bits - 1 - bit)
-    return reversed_codes[reversed_codes < count]
+    order = np.zeros(len(directions), np.intp)
+    nearest = directions @ directions[0]
+    for n in range(1, len(directions)):
+        order[n] = np.argmin(nearest)
+        nearest = np.maximum(nearest, directions @ directions[order[n]])
+    return order
 
 
 def fusion_views(settings: ViewSettings, box: NDArray[np.float64]) -> Views:
@@ -35,7 +35,8 @@ def fusion_views(settings: ViewSettings, box: NDArray[np.float64]) -> Views:
     Args:
         box: (2, 3) lower and upper corner, unit frame, of all that will be drawn.
     """
-    directions = -fibonacci_sphere(settings.count)[spread_order(settings.count)]
+    directions = fibonacci_sphere(settings.count)
+    directions = directions[spread_order(directions)]
     center = box.mean(axis=0)
     back = 0.0 if settings.projection == "orthographic" else PINHOLE_DISTANCE
     T = np.stack([look_along(d, center - back * d) for d in directions])

@@ -1,0 +1,95 @@
+import numpy as np
+import pytest
+import trimesh
+
+from articugen import sampling
+from articugen.errors import RejectedInstance
+from articugen.fusion import fuse
+from articugen.recipe import Fusion
+from articugen.rendering.rasterizer import render
+from articugen.rendering.views import random_pinhole_views
+from tests.shapes import box, labelled, views_of
+
+
+def seen_surface(mesh, count, seed=0):
+    field = fuse(render(mesh, views_of(mesh)), mesh, Fusion())
+    every = np.ones(len(mesh.faces), bool)
+    rng = np.random.default_rng(seed)
+    return sampling.surface_points(mesh, every, field.is_free, count, rng=rng)
+
+
+def chi_square(counts, expected):
+    """The statistic over its degrees of freedom: about 1 for draws from `expected`."""
+    expected = expected / expected.sum() * counts.sum()
+    return np.sum((counts - expected) ** 2 / expected) / (len(counts) - 1)
+
+
+def test_grids_are_voxel_centres_with_x_slowest():
+    points = sampling.grid_points(4).reshape(4, 4, 4, 3)
+    for index in np.ndindex(4, 4, 4):
+        assert np.allclose(points[index], (np.array(index) + 0.5) / 4 - 0.5)
+
+
+def test_surface_points_of_a_box_are_uniform_by_area():
+    solid = box((0.8, 0.5, 0.3))
+    drawn = seen_surface(labelled(solid), 20_000)
+    counts = np.bincount(drawn.face, minlength=12)
+    assert chi_square(counts, solid.area_faces) < 2.2  # 11 degrees of freedom: p < 0.01
+    assert np.allclose(drawn.normals, solid.face_normals[drawn.face])
+    offset = np.sum((drawn.points - solid.triangles[drawn.face, 0]) * drawn.normals, axis=1)
+    assert np.abs(offset).max() < 1e-12
+
+
+def test_surface_points_of_a_sphere_are_uniform_by_area():
+    drawn = seen_surface(labelled(trimesh.creation.icosphere(subdivisions=4, radius=0.4)), 20_000)
+    z = drawn.points[:, 2] / np.linalg.norm(drawn.points, axis=1)
+    counts = np.histogram(z, bins=20, range=(-1, 1))[0]  # slices of equal area (Archimedes)
+    assert chi_square(counts, np.ones(20)) < 1.9  # 19 degrees of freedom: p < 0.01
+
+
+def test_only_what_is_seen_is_sampled():
+    """Two boxes that touch: no point where they touch, the rest uniform by area."""
+    left, right = box((0.4, 0.4, 0.4), (-0.2, 0, 0)), box((0.4, 0.4, 0.4), (0.2, 0, 0))
+    drawn = seen_surface(labelled(left, right), 8000)
+    assert np.all(np.abs(drawn.points[:, 0]) > 0.0)
+    assert not np.any((np.abs(drawn.points[:, 0]) < 1e-9) & (np.abs(drawn.normals[:, 0]) > 0.5))
+    assert np.array_equal(drawn.part, (drawn.points[:, 0] > 0).astype(np.uint8))
+    assert np.mean(drawn.part) == pytest.approx(0.5, abs=0.02)
+
+
+def test_nothing_to_see_is_a_rejection():
+    mesh = labelled(box((0.5, 0.5, 0.5)))
+    rng = np.random.default_rng(0)
+    with pytest.raises(RejectedInstance, match="can be seen"):
+        sampling.surface_points(mesh, np.zeros(12, bool), lambda p: p[:, 0] > 9, 10, rng=rng)
+    with pytest.raises(RejectedInstance, match="can be seen"):
+        sampling.surface_points(mesh, np.ones(12, bool), lambda p: p[:, 0] > 9, 10, rng=rng)
+
+
+def test_near_points_are_a_gaussian_around_the_surface():
+    surface = np.random.default_rng(0).uniform(-0.3, 0.3, (500, 3))
+    near = sampling.near_points(surface, 5000, 0.01, rng=np.random.default_rng(1))
+    moved = near - surface[np.arange(5000) % 500]
+    assert moved.std() == pytest.approx(0.01, rel=0.05)
+    assert np.abs(moved.mean(axis=0)).max() < 1e-3
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.005])
+def test_partial_clouds_lie_on_what_their_camera_sees(noise):
+    mesh = labelled(box((0.6, 0.6, 0.1)), box((0.1, 0.1, 0.5), (0, 0, 0.2)))
+    rng = np.random.default_rng(0)
+    views = random_pinhole_views(3, 96, np.array([[-0.3, -0.3, -0.05], [0.3, 0.3, 0.45]]), rng=rng)
+    maps = render(mesh, views)
+    clouds = sampling.partial_clouds(maps, mesh.part_of_face, 500, noise, rng=rng)
+    for k in range(3):
+        assert len(np.unique(clouds.points[k], axis=0)) == 500
+        T = views.T_camera_world[k]
+        seen = clouds.points[k] @ T[:3, :3].T + T[:3, 3]
+        j = views.fx[k] * seen[:, 0] / seen[:, 2] + views.cx[k] - 0.5
+        i = views.fy[k] * seen[:, 1] / seen[:, 2] + views.cy[k] - 0.5
+        assert np.allclose(j, np.round(j), atol=1e-3)
+        rows, columns = np.round(i).astype(int), np.round(j).astype(int)
+        error = seen[:, 2] - maps.depth[k][rows, columns]
+        assert error.std() == pytest.approx(noise, rel=0.15, abs=1e-6)
+        parts = mesh.part_of_face[maps.face[k][rows, columns]]
+        assert np.array_equal(clouds.part[k], parts)

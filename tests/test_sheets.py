@@ -1,0 +1,93 @@
+import numpy as np
+import pytest
+import trimesh
+
+from articugen import sheets
+from articugen.fusion import fuse
+from articugen.instance import solid_part
+from articugen.recipe import Recipe
+from articugen.rendering.rasterizer import render
+from tests.shapes import box, labelled, rotated, sheet, two_sided, views_of
+
+RECIPE = Recipe(name="test")
+THICKNESS = RECIPE.fusion.sheet_thickness
+VOXEL = 1 / 256
+
+
+def free_along(mesh, origin, direction, offsets):
+    field = fuse(render(mesh, views_of(mesh)), mesh, RECIPE.fusion)
+    return field.is_free(np.asarray(origin) + offsets[:, None] * np.asarray(direction))
+
+
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (1, 2, 3), (3, -1, 0.5)])
+@pytest.mark.parametrize("angle", [0.0, 0.4, np.pi / 2])
+def test_a_sheet_is_one_to_two_voxels_thick_whatever_its_direction(axis, angle):
+    bare = rotated(two_sided(sheet()), angle, axis)
+    part = solid_part(labelled(bare), RECIPE)
+    normal = bare.face_normals[0]
+    offsets = np.linspace(-4, 4, 801) * VOXEL
+    solid = ~free_along(part.mesh, bare.triangles_center[0] * 0.4, normal, offsets)
+    thickness = solid.mean() * 8
+    assert 1.0 <= thickness <= 2.0
+    assert thickness == pytest.approx(THICKNESS / VOXEL, abs=0.05)
+
+
+def test_closed_solids_are_left_as_they_are():
+    solid = rotated(box((0.6, 0.4, 0.05)), 0.4, (1, 1, 1))
+    once, twice = (solid_part(labelled(m), RECIPE) for m in (solid, two_sided(solid)))
+    for part in (once, twice):
+        assert len(part.mesh.faces) == 12
+        assert part.seen.all()
+        assert trimesh.Trimesh(part.mesh.vertices, part.mesh.faces).volume == pytest.approx(
+            solid.volume
+        )
+
+
+def test_faces_turn_outwards_whatever_their_winding():
+    solid = box((0.5, 0.4, 0.3))
+    rng = np.random.default_rng(0)
+    flip = rng.random(len(solid.faces)) < 0.5
+    solid.faces[flip] = solid.faces[flip, ::-1]
+    part = solid_part(labelled(solid), RECIPE)
+    normals = sheets.face_normals(part.mesh.vertices, part.mesh.faces)
+    centers = part.mesh.vertices[part.mesh.faces].mean(axis=1)
+    assert np.all(np.sum(normals * centers, axis=1) > 0)
+
+
+def test_an_open_box_of_sheets_gets_walls_and_keeps_its_cavity():
+    open_box = box((0.6, 0.6, 0.6))
+    top = open_box.face_normals[:, 2] > 0.5
+    shell = trimesh.Trimesh(open_box.vertices, open_box.faces[~top], process=False)
+    part = solid_part(labelled(two_sided(shell)), RECIPE)
+    offsets = np.linspace(-4, 4, 401) * VOXEL
+    wall = ~free_along(part.mesh, (0.3, 0.0, 0.1), (1, 0, 0), offsets)
+    assert wall.mean() * 8 == pytest.approx(THICKNESS / VOXEL, abs=0.1)
+    assert free_along(part.mesh, (0, 0, 0), (0, 0, 1), np.linspace(-0.25, 0.25, 11)).all()
+
+
+def test_what_nobody_sees_is_known():
+    outer, inner = box((0.6, 0.6, 0.6)), box((0.2, 0.2, 0.2))
+    part = solid_part(labelled(trimesh.util.concatenate([outer, inner])), RECIPE)
+    assert part.seen.sum() == 12
+    assert len(part.mesh.faces) == 24
+
+
+def test_repeated_and_empty_faces_go_once():
+    mesh = labelled(two_sided(box((0.5, 0.5, 0.5))))
+    assert len(sheets.without_repeats(mesh).faces) == 12
+    flat = trimesh.Trimesh(
+        [(0, 0, 0), (1, 0, 0), (2, 0, 0), (0, 1, 0)], [(0, 1, 2), (0, 1, 3)], process=False
+    )
+    assert len(sheets.without_repeats(labelled(flat)).faces) == 1
+
+
+def test_a_wall_closes_the_rim_and_no_inner_edge():
+    """A square of two triangles: two caps of two, and four rim edges of two walls each."""
+    mesh = labelled(sheet())
+    where = sheets.probes(mesh, 1e-3)
+    solid, seen = sheets.solidified(mesh, where, np.ones((2, len(where.face)), bool), 0.01)
+    assert len(solid.faces) == 2 * 2 + 4 * 2
+    assert seen.all()
+    closed = trimesh.Trimesh(solid.vertices, solid.faces)
+    assert closed.is_watertight
+    assert closed.volume == pytest.approx(0.8 * 0.8 * 0.01)
