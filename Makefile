@@ -16,13 +16,14 @@ backends  := $(VENV)/.installed-backends
 
 options = $(foreach pair,RECIPE:recipe OBJECTS:objects STATES:states JOBS:jobs SEED:seed,\
     $(call option,$(word 1,$(subst :, ,$(pair))),$(word 2,$(subst :, ,$(pair)))))
+replace = $(if $(REPLACE),--replace)
 option = $(if $($(1)),--$(2) "$($(1))")
 
 .DEFAULT_GOAL := help
 .PHONY: help dataset inspect verify test check format bench backends clean
 
 help:  ## list the targets
-	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED=]"
+	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1]"
 	@echo
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  \1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
 	@echo
@@ -30,7 +31,7 @@ help:  ## list the targets
 
 dataset: $(generator)  ## make a data set: articulate, render, fuse, sample, write shards
 ifdef CATEGORY
-	@$(articugen) generate --category "$(CATEGORY)" --source "$(SOURCE)" --out "$(OUT)" $(options)
+	@$(articugen) generate --category "$(CATEGORY)" --source "$(SOURCE)" --out "$(OUT)" $(options) $(replace)
 else
 	@$(articugen) sources
 	@echo "Choose one: make dataset CATEGORY=laptop"
@@ -38,7 +39,7 @@ endif
 
 inspect: $(generator)  ## show what CATEGORY= holds and draw its contact sheet
 ifdef CATEGORY
-	@$(articugen) inspect "$(OUT)/$(CATEGORY)" --image "$(OUT)/$(CATEGORY)/contact_sheet.png"
+	@$(articugen) inspect "$(OUT)/$(CATEGORY)" --image "$(OUT)/$(CATEGORY)/sheet.png"
 else
 	@echo "Choose one: make inspect CATEGORY=laptop" >&2; exit 2
 endif
@@ -63,7 +64,7 @@ bench: $(testing)  ## time the stages
 
 backends: $(backends)  ## install the optional renderers: open3d, pyrender, sapien
 
-clean:  ## remove caches and half-written shards; keep data and the environment
+clean:  ## remove caches and build files; keep data and the environment
 	@rm -rf build dist .pytest_cache .ruff_cache .hypothesis
 	@find articugen tests -name __pycache__ -type d -prune -exec rm -rf {} +
 

@@ -44,6 +44,7 @@ class _Tile:
 
 @dataclass(frozen=True, eq=False)
 class _Row:
+    category: str
     title: str
     tiles: tuple[_Tile, ...]
 
@@ -56,7 +57,7 @@ def contact_sheet(shards: Sequence[Path], path: Path, *, objects: int = 4, state
     """Draw `objects` rows of `states` instances each, chosen evenly from `shards`, as a PNG.
 
     The first instance of a row is the canonical pose; the others are in the order of how far
-    their joints have moved. All are seen from the side that shows most of their surface.
+    their joints have moved. A category is seen from the side that shows most of its parts.
 
     Raises:
         CorruptShard: a shard cannot be read.
@@ -64,13 +65,13 @@ def contact_sheet(shards: Sequence[Path], path: Path, *, objects: int = 4, state
     """
     chosen = _chosen(shards, objects, states)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        discs = pool.map(_tile, [instance for _, row in chosen for instance in row])
-        rows = [_Row(title, tuple(next(discs) for _ in row)) for title, row in chosen]
-        azimuth = max(AZIMUTHS, key=lambda a: sum(_seen(row.tiles[-1], a) for row in rows))
+        tiles = pool.map(_tile, [instance for _, _, row in chosen for instance in row])
+        rows = [_Row(c, title, tuple(next(tiles) for _ in row)) for c, title, row in chosen]
+        azimuth = {c: _best_azimuth([r for r in rows if r.category == c]) for c, _, _ in chosen}
         pictures = pool.map(
             _picture,
             [tile for row in rows for tile in row.tiles],
-            [c for row in rows for c in [_camera(row, azimuth)] * len(row.tiles)],
+            [c for row in rows for c in [_camera(row, azimuth[row.category])] * len(row.tiles)],
             [float(row.points[:, 2].min()) for row in rows for _ in row.tiles],
         )
         sheet = _sheet(rows, list(pictures))
@@ -80,27 +81,30 @@ def contact_sheet(shards: Sequence[Path], path: Path, *, objects: int = 4, state
         raise ArticugenError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-def _chosen(shards: Sequence[Path], objects: int, states: int) -> list[tuple[str, list[Instance]]]:
-    """(title, instances) of each row."""
-    where: dict[tuple[str, str], list[tuple[Path, int]]] = {}
+def _chosen(
+    shards: Sequence[Path], objects: int, states: int
+) -> list[tuple[str, str, list[Instance]]]:
+    """(category, title, instances) of each row."""
+    where: dict[tuple[str, str, str], list[tuple[Path, int]]] = {}
     for path in shards:
         with open_shard(path) as shard:
-            split = str(shard.attributes["split"])
+            category, split = (str(shard.attributes[name]) for name in ("category", "split"))
             for index, object_id in enumerate(shard.object_ids()):
-                where.setdefault((split, object_id), []).append((path, index))
-    keys = _evenly(sorted(where, key=lambda key: (key[0] != "train", key)), objects)
+                where.setdefault((category, split, object_id), []).append((path, index))
+    keys = _evenly(sorted(where, key=lambda key: (key[1] != "train", key)), objects)
     rows = []
-    for split, object_id in keys:
-        places = where[split, object_id]
+    for category, split, object_id in keys:
+        places = where[category, split, object_id]
         moved = [_moved(*place) for place in places]
         order = [places[i] for i in np.argsort(moved, kind="stable")]
-        rows.append((f"{object_id}  {split}", [_read(*place) for place in _evenly(order, states)]))
-    return [row for row in rows if len(row[1][0].surface_points) > 1] or _nothing(shards)
-
-
-def _nothing(shards: Sequence[Path]) -> list[tuple[str, list[Instance]]]:
-    where = shards[0].parent if shards else "the folder"
-    raise ArticugenError(f"{where}: holds no surface points to draw; ask for some in the recipe")
+        instances = [_read(*place) for place in _evenly(order, states)]
+        if len(instances[0].surface_points) > 1:
+            rows.append((category, f"{object_id}  {split}", instances))
+    if not rows:
+        raise ArticugenError(
+            f"{shards[0].parent}: no surface points to draw; ask for some in the recipe"
+        )
+    return rows
 
 
 def _evenly(items: Sequence[T], count: int) -> list[T]:
@@ -131,6 +135,10 @@ def _tile(instance: Instance) -> _Tile:
 
 def _camera(row: _Row, azimuth: float) -> Camera:
     return framed(row.points, azimuth, ELEVATION, SUPERSAMPLING * TILE, fill=0.86)
+
+
+def _best_azimuth(rows: Sequence[_Row]) -> float:
+    return max(AZIMUTHS, key=lambda azimuth: sum(_seen(row.tiles[-1], azimuth) for row in rows))
 
 
 def _seen(tile: _Tile, azimuth: float) -> float:

@@ -223,10 +223,10 @@ def _outline(points, normals, part, reach, slack, rank):
                 face[level] = j
                 distance[level] = away
                 level += 1
-            elif not alike and ahead < 0.0:
+            elif not alike and -reach / 3.0 < ahead < 0.0:
                 others[behind] = j
                 behind += 1
-            elif not alike and away < 0.5 * reach:
+            elif not alike and ahead >= 0.0 and away < 0.5 * reach:
                 before += 1
         if level > rank:
             radius[i] = min(np.partition(distance[:level], rank)[rank], 0.5 * reach)

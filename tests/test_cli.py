@@ -1,0 +1,219 @@
+"""The command line as a user meets it: real commands, real data sets, tiny ones."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from articugen import __version__
+from articugen.cli import app
+
+TINY = """
+name: tiny
+objects: 2
+articulation: {states: 2}
+views: {count: 12, resolution: 64}
+sampling:
+  {grids: [8, 16], surface_points: 512, uniform_points: 64, near_points: 64, partial_views: 1,
+   partial_points: 32, partial_resolution: 32}
+"""
+
+BOX = """<robot name="box"><link name="base"><visual><geometry><box size="1 1 0.1"/></geometry>
+</visual></link><link name="lid"><visual><origin xyz="0.5 0 0.1"/><geometry><box size="1 1 0.1"/>
+</geometry></visual></link><joint name="hinge" type="revolute"><origin xyz="-0.5 0 0"/>
+<axis xyz="0 -1 0"/><limit lower="0" upper="1.5" effort="1" velocity="1"/><parent link="base"/>
+<child link="lid"/></joint></robot>"""
+
+
+def run(*arguments: object):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.fixture(scope="module")
+def recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recipe") / "tiny.yaml"
+    path.write_text(TINY)
+    return path
+
+
+@pytest.fixture(scope="module")
+def boxes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of two good objects and a broken one."""
+    folder = tmp_path_factory.mktemp("boxes")
+    for name in ("one", "two"):
+        (folder / f"{name}.urdf").write_text(BOX)
+    (folder / "worse.urdf").write_text(BOX.replace('child link="lid"', 'child link="lost"'))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made(recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a data set: two procedural laptops."""
+    root = tmp_path_factory.mktemp("made")
+    done = run("generate", "-c", "laptop", "-r", recipe, "-o", root, "-j", 1)
+    assert done.exit_code == 0, done.output
+    return root / "laptop"
+
+
+def test_version_and_help() -> None:
+    assert run("--version").output.strip() == f"articugen {__version__}"
+    for command in ([], ["sources"], ["generate"], ["inspect"], ["verify"]):
+        done = run(*command, "--help")
+        assert done.exit_code == 0
+        assert "Usage" in done.output
+
+
+def test_every_command_with_options_shows_examples() -> None:
+    for command in ("generate", "inspect", "verify"):
+        assert f"articugen {command} " in run(command, "--help").output.split("Example")[1]
+
+
+def test_sources_lists_the_procedural_ones_with_the_papers_counts() -> None:
+    lines = run("sources").output.splitlines()
+    assert "laptop            73 train, 13 test" in [line.strip() for line in lines]
+
+
+def test_generate_says_what_was_made_and_what_comes_next(made: Path, recipe: Path) -> None:
+    manifest = json.loads((made / "manifest.json").read_text())
+    again = run("generate", "-c", "laptop", "-r", recipe, "-o", made.parent)
+    assert again.exit_code == 0
+    assert "nothing to do" in again.stdout
+    assert manifest["content_sha256"] in again.stdout.replace("\n", "")
+    assert f"next: articugen inspect {made}" in again.stdout
+    assert {shard["instances"] for shard in manifest["shards"]} == {3}
+
+
+def test_a_dry_run_tells_the_plan_and_makes_nothing(recipe: Path, tmp_path: Path) -> None:
+    done = run("generate", "-c", "oven", "-r", recipe, "-o", tmp_path / "new", "--dry-run")
+    assert done.exit_code == 0
+    assert "2 objects" in done.output
+    assert "instances       6" in done.output
+    assert not list(tmp_path.rglob("*.h5"))
+
+
+def test_data_made_in_another_way_is_replaced_only_on_request(recipe: Path, tmp_path: Path) -> None:
+    common = ("generate", "-c", "laptop", "-r", recipe, "-n", 1, "-j", 1, "-o", tmp_path)
+    assert run(*common, "--states", 0).exit_code == 0
+    before = (tmp_path / "laptop" / "manifest.json").read_bytes()
+    refused = run(*common, "--states", 1)
+    assert refused.exit_code == 1
+    assert "--replace" in refused.stderr
+    assert (tmp_path / "laptop" / "manifest.json").read_bytes() == before
+    assert run(*common, "--states", 1, "--replace").exit_code == 0
+    assert (tmp_path / "laptop" / "manifest.json").read_bytes() != before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("generate", "-c", "lapto"), "did you mean 'laptop'?"),
+        (("generate", "-c", "laptop", "-s", "procedral"), "did you mean 'procedural'?"),
+        (("generate", "-c", "laptop", "-r", "quik"), "did you mean 'quick'?"),
+        (("inspect", "nowhere"), "there is no such shard or folder"),
+        (("verify", "nowhere"), "holds no data set"),
+    ],
+)
+def test_an_error_is_one_sentence_on_stderr(arguments, sentence: str, tmp_path: Path) -> None:
+    done = run(*arguments, *(("-o", tmp_path) if arguments[0] == "generate" else ()))
+    assert done.exit_code == 1
+    assert done.stdout == ""
+    assert done.stderr.startswith("error: ")
+    assert sentence in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments", [("generate",), ("generate", "-c", "laptop", "-n", "0"), ("frobnicate",)]
+)
+def test_wrong_usage_exits_with_2(arguments) -> None:
+    assert run(*arguments).exit_code == 2
+
+
+def test_a_recipe_that_is_not_one_is_refused(tmp_path: Path) -> None:
+    bad = tmp_path / "bad.yaml"
+    bad.write_text("samplng: {}")
+    done = run("generate", "-c", "laptop", "-r", bad, "-o", tmp_path)
+    assert done.exit_code == 1
+    assert "did you mean 'sampling'?" in done.stderr
+
+
+def test_a_rejected_object_shows_in_the_exit_status(
+    boxes: Path, recipe: Path, tmp_path: Path
+) -> None:
+    patient = tmp_path / "patient.yaml"
+    patient.write_text(f"extends: {recipe}\nobjects: 3\nmax_rejected_fraction: 0.5\n")
+    common = ("generate", "-c", "box", "-s", boxes, "-j", 1)
+    done = run(*common, "-r", patient, "-o", tmp_path)
+    assert done.exit_code == 3, done.output
+    assert "worse" in done.stdout
+    assert "lost" in done.stdout
+    manifest = json.loads((tmp_path / "box" / "manifest.json").read_text())
+    assert len(manifest["objects"]) == 2
+    assert run("verify", tmp_path / "box", "-j", 1).exit_code == 0
+
+    strict = run(*common, "-r", recipe, "-n", 3, "-o", tmp_path / "strict")
+    assert strict.exit_code == 1
+    assert "1 of 3 objects were rejected" in strict.stderr
+    assert not (tmp_path / "strict" / "box" / "manifest.json").exists()
+
+
+def test_verify_accepts_what_was_made_and_finds_a_flipped_bit(made: Path, tmp_path: Path) -> None:
+    done = run("verify", made.parent, "-j", 1)
+    assert done.exit_code == 0, done.output
+    assert "2 shards, 6 instances" in done.output
+    copy = tmp_path / "laptop"
+    copy.mkdir()
+    for path in made.iterdir():
+        (copy / path.name).write_bytes(path.read_bytes())
+    victim = next(copy.glob("*.h5"))
+    flipped = bytearray(victim.read_bytes())
+    flipped[len(flipped) // 2] ^= 1
+    victim.write_bytes(flipped)
+    found = run("verify", copy, "-j", 1)
+    assert found.exit_code == 1
+    assert victim.name in found.output
+
+
+def test_inspect_prints_the_schema_and_draws(made: Path, tmp_path: Path) -> None:
+    image = tmp_path / "sheet.png"
+    done = run("inspect", made, "--image", image, "--objects", 1, "--states", 1)
+    assert done.exit_code == 0, done.output
+    for word in ("surface_points", "revolute", "occupancy_16", "2 objects (1 train, 1 test)"):
+        assert word in done.stdout
+    assert image.read_bytes()[:4] == b"\x89PNG"
+
+
+def test_ctrl_c_keeps_finished_work_and_the_next_run_goes_on(
+    recipe: Path, made: Path, tmp_path: Path
+) -> None:
+    command = ["generate", "-c", "laptop", "-r", str(recipe), "-o", str(tmp_path), "-j", "1"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "articugen", *command],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 100
+    while not list(tmp_path.glob("laptop/train-*.h5")) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130, said
+    assert "finished work is kept; run the same command to resume" in said
+    assert "Traceback" not in said
+    assert not (tmp_path / "laptop" / "manifest.json").exists()
+    shard = tmp_path / "laptop" / "train-00000.h5"
+    written = shard.stat().st_mtime_ns
+    assert run(*command).exit_code == 0
+    assert shard.stat().st_mtime_ns == written
+    whole = json.loads((tmp_path / "laptop" / "manifest.json").read_text())
+    assert (
+        whole["content_sha256"]
+        == json.loads((made / "manifest.json").read_text())["content_sha256"]
+    )
