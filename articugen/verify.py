@@ -147,7 +147,7 @@ def _attribute_findings(
         "category": {category},
         "seed": {seed},
         "split": {entry.key.split for entry in objects},
-        "recipe_sha256": {entry.key.recipe_sha256 for entry in objects} | {digest},
+        "recipe_sha256": {digest},  # the key has the digest of what decides content alone
     }
     for attribute, values in wanted.items():
         if {about[attribute]} != values:
