@@ -36,6 +36,9 @@ from articugen.seeding import generator
 MOST_PARTS = 254
 """Labels are uint8: 0 free, k + 1 inside part k."""
 
+FEWEST_SURFACE_POINTS = 1024
+"""Drawn even where fewer are stored: near points are drawn around them."""
+
 
 @dataclass(frozen=True, eq=False)
 class Grid:
@@ -131,63 +134,36 @@ def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
     )
 
 
-def make_instance(prepared: Prepared, state_index: int) -> Instance:
+def make_instance(p: Prepared, state_index: int) -> Instance:
     """The instance of the object at its `state_index`-th joint state.
 
     Raises:
         RejectedInstance: nothing of it can be seen.
     """
-    p, sampled = prepared, prepared.recipe.sampling
-    state = p.states[state_index]
-    posed = articulation.forward_kinematics(p.obj, state)
-    motion = p.unit.rigid_to_unit(articulation.part_motions(posed, p.canonical))
-    mesh = p.mesh.moved(motion)
-    maps = _render_posed(p, mesh)
-    field = fusion.fuse(maps, mesh, p.recipe.fusion, hierarchy=p.hierarchy, part_motion=motion)
-    fields = fusion.PosedFields(field, p.own, motion)
-
-    surface = sampling.surface_points(
-        mesh, p.seen, field.is_free, max(sampled.surface_points, 1024),
-        rng=p.rng(state_index, "surface"),
-    )  # fmt: skip
-    uniform = quantize(
-        sampling.uniform_points(sampled.uniform_points, rng=p.rng(state_index, "uniform"))
-    )
-    near = quantize(
-        sampling.near_points(
-            surface.points, sampled.near_points, sampled.near_sigma,
-            rng=p.rng(state_index, "near"),
-        )
-    )  # fmt: skip
-    rng = p.rng(state_index, "partial")
-    cameras = random_pinhole_views(
-        sampled.partial_views, sampled.partial_resolution, bounds(mesh.vertices), rng=rng
-    )
-    clouds = sampling.partial_clouds(
-        rasterizer.render(mesh, cameras), mesh.part_of_face, sampled.partial_points,
-        sampled.depth_noise, rng=rng,
-    )  # fmt: skip
-    count = sampled.surface_points
+    mesh, fields = pose(p, state_index)
+    surface = _surface(p, state_index, mesh, fields)
     return Instance(
         object_id=p.obj.object_id,
         state_index=state_index,
         center=p.unit.center,
         scale=p.unit.scale,
-        **_joint_fields(p, posed, state),
-        part_motion=motion,
+        **_joint_fields(p, state_index),
+        part_motion=fields.part_motion,
         occupancy={r: _labelled_grid(grid, fields, r) for r, grid in p.grids.items()},
-        surface_points=quantize(surface.points[:count]),
-        surface_normals=np.round(surface.normals[:count] * 127.0).astype(np.int8),
-        surface_part=surface.part[:count],
-        uniform_points=uniform,
-        uniform_label=fields.labels(dequantize(uniform)),
-        near_points=near,
-        near_label=fields.labels(dequantize(near)),
-        partial_points=quantize(clouds.points),
-        partial_part=clouds.part,
-        partial_T_camera_world=cameras.T_camera_world,
-        partial_intrinsics=np.stack([cameras.fx, cameras.fy, cameras.cx, cameras.cy], axis=1),
+        **_surface_fields(p, surface),
+        **_query_fields(p, state_index, surface, fields),
+        **_partial_fields(p, state_index, mesh),
     )
+
+
+def pose(p: Prepared, state_index: int) -> tuple[LabelledMesh, fusion.PosedFields]:
+    """The object's surface and its fields at its `state_index`-th joint state, unit frame."""
+    posed = articulation.forward_kinematics(p.obj, p.states[state_index])
+    motion = p.unit.rigid_to_unit(articulation.part_motions(posed, p.canonical))
+    mesh = p.mesh.moved(motion)
+    maps = _render_posed(p, mesh)
+    field = fusion.fuse(maps, mesh, p.recipe.fusion, hierarchy=p.hierarchy, part_motion=motion)
+    return mesh, fusion.PosedFields(field, p.own, motion)
 
 
 def _joint_states(obj: ArticulatedObject, count: int, seed: int) -> tuple[JointState, ...]:
@@ -286,8 +262,10 @@ def _labelled_grid(grid: Grid, fields: fusion.PosedFields, resolution: int) -> N
     return label.reshape(resolution, resolution, resolution)
 
 
-def _joint_fields(p: Prepared, posed: PosedObject, state: JointState) -> dict[str, NDArray]:
-    """The fields of an instance that describe its joints; lengths in the unit frame."""
+def _joint_fields(p: Prepared, state_index: int) -> dict[str, NDArray]:
+    """What describes the joints; lengths in the unit frame."""
+    state = p.states[state_index]
+    posed = articulation.forward_kinematics(p.obj, state)
     joints = p.obj.moving_joints
     part_of_link = dict(zip((link.name for link in p.obj.links), p.obj.part_of_link, strict=True))
     length = np.array([p.unit.scale if j.kind == "prismatic" else 1.0 for j in joints])
@@ -299,4 +277,54 @@ def _joint_fields(p: Prepared, posed: PosedObject, state: JointState) -> dict[st
         "joint_upper": np.array([j.upper for j in joints]) / length,
         "joint_axis": posed.axes,
         "joint_pivot": p.unit.to_unit(posed.pivots),
+    }
+
+
+def _surface(
+    p: Prepared, state_index: int, mesh: LabelledMesh, fields: fusion.PosedFields
+) -> sampling.SurfacePoints:
+    """Surface points: those that are stored, and enough to draw near points around."""
+    count = max(p.recipe.sampling.surface_points, FEWEST_SURFACE_POINTS)
+    rng = p.rng(state_index, "surface")
+    return sampling.surface_points(mesh, p.seen, fields.whole.is_free, count, rng=rng)
+
+
+def _surface_fields(p: Prepared, surface: sampling.SurfacePoints) -> dict[str, NDArray]:
+    stored = slice(p.recipe.sampling.surface_points)
+    return {
+        "surface_points": quantize(surface.points[stored]),
+        "surface_normals": np.round(surface.normals[stored] * 127.0).astype(np.int8),
+        "surface_part": surface.part[stored],
+    }
+
+
+def _query_fields(
+    p: Prepared, state_index: int, surface: sampling.SurfacePoints, fields: fusion.PosedFields
+) -> dict[str, NDArray]:
+    """Query points are rounded to what is stored first, so that their labels are exact."""
+    wanted = p.recipe.sampling
+    uniform = sampling.uniform_points(wanted.uniform_points, rng=p.rng(state_index, "uniform"))
+    rng = p.rng(state_index, "near")
+    near = sampling.near_points(surface.points, wanted.near_points, wanted.near_sigma, rng=rng)
+    stored = {"uniform": quantize(uniform), "near": quantize(near)}
+    points = {f"{name}_points": points for name, points in stored.items()}
+    labels = {f"{n}_label": fields.labels(dequantize(points)) for n, points in stored.items()}
+    return points | labels
+
+
+def _partial_fields(p: Prepared, state_index: int, mesh: LabelledMesh) -> dict[str, NDArray]:
+    wanted = p.recipe.sampling
+    rng = p.rng(state_index, "partial")
+    views = random_pinhole_views(
+        wanted.partial_views, wanted.partial_resolution, bounds(mesh.vertices), rng=rng
+    )
+    maps = rasterizer.render(mesh, views)
+    clouds = sampling.partial_clouds(
+        maps, mesh.part_of_face, wanted.partial_points, wanted.depth_noise, rng=rng
+    )
+    return {
+        "partial_points": quantize(clouds.points),
+        "partial_part": clouds.part,
+        "partial_T_camera_world": views.T_camera_world,
+        "partial_intrinsics": np.stack([views.fx, views.fy, views.cx, views.cy], axis=1),
     }

@@ -1,0 +1,106 @@
+"""Instances of a data set made again from its source: the proof that it is what it claims to be."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from articugen import articulation
+from articugen.errors import ArticugenError, InvalidSource
+from articugen.instance import Prepared, make_instance, pose, prepare
+from articugen.manifest import Manifest, ObjectEntry
+from articugen.pipeline import generator_version
+from articugen.recipe import Recipe
+from articugen.records import Instance, dequantize
+from articugen.seeding import generator
+from articugen.shards import open_shard
+from articugen.sources import registry
+from articugen.verify import Finding
+
+HALF_VOXEL = 0.5 / 256
+"""Surface points lie on the field's zero level within this, in the unit frame."""
+
+MOST_OFF_LEVEL = 0.01
+"""Share of surface points that may lie off the zero level: beside edges finer than a voxel."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """An instance to make again."""
+
+    entry: ObjectEntry
+    state_index: int
+
+
+def prepared_again(manifest: Manifest, object_id: str) -> Prepared:
+    """What the instances of one object of the data set share, made again.
+
+    Raises:
+        ArticugenError: no such object; its source is gone or has changed; other code made it.
+    """
+    recipe = Recipe.model_validate_json(manifest.recipe)
+    entry = next((o for o in manifest.objects if o.key.object_id == object_id), None)
+    if entry is None:
+        raise InvalidSource(
+            f"no object {object_id!r} in this data set; articugen inspect names some"
+        )
+    if entry.key.generator != generator_version():
+        raise ArticugenError(
+            f"{object_id} was made by articugen {entry.key.generator}, this is "
+            f"{generator_version()}; only the same version can make it again"
+        )
+    refs = registry.object_refs(manifest.source, manifest.category, objects=recipe.objects)
+    ref = next((r for r in refs if r.object_id == object_id), None)
+    if ref is None:
+        raise InvalidSource(f"source {manifest.source!r} no longer has the object {object_id!r}")
+    settings = registry.settings(ref)
+    obj = registry.load(ref)
+    if obj.sha256 != entry.input_sha256:
+        raise InvalidSource(f"{object_id}: its files under {ref.location} have changed since")
+    resolved = articulation.resolve(
+        obj, recipe.articulation, canonical=settings.canonical, movable=settings.movable
+    )
+    return prepare(resolved, recipe.for_one_object(), manifest.seed)
+
+
+def replay(folder: Path, count: int) -> Iterator[Finding | None]:
+    """Make `count` instances of a data set again: a finding for each fault, None for each done.
+
+    Each must come out the same to the byte, with its surface points on the field's zero level.
+
+    Raises:
+        ArticugenError: as `prepared_again`.
+    """
+    manifest = Manifest.read(folder)
+    for sample in _samples(manifest, count):
+        object_id = sample.entry.key.object_id
+        prepared = prepared_again(manifest, object_id)
+        with open_shard(folder / sample.entry.shard) as shard:
+            stored = shard.instance(sample.state_index)
+        place = (sample.entry.shard, object_id, sample.state_index)
+        for check, sentence in _differences(prepared, stored):
+            yield Finding(check, sentence, *place)
+        yield None
+
+
+def _samples(manifest: Manifest, count: int) -> list[Sample]:
+    """`count` instances, spread over the objects; always the same ones."""
+    rng = generator(manifest.seed, manifest.content_sha256, "replay")
+    order = rng.permutation(len(manifest.objects))
+    chosen = [manifest.objects[order[n % len(order)]] for n in range(count)] if len(order) else []
+    return [Sample(entry, int(rng.integers(entry.instances))) for entry in chosen]
+
+
+def _differences(prepared: Prepared, stored: Instance) -> Iterator[tuple[str, str]]:
+    again = make_instance(prepared, stored.state_index).arrays()
+    other = [n for n, array in stored.arrays().items() if not np.array_equal(array, again[n])]
+    if other:
+        yield "replay", f"made again, it differs in {', '.join(other)}"
+    _, fields = pose(prepared, stored.state_index)
+    points = dequantize(stored.surface_points)
+    step = HALF_VOXEL * stored.surface_normals / 127.0
+    before, behind = fields.whole.is_free(points + step), fields.whole.is_free(points - step)
+    off = 1.0 - float(np.mean(before & ~behind)) if len(points) else 0.0
+    if off > MOST_OFF_LEVEL:
+        yield "zero level", f"{off:.1%} of its surface points lie off the field's zero level"
