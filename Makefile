@@ -6,7 +6,7 @@ SOURCE ?= procedural
 OUT    ?= data
 
 articugen := $(VENV)/bin/articugen
-pinned    := $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+pinned    := $(VENV)/bin/python -m pip install -qq --disable-pip-version-check -c constraints.txt
 
 # Stamps: an environment is made once, and again when what it is made from changes.
 generator := $(VENV)/.installed
