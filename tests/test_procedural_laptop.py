@@ -67,3 +67,21 @@ def test_laptops_differ() -> None:
     slimness = np.array([shape.lid / shape.width for shape in shapes])
     assert np.ptp(ratios) > 0.3
     assert slimness.max() > 3 * slimness.min()
+
+
+def test_what_lies_on_a_laptop_is_drawn_where_it_is_seen(tmp_path: Path) -> None:
+    """In messy models too: a screen's rectangle is its face, with free space in front of it."""
+    faces = 0
+    for name in IDS[:10]:
+        obj, truth = written("laptop", name, tmp_path / name)
+        frames = link_frames(obj, np.zeros(1))
+        solids = [s for link in build_model("laptop", name).links for s in link.solids]
+        for sheet in (s.sheet for s in solids if s.sheet is not None):
+            a, b, c = np.moveaxis(sheet.drawn, 1, 0)
+            out = sheet.seen * np.cross(b - a, c - a)
+            out /= np.linalg.norm(out, axis=1, keepdims=True)
+            middle = (a + b + c) / 3
+            assert truth.inside(middle - 1e-6 * out, frames).all(), name
+            assert not truth.inside(middle + 1e-6 * out, frames).any(), name
+            faces += 1
+    assert faces > 15

@@ -172,11 +172,13 @@ def _trackpad(rng: np.random.Generator, s: LaptopShape, x: float, palm_rest: flo
         return [stack([circle(r, 20, (x, y)) for r in radii], heights)]
     corner = rng.uniform(0.5, 5) * MM
     if style == "plate":
-        return [prism(rounded_rectangle(width, depth, corner, (x, y), 3), *z, panel=True)]
+        return [prism(rounded_rectangle(width, depth, corner, (x, y), 3), *z, panel=True, seen=1)]
     strip = 0.22 * depth
     pad = (x, y + strip / 2 + 0.5 * MM)
     row = y - depth / 2 + strip / 2 - 0.5 * MM
-    solids = [prism(rounded_rectangle(width, depth - strip, corner, pad, 3), *z, panel=True)]
+    solids = [
+        prism(rounded_rectangle(width, depth - strip, corner, pad, 3), *z, panel=True, seen=1)
+    ]
     for sign in (-1, 1):
         low = (x + sign * (width / 4) - width / 4 + MM / 2, row - strip / 2, s.deck)
         high = (low[0] + width / 2 - MM, row + strip / 2 - MM / 2, z[1])
@@ -225,7 +227,7 @@ def _lid(rng: np.random.Generator, s: LaptopShape) -> list[Solid]:
     if rng.random() < 0.5:  # A softer back.
         layers = [(0.0, face), (0.0, back - b), (0.35 * b, back - 0.4 * b), (1.6 * b, back)]
     shell = stack([s.outline(s.lid_inset + d) for d, _ in layers], [z for _, z in layers])
-    screen = prism(opening, face - 0.4 * s.recess, face, panel=True)
+    screen = prism(opening, face - 0.4 * s.recess, face, panel=True, seen=-1)
     return [shell, bezel, screen, *_camera(rng, s, under, face), *_emblem(rng, s, back)]
 
 
@@ -261,14 +263,17 @@ def _emblem(rng: np.random.Generator, s: LaptopShape, back: float) -> list[Solid
         return [prism(outline, z[0], z[1] + MM)]
     if style == "stripes":
         bar = np.array([(-4, -0.35), (4, -0.35), (10, 0.35), (2, 0.35)]) * (MM, s.depth)
-        return [prism(bar + np.array([sign * inner * 0.25, y]), *z, panel=True) for sign in (-1, 1)]
+        return [
+            prism(bar + np.array([sign * inner * 0.25, y]), *z, panel=True, seen=1)
+            for sign in (-1, 1)
+        ]
     outlines = {
         "round": circle(size, 28, (x, y)),
         "oval": ellipse(size * 1.6, size * 0.7, 28, (x, y)),
         "hexagon": circle(size, 6, (x, y)),
         "bar": rounded_rectangle(4 * size, 0.5 * size, 2 * MM, (x, y)),
     }
-    return [prism(outlines[style], *z, panel=True)] if style in outlines else []
+    return [prism(outlines[style], *z, panel=True, seen=1)] if style in outlines else []
 
 
 def _hinge(rng: np.random.Generator, s: LaptopShape) -> tuple[list[Solid], list[Solid]]:

@@ -33,12 +33,22 @@ class Sheet:
     """A surface that stands for a slab: all points within half of `thickness` along its normal.
 
     Attributes:
-        triangles: (n, 3, 3) metres, one plane.
+        triangles: (n, 3, 3) metres, one plane: the middle of the slab.
         thickness: metres.
+        seen: the side that is drawn: 1 along the normal or -1 against it, of a slab that lies on
+            something; 0 for the middle of one that is seen from both sides.
     """
 
     triangles: Array
     thickness: float
+    seen: int = 0
+
+    @property
+    def drawn(self) -> Array:
+        """(n, 3, 3) the triangles where messy models have them."""
+        edges = self.triangles[0, 1:] - self.triangles[0, :1]
+        normal = np.cross(edges[0], edges[1])
+        return self.triangles + self.seen * self.thickness / 2 * normal / np.linalg.norm(normal)
 
     def moved(self, T: Array) -> "Sheet":
         """The sheet after the rigid transform `T` (4, 4)."""
@@ -52,7 +62,7 @@ class Solid:
     Attributes:
         vertices: (V, 3) metres.
         cells: the faces of each cell.
-        sheet: what `messy` models may write in its place: the mid-surface of a thin panel.
+        sheet: what `messy` models may write in the place of a thin panel.
     """
 
     vertices: Array
@@ -154,8 +164,13 @@ def box(lower: ArrayLike, upper: ArrayLike, *, panel: bool = False) -> Solid:
     return turned(prism(outline, a[thin], b[thin], panel=panel))
 
 
-def prism(outline: Array, z0: float, z1: float, *, panel: bool = False) -> Solid:
-    """A simple polygon (n, 2), convex or not, raised from `z0` to `z1`. `panel`: see `box`."""
+def prism(outline: Array, z0: float, z1: float, *, panel: bool = False, seen: int = 0) -> Solid:
+    """A simple polygon (n, 2), convex or not, raised from `z0` to `z1`.
+
+    Args:
+        panel: see `box`.
+        seen: of a panel that lies on something, the side that is seen: 1 for z1, -1 for z0.
+    """
     n = len(outline)
     vertices = np.concatenate([np.c_[outline, np.full(n, z)] for z in (z0, z1)])
     cells = []
@@ -168,7 +183,7 @@ def prism(outline: Array, z0: float, z1: float, *, panel: bool = False) -> Solid
         return solid
     middle = np.c_[outline, np.full(n, (z0 + z1) / 2)]
     triangles = _triangles(middle, [tuple(piece) for piece in convex_pieces(outline)])
-    return replace(solid, sheet=Sheet(middle[triangles], z1 - z0))
+    return replace(solid, sheet=Sheet(middle[triangles], z1 - z0, seen))
 
 
 def loft(rings: ArrayLike, *, closed: bool = False) -> Solid:

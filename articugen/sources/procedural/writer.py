@@ -27,7 +27,7 @@ from articugen.geometry import Array, apply, invert_rigid, rotation_from_rpy, tr
 from articugen.sources.procedural.model import ROOT_NAME, Model, ModelLink
 from articugen.sources.procedural.solids import Solid
 
-GENERATOR_VERSION = 1
+GENERATOR_VERSION = 2
 """Raised whenever any generator's output changes, so that folders written before are replaced."""
 
 URDF_NAME = "model.urdf"
@@ -150,7 +150,7 @@ def _write_meshes(
     closed = [s for s, as_sheet in zip(link.solids, sheets, strict=True) if not as_sheet]
     for k, (solid, as_sheet) in enumerate(zip(link.solids, sheets, strict=True)):
         if as_sheet and solid.sheet is not None:
-            vertices = solid.sheet.triangles.reshape(-1, 3)
+            vertices = solid.sheet.drawn.reshape(-1, 3)
             faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
         else:
             vertices, faces = solid.vertices, _seen_faces(solid, k, closed)
