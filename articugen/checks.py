@@ -207,7 +207,9 @@ def _grids_filled(row: Instance, _: Recipe) -> Iterator[str]:
                     "where the points show anything"
                 )
         share, expected = (grid > 0).mean(), (row.uniform_label > 0).mean()
-        if expected >= 0.02 and not 0.1 * expected <= share <= 0.1 + 3.0 * expected:
+        # the plates of a shut laptop, 3 % of the cube, can miss every centre of a coarse grid
+        least = 0.1 * expected if resolution == max(row.occupancy) else 0.0
+        if expected >= 0.02 and not least <= share <= 0.1 + 3.0 * expected:
             yield f"occupancy_{resolution} is {share:.0%} full, uniform_label {expected:.0%}"
 
 
