@@ -72,6 +72,7 @@ class Prepared:
         hierarchy: of all parts.
         views: the views that are fused.
         static: the depth maps of part 0 alone, which every instance shares.
+        scratch: room for the depth maps of one instance after the other.
         own: each moving part alone.
         grids: by resolution.
     """
@@ -87,6 +88,7 @@ class Prepared:
     hierarchy: Hierarchy
     views: Views
     static: DepthMaps
+    scratch: DepthMaps
     own: tuple[fusion.OwnSolid, ...]
     grids: dict[int, Grid]
 
@@ -129,6 +131,7 @@ def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
         hierarchy=build(mesh.vertices[mesh.faces], mesh.part_of_face, obj.part_count),
         views=views,
         static=static,
+        scratch=rasterizer.empty_maps(views),
         own=tuple(part.own for part in parts[1:]),
         grids={r: _grid(r, static_field) for r in recipe.sampling.grids},
     )
@@ -140,7 +143,7 @@ def make_instance(p: Prepared, state_index: int) -> Instance:
     Raises:
         RejectedInstance: nothing of it can be seen.
     """
-    mesh, fields = pose(p, state_index)
+    mesh, fields = pose(p, state_index, scratch=p.scratch)
     surface = _surface(p, state_index, mesh, fields)
     return Instance(
         object_id=p.obj.object_id,
@@ -156,12 +159,17 @@ def make_instance(p: Prepared, state_index: int) -> Instance:
     )
 
 
-def pose(p: Prepared, state_index: int) -> tuple[LabelledMesh, fusion.PosedFields]:
-    """The object's surface and its fields at its `state_index`-th joint state, unit frame."""
+def pose(
+    p: Prepared, state_index: int, *, scratch: DepthMaps | None = None
+) -> tuple[LabelledMesh, fusion.PosedFields]:
+    """The object's surface and its fields at its `state_index`-th joint state, unit frame.
+
+    With `scratch` the fields hold until the next call that is given the same.
+    """
     posed = articulation.forward_kinematics(p.obj, p.states[state_index])
     motion = p.unit.rigid_to_unit(articulation.part_motions(posed, p.canonical))
     mesh = p.mesh.moved(motion)
-    maps = _render_posed(p, mesh)
+    maps = _render_posed(p, mesh, scratch)
     field = fusion.fuse(maps, mesh, p.recipe.fusion, hierarchy=p.hierarchy, part_motion=motion)
     return mesh, fusion.PosedFields(field, p.own, motion)
 
@@ -212,26 +220,28 @@ def _normalization(box: Floats, padding: float) -> Normalization:
 
 @dataclass(frozen=True, eq=False)
 class SolidPart:
+    """One part alone in the canonical pose: its surface, which faces can be seen, its field."""
+
     mesh: LabelledMesh
     seen: NDArray[np.bool_]
     own: fusion.OwnSolid
 
 
 def solid_part(soup: LabelledMesh, recipe: Recipe) -> SolidPart:
-    """One part alone, canonical pose: sheets thickened, faces outwards, and its own field."""
-    if not len(soup.faces):
-        return SolidPart(soup, np.zeros(0, np.bool_), _own_solid(soup, recipe))
+    """Thicken the sheets of one part and turn its faces outwards, by how it is seen alone."""
     soup = sheets.without_repeats(soup)
+    alone = _own_solid(soup, recipe)
     thickness = recipe.fusion.sheet_thickness
     where = sheets.probes(soup, max(thickness, 1e-3) / 3.0)
-    alone = _own_solid(soup, recipe).field
-    free = np.stack([alone.is_free(side) for side in where.points])
+    free = np.stack([alone.field.is_free(side) for side in where.points])
     mesh, seen = sheets.solidified(soup, where, free, thickness)
-    return SolidPart(mesh, seen, _own_solid(mesh, recipe))
+    if len(mesh.faces) != len(soup.faces):  # sheets have become slabs
+        alone = _own_solid(mesh, recipe)
+    return SolidPart(mesh, seen, alone)
 
 
 def _own_solid(mesh: LabelledMesh, recipe: Recipe) -> fusion.OwnSolid:
-    box = bounds(mesh.vertices[np.unique(mesh.faces)]) if len(mesh.faces) else np.zeros((2, 3))
+    box = bounds(mesh.vertices[mesh.faces].reshape(-1, 3)) if len(mesh.faces) else np.zeros((2, 3))
     views = fusion_views(recipe.views, box)
     return fusion.OwnSolid(fusion.fuse(_render(mesh, views, recipe), mesh, recipe.fusion), box)
 
@@ -240,13 +250,15 @@ def _render(mesh: LabelledMesh, views: Views, recipe: Recipe) -> DepthMaps:
     return render(mesh, views, backend=recipe.views.backend)
 
 
-def _render_posed(p: Prepared, mesh: LabelledMesh) -> DepthMaps:
+def _render_posed(p: Prepared, mesh: LabelledMesh, scratch: DepthMaps | None) -> DepthMaps:
     """The depth maps of a posed object; with our rasterizer, drawn over those of part 0."""
     if p.recipe.views.backend != "rasterizer":
         return _render(mesh, p.views, p.recipe)
     first = int(np.searchsorted(mesh.part_of_face, 1))
     moving = LabelledMesh(mesh.vertices, mesh.faces[first:], mesh.part_of_face[first:])
-    return rasterizer.render(moving.compact(), p.views, onto=p.static, first_face=first)
+    return rasterizer.render(
+        moving.compact(), p.views, onto=p.static, first_face=first, scratch=scratch
+    )
 
 
 def _grid(resolution: int, static: fusion.Field) -> Grid:

@@ -18,8 +18,9 @@ from articugen.shards import open_shard
 from articugen.sources import registry
 from articugen.verify import Finding
 
-HALF_VOXEL = 0.5 / 256
-"""Surface points lie on the field's zero level within this, in the unit frame."""
+IN_FRONT, BEHIND = 0.1 / 256, 0.5 / 256
+"""The zero level passes between a surface point moved out by the one and in by the other: within
+half a voxel of 1/256. Out less, so that a wall close by is not met first."""
 
 MOST_OFF_LEVEL = 0.01
 """Share of surface points that may lie off the zero level: beside edges finer than a voxel."""
@@ -99,8 +100,9 @@ def _differences(prepared: Prepared, stored: Instance) -> Iterator[tuple[str, st
         yield "replay", f"made again, it differs in {', '.join(other)}"
     _, fields = pose(prepared, stored.state_index)
     points = dequantize(stored.surface_points)
-    step = HALF_VOXEL * stored.surface_normals / 127.0
-    before, behind = fields.whole.is_free(points + step), fields.whole.is_free(points - step)
-    off = 1.0 - float(np.mean(before & ~behind)) if len(points) else 0.0
+    normals = stored.surface_normals / 127.0
+    before = fields.whole.is_free(points + IN_FRONT * normals)
+    behind = ~fields.whole.is_free(points - BEHIND * normals)
+    off = 1.0 - float(np.mean(before & behind)) if len(points) else 0.0
     if off > MOST_OFF_LEVEL:
         yield "zero level", f"{off:.1%} of its surface points lie off the field's zero level"

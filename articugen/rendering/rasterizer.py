@@ -17,7 +17,12 @@ LARGEST_PIXEL = 1 << 15
 
 
 def render(
-    mesh: LabelledMesh, views: Views, *, onto: DepthMaps | None = None, first_face: int = 0
+    mesh: LabelledMesh,
+    views: Views,
+    *,
+    onto: DepthMaps | None = None,
+    first_face: int = 0,
+    scratch: DepthMaps | None = None,
 ) -> DepthMaps:
     """The depth maps of `mesh` from `views`, with the face seen at each pixel.
 
@@ -26,19 +31,29 @@ def render(
         views: the cameras; every vertex must lie in front of every pinhole camera.
         onto: maps of other faces from the same views, drawn over in a copy.
         first_face: face f of `mesh` is written as `first_face + f`.
+        scratch: maps of the same views to draw into, whose content is lost; fresh memory costs as
+            much as the drawing.
 
     Raises:
         ValueError: a vertex lies behind a pinhole camera or far outside the image.
     """
-    shape = (len(views), views.height, views.width)
+    maps = scratch or empty_maps(views)
+    assert maps.face is not None
     if onto is None:
-        depth = np.full(shape, np.inf, np.float32)
-        face = np.full(shape, -1, np.int32)
+        maps.depth.fill(np.inf)
+        maps.face.fill(-1)
     else:
         assert onto.face is not None
-        depth, face = onto.depth.copy(), onto.face.copy()
-    draw(mesh.vertices, mesh.faces, views, depth, face, first_face=first_face)
-    return DepthMaps(depth, face, views)
+        np.copyto(maps.depth, onto.depth)
+        np.copyto(maps.face, onto.face)
+    draw(mesh.vertices, mesh.faces, views, maps.depth, maps.face, first_face=first_face)
+    return maps
+
+
+def empty_maps(views: Views) -> DepthMaps:
+    """Maps of `views` with nothing drawn yet, not even emptiness."""
+    shape = (len(views), views.height, views.width)
+    return DepthMaps(np.empty(shape, np.float32), np.empty(shape, np.int32), views)
 
 
 def draw(
