@@ -5,11 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import trimesh
 
 from articugen import articulation
 from articugen.errors import ArticugenError, InvalidSource
 from articugen.instance import Prepared, make_instance, pose, prepare
 from articugen.manifest import Manifest, ObjectEntry
+from articugen.meshing import extract_mesh
 from articugen.pipeline import generator_version
 from articugen.recipe import Recipe
 from articugen.records import Instance, dequantize
@@ -22,7 +24,9 @@ IN_FRONT, BEHIND = 0.1 / 256, 0.5 / 256
 """The zero level passes between a surface point moved out by the one and in by the other: within
 half a voxel of 1/256. Out less, so that a wall close by is not met first."""
 
-MOST_OFF_LEVEL = 0.01
+MESH_FORMATS = (".ply", ".obj", ".stl", ".glb")
+
+MOST_OFF_LEVEL = 0.02
 """Share of surface points that may lie off the zero level: beside edges finer than a voxel."""
 
 
@@ -83,6 +87,26 @@ def replay(folder: Path, count: int) -> Iterator[Finding | None]:
         for check, sentence in _differences(prepared, stored):
             yield Finding(check, sentence, *place)
         yield None
+
+
+def write_mesh(folder: Path, object_id: str, state_index: int, resolution: int, path: Path) -> int:
+    """Write the watertight mesh of one instance's field, unit frame; the number of its faces.
+
+    Raises:
+        ArticugenError: as `prepared_again`; no such state; the file cannot be written.
+    """
+    if path.suffix not in MESH_FORMATS:
+        raise ArticugenError(f"{path}: choose one of {', '.join(MESH_FORMATS)}")
+    prepared = prepared_again(Manifest.read(folder), object_id)
+    if state_index >= len(prepared.states):
+        raise ArticugenError(f"{object_id} has the states 0 to {len(prepared.states) - 1}")
+    _, fields = pose(prepared, state_index)
+    mesh = extract_mesh(fields.whole, resolution)
+    try:
+        trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(path)
+    except OSError as error:
+        raise ArticugenError(f"{path}: cannot be written: {error.strerror}") from None
+    return len(mesh.faces)
 
 
 def _samples(manifest: Manifest, count: int) -> list[Sample]:

@@ -1,0 +1,75 @@
+"""A small data set made again from its source."""
+
+import h5py
+import numpy as np
+import pytest
+import trimesh
+
+from articugen import replay as replaying
+from articugen.errors import ArticugenError, InvalidSource
+from articugen.manifest import Manifest
+from articugen.pipeline import Job, generate
+from articugen.recipe import Recipe
+from articugen.replay import prepared_again, replay, write_mesh
+
+RECIPE = Recipe.model_validate(
+    {
+        "name": "tiny",
+        "articulation": {"states": 2},
+        "views": {"count": 40, "resolution": 96},
+        "sampling": {"grids": [8], "surface_points": 512, "uniform_points": 64, "near_points": 64,
+                     "partial_views": 1, "partial_points": 32, "partial_resolution": 32},
+        "objects": 2,
+    }
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("oven")
+    generate(Job("procedural", "oven", RECIPE, seed=3, out=folder, jobs=1), lambda _: None)
+    return folder
+
+
+def test_instances_come_out_the_same(made):
+    assert list(replay(made, 3)) == [None, None, None]
+
+
+def test_data_that_was_changed_is_found(made):
+    shard = next(made.glob("train-*.h5"))
+    before = shard.read_bytes()
+    with h5py.File(shard, "r+") as file:
+        points = file["surface_points"]
+        points[:] = np.roll(points[:], 5000, axis=2)  # modulo 65536: off the surface
+    found = [finding for finding in replay(made, 6) if finding]
+    shard.write_bytes(before)
+    assert {finding.check for finding in found} == {"replay", "zero level"}
+    assert all(finding.shard == shard.name for finding in found)
+    assert "surface_points" in str(found[0])
+
+
+def test_other_code_or_another_source_cannot_make_it_again(made, monkeypatch):
+    manifest = Manifest.read(made)
+    name = manifest.objects[0].key.object_id
+    with pytest.raises(InvalidSource, match="no object 'sofa'"):
+        prepared_again(manifest, "sofa")
+    changed = manifest.objects[0].model_copy(update={"input_sha256": "0" * 64})
+    other = manifest.model_copy(update={"objects": (changed,)})
+    with pytest.raises(InvalidSource, match="have changed since"):
+        prepared_again(other, name)
+    monkeypatch.setattr(replaying, "generator_version", lambda: "9.9.9")
+    with pytest.raises(ArticugenError, match=r"this is 9\.9\.9; only the same version"):
+        prepared_again(manifest, name)
+
+
+def test_a_mesh_of_an_instance_is_closed(made, tmp_path):
+    name = Manifest.read(made).objects[0].key.object_id
+    faces = write_mesh(made, name, 1, 48, tmp_path / "oven.ply")
+    mesh = trimesh.load_mesh(tmp_path / "oven.ply")
+    assert len(mesh.faces) == faces
+    assert mesh.is_watertight
+    assert np.abs(mesh.bounds).max() < 0.5
+    with pytest.raises(ArticugenError, match="has the states 0 to 2"):
+        write_mesh(made, name, 3, 48, tmp_path / "oven.ply")
+    with pytest.raises(ArticugenError, match=r"choose one of \.ply"):
+        write_mesh(made, name, 1, 48, tmp_path / "oven.doc")
