@@ -41,9 +41,22 @@ MAY_IMPORT: dict[str, set[str]] = {
     "checks": BASE,
     "verify": BASE | STORE | {"checks"},
     "pipeline": BASE | STORE | {"sources", "articulation", "instance"},
+    "meshing": BASE | {"fusion"},
+    "replay": BASE
+    | STORE
+    | {"sources", "articulation", "instance", "meshing", "pipeline", "verify"},
     "inspection": BASE | STORE,
     "console": {"inspection", "manifest", "pipeline", "sources"},
-    "cli": {"errors", "console", "inspection", "pipeline", "recipe", "sources", "verify"},
+    "cli": {
+        "errors",
+        "console",
+        "inspection",
+        "pipeline",
+        "recipe",
+        "replay",
+        "sources",
+        "verify",
+    },
     "__main__": {"cli"},
 }
 """For each module or subpackage, the others of ours that it may import."""
@@ -52,7 +65,7 @@ FOREIGN: dict[str, set[str]] = {
     "h5py": {"shards"},
     "yourdfpy": {"sources.urdf"},
     "lxml": {"sources.urdf", "sources.xml_strict"},
-    "trimesh": {"sources.mesh_formats"},
+    "trimesh": {"sources.mesh_formats", "replay"},
     "PIL": {"inspection.contact_sheet"},
     "typer": {"cli"},
     "rich": {"cli", "console", "inspection.summary", "inspection.tables"},
