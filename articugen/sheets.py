@@ -123,9 +123,9 @@ def _slabs(
         for corners_of_half in ((a, 3 + a, 3 + b), (a, 3 + b, b)):
             walls.append(first[ends] + np.array(corners_of_half))
             owner.append(ends)
-    all_faces = np.concatenate([caps, *walls]) if len(faces) else np.zeros((0, 3), np.int32)
+    all_faces = np.concatenate([caps, *walls]) if len(faces) else np.zeros((0, 3), np.intp)
     source = np.concatenate([np.arange(len(faces))] * 2 + owner)
-    return LabelledMesh(lifted.reshape(-1, 3), all_faces, part_of_face[source])
+    return LabelledMesh(lifted.reshape(-1, 3), all_faces.astype(np.int32), part_of_face[source])
 
 
 def _continued(
