@@ -10,13 +10,15 @@ from a backend that does not tell faces are interpolated instead, which is less 
 Rules (`recipe.Fusion.rule`):
     seen: a point is outside where at least one view sees it free. Its value is the mean truncated
         distance over the views that see it free; inside, over the views that it lies close behind.
+    reachable: as `seen`, and outside is also what reachable.py finds open to the outside. It has
+        the value of the views that it lies behind, with the sign turned.
     mean: the value is the plain mean over the views that see the point free or close behind, as in
         Occupancy Networks' preparation; outside where that is positive.
 In both, a point that no view sees, or only from further behind than the truncation, is inside.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +26,7 @@ from numpy.typing import NDArray
 from articugen import fusion_kernels
 from articugen.geometry import apply, invert_rigid
 from articugen.hierarchy import Hierarchy, build, triangle_table
+from articugen.reachable import Flood, flood, walls
 from articugen.recipe import Fusion
 from articugen.records import DepthMaps, LabelledMesh
 
@@ -41,6 +44,7 @@ class Field:
         hierarchy: of each part in its canonical pose.
         part_motion: (P, 4, 4) of each part from its canonical pose.
         settings: rule and truncation.
+        flood: for the rule `reachable`.
     """
 
     maps: DepthMaps
@@ -48,6 +52,7 @@ class Field:
     hierarchy: Hierarchy
     part_motion: NDArray[np.float64]
     settings: Fusion
+    flood: Flood | None = None
 
     def is_free(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
         """Which of `points` (n, 3), unit frame, lie outside: (n,).
@@ -57,6 +62,14 @@ class Field:
         """
         if self.settings.rule == "mean":
             return self.value(points) > 0.0
+        free = self.is_seen_free(points)
+        if self.flood is not None:
+            unseen = np.flatnonzero(~free)
+            free[unseen] = self.flood.reaches(points[unseen])
+        return free
+
+    def is_seen_free(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """Which of `points` (n, 3) at least one view sees free: (n,)."""
         return fusion_kernels.is_free(np.ascontiguousarray(points, np.float32), self._scene())
 
     def value(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -66,7 +79,12 @@ class Field:
         """
         flat = np.ascontiguousarray(points, np.float32)
         mean = self.settings.rule == "mean"
-        return fusion_kernels.value(flat, self._scene(), self.settings.truncation, mean)
+        value = fusion_kernels.value(flat, self._scene(), self.settings.truncation, mean)
+        if self.flood is not None:
+            unseen = np.flatnonzero(value <= 0.0)
+            reached = unseen[self.flood.reaches(flat[unseen])]
+            value[reached] = np.maximum(-value[reached], 1e-9)
+        return value
 
     def _scene(self) -> fusion_kernels.Scene:
         views = self.maps.views
@@ -156,4 +174,8 @@ def fuse(
     if hierarchy is None or part_motion is None:
         part_motion = np.eye(4)[None]
         hierarchy = build(corners, np.zeros(len(corners), np.uint8), 1)
-    return Field(maps, triangle_table(corners), hierarchy, part_motion, settings)
+    field = Field(maps, triangle_table(corners), hierarchy, part_motion, settings)
+    if settings.rule != "reachable":
+        return field
+    state = walls(mesh, settings.opening)
+    return replace(field, flood=flood(state, mesh, field.is_seen_free, hierarchy, part_motion))

@@ -13,6 +13,8 @@ from articugen.hierarchy import behind, in_front, line_meets, meets
 UNSEEN = np.float32(1e9)
 """Signed distance where a view sees nothing behind the point."""
 
+ENDLESS = np.float32(np.inf)
+
 _HIDDEN, _FREE, _UNSURE = 0, 1, 2
 
 BLOCK = 2048
@@ -246,7 +248,7 @@ def _leaves(p, u, v, camera, pinhole, face_map, triangles, hierarchy, to_part):
             return False
     # none of what shows is in the way: something that shows at no pixel's centre may still be
     h = hierarchy
-    return not meets(p, w, to_part, h.box, h.skip, h.leaf, h.triangles, h.roots)
+    return not meets(p, w, ENDLESS, to_part, h.box, h.skip, h.leaf, h.triangles, h.roots)
 
 
 @njit(cache=True, nogil=True)

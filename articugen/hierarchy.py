@@ -126,11 +126,12 @@ def _measure(corners, centers, order, low, high, box):
 
 
 @njit(cache=True, nogil=True)
-def meets(p, w, to_part, box, skip, leaf, triangles, roots):
-    """Whether the ray from `p` along `w` meets any face of any part.
+def meets(p, w, reach, to_part, box, skip, leaf, triangles, roots):
+    """Whether the way from `p` to `p + reach * w` meets any face of any part.
 
     Args:
         p, w: tuples of three float32.
+        reach: float32; inf for a ray without end.
         to_part: (P, 3, 4) float32: from the pose at hand to each part's canonical pose.
         box, skip, leaf, triangles, roots: the `Hierarchy`.
     """
@@ -149,11 +150,12 @@ def meets(p, w, to_part, box, skip, leaf, triangles, roots):
         inverse = (_inverse(d[0]), _inverse(d[1]), _inverse(d[2]))
         node = roots[part]
         while node < roots[part + 1]:
-            if not _enters(q, inverse, box, node):
+            if not _enters(q, inverse, reach, box, node):
                 node = skip[node]
                 continue
             for f in range(leaf[node, 0], leaf[node, 0] + leaf[node, 1]):
-                if behind(q, d, triangles, f) and line_meets(q, d, triangles, f):
+                ahead = -in_front(q, d, triangles, f)
+                if 0.0 <= ahead <= reach and line_meets(q, d, triangles, f):
                     return True
             node += 1
     return False
@@ -165,9 +167,9 @@ def _inverse(x):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _enters(q, inverse, box, node):
+def _enters(q, inverse, reach, box, node):
     near = np.float32(0.0)
-    far = np.float32(1e30)
+    far = reach
     for axis in range(3):
         a = (box[node, axis] - q[axis]) * inverse[axis]
         b = (box[node, axis + 3] - q[axis]) * inverse[axis]

@@ -31,9 +31,22 @@ SECONDS_PER_OBJECT = 1.5
 """Rough figures of one core, for `plan`; a run's own rate shows in its progress bar."""
 
 GENERATING_CODE = (
-    "articulation.py", "fusion.py", "fusion_kernels.py", "geometry.py", "instance.py", "recipe.py",
-    "records.py", "rendering", "sampling.py", "schema.py", "seeding.py", "sheets.py", "sources",
-)  # fmt: skip
+    "articulation.py",
+    "fusion.py",
+    "fusion_kernels.py",
+    "geometry.py",
+    "hierarchy.py",
+    "instance.py",
+    "reachable.py",
+    "recipe.py",
+    "records.py",
+    "rendering",
+    "sampling.py",
+    "schema.py",
+    "seeding.py",
+    "sheets.py",
+    "sources",
+)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,186 @@
+"""Free space that no view sees but that is open to the outside: the rule `reachable`.
+
+Seen from outside, the far corners of an open drawer are as dark as solid wood. The rule `reachable`
+also calls a point outside where a straight line leads to it from a voxel that a flood from outside
+has reached. The flood runs over voxels that no face touches, so that it passes openings of two
+voxels and more and never one that is narrower than a voxel; `recipe.Fusion.opening` is two voxels.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from articugen.geometry import bounds, invert_rigid
+from articugen.hierarchy import Hierarchy, meets
+from articugen.records import Floats, LabelledMesh
+
+_WALL, _DRY, _WET = 1, 0, 2
+
+AROUND = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Flood:
+    """Where a flood from outside gets to.
+
+    Attributes:
+        state: (n, n, n) uint8 over the unit cube: 0 not reached, 1 touched by a face, 2 reached.
+        hidden: (n, n, n) bool: within `AROUND` voxels lies a reached voxel whose centre no view
+            sees free. Elsewhere the views know all that matters.
+        hierarchy, to_part: of the posed mesh, as in `fusion.Field`.
+    """
+
+    state: NDArray[np.uint8]
+    hidden: NDArray[np.bool_]
+    hierarchy: Hierarchy
+    to_part: NDArray[np.float32]
+
+    def reaches(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """(n,) which of the unseen `points` (n, 3) the flood gets to."""
+        flat = np.ascontiguousarray(points, np.float32)
+        return _reaches(flat, self.state, self.hidden, self.to_part, self.hierarchy)
+
+
+def walls(mesh: LabelledMesh, opening: float) -> NDArray[np.uint8]:
+    """(n, n, n) uint8: 1 in the voxels that a face touches; n so that `opening` is two voxels."""
+    resolution = max(4, round(2.0 / opening))
+    state = np.zeros((resolution,) * 3, np.uint8)
+    _mark(state, (mesh.vertices[mesh.faces] + 0.5) * resolution)
+    return state
+
+
+def flood(
+    state: NDArray[np.uint8],
+    mesh: LabelledMesh,
+    is_seen_free: Callable[[Floats], NDArray[np.bool_]],
+    hierarchy: Hierarchy,
+    part_motion: NDArray[np.float64],
+) -> Flood:
+    """Flood the voxels that are not walls from the faces of the cube.
+
+    Args:
+        state: as `walls` makes it; it is changed.
+        mesh: the faces that made it.
+        is_seen_free: of points (n, 3): whether a view sees them free.
+        hierarchy, part_motion: of the posed mesh.
+    """
+    _fill(state)
+    # outside the mesh's box some view sees every point free
+    corners = mesh.vertices[mesh.faces].reshape(-1, 3)
+    low, high = (bounds(corners) + 0.5) * len(state) if len(corners) else np.zeros((2, 3))
+    first = np.maximum(low.astype(int), 0)
+    last = np.minimum(high.astype(int), len(state) - 1)
+    box = tuple(slice(a, b + 1) for a, b in zip(first, last, strict=True))
+    wet = np.argwhere(state[box] == _WET) + first
+    unseen = wet[~is_seen_free((wet + 0.5) / len(state) - 0.5)]
+    hidden = np.zeros(state.shape, np.bool_)
+    for step in np.ndindex(*(2 * AROUND + 1,) * 3):
+        around = np.clip(unseen + np.array(step) - AROUND, 0, len(state) - 1)
+        hidden[tuple(around.T)] = True
+    to_part = np.ascontiguousarray(invert_rigid(part_motion)[:, :3], np.float32)
+    return Flood(state, hidden, hierarchy, to_part)
+
+
+@njit(cache=True, nogil=True)
+def _mark(state, corners):
+    """Voxels that overlap a triangle: its box, its plane, and its three shadows along the axes.
+
+    The test of Schwarz and Seidel 2010, "Fast parallel surface and solid voxelization on GPUs".
+    """
+    n = state.shape[0]
+    for f in range(corners.shape[0]):
+        a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
+        normal = np.cross(b - a, c - a)
+        low = np.empty(3, np.int64)
+        high = np.empty(3, np.int64)
+        for k in range(3):
+            low[k] = max(int(np.floor(min(a[k], b[k], c[k]))), 0)
+            high[k] = min(int(np.floor(max(a[k], b[k], c[k]))), n - 1)
+        half = 0.5 * (abs(normal[0]) + abs(normal[1]) + abs(normal[2]))
+        offset = normal[0] * a[0] + normal[1] * a[1] + normal[2] * a[2]
+        for i in range(low[0], high[0] + 1):
+            for j in range(low[1], high[1] + 1):
+                for k in range(low[2], high[2] + 1):
+                    at = normal[0] * (i + 0.5) + normal[1] * (j + 0.5) + normal[2] * (k + 0.5)
+                    if abs(at - offset) > half or state[i, j, k] == _WALL:
+                        continue
+                    if (
+                        _shadows_meet(a, b, c, normal[2], 0, 1, i, j)
+                        and _shadows_meet(a, b, c, normal[0], 1, 2, j, k)
+                        and _shadows_meet(a, b, c, normal[1], 2, 0, k, i)
+                    ):
+                        state[i, j, k] = _WALL
+
+
+@njit(cache=True, nogil=True)
+def _shadows_meet(a, b, c, turn, u, v, i, j):
+    """Whether a triangle and a voxel overlap along the third axis' shadow onto the axes u, v."""
+    sign = 1.0 if turn >= 0.0 else -1.0
+    for first, second in ((a, b), (b, c), (c, a)):
+        eu, ev = second[u] - first[u], second[v] - first[v]
+        nu, nv = -ev * sign, eu * sign
+        # the voxel's corner furthest to the inside of the edge
+        reach = max(nu, 0.0) + max(nv, 0.0)
+        if nu * (i - first[u]) + nv * (j - first[v]) + reach < 0.0:
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _fill(state):
+    n = state.shape[0]
+    waiting = np.empty((n * n * n, 3), np.int16)
+    count = 0
+    for i in range(n):
+        for j in range(n):
+            for k in range(n):
+                border = i == 0 or j == 0 or k == 0 or i == n - 1 or j == n - 1 or k == n - 1
+                if border and state[i, j, k] == _DRY:
+                    state[i, j, k] = _WET
+                    waiting[count] = (i, j, k)
+                    count += 1
+    while count > 0:
+        count -= 1
+        at = (waiting[count, 0], waiting[count, 1], waiting[count, 2])
+        for axis in range(3):
+            for step in (-1, 1):
+                i = at[0] + (step if axis == 0 else 0)
+                j = at[1] + (step if axis == 1 else 0)
+                k = at[2] + (step if axis == 2 else 0)
+                inside = 0 <= i < n and 0 <= j < n and 0 <= k < n
+                if inside and state[i, j, k] == _DRY:
+                    state[i, j, k] = _WET
+                    waiting[count] = (i, j, k)
+                    count += 1
+
+
+@njit(cache=True, nogil=True)
+def _reaches(points, state, hidden, to_part, hierarchy):
+    n = state.shape[0]
+    reached = np.zeros(points.shape[0], np.bool_)
+    h = hierarchy
+    for index in range(points.shape[0]):
+        p = (points[index, 0], points[index, 1], points[index, 2])
+        i = min(max(int((p[0] + 0.5) * n), 0), n - 1)
+        j = min(max(int((p[1] + 0.5) * n), 0), n - 1)
+        k = min(max(int((p[2] + 0.5) * n), 0), n - 1)
+        if not hidden[i, j, k]:
+            continue
+        for a in range(max(i - 1, 0), min(i + 2, n)):
+            for b in range(max(j - 1, 0), min(j + 2, n)):
+                for c in range(max(k - 1, 0), min(k + 2, n)):
+                    if reached[index] or state[a, b, c] != _WET:
+                        continue
+                    way = (
+                        np.float32((a + 0.5) / n - 0.5) - p[0],
+                        np.float32((b + 0.5) / n - 0.5) - p[1],
+                        np.float32((c + 0.5) / n - 0.5) - p[2],
+                    )
+                    reached[index] = not meets(
+                        p, way, np.float32(1.0), to_part,
+                        h.box, h.skip, h.leaf, h.triangles, h.roots,
+                    )  # fmt: skip
+    return reached
