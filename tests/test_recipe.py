@@ -117,12 +117,12 @@ def test_another_process_hashes_the_same() -> None:
     assert other.stdout.strip() == load_recipe("quick", "oven").sha256()
 
 
-def test_the_content_hash_counts_neither_names_nor_objects() -> None:
+def test_what_decides_an_object_counts_neither_names_nor_objects() -> None:
     """So that data made for a few objects serve a later run for more of them."""
     recipe = load_recipe("quick", "laptop")
     more = recipe.with_counts(objects=40).model_copy(update={"name": "other"})
-    assert more.content_sha256() == recipe.content_sha256()
-    assert recipe.with_counts(states=11).content_sha256() != recipe.content_sha256()
+    assert more.for_one_object() == recipe.for_one_object()
+    assert recipe.with_counts(states=11).for_one_object() != recipe.for_one_object()
 
 
 def test_with_counts_replaces_what_is_given_and_checks_it() -> None:
