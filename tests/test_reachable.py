@@ -50,7 +50,7 @@ def test_an_open_cupboard_is_its_panels():
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (40_000, 3))
     truth = Convex.of(*panels).inside(points)
     assert iou(~field_of(panels).is_free(points), truth) > 0.985
-    assert iou(~field_of(panels, Fusion()).is_free(points), truth) < 0.9
+    assert iou(~field_of(panels, Fusion()).is_free(points), truth) < 0.96
 
 
 def test_what_is_seen_stays_outside_and_solids_stay_inside():
