@@ -1,0 +1,403 @@
+"""Whole instances of procedural objects against the exact solids that those are made of.
+
+The truth of a point: it is inside where an exact solid holds it, or where no ray from it towards
+any of the fused views gets free (`Truth.enclosed`): what nobody can see is inside in both.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from articugen import articulation
+from articugen.geometry import apply, bounds, invert_rigid, rotation_about, transform
+from articugen.instance import Prepared, make_instance, pose, prepare
+from articugen.recipe import Recipe, Sampling, load_recipe
+from articugen.records import ArticulatedObject, Floats, Instance, Normalization, dequantize
+from articugen.sampling import grid_points
+from articugen.sources.procedural import CATEGORIES, object_id
+from articugen.sources.procedural.truth import Truth
+from tests.procedural_truth import written
+from tests.shapes import iou, towards_cameras
+
+Bools = NDArray[np.bool_]
+
+STATES = 2
+SAMPLES = Sampling(
+    grids=(16, 32),
+    surface_points=4000,
+    uniform_points=20_000,
+    near_points=10_000,
+    near_sigma=0.01,
+    partial_views=2,
+    partial_points=500,
+    partial_resolution=128,
+)
+
+BEHIND, BEFORE = 1e-4, 0.25 / 256
+"""From a surface point to what is certainly inside, ten times the rounding of the stored points,
+and to what is outside: a view that grazes a layer finer than this sees what the layer covers."""
+
+
+def recipe_for(category: str) -> Recipe:
+    """The category's own recipe, with few states and samples that suit the tests."""
+    own = load_recipe(None, category).with_counts(states=STATES)
+    return own.model_copy(update={"sampling": SAMPLES})
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """An object, its truth, and its instances: the canonical one and `STATES` random ones."""
+
+    obj: ArticulatedObject
+    truth: Truth
+    prepared: Prepared
+    instances: tuple[Instance, ...]
+
+    @property
+    def recipe(self) -> Recipe:
+        return self.prepared.recipe
+
+    @cached_property
+    def part_of_true_link(self) -> NDArray[np.int64]:
+        """(links of the truth,) their parts."""
+        index = self.obj.link_index
+        return np.array([self.obj.part_of_link[index[name]] for name in self.truth.links])
+
+    def frames(self, state: int) -> dict[str, Floats]:
+        """T_world_link of every link."""
+        posed = articulation.forward_kinematics(self.obj, self.prepared.states[state])
+        names = (link.name for link in self.obj.links)
+        return dict(zip(names, posed.T_world_link, strict=True))
+
+    def world(self, points: Floats) -> Floats:
+        return points * self.instances[0].scale + self.instances[0].center
+
+    def holds(self, state: int, points: Floats) -> Bools:
+        """(n, P) whether the exact solids of each part hold each point of the unit frame."""
+        by_link = self.truth.holds(self.world(points), self.frames(state))
+        parts = range(self.obj.part_count)
+        return np.stack([by_link[:, self.part_of_true_link == k].any(axis=1) for k in parts], 1)
+
+    def inside(self, state: int, points: Floats) -> Bools:
+        """(n,) inside a solid, or seen by none of the views."""
+        inside: Bools = np.any(self.holds(state, points), axis=1)
+        rest = np.flatnonzero(~inside)
+        towards = towards_cameras(self.prepared.views)
+        world = self.world(points[rest])
+        inside[rest] = self.truth.enclosed(world, towards, self.frames(state))
+        return inside
+
+
+Maker = Callable[..., Made]
+
+
+@pytest.fixture(scope="module")
+def make(tmp_path_factory: pytest.TempPathFactory) -> Maker:
+    """Makes an object's instances, once."""
+    folder = tmp_path_factory.mktemp("objects")
+    kept: dict[tuple[str, int, bool], Made] = {}
+
+    def make(category: str, k: int, *, messy: bool = False) -> Made:
+        key = (category, k, messy)
+        if key not in kept:
+            name = object_id(category, k)
+            raw, truth = written(category, name, folder / f"messy_{messy}" / name, messy=messy)
+            obj = articulation.resolve(raw, recipe_for(category).articulation)
+            prepared = prepare(obj, recipe_for(category), seed=0)
+            instances = tuple(make_instance(prepared, s) for s in range(STATES + 1))
+            kept[key] = Made(obj, truth, prepared, instances)
+        return kept[key]
+
+    return make
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """How the labels of all query points of an object compare with the truth."""
+
+    uniform: float
+    near: float
+    both: float
+    parts: float
+
+
+def agreement(made: Made) -> Agreement:
+    """IoU of occupancy over all states, and the share of points in one part labelled as that."""
+    counts = np.zeros((2, 2), int)
+    right = asked = 0
+    for s, instance in enumerate(made.instances):
+        queries = (
+            (instance.uniform_points, instance.uniform_label),
+            (instance.near_points, instance.near_label),
+        )
+        for n, (stored, label) in enumerate(queries):
+            points = dequantize(stored)
+            truth = made.inside(s, points)
+            counts[n] += ((label > 0) & truth).sum(), ((label > 0) | truth).sum()
+            holds = made.holds(s, points)
+            one = holds.sum(axis=1) == 1
+            right += int((label[one] == holds[one].argmax(axis=1) + 1).sum())
+            asked += int(one.sum())
+    shares = counts[:, 0] / counts[:, 1]
+    total = counts.sum(axis=0)
+    return Agreement(*shares.tolist(), both=float(total[0] / total[1]), parts=right / asked)
+
+
+# --- occupancy and labels
+
+
+@pytest.mark.parametrize("k", [0, 1])
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_occupancy_and_parts_are_those_of_the_exact_solids(
+    make: Maker, category: str, k: int
+) -> None:
+    clean = agreement(make(category, k))
+    messy = agreement(make(category, k, messy=True))
+    for found in (clean, messy):
+        assert found.uniform >= 0.99
+        assert found.near >= 0.995
+        assert found.parts >= 0.995
+    assert messy.both >= clean.both - 0.003
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_grids_are_the_field_at_voxel_centres(make: Maker, category: str) -> None:
+    made = make(category, 0)
+    for s, instance in enumerate(made.instances):
+        fields = pose(made.prepared, s)[1]
+        for resolution, grid in instance.occupancy.items():
+            expected = fields.labels(grid_points(resolution))
+            np.testing.assert_array_equal(grid.ravel(), expected)
+            assert 0.0 < np.mean(grid > 0) < 0.9
+
+
+def test_the_unseen_inside_of_a_closed_oven_belongs_to_the_body(make: Maker) -> None:
+    """And is free once the door is open."""
+    made = make("oven", 0)
+    closed = made.instances[0]
+    points = dequantize(closed.uniform_points)
+    hollow = made.inside(0, points) & ~made.holds(0, points).any(axis=1)
+    assert hollow.sum() > 1000
+    assert (closed.uniform_label[hollow] == 1).all()
+    widest = int(np.argmax([abs(i.joint_state[0]) for i in made.instances]))
+    opened = pose(made.prepared, widest)[1].labels(points[hollow])
+    np.testing.assert_array_equal(opened > 0, made.inside(widest, points[hollow]))
+    assert np.mean(opened == 0) > 0.5
+
+
+# --- surface points and partial clouds
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_surface_points_lie_on_the_exact_solids(make: Maker, category: str) -> None:
+    made = make(category, 0)
+    for s, instance in enumerate(made.instances):
+        points, normals = dequantize(instance.surface_points), unit_normals(instance)
+        inwards = made.holds(s, points - BEHIND * normals)
+        outwards = made.holds(s, points + BEFORE * normals)
+        part = instance.surface_part
+        assert np.mean(inwards[np.arange(len(part)), part]) >= 0.999
+        assert np.mean(outwards.any(axis=1)) <= 0.005  # next to an inner edge it is not far
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_surface_points_of_messy_objects_lie_within_half_a_voxel(
+    make: Maker, category: str
+) -> None:
+    """Or a sheet's thickness, where the solid is a thin panel that is drawn without any."""
+    made = make(category, 0, messy=True)
+    thickness = made.recipe.fusion.sheet_thickness
+    for s, instance in enumerate(made.instances):
+        points, normals = dequantize(instance.surface_points), unit_normals(instance)
+        part, each = instance.surface_part, np.arange(len(instance.surface_part))
+        inwards = made.holds(s, points - 0.5 / 256 * normals)[each, part]
+        thick = made.holds(s, points - thickness / 2 * normals)[each, part]
+        assert np.mean(inwards | thick) >= 0.995
+        assert np.mean(made.holds(s, points + thickness / 2 * normals).any(axis=1)) < 0.05
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_surface_points_go_back_to_the_canonical_surface_of_their_part(
+    make: Maker, category: str
+) -> None:
+    made = make(category, 0)
+    for instance in made.instances[1:]:
+        points, normals = dequantize(instance.surface_points), unit_normals(instance)
+        for k, T in enumerate(invert_rigid(instance.part_motion)):
+            own = instance.surface_part == k
+            assert own.sum() > 50
+            at, out = apply(T, points[own]), normals[own] @ T[:3, :3].T
+            assert np.mean(made.holds(0, at - BEHIND * out)[:, k]) >= 0.999
+            assert np.mean(made.holds(0, at + BEFORE * out)[:, k]) <= 0.005
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_partial_clouds_are_what_a_camera_sees(make: Maker, category: str) -> None:
+    """The way to the camera is free, the point is on its part, its pixel's centre is its place."""
+    made = make(category, 0)
+    size = made.recipe.sampling.partial_resolution
+    for s, instance in enumerate(made.instances):
+        for c, T in enumerate(instance.partial_T_camera_world):
+            points = dequantize(instance.partial_points[c])
+            in_camera = apply(T, points)
+            fx, fy, cx, cy = instance.partial_intrinsics[c]
+            pixel = in_camera[:, :2] / in_camera[:, 2:] * (fx, fy) + (cx, cy)
+            assert (in_camera[:, 2] > 0.5).all()
+            assert ((pixel > 0) & (pixel < size)).all()
+            assert np.abs(pixel % 1.0 - 0.5).max() < 0.01
+            eye = invert_rigid(T)[:3, 3]
+            away = (points - eye) / np.linalg.norm(points - eye, axis=1, keepdims=True)
+            behind = made.holds(s, points + BEHIND * away)
+            part = instance.partial_part[c]
+            assert np.mean(behind[np.arange(len(part)), part]) >= 0.98  # silhouettes graze
+            assert np.mean(made.holds(s, points - BEHIND * away).any(axis=1)) <= 0.02
+
+
+# --- motion and frame
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_joint_fields_say_how_the_parts_move(make: Maker, category: str) -> None:
+    made = make(category, 0)
+    for s, instance in enumerate(made.instances):
+        expected = [np.eye(4)]
+        for j, axis in enumerate(instance.joint_axis):
+            q, pivot = instance.joint_state[j], instance.joint_pivot[j]
+            assert np.linalg.norm(axis) == pytest.approx(1.0, abs=1e-12)
+            if instance.joint_kind[j] == 2:
+                own = transform(translation=q * axis)
+            else:
+                own = transform(translation=pivot)
+                own = own @ transform(rotation_about(axis, q)) @ invert_rigid(own)
+            expected.append(own @ expected[instance.joint_parent[j]])
+            low, high = instance.joint_lower[j], instance.joint_upper[j]
+            assert low <= q <= high
+            assert (q == 0.0) == (s == 0)
+        np.testing.assert_allclose(instance.part_motion, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_part_motion_takes_the_canonical_meshes_to_the_posed_ones(
+    make: Maker, category: str
+) -> None:
+    made = make(category, 0)
+    for s, instance in enumerate(made.instances):
+        unit = Normalization(instance.center, instance.scale)
+        canonical, posed = made.frames(0), made.frames(s)
+        for link, part in zip(made.obj.links, made.obj.part_of_link, strict=True):
+            before = unit.to_unit(apply(canonical[link.name], link.mesh.vertices))
+            after = unit.to_unit(apply(posed[link.name], link.mesh.vertices))
+            motion = instance.part_motion[part]
+            np.testing.assert_allclose(apply(motion, before), after, atol=1e-9)
+        stays = [np.allclose(motion, np.eye(4), atol=1e-12) for motion in instance.part_motion]
+        assert stays == [k == 0 or s == 0 for k in range(len(stays))]
+
+
+@pytest.mark.parametrize("messy", [False, True])
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_all_poses_together_just_fill_the_unit_frame(
+    make: Maker, category: str, *, messy: bool
+) -> None:
+    made = make(category, 0, messy=messy)
+    corners = []
+    for s, instance in enumerate(made.instances):
+        assert instance.scale == made.instances[0].scale
+        np.testing.assert_array_equal(instance.center, made.instances[0].center)
+        frames = made.frames(s)
+        unit = Normalization(instance.center, instance.scale)
+        corners += [
+            unit.to_unit(apply(frames[link.name], link.mesh.vertices)) for link in made.obj.links
+        ]
+        most = 0.45 + made.recipe.fusion.sheet_thickness
+        assert np.abs(dequantize(instance.surface_points)).max() <= most
+    box = bounds(np.concatenate(corners))
+    np.testing.assert_allclose(box[0], -box[1], atol=1e-9)
+    assert np.max(box[1]) == pytest.approx(0.45, abs=1e-9)
+
+
+# --- the same whoever makes it
+
+
+def test_the_same_instance_whatever_was_made_before(make: Maker) -> None:
+    first = make("eyeglasses", 0)
+    obj, recipe = first.obj, first.recipe
+    again = prepare(obj, recipe, seed=0)
+    for s in (2, 0, 1, 2):
+        assert_same(make_instance(again, s), first.instances[s])
+    other = prepare(obj, recipe, seed=1)
+    instance = make_instance(other, 1)
+    for name in ("joint_state", "surface_points", "uniform_points", "partial_T_camera_world"):
+        assert not np.array_equal(instance.arrays()[name], first.instances[1].arrays()[name])
+
+
+def test_more_states_leave_the_random_states_as_they_are(make: Maker) -> None:
+    """The frame may grow with the poses, what is drawn does not change."""
+    first = make("oven", 0)
+    more = prepare(first.obj, first.recipe.with_counts(states=STATES + 3), seed=0)
+    for s, state in enumerate(first.prepared.states):
+        np.testing.assert_array_equal(more.states[s].q, state.q)
+        points = make_instance(more, s).uniform_points
+        np.testing.assert_array_equal(points, first.instances[s].uniform_points)
+
+
+def assert_same(a: Instance, b: Instance) -> None:
+    for name, value in a.arrays().items():
+        if isinstance(value, np.ndarray):
+            assert value.tobytes() == b.arrays()[name].tobytes(), name
+        else:
+            assert value == b.arrays()[name], name
+
+
+# --- other views of the same thing
+
+
+@pytest.mark.parametrize("category", ["laptop", "oven"])
+def test_embree_gives_the_same_labels(make: Maker, category: str) -> None:
+    pytest.importorskip("open3d")
+    ours = make(category, 0)
+    theirs = seen_otherwise(ours, backend="embree")
+    for s in range(STATES + 1):
+        points, label = some_queries(ours, s)
+        assert np.mean(pose(theirs, s)[1].labels(points) == label) >= 0.999
+
+
+@pytest.mark.parametrize("category", ["laptop", "drawer"])
+def test_pinhole_views_see_the_same_object(make: Maker, category: str) -> None:
+    """Inside is what no camera sees; of what both kinds of views leave free, ours are the proof."""
+    ours = make(category, 0)
+    theirs = seen_otherwise(ours, projection="pinhole")
+    eyes = ours.world(invert_rigid(theirs.views.T_camera_world)[:, :3, 3])
+    all_found, all_inside = [], []
+    for s in range(STATES + 1):
+        points, label = some_queries(ours, s)
+        found: Bools = np.not_equal(pose(theirs, s)[1].labels(points), 0)
+        inside: Bools = np.any(ours.holds(s, points), axis=1)
+        world, frames = ours.world(points), ours.frames(s)
+        for n in np.flatnonzero(~inside & (found | (label > 0))):
+            inside[n] = ours.truth.enclosed(world[n : n + 1], eyes - world[n], frames)[0]
+        all_found.append(found)
+        all_inside.append(inside)
+    assert iou(np.concatenate(all_found), np.concatenate(all_inside)) >= 0.99
+
+
+def seen_otherwise(made: Made, **views: object) -> Prepared:
+    changed = {"views": made.recipe.views.model_copy(update=views)}
+    return prepare(made.obj, made.recipe.model_copy(update=changed), seed=0)
+
+
+def some_queries(made: Made, s: int) -> tuple[Floats, NDArray[np.uint8]]:
+    """(points, labels): a tenth of the uniform ones, two fifths of those near the surface."""
+    i, n = made.instances[s], 2000
+    points = np.concatenate([i.uniform_points[:n], i.near_points[: 2 * n]])
+    return dequantize(points), np.concatenate([i.uniform_label[:n], i.near_label[: 2 * n]])
+
+
+def unit_normals(instance: Instance) -> Floats:
+    normals = instance.surface_normals / 127.0
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    assert np.abs(lengths - 1.0).max() < 0.007  # rounding to 1/127
+    return normals / lengths
