@@ -146,15 +146,15 @@ def generate(
             out=folder / category,
             jobs=jobs or pipeline.default_jobs(),
         )
-        plan = pipeline.plan(job)
-        if dry_run:
-            out.print(console.plan_table(job, plan))
-            return
-        if plan.conflict and not replace:
-            raise ArticugenError(f"{plan.conflict}, or add --replace")
-        with console.progress(err, plan) as on_object:
-            manifest = pipeline.generate(job, on_object)
-        if not plan.tasks:
+        with pipeline.started(job) as run:
+            if dry_run:
+                out.print(console.plan_table(job, run.plan))
+                return
+            if run.plan.conflict and not replace:
+                raise ArticugenError(f"{run.plan.conflict}, or add --replace")
+            with console.progress(err, run.plan) as on_object:
+                manifest = run.finish(on_object)
+        if not run.plan.tasks:
             out.print("nothing to do, all of it was there already")
         out.print(console.made_table(manifest, job.out))
         out.print(f"next: articugen inspect {job.out} --image {job.out}/sheet.png", soft_wrap=True)

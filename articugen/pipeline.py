@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -114,13 +115,13 @@ class Plan:
 
 
 def plan(job: Job) -> Plan:
-    """What `generate` would do, and why; nothing is written but procedural models.
+    """What `generate` would do, and why; nothing is written.
 
     Raises:
         ArticugenError: unknown source or category; the folder is in use or damaged.
     """
-    with Journal(job.out) as journal:
-        return _plan(job, journal)
+    with started(job) as run:
+        return run.plan
 
 
 def generate(job: Job, on_object: Callable[[ObjectReport], None]) -> Manifest:
@@ -134,31 +135,50 @@ def generate(job: Job, on_object: Callable[[ObjectReport], None]) -> Manifest:
             than the recipe allows (what was made is kept), and the like.
         KeyboardInterrupt: finished objects are kept; the next run goes on after them.
     """
-    started = time.perf_counter()
+    with started(job) as run:
+        return run.finish(on_object)
+
+
+@contextmanager
+def started(job: Job) -> Iterator["Run"]:
+    """A run that has its folder to itself and a plan, and has made nothing yet."""
     with Journal(job.out) as journal:
-        todo = _plan(job, journal)
-        outcomes = list(todo.done)
+        yield Run(job, journal, _plan(job, journal))
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run in its folder; see `started`."""
+
+    job: Job
+    journal: Journal
+    plan: Plan
+
+    def finish(self, on_object: Callable[[ObjectReport], None]) -> Manifest:
+        """Make what is missing; see `generate`."""
+        began = time.perf_counter()
+        outcomes = list(self.plan.done)
         for outcome in outcomes:
             on_object(_report(outcome, reused=True))
-        if journal.is_complete(todo.keys):
-            return Manifest.read(job.out)
-        journal.claim(task.shard for task in todo.tasks)
-        for outcome in _made(job, todo.tasks):
-            journal.record(outcome)
+        if self.journal.is_complete(self.plan.keys):
+            return Manifest.read(self.job.out)
+        self.journal.claim(task.shard for task in self.plan.tasks)
+        for outcome in _made(self.job, self.plan.tasks):
+            self.journal.record(outcome)
             outcomes.append(outcome)
             on_object(_report(outcome, reused=False))
-        _check_rejects(outcomes, job)
+        _check_rejects(outcomes, self.job)
         manifest = Manifest.of(
             outcomes,
-            category=job.category,
-            source=job.source,
-            licence=registry.licence(job.source),
-            recipe=job.recipe.text(),
-            seed=job.seed,
-            timings=_timings(todo, time.perf_counter() - started, job.jobs),
+            category=self.job.category,
+            source=self.job.source,
+            licence=registry.licence(self.job.source),
+            recipe=self.job.recipe.text(),
+            seed=self.job.seed,
+            timings=_timings(self.plan, time.perf_counter() - began, self.job.jobs),
         )
-        journal.finish(manifest)
-    return manifest
+        self.journal.finish(manifest)
+        return manifest
 
 
 def make_object(job: Job, task: Task) -> Outcome:

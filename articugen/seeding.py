@@ -12,6 +12,8 @@ def generator(seed: int, *path: str | int) -> np.random.Generator:
         seed: the master seed; every integer counts, 0 included.
         path: what is drawn, for instance (object_id, state_index, "surface").
     """
-    text = "\x1f".join(repr(part) for part in (seed, *path))
+    # numpy's integers count as Python's, and 1 is not "1"
+    parts = (repr(part) if isinstance(part, str) else repr(int(part)) for part in (seed, *path))
+    text = "\x1f".join(parts)
     digest = hashlib.sha256(text.encode()).digest()
     return np.random.Generator(np.random.PCG64(int.from_bytes(digest[:16], "little")))

@@ -46,3 +46,7 @@ def test_the_numbers_stay_what_they_were_when_published() -> None:
     """Data sets are remade from their seed: these values must never move."""
     drawn = generator(0, "laptop-000", 1, "surface").integers(0, 2**32, 3)
     assert drawn.tolist() == [1001698677, 3192982516, 711102695]
+
+
+def test_numpy_integers_are_integers() -> None:
+    assert generator(np.int64(3), np.int32(4)).random() == generator(3, 4).random()
