@@ -12,7 +12,9 @@ def _meet_all(points, directions, to_part, h):
     for i in range(len(points)):
         p = (points[i, 0], points[i, 1], points[i, 2])
         w = (directions[i, 0], directions[i, 1], directions[i, 2])
-        met[i] = meets(p, w, np.float32(np.inf), to_part, h.box, h.skip, h.leaf, h.triangles, h.roots)
+        met[i] = meets(
+            p, w, np.float32(np.inf), to_part, h.box, h.skip, h.leaf, h.triangles, h.roots
+        )
     return met
 
 
