@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from articugen.records import DepthMaps, LabelledMesh, Views
 
-SUBPIXELS = 4096
+SUBPIXEL_BITS = 12
+SUBPIXELS = 1 << SUBPIXEL_BITS
 LARGEST_PIXEL = 1 << 15
 """Vertices may project this far outside the image; products then still fit in 63 bits."""
 
@@ -150,9 +151,14 @@ def _from_key(depth):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _ceil_div(a, b):
-    """ceil(a / b) for b > 0."""
-    return -((-a) // b)
+def _first_pixel(x, half):
+    """The first pixel whose centre is not before the subpixel coordinate x."""
+    return (x - half + SUBPIXELS - 1) >> SUBPIXEL_BITS
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _last_pixel(x, half):
+    return (x - half) >> SUBPIXEL_BITS
 
 
 @njit(cache=True, nogil=True)
@@ -166,12 +172,12 @@ def _draw_triangle(a, b, c, X, Y, uvk, depth, face, label):
     half = SUBPIXELS // 2
     y_low = min(Y[a], Y[b], Y[c])
     y_high = max(Y[a], Y[b], Y[c])
-    first = max(_ceil_div(y_low - half, SUBPIXELS), 0)
-    last = min((y_high - half) // SUBPIXELS, H - 1)
+    first = max(_first_pixel(y_low, half), 0)
+    last = min(_last_pixel(y_high, half), H - 1)
     x_low = min(X[a], X[b], X[c])
     x_high = max(X[a], X[b], X[c])
-    left = max(_ceil_div(x_low - half, SUBPIXELS), 0)
-    right = min((x_high - half) // SUBPIXELS, W - 1)
+    left = max(_first_pixel(x_low, half), 0)
+    right = min(_last_pixel(x_high, half), W - 1)
     if first > last or left > right:
         return
 
@@ -190,11 +196,12 @@ def _draw_triangle(a, b, c, X, Y, uvk, depth, face, label):
     A0, B0, C0 = _edge(X[a], Y[a], X[b], Y[b])
     A1, B1, C1 = _edge(X[b], Y[b], X[c], Y[c])
     A2, B2, C2 = _edge(X[c], Y[c], X[a], Y[a])
+    r0, r1, r2 = _per_step(A0), _per_step(A1), _per_step(A2)
     for i in range(first, last + 1):
         y = i * SUBPIXELS + half
-        j0, j1 = _span(A0, B0 * y + C0, left, right, half)
-        j0, j1 = _span(A1, B1 * y + C1, j0, j1, half)
-        j0, j1 = _span(A2, B2 * y + C2, j0, j1, half)
+        j0, j1 = _span(A0, B0 * y + C0, r0, left, right, half)
+        j0, j1 = _span(A1, B1 * y + C1, r1, j0, j1, half)
+        j0, j1 = _span(A2, B2 * y + C2, r2, j0, j1, half)
         base = uvk[a, 2] + kv * (i + 0.5 - uvk[a, 1]) + ku * (0.5 - uvk[a, 0])
         for j in range(j0, j1 + 1):
             key = np.float32(min(max(base + ku * j, k_low), k_high))
@@ -215,13 +222,32 @@ def _edge(xa, ya, xb, yb):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _span(A, rest, j0, j1, half):
-    """The pixels j in [j0, j1] with A * (j * SUBPIXELS + half) + rest >= 0."""
+def _per_step(A):
+    return 1.0 / (A * SUBPIXELS) if A != 0 else 0.0
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _span(A, rest, per_step, j0, j1, half):
+    """The pixels j in [j0, j1] with A * (j * SUBPIXELS + half) + rest >= 0.
+
+    `per_step` is 1 / (A * SUBPIXELS), which gives the pixel to within one; integers decide.
+    """
     value = A * half + rest
+    step = A * SUBPIXELS
     if A > 0:
-        j0 = max(j0, _ceil_div(-value, A * SUBPIXELS))
+        j = np.int64(np.ceil(-value * per_step))
+        if value + step * j < 0:
+            j += 1
+        elif value + step * (j - 1) >= 0:
+            j -= 1
+        j0 = max(j0, j)
     elif A < 0:
-        j1 = min(j1, value // (-A * SUBPIXELS))
+        j = np.int64(np.floor(-value * per_step))
+        if value + step * j < 0:
+            j -= 1
+        elif value + step * (j + 1) >= 0:
+            j += 1
+        j1 = min(j1, j)
     elif value < 0:
         j1 = j0 - 1
     return j0, j1
