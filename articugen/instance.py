@@ -116,6 +116,8 @@ def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
 
     parts = [solid_part(soup.part(k), recipe) for k in range(obj.part_count)]
     mesh = LabelledMesh.joined([part.mesh for part in parts])
+    if not len(mesh.faces):
+        raise RejectedInstance("the object has no faces: those of its links have no area")
     views = fusion_views(recipe.views, _swept_box(mesh, unit.rigid_to_unit(motions)))
     static = _render(parts[0].mesh, views, recipe)
     static_field = fusion.fuse(static, parts[0].mesh, recipe.fusion)
@@ -229,7 +231,7 @@ class SolidPart:
 
 def solid_part(soup: LabelledMesh, recipe: Recipe) -> SolidPart:
     """Thicken the sheets of one part and turn its faces outwards, by how it is seen alone."""
-    soup = sheets.without_repeats(soup)
+    soup = sheets.without_repeats(soup).compact()
     alone = _own_solid(soup, recipe)
     thickness = recipe.fusion.sheet_thickness
     where = sheets.probes(soup, max(thickness, 1e-3) / 3.0)
