@@ -1,0 +1,258 @@
+"""Every real model through every stage: its parts move, its surface is its own, it has an inside.
+
+No truth is known of these models, so what is tested holds for any: the stored surface is the URDF's
+meshes carried by the parts' motions, sheets and soups have an inside, and what cannot be read is
+refused with its reason.
+"""
+
+import resource
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from real_models import REAL_MODELS, needs_real_models
+from scipy.spatial import KDTree
+
+from articugen import articulation
+from articugen.errors import ArticugenError, InvalidSource, RejectedInstance
+from articugen.geometry import apply, invert_rigid
+from articugen.instance import Prepared, make_instance, prepare
+from articugen.recipe import Recipe, Sampling, load_recipe
+from articugen.records import ArticulatedObject, Floats, Instance, dequantize
+from articugen.sources import registry
+
+pytestmark = needs_real_models
+
+SAMPLES = Sampling(
+    grids=(64,),
+    surface_points=1500,
+    uniform_points=0,
+    near_points=3000,
+    partial_views=1,
+    partial_points=100,
+    partial_resolution=64,
+)
+STATES = 2
+MOST_BYTES = 2**30
+"""Of memory that this whole file may add to the process."""
+
+
+def found() -> list[tuple[str, str, str]]:
+    """(source, category, model) of every folder of the two collections."""
+    return [
+        (source, folder.parent.name, folder.name)
+        for source in ("partnet_mobility", "shape2motion")
+        for folder in sorted((REAL_MODELS / source).glob("*/*"))
+    ]
+
+
+def recipe_for(category: str) -> Recipe:
+    return (
+        load_recipe(None, category)
+        .with_counts(states=STATES)
+        .model_copy(update={"sampling": SAMPLES})
+    )
+
+
+def all_stages(ref: registry.ObjectRef) -> tuple[Prepared, list[Instance]]:
+    """The object's canonical instance and `STATES` random ones, as the pipeline makes them."""
+    recipe, settings = recipe_for(ref.category), registry.settings(ref)
+    obj = articulation.resolve(
+        registry.load(ref),
+        recipe.articulation,
+        canonical=settings.canonical,
+        movable=settings.movable,
+    )
+    prepared = prepare(obj, recipe, seed=0)
+    return prepared, [make_instance(prepared, s) for s in range(STATES + 1)]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def sane_memory() -> Iterator[None]:
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    yield
+    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    assert grown * 1024 < MOST_BYTES
+
+
+@pytest.mark.parametrize(("source", "category", "model"), found())
+def test_a_real_model_moves_and_has_an_inside(source: str, category: str, model: str) -> None:
+    refs = registry.object_refs(REAL_MODELS / source, category)
+    mine = [ref for ref in refs if model in (ref.object_id, ref.object_id.split(".")[0])]
+    assert mine
+    for ref in mine:
+        assert_sound(*all_stages(ref))
+
+
+def assert_sound(prepared: Prepared, instances: list[Instance]) -> None:
+    assert_moves_rigidly(prepared, instances)
+    assert_has_an_inside(prepared.obj, instances)
+
+
+def assert_moves_rigidly(prepared: Prepared, instances: list[Instance]) -> None:
+    """Points of a part, taken back by its motion, lie on the meshes of the URDF as they rest."""
+    sheet = prepared.recipe.fusion.sheet_thickness / 2
+    for k in range(prepared.obj.part_count):
+        mesh = resting_mesh(prepared.obj, k, instances[0])
+        seen = 0
+        for s, instance in enumerate(instances):
+            motion = instance.part_motion[k]
+            own = dequantize(instance.surface_points[instance.surface_part == k])
+            back = apply(invert_rigid(motion), own)
+            assert (distance_to(mesh, back, enough=sheet + 2e-5) < sheet + 2e-5).all()
+            farthest = np.linalg.norm(back - own, axis=1).max(initial=0.0)
+            if k == 0 or s == 0:
+                assert farthest < 1e-12
+            else:
+                assert farthest > 0.001
+                seen += len(own)
+        assert k == 0 or seen > 50, f"hardly anything of part {k} is seen when it has moved"
+
+
+def resting_mesh(obj: ArticulatedObject, part: int, canonical: Instance) -> trimesh.Trimesh:
+    """The URDF's own meshes of one part, canonical pose, unit frame."""
+    posed = articulation.forward_kinematics(obj, articulation.canonical_state(obj))
+    meshes = [
+        trimesh.Trimesh(
+            (apply(T, link.mesh.vertices) - canonical.center) / canonical.scale,
+            link.mesh.faces,
+            process=False,
+        )
+        for link, T, k in zip(obj.links, posed.T_world_link, obj.part_of_link, strict=True)
+        if k == part and len(link.mesh.faces)
+    ]
+    whole = trimesh.util.concatenate(meshes)
+    assert isinstance(whole, trimesh.Trimesh)
+    return whole
+
+
+def distance_to(mesh: trimesh.Trimesh, points: Floats, *, enough: float) -> Floats:
+    """(n,) to the mesh; not always the least where that is below `enough` anyway.
+
+    First to some triangles nearby, then, of points that are none of theirs, to all.
+    """
+    if not len(points):
+        return np.zeros(0)
+    rng = np.random.default_rng(0)
+    area = mesh.area_faces / mesh.area
+    face = np.concatenate([rng.choice(len(area), 20_000, p=area), np.arange(len(area))])
+    weights = rng.dirichlet([1.0, 1.0, 1.0], len(face))
+    nearby = KDTree(np.einsum("nc,nci->ni", weights, mesh.triangles[face])).query(points, k=12)[1]
+    distance = pair_distances(mesh.triangles[face[nearby]], points)
+    for n in np.flatnonzero(distance > enough):
+        distance[n] = pair_distances(mesh.triangles[None], points[n : n + 1])[0]
+    return distance
+
+
+def pair_distances(triangles: Floats, points: Floats) -> Floats:
+    """(n,) of each point (n, 3) to the nearest of its own triangles (n, k, 3, 3)."""
+    repeated = np.repeat(points, triangles.shape[1], axis=0)
+    closest = trimesh.triangles.closest_point(triangles.reshape(-1, 3, 3), repeated)
+    return np.linalg.norm(closest - repeated, axis=1).reshape(len(points), -1).min(axis=1)
+
+
+def assert_has_an_inside(obj: ArticulatedObject, instances: list[Instance]) -> None:
+    labelled = np.zeros(obj.part_count + 1, int)
+    for instance in instances:
+        size = np.ptp(dequantize(instance.surface_points), axis=0) + 2 / 64
+        assert 0.0005 < np.mean(instance.occupancy[64] > 0) < np.prod(size)
+        assert 0.1 < np.mean(instance.near_label > 0) < 0.6
+        labelled += np.bincount(instance.near_label, minlength=len(labelled))
+    assert (labelled > 10).all(), f"a part has next to no inside: {labelled}"
+
+
+# --- other models
+
+OTHERS = {
+    "fridge": 3,
+    "sektion_cabinet_model": 2,
+}
+
+
+@pytest.mark.parametrize(("folder", "models"), OTHERS.items())
+def test_other_urdfs_move_too(folder: str, models: int) -> None:
+    refs = registry.object_refs(REAL_MODELS / "other" / folder, "thing")
+    assert len(refs) == models
+    for ref in refs:
+        assert_moves_rigidly(*all_stages(ref))
+
+
+# --- difficult models
+
+REFUSED = {
+    "error_convert_loop_joint_structure": "joints joint_1, joint_2, joint_3 form a loop",
+    "error_duplicate_joint_names": "joint 'JointA': a second joint of that name at line 36",
+    "error_incorrect_joint_type": "joint 'JointA': unknown type 'incorrect_type'",
+    "error_incorrect_vec3": "link 'BaseLink': <origin> xyz='-2.2 0.0 0.5 1.0' is not 3 numbers",
+    "error_joint_axis_0": "joint 'JointA': <axis> is zero",
+    "error_no_joint_child": "joint 'JointA': has no <child>",
+    "error_no_link": "<robot> has no <link>",
+    "error_xml_syntax": "not well-formed XML",
+    "fixed_floating_joints": "joint 'joint_arm_1': type 'floating' has more than one degree",
+    "fixed_planar_joints": "joint 'joint_planar_axis_z': type 'planar' has more than one degree",
+    "prismatic_joints": "links 'BaseLink', 'Arm_5' are all roots",
+    "warning_obj_no_exist_filename": "mesh 'assets/no_exist.obj' does not exist",
+}
+NOTHING_MOVES = ("multiple_visuals_collisions_in_link", "simple-primitives")
+MADE = {
+    "fixed_continuous_joints": 1,
+    "link_skip_ghost_link_chain": 1,
+    "mimic_joint": 4,
+    "revolute_joints": 4,
+}
+"""How many joints move."""
+
+
+def difficult(name: str) -> registry.ObjectRef:
+    (ref,) = registry.object_refs(REAL_MODELS / "difficult" / f"{name}.urdf", "thing")
+    return ref
+
+
+def test_every_difficult_model_is_in_a_table() -> None:
+    names = {path.stem for path in (REAL_MODELS / "difficult").glob("*.urdf")}
+    assert names == {*REFUSED, *NOTHING_MOVES, *MADE}
+    assert {name for name in names if name.startswith("error_")} <= set(REFUSED)
+
+
+@pytest.mark.parametrize(("name", "reason"), REFUSED.items())
+def test_a_broken_model_is_refused_in_a_sentence_that_names_it(name: str, reason: str) -> None:
+    with pytest.raises(InvalidSource) as caught:
+        all_stages(difficult(name))
+    assert_a_sentence(caught.value, str(Path("difficult") / f"{name}.urdf"), reason)
+
+
+@pytest.mark.parametrize("name", NOTHING_MOVES)
+def test_a_model_of_which_nothing_moves_is_rejected(name: str) -> None:
+    with pytest.raises(RejectedInstance) as caught:
+        all_stages(difficult(name))
+    assert_a_sentence(caught.value, name, "no joint moves")
+
+
+def assert_a_sentence(error: ArticugenError, *parts: str) -> None:
+    assert "\n" not in str(error)
+    for part in parts:
+        assert part in str(error)
+
+
+@pytest.mark.parametrize(("name", "joints"), MADE.items())
+def test_a_difficult_model_is_made(name: str, joints: int) -> None:
+    prepared, instances = all_stages(difficult(name))
+    assert prepared.obj.part_count == joints + 1
+    assert_moves_rigidly(prepared, instances)
+
+
+def test_mimic_joints_follow() -> None:
+    """jointB and jointD of the model are driven; each in the measure that its URDF says."""
+    prepared, instances = all_stages(difficult("mimic_joint"))
+    joints = prepared.obj.moving_joints
+    driven = [(j, joint) for j, joint in enumerate(joints) if joint.mimic is not None]
+    assert driven
+    index = {joint.name: j for j, joint in enumerate(joints)}
+    for instance in instances[1:]:
+        for j, joint in driven:
+            assert joint.mimic is not None
+            driver = instance.joint_state[index[joint.mimic.joint]]
+            assert driver != 0.0
+            assert instance.joint_state[j] == pytest.approx(joint.mimic.multiplier * driver)
