@@ -19,7 +19,7 @@ from articugen.recipe import Recipe, Sampling, load_recipe
 from articugen.records import ArticulatedObject, Floats, Instance, Normalization, dequantize
 from articugen.sampling import grid_points
 from articugen.sources.procedural import CATEGORIES, object_id
-from articugen.sources.procedural.truth import Truth
+from articugen.sources.procedural.truth import Truth, load_truth
 from tests.procedural_truth import written
 from tests.shapes import iou, towards_cameras
 
@@ -105,10 +105,13 @@ def make(tmp_path_factory: pytest.TempPathFactory) -> Maker:
         key = (category, k, messy)
         if key not in kept:
             name = object_id(category, k)
-            raw, truth = written(category, name, folder / f"messy_{messy}" / name, messy=messy)
+            own = folder / f"messy_{messy}" / name
+            raw, _ = written(category, name, own, messy=messy)
             obj = articulation.resolve(raw, recipe_for(category).articulation)
             prepared = prepare(obj, recipe_for(category), seed=0)
             instances = tuple(make_instance(prepared, s) for s in range(STATES + 1))
+            thickness = prepared.recipe.fusion.sheet_thickness * prepared.unit.scale
+            truth = load_truth(own, sheet_thickness=thickness)
             kept[key] = Made(obj, truth, prepared, instances)
         return kept[key]
 

@@ -89,10 +89,15 @@ class Truth:
         return np.c_[normals, offsets], self.first_plane, boxes
 
 
-def load_truth(folder: Path) -> Truth:
-    """The truth of the object that `write_object` made as `folder`."""
+def load_truth(folder: Path, *, sheet_thickness: float | None = None) -> Truth:
+    """The truth of the object that `write_object` made as `folder`.
+
+    Args:
+        sheet_thickness: metres given to sheets that are drawn without any; by default that of the
+            panels they stand for.
+    """
     content = json.loads((folder / TRUTH_NAME).read_text())
-    links = {name: _cells(link) for name, link in content["links"].items()}
+    links = {name: _cells(link, sheet_thickness) for name, link in content["links"].items()}
     cells = [cell for of_link in links.values() for cell in of_link]
     counts = [len(of_link) for of_link in links.values()]
     planes = [planes for planes, _ in cells]
@@ -105,11 +110,13 @@ def load_truth(folder: Path) -> Truth:
     )
 
 
-def _cells(link: dict[str, Any]) -> list[tuple[Array, Array]]:
+def _cells(link: dict[str, Any], sheet_thickness: float | None) -> list[tuple[Array, Array]]:
     """(planes, box) of every cell of a link, its sheets included."""
     cells = [(np.array(cell["half_spaces"]), np.array(cell["box"])) for cell in link["cells"]]
     for sheet in link["sheets"]:
-        cells += [_slab(np.array(t), sheet["thickness"]) for t in sheet["triangles"]]
+        bare = sheet_thickness is not None and not sheet["backed"]
+        thickness = sheet_thickness if bare else sheet["thickness"]
+        cells += [_slab(np.array(t), thickness) for t in sheet["triangles"]]
     return cells
 
 

@@ -7,10 +7,13 @@ The same model gives the same bytes, and a folder appears under its name only wh
     {"version": GENERATOR_VERSION, "object_id": "laptop_0003", "category": "laptop", "messy": false,
      "links": {"<link name>": {
          "cells":  [{"box": [[x, y, z], [x, y, z]], "half_spaces": [[nx, ny, nz, d], ...]}, ...],
-         "sheets": [{"triangles": [[[x, y, z], [x, y, z], [x, y, z]], ...], "thickness": t}, ...]}}}
+         "sheets": [{"triangles": [[[x, y, z], [x, y, z], [x, y, z]], ...], "thickness": t,
+                     "backed": false}, ...]}}}
 
 A point x is inside a cell if n . x <= d for all its half-spaces; it is inside a sheet if its foot
-lies in one of the triangles, no further away than thickness / 2. A link is the union of both.
+lies in one of the triangles, no further away than thickness / 2. A link is the union of both. A
+sheet that is `backed` lies on something and is drawn as its outer face; any other is drawn as its
+middle, which has no thickness at all: `thickness` is then that of the panel it stands for.
 """
 
 import json
@@ -27,7 +30,7 @@ from articugen.geometry import Array, apply, invert_rigid, rotation_from_rpy, tr
 from articugen.sources.procedural.model import ROOT_NAME, Model, ModelLink
 from articugen.sources.procedural.solids import Solid
 
-GENERATOR_VERSION = 2
+GENERATOR_VERSION = 3
 """Raised whenever any generator's output changes, so that folders written before are replaced."""
 
 URDF_NAME = "model.urdf"
@@ -36,9 +39,8 @@ TRUTH_NAME = "solids.json"
 _YUP_RPY = (1.5707963267948966, 0.0, -1.5707963267948966)
 """Turns meshes with y up, as PartNet-Mobility publishes them, to z up."""
 
-_SHEET_LIMIT = 0.0065
-"""Panels thinner than this part of the object's longest side become sheets in messy models: about
-what the default recipe takes a sheet's thickness to be."""
+_SHEET_LIMIT = 0.013
+"""Panels thinner than this part of the object's longest side become sheets in messy models."""
 
 
 def is_complete(folder: Path, *, messy: bool) -> bool:
@@ -127,7 +129,9 @@ def _link_truth(link: ModelLink, sheets: list[bool], T_link_object: Array) -> di
         here = solid.moved(T_link_object)
         if as_sheet and here.sheet is not None:
             thickness = round(here.sheet.thickness, 12)
-            slabs.append({"triangles": _rounded(here.sheet.triangles), "thickness": thickness})
+            triangles = _rounded(here.sheet.triangles)
+            backed = here.sheet.seen != 0
+            slabs.append({"triangles": triangles, "thickness": thickness, "backed": backed})
             continue
         for planes, box in zip(here.half_spaces, here.cell_bounds, strict=True):
             cells.append({"box": _rounded(box), "half_spaces": _rounded(planes)})
