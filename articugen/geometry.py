@@ -38,8 +38,17 @@ def transform(rotation: ArrayLike | None = None, translation: ArrayLike | None =
 
 
 def apply(T: Array, points: ArrayLike) -> Array:
-    """`T` (4, 4) applied to `points` (..., 3)."""
-    return np.asarray(points, dtype=np.float64) @ T[:3, :3].T + T[:3, 3]
+    """`T` (4, 4) applied to `points` (..., 3).
+
+    Not a matrix product: BLAS shares rows out among its threads, and what it makes of the last row
+    of a share may differ in the last bit.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    x, y, z = np.moveaxis(points, -1, 0)
+    moved = np.empty_like(points)
+    for row in range(3):
+        moved[..., row] = T[row, 0] * x + T[row, 1] * y + T[row, 2] * z + T[row, 3]
+    return moved
 
 
 def invert_rigid(T: Array) -> Array:

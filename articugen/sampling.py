@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.errors import RejectedInstance
+from articugen.geometry import apply, invert_rigid
 from articugen.records import DepthMaps, Floats, LabelledMesh
 
 IsFree = Callable[[Floats], NDArray[np.bool_]]
@@ -143,7 +144,6 @@ def partial_clouds(
             z = z + noise * rng.normal(size=count)
         x = (j + 0.5 - views.cx[k]) / views.fx[k] * z
         y = (i + 0.5 - views.cy[k]) / views.fy[k] * z
-        T = views.T_camera_world[k]
-        clouds[k] = (np.stack([x, y, z], axis=1) - T[:3, 3]) @ T[:3, :3]
+        clouds[k] = apply(invert_rigid(views.T_camera_world[k]), np.stack([x, y, z], axis=1))
         parts[k] = part_of_face[maps.face[k][i, j]]
     return PartialClouds(np.clip(clouds, -0.5, 0.5), parts)
