@@ -59,8 +59,9 @@ format: $(dev)  ## put the code in order
 	@$(VENV)/bin/ruff check --fix
 	@$(VENV)/bin/ruff format
 
-bench: $(testing)  ## time the stages
-	@$(VENV)/bin/python -m pytest tests/benchmarks --override-ini testpaths= $(ARGS)
+bench: $(testing)  ## measure speed, exactness and memory beside other tools (ARGS=--quick)
+	-@$(pinned) --editable '.[bench]'
+	@$(VENV)/bin/python -m tests.benchmarks $(ARGS)
 
 backends: $(backends)  ## install the optional renderers: open3d, pyrender, sapien
 

@@ -1,0 +1,177 @@
+"""The benchmark: ours beside what one would use instead, on the same meshes in one run.
+
+python -m tests.benchmarks [--quick] [--objects 2] [--states 3] [--runs 3] [--out benchmarks_out]
+
+Prints tables and saves report.json, report.md and scaling.png in the folder --out. Bundled objects
+are written to a temporary folder. With ARTICUGEN_REAL_MODELS, two real models are measured too.
+"""
+
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import asdict
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from articugen import instance
+from tests.benchmarks import cases, measure, memory, ours, scaling, tables
+from tests.benchmarks.cases import Model
+from tests.benchmarks.measure import Results, Row
+from tests.benchmarks.options import Options, dense, parse
+from tests.benchmarks.peers import Peer, peers
+
+REAL = (("eyeglasses", "101287"), ("laptop", "10040"))
+LIBRARIES = ("numpy", "numba", "h5py", "trimesh")
+
+
+def main() -> None:
+    options = parse()
+    console = Console()
+    started = time.perf_counter()
+    with tempfile.TemporaryDirectory(prefix="articugen-bench-") as folder:
+        report = _measured(options, Path(folder), console)
+    report["about"]["minutes"] = (time.perf_counter() - started) / 60.0
+    options.out.mkdir(parents=True, exist_ok=True)
+    missing_picture = scaling.draw(report["scaling"], options.out / "scaling.png")
+    (options.out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
+    (options.out / "report.md").write_text(tables.markdown(report))
+    wide = Console(width=max(console.width, 200))
+    for table in tables.all_tables(report):
+        table.print(wide)
+    console.print(missing_picture or f"drawn: {options.out / 'scaling.png'}")
+    console.print(f"saved: {options.out}/report.json, report.md")
+
+
+def _measured(options: Options, folder: Path, console: Console) -> Row:
+    for source in ("procedural", "procedural_messy"):
+        (folder / source).mkdir()
+    os.environ["ARTICUGEN_SOURCES"] = str(folder)  # children make their objects there, too
+    results, started = Results(), time.perf_counter()
+    all_peers = peers(dense(options.quick)) if options.peers else ()
+    present = [peer for peer in all_peers if not _absent(peer, options.quick)]
+    models = [
+        cases.bundled(category, index, messy=messy)
+        for category in options.categories
+        for index in range(options.objects)
+        for messy in (False, True)
+    ]
+    with console.status("") as status:
+
+        def say(text: str) -> None:
+            if console.is_terminal:
+                status.update(text)
+            else:
+                console.print(f"{time.perf_counter() - started:6.1f} s  {text}")
+
+        measure.shapes(present, models[0], results, say)
+        measure.objects(models, present, options.extent, results, say, folder)
+        measure.real_models(_real_models(), present, options.extent, results, say, folder)
+        end_to_end = [_end_to_end(run, folder, say) for run in options.end_to_end]
+        curves = scaling.curves(models[0], quick=options.quick, say=say)
+        peaks = _memory(models[0], all_peers, options, folder, say)
+    by_workers = next((run for run in end_to_end if run["setting"] == "ours"), None)
+    if by_workers:
+        rate = [(int(n), by_workers["instances"] / s) for n, s in by_workers["seconds"].items()]
+        curves = {"workers": rate} | curves
+    return {
+        "about": _about(options, all_peers),
+        "methods": [{"name": name, "absent": ""} for name in ours.SETTINGS]
+        + [{"name": peer.name, "absent": _absent(peer, options.quick)} for peer in all_peers],
+        "categories": list(options.categories),
+        "end_to_end": end_to_end,
+        "scaling": curves,
+        "memory": peaks,
+    } | asdict(results)
+
+
+def _absent(peer: Peer, quick: bool) -> str:
+    """Why a peer is left out, or nothing."""
+    if peer.missing:
+        return f"not installed: {', '.join(peer.missing)}"
+    return "left out of a quick run" if quick and peer.slow else ""
+
+
+def _real_models() -> list[Model]:
+    root = os.environ.get("ARTICUGEN_REAL_MODELS")
+    if not root:
+        return []
+    return [cases.real(Path(root) / "partnet_mobility" / c / name, c) for c, name in REAL]
+
+
+def _end_to_end(run: tuple[str, str, int, int], folder: Path, say: measure.Say) -> Row:
+    setting, category, objects, states = run
+    seconds = {}
+    for index in range(objects):  # written once, for whatever number of workers
+        cases.bundled(category, index, messy=False)
+    for jobs in scaling.worker_counts():
+        say(f"end to end: {setting}, {category}, {objects} x {states}, {jobs} workers")
+        seconds[jobs] = ours.end_to_end(
+            folder, category, resolution=ours.SETTINGS[setting], objects=objects, states=states,
+            jobs=jobs,
+        )  # fmt: skip
+    return {
+        "setting": setting,
+        "category": category,
+        "instances": objects * (states + 1),
+        "seconds": seconds,
+    }
+
+
+def _memory(
+    model: Model, all_peers: tuple[Peer, ...], options: Options, folder: Path, say: measure.Say
+) -> Row:
+    """Peak megabytes of each method on the first object."""
+    prepared = instance.prepare(model.obj, model.recipe, 0)
+    made = cases.case(model, prepared, 1, 10_000)
+    path = folder / "mesh.npz"
+    np.savez(path, vertices=made.mesh.vertices, faces=made.mesh.faces, asked=made.asked)
+    peaks: Row = {}
+    for setting in ours.SETTINGS:
+        say(f"memory: {setting}")
+        states = options.extent.states
+        peaks[setting] = memory.measure("ours", setting, model.ref.category, 0, states)
+    for number, peer in enumerate(all_peers):
+        if not _absent(peer, options.quick):
+            say(f"memory: {peer.name}")
+            peaks[peer.name] = memory.measure("peer", number, path, int(options.quick))
+    return peaks
+
+
+def _about(options: Options, all_peers: tuple[Peer, ...]) -> Row:
+    versions = {name: metadata.version(name) for name in LIBRARIES}
+    for peer in all_peers:
+        versions |= peer.versions
+    return {
+        "command": " ".join(["python -m tests.benchmarks", *sys.argv[1:]]),
+        "commit": _git("describe", "--always", "--dirty", "--abbrev=12"),
+        "date": time.strftime("%Y-%m-%d"),
+        "machine": f"{_cpu()}, {len(os.sched_getaffinity(0))} cores, {platform.platform()}, "
+        f"Python {platform.python_version()}",
+        "load_before": os.getloadavg()[0],
+        "quick": options.quick,
+        "versions": versions,
+    }
+
+
+def _git(*arguments: str) -> str:
+    done = subprocess.run(["git", *arguments], capture_output=True, text=True, check=False)
+    return done.stdout.strip() or "unknown"
+
+
+def _cpu() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    return next((x.split(":")[1].strip() for x in lines if x.startswith("model name")), "CPU")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,59 @@
+"""What the command line asks for: python -m tests.benchmarks --help"""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from articugen.sources.procedural import CATEGORIES
+from tests.benchmarks.dense import Dense
+from tests.benchmarks.measure import Extent
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is measured, and where the report goes.
+
+    Attributes:
+        categories: of the bundled objects; `objects` of each, clean and messy.
+        end_to_end: (setting, category, objects, states) of the data sets made by the command line.
+        peers: whether peers are measured, too.
+    """
+
+    categories: tuple[str, ...]
+    objects: int
+    extent: Extent
+    end_to_end: tuple[tuple[str, str, int, int], ...]
+    peers: bool
+    quick: bool
+    out: Path
+
+
+def dense(quick: bool) -> Dense:
+    return Dense(views=20, image=160, grid=64) if quick else Dense()
+
+
+def parse(arguments: Sequence[str] | None = None) -> Options:
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__)
+    parser.add_argument("--objects", type=int, default=2, help="of each category")
+    parser.add_argument("--states", type=int, default=3, help="random joint states an object")
+    parser.add_argument("--runs", type=int, default=3, help="timed runs; slow peers run once")
+    parser.add_argument("--no-peers", action="store_true", help="measure ours alone")
+    parser.add_argument(
+        "--quick", action="store_true",
+        help="see that it works: two objects, one state, one run, no slow peers",
+    )  # fmt: skip
+    parser.add_argument("--out", type=Path, default=Path("benchmarks_out"), help="folder")
+    asked = parser.parse_args(arguments)
+    peers = not asked.no_peers
+    if asked.quick:
+        extent = Extent(states=1, runs=1, points=10_000, slow_on=("laptop",))
+        sets = (("ours", "laptop", 2, 2),)
+        return Options(("laptop", "drawer"), 1, extent, sets, peers, True, asked.out)
+    extent = Extent(asked.states, asked.runs, 100_000, ("laptop", "drawer"))
+    sets = (
+        ("ours", "laptop", 8, 30),
+        ("ours, fast", "laptop", 4, 20),
+        ("ours, fine", "laptop", 4, 8),
+    )
+    return Options(CATEGORIES, asked.objects, extent, sets, peers, False, asked.out)

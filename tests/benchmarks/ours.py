@@ -1,0 +1,86 @@
+"""Ours: the stages of `instance.make_instance`, the settings, `articugen generate` as a process."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import yaml
+
+from articugen import instance
+from articugen.recipe import Recipe
+from articugen.records import LabelledMesh
+from tests.benchmarks.cases import Inside
+
+SETTINGS = {"ours": None, "ours, fast": 128, "ours, fine": 512}
+"""The resolution of the views, or the recipe's own."""
+
+STAGES = {
+    "pose": "pose+render",
+    "_labelled_grid": "occupancy",
+    "_query_fields": "occupancy",
+    "_surface": "surface",
+    "_partial_fields": "partial",
+}
+"""The functions of articugen.instance that are timed, and as what. None calls another."""
+
+
+def at(recipe: Recipe, resolution: int | None) -> Recipe:
+    if resolution is None:
+        return recipe
+    views = recipe.views.model_copy(update={"resolution": resolution})
+    return recipe.model_copy(update={"views": views})
+
+
+@contextmanager
+def stages() -> Iterator[dict[str, float]]:
+    """Seconds spent in each stage while the context lasts."""
+    spent = dict.fromkeys(STAGES.values(), 0.0)
+    original = {name: getattr(instance, name) for name in STAGES}
+
+    def timed(function, stage: str):
+        def call(*args, **kwargs):
+            start = time.perf_counter()
+            result = function(*args, **kwargs)
+            spent[stage] += time.perf_counter() - start
+            return result
+
+        return call
+
+    for name, stage in STAGES.items():
+        setattr(instance, name, timed(original[name], stage))
+    try:
+        yield spent
+    finally:
+        for name, function in original.items():
+            setattr(instance, name, function)
+
+
+def alone(mesh: LabelledMesh, recipe: Recipe) -> Inside:
+    """Our field of a mesh by itself, sheets thickened."""
+    field = instance.solid_part(mesh, recipe).own.field
+    return lambda points: ~field.is_free(points)
+
+
+def end_to_end(
+    recipe_folder: Path, category: str, *, resolution: int | None, objects: int, states: int,
+    jobs: int,
+) -> float:  # fmt: skip
+    """Seconds of `articugen generate`, from the command line to the finished data set."""
+    size = {} if resolution is None else {"views": {"resolution": resolution}}
+    recipe = recipe_folder / f"bench-{resolution}.yaml"
+    recipe.write_text(yaml.safe_dump({"extends": "category", **size}))
+    out = recipe_folder / f"out-{category}-{resolution}-{objects}x{states}-{jobs}"
+    command = [
+        sys.executable, "-m", "articugen", "generate", "--category", category,
+        "--recipe", str(recipe), "--objects", str(objects), "--states", str(states),
+        "--jobs", str(jobs), "--out", str(out), "--replace",
+    ]  # fmt: skip
+    start = time.perf_counter()
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    seconds = time.perf_counter() - start
+    if done.returncode != 0:
+        raise RuntimeError(f"articugen generate failed: {done.stderr or done.stdout}")
+    return seconds
