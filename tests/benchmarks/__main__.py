@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from articugen import instance
+from articugen import instance, pipeline
 from tests.benchmarks import cases, measure, memory, ours, scaling, tables
 from tests.benchmarks.cases import Model
 from tests.benchmarks.measure import Results, Row
@@ -152,7 +152,7 @@ def _about(options: Options, all_peers: tuple[Peer, ...]) -> Row:
         "command": " ".join(["python -m tests.benchmarks", *sys.argv[1:]]),
         "commit": _git("describe", "--always", "--dirty", "--abbrev=12"),
         "date": time.strftime("%Y-%m-%d"),
-        "machine": f"{_cpu()}, {len(os.sched_getaffinity(0))} cores, {platform.platform()}, "
+        "machine": f"{_cpu()}, {pipeline.default_jobs()} cores, {platform.platform()}, "
         f"Python {platform.python_version()}",
         "load_before": os.getloadavg()[0],
         "quick": options.quick,

@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import config, njit, prange
 
 from articugen.geometry import bounds, fibonacci_sphere, look_along
 from articugen.records import Floats, LabelledMesh, Views
 from articugen.rendering import rasterizer
 from tests.benchmarks.cases import Inside
+
+vars(config)["THREADING_LAYER"] = "workqueue"  # always there; numba warns of versions of the others
 
 
 @dataclass(frozen=True)

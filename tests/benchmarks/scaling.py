@@ -1,6 +1,5 @@
 """How the speed of ours scales, and a picture of it."""
 
-import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from articugen import instance
+from articugen import instance, pipeline
 from articugen.recipe import Recipe
 from articugen.records import ArticulatedObject, Mesh
 from tests.benchmarks.cases import Model
@@ -109,6 +108,5 @@ def _short(number: float) -> str:
 
 
 def worker_counts() -> tuple[int, ...]:
-    """1, 2, 4, ... as many as this process may use cores; 2 at least."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return tuple(n for n in (1, 2, 4, 8, 16, 32, 64) if n <= max(2, cores or 1))
+    """1, 2, 4, ... up to the cores that this process may use; 2 at least."""
+    return tuple(n for n in (1, 2, 4, 8, 16, 32, 64) if n <= max(2, pipeline.default_jobs()))
