@@ -114,8 +114,9 @@ def _cells(link: dict[str, Any], sheet_thickness: float | None) -> list[tuple[Ar
     """(planes, box) of every cell of a link, its sheets included."""
     cells = [(np.array(cell["half_spaces"]), np.array(cell["box"])) for cell in link["cells"]]
     for sheet in link["sheets"]:
-        bare = sheet_thickness is not None and not sheet["backed"]
-        thickness = sheet_thickness if bare else sheet["thickness"]
+        thickness = sheet["thickness"]
+        if sheet_thickness is not None and not sheet["backed"]:
+            thickness = sheet_thickness
         cells += [_slab(np.array(t), thickness) for t in sheet["triangles"]]
     return cells
 
