@@ -74,7 +74,8 @@ def _measured(options: Options, folder: Path, console: Console) -> Row:
         measure.objects(models, present, options.extent, results, say, folder)
         measure.real_models(_real_models(), present, options.extent, results, say, folder)
         end_to_end = [_end_to_end(run, folder, say) for run in options.end_to_end]
-        curves = scaling.curves(models[0], quick=options.quick, say=say)
+        laptop = next(model for model in models if model.ref.category == "laptop")
+        curves = scaling.curves(laptop, quick=options.quick, say=say)
         peaks = _memory(models[0], all_peers, options, folder, say)
     by_workers = next((run for run in end_to_end if run["setting"] == "ours"), None)
     if by_workers:

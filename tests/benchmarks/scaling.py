@@ -104,7 +104,9 @@ def _panel(axis: Any, name: str, curve: Curve) -> None:
 
 
 def _short(number: float) -> str:
-    return f"{number / 1000:.0f}k" if number >= 10_000 else f"{number:g}"
+    if number >= 1_000_000:
+        return f"{number / 1e6:.1f}M"
+    return f"{number / 1e3:.0f}k" if number >= 10_000 else f"{number:g}"
 
 
 def worker_counts() -> tuple[int, ...]:

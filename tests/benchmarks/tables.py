@@ -79,7 +79,7 @@ _COMPARISON = (
     "unseen space as inside, so does its truth; a peer is judged on each mesh by the kinder of two "
     "truths, the solids alone or with what is unseen. Sheet: thickness of a sheet without any "
     "(least to most by direction; ours means 1.5). Growth: of a closed cylinder, a side. Voxels of "
-    "1/256. Peak: a process of its own with its libraries."
+    "1/256. Peak: on the first object, in a process of its own, libraries included."
 )
 
 
