@@ -18,7 +18,8 @@ from articugen.records import Floats, LabelledMesh, Views
 from articugen.rendering import rasterizer
 from tests.benchmarks.cases import Inside
 
-vars(config)["THREADING_LAYER"] = "workqueue"  # always there; numba warns of versions of the others
+# Always there; numba warns of the versions of the others.
+config.THREADING_LAYER = "workqueue"  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True)
