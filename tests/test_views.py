@@ -46,3 +46,7 @@ def test_random_views_depend_on_the_generator_alone():
     a, b = (random_pinhole_views(3, 64, BOX, rng=np.random.default_rng(5)) for _ in range(2))
     assert np.array_equal(a.T_camera_world, b.T_camera_world)
     assert np.all(a.T_camera_world[:, 2, 3] > 1.0)
+
+
+def test_no_random_views_are_none():
+    assert len(random_pinhole_views(0, 64, BOX, rng=np.random.default_rng(5))) == 0

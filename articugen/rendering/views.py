@@ -47,7 +47,9 @@ def fitted(
     projection: str, T_camera_world: NDArray[np.float64], box: NDArray[np.float64], w: int, h: int
 ) -> Views:
     """Views from the given cameras whose images the box (2, 3) just fills, `MARGIN` left free."""
-    corners = np.stack([apply(T, box_corners(box)) for T in T_camera_world])
+    corners = np.empty((len(T_camera_world), 8, 3))
+    for k, T in enumerate(T_camera_world):
+        corners[k] = apply(T, box_corners(box))
     x, y, z = np.moveaxis(corners, -1, 0)
     if projection == "pinhole":
         x, y = x / z, y / z

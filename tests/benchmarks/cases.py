@@ -157,6 +157,12 @@ def _model(ref: ObjectRef, *, messy: bool, truth: bool) -> Model:
     return Model(ref, obj, recipe, load_truth(ref.location) if truth else None, messy)
 
 
+def _truth(model: Model, prepared: Prepared) -> Truth:
+    """The exact solids, sheets of no thickness as thick as the recipe makes them."""
+    thickness = model.recipe.fusion.sheet_thickness * prepared.unit.scale
+    return load_truth(model.ref.location, sheet_thickness=thickness)
+
+
 def case(model: Model, prepared: Prepared, state: int, count: int) -> Case:
     """The object at its `state`-th joint state; `count` points of each kind to judge by."""
     many = {"grids": (), "uniform_points": count, "near_points": count, "partial_views": 1}
@@ -174,7 +180,7 @@ def case(model: Model, prepared: Prepared, state: int, count: int) -> Case:
     wanted = model.recipe.sampling
     grids = [instance.sampling.grid_points(r) for r in wanted.grids]
     queried = [points["uniform"][: wanted.uniform_points], points["near"][: wanted.near_points]]
-    scene = Scene(model.truth, T, prepared) if model.truth else None
+    scene = Scene(_truth(model, prepared), T, prepared) if model.truth else None
     return Case(model, state, soup(pieces), np.concatenate(grids + queried), points, scene)
 
 
