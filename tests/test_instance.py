@@ -18,6 +18,7 @@ from articugen.instance import Prepared, make_instance, pose, prepare
 from articugen.recipe import Recipe, Sampling, load_recipe
 from articugen.records import ArticulatedObject, Floats, Instance, Normalization, dequantize
 from articugen.sampling import grid_points
+from articugen.sources import registry
 from articugen.sources.procedural import CATEGORIES, object_id
 from articugen.sources.procedural.truth import Truth, load_truth
 from tests.procedural_truth import written
@@ -404,3 +405,23 @@ def unit_normals(instance: Instance) -> Floats:
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     assert np.abs(lengths - 1.0).max() < 0.007  # rounding to 1/127
     return normals / lengths
+
+
+def test_an_instance_may_hold_no_samples_at_all() -> None:
+    nothing = dict.fromkeys(
+        ("surface_points", "uniform_points", "near_points", "partial_views", "partial_points"), 0
+    )
+    recipe = Recipe.model_validate(
+        {
+            "name": "nothing",
+            "articulation": {"states": 1},
+            "views": {"count": 20, "resolution": 64},
+            "sampling": {"grids": [], **nothing},
+        }
+    )
+    ref = registry.object_refs("procedural", "oven", objects=2)[0]
+    obj = articulation.resolve(registry.load(ref), recipe.articulation)
+    made = make_instance(prepare(obj, recipe, seed=0), 1)
+    assert not made.occupancy
+    assert made.surface_points.shape == (0, 3)
+    assert made.partial_points.shape == (0, 0, 3)

@@ -76,9 +76,9 @@ def draw(
         ValueError: as `render`.
     """
     pinhole = views.projection == "pinhole"
-    if pinhole and len(vertices):
+    if pinhole:
         z = vertices @ views.T_camera_world[:, 2, :3].T + views.T_camera_world[:, 2, 3]
-        if z.min() <= 1e-6:
+        if z.min(initial=np.inf) <= 1e-6:
             raise ValueError("a vertex lies behind a pinhole camera: move the camera back")
     intrinsics = np.stack([views.fx, views.fy, views.cx, views.cy], axis=1)
     inside = _draw_all(
