@@ -26,6 +26,9 @@ STAGES = {
 }
 STORE = {"files", "schema", "shards", "manifest", "journal"}
 
+PPD_WITH_TORCH = {"discriminator", "kinematics", "model", "shape"}
+"""The modules of ppd that cannot be imported without torch."""
+
 MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
     "geometry": set(),
@@ -47,6 +50,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     | STORE
     | {"sources", "articulation", "instance", "meshing", "pipeline", "verify"},
     "inspection": BASE | STORE,
+    "ppd": BASE | STORE,
     "console": {"inspection", "manifest", "pipeline", "sources"},
     "cli": {
         "errors",
@@ -74,6 +78,7 @@ FOREIGN: dict[str, set[str]] = {
     "pyrender": {"rendering.opengl"},
     "OpenGL": {"rendering.opengl"},
     "sapien": {"rendering.sapien"},
+    "torch": {f"ppd.{name}" for name in PPD_WITH_TORCH},
 }
 """The modules that wrap a library; nobody else imports it."""
 
@@ -132,9 +137,10 @@ def test_help_waits_for_no_heavy_library() -> None:
 
 
 def test_the_core_needs_no_optional_library() -> None:
-    """Everything but the backends' own files imports where open3d and the like are absent."""
+    """All but the files that wrap them import where open3d, torch and the like are absent."""
     optional = ("open3d", "pyrender", "OpenGL", "sapien", "torch", "scipy")
-    names = [m for m in modules() if m not in ("__init__", "__main__")]
+    without = {"__init__", "__main__"} | {f"ppd.{name}" for name in PPD_WITH_TORCH}
+    names = [m for m in modules() if m not in without]
     code = (
         f"import sys, importlib\nfor name in {optional}: sys.modules[name] = None\n"
         f"for name in {names}: importlib.import_module('articugen.' + name)"

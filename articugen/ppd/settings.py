@@ -1,0 +1,255 @@
+"""Training recipes: everything that decides a run, read from recipes/ppd_*.yaml.
+
+A recipe may say `extends: <name>`; unknown keys are refused with the nearest valid name. What a key
+takes from the paper and what from the authors' release is listed in docs/ppd.md.
+"""
+
+import hashlib
+import math
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from articugen.errors import InvalidRecipe
+from articugen.recipe import RECIPE_FOLDER, nearest
+
+Direction = tuple[float, float, float]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class ModelSettings(_Section):
+    """The parts and how they move.
+
+    Attributes:
+        revolute, prismatic: the initial unit direction e_i of each such part; part 0 is fixed.
+        common_shape, common_pose: the category-common decoders; off for the paper's ablation
+            ("w/o CS", "w/o CP").
+        codes: N_qt, candidates of the pose quantiser.
+        coordinate_bound: weights of the layer that sees coordinates start in U(-bound, bound).
+        part_frame: where a revolute part's shape lives: `world`, B = T(q) R(s, u); or
+            `joint`, which turns it with the direction as well, B = T(q) C(r) Rz(s).
+    """
+
+    revolute: tuple[Direction, ...] = ((0, 0, 1), (0, 0, -1), (0, 1, 0))
+    prismatic: tuple[Direction, ...] = ((1, 0, 0),) * 4
+    common_shape: bool = True
+    common_pose: bool = True
+    codes: int = Field(default=4, ge=1)
+    coordinate_bound: float = Field(default=math.sqrt(2.0), gt=0.0)
+    part_frame: Literal["world", "joint"] = "world"
+
+    @model_validator(mode="after")
+    def _directions_are_unit(self) -> "ModelSettings":
+        for direction in (*self.revolute, *self.prismatic):
+            if abs(math.hypot(*direction) - 1.0) > 1e-6:
+                raise ValueError(f"direction {direction} is not of unit length")
+        if not self.revolute or not self.prismatic:
+            raise ValueError("there must be a revolute and a prismatic part")
+        return self
+
+    @property
+    def joints(self) -> int:
+        return len(self.revolute) + len(self.prismatic)
+
+    @property
+    def parts(self) -> int:
+        return 1 + self.joints
+
+
+class LossSettings(_Section):
+    """Weights (lambda in the paper) and forms; a weight of 0 switches a term off.
+
+    Attributes:
+        vol_logit: what L_vol measures: `instance` F^{s,z} (Eq. 3), or its `product` with O^c.
+        vq_form: `norm`, ||z - sg(c)|| (Eq. 4), or `mean_square`, gradient to both.
+        dev_form, loc_form, var_form: `paper`, Eq. 5 to 7 as printed, or `release`.
+        var_width: v in Eq. 7.
+        most_revolute, most_prismatic: h_i, random joint states are U(0, h_i).
+    """
+
+    rec: float = Field(default=0.01, ge=0)
+    rec_common: float = Field(default=0.001, ge=0)
+    vol: float = Field(default=1000.0, ge=0)
+    vq: float = Field(default=1.0, ge=0)
+    dev: float = Field(default=0.1, ge=0)
+    loc: float = Field(default=100.0, ge=0)
+    var_state: float = Field(default=0.1, ge=0)
+    var_pivot: float = Field(default=0.01, ge=0)
+    adv_g: float = Field(default=0.65, ge=0)
+    adv_d: float = Field(default=0.35, ge=0)
+    gradient_penalty: float = Field(default=1.0, ge=0)
+    vol_logit: Literal["instance", "product"] = "instance"
+    vq_form: Literal["norm", "mean_square"] = "norm"
+    dev_form: Literal["paper", "release"] = "paper"
+    loc_form: Literal["paper", "release"] = "paper"
+    var_form: Literal["paper", "release"] = "paper"
+    var_width: float = Field(default=0.01, gt=0)
+    most_revolute: float = Field(default=math.pi / 2, gt=0)
+    most_prismatic: float = Field(default=0.4, gt=0)
+
+
+class Stage(_Section):
+    """A stretch of training; Adam starts afresh in each.
+
+    Attributes:
+        resolution: of the grid of indicator values.
+        iterations: how many.
+        residual_direction: r = r^c + r^z (the paper's second stage), else r = r^c.
+    """
+
+    resolution: int = Field(ge=1, le=256)
+    iterations: int = Field(ge=0)
+    residual_direction: bool = False
+
+
+class DataSettings(_Section):
+    """What one sample of a batch is made of.
+
+    Attributes:
+        surface_points: the encoder's input.
+        grid_points, uniform_points, near_points: points with an indicator value: of the stage's
+            grid, anywhere in the cube, near the surface.
+        validation_objects: how many objects of the training split are held out.
+    """
+
+    surface_points: int = Field(default=4096, ge=1)
+    grid_points: int = Field(default=4096, ge=0)
+    uniform_points: int = Field(default=0, ge=0)
+    near_points: int = Field(default=0, ge=0)
+    validation_objects: int = Field(default=4, ge=0)
+
+    @model_validator(mode="after")
+    def _has_points_in_the_volume(self) -> "DataSettings":
+        if self.grid_points + self.uniform_points == 0:
+            raise ValueError("grid_points or uniform_points must be more than 0: L_vol needs them")
+        return self
+
+
+class Schedule(_Section):
+    """How long and how fast.
+
+    Attributes:
+        learning_rate: of both Adams.
+        final_learning_rate: where a cosine leads to by the end; null keeps it constant.
+        validate_every, save_every, log_every: iterations.
+    """
+
+    batch: int = Field(default=18, ge=2)
+    learning_rate: float = Field(default=1e-4, gt=0)
+    final_learning_rate: float | None = Field(default=None, gt=0)
+    stages: tuple[Stage, ...] = (
+        Stage(resolution=16, iterations=99_000),
+        Stage(resolution=32, iterations=49_000, residual_direction=True),
+    )
+    validate_every: int = Field(default=1000, ge=1)
+    save_every: int = Field(default=1000, ge=1)
+    log_every: int = Field(default=10, ge=1)
+
+    @property
+    def iterations(self) -> int:
+        return sum(stage.iterations for stage in self.stages)
+
+    def at(self, iteration: int) -> tuple[int, Stage]:
+        """The index of the stage that iteration (from 0) belongs to, and the stage."""
+        first = 0
+        for index, stage in enumerate(self.stages):
+            first += stage.iterations
+            if iteration < first:
+                return index, stage
+        return len(self.stages) - 1, self.stages[-1]
+
+
+class TrainRecipe(_Section):
+    """One training recipe, resolved. See the sections for the meaning of each key."""
+
+    name: str
+    model: ModelSettings = ModelSettings()
+    losses: LossSettings = LossSettings()
+    data: DataSettings = DataSettings()
+    schedule: Schedule = Schedule()
+
+    def text(self) -> str:
+        """The resolved recipe as YAML, every key spelt out."""
+        return yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)
+
+    def sha256(self) -> str:
+        """The digest of what decides a run: all but the name."""
+        return hashlib.sha256(self.model_dump_json(exclude={"name"}).encode()).hexdigest()
+
+
+def load_train_recipe(name: str | Path) -> TrainRecipe:
+    """The training recipe `name`: a name under recipes/, or a path.
+
+    Raises:
+        InvalidRecipe: no such recipe, bad YAML, an unknown key or a bad value.
+    """
+    path = _find(str(name))
+    data = _resolved(path, chain=())
+    return parse_train_recipe({"name": path.stem} | data, str(path))
+
+
+def parse_train_recipe(data: dict[str, Any], where: str) -> TrainRecipe:
+    """A recipe from plain data; `where` is named in errors.
+
+    Raises:
+        InvalidRecipe: an unknown key or a bad value.
+    """
+    try:
+        return TrainRecipe.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        if first["type"] == "extra_forbidden":
+            hint = nearest(str(first["loc"][-1]), _keys_at(first["loc"][:-1]))
+            raise InvalidRecipe(f"{where}: unknown key {key!r}{hint}") from None
+        message = first["msg"].removeprefix("Value error, ")
+        raise InvalidRecipe(f"{where}: {key}: {message}") from None
+
+
+def _find(name: str) -> Path:
+    for path in (RECIPE_FOLDER / f"{name}.yaml", Path(name)):
+        if path.is_file():
+            return path
+    known = sorted(path.stem for path in RECIPE_FOLDER.glob("ppd_*.yaml"))
+    hint = nearest(name, known)
+    raise InvalidRecipe(f"no training recipe {name!r}{hint}; there are: {', '.join(known)}")
+
+
+def _resolved(path: Path, chain: tuple[Path, ...]) -> dict[str, Any]:
+    if path in chain:
+        raise InvalidRecipe(f"{path}: extends itself")
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+    except OSError as error:
+        raise InvalidRecipe(f"{path}: cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InvalidRecipe(f"{path}: not YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(data, dict) or not all(isinstance(key, str) for key in data):
+        raise InvalidRecipe(f"{path}: a recipe is a mapping of keys to values")
+    base = data.pop("extends", None)
+    return data if base is None else _merged(_resolved(_find(str(base)), (*chain, path)), data)
+
+
+def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in over.items():
+        nested = isinstance(value, dict) and isinstance(base.get(key), dict)
+        merged[key] = _merged(base[key], value) if nested else value
+    return merged
+
+
+def _keys_at(location: tuple[int | str, ...]) -> list[str]:
+    section: type[BaseModel] = TrainRecipe
+    for name in location:
+        field = section.model_fields.get(str(name))
+        annotation = field.annotation if field else Stage
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            section = annotation
+        else:
+            section = Stage
+    return list(section.model_fields)

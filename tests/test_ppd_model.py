@@ -1,0 +1,266 @@
+"""PPD's model: the layer table, and every shortcut against the plain network it stands for."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from articugen.geometry import rotation_about
+
+torch = pytest.importorskip("torch", reason="PPD needs torch")
+
+from articugen.ppd.discriminator import Discriminator  # noqa: E402
+from articugen.ppd.kinematics import inverse_motion, joint_frames, rotation_from_z  # noqa: E402
+from articugen.ppd.model import PPD  # noqa: E402
+from articugen.ppd.settings import ModelSettings  # noqa: E402
+from articugen.ppd.shape import Encoder, Quantizer  # noqa: E402
+
+torch.set_num_threads(1)
+PAPER = ModelSettings()
+
+
+def parameters(module) -> int:
+    return sum(p.numel() for p in module.parameters())
+
+
+@pytest.fixture
+def model():
+    torch.manual_seed(0)
+    return PPD(PAPER).double()
+
+
+def cloud(batch: int, count: int):
+    return torch.rand(batch, count, 3, dtype=torch.float64) - 0.5
+
+
+def test_parameter_counts_are_those_of_the_paper_and_the_release():
+    model = PPD(PAPER)
+    assert parameters(model.encoder) == 165_760
+    assert parameters(model.shape) == 49_168
+    assert parameters(model.encoder) + parameters(model.shape) == 214_928
+    pose, common = model.pose, model.pose.common_pivot
+    assert parameters(common) == 27_920
+    # The release's backbone and heads, its second stage's head, and an Euler vector a part.
+    assert parameters(pose) - parameters(common) == 118_111 + 4_944 + 24
+    assert parameters(Discriminator()) == 140_481
+
+
+def test_logits_start_as_small_as_the_release_s():
+    torch.manual_seed(0)
+    model = PPD(ModelSettings(coordinate_bound=1 / 3))
+    points = torch.rand(4, 512, 3) - 0.5
+    predicted = model(points)
+    fields = model.fields(predicted.shape, model.motion(predicted.pose), points)
+    assert 0.05 < fields.common.std() < 0.2
+    assert 0.02 < fields.product.std() < 0.1
+
+
+def test_initial_directions_and_states(model):
+    pose = model(cloud(3, 600)).pose
+    wanted = torch.tensor([*PAPER.revolute, *PAPER.prismatic], dtype=torch.float64)
+    torch.testing.assert_close(pose.direction, wanted.expand(3, 7, 3), atol=1e-7, rtol=0)
+    assert ((pose.state > 0) & (pose.state < torch.tensor([math.pi] * 3 + [1.0] * 4))).all()
+    assert pose.pivot.abs().max() < 0.5
+
+
+def plain_encoder(encoder, points):
+    """The network as the table has it, every point with a graph."""
+    x = encoder.first(encoder.position(points).relu())
+    for block in (encoder.second, encoder.third):
+        x = block(torch.cat([x, x.amax(1, keepdim=True).expand_as(x)], 2).relu())
+    return encoder.latent(x.amax(1).relu())
+
+
+def test_the_encoder_s_shortcut_changes_neither_value_nor_gradient():
+    torch.manual_seed(1)
+    encoder, points = Encoder().double(), cloud(3, 1000)
+    weight = torch.randn(3, 512, dtype=torch.float64)
+    short, plain = encoder(points), plain_encoder(encoder, points)
+    torch.testing.assert_close(short, plain)
+    left = torch.autograd.grad((short * weight).sum(), encoder.parameters())
+    right = torch.autograd.grad((plain * weight).sum(), encoder.parameters())
+    for a, b in zip(left, right, strict=True):
+        assert b.abs().max() > 0
+        torch.testing.assert_close(a, b)
+
+
+def test_the_order_of_points_does_not_matter(model):
+    points = cloud(2, 700)
+    shuffled = points[:, torch.randperm(700)]
+    torch.testing.assert_close(model.encoder(points), model.encoder(shuffled))
+
+
+def part_by_part(model, predicted, points):
+    """The decoders as a loop over samples, parts and layers in numpy: the table read aloud."""
+    decoder, motion = model.shape, model.motion(predicted.pose)
+
+    def layer(grouped, group, x, sine=True):
+        W, b = grouped.weight[group].detach().numpy(), grouped.bias[group].detach().numpy()
+        x = x @ W.T + b
+        return np.sin(30 * x) if sine else x
+
+    common, instance = np.zeros((2, len(points), PAPER.parts, points.shape[1]))
+    local = motion.apply(points).detach().numpy()
+    template = predicted.shape.template.detach().numpy()
+    detail = predicted.shape.detail.detach().numpy()
+    for b in range(len(points)):
+        for i in range(PAPER.parts):
+            x = layer(decoder.coordinate, i, local[b, i]) + template[b, i]
+            x = layer(decoder.trunk_1, i, layer(decoder.trunk_0, i, x))
+            for out, head, y in ((common, i, x), (instance, 8 + i, x + detail[b, i])):
+                z = layer(decoder.head_1, head, layer(decoder.head_0, head, y))
+                out[b, i] = layer(decoder.head_2, head, z, sine=False)[:, 0]
+    return common, instance
+
+
+def test_grouped_evaluation_equals_a_loop_over_parts(model):
+    points = cloud(2, 50)
+    predicted = model(cloud(2, 600))
+    fields = model.fields(predicted.shape, model.motion(predicted.pose), points)
+    common, instance = part_by_part(model, predicted, points)
+    np.testing.assert_allclose(fields.common.detach().numpy(), common, atol=1e-12)
+    np.testing.assert_allclose(fields.instance.detach().numpy(), instance, atol=1e-12)
+    np.testing.assert_allclose(
+        fields.product.detach().numpy(), instance / (1 + np.exp(-common)), atol=1e-12
+    )
+
+
+def test_each_part_has_its_own_weights(model):
+    """The gradient of one part's field reaches that part's group alone."""
+    points = cloud(1, 20)
+    predicted = model(cloud(1, 600))
+    fields = model.fields(predicted.shape, model.motion(predicted.pose), points)
+    (gradient,) = torch.autograd.grad(fields.common[:, 3].sum(), [model.shape.trunk_0.weight])
+    reached = gradient.abs().sum((1, 2)) > 0
+    assert reached.tolist() == [False] * 3 + [True] + [False] * 4
+
+
+def test_the_template_is_common_and_the_detail_is_not(model):
+    code = model(cloud(2, 600)).shape
+    torch.testing.assert_close(code.template[0], code.template[1], atol=1e-12, rtol=0)
+    assert (code.detail[0] - code.detail[1]).abs().max() > 1e-6
+
+
+def test_ablations_leave_only_the_instance_decoders():
+    torch.manual_seed(0)
+    model = PPD(ModelSettings(common_shape=False, common_pose=False)).double()
+    predicted = model(cloud(2, 600))
+    fields = model.fields(predicted.shape, model.motion(predicted.pose), cloud(2, 9))
+    assert torch.equal(fields.product, fields.instance)
+    wanted = 0.5 * torch.tanh(predicted.pose.pivot_residual)
+    torch.testing.assert_close(predicted.pose.pivot, wanted)
+
+
+def test_the_first_stage_has_no_residual_direction(model):
+    with torch.no_grad():
+        model.pose.direction.bias.fill_(0.3)
+        model.pose.common_euler.fill_(0.1)
+    first = model(cloud(1, 600), residual_direction=False).pose
+    second = model(cloud(1, 600), residual_direction=True).pose
+    assert first.euler_residual is None
+    torch.testing.assert_close(first.euler, torch.full_like(first.euler, 0.1))
+    torch.testing.assert_close(second.euler, torch.full_like(second.euler, 0.4))
+
+
+def test_the_quantizer_takes_the_nearest_code_and_passes_gradients_on():
+    quantizer = Quantizer(4, 3).double()
+    with torch.no_grad():
+        quantizer.codes.copy_(torch.eye(4, 3))
+    x = torch.tensor([[0.9, 0.2, 0.1], [0.1, 0.1, 0.8]], dtype=torch.float64, requires_grad=True)
+    quantized, code = quantizer(x)
+    assert torch.equal(code, torch.eye(4, 3, dtype=torch.float64)[[0, 2]])
+    assert torch.equal(quantized, code)
+    weight = torch.tensor([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], dtype=torch.float64)
+    to_x, to_codes = torch.autograd.grad((quantized * weight).sum(), [x, quantizer.codes])
+    assert torch.equal(to_x, weight)
+    assert torch.equal(to_codes[[0, 2]], weight)
+    assert torch.equal(to_codes[[1, 3]], torch.zeros(2, 3, dtype=torch.float64))
+
+
+unit = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: math.hypot(*v) > 0.1)
+angle = st.floats(-3, 3)
+
+
+@settings(deadline=None, max_examples=50)
+@given(direction=unit, euler=st.tuples(angle, angle, angle))
+def test_joint_frames_are_the_rotations_they_are_said_to_be(direction, euler):
+    e = np.array(direction) / math.hypot(*direction)
+    M = rotation_from_z(torch.tensor(e))
+    np.testing.assert_allclose(M.numpy() @ [0, 0, 1], e, atol=1e-9)
+    np.testing.assert_allclose(M.numpy() @ M.numpy().T, np.eye(3), atol=1e-9)
+    rx, ry, rz = (rotation_about(np.eye(3)[k], euler[k]) for k in range(3))
+    C = joint_frames(M[None], torch.tensor(euler, dtype=torch.float64)[None])[0]
+    np.testing.assert_allclose(C.numpy(), M.numpy() @ rx @ rz @ ry, atol=1e-9)
+
+
+def test_opposite_directions_have_a_frame_as_well():
+    M = rotation_from_z(torch.tensor([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]], dtype=torch.float64))
+    np.testing.assert_array_equal(M[0].numpy(), np.diag([1.0, -1.0, -1.0]))
+    np.testing.assert_array_equal(M[1].numpy(), np.eye(3))
+
+
+@pytest.mark.parametrize("part_frame", ["world", "joint"])
+def test_inverse_motion_undoes_the_paper_s_motion(part_frame):
+    torch.manual_seed(2)
+    initial = rotation_from_z(torch.tensor([*PAPER.revolute, *PAPER.prismatic]).double())
+    frames = joint_frames(initial, torch.randn(5, 7, 3).double())
+    state, pivot = torch.rand(5, 7).double(), torch.rand(5, 3, 3).double()
+    motion = inverse_motion(frames, state, pivot, 3, part_frame)
+    rest = torch.rand(5, 8, 4, 3).double()
+    for b in range(5):
+        for i in range(8):
+            x = rest[b, i].numpy()
+            if i in (1, 2, 3):
+                u, s = frames[b, i - 1, :, 2].numpy(), float(state[b, i - 1])
+                turned = x if part_frame == "world" else x @ frames[b, i - 1].numpy().T
+                posed = turned @ rotation_about(u, s).T + pivot[b, i - 1].numpy()
+            elif i >= 4:
+                posed = x + float(state[b, i - 1]) * frames[b, i - 1, :, 2].numpy()
+            else:
+                posed = x
+            back = motion.apply(torch.from_numpy(posed)[None].expand(5, -1, -1))[b, i]
+            np.testing.assert_allclose(back.numpy(), x, atol=1e-12)
+
+
+def plain_scores(weights, clouds):
+    x = clouds
+    for weight, bias in weights[:3]:
+        x = torch.nn.functional.selu(x @ weight.T + bias)
+    x = x.amax(1)
+    for weight, bias in weights[3:]:
+        x = x @ weight.T + bias
+    return x[:, 0]
+
+
+def test_the_discriminator_s_shortcut_is_exact_even_for_the_gradient_penalty():
+    torch.manual_seed(3)
+    critic = Discriminator().double().eval()
+    with torch.no_grad():
+        for layer in critic.layers:
+            layer.weight.mul_(10)
+    clouds = torch.rand(3, 600, 4, dtype=torch.float64, requires_grad=True)
+
+    def penalty(scores):
+        (slope,) = torch.autograd.grad(scores.sum(), clouds, create_graph=True)
+        return scores.sum() + (slope.flatten(1).norm(dim=1) - 1.0).square().mean()
+
+    short, plain = penalty(critic(clouds)), penalty(plain_scores(critic.weights(), clouds))
+    torch.testing.assert_close(short, plain)
+    left = torch.autograd.grad(short, critic.parameters(), allow_unused=True)
+    right = torch.autograd.grad(plain, critic.parameters(), allow_unused=True)
+    for a, b in zip(left, right, strict=True):
+        torch.testing.assert_close(a, b)
+
+
+def test_discriminator_weights_come_to_have_unit_norm():
+    torch.manual_seed(4)
+    critic = Discriminator().double()
+    for _ in range(200):
+        weights = critic.weights()
+    for weight, _ in weights:
+        assert float(torch.linalg.matrix_norm(weight.detach(), 2)) == pytest.approx(1.0, abs=2e-2)
+    before = [layer.u.clone() for layer in critic.layers]
+    critic.eval().weights()
+    assert all(torch.equal(a, layer.u) for a, layer in zip(before, critic.layers, strict=True))
