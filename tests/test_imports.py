@@ -26,7 +26,7 @@ STAGES = {
 }
 STORE = {"files", "schema", "shards", "manifest", "journal"}
 
-PPD_WITH_TORCH = {"discriminator", "kinematics", "model", "shape"}
+PPD_WITH_TORCH = {"discriminator", "kinematics", "losses", "model", "shape"}
 """The modules of ppd that cannot be imported without torch."""
 
 MAY_IMPORT: dict[str, set[str]] = {
