@@ -30,3 +30,11 @@ class MissingExtra(ArticugenError):
 
 class MissingDriver(ArticugenError):
     """An optional library is installed, but a system library or driver that it needs is not."""
+
+
+class InvalidCheckpoint(ArticugenError):
+    """A checkpoint or run folder is damaged, not one of ours, or of another recipe."""
+
+
+class TrainingDiverged(ArticugenError):
+    """A loss or a gradient is no longer a finite number."""

@@ -26,7 +26,9 @@ STAGES = {
 }
 STORE = {"files", "schema", "shards", "manifest", "journal"}
 
-PPD_WITH_TORCH = {"discriminator", "kinematics", "losses", "model", "shape"}
+PPD_WITH_TORCH = {
+    "dataset", "discriminator", "kinematics", "losses", "model", "objective", "shape", "train",
+}  # fmt: skip
 """The modules of ppd that cannot be imported without torch."""
 
 MAY_IMPORT: dict[str, set[str]] = {

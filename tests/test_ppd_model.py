@@ -165,7 +165,7 @@ def test_the_first_stage_has_no_residual_direction(model):
 
 
 def test_the_quantizer_takes_the_nearest_code_and_passes_gradients_on():
-    quantizer = Quantizer(4, 3).double()
+    quantizer = Quantizer(4, 3, learn=True).double()
     with torch.no_grad():
         quantizer.codes.copy_(torch.eye(4, 3))
     x = torch.tensor([[0.9, 0.2, 0.1], [0.1, 0.1, 0.8]], dtype=torch.float64, requires_grad=True)
@@ -177,6 +177,12 @@ def test_the_quantizer_takes_the_nearest_code_and_passes_gradients_on():
     assert torch.equal(to_x, weight)
     assert torch.equal(to_codes[[0, 2]], weight)
     assert torch.equal(to_codes[[1, 3]], torch.zeros(2, 3, dtype=torch.float64))
+    quantizer.learn = False
+    (to_x, to_codes) = torch.autograd.grad(
+        (quantizer(x)[0] * weight).sum(), [x, quantizer.codes], allow_unused=True
+    )
+    assert torch.equal(to_x, weight)
+    assert to_codes is None
 
 
 unit = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: math.hypot(*v) > 0.1)
@@ -198,6 +204,7 @@ def test_joint_frames_are_the_rotations_they_are_said_to_be(direction, euler):
 def test_opposite_directions_have_a_frame_as_well():
     M = rotation_from_z(torch.tensor([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]], dtype=torch.float64))
     np.testing.assert_array_equal(M[0].numpy(), np.diag([1.0, -1.0, -1.0]))
+    assert torch.linalg.det(M).tolist() == [1.0, 1.0]
     np.testing.assert_array_equal(M[1].numpy(), np.eye(3))
 
 

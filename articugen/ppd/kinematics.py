@@ -36,15 +36,16 @@ class InverseMotion:
 def rotation_from_z(directions: Tensor) -> Tensor:
     """For each unit direction (..., 3) a rotation M (..., 3, 3) with M e_z = direction.
 
-    The shortest one; for -z the half turn about x.
+    The shortest one for directions that point up; for others that of their image under the half
+    turn about x, turned back: exact everywhere, also at -z.
     """
-    x, y, z = directions.unbind(-1)
-    opposite = z < -1.0 + 1e-6
-    k = 1.0 / torch.where(opposite, torch.ones_like(z), 1.0 + z)
+    half_turn = directions.new_tensor([1.0, -1.0, -1.0])
+    down = directions[..., 2:] < 0
+    x, y, z = torch.where(down, half_turn * directions, directions).unbind(-1)
+    k = 1.0 / (1.0 + z)
     rows = [1.0 - k * x * x, -k * x * y, x, -k * x * y, 1.0 - k * y * y, y, -x, -y, z]
     shortest = torch.stack(rows, -1).unflatten(-1, (3, 3))
-    half_turn = torch.diag(directions.new_tensor([1.0, -1.0, -1.0]))
-    return torch.where(opposite[..., None, None], half_turn, shortest)
+    return torch.where(down[..., None], half_turn[:, None] * shortest, shortest)
 
 
 def about_z(angle: Tensor) -> Tensor:

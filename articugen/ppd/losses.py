@@ -49,7 +49,7 @@ def release_quantization(before: Tensor, code: Tensor) -> Tensor:
 
 
 def deviation(residual: Tensor) -> Tensor:
-    """Eq. 5, one of its terms: the mean length of q^z (revolute parts), or of r^z (all moving ones).
+    """Eq. 5, one of its terms: the mean length of q^z (revolute parts) or r^z (moving ones).
 
     Args:
         residual: (B, parts, 3) of those parts alone.

@@ -134,7 +134,7 @@ class PoseDecoder(nn.Module):
         self.direction = nn.Linear(WIDTH, 3 * self.parts)
         nn.init.zeros_(self.direction.weight)
         nn.init.zeros_(self.direction.bias)
-        self.common_pivot = _CommonPivot(self.parts, settings.codes)
+        self.common_pivot = _CommonPivot(settings)
         self.common_euler = nn.Parameter(torch.zeros(self.parts, 3))
 
     def forward(self, z_pose: Tensor, z_common: Tensor, *, residual_direction: bool) -> Pose:
@@ -174,13 +174,13 @@ def _from_zero_to_one(amount: Tensor) -> Tensor:
 class _CommonPivot(nn.Module):
     """F^{p,c}_q: q^c of every part from the quantised z^{p,c}; one group a part."""
 
-    def __init__(self, parts: int, codes: int) -> None:
+    def __init__(self, settings: ModelSettings) -> None:
         super().__init__()
+        self.parts = parts = settings.parts
         c = WIDTH // parts
-        self.parts = parts
         self.norm_in = nn.GroupNorm(1, COMMON)
         self.linear_in = nn.Linear(COMMON, parts * c)
-        self.quantizer = Quantizer(codes, parts * c)
+        self.quantizer = Quantizer(settings.codes, parts * c, settings.codes_learn)
         self.blocks = nn.Sequential(
             _Residual(parts, c, 12, norm_groups=parts), _Residual(parts, 12, 6, norm_groups=parts)
         )

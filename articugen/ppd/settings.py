@@ -30,6 +30,7 @@ class ModelSettings(_Section):
         common_shape, common_pose: the category-common decoders; off for the paper's ablation
             ("w/o CS", "w/o CP").
         codes: N_qt, candidates of the pose quantiser.
+        codes_learn: whether codes also learn from what is decoded from them, or from L_vq alone.
         coordinate_bound: weights of the layer that sees coordinates start in U(-bound, bound).
         part_frame: where a revolute part's shape lives: `world`, B = T(q) R(s, u); or
             `joint`, which turns it with the direction as well, B = T(q) C(r) Rz(s).
@@ -40,6 +41,7 @@ class ModelSettings(_Section):
     common_shape: bool = True
     common_pose: bool = True
     codes: int = Field(default=4, ge=1)
+    codes_learn: bool = True
     coordinate_bound: float = Field(default=math.sqrt(2.0), gt=0.0)
     part_frame: Literal["world", "joint"] = "world"
 

@@ -80,21 +80,23 @@ class Encoder(nn.Module):
 
 
 class Quantizer(nn.Module):
-    """The nearest of a few learned codes (VQ-VAE's qt; Eq. 4), with straight-through gradient."""
+    """The nearest of a few learned codes (VQ-VAE's qt; Eq. 4), with straight-through gradient.
 
-    def __init__(self, codes: int, width: int) -> None:
+    Args:
+        learn: whether the code gets that gradient too: Eq. 4 itself gives it none.
+    """
+
+    def __init__(self, codes: int, width: int, learn: bool) -> None:
         super().__init__()
+        self.learn = learn
         self.codes = nn.Parameter(torch.rand(codes, width))
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """(quantised, code), both of the value of the nearest code (B, width).
-
-        `quantised` passes its gradient on to x as it is, and to the code as well: Eq. 4 itself
-        gives the code none.
-        """
+        """(quantised, code), both of the value of the nearest code (B, width)."""
         distance = torch.cdist(x.detach(), self.codes.detach())
         code = self.codes[distance.argmin(1)]
-        return code + (x - x.detach()), code
+        passed = code if self.learn else code.detach()
+        return passed + (x - x.detach()), code
 
 
 @dataclass(frozen=True)
@@ -147,7 +149,7 @@ class ShapeDecoder(nn.Module):
         c = WIDTH // P
         self.width = c
         self.template_in = nn.Linear(TEMPLATE, P * c)
-        self.template_codes = Quantizer(1, P * c)
+        self.template_codes = Quantizer(1, P * c, settings.codes_learn)
         self.template_0, self.template_1 = Grouped(P, c, c, "latent"), Grouped(P, c, c)
         self.coordinate = Grouped(P, 3, c, bound=settings.coordinate_bound)
         self.trunk_0, self.trunk_1 = Grouped(P, c, 12), Grouped(P, 12, 6)
