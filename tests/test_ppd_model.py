@@ -15,7 +15,7 @@ from articugen.ppd.discriminator import Discriminator  # noqa: E402
 from articugen.ppd.kinematics import inverse_motion, joint_frames, rotation_from_z  # noqa: E402
 from articugen.ppd.model import PPD  # noqa: E402
 from articugen.ppd.settings import ModelSettings  # noqa: E402
-from articugen.ppd.shape import Encoder, Quantizer  # noqa: E402
+from articugen.ppd.shape import Encoder, Quantizer, argmax_of_points  # noqa: E402
 
 torch.set_num_threads(1)
 PAPER = ModelSettings()
@@ -76,6 +76,7 @@ def plain_encoder(encoder, points):
 def test_the_encoder_s_shortcut_changes_neither_value_nor_gradient():
     torch.manual_seed(1)
     encoder, points = Encoder().double(), cloud(3, 1000)
+    points[:, 500:] = points[:, :500]  # ties: a cloud may hold a point twice
     weight = torch.randn(3, 512, dtype=torch.float64)
     short, plain = encoder(points), plain_encoder(encoder, points)
     torch.testing.assert_close(short, plain)
@@ -84,6 +85,14 @@ def test_the_encoder_s_shortcut_changes_neither_value_nor_gradient():
     for a, b in zip(left, right, strict=True):
         assert b.abs().max() > 0
         torch.testing.assert_close(a, b)
+
+
+@settings(deadline=None, max_examples=40)
+@given(count=st.integers(1, 300), levels=st.integers(1, 1000))
+def test_the_argmax_by_blocks_is_an_argmax(count, levels):
+    x = torch.randint(levels, (2, count, 5)).double() - levels
+    found = argmax_of_points(x)
+    assert torch.equal(x.gather(1, found[:, None])[:, 0], x.amax(1))
 
 
 def test_the_order_of_points_does_not_matter(model):

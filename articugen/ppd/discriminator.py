@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import linear, normalize, selu
 
-from articugen.ppd.shape import gather_points, one_by_one
+from articugen.ppd.shape import argmax_of_points, gather_points, one_by_one
 
 Weight = tuple[Tensor, Tensor]
 _POINT_LAYERS = 3
@@ -58,11 +58,11 @@ class Discriminator(nn.Module):
     @torch.no_grad()
     def decisive(self, cloud: Tensor, weights: list[Weight]) -> Tensor:
         """(B, 256) the indices of the points that hold the maximum of each channel."""
-        return one_by_one(lambda c: _each(c, weights).max(1).indices, cloud)
+        return one_by_one(lambda c: argmax_of_points(_each(c, weights)), cloud)
 
     def score(self, cloud: Tensor, weights: list[Weight]) -> Tensor:
         """The scores (B,) with these weights."""
-        x = selu(_each(cloud, weights).max(1).values)
+        x = selu(_each(cloud, weights).amax(1))
         for weight, bias in weights[_POINT_LAYERS:]:
             x = linear(x, weight, bias)
         return x[:, 0]

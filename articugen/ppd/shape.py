@@ -41,6 +41,18 @@ def one_by_one(function: Callable[..., Tensor], *batches: Tensor) -> Tensor:
     return torch.cat([function(*sample) for sample in samples])
 
 
+def argmax_of_points(x: Tensor) -> Tensor:
+    """(B, C) the place of a greatest point of each channel of (B, n, C).
+
+    By blocks of 64 points: torch finds maxima without their places ten times as fast.
+    """
+    B, n, C = x.shape
+    blocks = nn.functional.pad(x, (0, 0, 0, -n % 64), value=-torch.inf).view(B, -1, 64, C)
+    block = blocks.amax(2).argmax(1)
+    at = block[:, None, None].expand(B, 1, 64, C)
+    return 64 * block + blocks.gather(1, at)[:, 0].argmax(1)
+
+
 class Encoder(nn.Module):
     """The simple PointNet of Occupancy Networks (Mescheder et al. 2019), three pooled blocks."""
 
@@ -54,29 +66,27 @@ class Encoder(nn.Module):
         """The latent (B, 512) of clouds (B, n, 3), whatever the order of their points."""
         if torch.is_grad_enabled() and cloud.shape[1] > 3 * 128:
             cloud = gather_points(cloud, self._decisive(cloud))
-        return self.latent(self._pooled(cloud)[-1].values.relu())
+        return self.latent(self._each(cloud)[-1].amax(1).relu())
 
     @torch.no_grad()
     def _decisive(self, cloud: Tensor) -> Tensor:
         """(B, 384) the indices of the points that hold a maximum in any of the blocks."""
         return one_by_one(
-            lambda c: torch.cat([pooled.indices for pooled in self._pooled(c)], 1), cloud
+            lambda c: torch.cat([argmax_of_points(each) for each in self._each(c)], 1), cloud
         )
 
-    def _pooled(self, cloud: Tensor) -> list[torch.return_types.max]:
-        """The maximum over the points, (B, 128), after each block.
+    def _each(self, cloud: Tensor) -> list[Tensor]:
+        """What each block makes of each point: (B, n, 128).
 
         From the second block on, half of a point's input is the pooled vector, the same for every
         point: its share of the layer is computed once a cloud.
         """
-        each = self.first(self.position(cloud).relu_())
-        pools = [each.max(1)]
+        blocks = [self.first(self.position(cloud).relu_())]
         for block in (self.second, self.third):
             own, shared = block.weight.split(128, dim=1)
-            common = nn.functional.linear(pools[-1].values.relu(), shared, block.bias)
-            each = each.relu() @ own.T + common[:, None]
-            pools.append(each.max(1))
-        return pools
+            common = nn.functional.linear(blocks[-1].amax(1).relu(), shared, block.bias)
+            blocks.append(blocks[-1].relu() @ own.T + common[:, None])
+        return blocks
 
 
 class Quantizer(nn.Module):
