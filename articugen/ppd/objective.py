@@ -38,11 +38,11 @@ def random_pose(
 ) -> RandomPose:
     """Draw joint states and evaluate the shapes there."""
     B, J = prediction.pose.state.shape
-    device = batch.points.device
-    most = torch.full((J,), weigh.most_prismatic, device=device)
+    kind = {"dtype": batch.points.dtype, "device": batch.points.device}
+    most = torch.full((J,), weigh.most_prismatic, **kind)
     most[: len(model.settings.revolute)] = weigh.most_revolute
-    state = most * torch.rand(B, J, generator=rng, device=device)
-    mix = torch.rand(B, generator=rng, device=device)
+    state = most * torch.rand(B, J, generator=rng, **kind)
+    mix = torch.rand(B, generator=rng, **kind)
     with torch.no_grad():
         occupancy = _composed(model, prediction, state, batch.points)
     return RandomPose(state, occupancy, mix)

@@ -204,7 +204,8 @@ def parse_train_recipe(data: dict[str, Any], where: str) -> TrainRecipe:
     try:
         return TrainRecipe.model_validate(data)
     except ValidationError as error:
-        first = error.errors()[0]
+        faults = error.errors()
+        first = next((f for f in faults if f["type"] == "extra_forbidden"), faults[0])
         key = ".".join(map(str, first["loc"]))
         if first["type"] == "extra_forbidden":
             hint = nearest(str(first["loc"][-1]), _keys_at(first["loc"][:-1]))

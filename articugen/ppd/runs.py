@@ -1,0 +1,145 @@
+"""Run folders: the recipe, what it ran on, metrics as JSON lines, checkpoints without pickled code.
+
+<runs>/<category>/<number>/recipe.yaml, run.json, metrics.jsonl, latest.pt, best.pt
+"""
+
+import io
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any
+from zipfile import BadZipFile
+
+import torch
+import yaml
+from torch import Tensor
+
+from articugen import __version__
+from articugen.errors import ArticugenError, InvalidCheckpoint
+from articugen.files import write_atomically
+from articugen.manifest import this_commit, this_machine
+from articugen.ppd.model import PPD
+from articugen.ppd.settings import TrainRecipe, parse_train_recipe
+
+FORMAT = "articugen ppd checkpoint 1"
+LATEST, BEST, METRICS = "latest.pt", "best.pt", "metrics.jsonl"
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """Everything that training goes on from.
+
+    Attributes:
+        recipe, category, seed: what is trained.
+        iteration: how many are done.
+        model, critic, optimizer, critic_optimizer: state dicts.
+        best: the lowest validation loss so far, or inf.
+    """
+
+    recipe: TrainRecipe
+    category: str
+    seed: int
+    iteration: int
+    model: dict[str, Tensor]
+    critic: dict[str, Tensor]
+    optimizer: dict[str, Any]
+    critic_optimizer: dict[str, Any]
+    best: float
+
+    def write(self, path: Path) -> None:
+        """Write it in one step."""
+        data = {"format": FORMAT, **vars(self), "recipe": self.recipe.model_dump(mode="json")}
+        buffer = io.BytesIO()
+        torch.save(data, buffer)
+        write_atomically(path, buffer.getvalue())
+
+    def generator(self) -> PPD:
+        """The model with its weights, ready for predictions."""
+        model = PPD(self.recipe.model)
+        model.load_state_dict(self.model)
+        return model.eval()
+
+
+def read_checkpoint(path: Path) -> Checkpoint:
+    """A checkpoint; only tensors and plain data are read, never pickled code.
+
+    Raises:
+        InvalidCheckpoint: there is none, it is damaged, or not one of ours.
+    """
+    try:
+        data = torch.load(path, map_location="cpu", weights_only=True)
+    except OSError as error:
+        raise InvalidCheckpoint(f"{path}: cannot be read ({error.strerror or error})") from None
+    except (UnpicklingError, RuntimeError, ValueError, EOFError, KeyError, BadZipFile):
+        raise InvalidCheckpoint(f"{path}: not a checkpoint, or damaged; train again") from None
+    if not isinstance(data, dict) or data.pop("format", None) != FORMAT:
+        raise InvalidCheckpoint(f"{path}: not a checkpoint of this version; train again")
+    recipe = parse_train_recipe(data.pop("recipe"), str(path))
+    try:
+        return Checkpoint(recipe=recipe, **data)
+    except TypeError:
+        raise InvalidCheckpoint(f"{path}: a checkpoint that lacks something; train again") from None
+
+
+class RunFolder:
+    """One run's files."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @staticmethod
+    def new(
+        runs: Path, recipe: TrainRecipe, *, category: str, seed: int, data: dict[str, Any]
+    ) -> "RunFolder":
+        """The next numbered folder under `runs`; `data` says what it is trained on."""
+        taken = [int(p.name) for p in runs.glob("*") if p.name.isdigit()]
+        path = runs / f"{max(taken, default=-1) + 1:03d}"
+        try:
+            path.mkdir(parents=True)
+        except OSError as error:
+            raise ArticugenError(f"{path}: cannot be made ({error.strerror})") from None
+        about = {
+            "category": category,
+            "seed": seed,
+            "recipe_sha256": recipe.sha256(),
+            "data": data,
+            "articugen": __version__,
+            "commit": this_commit(),
+            "torch": torch.__version__,
+            "machine": this_machine(),
+        }
+        write_atomically(path / "recipe.yaml", recipe.text().encode())
+        write_atomically(path / "run.json", (json.dumps(about, indent=1) + "\n").encode())
+        return RunFolder(path)
+
+    @staticmethod
+    def existing(path: Path) -> "RunFolder":
+        """A run's folder that is there already.
+
+        Raises:
+            InvalidCheckpoint: it has no checkpoint to go on from.
+        """
+        if not (path / LATEST).is_file():
+            raise InvalidCheckpoint(f"{path}: has no {LATEST} to go on from; start a new run")
+        return RunFolder(path)
+
+    def recipe(self) -> TrainRecipe:
+        path = self.path / "recipe.yaml"
+        return parse_train_recipe(yaml.safe_load(path.read_text(encoding="utf-8")), str(path))
+
+    def log(self, record: dict[str, Any]) -> None:
+        """Append one line to the metrics."""
+        with (self.path / METRICS).open("a", encoding="utf-8") as file:
+            file.write(json.dumps(record) + "\n")
+
+    def metrics(self) -> list[dict[str, Any]]:
+        path = self.path / METRICS
+        lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+        return [json.loads(line) for line in lines if line.endswith("}")]
+
+    def forget_after(self, iteration: int) -> None:
+        """Drop metrics of iterations that will be done again."""
+        kept = [r for r in self.metrics() if r["iteration"] <= iteration]
+        text = "".join(json.dumps(record) + "\n" for record in kept)
+        write_atomically(self.path / METRICS, text.encode())

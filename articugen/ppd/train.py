@@ -1,0 +1,286 @@
+"""Training, in one readable loop.
+
+An iteration's random numbers depend on the seed and its number alone, so a run that was stopped and
+resumed draws the same curve as one that was not.
+"""
+
+import math
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+
+from articugen.errors import InvalidCheckpoint, TrainingDiverged
+from articugen.manifest import Manifest
+from articugen.ppd import objective
+from articugen.ppd.dataset import PackedSplit, load_split, unpacked, voxel_centres
+from articugen.ppd.discriminator import Discriminator
+from articugen.ppd.model import PPD
+from articugen.ppd.objective import Terms
+from articugen.ppd.runs import BEST, LATEST, Checkpoint, RunFolder, read_checkpoint
+from articugen.ppd.settings import DataSettings, TrainRecipe
+from articugen.seeding import generator as seeded
+
+VALIDATION_GRID = 32
+VALIDATION_INSTANCES = 64
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What is told of an iteration; `terms` and `validation` only where they were computed."""
+
+    iteration: int
+    iterations: int
+    terms: dict[str, float] | None = None
+    validation: dict[str, float] | None = None
+
+
+def train(
+    recipe: TrainRecipe,
+    *,
+    category: str,
+    data: Path,
+    runs: Path,
+    seed: int = 0,
+    resume: Path | None = None,
+    stop_after: int | None = None,
+    device: str = "cpu",
+    on_progress: Callable[[Progress], None] = lambda _: None,
+) -> RunFolder:
+    """Train a model of one category.
+
+    Args:
+        recipe: everything that decides the run, besides the data and the seed.
+        data: the data set's folder.
+        runs: where a new, numbered run folder is made.
+        seed: of the weights, the batches and everything drawn.
+        resume: the folder of a run to go on with instead.
+        stop_after: stop after so many iterations, as an interruption would.
+        on_progress: called after each iteration.
+
+    Raises:
+        CorruptShard: the data cannot be trained on.
+        InvalidCheckpoint: the run cannot be resumed with this recipe.
+        TrainingDiverged: a term is no longer a finite number; the message says which.
+    """
+    where = torch.device(device)
+    training, held_out = _data(recipe, data, category, where)
+    run, start = _run_and_start(recipe, category, data, runs, seed, resume)
+    model, critic, best = _models(recipe, seed, start, where)
+    plan, weigh = recipe.schedule, recipe.losses
+    first = start.iteration if start else 0
+    stage_index, _ = plan.at(first)
+    optimizer, critic_optimizer = _optimizers(recipe, model, critic)
+    if start and first != _first_of(recipe, stage_index):
+        optimizer.load_state_dict(start.optimizer)
+        critic_optimizer.load_state_dict(start.critic_optimizer)
+    since = time.perf_counter()
+
+    for iteration in range(first, min(plan.iterations, stop_after or plan.iterations)):
+        index, stage = plan.at(iteration)
+        if index != stage_index:  # a new stage begins with new Adams, as the release's does
+            stage_index = index
+            optimizer, critic_optimizer = _optimizers(recipe, model, critic)
+        for group in (*optimizer.param_groups, *critic_optimizer.param_groups):
+            group["lr"] = _learning_rate(recipe, iteration)
+
+        rng = torch.Generator(where).manual_seed(_draw(seed, "batch", iteration))
+        rows = _rows(iteration, plan.batch, len(training), seed)
+        batch = training.batch(rows, recipe.data, stage.resolution, rng)
+        predict = partial(model, batch.cloud, residual_direction=stage.residual_direction)
+        predicted = predict()
+        posed, critic_terms = None, {}
+        if weigh.adv_g:
+            posed = objective.random_pose(model, predicted, batch, weigh, rng)
+            judge = partial(objective.discriminator_terms, critic, batch, posed, weigh)
+            critic_terms = judge()
+            _step(critic_optimizer, critic, critic_terms, judge, iteration)
+        minimize = partial(
+            objective.generator_terms, model, batch=batch, weigh=weigh, critic=critic, posed=posed
+        )
+        terms = minimize(predicted)
+        _step(optimizer, model, terms, lambda: minimize(predict()), iteration)  # noqa: B023
+
+        done = iteration + 1
+        last = done == plan.iterations
+        told = None
+        if done % plan.log_every == 0 or last:
+            told = {name: float(v.detach()) for name, v in (terms | critic_terms).items()}
+            run.log({
+                "iteration": done, "stage": index, "terms": told,
+                "learning_rate": _learning_rate(recipe, iteration),
+                "seconds": round(time.perf_counter() - since, 2),
+            })  # fmt: skip
+        checked = None
+        if len(held_out) and (done % plan.validate_every == 0 or last):
+            checked = validate(model, held_out, recipe.data, stage.residual_direction)
+            run.log({"iteration": done, "validation": checked})
+        better = checked is not None and checked["rec"] < best
+        if better or done % plan.save_every == 0 or last or done == stop_after:
+            best = checked["rec"] if checked and better else best
+            point = Checkpoint(
+                recipe, category, seed, done, model.state_dict(), critic.state_dict(),
+                optimizer.state_dict(), critic_optimizer.state_dict(), best,
+            )  # fmt: skip
+            if better:
+                point.write(run.path / BEST)
+            point.write(run.path / LATEST)
+        on_progress(Progress(done, plan.iterations, told, checked))
+    return run
+
+
+@torch.no_grad()
+def validate(
+    model: PPD, held_out: PackedSplit, ask: DataSettings, residual_direction: bool
+) -> dict[str, float]:
+    """How well unseen objects are reconstructed on their 32^3 grid, parts composed by the maximum.
+
+    `rec` is the mean binary cross-entropy, `iou` the mean over instances of |A and B| / |A or B|.
+    """
+    model.eval()
+    count = min(VALIDATION_INSTANCES, len(held_out))
+    entropy, overlap = [], []
+    device = held_out.surface.device
+    cells = torch.arange(VALIDATION_GRID**3, device=device)
+    for row in np.linspace(0, len(held_out) - 1, count).astype(int):
+        cloud = unpacked(held_out.surface[row : row + 1, : ask.surface_points])
+        occupied = held_out.grids[VALIDATION_GRID][row] > 0
+        predicted = model(cloud, residual_direction=residual_direction)
+        points = voxel_centres(cells, VALIDATION_GRID)[None]
+        fields = model.fields(predicted.shape, model.motion(predicted.pose), points)
+        logit = fields.product.amax(1)[0]
+        entropy.append(
+            nn.functional.binary_cross_entropy_with_logits(logit, occupied.to(logit.dtype))
+        )
+        both, either = (logit > 0) & occupied, (logit > 0) | occupied
+        overlap.append(both.sum() / either.sum().clamp(min=1))
+    model.train()
+    return {
+        "rec": float(torch.stack(entropy).mean()),
+        "iou": float(torch.stack(overlap).mean()),
+    }
+
+
+def _data(
+    recipe: TrainRecipe, data: Path, category: str, device: torch.device
+) -> tuple[PackedSplit, PackedSplit]:
+    """The training instances, and those of the objects that are held out."""
+    joints = (len(recipe.model.revolute), len(recipe.model.prismatic))
+    grids = {stage.resolution for stage in recipe.schedule.stages if recipe.data.grid_points}
+    grids |= {VALIDATION_GRID} if recipe.data.validation_objects else set()
+    everything = load_split(data, "train", recipe.data, grids, category=category, joints=joints)
+    kept, held_out = split_objects(everything.object_id, recipe.data.validation_objects)
+    return everything.of(kept).to(device), everything.of(held_out).to(device)
+
+
+def split_objects(object_ids: Iterable[str], held_out: int) -> tuple[list[str], list[str]]:
+    """(for training, held out): the same objects whatever the seed; at least one is trained on."""
+    objects = sorted(set(map(str, object_ids)))
+    count = min(held_out, len(objects) - 1)
+    chosen = seeded(0, "validation").permutation(len(objects))[:count]
+    out = {objects[i] for i in chosen}
+    return [o for o in objects if o not in out], sorted(out)
+
+
+def _run_and_start(
+    recipe: TrainRecipe, category: str, data: Path, runs: Path, seed: int, resume: Path | None
+) -> tuple[RunFolder, Checkpoint | None]:
+    if resume is None:
+        told = {"folder": str(data), "content_sha256": Manifest.read(data).content_sha256}
+        return RunFolder.new(runs, recipe, category=category, seed=seed, data=told), None
+    run = RunFolder.existing(resume)
+    start = read_checkpoint(run.path / LATEST)
+    if (start.recipe.sha256(), start.category, start.seed) != (recipe.sha256(), category, seed):
+        raise InvalidCheckpoint(
+            f"{resume}: was started with another recipe, category or seed; start a new run"
+        )
+    run.forget_after(start.iteration)
+    return run, start
+
+
+def _models(
+    recipe: TrainRecipe, seed: int, start: Checkpoint | None, device: torch.device
+) -> tuple[PPD, Discriminator, float]:
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(_draw(seed, "weights"))
+        model, critic = PPD(recipe.model), Discriminator()
+    if start:
+        model.load_state_dict(start.model)
+        critic.load_state_dict(start.critic)
+    return model.to(device), critic.to(device), start.best if start else math.inf
+
+
+def _optimizers(
+    recipe: TrainRecipe, model: PPD, critic: Discriminator
+) -> tuple[torch.optim.Adam, torch.optim.Adam]:
+    rate = recipe.schedule.learning_rate
+    return torch.optim.Adam(model.parameters(), rate), torch.optim.Adam(critic.parameters(), rate)
+
+
+def _first_of(recipe: TrainRecipe, stage: int) -> int:
+    return sum(s.iterations for s in recipe.schedule.stages[:stage])
+
+
+def _learning_rate(recipe: TrainRecipe, iteration: int) -> float:
+    plan = recipe.schedule
+    if plan.final_learning_rate is None:
+        return plan.learning_rate
+    share = 0.5 * (1.0 + math.cos(math.pi * iteration / max(plan.iterations - 1, 1)))
+    return plan.final_learning_rate + share * (plan.learning_rate - plan.final_learning_rate)
+
+
+def _draw(seed: int, *path: str | int) -> int:
+    return int(seeded(seed, "ppd", *path).integers(2**63))
+
+
+def _rows(iteration: int, batch: int, count: int, seed: int) -> list[int]:
+    """The instances of a batch: epochs one after the other, each in an order of its own."""
+    rows: list[int] = []
+    at = iteration * batch
+    while len(rows) < batch:
+        epoch, offset = divmod(at + len(rows), count)
+        order = seeded(seed, "ppd", "epoch", epoch).permutation(count)
+        rows += order[offset : offset + batch - len(rows)].tolist()
+    return rows
+
+
+def _step(
+    optimizer: torch.optim.Adam,
+    network: nn.Module,
+    terms: Terms,
+    again: Callable[[], Terms],
+    iteration: int,
+) -> None:
+    """One step down the sum of the terms; refuses one that would spoil the weights.
+
+    `again` evaluates the same terms once more, to find the one to blame.
+    """
+    optimizer.zero_grad()
+    total = torch.stack(list(terms.values())).sum()
+    total.backward()
+    gradients = [p.grad for p in network.parameters() if p.grad is not None]
+    if not bool(torch.isfinite(total.detach() + torch.nn.utils.get_total_norm(gradients))):
+        raise TrainingDiverged(
+            f"iteration {iteration + 1}: {_blame(network, again())} is not a finite number; lower "
+            "schedule.learning_rate or that term's weight, and resume from the last checkpoint"
+        )
+    optimizer.step()
+
+
+def _blame(network: nn.Module, terms: Terms) -> str:
+    """The terms that are not finite, or else those whose gradient is not."""
+    bad = [name for name, value in terms.items() if not bool(torch.isfinite(value.detach()))]
+    if bad:
+        return f"the loss {' and '.join(bad)}"
+    parameters = list(network.parameters())
+    for name, value in terms.items():
+        if value.requires_grad:
+            gradients = torch.autograd.grad(value, parameters, retain_graph=True, allow_unused=True)
+            if not all(bool(g.isfinite().all()) for g in gradients if g is not None):
+                bad.append(name)
+    return f"the gradient of {' and '.join(bad or terms)}"

@@ -1,0 +1,52 @@
+"""A small data set of hinged boxes on the disk, with its manifest."""
+
+from pathlib import Path
+
+import numpy as np
+from instances import SMALL, hinged_box
+
+from articugen.manifest import Key, Manifest, Outcome, Timings
+from articugen.shards import write_shard
+
+RECIPE_SHA256 = SMALL.for_one_object().sha256()
+
+
+def write_boxes(folder: Path, *, train: int = 4, test: int = 2, states: int = 3) -> Path:
+    """`train` + `test` objects, each in its canonical pose and at `states` random ones."""
+    folder.mkdir(parents=True, exist_ok=True)
+    rng = np.random.default_rng(5)
+    outcomes = []
+    for index in range(train + test):
+        split = "train" if index < train else "test"
+        name = f"box-{index}"
+        angles = [(0.0, 0.0), *zip(rng.uniform(0, 1.7, states), rng.uniform(0, 0.3, states))]  # noqa: B905
+        rows = hinged_box([(float(a), float(b)) for a, b in angles], object_id=name, seed=index)
+        about = {
+            "category": "box",
+            "split": split,
+            "recipe": SMALL.text(),
+            "recipe_sha256": SMALL.sha256(),
+            "seed": 0,
+            "articugen_version": "0",
+        }
+        record = write_shard(folder / f"{split}-{index:05d}.h5", rows, about)
+        key = Key(
+            split=split,
+            object_id=name,
+            ref="r",
+            recipe_sha256=RECIPE_SHA256,
+            seed=0,
+            generator="0",
+        )
+        outcomes.append(Outcome.of_shard(key, record, input_sha256="f" * 64))
+    timings = Timings(seconds=1.0, instances_per_second=1.0, peak_memory_bytes=1, workers=1)
+    Manifest.of(
+        outcomes,
+        category="box",
+        source="tests",
+        licence="MIT",
+        recipe=SMALL.text(),
+        seed=0,
+        timings=timings,
+    ).write(folder)
+    return folder
