@@ -27,8 +27,8 @@ STAGES = {
 STORE = {"files", "schema", "shards", "manifest", "journal"}
 
 PPD_WITH_TORCH = {
-    "dataset", "discriminator", "kinematics", "losses", "model", "objective", "runs", "shape",
-    "train",
+    "dataset", "discriminator", "evaluate", "kinematics", "losses", "model", "objective",
+    "reconstruct", "runs", "shape", "train",
 }  # fmt: skip
 """The modules of ppd that cannot be imported without torch."""
 

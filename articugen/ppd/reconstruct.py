@@ -1,0 +1,124 @@
+"""What a trained model says of one cloud: part surfaces, joints, and how parts moved."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from articugen.geometry import invert_rigid, rotation_about, transform
+from articugen.ppd.dataset import voxel_centres
+from articugen.ppd.meshing import Floats, surface
+from articugen.ppd.model import PPD
+from articugen.records import Instance, dequantize
+
+FIXED, REVOLUTE, PRISMATIC = 0, 1, 2
+
+_NO_TRIANGLES = np.zeros((0, 3, 3))
+_BLOCK = 1 << 15
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """Parts and joints of one posed shape; P parts, the unit frame, radians.
+
+    Attributes:
+        triangles, part: (F, 3, 3) the surfaces of all parts, (F,) whose each is.
+        whole: (G, 3, 3) the surface of the whole.
+        kind: (P,) FIXED, REVOLUTE or PRISMATIC.
+        state: (P,) joint states, 0 for fixed parts.
+        pivot, direction: (P, 3).
+        T_part: (P, 4, 4) the transform B_i of each part from its rest frame.
+    """
+
+    triangles: Floats
+    part: NDArray[np.int64]
+    whole: Floats
+    kind: NDArray[np.int64]
+    state: Floats
+    pivot: Floats
+    direction: Floats
+    T_part: Floats
+
+    @property
+    def parts(self) -> int:
+        return len(self.kind)
+
+    def motion_to(self, posed: "Reconstruction") -> Floats:
+        """Transform-only reading of how parts moved: B_i(posed) B_i(here)^-1, (P, 4, 4)."""
+        return posed.T_part @ invert_rigid(self.T_part)
+
+    def joint_motion_to(self, posed: "Reconstruction") -> Floats:
+        """Joint-aware reading: this shape's axes and the difference of states, (P, 4, 4)."""
+        motion = np.tile(np.eye(4), (self.parts, 1, 1))
+        change = posed.state - self.state
+        for i in np.flatnonzero(self.kind == REVOLUTE):
+            R = rotation_about(self.direction[i], change[i])
+            motion[i] = transform(R, self.pivot[i] - R @ self.pivot[i])
+        for i in np.flatnonzero(self.kind == PRISMATIC):
+            motion[i, :3, 3] = change[i] * self.direction[i]
+        return motion
+
+
+@torch.no_grad()
+def reconstruct(
+    model: PPD, cloud: Floats, resolution: int, *, residual_direction: bool = True
+) -> Reconstruction:
+    """Reconstruct the shape of a cloud (n, 3) in the unit frame on a grid of `resolution`^3.
+
+    A part's surface encloses where its field is above 0 and the greatest of all.
+    """
+    settings = model.settings
+    device = next(model.parameters()).device
+    given = torch.as_tensor(cloud, dtype=torch.float32, device=device)[None]
+    predicted = model(given, residual_direction=residual_direction)
+    inverse = model.motion(predicted.pose)
+    cells = torch.arange(resolution**3, device=device)
+    field = torch.cat(
+        [
+            model.fields(predicted.shape, inverse, voxel_centres(block, resolution)[None]).product
+            for block in cells.split(_BLOCK)
+        ],
+        2,
+    )[0]
+    logits = field.double().cpu().numpy().reshape(-1, resolution, resolution, resolution)
+    surfaces = [surface(own).corners for own in _own_fields(logits)]
+    R, J = len(settings.revolute), settings.joints
+    pose = predicted.pose
+    T_inverse = np.tile(np.eye(4), (J + 1, 1, 1))
+    T_inverse[:, :3, :3] = inverse.rotation[0].double().cpu().numpy()
+    T_inverse[:, :3, 3] = inverse.offset[0].double().cpu().numpy()
+    return Reconstruction(
+        triangles=np.concatenate([_NO_TRIANGLES, *surfaces]),
+        part=np.repeat(np.arange(J + 1), [len(s) for s in surfaces]),
+        whole=surface(logits.max(0)).corners,
+        kind=np.array([FIXED] + [REVOLUTE] * R + [PRISMATIC] * (J - R)),
+        state=np.append(0.0, pose.state[0].double().cpu().numpy()),
+        pivot=pose.pivot[0].double().cpu().numpy(),
+        direction=np.concatenate([[[0, 0, 1.0]], pose.direction[0].double().cpu().numpy()]),
+        T_part=invert_rigid(T_inverse),
+    )
+
+
+def _own_fields(logits: Floats) -> Floats:
+    """(P, R, R, R): above 0 where a part's field is, and exceeds every other part's."""
+    ordered = np.sort(logits, axis=0)
+    greatest_other = np.where(logits == ordered[-1], ordered[-2], ordered[-1])
+    return np.minimum(logits, logits - greatest_other)
+
+
+def truth(instance: Instance) -> Reconstruction:
+    """The ground truth in the place of a prediction; its surfaces are the stored points."""
+    points = dequantize(instance.surface_points)
+    J = len(instance.joint_kind)
+    triangles = np.repeat(points[:, None], 3, axis=1)
+    return Reconstruction(
+        triangles=triangles,
+        part=instance.surface_part.astype(np.int64),
+        whole=triangles,
+        kind=np.append(FIXED, instance.joint_kind).astype(np.int64),
+        state=np.append(0.0, instance.joint_state),
+        pivot=np.concatenate([np.zeros((1, 3)), instance.joint_pivot]),
+        direction=np.concatenate([[[0, 0, 1.0]], instance.joint_axis]).reshape(J + 1, 3),
+        T_part=instance.part_motion,
+    )
