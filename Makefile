@@ -4,6 +4,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 SOURCE ?= procedural
 OUT    ?= data
+RUNS   ?= runs
 
 articugen := $(VENV)/bin/articugen
 pinned    := $(VENV)/bin/python -m pip install -qq --disable-pip-version-check -c constraints.txt
@@ -13,6 +14,7 @@ generator := $(VENV)/.installed
 testing   := $(VENV)/.installed-test
 dev       := $(VENV)/.installed-dev
 backends  := $(VENV)/.installed-backends
+learner   := $(VENV)/.installed-ppd
 
 options = $(foreach pair,RECIPE:recipe OBJECTS:objects STATES:states JOBS:jobs SEED:seed,\
     $(call option,$(word 1,$(subst :, ,$(pair))),$(word 2,$(subst :, ,$(pair)))))
@@ -20,10 +22,11 @@ replace = $(if $(REPLACE),--replace)
 option = $(if $($(1)),--$(2) "$($(1))")
 
 .DEFAULT_GOAL := help
-.PHONY: help dataset inspect verify test check format bench backends clean
+.PHONY: help dataset inspect verify train evaluate test check format bench backends clean
 
 help:  ## list the targets
 	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1]"
+	@echo "make train CATEGORY=laptop [RECIPE=ppd_quick SEED= OUT= RUNS=]; make evaluate CATEGORY=laptop"
 	@echo
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  \1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
 	@echo
@@ -46,6 +49,20 @@ endif
 
 verify: $(generator)  ## check every byte and the geometry of OUT (or of CATEGORY= alone)
 	@$(articugen) verify "$(OUT)$(if $(CATEGORY),/$(CATEGORY))"
+
+train: $(learner)  ## train PPD on CATEGORY= (RECIPE=ppd_quick, ppd_paper or ppd_release)
+ifdef CATEGORY
+	@$(articugen) train --category "$(CATEGORY)" --data "$(OUT)/$(CATEGORY)" --runs "$(RUNS)" --recipe "$(or $(RECIPE),ppd_quick)" $(if $(SEED),--seed "$(SEED)")
+else
+	@echo "Choose one: make train CATEGORY=laptop" >&2; exit 2
+endif
+
+evaluate: $(learner)  ## evaluate the newest run of CATEGORY= on its test objects
+ifdef CATEGORY
+	@$(articugen) evaluate "$(RUNS)/$(CATEGORY)" --data "$(OUT)/$(CATEGORY)"
+else
+	@echo "Choose one: make evaluate CATEGORY=laptop" >&2; exit 2
+endif
 
 test: $(testing)  ## run the tests; those of absent optional backends are skipped
 	@$(VENV)/bin/python -m pytest $(ARGS)
@@ -82,6 +99,11 @@ $(generator): pyproject.toml constraints.txt | $(VENV)/bin/python
 $(testing): $(generator)
 	@echo "Installing the test tools ..."
 	@$(pinned) --editable '.[test]'
+	@touch $@
+
+$(learner): $(generator)
+	@echo "Installing torch ..."
+	@$(pinned) --editable '.[ppd]'
 	@touch $@
 
 $(dev): $(testing)

@@ -17,6 +17,7 @@ from rich.markup import escape
 
 from articugen import __version__
 from articugen.errors import ArticugenError, CorruptShard
+from articugen.ppd.cli import register as register_ppd
 
 FAILED, REJECTED, INTERRUPTED = 1, 3, 130
 
@@ -264,3 +265,6 @@ def _data_sets(path: Path) -> list[Path]:
     if not folders:
         raise CorruptShard(f"{path}: holds no data set; make one with: articugen generate")
     return folders
+
+
+register_ppd(app, _said_in_one_sentence)

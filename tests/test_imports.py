@@ -60,6 +60,7 @@ MAY_IMPORT: dict[str, set[str]] = {
         "console",
         "inspection",
         "pipeline",
+        "ppd",
         "recipe",
         "replay",
         "sources",
@@ -75,13 +76,13 @@ FOREIGN: dict[str, set[str]] = {
     "lxml": {"sources.urdf", "sources.xml_strict"},
     "trimesh": {"sources.mesh_formats", "replay"},
     "PIL": {"inspection.contact_sheet"},
-    "typer": {"cli"},
-    "rich": {"cli", "console", "inspection.summary", "inspection.tables"},
+    "typer": {"cli", "ppd.cli"},
+    "rich": {"cli", "console", "ppd.cli", "inspection.summary", "inspection.tables"},
     "open3d": {"rendering.embree"},
     "pyrender": {"rendering.opengl"},
     "OpenGL": {"rendering.opengl"},
     "sapien": {"rendering.sapien"},
-    "torch": {f"ppd.{name}" for name in PPD_WITH_TORCH},
+    "torch": {f"ppd.{name}" for name in PPD_WITH_TORCH | {"cli"}},
 }
 """The modules that wrap a library; nobody else imports it."""
 

@@ -1,5 +1,6 @@
 """What a trained model says of one cloud: part surfaces, joints, and how parts moved."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from articugen.geometry import invert_rigid, rotation_about, transform
 from articugen.ppd.dataset import voxel_centres
 from articugen.ppd.meshing import Floats, surface
 from articugen.ppd.model import PPD
+from articugen.ppd.runs import Checkpoint
 from articugen.records import Instance, dequantize
 
 FIXED, REVOLUTE, PRISMATIC = 0, 1, 2
@@ -98,6 +100,22 @@ def reconstruct(
         direction=np.concatenate([[[0, 0, 1.0]], pose.direction[0].double().cpu().numpy()]),
         T_part=invert_rigid(T_inverse),
     )
+
+
+def reconstruction_of(
+    checkpoint: Checkpoint, resolution: int
+) -> Callable[[Instance], Reconstruction]:
+    """What its model makes of an instance's surface points, of as many as it was trained on."""
+    model, recipe = checkpoint.generator(), checkpoint.recipe
+    _, stage = recipe.schedule.at(max(checkpoint.iteration - 1, 0))
+    count = recipe.data.surface_points
+
+    def of_instance(instance: Instance) -> Reconstruction:
+        cloud = dequantize(instance.surface_points[:count])
+        residual = stage.residual_direction
+        return reconstruct(model, cloud, resolution, residual_direction=residual)
+
+    return of_instance
 
 
 def _own_fields(logits: Floats) -> Floats:
