@@ -32,6 +32,10 @@ def register(app: typer.Typer, said_in_one_sentence: Said) -> None:
         "articugen train --category laptop --data data/laptop --resume runs/laptop/000"
     )(train)
     app.command(epilog="Example: articugen evaluate runs/laptop --data data/laptop")(evaluate)
+    app.command(
+        epilog="Examples:\n\narticugen predict runs/laptop data/laptop/test-00000.h5 --row 3\n\n"
+        "articugen predict runs/laptop cloud.npy --out rig"
+    )(predict)
 
 
 def train(
@@ -99,9 +103,10 @@ def evaluate(
         from articugen.files import write_atomically
         from articugen.ppd.evaluate import Protocol
         from articugen.ppd.evaluate import evaluate as run_evaluation
-        from articugen.ppd.reconstruct import reconstruction_of
+        from articugen.ppd.reconstruct import reconstruction_from
         from articugen.ppd.report import markdown
         from articugen.ppd.runs import LATEST, read_checkpoint
+        from articugen.records import dequantize
 
         if threads:
             torch.set_num_threads(threads)
@@ -109,10 +114,11 @@ def evaluate(
             raise ArticugenError(f"--label-poses {label_poses}: canonical or all")
         folder = _newest(run)
         checkpoint = read_checkpoint(folder / LATEST)
+        see = reconstruction_from(checkpoint, resolution)
         with _err.status("evaluating ...") as status:
             result = run_evaluation(
                 data,
-                reconstruction_of(checkpoint, resolution),
+                lambda instance: see(dequantize(instance.surface_points)),
                 Protocol(label_poses=label_poses, test_states=states),
                 on_object=lambda name: status.update(f"evaluated {name}"),
             )
@@ -121,6 +127,31 @@ def evaluate(
         write_atomically(folder / "evaluation.md", table.encode())
         _out.print(table, soft_wrap=True, markup=False)
         _out.print(f"written: {folder}/evaluation.json, evaluation.md", soft_wrap=True)
+
+
+def predict(
+    run: Annotated[Path, typer.Argument(help="A run's folder, or that of a category's runs.")],
+    cloud: Annotated[
+        Path, typer.Argument(help="A shard, or (n, 3) points in the unit frame as .npy.")
+    ],
+    row: Annotated[int, typer.Option(min=0, help="Which instance of the shard.")] = 0,
+    out: Annotated[Path, typer.Option(help="The folder for meshes and URDF.")] = Path("rig"),
+    resolution: Annotated[int, typer.Option(min=8, max=256, help="Of the meshes' grid.")] = 64,
+) -> None:
+    """Segment and rig a shape: a mesh for each part, and a URDF with the predicted joints."""
+    with _said():
+        _torch()
+        from articugen.ppd.predict import cloud_from, write_rig
+        from articugen.ppd.reconstruct import reconstruction_from
+        from articugen.ppd.runs import LATEST, read_checkpoint
+
+        checkpoint = read_checkpoint(_newest(run) / LATEST)
+        found = reconstruction_from(checkpoint, resolution)(cloud_from(cloud, row))
+        path = write_rig(found, out)
+        for i in sorted(set(found.part.tolist())):
+            kind = ("fixed", "revolute", "prismatic")[found.kind[i]]
+            _out.print(f"part {i}: {kind}, state {found.state[i]:.3f}")
+        _out.print(f"written: {path}", soft_wrap=True)
 
 
 def _torch():

@@ -102,20 +102,19 @@ def reconstruct(
     )
 
 
-def reconstruction_of(
+def reconstruction_from(
     checkpoint: Checkpoint, resolution: int
-) -> Callable[[Instance], Reconstruction]:
-    """What its model makes of an instance's surface points, of as many as it was trained on."""
+) -> Callable[[Floats], Reconstruction]:
+    """What its model makes of a cloud, of as many points as it was trained on."""
     model, recipe = checkpoint.generator(), checkpoint.recipe
     _, stage = recipe.schedule.at(max(checkpoint.iteration - 1, 0))
-    count = recipe.data.surface_points
 
-    def of_instance(instance: Instance) -> Reconstruction:
-        cloud = dequantize(instance.surface_points[:count])
+    def of_cloud(cloud: Floats) -> Reconstruction:
+        some = cloud[: recipe.data.surface_points]
         residual = stage.residual_direction
-        return reconstruct(model, cloud, resolution, residual_direction=residual)
+        return reconstruct(model, some, resolution, residual_direction=residual)
 
-    return of_instance
+    return of_cloud
 
 
 def _own_fields(logits: Floats) -> Floats:

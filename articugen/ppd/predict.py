@@ -1,0 +1,110 @@
+"""A rigged model from one cloud: a mesh a part, and a URDF whose joints are the predicted ones."""
+
+import math
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+
+from articugen.errors import ArticugenError, InvalidSource
+from articugen.files import write_atomically
+from articugen.ppd.meshing import Floats
+from articugen.ppd.reconstruct import FIXED, REVOLUTE, Reconstruction
+from articugen.records import dequantize
+from articugen.shards import open_shard
+
+FEWEST_POINTS = 64
+
+
+def cloud_from(path: Path, row: int = 0) -> Floats:
+    """The surface points of a shard's instance, or (n, 3) points from a .npy file.
+
+    Raises:
+        InvalidSource, CorruptShard: the file cannot be read, or is no cloud to make sense of.
+    """
+    if path.suffix == ".h5":
+        with open_shard(path) as shard:
+            if row >= len(shard):
+                raise InvalidSource(f"{path}: has {len(shard)} instances, there is no row {row}")
+            return checked_cloud(dequantize(shard.read("surface_points", row)), str(path))
+    try:
+        stored = np.load(path, allow_pickle=False)
+    except (OSError, ValueError) as error:
+        raise InvalidSource(f"{path}: neither a shard (.h5) nor a .npy file ({error})") from None
+    return checked_cloud(np.asarray(stored, np.float64), str(path))
+
+
+def checked_cloud(cloud: Floats, name: str) -> Floats:
+    """The cloud (n, 3), if it is one that can be made sense of.
+
+    Raises:
+        InvalidSource: too few points, numbers that are not finite, or points outside the unit cube.
+    """
+    if cloud.ndim != 2 or cloud.shape[1] != 3 or len(cloud) < FEWEST_POINTS:
+        raise InvalidSource(f"{name}: {cloud.shape} numbers, not {FEWEST_POINTS} points or more")
+    if not np.isfinite(cloud).all():
+        raise InvalidSource(f"{name}: has points that are not finite numbers; remove them")
+    if np.abs(cloud).max() > 0.5:
+        raise InvalidSource(f"{name}: reaches beyond [-0.5, 0.5]^3; bring it into the unit frame")
+    return cloud
+
+
+def write_rig(found: Reconstruction, folder: Path, name: str = "predicted") -> Path:
+    """Write part_<i>.obj and <name>.urdf; every joint is 0 where the cloud has it.
+
+    The base link is part 0, or an empty one where that has no surface. A part's link sits at its
+    pivot; limits reach from joint state 0 to pi (revolute) or to 1 (prismatic).
+
+    Raises:
+        ArticugenError: there is no surface at all, or the folder cannot be written to.
+    """
+    if not len(found.triangles):
+        raise ArticugenError(f"{folder}: the model sees no surface in this cloud; nothing to write")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ArticugenError(f"{folder}: cannot be made ({error.strerror})") from None
+    robot = ET.Element("robot", name=name)
+    for i in range(found.parts):
+        triangles = found.triangles[found.part == i]
+        if i and not len(triangles):
+            continue
+        origin = found.pivot[i] if found.kind[i] == REVOLUTE else np.zeros(3)
+        link = ET.SubElement(robot, "link", name=f"part_{i}")
+        if len(triangles):
+            file = f"part_{i}.obj"
+            write_atomically(folder / file, _obj(triangles - origin))
+            ET.SubElement(
+                ET.SubElement(ET.SubElement(link, "visual"), "geometry"), "mesh", filename=file
+            )
+        if found.kind[i] != FIXED:
+            _joint(robot, found, i, origin)
+    path = folder / f"{name}.urdf"
+    ET.indent(robot)
+    write_atomically(path, ET.tostring(robot, encoding="utf-8", xml_declaration=True) + b"\n")
+    return path
+
+
+def _joint(robot: ET.Element, found: Reconstruction, i: int, origin: Floats) -> None:
+    revolute = found.kind[i] == REVOLUTE
+    most, state = (math.pi if revolute else 1.0), float(found.state[i])
+    joint = ET.SubElement(
+        robot, "joint", name=f"joint_{i}", type="revolute" if revolute else "prismatic"
+    )
+    ET.SubElement(joint, "parent", link="part_0")
+    ET.SubElement(joint, "child", link=f"part_{i}")
+    ET.SubElement(joint, "origin", xyz=_text(origin), rpy="0 0 0")
+    ET.SubElement(joint, "axis", xyz=_text(found.direction[i] / np.linalg.norm(found.direction[i])))
+    lower, upper = f"{-state:.9g}", f"{most - state:.9g}"
+    ET.SubElement(joint, "limit", lower=lower, upper=upper, effort="1", velocity="1")
+
+
+def _text(vector: Floats) -> str:
+    return " ".join(f"{x:.9g}" for x in vector)
+
+
+def _obj(triangles: Floats) -> bytes:
+    vertices, faces = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
+    lines = [f"v {_text(v)}" for v in vertices]
+    lines += [f"f {a} {b} {c}" for a, b, c in (faces.reshape(-1, 3) + 1).tolist()]
+    return ("\n".join(lines) + "\n").encode()

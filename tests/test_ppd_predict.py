@@ -1,0 +1,83 @@
+"""Rigged predictions: what is written is read back by yourdfpy and moves as predicted."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from instances import hinged_box
+from yourdfpy import URDF
+
+from articugen.errors import ArticugenError, InvalidSource
+from articugen.geometry import apply
+
+pytest.importorskip("torch", reason="PPD needs torch")
+
+from articugen.ppd.meshing import distance, surface
+from articugen.ppd.predict import checked_cloud, cloud_from, write_rig
+from articugen.ppd.reconstruct import Reconstruction, truth
+
+
+def three_balls() -> Reconstruction:
+    """The hinged box's joints with a ball for each part: base, lid, knob (all on part 0)."""
+    (instance,) = hinged_box([(0.4, 0.1)])
+    found = truth(instance)
+    at = (np.arange(16) + 0.5) / 16 - 0.5
+    grid = np.stack(np.meshgrid(at, at, at, indexing="ij"), -1)
+    balls = [
+        surface(0.1 - np.linalg.norm(grid - centre, axis=-1)).corners
+        for centre in ([0, 0, -0.3], [0.1, 0, 0.1], [-0.2, 0.2, 0.2])
+    ]
+    return dataclasses.replace(
+        found, triangles=np.concatenate(balls), part=np.repeat([0, 1, 2], [len(b) for b in balls])
+    )
+
+
+def test_a_rig_moves_as_predicted(tmp_path):
+    found = three_balls()
+    robot = URDF.load(str(write_rig(found, tmp_path)))
+    assert robot.actuated_joint_names == ["joint_1", "joint_2"]
+    more = np.array([0.0, 0.5, -0.05])
+    moved = dataclasses.replace(found, state=found.state + more)
+    motion = found.joint_motion_to(moved)
+    for value, T in ((0 * more, np.tile(np.eye(4), (3, 1, 1))), (more, motion)):
+        robot.update_cfg({f"joint_{i}": value[i] for i in (1, 2)})
+        for i in range(3):
+            T_world = robot.get_transform(f"part_{i}", "part_0")
+            (mesh,) = [
+                robot.scene.geometry[name] for name in robot.scene.geometry if f"part_{i}" in name
+            ]
+            posed = apply(T_world, mesh.vertices)
+            wanted = apply(T[i], found.triangles[found.part == i].reshape(-1, 3)).reshape(-1, 3, 3)
+            assert distance(posed, wanted).max() < 1e-6
+    limit = robot.joint_map["joint_1"].limit
+    assert limit.lower == pytest.approx(-0.4)
+    assert limit.upper == pytest.approx(np.pi - 0.4)
+
+
+def test_no_surface_is_said(tmp_path):
+    found = three_balls()
+    empty = dataclasses.replace(found, triangles=np.zeros((0, 3, 3)), part=np.zeros(0, int))
+    with pytest.raises(ArticugenError, match="sees no surface"):
+        write_rig(empty, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("cloud", "said"),
+    [
+        (np.zeros((10, 3)), "not 64 points"),
+        (np.full((100, 3), np.nan), "not finite"),
+        (np.full((100, 3), 0.7), "unit frame"),
+    ],
+)
+def test_bad_clouds_are_refused(cloud, said):
+    with pytest.raises(InvalidSource, match=said):
+        checked_cloud(cloud, "cloud.ply")
+
+
+def test_clouds_are_read_from_arrays(tmp_path):
+    points = np.random.default_rng(0).uniform(-0.4, 0.4, (100, 3))
+    np.save(tmp_path / "cloud.npy", points)
+    np.testing.assert_array_equal(cloud_from(tmp_path / "cloud.npy"), points)
+    (tmp_path / "cloud.txt").write_text("hello")
+    with pytest.raises(InvalidSource, match="neither a shard"):
+        cloud_from(tmp_path / "cloud.txt")
