@@ -22,7 +22,7 @@ replace = $(if $(REPLACE),--replace)
 option = $(if $($(1)),--$(2) "$($(1))")
 
 .DEFAULT_GOAL := help
-.PHONY: help dataset inspect verify train evaluate test check format bench backends clean
+.PHONY: help dataset inspect verify train evaluate test check format bench backends learner clean
 
 help:  ## list the targets
 	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1]"
@@ -81,6 +81,8 @@ bench: $(testing)  ## measure speed, exactness and memory beside other tools (AR
 	@$(VENV)/bin/python -m tests.benchmarks $(ARGS)
 
 backends: $(backends)  ## install the optional renderers: open3d, pyrender, sapien
+
+learner: $(learner)  ## install torch, which train and evaluate need
 
 clean:  ## remove caches and build files; keep data and the environment
 	@rm -rf build dist .pytest_cache .ruff_cache .hypothesis
