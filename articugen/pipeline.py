@@ -40,6 +40,7 @@ GENERATING_CODE = (
     "instance.py",
     "reachable.py",
     "recipe.py",
+    "recipe_files.py",
     "records.py",
     "rendering",
     "sampling.py",

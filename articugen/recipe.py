@@ -4,18 +4,14 @@ A recipe may say `extends: <name>`; `extends: category` means the category's own
 keys are refused with the nearest valid name. The hash of the resolved recipe is its identity.
 """
 
-import difflib
 import hashlib
 import json
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from articugen.errors import InvalidRecipe
-
-RECIPE_FOLDER = Path(__file__).resolve().parent.parent / "recipes"
+from articugen.recipe_files import RECIPE_FOLDER, find, resolved, validated
 
 
 class _Section(BaseModel):
@@ -142,73 +138,15 @@ def load_recipe(name: str | Path | None, category: str) -> Recipe:
     Raises:
         InvalidRecipe: no such recipe, bad YAML, an unknown key or a bad value.
     """
-    path = _category_recipe(category) if name is None else _find(str(name))
-    data = _resolve(path, category, chain=())
-    return _validate(data | {"name": data.get("name", path.stem)}, path)
+
+    def base_of(base: str) -> Path:
+        return _category_recipe(category) if base == "category" else find(base, learner=False)
+
+    path = _category_recipe(category) if name is None else find(str(name), learner=False)
+    data = resolved(path, base_of)
+    return validated(Recipe, {"name": path.stem} | data, str(path))
 
 
 def _category_recipe(category: str) -> Path:
     own = RECIPE_FOLDER / f"{category}.yaml"
     return own if own.is_file() else RECIPE_FOLDER / "default.yaml"
-
-
-def _find(name: str) -> Path:
-    for path in (RECIPE_FOLDER / f"{name}.yaml", Path(name)):
-        if path.is_file():
-            return path
-    known = sorted(p.stem for p in RECIPE_FOLDER.glob("*.yaml"))
-    raise InvalidRecipe(f"no recipe {name!r}{nearest(name, known)}; there are: {', '.join(known)}")
-
-
-def _resolve(path: Path, category: str, chain: tuple[Path, ...]) -> dict[str, Any]:
-    if path in chain:
-        raise InvalidRecipe(f"{path}: extends itself")
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
-    except OSError as error:
-        raise InvalidRecipe(f"{path}: cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InvalidRecipe(f"{path}: not YAML: {' '.join(str(error).split())}") from None
-    if not isinstance(data, dict) or not all(isinstance(key, str) for key in data):
-        raise InvalidRecipe(f"{path}: a recipe is a mapping of keys to values")
-    base = data.pop("extends", None)
-    if base is None:
-        return data
-    base_path = _category_recipe(category) if base == "category" else _find(str(base))
-    return _merged(_resolve(base_path, category, (*chain, path)), data)
-
-
-def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    merged = dict(base)
-    for key, value in over.items():
-        nested = isinstance(value, dict) and isinstance(base.get(key), dict)
-        merged[key] = _merged(base[key], value) if nested else value
-    return merged
-
-
-def _validate(data: dict[str, Any], path: Path) -> Recipe:
-    try:
-        return Recipe.model_validate(data)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        if first["type"] == "extra_forbidden":
-            hint = nearest(str(first["loc"][-1]), _keys_at(first["loc"][:-1]))
-            raise InvalidRecipe(f"{path}: unknown key {where!r}{hint}") from None
-        message = first["msg"].removeprefix("Value error, ")
-        raise InvalidRecipe(f"{path}: {where}: {message}") from None
-
-
-def _keys_at(location: tuple[int | str, ...]) -> list[str]:
-    section: type[BaseModel] = Recipe
-    for name in location:
-        annotation = section.model_fields[str(name)].annotation
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            section = annotation
-    return list(section.model_fields)
-
-
-def nearest(name: str, known: list[str]) -> str:
-    """The hint "; did you mean 'x'?", or nothing where no known name is near."""
-    close = difflib.get_close_matches(name, known, n=1)
-    return f"; did you mean {close[0]!r}?" if close else ""

@@ -12,7 +12,7 @@ import articugen
 
 PACKAGE = Path(articugen.__file__).parent
 
-BASE = {"errors", "geometry", "records", "seeding", "recipe"}
+BASE = {"errors", "geometry", "records", "seeding", "recipe", "recipe_files"}
 STAGES = {
     "articulation": set(),
     "rendering": set(),
@@ -37,7 +37,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "geometry": set(),
     "seeding": set(),
     "records": {"geometry"},
-    "recipe": {"errors"},
+    "recipe_files": {"errors"},
+    "recipe": {"recipe_files"},
     **{stage: BASE | own for stage, own in STAGES.items()},
     "instance": BASE | set(STAGES),
     "files": {"errors"},

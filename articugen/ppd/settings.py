@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from articugen.errors import InvalidRecipe
-from articugen.recipe import RECIPE_FOLDER, nearest
+from articugen.recipe_files import find, resolved, validated
 
 Direction = tuple[float, float, float]
 
@@ -190,8 +189,8 @@ def load_train_recipe(name: str | Path) -> TrainRecipe:
     Raises:
         InvalidRecipe: no such recipe, bad YAML, an unknown key or a bad value.
     """
-    path = _find(str(name))
-    data = _resolved(path, chain=())
+    path = find(str(name), learner=True)
+    data = resolved(path, lambda base: find(base, learner=True))
     return parse_train_recipe({"name": path.stem} | data, str(path))
 
 
@@ -201,58 +200,4 @@ def parse_train_recipe(data: dict[str, Any], where: str) -> TrainRecipe:
     Raises:
         InvalidRecipe: an unknown key or a bad value.
     """
-    try:
-        return TrainRecipe.model_validate(data)
-    except ValidationError as error:
-        faults = error.errors()
-        first = next((f for f in faults if f["type"] == "extra_forbidden"), faults[0])
-        key = ".".join(map(str, first["loc"]))
-        if first["type"] == "extra_forbidden":
-            hint = nearest(str(first["loc"][-1]), _keys_at(first["loc"][:-1]))
-            raise InvalidRecipe(f"{where}: unknown key {key!r}{hint}") from None
-        message = first["msg"].removeprefix("Value error, ")
-        raise InvalidRecipe(f"{where}: {key}: {message}") from None
-
-
-def _find(name: str) -> Path:
-    for path in (RECIPE_FOLDER / f"{name}.yaml", Path(name)):
-        if path.is_file():
-            return path
-    known = sorted(path.stem for path in RECIPE_FOLDER.glob("ppd_*.yaml"))
-    hint = nearest(name, known)
-    raise InvalidRecipe(f"no training recipe {name!r}{hint}; there are: {', '.join(known)}")
-
-
-def _resolved(path: Path, chain: tuple[Path, ...]) -> dict[str, Any]:
-    if path in chain:
-        raise InvalidRecipe(f"{path}: extends itself")
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
-    except OSError as error:
-        raise InvalidRecipe(f"{path}: cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InvalidRecipe(f"{path}: not YAML: {' '.join(str(error).split())}") from None
-    if not isinstance(data, dict) or not all(isinstance(key, str) for key in data):
-        raise InvalidRecipe(f"{path}: a recipe is a mapping of keys to values")
-    base = data.pop("extends", None)
-    return data if base is None else _merged(_resolved(_find(str(base)), (*chain, path)), data)
-
-
-def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    merged = dict(base)
-    for key, value in over.items():
-        nested = isinstance(value, dict) and isinstance(base.get(key), dict)
-        merged[key] = _merged(base[key], value) if nested else value
-    return merged
-
-
-def _keys_at(location: tuple[int | str, ...]) -> list[str]:
-    section: type[BaseModel] = TrainRecipe
-    for name in location:
-        field = section.model_fields.get(str(name))
-        annotation = field.annotation if field else Stage
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            section = annotation
-        else:
-            section = Stage
-    return list(section.model_fields)
+    return validated(TrainRecipe, data, where)

@@ -13,7 +13,7 @@ import numpy as np
 
 from articugen.errors import InvalidSource
 from articugen.geometry import rotation_about, transform
-from articugen.recipe import nearest
+from articugen.recipe_files import nearest
 from articugen.records import ArticulatedObject
 from articugen.sources.discovery import Found, any_models, layout, model_category, models_for
 from articugen.sources.source_file import CategorySettings, SourceFile, read_source_file

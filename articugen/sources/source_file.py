@@ -15,7 +15,7 @@ from pydantic import (
 )
 
 from articugen.errors import InvalidSource
-from articugen.recipe import nearest
+from articugen.recipe_files import nearest
 
 Reader = Literal["urdf", "procedural", "partnet_mobility", "shape2motion"]
 Share = NonNegativeInt | tuple[str, ...] | None
