@@ -1,6 +1,8 @@
 """Tables and pictures of shards, checked against spheres, boxes and counts made by hand."""
 
 import io
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,26 +14,32 @@ from PIL import Image
 from rich.console import Console
 
 from articugen.errors import ArticugenError, CorruptShard
-from articugen.geometry import fibonacci_sphere
+from articugen.geometry import fibonacci_sphere, invert_rigid, rotation_about, transform
+from articugen.inspection.camera import framed
+from articugen.inspection.cells import cells_of, near
 from articugen.inspection.contact_sheet import COLOURS, PAPER, contact_sheet
+from articugen.inspection.light import Cloud, occlusion, occlusion_in_detail
 from articugen.inspection.summary import histogram, shards_of, summary
-from articugen.inspection.surfels import draw, framed, occlusion_at, surfels
+from articugen.inspection.surfels import Sample, draw, surfels
 from articugen.inspection.tables import duration, size
 from articugen.recipe import Recipe
+from articugen.records import Instance
 from articugen.shards import write_shard
 
-ONE_PART = np.zeros(6000, np.uint8)
+
+def one_part(points: np.ndarray, normals: np.ndarray) -> Sample:
+    return Sample(points, normals, np.zeros(len(points), np.uint8))
 
 
-def sphere(radius: float, count: int = 6000):
-    rng = np.random.default_rng(0)
+def sphere(radius: float, count: int = 6000, seed: int = 0):
+    rng = np.random.default_rng(seed)
     normals = rng.normal(size=(count, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return radius * normals, normals
 
 
-def cube(half: float, count: int = 6000):
-    rng = np.random.default_rng(0)
+def cube(half: float, count: int = 6000, seed: int = 0):
+    rng = np.random.default_rng(seed)
     points = rng.uniform(-half, half, (count, 3))
     axis, side = rng.integers(3, size=count), rng.choice((-1.0, 1.0), count)
     normals = np.zeros((count, 3))
@@ -40,10 +48,16 @@ def cube(half: float, count: int = 6000):
     return points, normals
 
 
-def shard(folder: Path, recipe: Recipe = SMALL, **changed: object) -> Path:
-    instances = [
+def boxes(recipe: Recipe = SMALL) -> list[Instance]:
+    """Three objects in four states each."""
+    return [
         instance for k in range(3) for instance in hinged_box(object_id=f"box-{k}", recipe=recipe)
     ]
+
+
+def shard(
+    folder: Path, recipe: Recipe = SMALL, instances: Sequence[Instance] | None = None
+) -> Path:
     path = folder / "train-00000.h5"
     about = {
         "category": "box",
@@ -53,7 +67,7 @@ def shard(folder: Path, recipe: Recipe = SMALL, **changed: object) -> Path:
         "seed": 0,
         "articugen_version": "0",
     }
-    write_shard(path, instances, about | changed)
+    write_shard(path, instances or boxes(recipe), about)
     return path
 
 
@@ -66,10 +80,9 @@ def printed(shards: list[Path]) -> str:
 def test_a_sphere_of_discs_is_seen_where_the_sphere_is() -> None:
     points, normals = sphere(0.4)
     camera = framed(points, 0.7, 0.4, 128, fill=0.8)
-    depth, seen_normals, values = draw(
-        surfels(points, normals, ONE_PART), 0.5 + normals / 2, camera
-    )
-    rays = camera.rays()
+    discs = surfels([one_part(points, normals)])
+    depth, seen_normals, values = draw(discs, 0.5 + discs.normals / 2, camera)
+    rays = camera.rays
     a, b = (rays**2).sum(-1), rays @ camera.eye
     c = camera.eye @ camera.eye - 0.4**2
     root = b * b - a * c
@@ -86,7 +99,7 @@ def test_discs_end_at_the_edges_of_a_cube() -> None:
     """The silhouette is the cube's, to a pixel or so, though the discs are five pixels wide."""
     points, normals = cube(0.3)
     camera = framed(points, 0.0, 0.0, 128, fill=0.8)
-    discs = surfels(points, normals, ONE_PART)
+    discs = surfels([one_part(points, normals)])
     depth, _, _ = draw(discs, np.zeros((len(points), 1)), camera)
     assert camera.focal * discs.radius.mean() / 3.2 > 4.0
     rows, columns = np.nonzero(np.isfinite(depth))
@@ -108,25 +121,115 @@ def test_what_is_framed_fits_the_image(azimuth: float, elevation: float, fill: f
     np.testing.assert_allclose(u.max(axis=0) + u.min(axis=0), 100.0)
 
 
+def test_more_samples_make_smaller_discs_where_they_cover() -> None:
+    """Six samples of a sphere, all of its upper half, one of its lower half too."""
+    samples = []
+    for seed in range(6):
+        points, normals = sphere(0.4, 3000, seed)
+        kept = (points[:, 2] > 0.0) | (seed == 0)
+        samples.append(one_part(points[kept], normals[kept]))
+    discs = surfels(samples)
+    alone = np.sqrt(4 * np.pi * 0.4**2 / 3000)
+    assert len(discs.points) == sum(len(sample.points) for sample in samples)
+    assert np.median(discs.spacing[discs.points[:, 2] < -0.1]) == pytest.approx(alone, rel=0.06)
+    upper = np.median(discs.spacing[discs.points[:, 2] > 0.1])
+    assert upper == pytest.approx(alone / np.sqrt(6), rel=0.06)
+    camera = framed(discs.points, 0.7, 0.0, 128, fill=0.8)
+    depth, _, _ = draw(discs, np.zeros((len(discs.points), 0)), camera)
+    from_middle = np.hypot(*(np.indices((128, 128)) + 0.5 - 64.0))
+    assert np.isfinite(depth[from_middle < 50]).all()
+    assert np.isinf(depth[from_middle > 53]).all()
+
+
+def test_discs_move_with_their_parts() -> None:
+    points, normals = cube(0.2)
+    parts = np.repeat(np.arange(2, dtype=np.uint8), 3000)
+    at_rest = Sample(points + 0.25 * parts[:, None] * np.array([1.0, 0.0, 0.0]), normals, parts)
+    T_part = np.stack([np.eye(4), transform(rotation_about((0, 0, 1), 0.7), (0.1, 0.0, 0.2))])
+    posed = at_rest.moved(T_part)
+    back = posed.moved(invert_rigid(T_part))
+    np.testing.assert_allclose(back.points, at_rest.points, atol=1e-12)
+    camera = framed(posed.points, 0.5, 0.4, 96, fill=0.8)
+    pictures = []
+    for discs in (surfels([at_rest]).moved(T_part), surfels([posed])):
+        pictures.append(draw(discs, discs.part[:, None].astype(float), camera))
+    (depth, normal, part), (want, want_normal, want_part) = pictures
+    both = np.isfinite(depth) & np.isfinite(want)
+    assert both.sum() > 0.97 * (np.isfinite(depth) | np.isfinite(want)).sum()
+    assert np.median(np.abs(depth[both] - want[both])) < 1e-6
+    assert np.mean((normal * want_normal).sum(-1)[both] > 0.99) > 0.97
+    assert np.mean(np.abs(part - want_part)[both] < 0.1) > 0.98
+
+
+@given(st.integers(1, 200), st.floats(0.01, 2.0), st.floats(0.01, 2.0), st.integers(0, 99))
+def test_cells_find_what_is_near(count: int, side: float, reach: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points, at = rng.normal(size=(count, 3)), 1.5 * rng.normal(size=3)
+    found = np.empty(count, np.int64)
+    have = found[: near(cells_of(points, side), points, at, reach, found)]
+    want = np.flatnonzero(((points - at) ** 2).sum(axis=1) < reach * reach)
+    assert sorted(have.tolist()) == want.tolist()
+
+
+def cloud(points: np.ndarray, normals: np.ndarray, area: float) -> Cloud:
+    return Cloud(points, normals, np.full(len(points), area / len(points)))
+
+
 def test_a_sphere_hides_nothing_of_its_own_sky_and_its_share_of_others() -> None:
     points, normals = sphere(0.4)
-    discs = surfels(points, normals, ONE_PART)
-    assert discs.spacing == pytest.approx(np.sqrt(4 * np.pi * 0.4**2 / len(points)), rel=0.05)
-    assert discs.light.min() > 0.99
+    spacing = np.sqrt(4 * np.pi * 0.4**2 / len(points))
+    assert one_part(points, normals).spacing() == pytest.approx(spacing, rel=0.08)
+    ball = cloud(points, normals, 4 * np.pi * 0.4**2)
+    assert occlusion(points, normals, ball).max() < 0.01
     # A sphere of radius r straight above at distance d hides (r / d)^2 of a cosine-weighted sky.
     below = np.array([[0.0, 0.0, -0.8], [0.0, 0.0, -1.6]])
     up = np.array([[0.0, 0.0, 1.0]] * 2)
-    np.testing.assert_allclose(occlusion_at(below, up, discs), [0.25, 0.0625], rtol=0.05)
+    np.testing.assert_allclose(occlusion(below, up, ball), [0.25, 0.0625], rtol=0.05)
 
 
-def test_the_bottom_of_a_box_is_darker_than_its_rim() -> None:
-    points, normals = cube(0.3)
-    top = points[:, 2] == 0.3
-    discs = surfels(points[~top], -normals[~top], ONE_PART[: (~top).sum()])
-    floor = points[~top, 2] == -0.3
-    rim = ~floor & (points[~top, 2] > 0.25)
-    assert discs.light[floor].mean() < 0.35
-    assert discs.light[rim].mean() > discs.light[floor].mean() + 0.2
+def test_even_directions_light_evenly() -> None:
+    """The discs of a regular covering do not shade each other either."""
+    normals = fibonacci_sphere(4000)
+    ball = cloud(0.5 * normals, normals, np.pi)
+    assert occlusion_in_detail(0.5 * normals, normals, ball, ball).max() < 0.01
+
+
+def open_box(count: int, seed: int) -> Cloud:
+    points, normals = cube(0.3, count, seed)
+    kept = points[:, 2] < 0.3
+    return cloud(points[kept], -normals[kept], 5 * 0.6**2)
+
+
+def view_factor(a: float, b: float, c: float) -> float:
+    """From a small square to a parallel a x b rectangle at distance c, one corner above the square.
+
+    Howell, "A catalog of radiation heat transfer configuration factors", B-3.
+    """
+    A, B = a / c, b / c
+    along = A / np.hypot(1, A) * np.arctan(B / np.hypot(1, A))
+    across = B / np.hypot(1, B) * np.arctan(A / np.hypot(1, B))
+    return (along + across) / (2 * np.pi)
+
+
+@pytest.mark.parametrize(("from_wall", "tolerance"), [(0.3, 0.02), (0.1, 0.04), (0.03, 0.15)])
+def test_over_the_floor_of_an_open_box_the_sky_is_its_mouth(
+    from_wall: float, tolerance: float
+) -> None:
+    coarse, fine = open_box(8000, 0), open_box(64000, 1)
+    x = np.linspace(-0.2, 0.2, 100)
+    at = np.stack([x, np.full(100, from_wall - 0.3), np.full(100, -0.3)], axis=1)
+    mouth = [
+        sum(
+            view_factor(a, b, 0.6) for a in (0.3 + u, 0.3 - u) for b in (from_wall, 0.6 - from_wall)
+        )
+        for u in x
+    ]
+    up = np.tile((0.0, 0.0, 1.0), (100, 1))
+    hidden = occlusion_in_detail(at, up, coarse, fine)
+    assert np.mean(1.0 - hidden) == pytest.approx(np.mean(mouth), abs=tolerance)
+    assert np.std(1.0 - hidden - mouth) < 0.08
+    if from_wall > 0.2:
+        np.testing.assert_allclose(hidden, occlusion(at, up, fine), atol=0.05)
 
 
 def test_a_sheet_has_a_picture_for_each_state_and_each_parts_colour(tmp_path: Path) -> None:
@@ -145,6 +248,25 @@ def test_a_sheet_has_a_picture_for_each_state_and_each_parts_colour(tmp_path: Pa
     for colour in COLOURS[1:3]:  # the lid's and the knob's
         want = np.frombuffer(bytes.fromhex(colour[1:]), np.uint8).astype(float)
         assert (np.abs(hue - want / want.sum()).max(axis=-1) < 0.06).sum() > 50
+
+
+def first_tile(folder: Path, instances: Sequence[Instance]) -> np.ndarray:
+    contact_sheet([shard(folder, instances=instances)], folder / "s.png", objects=1, states=1)
+    with Image.open(folder / "s.png") as sheet:
+        return np.asarray(sheet.convert("RGB"), np.float64)
+
+
+def test_every_instance_has_its_share_in_a_picture(tmp_path: Path) -> None:
+    """The canonical pose is drawn alike from one and from four instances, as long as the motions
+    of the others are right; where one is not, the lid is seen where it should not be."""
+    box = hinged_box()
+    alone, pooled = first_tile(tmp_path, box[:1]), first_tile(tmp_path, box)
+    T_part = box[2].part_motion.copy()
+    T_part[1, :3, 3] += (0.0, 0.0, 0.1)
+    wrong = first_tile(tmp_path, [*box[:2], replace(box[2], part_motion=T_part), box[3]])
+    far_off = [(np.abs(tile - pooled).max(axis=-1) > 60).sum() for tile in (alone, wrong)]
+    assert 0 < far_off[0] < 1000
+    assert far_off[1] > 4 * far_off[0]
 
 
 def test_a_sheet_needs_surface_points(tmp_path: Path) -> None:
@@ -215,9 +337,3 @@ def test_sizes_and_times_are_written_for_people() -> None:
         7260: "2 h 1 min",
     }
     assert {t: duration(t) for t in times} == times
-
-
-def test_even_directions_light_evenly() -> None:
-    """The discs of a regular covering do not shade each other either."""
-    normals = fibonacci_sphere(4000)
-    assert surfels(0.5 * normals, normals, ONE_PART[:4000]).light.min() > 0.99

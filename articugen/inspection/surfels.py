@@ -3,13 +3,17 @@
 A shard holds points with normals, not triangles, so the picture shows just what was stored.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.geometry import apply, look_along
+from articugen.geometry import apply
+from articugen.inspection.camera import Camera
+from articugen.inspection.cells import cells_of, near
+from articugen.inspection.light import Cloud
 
 Array = NDArray[np.float64]
 
@@ -22,49 +26,25 @@ SAME_FACE = np.cos(np.radians(25.0))
 
 
 @dataclass(frozen=True, eq=False)
-class Camera:
-    """A pinhole camera: `T_camera_world` (4, 4), focal length and principal point in pixels.
+class Sample:
+    """Points on a surface, uniform over it: `points` (n, 3), unit `normals` (n, 3), `part` (n,)."""
 
-    Axes as in `records.Views`; images are `size` pixels wide and high.
-    """
+    points: Array
+    normals: Array
+    part: NDArray[np.uint8]
 
-    T_camera_world: Array
-    focal: float
-    cx: float
-    cy: float
-    size: int
+    def moved(self, T_part: Array) -> "Sample":
+        """Each part's points moved by its own rigid motion; `T_part` (P, 4, 4)."""
+        points = _turned(T_part, self.points, self.part) + T_part[self.part, :3, 3]
+        return Sample(points, _turned(T_part, self.normals, self.part), self.part)
 
-    def rays(self) -> Array:
-        """(size, size, 3) world directions through the pixels' centres, of unit depth."""
-        at = np.arange(self.size) + 0.5
-        x, y = np.meshgrid((at - self.cx) / self.focal, (at - self.cy) / self.focal)
-        return np.stack([x, y, np.ones_like(x)], axis=-1) @ self.T_camera_world[:3, :3]
-
-    @property
-    def eye(self) -> Array:
-        return -self.T_camera_world[:3, :3].T @ self.T_camera_world[:3, 3]
-
-
-def framed(points: Array, azimuth: float, elevation: float, size: int, *, fill: float) -> Camera:
-    """The camera at `azimuth`, `elevation` (rad) whose square image `points` (n, 3) fill.
-
-    `fill` is the fraction of the width or height that their box takes, the larger of the two.
-    """
-    toward_eye = np.array(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ]
-    )
-    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    T_camera_world = look_along(-toward_eye, middle + 3.5 * toward_eye)
-    seen = apply(T_camera_world, points)
-    flat = seen[:, :2] / seen[:, 2:]
-    low, high = flat.min(axis=0), flat.max(axis=0)
-    focal = fill * size / (high - low).max()
-    cx, cy = 0.5 * size - focal * 0.5 * (low + high)
-    return Camera(T_camera_world, focal, cx, cy, size)
+    def spacing(self) -> float:
+        """The side of the square that each point stands for."""
+        rank = min(NEIGHBOURS, len(self.points) - 1)
+        asked = np.linspace(0, len(self.points) - 1, min(64, len(self.points))).astype(np.int64)
+        # On a plane, rank = pi * distance^2 / spacing^2.
+        away = _distance_of_rank(self.points, self.normals, self.part, asked, rank)
+        return float(np.median(away) * np.sqrt(np.pi / rank))
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +53,9 @@ class Surfels:
 
     Attributes:
         points, normals: (n, 3), unit frame.
-        spacing: the side of the square that each point stands for.
+        part: (n,).
+        spacing: (n,) the side of the square that each point stands for.
         radius: (n,) of the discs.
-        light: (n,) how much of the sky a point sees, from 0 to 1.
         clip_ends: (n, 2) where each disc's part of `clip` begins and ends.
         clip: for every disc the neighbours across a convex edge; it ends at their planes.
         trim: (n, 4) a direction in its plane and how far it goes that way.
@@ -83,30 +63,52 @@ class Surfels:
 
     points: Array
     normals: Array
-    spacing: float
+    part: NDArray[np.uint8]
+    spacing: Array
     radius: Array
-    light: Array
     clip_ends: NDArray[np.int64]
     clip: NDArray[np.int32]
     trim: Array
 
+    @property
+    def cloud(self) -> Cloud:
+        return Cloud(self.points, self.normals, self.spacing**2)
 
-def surfels(points: Array, normals: Array, part: NDArray[np.uint8]) -> Surfels:
-    """Discs for `points` (n, 3) that lie on a surface uniformly, with unit `normals` (n, 3)."""
-    points, normals = np.ascontiguousarray(points), np.ascontiguousarray(normals)
-    rank = min(NEIGHBOURS, len(points) - 1)
-    sample = np.linspace(0, len(points) - 1, min(256, len(points))).astype(np.int64)
-    # rank = pi * distance^2 / spacing^2 on a plane.
-    spacing = float(np.median(_distance_of_rank(points, sample, rank)) * np.sqrt(np.pi / rank))
-    light = 1.0 - _occlusion(points, normals, points, normals, spacing * spacing)
-    reach, slack = 6.0 * spacing, 0.15 * spacing
-    radius, ends, clip, trim = _outline(points, normals, part, reach, slack, NEIGHBOURS)
-    return Surfels(points, normals, spacing, radius, light, ends, clip, trim)
+    def moved(self, T_part: Array) -> "Surfels":
+        """Each part's discs moved by its own rigid motion; `T_part` (P, 4, 4).
+
+        A disc's edges depend on discs of its own part only, so they move with it.
+        """
+        trim = self.trim.copy()
+        trim[:, :3] = _turned(T_part, self.trim[:, :3], self.part)
+        return replace(
+            self,
+            points=_turned(T_part, self.points, self.part) + T_part[self.part, :3, 3],
+            normals=_turned(T_part, self.normals, self.part),
+            trim=trim,
+        )
 
 
-def occlusion_at(receivers: Array, normals: Array, discs: Surfels) -> Array:
-    """How much of the sky the discs hide from `receivers` (m, 3) that face `normals`: (m,)."""
-    return _occlusion(receivers, normals, discs.points, discs.normals, discs.spacing**2)
+def _turned(T_part: Array, vectors: Array, part: NDArray[np.uint8]) -> Array:
+    """`vectors` (n, 3), each turned by the rotation of its part's `T_part` (P, 4, 4)."""
+    return np.einsum("nij,nj->ni", T_part[part, :3, :3], vectors)
+
+
+def surfels(samples: Sequence[Sample]) -> Surfels:
+    """Discs for some samples of one surface, each uniform over as much of it as it covers."""
+    spacing = float(np.median([sample.spacing() for sample in samples]))
+    points = np.concatenate([sample.points for sample in samples])
+    normals = np.concatenate([sample.normals for sample in samples])
+    part = np.concatenate([sample.part for sample in samples])
+    source = np.repeat(np.arange(len(samples)), [len(sample.points) for sample in samples])
+    order = cells_of(points, spacing).order  # neighbours in space are neighbours in memory
+    points, normals, part, source = points[order], normals[order], part[order], source[order]
+    cells = cells_of(points, spacing)
+    covers = _covers(points, normals, part, source, len(samples), cells, spacing)
+    local = spacing / np.sqrt(covers)
+    cells = cells_of(points, 3.0 * float(np.median(local)))
+    radius, ends, clip, trim = _outline(points, normals, part, local, cells, NEIGHBOURS)
+    return Surfels(points, normals, part, local, radius, ends, clip, trim)
 
 
 def draw(discs: Surfels, values: Array, camera: Camera) -> tuple[Array, Array, Array]:
@@ -118,15 +120,16 @@ def draw(discs: Surfels, values: Array, camera: Camera) -> tuple[Array, Array, A
     Returns:
         Depth (H, W), inf where nothing is; unit normals (H, W, 3); values (H, W, C).
     """
-    facing = np.einsum("ij,ij->i", camera.eye - discs.points, discs.normals) > 0.0
-    x, y, z = apply(camera.T_camera_world, discs.points).T
-    box = np.stack(
-        [
-            _ends(x, z, discs.radius, camera.focal, camera.cx, camera.size),
-            _ends(y, z, discs.radius, camera.focal, camera.cy, camera.size),
-        ],
-        axis=1,
-    )
+    facing = ((camera.eye - discs.points) * discs.normals).sum(axis=1) > 0.0
+    center = apply(camera.T_camera_world, discs.points)
+    normals = apply(camera.T_camera_world, discs.points + discs.normals) - center
+    extent = discs.radius[:, None] * np.sqrt(np.maximum(1.0 - normals**2, 0.0))
+    # |(x + dx) / (z + dz) - x / z| where |dx|, |dz| are at most the extents.
+    z, nearest = center[:, 2:], (center - extent)[:, 2:]
+    flat = center[:, :2] / z
+    reach = camera.focal * (extent[:, :2] + np.abs(flat) * extent[:, 2:]) / nearest
+    middle = camera.focal * flat + (camera.cx, camera.cy)
+    box = np.stack([np.floor(middle - reach), np.ceil(middle + reach) + 1], axis=2)
     depth, blended = _splat(
         discs.points,
         discs.normals,
@@ -135,114 +138,101 @@ def draw(discs: Surfels, values: Array, camera: Camera) -> tuple[Array, Array, A
         discs.clip,
         discs.trim,
         np.concatenate([discs.normals, values], axis=1),
-        facing,
-        box,
-        camera.rays(),
+        np.flatnonzero(facing)[np.argsort(z[facing, 0])],
+        np.clip(box, 0, camera.size).astype(np.int64),
+        camera.rays,
         camera.eye,
         discs.spacing,
     )
+    _close(depth, blended)
     length = np.linalg.norm(blended[..., :3], axis=-1, keepdims=True)
     return depth, blended[..., :3] / np.maximum(length, 1e-12), blended[..., 3:]
 
 
-def _ends(
-    x: Array, z: Array, radius: Array, focal: float, c: float, size: int
-) -> NDArray[np.int64]:
-    """(n, 2) the first column (or row) and one past the last that discs can touch."""
-    middle, reach = focal * x / z + c, focal * radius / (z - radius)
-    ends = np.stack([np.floor(middle - reach), np.ceil(middle + reach) + 1], axis=1)
-    return np.clip(ends, 0, size).astype(np.int64)
-
-
 @numba.njit(cache=True, nogil=True)
-def _distance_of_rank(points, sample, rank):
-    found = np.empty(len(sample))
+def _distance_of_rank(points, normals, part, asked, rank):
+    """From each point asked for, to its neighbour of this rank on the same side of its part."""
+    found = np.empty(len(asked))
     squared = np.empty(len(points))
-    for s in range(len(sample)):
+    for s, i in enumerate(asked):
         for j in range(len(points)):
-            squared[j] = ((points[j] - points[sample[s]]) ** 2).sum()
+            alike = part[j] == part[i] and _dot(normals[i], normals[j]) > SAME_FACE
+            squared[j] = _squared(points[i], points[j]) if alike else 3.0
         found[s] = np.sqrt(np.partition(squared, rank)[rank])
     return found
 
 
 @numba.njit(cache=True, nogil=True)
-def _occlusion(at, facing, points, normals, area):
-    """Bunnell 2005, "Dynamic ambient occlusion and indirect lighting": sums of form factors.
+def _covers(points, normals, part, source, sources, cells, reach):
+    """How many of the samples cover the surface at each point, (n,).
 
-    Every second disc, with twice its area, stands for all of them.
+    If m of them do, two points from there are of one sample with probability 1 / m, so pairs that
+    are tell m, however small the face is (as equal birthdays tell the length of the year).
     """
-    area = 2.0 * area
-    hidden = np.empty(len(at))
-    for i in range(len(at)):
-        total = 0.0
-        for j in range(0, len(points), 2):
-            x = points[j, 0] - at[i, 0]
-            y = points[j, 1] - at[i, 1]
-            z = points[j, 2] - at[i, 2]
-            above = x * facing[i, 0] + y * facing[i, 1] + z * facing[i, 2]
-            toward = -(x * normals[j, 0] + y * normals[j, 1] + z * normals[j, 2])
-            if above > 0.0 and toward > 0.0:
-                squared = x * x + y * y + z * z
-                total += area * above * toward / (squared * (np.pi * squared + area))
-        hidden[i] = min(total, 1.0)
-    return hidden
+    covers = np.empty(len(points))
+    found = np.empty(len(points), np.int64)
+    count = np.empty(sources)
+    for i in range(len(points)):
+        count[:] = 0.0
+        for j in found[: near(cells, points, points[i], reach, found)]:
+            if part[j] == part[i] and _dot(normals[i], normals[j]) > SAME_FACE:
+                count[source[j]] += 1.0
+        total, alike = count.sum(), (count * (count - 1.0)).sum()
+        covers[i] = min(max(total * (total - 1.0) / max(alike, 1.0), 1.0), sources)
+    return covers
 
 
 @numba.njit(cache=True, nogil=True)
-def _outline(points, normals, part, reach, slack, rank):
+def _outline(points, normals, part, spacing, cells, rank):
     """The radius of each disc, and the neighbours across a convex edge, in one list.
 
-    The radius is the distance to the neighbour of the given rank on the same face, or a third of
-    the reach where so many are not there. Neighbour j bounds disc i where each lies behind the
-    other and the face of i does not go on beyond j; one neighbour a plane is enough. A disc that
-    nothing bounds is trimmed to its face.
+    The radius is the distance to the neighbour of the given rank on the same face, or two spacings
+    where so many are not there. Neighbour j bounds disc i where each lies behind the other and the
+    face of i does not go on beyond j; one neighbour a plane is enough. A disc that nothing bounds
+    is trimmed to its face.
     """
-    radius = np.full(len(points), reach / 3.0)
+    radius = 2.0 * spacing
     trim = np.zeros((len(points), 4))
     trim[:, 3] = np.inf
     ends = np.zeros((len(points), 2), np.int64)
-    found = [np.int32(0) for _ in range(0)]
+    clip = [np.int32(0) for _ in range(0)]
+    found = np.empty(len(points), np.int64)
     others = np.empty(len(points), np.int32)
     face = np.empty(len(points), np.int32)
     distance = np.empty(len(points))
-    order = np.argsort(points[:, 0])
-    first = 0
-    for i in order:
-        while points[order[first], 0] < points[i, 0] - reach:
-            first += 1
+    for i in range(len(points)):
+        reach, slack = 3.0 * spacing[i], 0.15 * spacing[i]
         behind = before = level = 0
-        for j in order[first:]:
-            if points[j, 0] > points[i, 0] + reach:
-                break
-            away = np.sqrt(_squared(points[i], points[j]))
-            if part[j] != part[i] or away > reach:
+        for j in found[: near(cells, points, points[i], 1.5 * reach, found)]:
+            if part[j] != part[i]:
                 continue
+            away = np.sqrt(_squared(points[i], points[j]))
             ahead = _ahead(points[j], points[i], normals[i])
             alike = _dot(normals[i], normals[j]) > SAME_FACE
             if alike and abs(ahead) < slack:
                 face[level] = j
                 distance[level] = away
                 level += 1
-            elif not alike and -reach / 3.0 < ahead < 0.0:
+            elif not alike and -2.0 * spacing[i] < ahead < 0.0:
                 others[behind] = j
                 behind += 1
-            elif not alike and ahead >= 0.0 and away < 0.5 * reach:
+            elif ahead >= 0.0 and away < reach:
                 before += 1
         if level > rank:
-            radius[i] = min(np.partition(distance[:level], rank)[rank], 0.5 * reach)
-        ends[i] = len(found)
+            radius[i] = min(np.partition(distance[:level], rank)[rank], reach)
+        ends[i] = len(clip)
         for j in others[:behind]:
             gap = -_ahead(points[i], points[j], normals[j])
             if (
                 0.0 < gap < radius[i]
-                and not _is_known(points, normals, found[ends[i, 0] :], j, slack)
-                and not _goes_on(points, face[:level], points[j], normals[j], 0.5 * reach, slack)
+                and not _is_known(points, normals, clip, ends[i, 0], j, slack)
+                and not _goes_on(points, face[:level], points[j], normals[j], reach, slack)
             ):
-                found.append(j)
-        ends[i, 1] = len(found)
+                clip.append(j)
+        ends[i, 1] = len(clip)
         if ends[i, 0] == ends[i, 1] and before == 0:
-            _trim(points, i, face[:level], radius[i], 0.25 * reach / 6.0, trim)
-    return radius, ends, np.array(found, dtype=np.int32), trim
+            _trim(points, i, face[:level], radius[i], 0.25 * spacing[i], trim)
+    return radius, ends, np.array(clip, dtype=np.int32), trim
 
 
 @numba.njit(cache=True, nogil=True)
@@ -267,9 +257,10 @@ def _trim(points, i, face, radius, margin, trim):
 
 
 @numba.njit(cache=True, nogil=True)
-def _is_known(points, normals, planes, j, slack):
-    """Whether one of `planes` is the plane of j."""
-    for k in planes:
+def _is_known(points, normals, planes, first, j, slack):
+    """Whether one of `planes`, from the given one on, is the plane of j."""
+    for place in range(first, len(planes)):
+        k = planes[place]
         level = abs(_ahead(points[j], points[k], normals[k])) < slack
         if level and _dot(normals[j], normals[k]) > 0.99:
             return True
@@ -306,24 +297,31 @@ def _ahead(point, origin, normal):
 
 
 @numba.njit(cache=True, nogil=True)
-def _splat(points, normals, radius, clip_ends, clip, trim, values, facing, box, rays, eye, spacing):
-    """Two passes: the nearest depth of each pixel, then the mean of the discs at that depth."""
+def _splat(points, normals, radius, clip_ends, clip, trim, values, order, box, rays, eye, spacing):
+    """Two passes: the nearest depth of each pixel, then the mean of the discs at that depth.
+
+    The discs from near to far, so that those behind others are known to be in the second pass.
+    """
     depth = np.full(rays.shape[:2], np.inf)
     weight = np.full(rays.shape[:2], 1e-30)
     blended = np.zeros((*rays.shape[:2], values.shape[1]))
     at = np.empty(3)
-    gap = 0.1 * spacing  # so that faces that meet leave no crack
+    is_seen = np.zeros(len(points), np.bool_)
     for final in (False, True):
-        for i in np.flatnonzero(facing):
+        for i in order:
+            if final and not is_seen[i]:
+                continue
             offset = _ahead(points[i], eye, normals[i])
             planes = clip[clip_ends[i, 0] : clip_ends[i, 1]]
+            gap = 0.1 * spacing[i]  # so that faces that meet leave no crack
             for row in range(box[i, 1, 0], box[i, 1, 1]):
                 for column in range(box[i, 0, 0], box[i, 0, 1]):
                     ray = rays[row, column]
                     slope = min(_dot(ray, normals[i]), -1e-3)
                     t = offset / slope
-                    if t > depth[row, column] + (spacing if final else 0.0):
+                    if t > depth[row, column] + spacing[i]:
                         continue
+                    is_seen[i] = True
                     for k in range(3):
                         at[k] = eye[k] + t * ray[k]
                     squared = _squared(at, points[i])
@@ -334,12 +332,12 @@ def _splat(points, normals, radius, clip_ends, clip, trim, values, facing, box, 
                     ):
                         continue
                     if final:
-                        w = np.exp(-4.0 * squared / (spacing * spacing)) + 1e-12
+                        w = np.exp(-4.0 * squared / (spacing[i] * spacing[i])) + 1e-12
                         weight[row, column] += w
                         for k in range(values.shape[1]):
                             blended[row, column, k] += w * values[i, k]
                     else:
-                        depth[row, column] = t
+                        depth[row, column] = min(t, depth[row, column])
     return depth, blended / weight.reshape((*weight.shape, 1))
 
 
@@ -349,3 +347,28 @@ def _is_cut(points, normals, planes, at, gap):
         if _ahead(at, points[j], normals[j]) > gap:
             return True
     return False
+
+
+@numba.njit(cache=True, nogil=True)
+def _close(depth, values):
+    """Fill, from the pixels around it, each pixel where nothing is but around which something is.
+
+    Of a random covering a few gaps stay open; what is outside the object has more company.
+    """
+    was = depth.copy()
+    for row in range(1, depth.shape[0] - 1):
+        for column in range(1, depth.shape[1] - 1):
+            if was[row, column] < np.inf:
+                continue
+            count = 0
+            for i in range(row - 1, row + 2):
+                for j in range(column - 1, column + 2):
+                    count += was[i, j] < np.inf
+            if count < 5:
+                continue
+            depth[row, column], values[row, column] = 0.0, 0.0
+            for i in range(row - 1, row + 2):
+                for j in range(column - 1, column + 2):
+                    if was[i, j] < np.inf:
+                        depth[row, column] += was[i, j] / count
+                        values[row, column] += values[i, j] / count

@@ -1,0 +1,162 @@
+"""How much of the sky a cloud of surface points hides from places on it and off it.
+
+The share of the sky that a small disc hides is its form factor, after Bunnell 2005, "Dynamic
+ambient occlusion and indirect lighting"; discs behind each other are counted twice.
+"""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.inspection.cells import cells_of, near, reached, row_of
+
+Array = NDArray[np.float64]
+
+ENOUGH = 2500
+"""Of a larger cloud about so many points stand for all where a sum goes over all."""
+
+DETAIL = 1.0
+"""What hides the sky within so many spacings of a coarse cloud is told by a fine one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points of a surface.
+
+    Attributes:
+        points, normals: (n, 3), unit normals.
+        area: (n,) the surface that each point stands for.
+    """
+
+    points: Array
+    normals: Array
+    area: Array
+
+    def __getitem__(self, which: slice | NDArray[np.int64]) -> "Cloud":
+        return Cloud(self.points[which], self.normals[which], self.area[which])
+
+    def thinned(self, step: int) -> "Cloud":
+        """Every so manyeth point, with so many times the area."""
+        few = self[::step]
+        return Cloud(few.points, few.normals, step * few.area)
+
+    def few(self) -> "Cloud":
+        """Not many more than `ENOUGH` points."""
+        return self.thinned(max(len(self.points) // ENOUGH, 1))
+
+    def columns(self) -> NDArray[np.float32]:
+        """(7, n) points, normals and area: as the sums read them quickest."""
+        table = np.concatenate([self.points.T, self.normals.T, self.area[None]])
+        return np.ascontiguousarray(table, dtype=np.float32)
+
+
+def occlusion(at: Array, facing: Array, cloud: Cloud) -> Array:
+    """The share of the cosine-weighted sky that `cloud` hides from `at` (m, 3): (m,).
+
+    Args:
+        facing: (m, 3) the unit normals at these places.
+    """
+    return np.minimum(_far(at, facing, cloud.few().columns(), 1e-6), 1.0)
+
+
+def occlusion_in_detail(at: Array, facing: Array, coarse: Cloud, fine: Cloud) -> Array:
+    """As `occlusion`, for many places `at` (m, 3) on the surface that two clouds lie on.
+
+    What the far hides changes slowly: it is summed up at some points of `coarse` only and averaged
+    over those around a place that face as it does. What the near hides comes from `fine`.
+    """
+    few = coarse.few()
+    around = 2.0 * float(np.sqrt(np.median(few.area)))
+    detail = DETAIL * float(np.sqrt(np.median(coarse.area)))
+    hidden = _far(few.points, few.normals, coarse.columns(), detail)
+    cells = cells_of(few.points, around)
+    far = _carried(at, facing, few.points, few.normals, hidden, cells, around)
+    alone = np.isnan(far)
+    far[alone] = _far(at[alone], facing[alone], few.columns(), detail)
+    fine = fine.thinned(2)
+    cells = cells_of(fine.points, 0.5 * detail)
+    close = _near(at, facing, fine[cells.order].columns(), cells, detail)
+    return np.minimum(far + close, 1.0)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def _hidden(at, facing, columns, first, last, detail, is_far):
+    """What the discs first to last hide, those within `detail` or those beyond, with a soft border.
+
+    Discs much nearer than their size count less than they should: of a random covering, the few
+    that happen to be so near would speckle. In single precision and without a branch, which lets
+    the compiler take eight at a time.
+    """
+    px, py, pz, nx, ny, nz, area = columns
+    ax, ay, az = np.float32(at[0]), np.float32(at[1]), np.float32(at[2])
+    fx, fy, fz = np.float32(facing[0]), np.float32(facing[1]), np.float32(facing[2])
+    scale = np.float32(1.0 / (detail * detail))
+    sign, offset = (
+        (np.float32(1.0), np.float32(0.0)) if is_far else (-np.float32(1.0), np.float32(1.0))
+    )
+    zero, one, two, three = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(3.0)
+    pi, tiny = np.float32(np.pi), np.float32(1e-12)
+    total = zero
+    for j in range(first, last):
+        x, y, z = px[j] - ax, py[j] - ay, pz[j] - az
+        squared = x * x + y * y + z * z + tiny
+        above = max(x * fx + y * fy + z * fz, zero)
+        toward = max(-(x * nx[j] + y * ny[j] + z * nz[j]), zero)
+        t = min(squared * scale, one)
+        weight = offset + sign * (t * t * (three - two * t))
+        total += (
+            weight * area[j] * above * toward / ((squared + area[j]) * (pi * squared + area[j]))
+        )
+    return total
+
+
+@numba.njit(cache=True, nogil=True)
+def _far(at, facing, columns, detail):
+    hidden = np.empty(len(at))
+    for i in range(len(at)):
+        hidden[i] = _hidden(at[i], facing[i], columns, 0, columns.shape[1], detail, True)
+    return hidden
+
+
+@numba.njit(cache=True, nogil=True)
+def _near(at, facing, columns, cells, detail):
+    """The columns in the order of the cells."""
+    hidden = np.zeros(len(at))
+    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    for i in range(len(at)):
+        reached(cells, at[i], detail, low, high)
+        for x in range(low[0], high[0]):
+            for y in range(low[1], high[1]):
+                first, last = row_of(cells, x, y, low[2], high[2])
+                hidden[i] += _hidden(at[i], facing[i], columns, first, last, detail, False)
+    return hidden
+
+
+@numba.njit(cache=True, nogil=True)
+def _carried(at, facing, points, normals, values, cells, reach):
+    """The mean of the values at the points around each place that face as it does; nan if none."""
+    means = np.full(len(at), np.nan)
+    found = np.empty(len(points), np.int64)
+    for i in range(len(at)):
+        total = weight = 0.0
+        for j in found[: near(cells, points, at[i], reach, found)]:
+            alike = (
+                facing[i, 0] * normals[j, 0]
+                + facing[i, 1] * normals[j, 1]
+                + facing[i, 2] * normals[j, 2]
+            )
+            if alike <= 0.5:
+                continue
+            squared = (
+                (points[j, 0] - at[i, 0]) ** 2
+                + (points[j, 1] - at[i, 1]) ** 2
+                + (points[j, 2] - at[i, 2]) ** 2
+            )
+            w = alike**4 * (1.0 - squared / (reach * reach)) ** 2
+            total += w * values[j]
+            weight += w
+        if weight > 0.0:
+            means[i] = total / weight
+    return means
