@@ -236,7 +236,8 @@ def solid_part(soup: LabelledMesh, recipe: Recipe) -> SolidPart:
     thickness = recipe.fusion.sheet_thickness
     where = sheets.probes(soup, max(thickness, 1e-3) / 3.0)
     free = np.stack([alone.field.is_free(side) for side in where.points])
-    mesh, seen = sheets.solidified(soup, where, free, thickness)
+    shown = sheets.shown_sides(soup, alone.field.maps)
+    mesh, seen = sheets.solidified(soup, where, free, shown, thickness)
     if len(mesh.faces) != len(soup.faces):  # sheets have become slabs
         alone = _own_solid(mesh, recipe)
     return SolidPart(mesh, seen, alone)

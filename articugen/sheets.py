@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.records import LabelledMesh
+from articugen.records import DepthMaps, LabelledMesh
 
 SAMPLE_AREA = 0.02**2
 MOST_SAMPLES = 16
@@ -72,14 +72,37 @@ def probes(mesh: LabelledMesh, distance: float) -> Probes:
     return Probes(np.stack([on_face + offset, on_face - offset]), face)
 
 
+def shown_sides(mesh: LabelledMesh, maps: DepthMaps) -> NDArray[np.intp]:
+    """(2, F) in how many pixels each face is seen from the side of its normal, and from the other.
+
+    Zeros where the maps do not say which face is seen.
+    """
+    shown = np.zeros((2, len(mesh.faces)), np.intp)
+    if maps.face is None:
+        return shown
+    normals = face_normals(mesh.vertices, mesh.faces)
+    for face, T in zip(maps.face, maps.views.T_camera_world, strict=True):
+        pixels = np.bincount(face[face >= 0], minlength=len(mesh.faces))
+        away = normals @ T[2, :3] > 0.0  # looking along the normal, a camera sees the back
+        shown[0] += np.where(away, 0, pixels)
+        shown[1] += np.where(away, pixels, 0)
+    return shown
+
+
 def solidified(
-    mesh: LabelledMesh, where: Probes, free: NDArray[np.bool_], thickness: float
+    mesh: LabelledMesh,
+    where: Probes,
+    free: NDArray[np.bool_],
+    shown: NDArray[np.intp],
+    thickness: float,
 ) -> tuple[LabelledMesh, NDArray[np.bool_]]:
     """The mesh with its sheets thickened and its faces turned outwards.
 
     Args:
         mesh: what `where` was made from.
         free: (2, n) whether the point on each side of each probe is seen free.
+        shown: (2, F) how many pixels show each face from either side: a large face may be seen
+            between its probes only.
         thickness: given to sheets, half on each side.
 
     Returns:
@@ -91,8 +114,10 @@ def solidified(
     sheet = share[2] >= SHEET_SHARE
     if thickness <= 0.0:
         sheet[:] = False
-    faces = np.where((share[1] > share[0])[:, None], mesh.faces[:, ::-1], mesh.faces)
-    seen = (share[0] > 0.0) | (share[1] > 0.0)
+    probed = (share[0] > 0.0) | (share[1] > 0.0)
+    turned = np.where(probed, share[1] > share[0], shown[1] > shown[0])
+    faces = np.where(turned[:, None], mesh.faces[:, ::-1], mesh.faces)
+    seen = probed | (shown[0] > 0) | (shown[1] > 0)
     kept = LabelledMesh(mesh.vertices, faces[~sheet], mesh.part_of_face[~sheet])
     slabs = _slabs(mesh.vertices, faces[sheet], mesh.part_of_face[sheet], thickness)
     vertices = np.concatenate([kept.vertices, slabs.vertices])

@@ -16,7 +16,7 @@ RECIPE = Recipe.model_validate(
     {
         "name": "tiny",
         "articulation": {"states": 2},
-        "views": {"count": 40, "resolution": 96},
+        "views": {"count": 60, "resolution": 192},
         "sampling": {"grids": [8], "surface_points": 512, "uniform_points": 64, "near_points": 64,
                      "partial_views": 1, "partial_points": 32, "partial_resolution": 32},
         "objects": 2,

@@ -85,9 +85,24 @@ def test_a_wall_closes_the_rim_and_no_inner_edge():
     """A square of two triangles: two caps of two, and four rim edges of two walls each."""
     mesh = labelled(sheet())
     where = sheets.probes(mesh, 1e-3)
-    solid, seen = sheets.solidified(mesh, where, np.ones((2, len(where.face)), bool), 0.01)
+    free, shown = np.ones((2, len(where.face)), bool), np.ones((2, len(mesh.faces)), int)
+    solid, seen = sheets.solidified(mesh, where, free, shown, 0.01)
     assert len(solid.faces) == 2 * 2 + 4 * 2
     assert seen.all()
     closed = trimesh.Trimesh(solid.vertices, solid.faces)
     assert closed.is_watertight
     assert closed.volume == pytest.approx(0.8 * 0.8 * 0.01)
+
+
+def test_a_face_that_shows_between_its_probes_is_seen():
+    """A wide face all covered by blocks but for a strip along its rim: seen, turned outwards."""
+    table = box((0.9, 0.9, 0.05))
+    up = table.face_normals[:, 2] > 0.5
+    table.faces[up] = table.faces[up, ::-1]  # wound the wrong way round
+    blocks = box((0.888, 0.888, 0.1), (0, 0, 0.0751))
+    part = solid_part(labelled(trimesh.util.concatenate([table, blocks])), RECIPE)
+    corners = part.mesh.vertices[part.mesh.faces]
+    on_top = np.all(np.abs(corners[:, :, 2] - 0.025) < 1e-9, axis=1)
+    assert on_top.sum() == 2
+    assert part.seen[on_top].all()
+    assert np.all(sheets.face_normals(part.mesh.vertices, part.mesh.faces)[on_top, 2] > 0.99)
