@@ -26,7 +26,7 @@ option = $(if $($(1)),--$(2) "$($(1))")
 
 help:  ## list the targets
 	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1]"
-	@echo "make train CATEGORY=laptop [RECIPE=ppd_quick SEED= OUT= RUNS=]; make evaluate CATEGORY=laptop"
+	@echo "make train CATEGORY=laptop [RECIPE=ppd_quick SEED= SEEDS= OUT= RUNS=]; make evaluate CATEGORY=laptop"
 	@echo
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  \1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
 	@echo
@@ -52,7 +52,7 @@ verify: $(generator)  ## check every byte and the geometry of OUT (or of CATEGOR
 
 train: $(learner)  ## train PPD on CATEGORY= (RECIPE=ppd_quick, ppd_paper or ppd_release)
 ifdef CATEGORY
-	@$(articugen) train --category "$(CATEGORY)" --data "$(OUT)/$(CATEGORY)" --runs "$(RUNS)" --recipe "$(or $(RECIPE),ppd_quick)" $(if $(SEED),--seed "$(SEED)")
+	@$(articugen) train --category "$(CATEGORY)" --data "$(OUT)/$(CATEGORY)" --runs "$(RUNS)" --recipe "$(or $(RECIPE),ppd_quick)" $(if $(SEED),--seed "$(SEED)") $(if $(SEEDS),--seeds "$(SEEDS)")
 else
 	@echo "Choose one: make train CATEGORY=laptop" >&2; exit 2
 endif

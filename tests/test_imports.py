@@ -28,7 +28,7 @@ STORE = {"files", "schema", "shards", "manifest", "journal"}
 
 PPD_WITH_TORCH = {
     "dataset", "discriminator", "evaluate", "kinematics", "losses", "model", "objective",
-    "predict", "reconstruct", "runs", "shape", "train",
+    "predict", "race", "reconstruct", "runs", "shape", "train",
 }  # fmt: skip
 """The modules of ppd that cannot be imported without torch."""
 

@@ -15,6 +15,7 @@ RECIPE = """
 extends: ppd_quick
 data: {surface_points: 256, uniform_points: 128, near_points: 128, validation_objects: 1}
 schedule: {batch: 3, stages: [{resolution: 16, iterations: 3}], validate_every: 3}
+seeds: {count: 1}
 """
 
 
@@ -47,6 +48,21 @@ def test_train_evaluate_predict(folder):
     done = articugen("predict", runs / "box", shard, "--out", folder / "rig", "--resolution", 16)
     assert done.exit_code in (0, 1), done.output
     assert (done.exit_code == 0) == (folder / "rig" / "predicted.urdf").is_file()
+
+
+def test_seeds_race_and_a_race_resumes(folder):
+    data, runs = folder / "data", folder / "race"
+    recipe = folder / "race.yaml"
+    recipe.write_text(RECIPE.replace("{count: 1}", "{count: 1, halve_at: []}"))
+    base = ("train", "-c", "box", "-d", data, "-r", recipe, "--runs", runs, "-j", 1)
+    done = articugen(*base, "--seeds", 2, "--seed", 3)
+    assert done.exit_code == 0, done.output
+    assert "seed 3: 3/3 held-out objects: rec 0." in done.output
+    told = json.loads((runs / "box" / "000" / "race.json").read_text())
+    assert told["winner"] in (3, 4)
+    done = articugen(*base, "--resume", runs / "box" / "000")
+    assert done.exit_code == 0, done.output
+    assert json.loads((runs / "box" / "000" / "race.json").read_text()) == told
 
 
 @pytest.mark.parametrize(

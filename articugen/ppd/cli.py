@@ -3,8 +3,10 @@
 # Everything heavy is imported where it is used: --help should not wait for torch.
 # ruff: noqa: PLC0415
 import json
+import os
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +16,8 @@ from rich.console import Console
 from articugen.errors import ArticugenError, InvalidCheckpoint, MissingExtra
 
 if TYPE_CHECKING:
+    from rich.progress import TaskID
+
     from articugen.ppd.train import Progress
 
 Said = Callable[..., AbstractContextManager[None]]
@@ -47,7 +51,18 @@ def train(
     runs: Annotated[Path, typer.Option(help="Runs go to <runs>/<category>/<number>.")] = Path(
         "runs"
     ),
-    seed: Annotated[int, typer.Option(help="Of weights and batches.")] = 0,
+    seed: Annotated[int, typer.Option(help="Of weights and batches; the first of several.")] = 0,
+    seeds: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="How many race; the best on held-out objects wins.",
+            show_default="the recipe's",
+        ),
+    ] = None,
+    jobs: Annotated[
+        int, typer.Option("--jobs", "-j", min=0, help="Seeds at a time; 0 means one a CPU core.")
+    ] = 0,
     resume: Annotated[
         Path | None, typer.Option(help="Go on with this run instead; its recipe and seed hold.")
     ] = None,
@@ -57,18 +72,23 @@ def train(
     """Train PPD on a data set, or go on with a run."""
     with _said("interrupted; the last checkpoint is kept, go on with --resume"):
         torch = _torch()
-        from articugen.ppd.runs import LATEST, RunFolder, read_checkpoint
+        from articugen.ppd.race import race
+        from articugen.ppd.runs import RunFolder
         from articugen.ppd.settings import load_train_recipe
         from articugen.ppd.train import train as run_training
 
         if threads:
             torch.set_num_threads(threads)
         settings = load_train_recipe(recipe)
+        if seeds is not None:
+            settings = settings.with_seeds(seeds)
         if resume is not None:
-            settings = RunFolder.existing(resume).recipe()
-            seed = read_checkpoint(resume / LATEST).seed
+            settings, seed = RunFolder(resume).recipe(), RunFolder(resume).about()["seed"]
         if device.startswith("cuda") and not torch.cuda.is_available():
             raise ArticugenError(f"--device {device}: torch sees no such GPU; use --device cpu")
+        if settings.seeds.count > 1:
+            at_once = (jobs or os.cpu_count() or 1) if device == "cpu" else 1
+            run_training = partial(race, jobs=min(at_once, settings.seeds.count))
         with _ProgressBar() as on_progress:
             run = run_training(
                 settings,
@@ -187,7 +207,7 @@ class _ProgressBar:
             console=_err,
             disable=not _err.is_terminal,
         )
-        self.task = self.bar.add_task("", total=None, told="")
+        self.tasks: dict[int | None, TaskID] = {}
 
     def __enter__(self) -> "Callable[[Progress], None]":
         self.bar.start()
@@ -197,14 +217,16 @@ class _ProgressBar:
         self.bar.stop()
 
     def _tell(self, progress: "Progress") -> None:
-        told = self.bar.tasks[0].fields["told"]
+        if progress.seed not in self.tasks:
+            self.tasks[progress.seed] = self.bar.add_task("", total=None, told="")
+        task = self.tasks[progress.seed]
+        who = "" if progress.seed is None else f"seed {progress.seed}: "
+        self.bar.update(task, completed=progress.iteration, total=progress.iterations)
         if progress.terms:
-            speed = self.bar.tasks[0].speed or 0.0
-            told = f"rec {progress.terms['rec']:.2f}, {speed:.2f}/s"
-        self.bar.update(
-            self.task, completed=progress.iteration, total=progress.iterations, told=told
-        )
+            speed = self.bar.tasks[task].speed or 0.0
+            told = f"{who}rec {progress.terms['rec']:.2f}, {speed:.2f}/s"
+            self.bar.update(task, told=told)
         if progress.validation:
             values = ", ".join(f"{k} {v:.4f}" for k, v in progress.validation.items())
-            line = f"{progress.iteration}/{progress.iterations} held-out objects: {values}"
+            line = f"{who}{progress.iteration}/{progress.iterations} held-out objects: {values}"
             self.bar.console.print(line, soft_wrap=True)

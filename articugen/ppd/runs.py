@@ -1,6 +1,9 @@
 """Run folders: the recipe, what it ran on, metrics as JSON lines, checkpoints without pickled code.
 
 <runs>/<category>/<number>/recipe.yaml, run.json, metrics.jsonl, latest.pt, best.pt
+
+Where several seeds raced, race.json says who won and why, seeds/<seed> are run folders themselves,
+and the winner's metrics and checkpoints are the run's.
 """
 
 import io
@@ -90,11 +93,17 @@ class RunFolder:
 
     @staticmethod
     def new(
-        runs: Path, recipe: TrainRecipe, *, category: str, seed: int, data: dict[str, Any]
+        runs: Path,
+        recipe: TrainRecipe,
+        *,
+        category: str,
+        seed: int,
+        data: dict[str, Any],
+        name: str | None = None,
     ) -> "RunFolder":
-        """The next numbered folder under `runs`; `data` says what it is trained on."""
+        """A folder under `runs`, the next number or `name`; `data` says what it is trained on."""
         taken = [int(p.name) for p in runs.glob("*") if p.name.isdigit()]
-        path = runs / f"{max(taken, default=-1) + 1:03d}"
+        path = runs / (name or f"{max(taken, default=-1) + 1:03d}")
         try:
             path.mkdir(parents=True)
         except OSError as error:
@@ -127,6 +136,17 @@ class RunFolder:
     def recipe(self) -> TrainRecipe:
         path = self.path / "recipe.yaml"
         return parse_train_recipe(yaml.safe_load(path.read_text(encoding="utf-8")), str(path))
+
+    def about(self) -> dict[str, Any]:
+        """What run.json says of the run.
+
+        Raises:
+            InvalidCheckpoint: there is none.
+        """
+        try:
+            return json.loads((self.path / "run.json").read_bytes())
+        except (OSError, ValueError):
+            raise InvalidCheckpoint(f"{self.path}: is no run's folder, or a damaged one") from None
 
     def log(self, record: dict[str, Any]) -> None:
         """Append one line to the metrics."""

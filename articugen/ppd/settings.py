@@ -6,6 +6,7 @@ takes from the paper and what from the authors' release is listed in docs/ppd.md
 
 import hashlib
 import math
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -165,6 +166,19 @@ class Schedule(_Section):
         return len(self.stages) - 1, self.stages[-1]
 
 
+class Seeds(_Section):
+    """How many seeds race, since one alone may find no parts at all.
+
+    Attributes:
+        count: how many start; 1 is no race.
+        halve_at: after each of these iterations the worse half of the seeds still running is
+            dropped, by the loss on the objects held out; of those that finish the best wins.
+    """
+
+    count: int = Field(default=1, ge=1, le=64)
+    halve_at: tuple[int, ...] = ()
+
+
 class TrainRecipe(_Section):
     """One training recipe, resolved. See the sections for the meaning of each key."""
 
@@ -173,6 +187,29 @@ class TrainRecipe(_Section):
     losses: LossSettings = LossSettings()
     data: DataSettings = DataSettings()
     schedule: Schedule = Schedule()
+    seeds: Seeds = Seeds()
+
+    @model_validator(mode="after")
+    def _seeds_are_compared(self) -> "TrainRecipe":
+        validate_every = self.schedule.validate_every
+        if self.seeds.count > 1 and not self.data.validation_objects:
+            raise ValueError("several seeds need data.validation_objects to choose by")
+        for before, at in pairwise((0, *self.seeds.halve_at, self.schedule.iterations)):
+            if self.seeds.count > 1 and not (before < at and before % validate_every == 0):
+                raise ValueError(
+                    "seeds.halve_at must be ascending, before the last iteration, and multiples of "
+                    f"schedule.validate_every ({validate_every})"
+                )
+        return self
+
+    def with_seeds(self, count: int) -> "TrainRecipe":
+        """This recipe with another number of seeds.
+
+        Raises:
+            InvalidRecipe: they cannot be compared.
+        """
+        seeds = {**self.seeds.model_dump(), "count": count}
+        return parse_train_recipe(self.model_dump() | {"seeds": seeds}, "--seeds")
 
     def text(self) -> str:
         """The resolved recipe as YAML, every key spelt out."""

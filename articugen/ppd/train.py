@@ -38,6 +38,8 @@ class Progress:
     iterations: int
     terms: dict[str, float] | None = None
     validation: dict[str, float] | None = None
+    seed: int | None = None
+    """Which of the seeds that race, if any do."""
 
 
 def train(
@@ -50,6 +52,7 @@ def train(
     resume: Path | None = None,
     stop_after: int | None = None,
     device: str = "cpu",
+    name: str | None = None,
     on_progress: Callable[[Progress], None] = lambda _: None,
 ) -> RunFolder:
     """Train a model of one category.
@@ -61,6 +64,7 @@ def train(
         seed: of the weights, the batches and everything drawn.
         resume: the folder of a run to go on with instead.
         stop_after: stop after so many iterations, as an interruption would.
+        name: of the new run's folder, instead of a number.
         on_progress: called after each iteration.
 
     Raises:
@@ -70,7 +74,7 @@ def train(
     """
     where = torch.device(device)
     training, held_out = _data(recipe, data, category, where)
-    run, start = _run_and_start(recipe, category, data, runs, seed, resume)
+    run, start = _run_and_start(recipe, category, data, runs, seed, resume, name)
     model, critic, best = _models(recipe, seed, start, where)
     plan, weigh = recipe.schedule, recipe.losses
     first = start.iteration if start else 0
@@ -187,12 +191,25 @@ def split_objects(object_ids: Iterable[str], held_out: int) -> tuple[list[str], 
     return [o for o in objects if o not in out], sorted(out)
 
 
+def new_run(
+    recipe: TrainRecipe, category: str, data: Path, runs: Path, seed: int, name: str | None = None
+) -> RunFolder:
+    """A new run's folder, which tells what it is trained on."""
+    told = {"folder": str(data), "content_sha256": Manifest.read(data).content_sha256}
+    return RunFolder.new(runs, recipe, category=category, seed=seed, data=told, name=name)
+
+
 def _run_and_start(
-    recipe: TrainRecipe, category: str, data: Path, runs: Path, seed: int, resume: Path | None
+    recipe: TrainRecipe,
+    category: str,
+    data: Path,
+    runs: Path,
+    seed: int,
+    resume: Path | None,
+    name: str | None,
 ) -> tuple[RunFolder, Checkpoint | None]:
     if resume is None:
-        told = {"folder": str(data), "content_sha256": Manifest.read(data).content_sha256}
-        return RunFolder.new(runs, recipe, category=category, seed=seed, data=told), None
+        return new_run(recipe, category, data, runs, seed, name), None
     run = RunFolder.existing(resume)
     start = read_checkpoint(run.path / LATEST)
     if (start.recipe.sha256(), start.category, start.seed) != (recipe.sha256(), category, seed):
