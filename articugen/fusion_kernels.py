@@ -15,7 +15,7 @@ UNSEEN = np.float32(1e9)
 
 ENDLESS = np.float32(np.inf)
 
-_HIDDEN, _FREE, _UNSURE = 0, 1, 2
+_HIDDEN, _FREE = 0, 1
 
 BLOCK = 2048
 """Points that are projected at a time: their coordinates stay in the first-level cache."""
@@ -56,8 +56,9 @@ class Scene(NamedTuple):
 def is_free(points, scene):
     """(n,) which points at least one view sees free; a point is done with at the first.
 
-    View by view over the points that are left, which stay packed: projecting them is one
-    vectorised loop a block, and a view's map stays in the cache.
+    View by view over the points that are left, which stay packed: a view's map stays in the cache.
+    A block is projected, then the faces around its points are read, then judged: three short loops,
+    of which the first is vectorised and the second waits for memory many times at once.
     """
     n = points.shape[0]
     free = np.zeros(n, np.bool_)
@@ -68,6 +69,8 @@ def is_free(points, scene):
         np.empty(BLOCK, np.float32),
         np.empty(BLOCK, np.float32),
     )
+    at, around = np.empty(BLOCK, np.int32), np.empty((BLOCK, 4), np.int32)
+    verdict = np.empty(BLOCK, np.uint8)
     left = n
     # arrays out of the tuple once, not at every point: each time counts its references
     triangles, hierarchy, to_part = scene.triangles, scene.hierarchy, scene.to_part
@@ -77,31 +80,59 @@ def is_free(points, scene):
         face_map, depth_map = _maps(k, scene)
         kept = 0
         for first in range(0, left, BLOCK):
-            size = min(BLOCK, left - first)
-            _project(
-                x[first : first + size], y[first : first + size], z[first : first + size],
-                camera, pinhole, u, v, depth,
-            )  # fmt: skip
-            for b in range(size):
-                i = first + b
-                p = (x[i], y[i], z[i])
-                if by_depth:
-                    verdict = _verdict_by_depth(u[b], v[b], depth[b], depth_map, pixel)
+            block = slice(first, min(first + BLOCK, left))
+            bx, by, bz, origin = x[block], y[block], z[block], index[block]
+            _project(bx, by, bz, camera, pinhole, u, v, depth)
+            if by_depth:
+                for i in range(bx.shape[0]):
+                    gap = _gap_by_depth(u[i], v[i], depth[i], depth_map, pixel)
+                    verdict[i] = _FREE if gap > 0.0 else _HIDDEN
+            else:
+                _read_around(u, v, bx.shape[0], face_map, at, around)
+                _judge(bx, by, bz, around, camera, pinhole, triangles, hierarchy, to_part, verdict)
+            for i in range(bx.shape[0]):
+                if verdict[i] == _FREE:
+                    free[origin[i]] = True
                 else:
-                    verdict = _verdict(p, u[b], v[b], camera, pinhole, face_map, triangles)
-                if verdict == _FREE or (
-                    verdict == _UNSURE
-                    and _leaves(
-                        p, u[b], v[b], camera, pinhole, face_map, triangles, hierarchy, to_part
-                    )
-                ):
-                    free[index[i]] = True
-                else:
-                    x[kept], y[kept], z[kept] = p
-                    index[kept] = index[i]
+                    x[kept], y[kept], z[kept] = bx[i], by[i], bz[i]
+                    index[kept] = origin[i]
                     kept += 1
         left = kept
     return free
+
+
+@njit(cache=True, nogil=True)
+def _judge(x, y, z, around, camera, pinhole, triangles, hierarchy, to_part, verdict):
+    """What a view says of points, given the faces at the four pixels around each.
+
+    _FREE or _HIDDEN where the planes of the four agree, else by the ray itself. Only numbers are
+    handed on: an array handed to a function costs numba two atomic counts, here at every look.
+    """
+    for i in range(x.shape[0]):
+        p = (x[i], y[i], z[i])
+        f = around[i, 0]
+        same = (f == around[i, 1]) & (f == around[i, 2]) & (f == around[i, 3])
+        if same and f < 0:
+            verdict[i] = _FREE
+            continue
+        w = _towards_camera(p, camera[4], pinhole)
+        looks = 1 if same else 4
+        hidden = 0
+        for q in range(looks):
+            f = around[i, q]
+            if f >= 0:
+                t = np.uintp(f)  # unsigned: numba does not ask whether to count from the end
+                plane = (triangles[t, 0], triangles[t, 1], triangles[t, 2], triangles[t, 3])
+                if behind(p, w, plane):
+                    hidden += 1
+        if hidden == 0:
+            verdict[i] = _FREE
+        elif hidden == looks:
+            verdict[i] = _HIDDEN
+        else:
+            shown = (around[i, 0], around[i, 1], around[i, 2], around[i, 3])
+            leaves = _leaves(p, w, shown, triangles, hierarchy, to_part)
+            verdict[i] = _FREE if leaves else _HIDDEN
 
 
 @njit(cache=True, nogil=True)
@@ -127,6 +158,8 @@ def value(points, scene, truncation, mean):
     n = points.shape[0]
     x, y, z = points[:, 0].copy(), points[:, 1].copy(), points[:, 2].copy()
     u, v, depth = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
+    at, around = np.empty(n, np.int32), np.empty((n, 4), np.int32)
+    verdict = np.empty(n, np.uint8)
     total = np.zeros((n, 2))  # of the views that see the point free, and that it lies close behind
     views = np.zeros((n, 2))
     triangles, hierarchy, to_part = scene.triangles, scene.hierarchy, scene.to_part
@@ -134,18 +167,19 @@ def value(points, scene, truncation, mean):
     for k in range(scene.cameras.shape[0]):
         camera = _camera(k, scene)
         face_map, depth_map = _maps(k, scene)
-        _project(x, y, z, camera, scene.pinhole, u, v, depth)
+        _project(x, y, z, camera, pinhole, u, v, depth)
+        if not by_depth:
+            _read_around(u, v, n, face_map, at, around)
+            _judge(x, y, z, around, camera, pinhole, triangles, hierarchy, to_part, verdict)
         for i in range(n):
-            p = (x[i], y[i], z[i])
             if by_depth:
-                verdict = _verdict_by_depth(u[i], v[i], depth[i], depth_map, pixel)
+                s = _gap_by_depth(u[i], v[i], depth[i], depth_map, pixel)
+                free = s > 0.0
             else:
-                verdict = _verdict(p, u[i], v[i], camera, pinhole, face_map, triangles)
-            free = verdict == _FREE or (
-                verdict == _UNSURE
-                and _leaves(p, u[i], v[i], camera, pinhole, face_map, triangles, hierarchy, to_part)
-            )
-            s = _distance(p, u[i], v[i], depth[i], camera, face_map, depth_map, scene, free)
+                p = (x[i], y[i], z[i])
+                shown = (around[i, 0], around[i, 1], around[i, 2], around[i, 3])
+                free = verdict[i] == _FREE
+                s = _distance(p, shown, camera, pinhole, triangles, free)
             if free:
                 total[i, 0] += min(np.float64(s), truncation)
                 views[i, 0] += 1.0
@@ -201,50 +235,34 @@ def _project(x, y, z, camera, pinhole, u, v, depth):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _shown(face_map, u, v):
-    """The faces at the four pixels around (u, v)."""
-    i, j = np.int64(v), np.int64(u)
-    return face_map[i, j], face_map[i, j + 1], face_map[i + 1, j], face_map[i + 1, j + 1]
-
-
-@njit(cache=True, nogil=True, inline="always")
 def _outside(u, v, image):
     return not (u >= 0.0 and v >= 0.0 and u < image.shape[1] - 1 and v < image.shape[0] - 1)
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _verdict(p, u, v, camera, pinhole, face_map, triangles):
-    """What a view says of a point: _FREE, _HIDDEN, or _UNSURE where an edge runs close by."""
-    if _outside(u, v, face_map):
-        return _FREE
-    shown = _shown(face_map, u, v)
-    w = _towards_camera(p, camera[4], pinhole)
-    if shown[0] == shown[1] and shown[0] == shown[2] and shown[0] == shown[3]:
-        if shown[0] < 0 or not behind(p, w, triangles, shown[0]):
-            return _FREE
-        return _HIDDEN
-    hidden = 0
+@njit(cache=True, nogil=True)
+def _read_around(u, v, count, face_map, at, around):
+    """The faces at the four pixels around each (u, v); -1 outside the image."""
+    height, width = face_map.shape
+    last_u, last_v = np.float32(width - 1), np.float32(height - 1)
+    for n in range(count):
+        inside = (u[n] >= 0.0) & (v[n] >= 0.0) & (u[n] < last_u) & (v[n] < last_v)
+        at[n] = np.int32(v[n]) * width + np.int32(u[n]) if inside else -1
+    right, below = np.uintp(1), np.uintp(width)
+    flat = face_map.reshape(-1)
+    for n in range(count):
+        if at[n] < 0:
+            around[n, 0], around[n, 1], around[n, 2], around[n, 3] = -1, -1, -1, -1
+        else:  # unsigned: numba does not ask whether to count from the end
+            i = np.uintp(at[n])
+            around[n, 0], around[n, 1] = flat[i], flat[i + right]
+            around[n, 2], around[n, 3] = flat[i + below], flat[i + below + right]
+
+
+@njit(cache=True, nogil=True)
+def _leaves(p, w, shown, triangles, hierarchy, to_part):
+    """Whether the ray from `p` towards the camera, `w`, meets nothing on its way."""
     for f in shown:
-        if f >= 0 and behind(p, w, triangles, f):
-            hidden += 1
-    if hidden == 0:
-        return _FREE
-    return _HIDDEN if hidden == 4 else _UNSURE
-
-
-@njit(cache=True, nogil=True)
-def _verdict_by_depth(u, v, depth, depth_map, pixel):
-    if _outside(u, v, depth_map):
-        return _FREE
-    return _FREE if _by_depth(depth_map, u, v, depth, SMOOTH_STEP * pixel) > 0.0 else _HIDDEN
-
-
-@njit(cache=True, nogil=True)
-def _leaves(p, u, v, camera, pinhole, face_map, triangles, hierarchy, to_part):
-    """Whether the ray from `p` meets nothing on its way to the camera."""
-    w = _towards_camera(p, camera[4], pinhole)
-    for f in _shown(face_map, u, v):
-        if f >= 0 and behind(p, w, triangles, f) and line_meets(p, w, triangles, f):
+        if f >= 0 and in_front(p, w, triangles, f) <= 0.0 and line_meets(p, w, triangles, f):
             return False
     # none of what shows is in the way: something that shows at no pixel's centre may still be
     h = hierarchy
@@ -252,22 +270,16 @@ def _leaves(p, u, v, camera, pinhole, face_map, triangles, hierarchy, to_part):
 
 
 @njit(cache=True, nogil=True)
-def _distance(p, u, v, depth, camera, face_map, depth_map, scene, free):
+def _distance(p, shown, camera, pinhole, triangles, free):
     """How far in front of the surface a view sees the point, given whether it sees it free.
 
-    To the nearest of the four faces on that side; along the optical axis without face ids.
+    To the nearest of the four faces on that side.
     """
-    if face_map.shape[0] == 0:
-        if _outside(u, v, depth_map):
-            return UNSEEN
-        return _by_depth(depth_map, u, v, depth, SMOOTH_STEP * scene.pixel)
     nearest = UNSEEN if free else -UNSEEN
-    if _outside(u, v, face_map):
-        return nearest
-    w = _towards_camera(p, camera[4], scene.pinhole)
-    for f in _shown(face_map, u, v):
+    w = _towards_camera(p, camera[4], pinhole)
+    for f in shown:
         if f >= 0:
-            s = in_front(p, w, scene.triangles, f)
+            s = in_front(p, w, triangles, f)
             if free and s > 0.0:
                 nearest = min(nearest, s)
             elif not free and s <= 0.0:
@@ -285,18 +297,20 @@ def _towards_camera(p, eye, pinhole):
 
 
 @njit(cache=True, nogil=True)
-def _by_depth(depth_map, u, v, z, step):
+def _gap_by_depth(u, v, z, depth_map, pixel):
     """How far in front of four depths, at (u, v) among them, along the optical axis.
 
     One smooth surface is interpolated; across a silhouette the four must agree: else nan, no say.
     """
+    if _outside(u, v, depth_map):
+        return UNSEEN
     i, j = np.int64(v), np.int64(u)
     a, b = u - np.float32(j), v - np.float32(i)
     d0, d1 = depth_map[i, j], depth_map[i, j + 1]
     d2, d3 = depth_map[i + 1, j], depth_map[i + 1, j + 1]
     low = min(d0, d1, d2, d3)
     high = max(d0, d1, d2, d3)
-    if high - low < step:
+    if high - low < SMOOTH_STEP * pixel:
         one = np.float32(1.0)
         return (one - b) * ((one - a) * d0 + a * d1) + b * ((one - a) * d2 + a * d3) - z
     if low > z:

@@ -189,11 +189,15 @@ def in_front(p, w, triangles, f):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def behind(p, w, triangles, f):
-    """Whether `p` lies behind face f's plane, seen from the direction `w`: `in_front` <= 0."""
-    x, y, z = triangles[f, 0], triangles[f, 1], triangles[f, 2]
-    gap = x * p[0] + y * p[1] + z * p[2] - triangles[f, 3]
-    slope = x * w[0] + y * w[1] + z * w[2]
+def behind(p, w, plane):
+    """Whether `p` lies behind a face's plane, seen from the direction `w`: `in_front` <= 0.
+
+    Args:
+        plane: normal and offset, the first four columns of the `triangle_table`.
+    """
+    a, b, c, offset = plane
+    gap = a * p[0] + b * p[1] + c * p[2] - offset
+    slope = a * w[0] + b * w[1] + c * w[2]
     return gap * slope <= 0.0
 
 
