@@ -54,7 +54,7 @@ class Protocol:
 
 
 @dataclass
-class _Tally:
+class Tally:
     """Every measured number, by its name."""
 
     values: dict[str, list[float]] = field(default_factory=dict)
@@ -72,21 +72,26 @@ def evaluate(
     reconstruct: Reconstruct,
     protocol: Protocol = Protocol(),
     *,
+    category: str | None = None,
     on_object: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Evaluate on the test objects of a data set.
+
+    Args:
+        category: what the data set must be of.
 
     Returns:
         `means` of every metric over all test instances, `votes` (P, K), `labels` and `dominant`
         of the predicted parts, how many `objects` and `instances` there were.
 
     Raises:
-        CorruptShard: the data set has no training or no test object.
+        CorruptShard: the data set has no training or no test object, or is of another category.
     """
+    check_splits(data, category)
     table = label_votes(data, reconstruct, protocol, on_object)
     label, dominant = metrics.labels_from(table), metrics.dominant_labels(table)
-    tally, objects = _Tally(), 0
-    for instances in _objects(data, "test", protocol.test_states):
+    tally, objects = Tally(), 0
+    for instances in objects_of(data, "test", protocol.test_states):
         canonical, *posed = instances
         objects += 1
         first = reconstruct(canonical)
@@ -106,31 +111,41 @@ def evaluate(
     }
 
 
+def check_splits(data: Path, category: str | None) -> None:
+    """Raise CorruptShard where the data set cannot be evaluated on, before anything is computed."""
+    manifest = Manifest.read(data)
+    if category is not None and manifest.category != category:
+        raise CorruptShard(f"{data}: holds {manifest.category}, the model is of {category}")
+    for split in ("train", "test"):
+        if not any(o.key.split == split for o in manifest.objects):
+            raise CorruptShard(
+                f"{data}: has no object in split {split!r}; make one with more objects"
+            )
+
+
 def label_votes(
     data: Path, reconstruct: Reconstruct, protocol: Protocol, on_object: Callable[[str], None]
 ) -> Floats:
     """(P, K) the votes of the training instances, summed."""
     states = 0 if protocol.label_poses == "canonical" else None
     table: Floats | None = None
-    for count, instances in enumerate(_objects(data, "train", states)):
+    for count, instances in enumerate(objects_of(data, "train", states)):
         if count == protocol.label_objects:
             break
         for instance in instances:
-            points, true = _surface(instance, protocol.points)
+            points, true = surface_of(instance, protocol.points)
             found = reconstruct(instance)
             near = metrics.nearest_part(points, found.triangles, found.part, found.parts)
             ballot = metrics.votes(near, true, found.parts, len(instance.part_motion))
             table = ballot if table is None else table + ballot
         on_object(instances[0].object_id)
-    assert table is not None  # _objects has seen to it
+    assert table is not None  # check_splits has seen to it
     return table
 
 
-def _objects(data: Path, split: str, states: int | None) -> Iterator[list[Instance]]:
+def objects_of(data: Path, split: str, states: int | None) -> Iterator[list[Instance]]:
     """The instances of each object of a split, the canonical one first."""
     names = sorted({o.shard for o in Manifest.read(data).objects if o.key.split == split})
-    if not names:
-        raise CorruptShard(f"{data}: has no object in split {split!r}; make one with more objects")
     for name in names:
         with open_shard(data / name) as shard:
             index, ids = shard.read("state_index"), np.array(shard.object_ids())
@@ -143,7 +158,7 @@ def _objects(data: Path, split: str, states: int | None) -> Iterator[list[Instan
                 yield [shard.instance(int(row)) for row in wanted]
 
 
-def _surface(instance: Instance, count: int) -> tuple[Floats, Ints]:
+def surface_of(instance: Instance, count: int) -> tuple[Floats, Ints]:
     """((n, 3), (n,)): up to `count` surface points of each part, and their parts."""
     part = instance.surface_part.astype(np.int64)
     kept = np.concatenate([np.flatnonzero(part == k)[:count] for k in np.unique(part)])
@@ -151,9 +166,9 @@ def _surface(instance: Instance, count: int) -> tuple[Floats, Ints]:
 
 
 def _shape_metrics(
-    tally: _Tally, instance: Instance, found: Reconstruction, label: Ints, protocol: Protocol
+    tally: Tally, instance: Instance, found: Reconstruction, label: Ints, protocol: Protocol
 ) -> None:
-    points, true = _surface(instance, protocol.points)
+    points, true = surface_of(instance, protocol.points)
     near = metrics.nearest_part(points, found.triangles, found.part, found.parts)
     named = np.where(near == NO_LABEL, NO_LABEL, label[near])
     tally.add(label_iou=metrics.label_iou(named, true))
@@ -178,7 +193,7 @@ def _points_on(triangles: Floats, count: int, rng: np.random.Generator) -> Float
 
 
 def _motion_metrics(
-    tally: _Tally,
+    tally: Tally,
     instances: tuple[Instance, Instance],
     found: tuple[Reconstruction, Reconstruction],
     label: Ints,
@@ -186,7 +201,7 @@ def _motion_metrics(
     protocol: Protocol,
 ) -> None:
     canonical, instance = instances
-    points, true = _surface(canonical, protocol.points)
+    points, true = surface_of(canonical, protocol.points)
     T_true = instance.part_motion
     still = np.tile(np.eye(4), (len(points), 1, 1))
     tally.add(epe_nothing_moves=metrics.endpoint_error(points, true, T_true, still))
@@ -196,7 +211,7 @@ def _motion_metrics(
         "transform": found[0].motion_to(found[1]),
     }
     for which, names in (("all", label), ("dominant", dominant)):
-        carrier = _carriers(posed, true, found[1], names)
+        carrier = carriers(posed, true, found[1], names)
         for reading, motion in motions.items():
             T = np.where((carrier == NO_LABEL)[:, None, None], np.eye(4), motion[carrier])
             error = metrics.endpoint_error(points, true, T_true, T)
@@ -205,7 +220,7 @@ def _motion_metrics(
         _joint_metrics(tally, instances, found, np.flatnonzero(label == j + 1), j, kind)
 
 
-def _carriers(posed: Floats, true: Ints, found: Reconstruction, label: Ints) -> Ints:
+def carriers(posed: Floats, true: Ints, found: Reconstruction, label: Ints) -> Ints:
     """(n,) the predicted part of a point's own label that is nearest to it; NO_LABEL if none is."""
     carrier = np.full(len(posed), NO_LABEL)
     for k in np.unique(true):
@@ -219,7 +234,7 @@ def _carriers(posed: Floats, true: Ints, found: Reconstruction, label: Ints) -> 
 
 
 def _joint_metrics(
-    tally: _Tally,
+    tally: Tally,
     instances: tuple[Instance, Instance],
     found: tuple[Reconstruction, Reconstruction],
     parts: NDArray[np.intp],

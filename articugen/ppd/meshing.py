@@ -102,10 +102,13 @@ def _outwards(
 
 
 def sample(triangles: Floats, count: int, rng: np.random.Generator) -> Floats:
-    """(count, 3) points spread over triangles (F, 3, 3) uniformly by area."""
+    """(count, 3) points spread over triangles (F, 3, 3) uniformly by area.
+
+    Points count as triangles whose corners coincide; where all do, some of them are drawn.
+    """
     a, b, c = np.moveaxis(triangles, 1, 0)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    face = rng.choice(len(area), count, p=area / area.sum())
+    face = rng.choice(len(area), count, p=area / area.sum() if area.any() else None)
     u, v = rng.random((2, count, 1))
     over = u + v > 1.0
     u, v = np.where(over, 1.0 - u, u), np.where(over, 1.0 - v, v)
