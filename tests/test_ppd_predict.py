@@ -7,13 +7,14 @@ import pytest
 from instances import hinged_box
 from yourdfpy import URDF
 
-from articugen.errors import ArticugenError, InvalidSource
+from articugen.errors import ArticugenError
 from articugen.geometry import apply
+from articugen.records import Normalization
 
 pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen.ppd.meshing import distance, surface
-from articugen.ppd.predict import checked_cloud, cloud_from, write_rig
+from articugen.ppd.predict import write_rig
 from articugen.ppd.reconstruct import Reconstruction, truth
 
 
@@ -61,23 +62,21 @@ def test_no_surface_is_said(tmp_path):
         write_rig(empty, tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("cloud", "said"),
-    [
-        (np.zeros((10, 3)), "not 64 points"),
-        (np.full((100, 3), np.nan), "not finite"),
-        (np.full((100, 3), 0.7), "unit frame"),
-    ],
-)
-def test_bad_clouds_are_refused(cloud, said):
-    with pytest.raises(InvalidSource, match=said):
-        checked_cloud(cloud, "cloud.ply")
-
-
-def test_clouds_are_read_from_arrays(tmp_path):
-    points = np.random.default_rng(0).uniform(-0.4, 0.4, (100, 3))
-    np.save(tmp_path / "cloud.npy", points)
-    np.testing.assert_array_equal(cloud_from(tmp_path / "cloud.npy"), points)
-    (tmp_path / "cloud.txt").write_text("hello")
-    with pytest.raises(InvalidSource, match="neither a shard"):
-        cloud_from(tmp_path / "cloud.txt")
+def test_a_rig_stands_where_its_cloud_stood(tmp_path):
+    """In a frame twice as large: lengths double, angles stay."""
+    found = three_balls()
+    frame = Normalization(np.array([1.0, 2.0, 3.0]), 2.0)
+    small = URDF.load(str(write_rig(found, tmp_path / "small")))
+    large = URDF.load(str(write_rig(found, tmp_path / "large", frame=frame)))
+    for robot in (small, large):
+        robot.update_cfg({"joint_1": 0.3, "joint_2": 0.05 if robot is small else 0.1})
+    for i in range(3):
+        one, two = (
+            apply(robot.get_transform(name, "part_0"), robot.scene.geometry[name].vertices)
+            for robot in (small, large)
+            for name in [next(n for n in robot.scene.geometry if f"part_{i}" in n)]
+        )
+        where = np.lexsort(np.round(one.T, 6))
+        order = np.lexsort(np.round(frame.to_unit(two).T, 6))
+        np.testing.assert_allclose(frame.to_unit(two)[order], one[where], atol=1e-5)
+    assert large.joint_map["joint_2"].limit.upper == pytest.approx(2.0 * (1.0 - found.state[2]))

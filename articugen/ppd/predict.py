@@ -6,54 +6,24 @@ from pathlib import Path
 
 import numpy as np
 
-from articugen.errors import ArticugenError, InvalidSource
+from articugen.errors import ArticugenError
 from articugen.files import write_atomically
+from articugen.ppd.clouds import UNIT
 from articugen.ppd.meshing import Floats
 from articugen.ppd.reconstruct import FIXED, REVOLUTE, Reconstruction
-from articugen.records import dequantize
-from articugen.shards import open_shard
-
-FEWEST_POINTS = 64
+from articugen.records import Normalization
 
 
-def cloud_from(path: Path, row: int = 0) -> Floats:
-    """The surface points of a shard's instance, or (n, 3) points from a .npy file.
-
-    Raises:
-        InvalidSource, CorruptShard: the file cannot be read, or is no cloud to make sense of.
-    """
-    if path.suffix == ".h5":
-        with open_shard(path) as shard:
-            if row >= len(shard):
-                raise InvalidSource(f"{path}: has {len(shard)} instances, there is no row {row}")
-            return checked_cloud(dequantize(shard.read("surface_points", row)), str(path))
-    try:
-        stored = np.load(path, allow_pickle=False)
-    except (OSError, ValueError) as error:
-        raise InvalidSource(f"{path}: neither a shard (.h5) nor a .npy file ({error})") from None
-    return checked_cloud(np.asarray(stored, np.float64), str(path))
-
-
-def checked_cloud(cloud: Floats, name: str) -> Floats:
-    """The cloud (n, 3), if it is one that can be made sense of.
-
-    Raises:
-        InvalidSource: too few points, numbers that are not finite, or points outside the unit cube.
-    """
-    if cloud.ndim != 2 or cloud.shape[1] != 3 or len(cloud) < FEWEST_POINTS:
-        raise InvalidSource(f"{name}: {cloud.shape} numbers, not {FEWEST_POINTS} points or more")
-    if not np.isfinite(cloud).all():
-        raise InvalidSource(f"{name}: has points that are not finite numbers; remove them")
-    if np.abs(cloud).max() > 0.5:
-        raise InvalidSource(f"{name}: reaches beyond [-0.5, 0.5]^3; bring it into the unit frame")
-    return cloud
-
-
-def write_rig(found: Reconstruction, folder: Path, name: str = "predicted") -> Path:
+def write_rig(
+    found: Reconstruction, folder: Path, name: str = "predicted", frame: Normalization = UNIT
+) -> Path:
     """Write part_<i>.obj and <name>.urdf; every joint is 0 where the cloud has it.
 
     The base link is part 0, or an empty one where that has no surface. A part's link sits at its
-    pivot; limits reach from joint state 0 to pi (revolute) or to 1 (prismatic).
+    pivot; limits reach from joint state 0 to pi (revolute) or to 1 unit (prismatic).
+
+    Args:
+        frame: where the rig is to stand, and its scale; the unit frame if not given.
 
     Raises:
         ArticugenError: there is no surface at all, or the folder cannot be written to.
@@ -66,10 +36,10 @@ def write_rig(found: Reconstruction, folder: Path, name: str = "predicted") -> P
         raise ArticugenError(f"{folder}: cannot be made ({error.strerror})") from None
     robot = ET.Element("robot", name=name)
     for i in range(found.parts):
-        triangles = found.triangles[found.part == i]
+        triangles = frame.to_world(found.triangles[found.part == i])
         if i and not len(triangles):
             continue
-        origin = found.pivot[i] if found.kind[i] == REVOLUTE else np.zeros(3)
+        origin = frame.to_world(found.pivot[i]) if found.kind[i] == REVOLUTE else np.zeros(3)
         link = ET.SubElement(robot, "link", name=f"part_{i}")
         if len(triangles):
             file = f"part_{i}.obj"
@@ -78,16 +48,17 @@ def write_rig(found: Reconstruction, folder: Path, name: str = "predicted") -> P
                 ET.SubElement(ET.SubElement(link, "visual"), "geometry"), "mesh", filename=file
             )
         if found.kind[i] != FIXED:
-            _joint(robot, found, i, origin)
+            _joint(robot, found, i, origin, frame.scale)
     path = folder / f"{name}.urdf"
     ET.indent(robot)
     write_atomically(path, ET.tostring(robot, encoding="utf-8", xml_declaration=True) + b"\n")
     return path
 
 
-def _joint(robot: ET.Element, found: Reconstruction, i: int, origin: Floats) -> None:
+def _joint(robot: ET.Element, found: Reconstruction, i: int, origin: Floats, unit: float) -> None:
     revolute = found.kind[i] == REVOLUTE
-    most, state = (math.pi if revolute else 1.0), float(found.state[i])
+    state = float(found.state[i]) * (1.0 if revolute else unit)
+    most = math.pi if revolute else unit
     joint = ET.SubElement(
         robot, "joint", name=f"joint_{i}", type="revolute" if revolute else "prismatic"
     )
