@@ -22,7 +22,7 @@ replace = $(if $(REPLACE),--replace)
 option = $(if $($(1)),--$(2) "$($(1))")
 
 .DEFAULT_GOAL := help
-.PHONY: help dataset inspect verify train evaluate test check format bench backends learner clean
+.PHONY: help dataset inspect verify train depth evaluate test check format bench backends learner clean
 
 help:  ## list the targets
 	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1]"
@@ -57,9 +57,16 @@ else
 	@echo "Choose one: make train CATEGORY=laptop" >&2; exit 2
 endif
 
-evaluate: $(learner)  ## evaluate the newest run of CATEGORY= on its test objects
+depth: $(learner)  ## train the newest run's encoder for depth input (the third stage)
 ifdef CATEGORY
-	@$(articugen) evaluate "$(RUNS)/$(CATEGORY)" --data "$(OUT)/$(CATEGORY)"
+	@$(articugen) train-depth "$(RUNS)/$(CATEGORY)" --data "$(OUT)/$(CATEGORY)"
+else
+	@echo "Choose one: make depth CATEGORY=laptop" >&2; exit 2
+endif
+
+evaluate: $(learner)  ## evaluate the newest run of CATEGORY= on its test objects (PROTOCOL=release)
+ifdef CATEGORY
+	@$(articugen) evaluate "$(RUNS)/$(CATEGORY)" --data "$(OUT)/$(CATEGORY)" $(if $(PROTOCOL),--protocol "$(PROTOCOL)")
 else
 	@echo "Choose one: make evaluate CATEGORY=laptop" >&2; exit 2
 endif

@@ -11,7 +11,9 @@ from articugen.shards import write_shard
 RECIPE_SHA256 = SMALL.for_one_object().sha256()
 
 
-def write_boxes(folder: Path, *, train: int = 4, test: int = 2, states: int = 3) -> Path:
+def write_boxes(
+    folder: Path, *, train: int = 4, test: int = 2, states: int = 3, category: str = "box"
+) -> Path:
     """`train` + `test` objects, each in its canonical pose and at `states` random ones."""
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(5)
@@ -22,7 +24,7 @@ def write_boxes(folder: Path, *, train: int = 4, test: int = 2, states: int = 3)
         angles = [(0.0, 0.0), *zip(rng.uniform(0, 1.7, states), rng.uniform(0, 0.3, states))]  # noqa: B905
         rows = hinged_box([(float(a), float(b)) for a, b in angles], object_id=name, seed=index)
         about = {
-            "category": "box",
+            "category": category,
             "split": split,
             "recipe": SMALL.text(),
             "recipe_sha256": SMALL.sha256(),
@@ -42,7 +44,7 @@ def write_boxes(folder: Path, *, train: int = 4, test: int = 2, states: int = 3)
     timings = Timings(seconds=1.0, instances_per_second=1.0, peak_memory_bytes=1, workers=1)
     Manifest.of(
         outcomes,
-        category="box",
+        category=category,
         source="tests",
         licence="MIT",
         recipe=SMALL.text(),

@@ -27,8 +27,8 @@ STAGES = {
 STORE = {"files", "schema", "shards", "manifest", "journal"}
 
 PPD_WITH_TORCH = {
-    "dataset", "discriminator", "evaluate", "kinematics", "losses", "model", "objective",
-    "predict", "race", "reconstruct", "runs", "shape", "train",
+    "dataset", "depth", "discriminator", "evaluate", "kinematics", "losses", "model", "objective",
+    "predict", "race", "reconstruct", "release", "runs", "shape", "train",
 }  # fmt: skip
 """The modules of ppd that cannot be imported without torch."""
 
@@ -75,7 +75,7 @@ FOREIGN: dict[str, set[str]] = {
     "h5py": {"shards"},
     "yourdfpy": {"sources.urdf"},
     "lxml": {"sources.urdf", "sources.xml_strict"},
-    "trimesh": {"sources.mesh_formats", "replay"},
+    "trimesh": {"sources.mesh_formats", "replay", "ppd.clouds"},
     "PIL": {"inspection.contact_sheet"},
     "typer": {"cli", "ppd.cli"},
     "rich": {"cli", "console", "ppd.cli", "inspection.summary", "inspection.tables"},

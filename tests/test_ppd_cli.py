@@ -1,7 +1,9 @@
 """PPD's commands, one after the other, on a small data set."""
 
 import json
+import shutil
 
+import numpy as np
 import pytest
 from ppd_data import write_boxes
 from typer.testing import CliRunner
@@ -16,6 +18,7 @@ extends: ppd_quick
 data: {surface_points: 256, uniform_points: 128, near_points: 128, validation_objects: 1}
 schedule: {batch: 3, stages: [{resolution: 16, iterations: 3}], validate_every: 3}
 seeds: {count: 1}
+depth: {iterations: 2, batch: 2}
 """
 
 
@@ -25,20 +28,20 @@ def articugen(*arguments: object):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
+    """A data set, a recipe and a run."""
     folder = tmp_path_factory.mktemp("ppd")
     write_boxes(folder / "data", train=2, test=1, states=1)
     (folder / "tiny.yaml").write_text(RECIPE)
-    return folder
-
-
-def test_train_evaluate_predict(folder):
-    data, runs = folder / "data", folder / "runs"
-    done = articugen(
-        "train", "-c", "box", "-d", data, "-r", folder / "tiny.yaml", "--runs", runs
-    )  # fmt: skip
+    arguments = ("-c", "box", "-d", folder / "data", "-r", folder / "tiny.yaml")
+    done = articugen("train", *arguments, "--runs", folder / "runs")
     assert done.exit_code == 0, done.output
     assert "3/3 held-out objects: rec 0." in done.output
     assert "next: articugen evaluate" in done.output
+    return folder
+
+
+def test_evaluate_predict(folder):
+    data, runs = folder / "data", folder / "runs"
     done = articugen("evaluate", runs / "box", "-d", data, "--resolution", 8)
     assert done.exit_code == 0, done.output
     assert "| label IoU, % |" in done.output
@@ -65,17 +68,76 @@ def test_seeds_race_and_a_race_resumes(folder):
     assert json.loads((runs / "box" / "000" / "race.json").read_text()) == told
 
 
+def test_depth_input_and_the_release_s_protocol(folder):
+    data, run = folder / "data", folder / "copy" / "000"
+    shutil.copytree(folder / "runs" / "box" / "000", run)
+    done = articugen("predict", run, data / "test-00002.h5", "--depth")
+    assert done.exit_code == 1
+    assert "make one with: articugen train-depth" in done.output
+    done = articugen("train-depth", folder / "copy", "-d", data)
+    assert done.exit_code == 0, done.output
+    assert "2/2 held-out objects: latent" in done.output
+    rough = ("--resolution", 8, "--states", 1)
+    done = articugen("evaluate", run, "-d", data, *rough, "--protocol", "release")
+    assert done.exit_code == 0, done.output
+    assert "as the authors' release does; left out" in done.output
+    assert "| depth input |" in done.output
+    assert "| paper, depth input, mean of its categories | 28.99 | 80.65 | 3.203 |" in done.output
+    result = json.loads((run / "evaluation-release.json").read_text())
+    assert set(result["depth_input"]["left_out"]) == set(result["left_out"])
+    rig = ("--depth", "--camera", 1, "--out", folder / "rig-depth", "--resolution", 16)
+    done = articugen("predict", run, data / "test-00002.h5", *rig)
+    assert (done.exit_code, "sees no surface" in done.output) in ((0, False), (1, True))
+
+
+@pytest.fixture(scope="module")
+def bad(tmp_path_factory):
+    """Clouds and data sets that something is wrong with."""
+    bad = tmp_path_factory.mktemp("bad")
+    cloud = np.random.default_rng(0).uniform(-0.4, 0.4, (100, 3))
+    np.savetxt(bad / "ten.xyz", cloud[:10])
+    np.savetxt(bad / "far.xyz", 100 * cloud)
+    cloud[4, 2] = np.nan
+    np.savetxt(bad / "nan.xyz", cloud)
+    write_boxes(bad / "trained", train=1, test=0, states=1)
+    write_boxes(bad / "other", train=1, test=1, states=1, category="jar")
+    return bad
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (("train", "-c", "oven", "-d", "{data}"), "holds box, not oven"),
         (("train", "-c", "box", "-d", "{data}", "-r", "ppd_papre"), "did you mean 'ppd_paper'"),
+        (("train", "-c", "box", "-d", "{data}", "--device", "cuda:9"), "torch sees no such device"),
+        (("train", "-c", "box", "-d", "{bad}/none"), "none/manifest.json"),
         (("evaluate", "{data}", "-d", "{data}"), "holds no run"),
+        (("evaluate", "{run}", "-d", "{data}", "--protocol", "mine"), "paper or release"),
+        (("evaluate", "{run}", "-d", "{bad}/trained"), "has no object in split 'test'"),
+        (("evaluate", "{run}", "-d", "{bad}/other"), "holds jar, the model is of box"),
+        (
+            ("train", "-c", "box", "-d", "{data}", "--resume", "{run}", "-r", "ppd_paper"),
+            "was started with another recipe than ppd_paper",
+        ),
+        (
+            ("train", "-c", "box", "-d", "{bad}/trained", "--resume", "{run}"),
+            "was started on other data",
+        ),
+        (("predict", "{run}", "{bad}/ten.xyz"), "has 10 points, too few"),
+        (("predict", "{run}", "{bad}/nan.xyz"), "1 points are not finite"),
+        (("predict", "{run}", "{bad}/far.xyz"), "--fit brings it there"),
+        (("predict", "{run}", "{bad}/none.ply"), "cannot be read"),
+        (("predict", "{run}", "{data}/test-00002.h5", "--row", "9"), "there is no 9"),
+        (("predict", "{run}", "{data}/manifest.json"), "neither a shard"),
+        (("train-depth", "{run}", "-d", "{bad}/other"), "holds jar, not box"),
     ],
 )
-def test_mistakes_are_said_in_one_sentence(folder, arguments, said):
-    filled = [a.format(data=folder / "data") for a in arguments]
+def test_mistakes_are_said_in_one_sentence(folder, bad, arguments, said):
+    where = {"data": folder / "data", "run": folder / "runs" / "box", "bad": bad}
+    if "--resume" in arguments:
+        where["run"] /= "000"
+    filled = [a.format(**where) for a in arguments]
     done = articugen(*filled, *(("--runs", folder / "none") if filled[0] == "train" else ()))
     assert done.exit_code == 1
-    assert said in done.output
+    assert said in " ".join(done.output.split())
     assert "Traceback" not in done.output

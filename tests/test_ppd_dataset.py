@@ -1,12 +1,15 @@
 """PPD's data: what a batch holds is what the shards hold."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from ppd_data import write_boxes
 
+from articugen import schema
 from articugen.errors import CorruptShard
 from articugen.records import dequantize
-from articugen.shards import open_shard
+from articugen.shards import open_shard, write_shard
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
@@ -132,3 +135,59 @@ def test_unfit_data_are_refused_in_one_sentence(folder, change, said):
 def test_a_folder_without_a_manifest_is_refused(tmp_path):
     with pytest.raises(CorruptShard, match="cannot be read"):
         load_split(tmp_path, "train", ASK, [8])
+
+
+def rewritten(folder, change, **about):
+    """A data set of one training object, whose shard is written again from changed instances."""
+    write_boxes(folder, train=1, test=0, states=1)
+    path = folder / "train-00000.h5"
+    with open_shard(path) as shard:
+        rows = [dataclasses.replace(shard.instance(i), **change) for i in range(len(shard))]
+        attributes = dict(shard.attributes) | about
+    write_shard(path, rows, attributes)
+    return folder
+
+
+def test_shards_that_cannot_be_learnt_from_are_refused(tmp_path):
+    none = np.zeros(0)
+    still = dict.fromkeys(("joint_kind", "joint_parent", "joint_state"), none)
+    still |= {"joint_lower": none, "joint_upper": none, "part_motion": np.eye(4)[None]}
+    still |= {"joint_axis": np.zeros((0, 3)), "joint_pivot": np.zeros((0, 3))}
+    blind = {"partial_points": np.zeros((0, 0, 3)), "partial_part": np.zeros((0, 0))}
+    blind |= {"partial_T_camera_world": np.zeros((0, 4, 4)), "partial_intrinsics": np.zeros((0, 4))}
+    for name, change, about, said in (
+        ("still", still, {}, "has no joint; what never moves teaches no parts"),
+        ("blind", blind, {}, "has no partial clouds; set sampling.partial_views"),
+        ("oven", {}, {"category": "oven"}, "is of category 'oven', the manifest says 'box'"),
+        ("test", {}, {"split": "test"}, "is of split 'test', the manifest says 'train'"),
+    ):
+        folder = rewritten(tmp_path / name, change, **about)
+        with pytest.raises(CorruptShard, match=f"train-00000.h5: {said}"):
+            load_split(folder, "train", ASK, [8], joints=(3, 4), partial=True)
+
+
+def test_shards_of_another_version_are_refused(tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(schema, "SCHEMA_VERSION", 7)
+        folder = write_boxes(tmp_path / "new", train=1, test=0, states=1)
+    with pytest.raises(CorruptShard, match=r"h5: schema version 7, this articugen reads 1 only"):
+        load_split(folder, "train", ASK, [8])
+
+
+def test_shards_that_do_not_fit_together_are_refused(tmp_path):
+    folder = write_boxes(tmp_path, train=2, test=0, states=1)
+    with open_shard(folder / "train-00001.h5") as shard:
+        row, about = shard.instance(0), dict(shard.attributes)
+    less = {n: getattr(row, n)[:500] for n in ("surface_points", "surface_normals", "surface_part")}
+    write_shard(folder / "train-00001.h5", [dataclasses.replace(row, **less)], about)
+    with pytest.raises(CorruptShard, match="shards of different shapes"):
+        load_split(folder, "train", ASK, [8])
+
+
+def test_partial_clouds_come_as_stored(folder):
+    packed = load_split(folder, "test", ASK, [8], partial=True)
+    with open_shard(folder / "test-00004.h5") as shard:
+        seen = shard.instance(1).partial_points
+    np.testing.assert_array_equal(packed.partial[1].numpy().view(np.uint16), seen)
+    assert packed.of(["box-5"]).partial.shape == (4, 2, 256, 3)
+    assert load_split(folder, "test", ASK, [8]).partial.shape[1] == 0

@@ -24,7 +24,7 @@ from articugen.ppd.dataset import load_split  # noqa: E402
 from articugen.ppd.discriminator import Discriminator  # noqa: E402
 from articugen.ppd.model import PPD  # noqa: E402
 from articugen.ppd.runs import BEST, LATEST, METRICS, RunFolder, read_checkpoint  # noqa: E402
-from articugen.ppd.train import _rows, split_objects, train  # noqa: E402
+from articugen.ppd.train import batch_rows, split_objects, train  # noqa: E402
 
 torch.set_num_threads(1)
 
@@ -210,7 +210,7 @@ def test_validation_holds_objects_out_of_training():
 
 
 def test_an_epoch_visits_each_instance_once():
-    rows = [row for iteration in range(10) for row in _rows(iteration, 4, 10, seed=0)]
+    rows = [row for iteration in range(10) for row in batch_rows(iteration, 4, 10, seed=0)]
     for epoch in range(4):
         assert sorted(rows[10 * epoch : 10 * epoch + 10]) == list(range(10))
     assert rows[:10] != rows[10:20]

@@ -35,10 +35,11 @@ def register(app: typer.Typer, said_in_one_sentence: Said) -> None:
         epilog="Examples:\n\narticugen train --category laptop --data data/laptop\n\n"
         "articugen train --category laptop --data data/laptop --resume runs/laptop/000"
     )(train)
+    app.command(epilog="Example: articugen train-depth runs/laptop --data data/laptop")(train_depth)
     app.command(epilog="Example: articugen evaluate runs/laptop --data data/laptop")(evaluate)
     app.command(
         epilog="Examples:\n\narticugen predict runs/laptop data/laptop/test-00000.h5 --row 3\n\n"
-        "articugen predict runs/laptop cloud.npy --out rig"
+        "articugen predict runs/laptop cloud.ply --fit --out rig"
     )(predict)
 
 
@@ -46,8 +47,14 @@ def train(
     category: Annotated[str, typer.Option("--category", "-c", help="What the data set holds.")],
     data: Annotated[Path, typer.Option("--data", "-d", help="The folder of the data set.")],
     recipe: Annotated[
-        str, typer.Option("--recipe", "-r", help="A name under recipes/, or a YAML file.")
-    ] = "ppd_quick",
+        str | None,
+        typer.Option(
+            "--recipe",
+            "-r",
+            help="A name under recipes/, or a YAML file.",
+            show_default="ppd_quick",
+        ),
+    ] = None,
     runs: Annotated[Path, typer.Option(help="Runs go to <runs>/<category>/<number>.")] = Path(
         "runs"
     ),
@@ -71,21 +78,23 @@ def train(
 ) -> None:
     """Train PPD on a data set, or go on with a run."""
     with _said("interrupted; the last checkpoint is kept, go on with --resume"):
-        torch = _torch()
+        _prepare(device, threads)
         from articugen.ppd.race import race
         from articugen.ppd.runs import RunFolder
         from articugen.ppd.settings import load_train_recipe
         from articugen.ppd.train import train as run_training
 
-        if threads:
-            torch.set_num_threads(threads)
-        settings = load_train_recipe(recipe)
+        settings = load_train_recipe(recipe or "ppd_quick")
         if seeds is not None:
             settings = settings.with_seeds(seeds)
         if resume is not None:
+            asked = settings if recipe else None
             settings, seed = RunFolder(resume).recipe(), RunFolder(resume).about()["seed"]
-        if device.startswith("cuda") and not torch.cuda.is_available():
-            raise ArticugenError(f"--device {device}: torch sees no such GPU; use --device cpu")
+            if asked and not asked.same_but_seeds(settings):
+                raise InvalidCheckpoint(
+                    f"{resume}: was started with another recipe than {recipe}; leave out --recipe "
+                    "or start a new run"
+                )
         if settings.seeds.count > 1:
             at_once = (jobs or os.cpu_count() or 1) if device == "cpu" else 1
             run_training = partial(race, jobs=min(at_once, settings.seeds.count))
@@ -104,10 +113,35 @@ def train(
         _out.print(f"next: articugen evaluate {run.path} --data {data}", soft_wrap=True)
 
 
+def train_depth(
+    run: Annotated[Path, typer.Argument(help="A run's folder, or that of a category's runs.")],
+    data: Annotated[Path, typer.Option("--data", "-d", help="The folder of the data set.")],
+    device: Annotated[str, typer.Option(help="cpu, cuda or cuda:1.")] = "cpu",
+    threads: Annotated[int, typer.Option(min=0, help="CPU threads; 0 leaves it to torch.")] = 0,
+) -> None:
+    """Train a run's encoder for depth input, or go on with it: what one camera sees, not all."""
+    with _said("interrupted; what was last saved is kept, the same command goes on"):
+        _prepare(device, threads)
+        from articugen.ppd.depth import train_depth as run_training
+        from articugen.ppd.runs import RunFolder
+
+        folder = RunFolder.existing(_newest(run))
+        with _ProgressBar() as on_progress:
+            path = run_training(folder, data, device=device, on_progress=on_progress)
+        _out.print(f"done: {path}", soft_wrap=True)
+        _out.print(f"next: articugen evaluate {folder.path} --data {data}", soft_wrap=True)
+
+
 def evaluate(
     run: Annotated[Path, typer.Argument(help="A run's folder, or that of a category's runs.")],
     data: Annotated[Path, typer.Option("--data", "-d", help="The folder of the data set.")],
-    resolution: Annotated[int, typer.Option(min=8, max=256, help="Of the meshes' grid.")] = 32,
+    protocol: Annotated[
+        str, typer.Option(help="paper, or release: as the authors' code measures.")
+    ] = "paper",
+    resolution: Annotated[
+        int | None,
+        typer.Option(min=8, max=256, help="Of the meshes' grid.", show_default="32; release: 64"),
+    ] = None,
     label_poses: Annotated[
         str, typer.Option(help="Whose poses vote for labels: canonical or all.")
     ] = "canonical",
@@ -119,8 +153,10 @@ def evaluate(
 ) -> None:
     """Evaluate a run's last checkpoint on the test objects, as the paper does."""
     with _said():
-        torch = _torch()
+        _prepare("cpu", threads)
         from articugen.files import write_atomically
+        from articugen.ppd import release
+        from articugen.ppd.depth import DEPTH, read_depth_model, seen_by_a_camera
         from articugen.ppd.evaluate import Protocol
         from articugen.ppd.evaluate import evaluate as run_evaluation
         from articugen.ppd.reconstruct import reconstruction_from
@@ -128,58 +164,95 @@ def evaluate(
         from articugen.ppd.runs import LATEST, read_checkpoint
         from articugen.records import dequantize
 
-        if threads:
-            torch.set_num_threads(threads)
         if label_poses not in ("canonical", "all"):
             raise ArticugenError(f"--label-poses {label_poses}: canonical or all")
+        if protocol not in ("paper", "release"):
+            raise ArticugenError(f"--protocol {protocol}: paper or release")
+        meshes = None
+        if protocol == "release":
+            run_evaluation, meshes = release.evaluate_as_release, release.release_meshes
+            resolution = resolution or release.RESOLUTION
         folder = _newest(run)
         checkpoint = read_checkpoint(folder / LATEST)
-        see = reconstruction_from(checkpoint, resolution)
+        see = reconstruction_from(checkpoint, resolution or 32, meshes)
         with _err.status("evaluating ...") as status:
-            result = run_evaluation(
+            measure = partial(
+                run_evaluation,
                 data,
-                lambda instance: see(dequantize(instance.surface_points)),
-                Protocol(label_poses=label_poses, test_states=states),
+                protocol=Protocol(label_poses=label_poses, test_states=states),
+                category=checkpoint.category,
                 on_object=lambda name: status.update(f"evaluated {name}"),
             )
+            result = measure(lambda instance: see(dequantize(instance.surface_points)))
+            if (folder / DEPTH).is_file():
+                model = read_depth_model(folder, checkpoint)
+                look = reconstruction_from(checkpoint, resolution or 32, meshes, model=model)
+                result["depth_input"] = measure(lambda instance: look(seen_by_a_camera(instance)))
         table = markdown(result, checkpoint.category)
-        write_atomically(folder / "evaluation.json", (json.dumps(result, indent=1) + "\n").encode())
-        write_atomically(folder / "evaluation.md", table.encode())
+        name = "evaluation" if protocol == "paper" else f"evaluation-{protocol}"
+        text = json.dumps(result, indent=1) + "\n"
+        write_atomically(folder / f"{name}.json", text.encode())
+        write_atomically(folder / f"{name}.md", table.encode())
         _out.print(table, soft_wrap=True, markup=False)
-        _out.print(f"written: {folder}/evaluation.json, evaluation.md", soft_wrap=True)
+        _out.print(f"written: {folder}/{name}.json, {name}.md", soft_wrap=True)
 
 
 def predict(
     run: Annotated[Path, typer.Argument(help="A run's folder, or that of a category's runs.")],
-    cloud: Annotated[
-        Path, typer.Argument(help="A shard, or (n, 3) points in the unit frame as .npy.")
-    ],
+    cloud: Annotated[Path, typer.Argument(help="A shard, or points as .ply, .npy, .npz or .xyz.")],
     row: Annotated[int, typer.Option(min=0, help="Which instance of the shard.")] = 0,
+    depth: Annotated[
+        bool, typer.Option("--depth", help="One depth camera's cloud; needs train-depth.")
+    ] = False,
+    camera: Annotated[int, typer.Option(min=0, help="Which of the shard's, for --depth.")] = 0,
+    fit: Annotated[
+        bool, typer.Option("--fit", help="Bring the cloud's box into the unit frame first.")
+    ] = False,
     out: Annotated[Path, typer.Option(help="The folder for meshes and URDF.")] = Path("rig"),
     resolution: Annotated[int, typer.Option(min=8, max=256, help="Of the meshes' grid.")] = 64,
 ) -> None:
     """Segment and rig a shape: a mesh for each part, and a URDF with the predicted joints."""
     with _said():
-        _torch()
-        from articugen.ppd.predict import cloud_from, write_rig
+        _prepare()
+        from articugen.ppd.clouds import cloud_of_file, cloud_of_shard
+        from articugen.ppd.depth import read_depth_model
+        from articugen.ppd.predict import write_rig
         from articugen.ppd.reconstruct import reconstruction_from
         from articugen.ppd.runs import LATEST, read_checkpoint
 
-        checkpoint = read_checkpoint(_newest(run) / LATEST)
-        found = reconstruction_from(checkpoint, resolution)(cloud_from(cloud, row))
-        path = write_rig(found, out)
+        folder = _newest(run)
+        checkpoint = read_checkpoint(folder / LATEST)
+        if cloud.suffix == ".h5":
+            eye = camera if depth else None
+            given = cloud_of_shard(cloud, row, category=checkpoint.category, camera=eye)
+        else:
+            given = cloud_of_file(cloud, fit=fit)
+        if given.hint:
+            _err.print(given.hint, soft_wrap=True)
+        model = read_depth_model(folder, checkpoint) if depth else None
+        found = reconstruction_from(checkpoint, resolution, model=model)(given.points)
+        path = write_rig(found, out, frame=given.frame)
         for i in sorted(set(found.part.tolist())):
             kind = ("fixed", "revolute", "prismatic")[found.kind[i]]
-            _out.print(f"part {i}: {kind}, state {found.state[i]:.3f}")
+            state = found.state[i] * (given.frame.scale if kind == "prismatic" else 1.0)
+            _out.print(f"part {i}: {kind}, state {state:.3f}")
         _out.print(f"written: {path}", soft_wrap=True)
 
 
-def _torch():
+def _prepare(device: str = "cpu", threads: int = 0) -> None:
+    """Raise where torch or the device is not there."""
     try:
         import torch
     except ImportError:
         raise MissingExtra("torch", "ppd") from None
-    return torch
+    if threads:
+        torch.set_num_threads(threads)
+    try:
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError):
+        raise ArticugenError(
+            f"--device {device}: torch sees no such device; use --device cpu"
+        ) from None
 
 
 def _newest(run: Path) -> Path:
@@ -224,8 +297,8 @@ class _ProgressBar:
         self.bar.update(task, completed=progress.iteration, total=progress.iterations)
         if progress.terms:
             speed = self.bar.tasks[task].speed or 0.0
-            told = f"{who}rec {progress.terms['rec']:.2f}, {speed:.2f}/s"
-            self.bar.update(task, told=told)
+            name, value = next(iter(progress.terms.items()))
+            self.bar.update(task, told=f"{who}{name} {value:.3g}, {speed:.2f}/s")
         if progress.validation:
             values = ", ".join(f"{k} {v:.4f}" for k, v in progress.validation.items())
             line = f"{who}{progress.iteration}/{progress.iterations} held-out objects: {values}"

@@ -48,6 +48,7 @@ class PackedSplit:
         surface: (I, S, 3).
         grids: (I, R^3) labels by resolution.
         uniform, near: ((I, K, 3) coordinates, (I, K) labels).
+        partial: (I, C, M, 3) what each of C depth cameras sees; C = 0 unless asked for.
     """
 
     object_id: NDArray[Any]
@@ -56,6 +57,7 @@ class PackedSplit:
     grids: dict[int, Tensor]
     uniform: tuple[Tensor, Tensor]
     near: tuple[Tensor, Tensor]
+    partial: Tensor
 
     def __len__(self) -> int:
         return len(self.object_id)
@@ -63,7 +65,7 @@ class PackedSplit:
     @property
     def bytes(self) -> int:
         """What the tensors take."""
-        tensors = (self.surface, *self.grids.values(), *self.uniform, *self.near)
+        tensors = (self.surface, *self.grids.values(), *self.uniform, *self.near, self.partial)
         return sum(t.numel() * t.element_size() for t in tensors)
 
     def of(self, objects: Iterable[str]) -> "PackedSplit":
@@ -77,6 +79,7 @@ class PackedSplit:
             {resolution: grid[at] for resolution, grid in self.grids.items()},
             (self.uniform[0][at], self.uniform[1][at]),
             (self.near[0][at], self.near[1][at]),
+            self.partial[at],
         )
 
     def to(self, device: torch.device) -> "PackedSplit":
@@ -88,6 +91,7 @@ class PackedSplit:
             {resolution: grid.to(device) for resolution, grid in self.grids.items()},
             (self.uniform[0].to(device), self.uniform[1].to(device)),
             (self.near[0].to(device), self.near[1].to(device)),
+            self.partial.to(device),
         )
 
     def batch(
@@ -152,6 +156,7 @@ def load_split(
     *,
     category: str | None = None,
     joints: tuple[int, int] | None = None,
+    partial: bool = False,
 ) -> PackedSplit:
     """Pack a split of a data set.
 
@@ -161,10 +166,11 @@ def load_split(
         resolutions: of the grids wanted.
         category: what the data set must be of.
         joints: (revolute, prismatic) parts of the model that must be able to hold an object's.
+        partial: whether the clouds of depth cameras are wanted.
 
     Raises:
-        CorruptShard: no such data set or split, another category, too few points, no such grid,
-            more joints than the model has parts.
+        CorruptShard: no such data set or split, another category, too few points, no such grid, no
+            clouds of depth cameras, no joint, more joints than the model has parts.
     """
     manifest = Manifest.read(folder)
     if category is not None and manifest.category != category:
@@ -179,11 +185,16 @@ def load_split(
         "surface_points": ask.surface_points,
         "uniform_points": ask.uniform_points,
         "near_points": ask.near_points,
+        "partial_points": int(partial),
     }
     shards = [
-        _read(folder / name, split, wanted, sorted(set(resolutions)), joints) for name in names
+        _read(folder / name, split, manifest.category, wanted, sorted(set(resolutions)), joints)
+        for name in names
     ]
-    joined = {name: np.concatenate([shard[name] for shard in shards]) for name in shards[0]}
+    try:
+        joined = {name: np.concatenate([shard[name] for shard in shards]) for name in shards[0]}
+    except ValueError:
+        raise CorruptShard(f"{folder}: shards of different shapes; make them again") from None
     grids = {int(n.rpartition("_")[2]): n for n in joined if n.startswith("occupancy_")}
     return PackedSplit(
         joined["object_id"],
@@ -192,20 +203,30 @@ def load_split(
         {r: _tensor(joined[name]).flatten(1) for r, name in grids.items()},
         (_tensor(joined["uniform_points"]), _tensor(joined["uniform_label"])),
         (_tensor(joined["near_points"]), _tensor(joined["near_label"])),
+        _tensor(joined["partial_points"]),
     )
 
 
 def _read(
     path: Path,
     split: str,
+    category: str,
     wanted: dict[str, int],
     resolutions: list[int],
     joints: tuple[int, int] | None,
 ) -> dict[str, NDArray[Any]]:
     with open_shard(path) as shard:
-        if shard.attributes["split"] != split:
-            raise CorruptShard(f"{path}: is of split {shard.attributes['split']!r}, not {split!r}")
+        for name, should in (("split", split), ("category", category)):
+            if shard.attributes[name] != should:
+                raise CorruptShard(
+                    f"{path}: is of {name} {shard.attributes[name]!r}, the manifest says {should!r}"
+                )
         _check_joints(shard, joints)
+        if wanted["partial_points"] and 0 in shard.fields["partial_points"]:
+            raise CorruptShard(
+                f"{path}: has no partial clouds; set sampling.partial_views and make the data set "
+                "again"
+            )
         fields = ["state_index", *wanted, "uniform_label", "near_label"]
         for name, count in wanted.items():
             have = shard.fields[name][1]
@@ -240,6 +261,8 @@ def _check_joints(shard: Shard, joints: tuple[int, int] | None) -> None:
     if joints is None:
         return
     kind = shard.read("joint_kind")
+    if not kind.size:
+        raise CorruptShard(f"{shard.path}: has no joint; what never moves teaches no parts")
     have = (int((kind == 1).sum(1).max()), int((kind == 2).sum(1).max()))
     if have[0] > joints[0] or have[1] > joints[1]:
         raise CorruptShard(

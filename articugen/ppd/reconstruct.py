@@ -16,6 +16,9 @@ from articugen.records import Instance, dequantize
 
 FIXED, REVOLUTE, PRISMATIC = 0, 1, 2
 
+Meshes = Callable[[Floats], tuple[list[Floats], Floats]]
+"""From the parts' logits (P, R, R, R) to the triangles of each part, and those of the whole."""
+
 _NO_TRIANGLES = np.zeros((0, 3, 3))
 _BLOCK = 1 << 15
 
@@ -64,11 +67,17 @@ class Reconstruction:
 
 @torch.no_grad()
 def reconstruct(
-    model: PPD, cloud: Floats, resolution: int, *, residual_direction: bool = True
+    model: PPD,
+    cloud: Floats,
+    resolution: int,
+    *,
+    residual_direction: bool = True,
+    meshes: Meshes | None = None,
 ) -> Reconstruction:
     """Reconstruct the shape of a cloud (n, 3) in the unit frame on a grid of `resolution`^3.
 
-    A part's surface encloses where its field is above 0 and the greatest of all.
+    A part's surface encloses where its field is above 0 and the greatest of all, unless `meshes`
+    says otherwise.
     """
     settings = model.settings
     device = next(model.parameters()).device
@@ -84,7 +93,7 @@ def reconstruct(
         2,
     )[0]
     logits = field.double().cpu().numpy().reshape(-1, resolution, resolution, resolution)
-    surfaces = [surface(own).corners for own in _own_fields(logits)]
+    surfaces, whole = (meshes or _meshes)(logits)
     R, J = len(settings.revolute), settings.joints
     pose = predicted.pose
     T_inverse = np.tile(np.eye(4), (J + 1, 1, 1))
@@ -93,7 +102,7 @@ def reconstruct(
     return Reconstruction(
         triangles=np.concatenate([_NO_TRIANGLES, *surfaces]),
         part=np.repeat(np.arange(J + 1), [len(s) for s in surfaces]),
-        whole=surface(logits.max(0)).corners,
+        whole=whole,
         kind=np.array([FIXED] + [REVOLUTE] * R + [PRISMATIC] * (J - R)),
         state=np.append(0.0, pose.state[0].double().cpu().numpy()),
         pivot=pose.pivot[0].double().cpu().numpy(),
@@ -103,18 +112,35 @@ def reconstruct(
 
 
 def reconstruction_from(
-    checkpoint: Checkpoint, resolution: int
+    checkpoint: Checkpoint,
+    resolution: int,
+    meshes: Meshes | None = None,
+    *,
+    model: PPD | None = None,
 ) -> Callable[[Floats], Reconstruction]:
-    """What its model makes of a cloud, of as many points as it was trained on."""
-    model, recipe = checkpoint.generator(), checkpoint.recipe
-    _, stage = recipe.schedule.at(max(checkpoint.iteration - 1, 0))
+    """What its model makes of a cloud, of as many points as it was trained on.
+
+    Args:
+        model: use this one in its place: that for partial clouds.
+    """
+    recipe = checkpoint.recipe
+    if model is None:
+        model, most = checkpoint.generator(), recipe.data.surface_points
+    else:
+        most = None
+    residual = checkpoint.residual_direction
 
     def of_cloud(cloud: Floats) -> Reconstruction:
-        some = cloud[: recipe.data.surface_points]
-        residual = stage.residual_direction
-        return reconstruct(model, some, resolution, residual_direction=residual)
+        return reconstruct(
+            model, cloud[:most], resolution, residual_direction=residual, meshes=meshes
+        )
 
     return of_cloud
+
+
+def _meshes(logits: Floats) -> tuple[list[Floats], Floats]:
+    own = [surface(field).corners for field in _own_fields(logits)]
+    return own, surface(logits.max(0)).corners
 
 
 def _own_fields(logits: Floats) -> Floats:

@@ -16,7 +16,7 @@ from zipfile import BadZipFile
 
 import torch
 import yaml
-from torch import Tensor
+from torch import Tensor, nn
 
 from articugen import __version__
 from articugen.errors import ArticugenError, InvalidCheckpoint
@@ -52,10 +52,13 @@ class Checkpoint:
 
     def write(self, path: Path) -> None:
         """Write it in one step."""
-        data = {"format": FORMAT, **vars(self), "recipe": self.recipe.model_dump(mode="json")}
-        buffer = io.BytesIO()
-        torch.save(data, buffer)
-        write_atomically(path, buffer.getvalue())
+        data = {**vars(self), "recipe": self.recipe.model_dump(mode="json")}
+        write_tensors(path, data, FORMAT)
+
+    @property
+    def residual_direction(self) -> bool:
+        """Whether r^z counts at this point of the schedule."""
+        return self.recipe.schedule.at(max(self.iteration - 1, 0))[1].residual_direction
 
     def generator(self) -> PPD:
         """The model with its weights, ready for predictions."""
@@ -70,19 +73,42 @@ def read_checkpoint(path: Path) -> Checkpoint:
     Raises:
         InvalidCheckpoint: there is none, it is damaged, or not one of ours.
     """
+    data = read_tensors(path, FORMAT)
+    recipe = parse_train_recipe(data.pop("recipe"), str(path))
+    try:
+        point = Checkpoint(recipe=recipe, **data)
+    except TypeError:
+        raise InvalidCheckpoint(f"{path}: a checkpoint that lacks something; train again") from None
+    with torch.random.fork_rng(devices=[]):
+        check_weights(point.model, PPD(recipe.model), path)
+    return point
+
+
+def read_tensors(path: Path, wanted: str) -> dict[str, Any]:
+    """What was saved at `path`, in the format `wanted`; see `read_checkpoint`."""
     try:
         data = torch.load(path, map_location="cpu", weights_only=True)
     except OSError as error:
         raise InvalidCheckpoint(f"{path}: cannot be read ({error.strerror or error})") from None
     except (UnpicklingError, RuntimeError, ValueError, EOFError, KeyError, BadZipFile):
         raise InvalidCheckpoint(f"{path}: not a checkpoint, or damaged; train again") from None
-    if not isinstance(data, dict) or data.pop("format", None) != FORMAT:
+    if not isinstance(data, dict) or data.pop("format", None) != wanted:
         raise InvalidCheckpoint(f"{path}: not a checkpoint of this version; train again")
-    recipe = parse_train_recipe(data.pop("recipe"), str(path))
-    try:
-        return Checkpoint(recipe=recipe, **data)
-    except TypeError:
-        raise InvalidCheckpoint(f"{path}: a checkpoint that lacks something; train again") from None
+    return data
+
+
+def write_tensors(path: Path, data: dict[str, Any], form: str) -> None:
+    """Write tensors and plain data in one step."""
+    buffer = io.BytesIO()
+    torch.save({"format": form, **data}, buffer)
+    write_atomically(path, buffer.getvalue())
+
+
+def check_weights(weights: dict[str, Tensor], network: nn.Module, path: Path) -> None:
+    """Raise InvalidCheckpoint where they are not this network's."""
+    have = {name: value.shape for name, value in weights.items()}
+    if have != {name: value.shape for name, value in network.state_dict().items()}:
+        raise InvalidCheckpoint(f"{path}: its weights are those of another recipe; train again")
 
 
 class RunFolder:
@@ -148,18 +174,18 @@ class RunFolder:
         except (OSError, ValueError):
             raise InvalidCheckpoint(f"{self.path}: is no run's folder, or a damaged one") from None
 
-    def log(self, record: dict[str, Any]) -> None:
+    def log(self, record: dict[str, Any], name: str = METRICS) -> None:
         """Append one line to the metrics."""
-        with (self.path / METRICS).open("a", encoding="utf-8") as file:
+        with (self.path / name).open("a", encoding="utf-8") as file:
             file.write(json.dumps(record) + "\n")
 
-    def metrics(self) -> list[dict[str, Any]]:
-        path = self.path / METRICS
+    def metrics(self, name: str = METRICS) -> list[dict[str, Any]]:
+        path = self.path / name
         lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
         return [json.loads(line) for line in lines if line.endswith("}")]
 
-    def forget_after(self, iteration: int) -> None:
+    def forget_after(self, iteration: int, name: str = METRICS) -> None:
         """Drop metrics of iterations that will be done again."""
-        kept = [r for r in self.metrics() if r["iteration"] <= iteration]
+        kept = [r for r in self.metrics(name) if r["iteration"] <= iteration]
         text = "".join(json.dumps(record) + "\n" for record in kept)
-        write_atomically(self.path / METRICS, text.encode())
+        write_atomically(self.path / name, text.encode())

@@ -179,6 +179,19 @@ class Seeds(_Section):
     halve_at: tuple[int, ...] = ()
 
 
+class DepthSettings(_Section):
+    """The third stage: an encoder for what one depth camera sees.
+
+    Attributes:
+        iterations, batch: how many, of how many clouds each.
+        learning_rate: of Adam; a cosine leads to a hundredth of it by the end.
+    """
+
+    iterations: int = Field(default=50_000, ge=1)
+    batch: int = Field(default=32, ge=1)
+    learning_rate: float = Field(default=1e-3, gt=0)
+
+
 class TrainRecipe(_Section):
     """One training recipe, resolved. See the sections for the meaning of each key."""
 
@@ -187,6 +200,7 @@ class TrainRecipe(_Section):
     losses: LossSettings = LossSettings()
     data: DataSettings = DataSettings()
     schedule: Schedule = Schedule()
+    depth: DepthSettings = DepthSettings()
     seeds: Seeds = Seeds()
 
     @model_validator(mode="after")
@@ -210,6 +224,10 @@ class TrainRecipe(_Section):
         """
         seeds = {**self.seeds.model_dump(), "count": count}
         return parse_train_recipe(self.model_dump() | {"seeds": seeds}, "--seeds")
+
+    def same_but_seeds(self, other: "TrainRecipe") -> bool:
+        """Whether the other decides the same runs, however many of them race."""
+        return self.sha256() == other.model_copy(update={"seeds": self.seeds}).sha256()
 
     def text(self) -> str:
         """The resolved recipe as YAML, every key spelt out."""

@@ -93,8 +93,8 @@ def train(
         for group in (*optimizer.param_groups, *critic_optimizer.param_groups):
             group["lr"] = _learning_rate(recipe, iteration)
 
-        rng = torch.Generator(where).manual_seed(_draw(seed, "batch", iteration))
-        rows = _rows(iteration, plan.batch, len(training), seed)
+        rng = torch.Generator(where).manual_seed(draw(seed, "batch", iteration))
+        rows = batch_rows(iteration, plan.batch, len(training), seed)
         batch = training.batch(rows, recipe.data, stage.resolution, rng)
         predict = partial(model, batch.cloud, residual_direction=stage.residual_direction)
         predicted = predict()
@@ -216,6 +216,8 @@ def _run_and_start(
         raise InvalidCheckpoint(
             f"{resume}: was started with another recipe, category or seed; start a new run"
         )
+    if run.about()["data"]["content_sha256"] != Manifest.read(data).content_sha256:
+        raise InvalidCheckpoint(f"{resume}: was started on other data than {data}; start a new run")
     run.forget_after(start.iteration)
     return run, start
 
@@ -224,7 +226,7 @@ def _models(
     recipe: TrainRecipe, seed: int, start: Checkpoint | None, device: torch.device
 ) -> tuple[PPD, Discriminator, float]:
     with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(_draw(seed, "weights"))
+        torch.manual_seed(draw(seed, "weights"))
         model, critic = PPD(recipe.model), Discriminator()
     if start:
         model.load_state_dict(start.model)
@@ -251,11 +253,12 @@ def _learning_rate(recipe: TrainRecipe, iteration: int) -> float:
     return plan.final_learning_rate + share * (plan.learning_rate - plan.final_learning_rate)
 
 
-def _draw(seed: int, *path: str | int) -> int:
+def draw(seed: int, *path: str | int) -> int:
+    """A number for torch's generators, from the seed and what it is for."""
     return int(seeded(seed, "ppd", *path).integers(2**63))
 
 
-def _rows(iteration: int, batch: int, count: int, seed: int) -> list[int]:
+def batch_rows(iteration: int, batch: int, count: int, seed: int) -> list[int]:
     """The instances of a batch: epochs one after the other, each in an order of its own."""
     rows: list[int] = []
     at = iteration * batch
