@@ -39,7 +39,7 @@ class Field:
     """The fused field of one set of depth maps.
 
     Attributes:
-        maps: best with the face seen at each pixel.
+        maps: the face seen at each pixel; from backends that cannot tell, the depth.
         triangles: (F, 16) float32 of the faces as posed, see `hierarchy.triangle_table`.
         hierarchy: of each part in its canonical pose.
         part_motion: (P, 4, 4) of each part from its canonical pose.
@@ -93,7 +93,7 @@ class Field:
         eyes = -np.einsum("kji,kj->ki", T[:, :3, :3], T[:, :3, 3]) if pinhole else -T[:, 2, :3]
         away = np.abs(T[:, 2, 3]) if pinhole else 1.0
         return fusion_kernels.Scene(
-            depth=self.maps.depth if self.maps.face is None else _NO_DEPTH,
+            depth=_NO_DEPTH if self.maps.depth is None else self.maps.depth,
             face=_NO_FACES if self.maps.face is None else self.maps.face,
             cameras=np.ascontiguousarray(T[:, :3], np.float32),
             intrinsics=intrinsics.astype(np.float32),
@@ -170,6 +170,8 @@ def fuse(
         hierarchy, part_motion: of the mesh's parts in the canonical pose, and how they moved from
             there; without them the mesh is taken as it is.
     """
+    if maps.face is not None:
+        maps = replace(maps, depth=None)  # the faces' planes say more, and depths take much room
     corners = mesh.vertices[mesh.faces]
     if hierarchy is None or part_motion is None:
         part_motion = np.eye(4)[None]

@@ -30,6 +30,7 @@ from articugen.records import (
     quantize,
 )
 from articugen.rendering import rasterizer, render
+from articugen.rendering.overlay import Overlay
 from articugen.rendering.views import fusion_views, random_pinhole_views
 from articugen.seeding import generator
 
@@ -71,8 +72,9 @@ class Prepared:
         seen: (F,) whether a face can be seen at all.
         hierarchy: of all parts.
         views: the views that are fused.
+        closed: (F,) whether a face belongs to a closed solid, whose inner side nobody sees.
         static: the depth maps of part 0 alone, which every instance shares.
-        scratch: room for the depth maps of one instance after the other.
+        overlay: what the moving parts of one instance after the other are drawn over part 0 in.
         own: each moving part alone.
         grids: by resolution.
     """
@@ -87,8 +89,9 @@ class Prepared:
     seen: NDArray[np.bool_]
     hierarchy: Hierarchy
     views: Views
+    closed: NDArray[np.bool_]
     static: DepthMaps
-    scratch: DepthMaps
+    overlay: Overlay | None
     own: tuple[fusion.OwnSolid, ...]
     grids: dict[int, Grid]
 
@@ -132,8 +135,9 @@ def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
         seen=np.concatenate([part.seen for part in parts]),
         hierarchy=build(mesh.vertices[mesh.faces], mesh.part_of_face, obj.part_count),
         views=views,
+        closed=np.concatenate([sheets.closed(part.mesh) for part in parts]),
         static=static,
-        scratch=rasterizer.empty_maps(views),
+        overlay=Overlay(static) if recipe.views.backend == "rasterizer" else None,
         own=tuple(part.own for part in parts[1:]),
         grids={r: _grid(r, static_field) for r in recipe.sampling.grids},
     )
@@ -145,7 +149,7 @@ def make_instance(p: Prepared, state_index: int) -> Instance:
     Raises:
         RejectedInstance: nothing of it can be seen.
     """
-    mesh, fields = pose(p, state_index, scratch=p.scratch)
+    mesh, fields = pose(p, state_index, overlay=p.overlay)
     surface = _surface(p, state_index, mesh, fields)
     return Instance(
         object_id=p.obj.object_id,
@@ -162,16 +166,19 @@ def make_instance(p: Prepared, state_index: int) -> Instance:
 
 
 def pose(
-    p: Prepared, state_index: int, *, scratch: DepthMaps | None = None
+    p: Prepared, state_index: int, *, overlay: Overlay | None = None
 ) -> tuple[LabelledMesh, fusion.PosedFields]:
     """The object's surface and its fields at its `state_index`-th joint state, unit frame.
 
-    With `scratch` the fields hold until the next call that is given the same.
+    With `overlay` the fields hold until the next call that is given the same; without, for good.
     """
     posed = articulation.forward_kinematics(p.obj, p.states[state_index])
     motion = p.unit.rigid_to_unit(articulation.part_motions(posed, p.canonical))
     mesh = p.mesh.moved(motion)
-    maps = _render_posed(p, mesh, scratch)
+    if p.overlay is None:
+        maps = _render(mesh, p.views, p.recipe)
+    else:
+        maps = _draw_moving(p, mesh, overlay or Overlay(p.static))
     field = fusion.fuse(maps, mesh, p.recipe.fusion, hierarchy=p.hierarchy, part_motion=motion)
     return mesh, fusion.PosedFields(field, p.own, motion)
 
@@ -253,15 +260,10 @@ def _render(mesh: LabelledMesh, views: Views, recipe: Recipe) -> DepthMaps:
     return render(mesh, views, backend=recipe.views.backend)
 
 
-def _render_posed(p: Prepared, mesh: LabelledMesh, scratch: DepthMaps | None) -> DepthMaps:
-    """The depth maps of a posed object; with our rasterizer, drawn over those of part 0."""
-    if p.recipe.views.backend != "rasterizer":
-        return _render(mesh, p.views, p.recipe)
+def _draw_moving(p: Prepared, mesh: LabelledMesh, overlay: Overlay) -> DepthMaps:
     first = int(np.searchsorted(mesh.part_of_face, 1))
     moving = LabelledMesh(mesh.vertices, mesh.faces[first:], mesh.part_of_face[first:])
-    return rasterizer.render(
-        moving.compact(), p.views, onto=p.static, first_face=first, scratch=scratch
-    )
+    return overlay.draw(moving.compact(), closed=p.closed[first:], first_face=first)
 
 
 def _grid(resolution: int, static: fusion.Field) -> Grid:
@@ -333,7 +335,7 @@ def _partial_fields(p: Prepared, state_index: int, mesh: LabelledMesh) -> dict[s
     views = random_pinhole_views(
         wanted.partial_views, wanted.partial_resolution, bounds(mesh.vertices), rng=rng
     )
-    maps = rasterizer.render(mesh, views)
+    maps = rasterizer.render(mesh, views, closed=p.closed)
     clouds = sampling.partial_clouds(
         maps, mesh.part_of_face, wanted.partial_points, wanted.depth_noise, rng=rng
     )

@@ -316,13 +316,14 @@ class DepthMaps:
 
     Attributes:
         depth: (K, H, W) float32: z along the optical axis at the pixel's centre, inf where nothing
-            is seen. It is neither a ray distance nor read anywhere else in the pixel.
+            is seen. It is neither a ray distance nor read anywhere else in the pixel. None where
+            only the faces are kept.
         face: (K, H, W) int32: the face seen at the pixel's centre, -1 where nothing is; None from
             backends that cannot tell.
         views: the cameras.
     """
 
-    depth: NDArray[np.float32]
+    depth: NDArray[np.float32] | None
     face: NDArray[np.int32] | None
     views: Views
 

@@ -129,6 +129,7 @@ def partial_clouds(
     Raises:
         RejectedInstance: a view sees nothing.
     """
+    assert maps.depth is not None
     assert maps.face is not None
     views = maps.views
     clouds = np.zeros((len(views), count, 3))

@@ -10,6 +10,7 @@ A part alone, so that the answer does not change with its pose.
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from articugen.records import DepthMaps, LabelledMesh
@@ -115,9 +116,10 @@ def solidified(
     if thickness <= 0.0:
         sheet[:] = False
     probed = (share[0] > 0.0) | (share[1] > 0.0)
-    turned = np.where(probed, share[1] > share[0], shown[1] > shown[0])
+    solid = closed(mesh)  # whose winding can be trusted, and whose backs nobody sees
+    turned = np.where(probed, share[1] > share[0], shown[1] > shown[0]) & ~solid
     faces = np.where(turned[:, None], mesh.faces[:, ::-1], mesh.faces)
-    seen = probed | (shown[0] > 0) | (shown[1] > 0)
+    seen = (share[0] > 0.0) | (shown[0] > 0) | (((share[1] > 0.0) | (shown[1] > 0)) & ~solid)
     kept = LabelledMesh(mesh.vertices, faces[~sheet], mesh.part_of_face[~sheet])
     slabs = _slabs(mesh.vertices, faces[sheet], mesh.part_of_face[sheet], thickness)
     vertices = np.concatenate([kept.vertices, slabs.vertices])
@@ -174,6 +176,48 @@ def _continued(
     other = owner[order[start[face] + rank]]
     smooth = np.abs(np.einsum("ni,ni->n", normals[face], normals[other])) > SMOOTH_COSINE
     return np.bincount(face, weights=smooth & (other != face), minlength=len(faces)) > 0
+
+
+def closed(mesh: LabelledMesh) -> NDArray[np.bool_]:
+    """(F,) which faces belong to a closed piece: along each of its edges as many faces run one way
+    as the other, and its volume is positive. From outside, only fronts are seen of it.
+    """
+    faces = welded(mesh.vertices)[mesh.faces]
+    if not len(faces):
+        return np.zeros(0, np.bool_)
+    count = int(faces.max()) + 1
+    edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
+    there, back = edges @ (count, 1), edges @ (1, count)
+    keys, which, times = np.unique(there, return_inverse=True, return_counts=True)
+    at = np.minimum(np.searchsorted(keys, back), len(keys) - 1)
+    paired = (keys[at] == back) & (times[at] == times[which])
+    piece = _pieces(faces.astype(np.int64), count)
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
+    volume = np.bincount(piece, weights=np.einsum("fi,fi->f", a, np.cross(b, c)), minlength=count)
+    open_edges = np.bincount(np.repeat(piece, 3), weights=~paired, minlength=count)
+    return (open_edges[piece] == 0) & (volume[piece] > 0.0)
+
+
+@njit(cache=True, nogil=True)
+def _pieces(faces, count):
+    """(F,) a number for each face, the same for faces that hang together by corners."""
+    parent = np.arange(count)
+    for f in range(faces.shape[0]):
+        for corner in range(1, 3):
+            a, b = _root(parent, faces[f, 0]), _root(parent, faces[f, corner])
+            parent[max(a, b)] = min(a, b)
+    piece = np.empty(faces.shape[0], np.int64)
+    for f in range(faces.shape[0]):
+        piece[f] = _root(parent, faces[f, 0])
+    return piece
+
+
+@njit(cache=True, nogil=True)
+def _root(parent, i):
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
 
 
 def face_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:

@@ -8,6 +8,7 @@ from scipy.spatial import Delaunay
 from articugen.geometry import look_along
 from articugen.records import LabelledMesh, Views
 from articugen.rendering import render
+from articugen.rendering.overlay import Overlay
 from articugen.rendering.rasterizer import render as rasterize
 from tests.shapes import box, labelled, pixel_points, rotated, two_sided, views_of
 
@@ -76,15 +77,38 @@ def test_a_cut_square_is_covered_exactly_once(seed):
     assert np.all(count == 1)
 
 
-def test_drawing_over_other_maps_is_drawing_all_at_once():
+@pytest.mark.parametrize("projection", ["orthographic", "pinhole"])
+def test_drawing_over_fixed_faces_again_and_again_is_drawing_all_at_once(projection):
     mesh = labelled(box((0.6, 0.6, 0.1)), rotated(box((0.2, 0.2, 0.7)), 0.3, (1, 0, 0)))
-    for projection in ("orthographic", "pinhole"):
-        views = views_of(mesh, count=6, resolution=48, projection=projection)
-        whole = rasterize(mesh, views)
-        base = rasterize(mesh.part(0), views)
-        over = rasterize(mesh.part(1), views, onto=base, first_face=12)
+    views = views_of(mesh, count=6, resolution=48, projection=projection)
+    overlay = Overlay(rasterize(mesh.part(0), views))
+    for angle in (0.0, 0.4, 1.5, 0.4):
+        moving = labelled(rotated(box((0.2, 0.2, 0.7)), angle, (1, 0, 1)))
+        over = overlay.draw(moving, closed=np.zeros(12, np.bool_), first_face=12)
+        whole = rasterize(LabelledMesh.joined([mesh.part(0), moving]), views)
         assert np.array_equal(whole.face, over.face)
-        assert np.allclose(whole.depth, over.depth, rtol=1e-6, atol=0)
+    nothing = overlay.draw(moving.part(1), closed=np.zeros(0, np.bool_), first_face=12)
+    assert np.array_equal(nothing.face, rasterize(mesh.part(0), views).face)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=20, deadline=None)
+def test_the_backs_of_closed_solids_are_never_missed(seed):
+    rng = np.random.default_rng(seed)
+    pieces = [
+        rotated(box(rng.uniform(0.02, 0.4, 3), rng.uniform(-0.2, 0.2, 3)), t, (1, 2, 3))
+        for t in rng.uniform(0.0, 3.0, 4)
+    ]
+    mesh = labelled(*pieces, trimesh.creation.icosphere(subdivisions=3, radius=0.15))
+    for projection in ("orthographic", "pinhole"):
+        views = views_of(mesh, count=4, resolution=64, projection=projection)
+        all_faces = rasterize(mesh, views)
+        fronts = rasterize(mesh, views, closed=np.ones(len(mesh.faces), np.bool_))
+        assert np.array_equal(np.isfinite(all_faces.depth), np.isfinite(fronts.depth))
+        seen = np.isfinite(fronts.depth)
+        assert np.mean(all_faces.face[seen] == fronts.face[seen]) > 0.99  # silhouettes meet backs
+        off = np.abs(all_faces.depth[seen] - fronts.depth[seen])
+        assert np.mean(off > 1e-6) < 0.01
 
 
 def test_what_lies_behind_a_pinhole_is_refused():

@@ -54,6 +54,35 @@ def test_faces_turn_outwards_whatever_their_winding():
     assert np.all(np.sum(normals * centers, axis=1) > 0)
 
 
+def test_only_closed_pieces_that_look_outwards_are_closed():
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.1)
+    inside_out = trimesh.Trimesh(
+        np.add(ball.vertices, (0.3, 0, 0)), ball.faces[:, ::-1], process=False
+    )
+    holed = trimesh.Trimesh(np.subtract(ball.vertices, (0.3, 0, 0)), ball.faces[:-1], process=False)
+    touching = [box((0.1, 0.1, 0.1), (x, 0.3, 0)) for x in (0.0, 0.1)]  # a wall and four edges
+    pieces = [ball, inside_out, holed, *touching]
+    mesh = labelled(*pieces)
+    closed = [bool(sheets.closed(mesh.part(k)).all()) for k in range(len(pieces))]
+    assert closed == [True, False, False, True, True]
+    wanted = np.repeat(closed, [len(piece.faces) for piece in pieces])
+    assert np.array_equal(sheets.closed(mesh), wanted)
+
+
+def test_a_plate_thinner_than_the_probes_keeps_its_winding():
+    """A thin key on a base: seen from inside, its underside looks free through its top."""
+    base, key = box((0.6, 0.6, 0.1)), box((0.1, 0.1, 0.0015), (0, 0, 0.05 + 0.00075))
+    part = solid_part(labelled(trimesh.util.concatenate([base, key])), RECIPE)
+    assert len(part.mesh.faces) == 24
+    centers = part.mesh.vertices[part.mesh.faces].mean(axis=1)
+    normals = sheets.face_normals(part.mesh.vertices, part.mesh.faces)
+    under = (np.arange(24) >= 12) & (centers[:, 2] < 0.05 + 1e-6)
+    assert under.sum() == 2
+    assert np.all(normals[under, 2] < -0.99)
+    assert not part.seen[under].any()
+    assert part.seen[~under].all()
+
+
 def test_an_open_box_of_sheets_gets_walls_and_keeps_its_cavity():
     open_box = box((0.6, 0.6, 0.6))
     top = open_box.face_normals[:, 2] > 0.5
