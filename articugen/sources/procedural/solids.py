@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from articugen.geometry import Array, apply, rotation_about, transform
+from articugen.geometry import Array, apply, cross, rotation_about, transform
 from articugen.sources.procedural.outlines import circle, convex_pieces, rounded_rectangle
 
 Face = tuple[int, ...]
@@ -47,7 +47,7 @@ class Sheet:
     def drawn(self) -> Array:
         """(n, 3, 3) the triangles where messy models have them."""
         edges = self.triangles[0, 1:] - self.triangles[0, :1]
-        normal = np.cross(edges[0], edges[1])
+        normal = cross(edges[0], edges[1])
         return self.triangles + self.seen * self.thickness / 2 * normal / np.linalg.norm(normal)
 
     def moved(self, T: Array) -> "Sheet":
@@ -115,7 +115,7 @@ class Solid:
             for k in range(1, len(face) - 1)
         ]
         a, b, c = np.moveaxis(self.vertices[np.array(triangles)], 1, 0)
-        return float(np.sum(a * np.cross(b, c)) / 6.0)
+        return float(np.sum(a * cross(b, c)) / 6.0)
 
     def moved(self, T: Array) -> "Solid":
         """The solid after the rigid transform `T` (4, 4)."""
@@ -287,7 +287,7 @@ def sweep(
     for i, (t, before) in enumerate(zip(way, np.roll(way, 1, axis=0), strict=True)):
         before = t if i == 0 and not closed else before  # noqa: PLW2901
         v = v if i == 0 else _carried(v, before, t)
-        across = np.cross(v, t)
+        across = cross(v, t)
         cut = t + before
         flat = sections[i] @ np.stack([across, v])
         rings[i] = points[i] + flat - np.outer(flat @ cut / (t @ cut), t)
@@ -298,7 +298,7 @@ def sweep(
 
 def _carried(v: Array, before: Array, after: Array) -> Array:
     """`v` turned by the least rotation that takes `before` to `after`."""
-    axis = np.cross(before, after)
+    axis = cross(before, after)
     sine = np.linalg.norm(axis)
     if sine < 1e-12:
         return v
@@ -318,7 +318,7 @@ def _side(vertices: Array, a: list[int], b: list[int], i: int) -> list[Face]:
     j = (i + 1) % len(a)
     quad = (a[i], a[j], b[j], b[i])
     p, q, r, s = vertices[list(quad)]
-    normal = np.cross(r - p, s - q)
+    normal = cross(r - p, s - q)
     height = normal @ (q - p) / np.linalg.norm(normal)
     if abs(height) < FLAT / 10:
         return [quad]
@@ -334,7 +334,7 @@ def _planes(vertices: Array, faces: list[Face]) -> Array:
     index = np.array([[*face, *[face[-1]] * (longest - len(face))] for face in faces])
     middle = vertices.mean(axis=0)
     points = vertices[index] - middle
-    normals = np.cross(points, np.roll(points, -1, axis=1)).sum(axis=1)
+    normals = cross(points, np.roll(points, -1, axis=1)).sum(axis=1)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     lengths = np.array([len(face) for face in faces])[:, None]
     used = (np.arange(longest) < lengths)[:, :, None]
@@ -348,7 +348,7 @@ def _triangles(vertices: Array, faces: list[Face]) -> NDArray[np.int32]:
     others = [t for face in faces if len(face) != 4 for t in _clipped(vertices, face)]
     p = vertices[quads]
     before, after = np.roll(p, 1, axis=1), np.roll(p, -1, axis=1)
-    area = np.linalg.norm(np.cross(p - before, after - p), axis=2)
+    area = np.linalg.norm(cross(p - before, after - p), axis=2)
     # The diagonal that leaves the larger of the two smaller triangles; rounding decides no draw.
     cut_02 = np.minimum(area[:, 1], area[:, 3]) >= _ALMOST * np.minimum(area[:, 0], area[:, 2])
     turned = np.where(cut_02[:, None], quads, np.roll(quads, -1, axis=1))
@@ -363,8 +363,8 @@ def _clipped(vertices: Array, face: Face) -> list[Face]:
     while len(left) > 3:
         p = vertices[left]
         before, after = np.roll(p, 1, axis=0), np.roll(p, -1, axis=0)
-        area = np.linalg.norm(np.cross(p - before, after - p), axis=1)
-        whole = np.linalg.norm(np.cross(p, after).sum(axis=0))
+        area = np.linalg.norm(cross(p - before, after - p), axis=1)
+        whole = np.linalg.norm(cross(p, after).sum(axis=0))
         fatness = area / np.sum((after - before) ** 2, axis=1)
         # What stays must not be flat. Of equal ears the first is taken, whatever the rounding.
         fatness = np.where(area < whole * (1.0 - 1e-9), fatness, -1.0)

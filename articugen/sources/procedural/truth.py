@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from articugen.geometry import Array
+from articugen.geometry import Array, cross
 from articugen.sources.procedural.writer import TRUTH_NAME
 
 _Cells = tuple[Array, NDArray[np.int64], Array]
@@ -124,9 +124,9 @@ def _cells(link: dict[str, Any], sheet_thickness: float | None) -> list[tuple[Ar
 def _slab(triangle: Array, thickness: float) -> tuple[Array, Array]:
     """The prism of a triangle (3, 3) that reaches half of `thickness` to either side."""
     edges = np.roll(triangle, -1, axis=0) - triangle
-    normal = np.cross(edges[0], edges[1])
+    normal = cross(edges[0], edges[1])
     normal /= np.linalg.norm(normal)
-    sides = np.cross(edges, normal)
+    sides = cross(edges, normal)
     sides /= np.linalg.norm(sides, axis=1, keepdims=True)
     across = normal * thickness / 2
     normals = np.stack([normal, -normal, *sides])

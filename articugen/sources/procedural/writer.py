@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.geometry import Array, apply, invert_rigid, rotation_from_rpy, transform
+from articugen.geometry import Array, apply, cross, invert_rigid, rotation_from_rpy, transform
 from articugen.sources.procedural.model import ROOT_NAME, Model, ModelLink
 from articugen.sources.procedural.solids import Solid
 
@@ -174,7 +174,7 @@ def _seen_faces(solid: Solid, index: int, others: Iterable[Solid]) -> NDArray[np
     if index % 2 == 0:
         return solid.faces
     corners = solid.vertices[solid.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     outside = corners + 1e-6 * normals[:, None]
     hidden = np.zeros(len(corners), bool)
