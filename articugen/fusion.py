@@ -54,23 +54,30 @@ class Field:
     settings: Fusion
     flood: Flood | None = None
 
-    def is_free(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """Which of `points` (n, 3), unit frame, lie outside: (n,).
+    def is_free(
+        self, points: NDArray[np.floating], which: NDArray[np.intp] | None = None
+    ) -> NDArray[np.bool_]:
+        """Which of `points` (n, 3), unit frame, lie outside: (n,); of points[which] if given.
 
         With the rule `seen` much cheaper than `value`: the first view that sees it free settles a
         point.
         """
+        which = np.arange(len(points)) if which is None else which
         if self.settings.rule == "mean":
-            return self.value(points) > 0.0
-        free = self.is_seen_free(points)
+            return self.value(points[which]) > 0.0
+        free = self.is_seen_free(points, which)
         if self.flood is not None:
             unseen = np.flatnonzero(~free)
-            free[unseen] = self.flood.reaches(points[unseen])
+            free[unseen] = self.flood.reaches(points[which[unseen]])
         return free
 
-    def is_seen_free(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """Which of `points` (n, 3) at least one view sees free: (n,)."""
-        return fusion_kernels.is_free(np.ascontiguousarray(points, np.float32), self._scene())
+    def is_seen_free(
+        self, points: NDArray[np.floating], which: NDArray[np.intp] | None = None
+    ) -> NDArray[np.bool_]:
+        """Which of `points` (n, 3), or of points[which], at least one view sees free."""
+        which = np.arange(len(points)) if which is None else which
+        flat = np.ascontiguousarray(points, np.float32)
+        return fusion_kernels.is_free(flat, which, self._scene())
 
     def value(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
         """The field at `points` (n, 3): (n,) in [-truncation, truncation], negative inside.
@@ -136,7 +143,7 @@ class PosedFields:
         """
         label = self._moving_part(points)
         rest = np.flatnonzero(label == 0)
-        label[rest] = ~self.whole.is_free(points[rest])
+        label[rest] = ~self.whole.is_free(points, rest)
         return label
 
     def labels_inside(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:

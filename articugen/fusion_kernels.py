@@ -53,16 +53,18 @@ class Scene(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def is_free(points, scene):
-    """(n,) which points at least one view sees free; a point is done with at the first.
+def is_free(points, which, scene):
+    """(m,) which of points[which] at least one view sees free; a point is done with at the first.
 
     View by view over the points that are left, which stay packed: a view's map stays in the cache.
     A block is projected, then the faces around its points are read, then judged: three short loops,
     of which the first is vectorised and the second waits for memory many times at once.
     """
-    n = points.shape[0]
+    n = which.shape[0]
     free = np.zeros(n, np.bool_)
-    x, y, z = points[:, 0].copy(), points[:, 1].copy(), points[:, 2].copy()
+    x, y, z = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
+    for i in range(n):
+        x[i], y[i], z[i] = points[which[i], 0], points[which[i], 1], points[which[i], 2]
     index = np.arange(n)
     u, v, depth = (
         np.empty(BLOCK, np.float32),
