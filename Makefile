@@ -112,7 +112,7 @@ $(testing): $(generator)
 
 $(learner): $(generator)
 	@echo "Installing torch ..."
-	@$(pinned) --editable '.[ppd]'
+	@$(pinned) --editable '.[ppd,tensorboard]'
 	@touch $@
 
 $(dev): $(testing)

@@ -27,8 +27,9 @@ STAGES = {
 STORE = {"files", "schema", "shards", "manifest", "journal"}
 
 PPD_WITH_TORCH = {
-    "dataset", "depth", "discriminator", "evaluate", "kinematics", "losses", "model", "objective",
-    "predict", "race", "reconstruct", "release", "runs", "shape", "train",
+    "dataset", "depth", "descent", "discriminator", "evaluate", "kinematics", "learner", "losses",
+    "model", "objective", "predict", "processes", "race", "reconstruct", "release", "runs",
+    "shape", "train",
 }  # fmt: skip
 """The modules of ppd that cannot be imported without torch."""
 
@@ -83,6 +84,7 @@ FOREIGN: dict[str, set[str]] = {
     "pyrender": {"rendering.opengl"},
     "OpenGL": {"rendering.opengl"},
     "sapien": {"rendering.sapien"},
+    "tensorboard": {"ppd.boards"},
     "torch": {f"ppd.{name}" for name in PPD_WITH_TORCH | {"cli"}},
 }
 """The modules that wrap a library; nobody else imports it."""
@@ -143,7 +145,7 @@ def test_help_waits_for_no_heavy_library() -> None:
 
 def test_the_core_needs_no_optional_library() -> None:
     """All but the files that wrap them import where open3d, torch and the like are absent."""
-    optional = ("open3d", "pyrender", "OpenGL", "sapien", "torch", "scipy")
+    optional = ("open3d", "pyrender", "OpenGL", "sapien", "tensorboard", "torch", "scipy")
     without = {"__init__", "__main__"} | {f"ppd.{name}" for name in PPD_WITH_TORCH}
     names = [m for m in modules() if m not in without]
     code = (

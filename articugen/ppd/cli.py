@@ -79,6 +79,7 @@ def train(
     """Train PPD on a data set, or go on with a run."""
     with _said("interrupted; the last checkpoint is kept, go on with --resume"):
         _prepare(device, threads)
+        from articugen.ppd import boards, processes
         from articugen.ppd.race import race
         from articugen.ppd.runs import RunFolder
         from articugen.ppd.settings import load_train_recipe
@@ -96,9 +97,15 @@ def train(
                     "or start a new run"
                 )
         if settings.seeds.count > 1:
+            if int(os.environ.get("WORLD_SIZE", "1")) > 1:
+                raise ArticugenError(
+                    "torchrun: seeds race in processes of their own; add --seeds 1"
+                )
             at_once = (jobs or os.cpu_count() or 1) if device == "cpu" else 1
             run_training = partial(race, jobs=min(at_once, settings.seeds.count))
-        with _ProgressBar() as on_progress:
+        with processes.joined(device) as own_device, _ProgressBar() as on_progress:
+            if processes.is_first() and not boards.is_installed():
+                _err.print(boards.MISSING, soft_wrap=True, markup=False)
             run = run_training(
                 settings,
                 category=category,
@@ -106,9 +113,11 @@ def train(
                 runs=runs / category,
                 seed=seed,
                 resume=resume,
-                device=device,
+                device=own_device,
                 on_progress=on_progress,
             )
+            if not run.writes:
+                return
         _out.print(f"done: {run.path}", soft_wrap=True)
         _out.print(f"next: articugen evaluate {run.path} --data {data}", soft_wrap=True)
 
@@ -272,13 +281,15 @@ class _ProgressBar:
         from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as Bar
 
+        from articugen.ppd.processes import is_first
+
         self.bar = Bar(
             BarColumn(),
             TextColumn("{task.completed:.0f}/{task.total:.0f} iterations"),
             TextColumn("{task.fields[told]}"),
             TimeRemainingColumn(),
             console=_err,
-            disable=not _err.is_terminal,
+            disable=not (_err.is_terminal and is_first()),
         )
         self.tasks: dict[int | None, TaskID] = {}
 

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from articugen.errors import CorruptShard
 from articugen.manifest import Manifest
+from articugen.ppd import processes
 from articugen.ppd.settings import DataSettings
 from articugen.shards import Shard, open_shard
 
@@ -36,6 +37,11 @@ class Batch:
     points: Tensor
     occupied: Tensor
     spread: int
+
+    def share(self) -> "Batch":
+        """What this process takes of it; all of it where there is one."""
+        of = processes.share
+        return Batch(of(self.cloud), of(self.points), of(self.occupied), self.spread)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,14 +101,14 @@ class PackedSplit:
         )
 
     def batch(
-        self, rows: Sequence[int], ask: DataSettings, resolution: int, rng: torch.Generator
+        self, rows: Sequence[int], ask: DataSettings, resolution: int, rng: torch.Generator | None
     ) -> Batch:
         """A batch of the instances `rows`; points are drawn without replacement.
 
         Args:
-            rng: of the device that the split lies on.
+            rng: of the device that the split lies on; None for torch's own.
         """
-        at = torch.as_tensor(rows, device=self.surface.device)
+        at = index_on(self.surface.device, rows)
         cloud = unpacked(_some(self.surface[at], ask.surface_points, rng)[0])
         points: list[Tensor] = []
         labels: list[Tensor] = []
@@ -122,7 +128,13 @@ class PackedSplit:
         return Batch(cloud, torch.cat(points, 1), torch.cat(labels, 1) > 0, spread)
 
 
-def _some(rows: Tensor, count: int, rng: torch.Generator) -> tuple[Tensor, Tensor]:
+def index_on(device: torch.device, rows: Sequence[int]) -> Tensor:
+    """The numbers of rows as a tensor; no GPU is waited for."""
+    at = torch.tensor(rows)
+    return at.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else at.to(device)
+
+
+def _some(rows: Tensor, count: int, rng: torch.Generator | None) -> tuple[Tensor, Tensor]:
     """`count` entries along axis 1 of (B, n, ...), drawn anew for each row, and their places.
 
     All n of them stay in order: nothing that uses a batch depends on the order of its points.

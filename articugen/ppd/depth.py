@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.nn.functional import mse_loss
 
 from articugen.errors import CorruptShard, InvalidCheckpoint, TrainingDiverged
-from articugen.ppd.dataset import PackedSplit, load_split, unpacked
+from articugen.ppd.dataset import PackedSplit, index_on, load_split, unpacked
 from articugen.ppd.meshing import Floats
 from articugen.ppd.model import PPD
 from articugen.ppd.runs import (
@@ -82,7 +82,7 @@ def train_depth(
             group["lr"] = _learning_rate(plan, iteration)
         rng = torch.Generator(where).manual_seed(draw(point.seed, "depth", iteration))
         rows = batch_rows(iteration, plan.batch, len(training), point.seed)
-        at = torch.as_tensor(rows, device=where)
+        at = index_on(where, rows)
         camera = torch.randint(training.partial.shape[1], at.shape, generator=rng, device=where)
         loss = mse_loss(student(unpacked(training.partial[at, camera])), target[at])
         optimizer.zero_grad()

@@ -115,21 +115,31 @@ def release_location(pivots: Tensor, points: Tensor, occupied: Tensor, fields: T
     return nearest_distance(pivots, points, chosen).square().mean()
 
 
-def release_chain(pivots: Tensor, points: Tensor, fields: Tensor) -> Tensor:
-    """Half the squared distances to the points that part i owns and to those any other part owns.
+def release_chain_squares(pivots: Tensor, points: Tensor, fields: Tensor) -> tuple[Tensor, Tensor]:
+    """Squared distances to the points that part i owns, and to those any other part owns.
 
-    A part owns a point where its field is the greatest of all and above 0; a part's term is the
-    mean over the samples in which it has points, the whole the mean over parts.
+    A part owns a point where its field is the greatest of all and above 0.
+
+    Returns:
+        The squares (B, 2, R), and 1 where there is such a point, else 0.
     """
     R = pivots.shape[1]
     greatest, owner = fields.max(1)
     solid = (greatest > 0)[:, None]
     mine = owner[:, None] == torch.arange(1, 1 + R, device=owner.device)[:, None]
-    total = pivots.new_zeros(())
-    for chosen in (solid & mine, solid & ~mine):
-        square = nearest_distance(pivots, points, chosen).square()
-        total = total + (square.sum(0) / chosen.any(2).sum(0).clamp(min=1)).mean()
-    return 0.5 * total
+    both = (solid & mine, solid & ~mine)
+    squares = [nearest_distance(pivots, points, chosen).square() for chosen in both]
+    there = [chosen.any(2).to(pivots.dtype) for chosen in both]
+    return torch.stack(squares, 1), torch.stack(there, 1)
+
+
+def release_chain(squares: Tensor, there: Tensor) -> Tensor:
+    """Half the sum of both `release_chain_squares`.
+
+    A part's term is the mean over the samples in which there are points, the whole the mean over
+    parts.
+    """
+    return 0.5 * (squares.sum(0) / there.sum(0).clamp(min=1.0)).mean(1).sum()
 
 
 def state_variation(state: Tensor) -> Tensor:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from articugen.ppd import losses
+from articugen.ppd import losses, processes
 from articugen.ppd.dataset import Batch
 from articugen.ppd.discriminator import Discriminator
 from articugen.ppd.model import PPD, Pose, Prediction
@@ -34,15 +34,20 @@ class RandomPose:
 
 
 def random_pose(
-    model: PPD, prediction: Prediction, batch: Batch, weigh: LossSettings, rng: torch.Generator
+    model: PPD,
+    prediction: Prediction,
+    batch: Batch,
+    weigh: LossSettings,
+    rng: torch.Generator | None,
 ) -> RandomPose:
     """Draw joint states and evaluate the shapes there."""
     B, J = prediction.pose.state.shape
     kind = {"dtype": batch.points.dtype, "device": batch.points.device}
     most = torch.full((J,), weigh.most_prismatic, **kind)
     most[: len(model.settings.revolute)] = weigh.most_revolute
-    state = most * torch.rand(B, J, generator=rng, **kind)
-    mix = torch.rand(B, generator=rng, **kind)
+    everyone = B * processes.count()
+    state = processes.share(most * torch.rand(everyone, J, generator=rng, **kind))
+    mix = processes.share(torch.rand(everyone, generator=rng, **kind))
     with torch.no_grad():
         occupancy = _composed(model, prediction, state, batch.points)
     return RandomPose(state, occupancy, mix)
@@ -112,16 +117,18 @@ def _volume(
     def logit(of: PartLogits) -> Tensor:
         return of.product if weigh.vol_logit == "product" else of.instance
 
-    moved = losses.relu_volume(logit(fields)[..., : batch.spread])
+    moved = processes.mean(losses.relu_volume(logit(fields)[..., : batch.spread]))
     points = batch.points[:, : batch.spread]
     if points.device.type != "cpu":
-        return losses.volume(moved, losses.relu_volume(logit(model.still(shape, points))))
+        still = losses.relu_volume(logit(model.still(shape, points)))
+        return losses.volume(moved, processes.mean(still))
     with torch.no_grad():
         greatest = logit(model.still(shape, points)).amax(1)
         most = max(int((greatest > 0).sum(1).max()), 1)
         chosen = greatest.topk(most, dim=1, sorted=False).indices
     some = logit(model.still(shape, gather_points(points, chosen)))
-    return losses.volume(moved, losses.relu_volume(some) * (most / batch.spread))
+    still = losses.relu_volume(some) * (most / batch.spread)
+    return losses.volume(moved, processes.mean(still))
 
 
 def _quantization(model: PPD, prediction: Prediction, weigh: LossSettings) -> Tensor:
@@ -159,7 +166,8 @@ def _location(
     if weigh.loc_form == "paper":
         return losses.location(pivots, batch.points, batch.occupied, product[:, revolute] > 0)
     near = losses.release_location(pivots, batch.points, batch.occupied, product)
-    chain = losses.release_chain(pivots, batch.points, product)
+    squares = losses.release_chain_squares(pivots, batch.points, product)
+    chain = losses.release_chain(*(processes.gathered(x) for x in squares))
     if not model.settings.common_pose:
         return near + chain
     raw = pose.pivot_common[:, revolute]
@@ -168,12 +176,13 @@ def _location(
 
 def _variation(model: PPD, pose: Pose, weigh: LossSettings) -> Terms:
     revolute = len(model.settings.revolute)
-    pivots, terms = pose.pivot[:, 1 : 1 + revolute], {}
+    pivots, terms = processes.gathered(pose.pivot[:, 1 : 1 + revolute]), {}
+    state = processes.gathered(pose.state)
     if weigh.var_state:
         if weigh.var_form == "paper":
-            variation = losses.state_variation(pose.state)
+            variation = losses.state_variation(state)
         else:
-            variation = losses.release_state_variation(pose.state, revolute)
+            variation = losses.release_state_variation(state, revolute)
         terms["var_state"] = weigh.var_state * variation
     if weigh.var_pivot:
         if weigh.var_form == "paper":

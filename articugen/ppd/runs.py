@@ -1,6 +1,7 @@
 """Run folders: the recipe, what it ran on, metrics as JSON lines, checkpoints without pickled code.
 
-<runs>/<category>/<number>/recipe.yaml, run.json, metrics.jsonl, latest.pt, best.pt
+<runs>/<category>/<number>/recipe.yaml, run.json, metrics.jsonl, latest.pt, best.pt; depth.pt and
+depth.jsonl of the third stage; what TensorBoard reads.
 
 Where several seeds raced, race.json says who won and why, seeds/<seed> are run folders themselves,
 and the winner's metrics and checkpoints are the run's.
@@ -22,6 +23,8 @@ from articugen import __version__
 from articugen.errors import ArticugenError, InvalidCheckpoint
 from articugen.files import write_atomically
 from articugen.manifest import this_commit, this_machine
+from articugen.ppd import boards, processes
+from articugen.ppd.learner import Learner
 from articugen.ppd.model import PPD
 from articugen.ppd.settings import TrainRecipe, parse_train_recipe
 
@@ -49,6 +52,23 @@ class Checkpoint:
     optimizer: dict[str, Any]
     critic_optimizer: dict[str, Any]
     best: float
+
+    @staticmethod
+    def of(
+        recipe: TrainRecipe, category: str, seed: int, iteration: int, learner: Learner, best: float
+    ) -> "Checkpoint":
+        """Where a learner stands."""
+        return Checkpoint(
+            recipe,
+            category,
+            seed,
+            iteration,
+            learner.model.state_dict(),
+            learner.critic.state_dict(),
+            learner.descent.adam.state_dict(),
+            learner.critic_descent.adam.state_dict(),
+            best,
+        )
 
     def write(self, path: Path) -> None:
         """Write it in one step."""
@@ -116,6 +136,8 @@ class RunFolder:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.writes = processes.is_first()
+        """Of several processes one writes; what the others are told to write is dropped."""
 
     @staticmethod
     def new(
@@ -176,8 +198,17 @@ class RunFolder:
 
     def log(self, record: dict[str, Any], name: str = METRICS) -> None:
         """Append one line to the metrics."""
+        if not self.writes:
+            return
         with (self.path / name).open("a", encoding="utf-8") as file:
             file.write(json.dumps(record) + "\n")
+        if name == METRICS:
+            boards.add(self.path, record)
+
+    def keep(self, point: Checkpoint, name: str) -> None:
+        """Write a checkpoint."""
+        if self.writes:
+            point.write(self.path / name)
 
     def metrics(self, name: str = METRICS) -> list[dict[str, Any]]:
         path = self.path / name
@@ -186,6 +217,10 @@ class RunFolder:
 
     def forget_after(self, iteration: int, name: str = METRICS) -> None:
         """Drop metrics of iterations that will be done again."""
+        if not self.writes:
+            return
         kept = [r for r in self.metrics(name) if r["iteration"] <= iteration]
         text = "".join(json.dumps(record) + "\n" for record in kept)
         write_atomically(self.path / name, text.encode())
+        if name == METRICS:
+            boards.forget_after(self.path, iteration)

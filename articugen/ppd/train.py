@@ -1,4 +1,4 @@
-"""Training, in one readable loop.
+"""Training, in one readable loop. Several processes may run it together: see `processes`.
 
 An iteration's random numbers depend on the seed and its number alone, so a run that was stopped and
 resumed draws the same curve as one that was not.
@@ -8,18 +8,17 @@ import math
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import nn
 
-from articugen.errors import InvalidCheckpoint, TrainingDiverged
+from articugen.errors import InvalidCheckpoint
 from articugen.manifest import Manifest
-from articugen.ppd import objective
+from articugen.ppd import processes
 from articugen.ppd.dataset import PackedSplit, load_split, unpacked, voxel_centres
-from articugen.ppd.discriminator import Discriminator
+from articugen.ppd.learner import Learner
 from articugen.ppd.model import PPD
 from articugen.ppd.objective import Terms
 from articugen.ppd.runs import BEST, LATEST, Checkpoint, RunFolder, read_checkpoint
@@ -73,68 +72,55 @@ def train(
         TrainingDiverged: a term is no longer a finite number; the message says which.
     """
     where = torch.device(device)
+    processes.check_batch(recipe.schedule.batch)
     training, held_out = _data(recipe, data, category, where)
     run, start = _run_and_start(recipe, category, data, runs, seed, resume, name)
-    model, critic, best = _models(recipe, seed, start, where)
-    plan, weigh = recipe.schedule, recipe.losses
+    learner = _learner(recipe, seed, start, where)
+    plan, best = recipe.schedule, start.best if start else math.inf
     first = start.iteration if start else 0
     stage_index, _ = plan.at(first)
-    optimizer, critic_optimizer = _optimizers(recipe, model, critic)
-    if start and first != _first_of(recipe, stage_index):
-        optimizer.load_state_dict(start.optimizer)
-        critic_optimizer.load_state_dict(start.critic_optimizer)
     since = time.perf_counter()
 
     for iteration in range(first, min(plan.iterations, stop_after or plan.iterations)):
         index, stage = plan.at(iteration)
-        if index != stage_index:  # a new stage begins with new Adams, as the release's does
+        if index != stage_index:
             stage_index = index
-            optimizer, critic_optimizer = _optimizers(recipe, model, critic)
-        for group in (*optimizer.param_groups, *critic_optimizer.param_groups):
-            group["lr"] = _learning_rate(recipe, iteration)
+            learner.begin_stage()
+        rate = _learning_rate(recipe, iteration)
 
         rng = torch.Generator(where).manual_seed(draw(seed, "batch", iteration))
         rows = batch_rows(iteration, plan.batch, len(training), seed)
-        batch = training.batch(rows, recipe.data, stage.resolution, rng)
-        predict = partial(model, batch.cloud, residual_direction=stage.residual_direction)
-        predicted = predict()
-        posed, critic_terms = None, {}
-        if weigh.adv_g:
-            posed = objective.random_pose(model, predicted, batch, weigh, rng)
-            judge = partial(objective.discriminator_terms, critic, batch, posed, weigh)
-            critic_terms = judge()
-            _step(critic_optimizer, critic, critic_terms, judge, iteration)
-        minimize = partial(
-            objective.generator_terms, model, batch=batch, weigh=weigh, critic=critic, posed=posed
+        batch = training.batch(rows, recipe.data, stage.resolution, rng).share()
+        residual = stage.residual_direction
+        terms = learner.learn(
+            batch, rng, iteration=iteration, rate=rate, residual_direction=residual
         )
-        terms = minimize(predicted)
-        _step(optimizer, model, terms, lambda: minimize(predict()), iteration)  # noqa: B023
 
         done = iteration + 1
         last = done == plan.iterations
-        told = None
-        if done % plan.log_every == 0 or last:
-            told = {name: float(v.detach()) for name, v in (terms | critic_terms).items()}
-            run.log({
-                "iteration": done, "stage": index, "terms": told,
-                "learning_rate": _learning_rate(recipe, iteration),
-                "seconds": round(time.perf_counter() - since, 2),
-            })  # fmt: skip
+        tells = done % plan.log_every == 0 or last
+        validates = len(held_out) > 0 and (done % plan.validate_every == 0 or last)
+        saves = done % plan.save_every == 0 or last or done == stop_after
+        if tells or validates or saves:
+            learner.check()
+        told = _values(terms) if tells else None
+        if told:
+            seconds = round(time.perf_counter() - since, 2)
+            about = {"terms": told, "learning_rate": rate, "seconds": seconds}
+            run.log({"iteration": done, "stage": index, **about})
         checked = None
-        if len(held_out) and (done % plan.validate_every == 0 or last):
-            checked = validate(model, held_out, recipe.data, stage.residual_direction)
+        if validates and run.writes:
+            checked = validate(learner.model, held_out, recipe.data, residual)
             run.log({"iteration": done, "validation": checked})
         better = checked is not None and checked["rec"] < best
-        if better or done % plan.save_every == 0 or last or done == stop_after:
+        if better or saves:
             best = checked["rec"] if checked and better else best
-            point = Checkpoint(
-                recipe, category, seed, done, model.state_dict(), critic.state_dict(),
-                optimizer.state_dict(), critic_optimizer.state_dict(), best,
-            )  # fmt: skip
+            point = Checkpoint.of(recipe, category, seed, done, learner, best)
             if better:
-                point.write(run.path / BEST)
-            point.write(run.path / LATEST)
+                run.keep(point, BEST)
+            run.keep(point, LATEST)
         on_progress(Progress(done, plan.iterations, told, checked))
+    processes.wait()
     return run
 
 
@@ -209,7 +195,10 @@ def _run_and_start(
     name: str | None,
 ) -> tuple[RunFolder, Checkpoint | None]:
     if resume is None:
-        return new_run(recipe, category, data, runs, seed, name), None
+        path = processes.of_first(
+            lambda: str(new_run(recipe, category, data, runs, seed, name).path)
+        )
+        return RunFolder(Path(path)), None
     run = RunFolder.existing(resume)
     start = read_checkpoint(run.path / LATEST)
     if (start.recipe.sha256(), start.category, start.seed) != (recipe.sha256(), category, seed):
@@ -222,23 +211,25 @@ def _run_and_start(
     return run, start
 
 
-def _models(
+def _learner(
     recipe: TrainRecipe, seed: int, start: Checkpoint | None, device: torch.device
-) -> tuple[PPD, Discriminator, float]:
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(draw(seed, "weights"))
-        model, critic = PPD(recipe.model), Discriminator()
+) -> Learner:
+    """A new one, or where the checkpoint left it; at a stage's beginning Adams are new."""
+    learner = Learner(recipe, draw(seed, "weights"), device)
     if start:
-        model.load_state_dict(start.model)
-        critic.load_state_dict(start.critic)
-    return model.to(device), critic.to(device), start.best if start else math.inf
+        learner.model.load_state_dict(start.model)
+        learner.critic.load_state_dict(start.critic)
+        if start.iteration != _first_of(recipe, recipe.schedule.at(start.iteration)[0]):
+            learner.descent.adam.load_state_dict(start.optimizer)
+            learner.critic_descent.adam.load_state_dict(start.critic_optimizer)
+    return learner
 
 
-def _optimizers(
-    recipe: TrainRecipe, model: PPD, critic: Discriminator
-) -> tuple[torch.optim.Adam, torch.optim.Adam]:
-    rate = recipe.schedule.learning_rate
-    return torch.optim.Adam(model.parameters(), rate), torch.optim.Adam(critic.parameters(), rate)
+def _values(terms: Terms) -> dict[str, float]:
+    """The means over the processes, read from the device at once."""
+    values = torch.stack([value.detach() for value in terms.values()])
+    processes.average([values])
+    return dict(zip(terms, values.tolist(), strict=True))
 
 
 def _first_of(recipe: TrainRecipe, stage: int) -> int:
@@ -267,40 +258,3 @@ def batch_rows(iteration: int, batch: int, count: int, seed: int) -> list[int]:
         order = seeded(seed, "ppd", "epoch", epoch).permutation(count)
         rows += order[offset : offset + batch - len(rows)].tolist()
     return rows
-
-
-def _step(
-    optimizer: torch.optim.Adam,
-    network: nn.Module,
-    terms: Terms,
-    again: Callable[[], Terms],
-    iteration: int,
-) -> None:
-    """One step down the sum of the terms; refuses one that would spoil the weights.
-
-    `again` evaluates the same terms once more, to find the one to blame.
-    """
-    optimizer.zero_grad()
-    total = torch.stack(list(terms.values())).sum()
-    total.backward()
-    gradients = [p.grad for p in network.parameters() if p.grad is not None]
-    if not bool(torch.isfinite(total.detach() + torch.nn.utils.get_total_norm(gradients))):
-        raise TrainingDiverged(
-            f"iteration {iteration + 1}: {_blame(network, again())} is not a finite number; lower "
-            "schedule.learning_rate or that term's weight, and resume from the last checkpoint"
-        )
-    optimizer.step()
-
-
-def _blame(network: nn.Module, terms: Terms) -> str:
-    """The terms that are not finite, or else those whose gradient is not."""
-    bad = [name for name, value in terms.items() if not bool(torch.isfinite(value.detach()))]
-    if bad:
-        return f"the loss {' and '.join(bad)}"
-    parameters = list(network.parameters())
-    for name, value in terms.items():
-        if value.requires_grad:
-            gradients = torch.autograd.grad(value, parameters, retain_graph=True, allow_unused=True)
-            if not all(bool(g.isfinite().all()) for g in gradients if g is not None):
-                bad.append(name)
-    return f"the gradient of {' and '.join(bad or terms)}"
