@@ -19,7 +19,7 @@ from articugen.records import Floats, LabelledMesh
 
 _WALL, _DRY, _WET = 1, 0, 2
 
-AROUND = 2
+AROUND = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,26 +62,24 @@ def flood(
     """Flood the voxels that are not walls from the faces of the cube.
 
     Args:
-        state: as `walls` makes it; it is changed.
+        state: as `walls` makes it.
         mesh: the faces that made it.
         is_seen_free: of points (n, 3): whether a view sees them free.
         hierarchy, part_motion: of the posed mesh.
     """
-    _fill(state)
-    # outside the mesh's box some view sees every point free
     corners = mesh.vertices[mesh.faces].reshape(-1, 3)
     low, high = (bounds(corners) + 0.5) * len(state) if len(corners) else np.zeros((2, 3))
-    first = np.maximum(low.astype(int), 0)
-    last = np.minimum(high.astype(int), len(state) - 1)
+    first = np.clip(low.astype(int), 0, len(state) - 1)
+    last = np.clip(high.astype(int), 0, len(state) - 1)
     box = tuple(slice(a, b + 1) for a, b in zip(first, last, strict=True))
-    wet = np.argwhere(state[box] == _WET) + first
-    unseen = wet[~is_seen_free((wet + 0.5) / len(state) - 0.5)]
+    around = np.full(state.shape, _WET, np.uint8)  # outside the mesh's box a view sees every point
+    around[box] = _filled(state[box])
+    asked = _to_ask(around, first, last)
+    unseen = asked[~is_seen_free((asked + 0.5) / len(state) - 0.5)]
     hidden = np.zeros(state.shape, np.bool_)
-    for step in np.ndindex(*(2 * AROUND + 1,) * 3):
-        around = np.clip(unseen + np.array(step) - AROUND, 0, len(state) - 1)
-        hidden[tuple(around.T)] = True
+    _mark_around(hidden, unseen)
     to_part = np.ascontiguousarray(invert_rigid(part_motion)[:, :3], np.float32)
-    return Flood(state, hidden, hierarchy, to_part)
+    return Flood(around, hidden, hierarchy, to_part)
 
 
 @njit(cache=True, nogil=True)
@@ -130,31 +128,72 @@ def _shadows_meet(a, b, c, turn, u, v, i, j):
 
 
 @njit(cache=True, nogil=True)
-def _fill(state):
-    n = state.shape[0]
-    waiting = np.empty((n * n * n, 3), np.int16)
+def _filled(state):
+    """The states of a box of voxels once its faces are flooded, but for walls, from outside."""
+    a, b, c = state.shape
+    padded = np.full((a + 2, b + 2, c + 2), np.uint8(_WALL))  # so that no step leaves the array
+    padded[1:-1, 1:-1, 1:-1] = state
+    flat = padded.reshape(-1)
+    row, plane = c + 2, (b + 2) * (c + 2)
+    waiting = np.empty(flat.shape[0], np.int32)
     count = 0
-    for i in range(n):
-        for j in range(n):
-            for k in range(n):
-                border = i == 0 or j == 0 or k == 0 or i == n - 1 or j == n - 1 or k == n - 1
-                if border and state[i, j, k] == _DRY:
-                    state[i, j, k] = _WET
-                    waiting[count] = (i, j, k)
+    for i in range(1, a + 1):
+        for j in range(1, b + 1):
+            inner = 1 < i < a and 1 < j < b
+            for k in range(1, c + 1, c - 1 if inner and c > 1 else 1):
+                at = i * plane + j * row + k
+                if flat[at] == _DRY:
+                    flat[at] = _WET
+                    waiting[count] = at
                     count += 1
     while count > 0:
         count -= 1
-        at = (waiting[count, 0], waiting[count, 1], waiting[count, 2])
-        for axis in range(3):
-            for step in (-1, 1):
-                i = at[0] + (step if axis == 0 else 0)
-                j = at[1] + (step if axis == 1 else 0)
-                k = at[2] + (step if axis == 2 else 0)
-                inside = 0 <= i < n and 0 <= j < n and 0 <= k < n
-                if inside and state[i, j, k] == _DRY:
-                    state[i, j, k] = _WET
-                    waiting[count] = (i, j, k)
+        at = waiting[count]
+        for step in (-plane, -row, -1, 1, row, plane):
+            if flat[at + step] == _DRY:
+                flat[at + step] = _WET
+                waiting[count] = at + step
+                count += 1
+    return padded[1:-1, 1:-1, 1:-1].copy()
+
+
+@njit(cache=True, nogil=True)
+def _to_ask(state, first, last):
+    """(m, 3) the reached voxels of a box beside a wall, and every other one along each axis.
+
+    What no view sees lies close to what hides it, or is wide.
+    """
+    n = state.shape[0]
+    found = np.empty((state.size, 3), np.int16)
+    count = 0
+    for i in range(first[0], last[0] + 1):
+        for j in range(first[1], last[1] + 1):
+            for k in range(first[2], last[2] + 1):
+                if state[i, j, k] != _WET:
+                    continue
+                if (
+                    (i | j | k) & 1 == 0
+                    or state[max(i - 1, 0), j, k] == _WALL
+                    or state[min(i + 1, n - 1), j, k] == _WALL
+                    or state[i, max(j - 1, 0), k] == _WALL
+                    or state[i, min(j + 1, n - 1), k] == _WALL
+                    or state[i, j, max(k - 1, 0)] == _WALL
+                    or state[i, j, min(k + 1, n - 1)] == _WALL
+                ):
+                    found[count] = (i, j, k)
                     count += 1
+    return found[:count]
+
+
+@njit(cache=True, nogil=True)
+def _mark_around(hidden, voxels):
+    n = hidden.shape[0]
+    for index in range(voxels.shape[0]):
+        i, j, k = voxels[index]
+        for a in range(max(i - AROUND, 0), min(i + AROUND + 1, n)):
+            for b in range(max(j - AROUND, 0), min(j + AROUND + 1, n)):
+                for c in range(max(k - AROUND, 0), min(k + AROUND + 1, n)):
+                    hidden[a, b, c] = True
 
 
 @njit(cache=True, nogil=True)
