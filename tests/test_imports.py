@@ -29,7 +29,7 @@ STORE = {"files", "schema", "shards", "manifest", "journal"}
 PPD_WITH_TORCH = {
     "dataset", "depth", "descent", "discriminator", "evaluate", "kinematics", "learner", "losses",
     "model", "objective", "predict", "processes", "race", "reconstruct", "release", "runs",
-    "shape", "train",
+    "shape", "train", "figures.draw", "figures.shapes",
 }  # fmt: skip
 """The modules of ppd that cannot be imported without torch."""
 
@@ -54,8 +54,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "replay": BASE
     | STORE
     | {"sources", "articulation", "instance", "meshing", "pipeline", "verify"},
-    "inspection": BASE | STORE,
-    "ppd": BASE | STORE,
+    "inspection": BASE | STORE | {"rendering"},
+    "ppd": BASE | STORE | {"inspection"},
     "console": {"inspection", "manifest", "pipeline", "sources"},
     "cli": {
         "errors",
@@ -77,7 +77,8 @@ FOREIGN: dict[str, set[str]] = {
     "yourdfpy": {"sources.urdf"},
     "lxml": {"sources.urdf", "sources.xml_strict"},
     "trimesh": {"sources.mesh_formats", "replay", "ppd.clouds"},
-    "PIL": {"inspection.contact_sheet"},
+    "PIL": {"inspection.layout", "inspection.shading"},
+    "matplotlib": {"ppd.figures.plots"},
     "typer": {"cli", "ppd.cli"},
     "rich": {"cli", "console", "ppd.cli", "inspection.summary", "inspection.tables"},
     "open3d": {"rendering.embree"},
@@ -145,8 +146,11 @@ def test_help_waits_for_no_heavy_library() -> None:
 
 def test_the_core_needs_no_optional_library() -> None:
     """All but the files that wrap them import where open3d, torch and the like are absent."""
-    optional = ("open3d", "pyrender", "OpenGL", "sapien", "tensorboard", "torch", "scipy")
-    without = {"__init__", "__main__"} | {f"ppd.{name}" for name in PPD_WITH_TORCH}
+    optional = (
+        "open3d", "pyrender", "OpenGL", "sapien", "tensorboard", "torch", "scipy", "matplotlib"
+    )  # fmt: skip
+    with_extras = PPD_WITH_TORCH | {"figures.plots"}
+    without = {"__init__", "__main__"} | {f"ppd.{name}" for name in with_extras}
     names = [m for m in modules() if m not in without]
     code = (
         f"import sys, importlib\nfor name in {optional}: sys.modules[name] = None\n"

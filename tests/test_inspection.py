@@ -17,8 +17,10 @@ from articugen.errors import ArticugenError, CorruptShard
 from articugen.geometry import fibonacci_sphere, invert_rigid, rotation_about, transform
 from articugen.inspection.camera import framed
 from articugen.inspection.cells import cells_of, near
-from articugen.inspection.contact_sheet import COLOURS, PAPER, contact_sheet
+from articugen.inspection.contact_sheet import contact_sheet
 from articugen.inspection.light import Cloud, occlusion, occlusion_in_detail
+from articugen.inspection.portrait import COLOURS
+from articugen.inspection.shading import PAPER
 from articugen.inspection.summary import histogram, shards_of, summary
 from articugen.inspection.surfels import Sample, draw, surfels
 from articugen.inspection.tables import duration, size

@@ -17,13 +17,11 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
 
 from articugen.errors import ArticugenError
-from articugen.geometry import apply, invert_rigid
-from articugen.inspection.camera import Camera, framed
-from articugen.inspection.light import Cloud, occlusion, occlusion_in_detail
-from articugen.inspection.surfels import Sample, Surfels, draw, surfels
+from articugen.inspection.layout import Caption, Row, save, sheet
+from articugen.inspection.portrait import COLOURS, best_azimuth, pooled, portrait, tile_camera
+from articugen.inspection.surfels import Surfels
 from articugen.records import Instance, dequantize
 from articugen.shards import Shard, open_shard
 
@@ -39,20 +37,9 @@ Chosen = tuple[str, str, list[Place]]
 POOLED = 16
 """The points of so many instances of an object, or of all that there are, make its pictures."""
 
-COLOURS = ("#d9d4cb", "#4477aa", "#ddaa33", "#bb5566", "#44aa99", "#882255", "#88ccee", "#999933")
-"""Of part 0, 1, ...: pairs that readers with any colour vision tell apart (after Paul Tol)."""
-
-PAPER, INK, GREY = "#ffffff", "#333333", "#8a8a8a"
-
-TILE, MARGIN, CAPTION = 288, 10, 22
-SUPERSAMPLING = 2
-
-AZIMUTHS = tuple(np.radians((-35.0, 35.0, 145.0, 215.0)))
-ELEVATION = float(np.radians(27.0))
-
 
 @dataclass(frozen=True, eq=False)
-class _Row:
+class _Object:
     """`instances` to draw; `discs` in the canonical pose, from the points of many instances."""
 
     category: str
@@ -80,16 +67,19 @@ def contact_sheet(shards: Sequence[Path], path: Path, *, objects: int = 4, state
         ArticugenError: there is nothing to draw, or `path` cannot be written.
     """
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        rows = list(pool.map(lambda chosen: _row(chosen, states), _chosen(shards, objects)))
-        names = {row.category for row in rows}
-        seen_from = {c: _best_azimuth([row for row in rows if row.category == c]) for c in names}
-        cameras = [_camera(row, seen_from[row.category]) for row in rows]
-        tiles = [(r, i, c) for r, c in zip(rows, cameras, strict=True) for i in r.instances]
-        sheet = _sheet(rows, list(pool.map(lambda tile: _picture(*tile), tiles)))
-    try:
-        sheet.save(path, "PNG", optimize=True)
-    except OSError as error:
-        raise ArticugenError(f"{path}: cannot be written: {error.strerror}") from None
+        drawn = list(pool.map(lambda chosen: _object(chosen, states), _chosen(shards, objects)))
+        widest: dict[str, list[Instance]] = {}
+        for each in drawn:
+            widest.setdefault(each.category, []).append(each.instances[-1])
+        azimuth = {category: best_azimuth(instances) for category, instances in widest.items()}
+        cameras = [tile_camera(each.points, azimuth[each.category]) for each in drawn]
+        tiles = [(o, i, c) for o, c in zip(drawn, cameras, strict=True) for i in o.instances]
+        pictures = pool.map(lambda t: portrait(t[0].discs, t[1], t[2], t[0].floor), tiles)
+    rows = [
+        Row(o.title, [next(pictures) for _ in o.instances], [_states(i) for i in o.instances])
+        for o in drawn
+    ]
+    save(sheet(rows), path)
 
 
 def _chosen(shards: Sequence[Path], objects: int) -> list[Chosen]:
@@ -112,14 +102,14 @@ def _chosen(shards: Sequence[Path], objects: int) -> list[Chosen]:
     ]
 
 
-def _row(chosen: Chosen, states: int) -> _Row:
+def _object(chosen: Chosen, states: int) -> _Object:
     category, title, places = chosen
     with ExitStack() as stack:
         opened = {path: stack.enter_context(open_shard(path)) for path in {p for p, _ in places}}
         rows = sorted(((opened[path], index) for path, index in places), key=lambda r: _moved(*r))
         drawn = tuple(shard.instance(index) for shard, index in _evenly(rows, states))
-        pooled = [_at_rest(shard.instance(index)) for shard, index in _evenly(rows, POOLED)]
-    return _Row(category, title, drawn, surfels(pooled))
+        many = [shard.instance(index) for shard, index in _evenly(rows, POOLED)]
+    return _Object(category, title, drawn, pooled(many))
 
 
 def _evenly(items: Sequence[T], count: int) -> list[T]:
@@ -135,119 +125,10 @@ def _moved(shard: Shard, index: int) -> float:
     return float(np.abs(q / np.where(upper == 0.0, 1.0, upper)).sum())
 
 
-def _sample(instance: Instance) -> Sample:
-    normals = instance.surface_normals.astype(np.float64)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return Sample(dequantize(instance.surface_points), normals, instance.surface_part)
-
-
-def _at_rest(instance: Instance) -> Sample:
-    """Its points in the canonical pose."""
-    return _sample(instance).moved(invert_rigid(instance.part_motion))
-
-
-def _camera(row: _Row, azimuth: float) -> Camera:
-    return framed(row.points, azimuth, ELEVATION, SUPERSAMPLING * TILE, fill=0.86)
-
-
-def _best_azimuth(rows: Sequence[_Row]) -> float:
-    posed = [surfels([_sample(row.instances[-1])]) for row in rows]  # its own points will do
-    return max(AZIMUTHS, key=lambda azimuth: sum(_seen(discs, azimuth) for discs in posed))
-
-
-def _seen(discs: Surfels, azimuth: float) -> float:
-    """How much of the parts can be seen from this side: their fractions, added up."""
-    camera = framed(discs.points, azimuth, ELEVATION, 128, fill=0.9)
-    depth, _, _ = draw(discs, np.zeros((len(discs.points), 0)), camera)
-    x, y, z = apply(camera.T_camera_world, discs.points).T
-    column = (camera.focal * x / z + camera.cx).astype(int)
-    row = (camera.focal * y / z + camera.cy).astype(int)
-    seen = np.bincount(discs.part[z < depth[row, column] + discs.spacing], minlength=256)
-    return float((seen / np.maximum(np.bincount(discs.part, minlength=256), 1)).sum())
-
-
-def _picture(row: _Row, instance: Instance, camera: Camera) -> Image.Image:
-    """One tile, lit by a soft sky and a lamp over the viewer's left shoulder."""
-    discs = row.discs.moved(instance.part_motion)
-    own = _sample(instance)
-    coarse = Cloud(own.points, own.normals, np.full(len(own.points), own.spacing() ** 2))
-    palette = np.array([_linear(COLOURS[k % len(COLOURS)]) for k in range(256)])
-    depth, normals, colour = draw(discs, palette[discs.part], camera)
-    hit = np.isfinite(depth)
-    pixels = _linear(PAPER) * (1.0 - 0.5 * _shadow(coarse, camera, row.floor))[..., None]
-    at = camera.eye + depth[hit][:, None] * camera.rays[hit]
-    hidden = occlusion_in_detail(at, normals[hit], coarse, discs.cloud)
-    pixels[hit] = colour[hit] * _lit(normals[hit], 1.0 - hidden, camera)[:, None]
-    size = camera.size // SUPERSAMPLING
-    small = pixels.reshape(size, SUPERSAMPLING, size, SUPERSAMPLING, 3).mean(axis=(1, 3))
-    return Image.fromarray((np.clip(small, 0.0, 1.0) ** (1 / 2.2) * 255).round().astype(np.uint8))
-
-
-def _lit(normals: Array, sky_seen: Array, camera: Camera) -> Array:
-    """(n,) how bright white paper would be."""
-    lamp = camera.T_camera_world[:3, :3].T @ np.array([-0.45, -0.65, -0.6])
-    direct = np.clip(normals @ (lamp / np.linalg.norm(lamp)), 0.0, 1.0)
-    sky = 0.75 + 0.25 * normals[:, 2]
-    toward_us = np.clip(normals @ -camera.T_camera_world[2, :3], 0.0, 1.0)
-    open_ = 0.15 + 0.85 * sky_seen**1.2
-    return open_ * (0.42 * sky + 0.58 * direct + 0.13 * toward_us)
-
-
-def _shadow(cloud: Cloud, camera: Camera, floor: float) -> Array:
-    """(H, W) how much of the sky the object hides from the floor under each pixel."""
-    count, reach = 48, 0.9
-    at = np.linspace(-reach, reach, count)
-    x, y = np.meshgrid(at, at, indexing="ij")
-    receivers = np.stack([x.ravel(), y.ravel(), np.full(x.size, floor - 0.012)], axis=1)
-    up = np.broadcast_to((0.0, 0.0, 1.0), receivers.shape).copy()
-    hidden = occlusion(receivers, up, cloud).reshape(count, count)
-    hidden = np.clip(hidden - 0.04, 0.0, None)  # fades out before the tile's edge
-    rays = camera.rays
-    t = (floor - camera.eye[2]) / np.minimum(rays[..., 2], -1e-6)
-    on_floor = camera.eye[:2] + t[..., None] * rays[..., :2]
-    return _bilinear(hidden, (on_floor + reach) / (2 * reach) * (count - 1))
-
-
-def _bilinear(grid: Array, at: Array) -> Array:
-    at = np.clip(at, 0.0, len(grid) - 1.001)
-    low = at.astype(np.int64)
-    (i, j), (u, v) = np.moveaxis(low, -1, 0), np.moveaxis(at - low, -1, 0)
-    near = (1 - v) * grid[i, j] + v * grid[i, j + 1]
-    far = (1 - v) * grid[i + 1, j] + v * grid[i + 1, j + 1]
-    return (1 - u) * near + u * far
-
-
-def _linear(colour: str) -> Array:
-    """An #rrggbb colour as linear light."""
-    return (np.frombuffer(bytes.fromhex(colour[1:]), np.uint8) / 255.0) ** 2.2
-
-
-def _sheet(rows: Sequence[_Row], pictures: Sequence[Image.Image]) -> Image.Image:
-    columns = max(len(row.instances) for row in rows)
-    height = TILE + 2 * CAPTION
-    sheet = Image.new("RGB", (2 * MARGIN + columns * TILE, 2 * MARGIN + len(rows) * height), PAPER)
-    pen = ImageDraw.Draw(sheet)
-    left = iter(pictures)
-    for r, row in enumerate(rows):
-        top = MARGIN + r * height
-        pen.text((MARGIN + 6, top + 2), row.title, GREY, ImageFont.load_default(14))
-        for c, instance in enumerate(row.instances):
-            x = MARGIN + c * TILE
-            sheet.paste(next(left), (x, top + CAPTION))
-            _write_state(pen, instance, x + TILE // 2, top + CAPTION + TILE)
-    return sheet
-
-
-def _write_state(pen: ImageDraw.ImageDraw, instance: Instance, middle: int, top: int) -> None:
-    """The joint states, centred at `middle`, each after a dot in the colour of its part."""
-    font = ImageFont.load_default(14)
-    texts = [_state(instance, j) for j in range(len(instance.joint_state))]
-    widths = [16 + pen.textlength(text, font) for text in texts]
-    x = middle - (sum(widths) + 12 * (len(widths) - 1)) / 2
-    for j, (text, width) in enumerate(zip(texts, widths, strict=True)):
-        pen.ellipse((x, top + 4, x + 10, top + 14), COLOURS[(j + 1) % len(COLOURS)])
-        pen.text((x + 16, top), text, INK, font)
-        x += width + 12
+def _states(instance: Instance) -> Caption:
+    """The joint states, each in the colour of its part."""
+    J = len(instance.joint_state)
+    return [(_state(instance, j), COLOURS[(j + 1) % len(COLOURS)]) for j in range(J)]
 
 
 def _state(instance: Instance, joint: int) -> str:

@@ -1,0 +1,114 @@
+"""Pictures of an object coloured by part: of its stored points, or of a triangle mesh.
+
+The surface points of many instances of an object are brought to its canonical pose by the stored
+motions of their parts, which makes a dense cloud, and from there to each pose that is drawn.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.geometry import apply, invert_rigid
+from articugen.inspection.camera import Camera, framed
+from articugen.inspection.layout import TILE
+from articugen.inspection.light import Cloud
+from articugen.inspection.shading import SUPERSAMPLING, Picture, linear, shaded
+from articugen.inspection.solids import Solid, draw_solid, spread
+from articugen.inspection.surfels import Sample, Surfels, draw, surfels
+from articugen.records import Instance, dequantize
+
+Array = NDArray[np.float64]
+
+COLOURS = ("#d9d4cb", "#4477aa", "#ddaa33", "#bb5566", "#44aa99", "#882255", "#88ccee", "#999933")
+"""Of part 0, 1, ...: pairs that readers with any colour vision tell apart (after Paul Tol)."""
+
+NOTHING = Solid(np.zeros((0, 3, 3)), np.zeros(0, np.int64), ())
+
+AZIMUTHS = tuple(np.radians((-35.0, 35.0, 145.0, 215.0)))
+ELEVATION = float(np.radians(27.0))
+
+
+def sample(instance: Instance) -> Sample:
+    """The stored surface points of an instance."""
+    normals = instance.surface_normals.astype(np.float64)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return Sample(dequantize(instance.surface_points), normals, instance.surface_part)
+
+
+def pooled(instances: Sequence[Instance]) -> Surfels:
+    """Discs of one object in its canonical pose, from the points of all these instances."""
+    return surfels([sample(i).moved(invert_rigid(i.part_motion)) for i in instances])
+
+
+def tile_camera(points: Array, azimuth: float) -> Camera:
+    """The camera whose tile the points (n, 3) fill."""
+    return framed(points, azimuth, ELEVATION, SUPERSAMPLING * TILE, fill=0.86)
+
+
+def best_azimuth(instances: Sequence[Instance]) -> float:
+    """The side from which most of the parts of these instances can be seen."""
+    posed = [surfels([sample(instance)]) for instance in instances]
+    return max(AZIMUTHS, key=lambda azimuth: sum(_seen(discs, azimuth) for discs in posed))
+
+
+def _seen(discs: Surfels, azimuth: float) -> float:
+    """How much of the parts can be seen from this side: their fractions, added up."""
+    camera = framed(discs.points, azimuth, ELEVATION, 128, fill=0.9)
+    depth, _, _ = draw(discs, np.zeros((len(discs.points), 0)), camera)
+    x, y, z = apply(camera.T_camera_world, discs.points).T
+    column = (camera.focal * x / z + camera.cx).astype(int)
+    row = (camera.focal * y / z + camera.cy).astype(int)
+    seen = np.bincount(discs.part[z < depth[row, column] + discs.spacing], minlength=256)
+    return float((seen / np.maximum(np.bincount(discs.part, minlength=256), 1)).sum())
+
+
+def portrait(
+    discs: Surfels,
+    instance: Instance,
+    camera: Camera,
+    floor: float,
+    *,
+    beside: Solid = NOTHING,
+    colours: Sequence[str] = COLOURS,
+) -> Picture:
+    """An instance, drawn with the `pooled` discs of its object in the colours of its parts.
+
+    Args:
+        floor: the height of what it stands on.
+        beside: drawn as well, without a shadow.
+    """
+    posed, own = discs.moved(instance.part_motion), sample(instance)
+    coarse = Cloud(own.points, own.normals, np.full(len(own.points), own.spacing() ** 2))
+    palette = _palette([colours[k % len(colours)] for k in range(256)])
+    seen = nearer(draw(posed, palette[posed.part], camera), _drawn(beside, camera))
+    return shaded(seen, camera, coarse, posed.cloud, floor)
+
+
+def solid_portrait(
+    solid: Solid, camera: Camera, floor: float, *, beside: Solid = NOTHING
+) -> Picture:
+    """A mesh as `portrait` draws points; an empty picture where there is none."""
+    seen = nearer(_drawn(solid, camera), _drawn(beside, camera))
+    coarse, fine = (spread(solid.triangles, count) for count in (8192, 65536))
+    return shaded(seen, camera, coarse, fine, floor)
+
+
+def _drawn(solid: Solid, camera: Camera) -> tuple[Array, Array, Array]:
+    return draw_solid(solid, _palette(solid.colours), camera)
+
+
+def _palette(colours: Sequence[str]) -> Array:
+    return np.array([linear(colour) for colour in colours]).reshape(-1, 3)
+
+
+def nearer(
+    a: tuple[Array, Array, Array], b: tuple[Array, Array, Array]
+) -> tuple[Array, Array, Array]:
+    """Of two drawings by one camera, at each pixel the one that is nearer."""
+    first = (a[0] <= b[0])[..., None]
+    return (
+        np.minimum(a[0], b[0]),
+        np.where(first, a[1], b[1]),
+        np.where(first, a[2], b[2]),
+    )
