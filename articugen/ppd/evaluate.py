@@ -24,8 +24,10 @@ from articugen.seeding import generator
 from articugen.shards import open_shard
 
 Reconstruct = Callable[[Instance], Reconstruction]
+_Rows = list[dict[str, Any]]
 
 DIAGONAL = float(np.sqrt(3.0))
+KINDS = {REVOLUTE: "revolute", PRISMATIC: "prismatic"}
 STATE_DEGREES = (5.0, 10.0, 15.0, 20.0, 30.0)
 STATE_LENGTHS = (0.025, 0.05, 0.1, 0.2)
 DIRECTION_DEGREES = (5.0, 10.0, 15.0, 20.0, 30.0)
@@ -55,9 +57,11 @@ class Protocol:
 
 @dataclass
 class Tally:
-    """Every measured number, by its name."""
+    """Every measured number, by its name; what was predicted of each joint."""
 
     values: dict[str, list[float]] = field(default_factory=dict)
+    joint_states: _Rows = field(default_factory=list)
+    joint_errors: _Rows = field(default_factory=list)
 
     def add(self, **values: float) -> None:
         for name, value in values.items():
@@ -82,7 +86,8 @@ def evaluate(
 
     Returns:
         `means` of every metric over all test instances, `votes` (P, K), `labels` and `dominant`
-        of the predicted parts, how many `objects` and `instances` there were.
+        of the predicted parts, how many `objects` and `instances` there were; `joint_states`,
+        what the dominant parts say of every joint; `joint_errors`, null where the joint failed.
 
     Raises:
         CorruptShard: the data set has no training or no test object, or is of another category.
@@ -96,9 +101,11 @@ def evaluate(
         objects += 1
         first = reconstruct(canonical)
         _shape_metrics(tally, canonical, first, label, protocol)
+        tally.joint_states += _joint_states(canonical, first, dominant)
         for instance in posed:
             found = reconstruct(instance)
             _shape_metrics(tally, instance, found, label, protocol)
+            tally.joint_states += _joint_states(instance, found, dominant)
             _motion_metrics(tally, (canonical, instance), (first, found), label, dominant, protocol)
         on_object(canonical.object_id)
     return {
@@ -108,6 +115,8 @@ def evaluate(
         "dominant": dominant.tolist(),
         "objects": objects,
         "instances": len(tally.values["label_iou"]),
+        "joint_states": tally.joint_states,
+        "joint_errors": tally.joint_errors,
     }
 
 
@@ -233,6 +242,20 @@ def carriers(posed: Floats, true: Ints, found: Reconstruction, label: Ints) -> I
     return carrier
 
 
+def _joint_states(instance: Instance, found: Reconstruction, dominant: Ints) -> _Rows:
+    """Of every joint its true state and, as predicted, that of the dominant part; null if that is
+    of another kind."""
+    rows: _Rows = []
+    for j, kind in enumerate(instance.joint_kind.tolist()):
+        parts = [i for i in np.flatnonzero(dominant == j + 1) if found.kind[i] == kind]
+        rows.append({
+            "object": instance.object_id, "state_index": instance.state_index, "joint": j,
+            "kind": KINDS[kind], "true": float(instance.joint_state[j]),
+            "predicted": float(found.state[parts[0]]) if parts else None,
+        })  # fmt: skip
+    return rows
+
+
 def _joint_metrics(
     tally: Tally,
     instances: tuple[Instance, Instance],
@@ -246,7 +269,7 @@ def _joint_metrics(
     A line has two directions: where the predicted one points the other way, states count the other
     way too.
     """
-    name = {REVOLUTE: "revolute", PRISMATIC: "prismatic"}[kind]
+    name = KINDS[kind]
     canonical, instance = instances
     one = len(parts) == 1
     same = one and found[0].kind[parts[0]] == kind
@@ -259,6 +282,12 @@ def _joint_metrics(
         state = abs(change - (instance.joint_state[joint] - canonical.joint_state[joint]))
         direction = metrics.angle_between_lines(u, v)
         axis = metrics.line_distance(found[1].pivot[i], u, instance.joint_pivot[joint], v)
+    tally.joint_errors.append({
+        "object": instance.object_id, "state_index": instance.state_index, "joint": joint,
+        "kind": name, "state": float(state) if same else None,
+        "direction": float(direction) if same else None,
+        "axis": float(axis) if same and kind == REVOLUTE else None,
+    })  # fmt: skip
     limits: list[tuple[str, float, tuple[float, ...]]]
     if kind == REVOLUTE:
         limits = [("state", float(np.degrees(state)), STATE_DEGREES), ("axis", axis, AXIS_LENGTHS)]

@@ -1,103 +1,179 @@
-"""What an evaluation looks like: a Markdown table beside the paper's numbers.
+"""What evaluations look like: Markdown tables beside the paper's."""
 
-The paper's were measured on its own data, so they are a yardstick, not a target to equal.
-"""
-
+import json
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
-PAPER: dict[str, dict[str, float]] = {
-    "label IoU, %": {
-        "drawer": 74.73, "eyeglasses": 66.18, "oven": 82.07, "laptop": 86.81,
-        "washing_machine": 95.15,
-    },
-    "EPE x 100": {
-        "drawer": 3.452, "eyeglasses": 2.631, "oven": 3.360, "laptop": 2.546,
-        "washing_machine": 2.529,
-    },
-    "F-score": {
-        "drawer": 60.12, "eyeglasses": 33.61, "oven": 28.36, "laptop": 39.27,
-        "washing_machine": 25.06,
-    },
-    "Chamfer-L1 x 100": {
-        "drawer": 1.998, "eyeglasses": 2.375, "oven": 3.135, "laptop": 1.481,
-        "washing_machine": 2.930,
-    },
-    "part type accuracy, %": {
-        "drawer": 89.50, "eyeglasses": 83.25, "oven": 100.0, "laptop": 92.14,
-        "washing_machine": 100.0,
-    },
-    "assigned parts": dict.fromkeys(
-        ("drawer", "eyeglasses", "oven", "laptop", "washing_machine"), 1.0
-    ),
-}  # fmt: skip
-"""Tables 2, 3, 4 and 6, "Ours", complete clouds, labels by canonical poses."""
+import numpy as np
 
-PAPER_INPUTS = {"complete": (31.42, 80.99, 2.903), "depth input": (28.99, 80.65, 3.203)}
-"""Its table of the two inputs: F-score, label IoU, EPE x 100."""
+from articugen.errors import InvalidCheckpoint
+from articugen.ppd import paper
 
-_ROWS = (
-    ("label IoU, %", "label_iou", 100.0, "label IoU, %"),
-    ("EPE x 100, joint-aware, all voted parts", "epe_joint_all", 100.0, "EPE x 100"),
-    ("EPE x 100, joint-aware, dominant part", "epe_joint_dominant", 100.0, "EPE x 100"),
-    ("EPE x 100, transform only, all voted parts", "epe_transform_all", 100.0, "EPE x 100"),
-    ("EPE x 100, transform only, dominant part", "epe_transform_dominant", 100.0, "EPE x 100"),
-    ("EPE x 100 if nothing moved", "epe_nothing_moves", 100.0, ""),
-    ("F-score", "f_score", 1.0, "F-score"),
-    ("Chamfer-L1 x 100", "chamfer_l1", 100.0, "Chamfer-L1 x 100"),
-    ("assigned parts", "assigned_parts", 1.0, "assigned parts"),
-    ("part type accuracy, %", "type_accuracy", 1.0, "part type accuracy, %"),
-    ("instances without any surface, %", "no_surface", 100.0, ""),
+Result = dict[str, Any]
+
+OTHER_DATA = (
+    "The paper's numbers were measured on other data: a yardstick, not the same test. Failed "
+    "instances are counted as failed."
+)
+
+MEANS = "In tables 5 and 6 EPE is joint-aware; the paper's columns are means of its categories."
+
+_LABELS = {"canonical": ("2", paper.LABEL_IOU), "all": ("8", paper.LABEL_IOU_ALL_POSES)}
+"""By whose poses vote: the paper's table, and its numbers."""
+
+_METRICS = (
+    ("EPE x 100, joint-aware", 3, "3", "epe_joint_all", 100.0, paper.EPE),
+    ("EPE x 100, transform only", 3, "3", "epe_transform_all", 100.0, paper.EPE),
+    ("F-score", 2, "4", "f_score", 1.0, paper.F_SCORE),
+    ("Chamfer-L1 x 100", 3, "4", "chamfer_l1", 100.0, paper.CHAMFER_L1),
+    ("assigned parts", 2, "9", "assigned_parts", 1.0, paper.ASSIGNED_PARTS),
+    ("part type accuracy, %", 2, "9", "type_accuracy", 1.0, paper.TYPE_ACCURACY),
+)
+"""Title, decimals, the paper's table, our name and factor, the paper's numbers."""
+
+_HEADERS = ("PPD, paper", "BAE", "BSP-Net", "NSD", "NPCS (supervised)")
+
+_DETAILS = (
+    ("EPE x 100, joint-aware, all voted parts", "epe_joint_all", 100.0),
+    ("EPE x 100, joint-aware, dominant part", "epe_joint_dominant", 100.0),
+    ("EPE x 100, transform only, all voted parts", "epe_transform_all", 100.0),
+    ("EPE x 100, transform only, dominant part", "epe_transform_dominant", 100.0),
+    ("EPE x 100 if nothing moved", "epe_nothing_moves", 100.0),
+    ("instances without any surface, %", "no_surface", 100.0),
 )
 
 
-def markdown(result: dict[str, Any], category: str) -> str:
-    """The table of an `evaluate` result."""
-    means = result["means"]
+def read_result(run: Path) -> Result:
+    """The evaluation of a run's folder.
+
+    Raises:
+        InvalidCheckpoint: there is none, or it cannot be read.
+    """
+    path = run / "evaluation" / "evaluation.json"
+    try:
+        result = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        raise InvalidCheckpoint(
+            f"{path}: there is no such evaluation; make it with: articugen evaluate {run}"
+        ) from None
+    return result
+
+
+def markdown(result: Result) -> str:
+    """One evaluation: who was evaluated, the paper's tables, all else that was measured."""
+    run = result["run"]
+    about = (
+        f"{run['category']}: {result['objects']} test objects, {result['instances']} instances. "
+        f"Recipe {run['recipe']} ({run['variant']}), seed {run['seed']}, {run['iterations']} "
+        f"iterations; meshes on {run['resolution']}^3, labels by {run['label_poses']} poses."
+    )
+    return "\n".join([about, *_left_out(result), "", tables([result]).rstrip(), *_details(result)])
+
+
+def tables(results: Sequence[Result]) -> str:
+    """The paper's Tables 2 to 6 and 9, a row for each metric and category that was evaluated.
+
+    Args:
+        results: evaluations of any categories and variants. Tables 2 to 4 and 9 take the complete
+            model where there is one; Tables 5 and 6 the mean over categories.
+    """
+    return "\n".join(
+        [OTHER_DATA, *_by_category(results), *_ablation(results), *_inputs(results)]
+    ) + "\n"  # fmt: skip
+
+
+def _by_category(results: Sequence[Result]) -> list[str]:
+    best = sorted(results, key=lambda r: r["run"]["variant"] == paper.COMPLETE)
+    chosen = {r["run"]["category"]: r for r in best}
+    shown = [c for c in paper.CATEGORIES if c in chosen]
+    shown += [c for c in chosen if c not in shown]
+    lines = ["", "| table | metric | category | here | " + " | ".join(_HEADERS) + " |"]
+    lines += ["|---" * 3 + "|---:" * (1 + len(_HEADERS)) + "|"]
+    poses = next(iter(chosen.values()))["run"]["label_poses"]
+    table, theirs = _LABELS[poses]
+    metrics = (("label IoU, %", 2, table, "label_iou", 100.0, theirs), *_METRICS)
+    for title, decimals, table, name, factor, theirs in metrics:
+        known = {c: factor * chosen[c]["means"][name] for c in shown if name in chosen[c]["means"]}
+        if not known:
+            continue
+        ours = dict(known)
+        if set(paper.CATEGORIES) <= set(known):
+            ours["mean"] = float(np.mean([known[c] for c in paper.CATEGORIES]))
+        for category, value in ours.items():
+            printed = [_printed(theirs, method, category) for method in paper.METHODS]
+            cells = [table, title, category, f"**{value:.{decimals}f}**", *printed]
+            lines.append(f"| {' | '.join(cells)} |")
+    return [*lines, "", "\\* one part stands for the whole shape."]
+
+
+def _printed(rows: dict[str, paper.Row], method: str, category: str) -> str:
+    columns = (*paper.CATEGORIES, "mean")
+    return rows[method][columns.index(category)] if method in rows and category in columns else ""
+
+
+def _ablation(results: Sequence[Result]) -> list[str]:
+    variants = [r["run"]["variant"] for r in results]
     lines = [
-        f"{category}: {result['objects']} test objects, {result['instances']} instances. The "
-        "paper's column was measured on other data.",
-        *_left_out(result),
         "",
-        "| metric | here | paper |",
-        "|---|---|---|",
+        "| table 5: ablation | label IoU, % | paper | EPE x 100 | paper |",
+        "|---|---:|---:|---:|---:|",
     ]
-    for title, name, factor, paper in _ROWS:
-        if name in means:
-            theirs = PAPER.get(paper, {}).get(category)
-            told = "" if theirs is None else f"{theirs:g}"
-            lines.append(f"| {title} | {factor * means[name]:.3f} | {told} |")
-    limits = {name: value for name, value in means.items() if "_below_" in name}
-    if limits:
-        lines += ["", "| joints right, % | error below | |", "|---|---|---|"]
-        for name, value in limits.items():
-            what, _, limit = name.partition("_below_")
-            kind, _, quantity = what.partition("_")
-            angle = quantity == "direction" or (kind, quantity) == ("revolute", "state")
-            unit = "degrees" if angle else "of the unit frame"
-            lines.append(f"| {kind} {quantity} | {limit} {unit} | {value:.1f} |")
-    return "\n".join(lines + _depth_input(result)) + "\n"
-
-
-def _depth_input(result: dict[str, Any]) -> list[str]:
-    """Complete clouds beside what one depth camera sees, where both were measured."""
-    if "depth_input" not in result:
-        return []
-    rows = [("complete", result["means"]), ("depth input", result["depth_input"]["means"])]
-    lines = ["", "| input | F-score | label IoU, % | EPE x 100, joint-aware, all voted parts |"]
-    lines += ["|---|---|---|---|"]
-    for title, means in rows:
-        told = [
-            f"{factor * means[name]:.3f}" if name in means else ""
-            for name, factor in (("f_score", 1.0), ("label_iou", 100.0), ("epe_joint_all", 100.0))
-        ]
-        lines.append(f"| {title} | {' | '.join(told)} |")
-    for title, theirs in PAPER_INPUTS.items():
-        told = [f"{number:.4g}" for number in theirs]
-        lines.append(f"| paper, {title}, mean of its categories | {' | '.join(told)} |")
+    for name in dict.fromkeys([*paper.ABLATION, *variants]):
+        mine = [r for r in results if r["run"]["variant"] == name]
+        iou, epe = _mean(mine, "label_iou", 100.0, 2), _mean(mine, "epe_joint_all", 100.0, 3)
+        theirs = paper.ABLATION.get(name, ("", ""))
+        lines.append(f"| {name}{_of(mine)} | {iou} | {theirs[0]} | {epe} | {theirs[1]} |")
     return lines
 
 
-def _left_out(result: dict[str, Any]) -> list[str]:
+def _inputs(results: Sequence[Result]) -> list[str]:
+    lines = [
+        "",
+        "| table 6: input | F-score | paper | label IoU, % | paper | EPE x 100 | paper |",
+        "|---|---:|---:|---:|---:|---:|---:|",
+    ]
+    measured = [r for r in results if r["run"]["variant"] == paper.COMPLETE] or list(results)
+    for name, theirs in paper.INPUTS.items():
+        mine = [r | r["depth_input"] for r in measured if "depth_input" in r]
+        mine = mine if name == "depth" else measured
+        cells = [
+            _mean(mine, "f_score", 1.0, 2), theirs[0], _mean(mine, "label_iou", 100.0, 2),
+            theirs[1], _mean(mine, "epe_joint_all", 100.0, 3), theirs[2],
+        ]  # fmt: skip
+        lines.append(f"| {name}{_of(mine)} | {' | '.join(cells)} |")
+    return [*lines, "", MEANS]
+
+
+def _mean(results: Sequence[Result], name: str, factor: float, decimals: int) -> str:
+    values = [r["means"][name] for r in results if name in r["means"]]
+    return f"**{factor * np.mean(values):.{decimals}f}**" if values else ""
+
+
+def _of(results: Sequence[Result]) -> str:
+    categories = sorted({r["run"]["category"] for r in results})
+    return f" (here: {', '.join(categories)})" if categories else ""
+
+
+def _details(result: Result) -> list[str]:
+    means = result["means"]
+    lines = ["", "| also measured | |", "|---|---:|"]
+    for title, name, factor in _DETAILS:
+        if name in means:
+            lines.append(f"| {title} | {factor * means[name]:.3f} |")
+    limits = {name: value for name, value in means.items() if "_below_" in name}
+    if limits:
+        lines += ["", "| joints | error below | right, % |", "|---|---:|---:|"]
+    for name, value in limits.items():
+        what, _, limit = name.partition("_below_")
+        kind, _, quantity = what.partition("_")
+        angle = quantity == "direction" or (kind, quantity) == ("revolute", "state")
+        unit = "°" if angle else " of the unit frame"
+        lines.append(f"| {kind} {quantity} | {limit}{unit} | {value:.1f} |")
+    return [*lines, ""]
+
+
+def _left_out(result: Result) -> list[str]:
     """What the release's protocol does not count."""
     if "left_out" not in result:
         return []

@@ -26,6 +26,7 @@ from articugen.manifest import this_commit, this_machine
 from articugen.ppd import boards, processes
 from articugen.ppd.learner import Learner
 from articugen.ppd.model import PPD
+from articugen.ppd.paper import variant
 from articugen.ppd.settings import TrainRecipe, parse_train_recipe
 
 FORMAT = "articugen ppd checkpoint 1"
@@ -85,6 +86,19 @@ class Checkpoint:
         model = PPD(self.recipe.model)
         model.load_state_dict(self.model)
         return model.eval()
+
+
+def about(checkpoint: Checkpoint) -> dict[str, Any]:
+    """What was trained, as an evaluation tells it."""
+    recipe = checkpoint.recipe
+    return {
+        "category": checkpoint.category,
+        "recipe": recipe.name,
+        "variant": variant(recipe),
+        "seed": checkpoint.seed,
+        "iterations": checkpoint.iteration,
+        "commit": this_commit(),
+    }
 
 
 def read_checkpoint(path: Path) -> Checkpoint:
