@@ -89,7 +89,7 @@ bench: $(testing)  ## measure speed, exactness and memory beside other tools (AR
 
 backends: $(backends)  ## install the optional renderers: open3d, pyrender, sapien
 
-learner: $(learner)  ## install torch, which train and evaluate need
+learner: $(learner)  ## install torch and matplotlib, which train and evaluate need
 
 clean:  ## remove caches and build files; keep data and the environment
 	@rm -rf build dist .pytest_cache .ruff_cache .hypothesis

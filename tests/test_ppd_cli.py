@@ -1,10 +1,12 @@
 """PPD's commands, one after the other, on a small data set."""
 
 import json
+import re
 import shutil
 
 import numpy as np
 import pytest
+from PIL import Image
 from ppd_data import write_boxes
 from typer.testing import CliRunner
 
@@ -40,13 +42,20 @@ def folder(tmp_path_factory):
     return folder
 
 
-def test_evaluate_predict(folder):
+def test_evaluate_predict(folder, monkeypatch):
+    monkeypatch.setattr("articugen.ppd.figures.shapes.STEPS", 2)  # two pictures a row are enough
     data, runs = folder / "data", folder / "runs"
     done = articugen("evaluate", runs / "box", "-d", data, "--resolution", 8)
     assert done.exit_code == 0, done.output
     assert "| label IoU, % |" in done.output
-    result = json.loads((runs / "box" / "000" / "evaluation.json").read_text())
+    result = json.loads((runs / "box" / "000" / "evaluation" / "evaluation.json").read_text())
     assert (result["objects"], result["instances"]) == (1, 2)
+    for name in ("curves", "joints", "fields", "reconstructions", "interpolations"):
+        with Image.open(runs / "box" / "000" / "evaluation" / f"{name}.png") as picture:
+            assert min(picture.size) > 200
+    done = articugen("tables", runs / "box")
+    assert done.exit_code == 0, done.output
+    assert re.search(r"\| 2 \| label IoU, % \| box \| \*\*\d+\.\d\d\*\* \|  \|", done.output)
     shard = data / "test-00002.h5"
     done = articugen("predict", runs / "box", shard, "--out", folder / "rig", "--resolution", 16)
     assert done.exit_code in (0, 1), done.output
@@ -81,9 +90,8 @@ def test_depth_input_and_the_release_s_protocol(folder):
     done = articugen("evaluate", run, "-d", data, *rough, "--protocol", "release")
     assert done.exit_code == 0, done.output
     assert "as the authors' release does; left out" in done.output
-    assert "| depth input |" in done.output
-    assert "| paper, depth input, mean of its categories | 28.99 | 80.65 | 3.203 |" in done.output
-    result = json.loads((run / "evaluation-release.json").read_text())
+    assert "| depth (here: box) |" in done.output
+    result = json.loads((run / "evaluation-release" / "evaluation.json").read_text())
     assert set(result["depth_input"]["left_out"]) == set(result["left_out"])
     rig = ("--depth", "--camera", 1, "--out", folder / "rig-depth", "--resolution", 16)
     done = articugen("predict", run, data / "test-00002.h5", *rig)

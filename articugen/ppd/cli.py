@@ -37,6 +37,7 @@ def register(app: typer.Typer, said_in_one_sentence: Said) -> None:
     )(train)
     app.command(epilog="Example: articugen train-depth runs/laptop --data data/laptop")(train_depth)
     app.command(epilog="Example: articugen evaluate runs/laptop --data data/laptop")(evaluate)
+    app.command(epilog="Example: articugen tables runs/*")(tables)
     app.command(
         epilog="Examples:\n\narticugen predict runs/laptop data/laptop/test-00000.h5 --row 3\n\n"
         "articugen predict runs/laptop cloud.ply --fit --out rig"
@@ -158,6 +159,7 @@ def evaluate(
         int | None,
         typer.Option(min=1, help="Random states a test object.", show_default="all"),
     ] = None,
+    figures: Annotated[bool, typer.Option(help="Draw figures as well (minutes).")] = True,
     threads: Annotated[int, typer.Option(min=0, help="CPU threads; 0 leaves it to torch.")] = 0,
 ) -> None:
     """Evaluate a run's last checkpoint on the test objects, as the paper does."""
@@ -170,7 +172,7 @@ def evaluate(
         from articugen.ppd.evaluate import evaluate as run_evaluation
         from articugen.ppd.reconstruct import reconstruction_from
         from articugen.ppd.report import markdown
-        from articugen.ppd.runs import LATEST, read_checkpoint
+        from articugen.ppd.runs import LATEST, RunFolder, about, read_checkpoint
         from articugen.records import dequantize
 
         if label_poses not in ("canonical", "all"):
@@ -197,13 +199,36 @@ def evaluate(
                 model = read_depth_model(folder, checkpoint)
                 look = reconstruction_from(checkpoint, resolution or 32, meshes, model=model)
                 result["depth_input"] = measure(lambda instance: look(seen_by_a_camera(instance)))
-        table = markdown(result, checkpoint.category)
-        name = "evaluation" if protocol == "paper" else f"evaluation-{protocol}"
+        asked = {"protocol": protocol, "label_poses": label_poses, "resolution": resolution or 32}
+        result = {"run": about(checkpoint) | asked, **result}
+        table = markdown(result)
+        out = folder / ("evaluation" if protocol == "paper" else f"evaluation-{protocol}")
+        out.mkdir(exist_ok=True)
         text = json.dumps(result, indent=1) + "\n"
-        write_atomically(folder / f"{name}.json", text.encode())
-        write_atomically(folder / f"{name}.md", table.encode())
+        write_atomically(out / "evaluation.json", text.encode())
+        write_atomically(out / "evaluation.md", table.encode())
         _out.print(table, soft_wrap=True, markup=False)
-        _out.print(f"written: {folder}/{name}.json, {name}.md", soft_wrap=True)
+        _out.print(f"written: {out}/evaluation.json, evaluation.md", soft_wrap=True)
+        if figures and protocol == "paper":
+            from articugen.ppd.figures.draw import draw_figures
+
+            fine = min(4 * (resolution or 32), 128)
+            drawn = draw_figures(out, RunFolder(folder), data, checkpoint, result, resolution=fine)
+            with _err.status("drawing ..."):
+                for path in drawn:
+                    _out.print(f"drawn: {path}", soft_wrap=True)
+
+
+def tables(
+    runs: Annotated[list[Path], typer.Argument(help="Folders of runs that were evaluated.")],
+) -> None:
+    """Print the paper's tables over several evaluated runs: categories, ablations, inputs."""
+    with _said():
+        from articugen.ppd.report import read_result
+        from articugen.ppd.report import tables as written
+
+        results = [read_result(_newest(run)) for run in runs]
+        _out.print(written(results), soft_wrap=True, markup=False)
 
 
 def predict(

@@ -55,6 +55,8 @@ def surface(field: Floats) -> Triangles:
     the outermost samples.
     """
     R = len(field)
+    if not (field > 0.0).any():
+        return Triangles(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
     low = -max(float(np.abs(field).max()), 1.0)
     padded = np.pad(field, 1, constant_values=low)
     n = R + 2
@@ -75,8 +77,8 @@ def surface(field: Floats) -> Triangles:
         for triangle in triangles
     ]
     edges = np.sort(np.concatenate(ends).reshape(-1, 2), axis=1)
-    unique, faces = np.unique(edges, axis=0, return_inverse=True)
-    faces = faces.reshape(-1, 3)
+    keys, faces = np.unique(edges[:, 0] * n**3 + edges[:, 1], return_inverse=True)
+    faces, unique = faces.reshape(-1, 3), np.stack(np.divmod(keys, n**3), 1)
     value = flat[unique]
     share = value[:, :1] / (value[:, :1] - value[:, 1:])
     position = np.stack(np.unravel_index(unique, (n, n, n)), -1).astype(np.float64)

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from articugen.geometry import invert_rigid, rotation_about, transform
 from articugen.ppd.dataset import voxel_centres
 from articugen.ppd.meshing import Floats, surface
-from articugen.ppd.model import PPD
+from articugen.ppd.model import PPD, Prediction
 from articugen.ppd.runs import Checkpoint
 from articugen.records import Instance, dequantize
 
@@ -21,6 +22,7 @@ Meshes = Callable[[Floats], tuple[list[Floats], Floats]]
 
 _NO_TRIANGLES = np.zeros((0, 3, 3))
 _BLOCK = 1 << 15
+_DENSE = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +67,6 @@ class Reconstruction:
         return motion
 
 
-@torch.no_grad()
 def reconstruct(
     model: PPD,
     cloud: Floats,
@@ -79,23 +80,27 @@ def reconstruct(
     A part's surface encloses where its field is above 0 and the greatest of all, unless `meshes`
     says otherwise.
     """
-    settings = model.settings
+    predicted = predict(model, cloud, residual_direction)
+    return reconstruction_of(model, predicted, resolution, meshes)
+
+
+@torch.no_grad()
+def predict(model: PPD, cloud: Floats, residual_direction: bool = True) -> Prediction:
+    """What the model makes of one cloud (n, 3), a batch of one."""
     device = next(model.parameters()).device
     given = torch.as_tensor(cloud, dtype=torch.float32, device=device)[None]
-    predicted = model(given, residual_direction=residual_direction)
-    inverse = model.motion(predicted.pose)
-    cells = torch.arange(resolution**3, device=device)
-    field = torch.cat(
-        [
-            model.fields(predicted.shape, inverse, voxel_centres(block, resolution)[None]).product
-            for block in cells.split(_BLOCK)
-        ],
-        2,
-    )[0]
-    logits = field.double().cpu().numpy().reshape(-1, resolution, resolution, resolution)
-    surfaces, whole = (meshes or _meshes)(logits)
+    return model(given, residual_direction=residual_direction)
+
+
+def reconstruction_of(
+    model: PPD, predicted: Prediction, resolution: int, meshes: Meshes | None = None
+) -> Reconstruction:
+    """`reconstruct` from a prediction that is there already."""
+    settings, pose = model.settings, predicted.pose
+    surfaces, whole = (meshes or _meshes)(part_logits(model, predicted, resolution))
     R, J = len(settings.revolute), settings.joints
-    pose = predicted.pose
+    with torch.no_grad():
+        inverse = model.motion(pose)
     T_inverse = np.tile(np.eye(4), (J + 1, 1, 1))
     T_inverse[:, :3, :3] = inverse.rotation[0].double().cpu().numpy()
     T_inverse[:, :3, 3] = inverse.offset[0].double().cpu().numpy()
@@ -109,6 +114,47 @@ def reconstruct(
         direction=np.concatenate([[[0, 0, 1.0]], pose.direction[0].double().cpu().numpy()]),
         T_part=invert_rigid(T_inverse),
     )
+
+
+def part_logits(model: PPD, predicted: Prediction, resolution: int) -> Floats:
+    """(P, R, R, R): the field of each part at the voxel centres, before the sigmoid.
+
+    Grids finer than 64^3 are evaluated near surfaces only: what is far keeps its value on the grid
+    that is half as fine, which changes no surface that is seen there.
+    """
+    if resolution <= _DENSE or resolution % 2:
+        every = voxel_centres(torch.arange(resolution**3), resolution)
+        values = logits_at(model, predicted, every)
+        return values.reshape(-1, resolution, resolution, resolution)
+    coarse = part_logits(model, predicted, resolution // 2)
+    fine = coarse.repeat(2, 1).repeat(2, 2).repeat(2, 3)
+    near = _beside_surfaces(coarse).repeat(2, 0).repeat(2, 1).repeat(2, 2)
+    cells = torch.from_numpy(np.flatnonzero(near))
+    fine[:, near] = logits_at(model, predicted, voxel_centres(cells, resolution))
+    return fine
+
+
+@torch.no_grad()
+def logits_at(model: PPD, predicted: Prediction, points: Tensor) -> Floats:
+    """(P, n): the field of each part at points (n, 3), before the sigmoid."""
+    inverse = model.motion(predicted.pose)
+    field = [
+        model.fields(predicted.shape, inverse, block[None].to(inverse.offset)).product[0]
+        for block in points.split(_BLOCK)
+    ]
+    return torch.cat(field, 1).double().cpu().numpy()
+
+
+def _beside_surfaces(logits: Floats) -> NDArray[np.bool_]:
+    """(R, R, R): whether any voxel around, corners included, is of another part, or none."""
+    owner = np.pad(np.where(logits.max(0) > 0.0, logits.argmax(0), -1), 1, mode="edge")
+    least = most = owner
+    for axis in range(3):
+        rolled = [np.roll(least, step, axis) for step in (-1, 0, 1)]
+        least = np.minimum.reduce(rolled)
+        rolled = [np.roll(most, step, axis) for step in (-1, 0, 1)]
+        most = np.maximum.reduce(rolled)
+    return (least != most)[1:-1, 1:-1, 1:-1]
 
 
 def reconstruction_from(
@@ -145,8 +191,8 @@ def _meshes(logits: Floats) -> tuple[list[Floats], Floats]:
 
 def _own_fields(logits: Floats) -> Floats:
     """(P, R, R, R): above 0 where a part's field is, and exceeds every other part's."""
-    ordered = np.sort(logits, axis=0)
-    greatest_other = np.where(logits == ordered[-1], ordered[-2], ordered[-1])
+    first, second = torch.from_numpy(logits).topk(2, dim=0).values.numpy()
+    greatest_other = np.where(logits == first, second, first)
     return np.minimum(logits, logits - greatest_other)
 
 
