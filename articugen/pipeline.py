@@ -23,6 +23,7 @@ from articugen.errors import ArticugenError, InvalidSource, RejectedInstance
 from articugen.journal import Journal
 from articugen.manifest import Key, Manifest, Outcome, Rejection, Timings
 from articugen.recipe import Recipe, Sampling
+from articugen.records import ArticulatedObject, Instance
 from articugen.shards import write_shard
 from articugen.sources import registry
 from articugen.sources.registry import ObjectRef
@@ -185,20 +186,8 @@ class Run:
 def make_object(job: Job, task: Task) -> Outcome:
     """Make one object and write its shard; a fault of the object becomes its rejection."""
     started = time.perf_counter()
-    # numba and the mesh readers take a second to import: the command line should not wait for them
-    from articugen import articulation  # noqa: PLC0415
-    from articugen.instance import make_instance, prepare  # noqa: PLC0415
-
     try:
-        settings = registry.settings(task.ref)
-        obj = articulation.resolve(
-            registry.load(task.ref),
-            job.recipe.articulation,
-            canonical=settings.canonical,
-            movable=settings.movable,
-        )
-        prepared = prepare(obj, job.recipe, job.seed)
-        instances = [make_instance(prepared, index) for index in range(len(prepared.states))]
+        obj, instances = _instances(job, task)
     except (InvalidSource, RejectedInstance) as error:
         return _rejected(task, str(error))
     except ArticugenError:
@@ -213,6 +202,23 @@ def make_object(job: Job, task: Task) -> Outcome:
         notes=obj.notes,
         seconds=time.perf_counter() - started,
     )
+
+
+def _instances(job: Job, task: Task) -> tuple[ArticulatedObject, list[Instance]]:
+    """The object and all its instances; what they share is given back before they are written."""
+    # numba and the mesh readers take a second to import: the command line should not wait for them
+    from articugen import articulation  # noqa: PLC0415
+    from articugen.instance import make_instance, prepare  # noqa: PLC0415
+
+    settings = registry.settings(task.ref)
+    obj = articulation.resolve(
+        registry.load(task.ref),
+        job.recipe.articulation,
+        canonical=settings.canonical,
+        movable=settings.movable,
+    )
+    prepared = prepare(obj, job.recipe, job.seed)
+    return obj, [make_instance(prepared, index) for index in range(len(prepared.states))]
 
 
 def _rejected(task: Task, reason: str) -> Outcome:

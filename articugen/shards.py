@@ -73,9 +73,8 @@ def write_shard(
     for name, (kind, _) in schema.ATTRIBUTES.items():
         if not isinstance(given.get(name), kind):
             raise ValueError(f"{path}: attribute {name!r} is missing or not of its type")
-    columns = list(_columns(rows))
-    image = _image(columns, given)
-    content = content_digests(columns, [(row.object_id, row.state_index) for row in rows])
+    image = _image(rows, given)
+    content = content_digests(_columns(rows), [(row.object_id, row.state_index) for row in rows])
 
     def is_whole(temporary: Path) -> None:
         with open_shard(temporary) as shard:
@@ -249,7 +248,10 @@ class Shard:
 
 
 def _columns(rows: Sequence[Instance]) -> Iterator[tuple[str, NDArray[Any]]]:
-    """(name, array (N, ...)) of each field as it is stored, in the order of the names."""
+    """(name, array (N, ...)) of each field as it is stored, in the order of the names.
+
+    One at a time: all at once, they would take as much memory again as the instances.
+    """
     arrays = [row.arrays() for row in rows]
     for name in sorted(arrays[0]):
         field = schema.field_of(name)
@@ -262,18 +264,16 @@ def _columns(rows: Sequence[Instance]) -> Iterator[tuple[str, NDArray[Any]]]:
             yield name, np.stack([np.asarray(value, field.dtype) for value in column])
 
 
-def _image(
-    columns: Sequence[tuple[str, NDArray[Any]]], attributes: Mapping[str, Attribute]
-) -> bytes:
+def _image(rows: Sequence[Instance], attributes: Mapping[str, Attribute]) -> bytes:
     """The bytes of the HDF5 file. Format v110 (HDF5 1.10, 2016) has checksums on its metadata."""
-    fault = schema.misfit({name: array.shape for name, array in columns})
+    fault = schema.misfit({name: array.shape for name, array in _columns(rows)})
     if fault:
         raise ValueError(f"instances that do not make a shard: {fault}")
     with h5py.File(
         "shard.h5", "w", driver="core", backing_store=False, block_size=1 << 22, libver="v110"
     ) as file:
         _describe(file, attributes)
-        for name, array in columns:
+        for name, array in _columns(rows):
             _add(file, name, array)
         file.flush()
         return file.id.get_file_image()
