@@ -22,13 +22,13 @@ replace = $(if $(REPLACE),--replace)
 option = $(if $($(1)),--$(2) "$($(1))")
 
 .DEFAULT_GOAL := help
-.PHONY: help dataset inspect verify train depth evaluate test check format bench backends learner clean
+.PHONY: help dataset inspect verify train depth evaluate test check format bench bench-train backends learner clean
 
 help:  ## list the targets
 	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1]"
 	@echo "make train CATEGORY=laptop [RECIPE=ppd_quick SEED= SEEDS= OUT= RUNS=]; make evaluate CATEGORY=laptop"
 	@echo
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  \1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  \1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
 	@echo
 	@echo "Without CATEGORY, 'make dataset' lists the categories. RECIPE=quick takes under a minute."
 
@@ -86,6 +86,9 @@ format: $(dev)  ## put the code in order
 bench: $(testing)  ## measure speed, exactness and memory beside other tools (ARGS=--quick)
 	-@$(pinned) --editable '.[bench]'
 	@$(VENV)/bin/python -m tests.benchmarks $(ARGS)
+
+bench-train: $(testing) $(learner)  ## measure PPD's training: rate, shares, memory (ARGS=--iterations 20)
+	@$(VENV)/bin/python -m tests.benchmarks.training $(ARGS)
 
 backends: $(backends)  ## install the optional renderers: open3d, pyrender, sapien
 

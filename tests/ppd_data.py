@@ -6,13 +6,20 @@ import numpy as np
 from instances import SMALL, hinged_box
 
 from articugen.manifest import Key, Manifest, Outcome, Timings
+from articugen.recipe import Recipe
 from articugen.shards import write_shard
 
 RECIPE_SHA256 = SMALL.for_one_object().sha256()
 
 
 def write_boxes(
-    folder: Path, *, train: int = 4, test: int = 2, states: int = 3, category: str = "box"
+    folder: Path,
+    *,
+    train: int = 4,
+    test: int = 2,
+    states: int = 3,
+    category: str = "box",
+    recipe: Recipe = SMALL,
 ) -> Path:
     """`train` + `test` objects, each in its canonical pose and at `states` random ones."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -22,12 +29,13 @@ def write_boxes(
         split = "train" if index < train else "test"
         name = f"box-{index}"
         angles = [(0.0, 0.0), *zip(rng.uniform(0, 1.7, states), rng.uniform(0, 0.3, states))]  # noqa: B905
-        rows = hinged_box([(float(a), float(b)) for a, b in angles], object_id=name, seed=index)
+        amounts = [(float(a), float(b)) for a, b in angles]
+        rows = hinged_box(amounts, object_id=name, seed=index, recipe=recipe)
         about = {
             "category": category,
             "split": split,
-            "recipe": SMALL.text(),
-            "recipe_sha256": SMALL.sha256(),
+            "recipe": recipe.text(),
+            "recipe_sha256": recipe.sha256(),
             "seed": 0,
             "articugen_version": "0",
         }
@@ -47,7 +55,7 @@ def write_boxes(
         category=category,
         source="tests",
         licence="MIT",
-        recipe=SMALL.text(),
+        recipe=recipe.text(),
         seed=0,
         timings=timings,
     ).write(folder)
