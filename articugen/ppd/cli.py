@@ -98,7 +98,7 @@ def train(
                     "or start a new run"
                 )
         if settings.seeds.count > 1:
-            if int(os.environ.get("WORLD_SIZE", "1")) > 1:
+            if processes.started() > 1:
                 raise ArticugenError(
                     "torchrun: seeds race in processes of their own; add --seeds 1"
                 )
@@ -132,9 +132,12 @@ def train_depth(
     """Train a run's encoder for depth input, or go on with it: what one camera sees, not all."""
     with _said("interrupted; what was last saved is kept, the same command goes on"):
         _prepare(device, threads)
+        from articugen.ppd import processes
         from articugen.ppd.depth import train_depth as run_training
         from articugen.ppd.runs import RunFolder
 
+        if processes.started() > 1:
+            raise ArticugenError("train-depth runs in one process; leave out torchrun")
         folder = RunFolder.existing(_newest(run))
         with _ProgressBar() as on_progress:
             path = run_training(folder, data, device=device, on_progress=on_progress)

@@ -23,7 +23,7 @@ def joined(device: str) -> Iterator[str]:
     Raises:
         ArticugenError: this torch cannot.
     """
-    if int(os.environ.get("WORLD_SIZE", "1")) == 1:
+    if started() == 1:
         yield device
         return
     if not dist.is_available():
@@ -38,8 +38,13 @@ def joined(device: str) -> Iterator[str]:
         dist.destroy_process_group()
 
 
+def started() -> int:
+    """How many torchrun has started; 1 without it."""
+    return int(os.environ.get("WORLD_SIZE", "1"))
+
+
 def count() -> int:
-    """How many there are."""
+    """How many have joined."""
     return dist.get_world_size() if dist.is_available() and dist.is_initialized() else 1
 
 
