@@ -37,6 +37,8 @@ def test_a_rig_moves_as_predicted(tmp_path):
     found = three_balls()
     robot = URDF.load(str(write_rig(found, tmp_path)))
     assert robot.actuated_joint_names == ["joint_1", "joint_2"]
+    blue = robot.link_map["part_1"].visuals[0].material.color.rgba
+    np.testing.assert_allclose(blue, [0x44 / 255, 0x77 / 255, 0xAA / 255, 1.0], atol=1e-3)
     more = np.array([0.0, 0.5, -0.05])
     moved = dataclasses.replace(found, state=found.state + more)
     motion = found.joint_motion_to(moved)

@@ -8,6 +8,7 @@ import numpy as np
 
 from articugen.errors import ArticugenError
 from articugen.files import write_atomically
+from articugen.inspection.portrait import COLOURS
 from articugen.ppd.clouds import UNIT
 from articugen.ppd.meshing import Floats
 from articugen.ppd.reconstruct import FIXED, REVOLUTE, Reconstruction
@@ -44,9 +45,10 @@ def write_rig(
         if len(triangles):
             file = f"part_{i}.obj"
             write_atomically(folder / file, _obj(triangles - origin))
-            ET.SubElement(
-                ET.SubElement(ET.SubElement(link, "visual"), "geometry"), "mesh", filename=file
-            )
+            visual = ET.SubElement(link, "visual")
+            ET.SubElement(ET.SubElement(visual, "geometry"), "mesh", filename=file)
+            material = ET.SubElement(visual, "material", name=f"part_{i}")
+            ET.SubElement(material, "color", rgba=_rgba(COLOURS[i % len(COLOURS)]))
         if found.kind[i] != FIXED:
             _joint(robot, found, i, origin, frame.scale)
     path = folder / f"{name}.urdf"
@@ -68,6 +70,11 @@ def _joint(robot: ET.Element, found: Reconstruction, i: int, origin: Floats, uni
     ET.SubElement(joint, "axis", xyz=_text(found.direction[i] / np.linalg.norm(found.direction[i])))
     lower, upper = f"{-state:.9g}", f"{most - state:.9g}"
     ET.SubElement(joint, "limit", lower=lower, upper=upper, effort="1", velocity="1")
+
+
+def _rgba(colour: str) -> str:
+    red, green, blue = (int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
+    return f"{red:.3g} {green:.3g} {blue:.3g} 1"
 
 
 def _text(vector: Floats) -> str:
