@@ -90,7 +90,7 @@ def test_depth_input_and_the_release_s_protocol(folder):
     done = articugen("evaluate", run, "-d", data, *rough, "--protocol", "release")
     assert done.exit_code == 0, done.output
     assert "as the authors' release does; left out" in done.output
-    assert "| depth (here: box) |" in done.output
+    assert "| depth (here: box by tiny) |" in done.output
     result = json.loads((run / "evaluation-release" / "evaluation.json").read_text())
     assert set(result["depth_input"]["left_out"]) == set(result["left_out"])
     rig = ("--depth", "--camera", 1, "--out", folder / "rig-depth", "--resolution", 16)

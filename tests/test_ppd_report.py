@@ -65,9 +65,9 @@ def test_the_mean_needs_all_five_categories():
 
 def test_a_run_is_counted_in_its_own_row_of_the_ablation():
     told = tables([result(), result("oven", "w/o L_adv_g"), result("oven", "w/o L_vol, CS")])
-    assert "| w/o L_adv_g (here: oven) | **50.00** | 70.14 | **3.000** | 7.276 |" in told
-    assert "| w/ all (here: laptop) | **50.00** | 80.99 | **3.000** | 2.988 |" in told
-    assert "| w/o L_vol, CS (here: oven) | **50.00** |  | **3.000** |  |" in told
+    assert "| w/o L_adv_g (here: oven by r) | **50.00** | 70.14 | **3.000** | 7.276 |" in told
+    assert "| w/ all (here: laptop by r) | **50.00** | 80.99 | **3.000** | 2.988 |" in told
+    assert "| w/o L_vol, CS (here: oven by r) | **50.00** |  | **3.000** |  |" in told
     assert "| w/o CS |  | 55.67 |  | 8.827 |" in told
 
 
@@ -81,8 +81,8 @@ def test_what_failed_is_told():
 def test_depth_input_has_its_row():
     both = result() | {"depth_input": {"means": {"f_score": 7.0}}}
     text = tables([both])
-    assert "| depth (here: laptop) | **7.00** | 28.99 |  | 80.65 |  | 3.203 |" in text
-    assert "| complete (here: laptop) | **12.00** | 31.42 |" in text
+    assert "| depth (here: laptop by r) | **7.00** | 28.99 |  | 80.65 |  | 3.203 |" in text
+    assert "| complete (here: laptop by r) | **12.00** | 31.42 |" in text
 
 
 def test_recipes_know_their_row():

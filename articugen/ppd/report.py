@@ -151,8 +151,8 @@ def _mean(results: Sequence[Result], name: str, factor: float, decimals: int) ->
 
 
 def _of(results: Sequence[Result]) -> str:
-    categories = sorted({r["run"]["category"] for r in results})
-    return f" (here: {', '.join(categories)})" if categories else ""
+    told = sorted({f"{r['run']['category']} by {r['run']['recipe']}" for r in results})
+    return f" (here: {', '.join(told)})" if told else ""
 
 
 def _details(result: Result) -> list[str]:
