@@ -211,7 +211,7 @@ def test_a_fine_grid_need_only_be_evaluated_near_surfaces(monkeypatch):
     monkeypatch.setattr(reconstruct, "_DENSE", 16)
     fine = reconstruct._meshes(reconstruct.part_logits(None, None, 32))
     assert sum(asked) < 0.5 * 32**3
-    monkeypatch.setattr(reconstruct, "_DENSE", 32)
+    monkeypatch.setattr(reconstruct, "_DENSE", 17)
     dense = reconstruct._meshes(reconstruct.part_logits(None, None, 32))
     for a, b in zip([*fine[0], fine[1]], [*dense[0], dense[1]], strict=True):
         np.testing.assert_allclose(a, b, atol=1e-9)

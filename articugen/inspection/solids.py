@@ -15,7 +15,7 @@ from articugen.rendering.rasterizer import render
 
 Array = NDArray[np.float64]
 
-CREASE = np.cos(np.radians(50.0))
+CREASE = np.cos(np.radians(35.0))
 """Where a face is turned further than this from the mean around a corner, the corner is sharp."""
 
 _PLACES = 1 << 18

@@ -119,10 +119,10 @@ def reconstruction_of(
 def part_logits(model: PPD, predicted: Prediction, resolution: int) -> Floats:
     """(P, R, R, R): the field of each part at the voxel centres, before the sigmoid.
 
-    Grids finer than 64^3 are evaluated near surfaces only: what is far keeps its value on the grid
-    that is half as fine, which changes no surface that is seen there.
+    Grids of 128^3 and finer are evaluated near surfaces only: what is far keeps its value on the
+    grid that is half as fine, which changes no surface that is seen there.
     """
-    if resolution <= _DENSE or resolution % 2:
+    if resolution < 2 * _DENSE or resolution % 2:
         every = voxel_centres(torch.arange(resolution**3), resolution)
         values = logits_at(model, predicted, every)
         return values.reshape(-1, resolution, resolution, resolution)
