@@ -22,7 +22,7 @@ replace = $(if $(REPLACE),--replace)
 option = $(if $($(1)),--$(2) "$($(1))")
 
 .DEFAULT_GOAL := help
-.PHONY: help dataset inspect verify train depth evaluate test check format bench bench-train backends learner clean
+.PHONY: help dataset inspect verify train depth evaluate test check format bench accuracy bench-train backends learner clean
 
 help:  ## list the targets
 	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1]"
@@ -86,6 +86,9 @@ format: $(dev)  ## put the code in order
 bench: $(testing)  ## measure speed, exactness and memory beside other tools (ARGS=--quick)
 	-@$(pinned) --editable '.[bench]'
 	@$(VENV)/bin/python -m tests.benchmarks $(ARGS)
+
+accuracy: $(testing)  ## measure how exact instances are against exact solids (ARGS=--quick)
+	@$(VENV)/bin/python -m tests.benchmarks.accuracy $(ARGS)
 
 bench-train: $(testing) $(learner)  ## measure PPD's training: rate, shares, memory (ARGS=--iterations 20)
 	@$(VENV)/bin/python -m tests.benchmarks.training $(ARGS)

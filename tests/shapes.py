@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import trimesh
@@ -31,6 +32,17 @@ def box(size: Sequence[float], center: Sequence[float] = (0, 0, 0)) -> trimesh.T
 
 def tube(a: Sequence[float], b: Sequence[float], radius: float) -> trimesh.Trimesh:
     return trimesh.creation.cylinder(radius=radius, segment=(a, b), sections=12)
+
+
+def spectacles() -> list[trimesh.Trimesh]:
+    """Eyeglasses of tubes of radius 0.01."""
+    t = np.linspace(0, 2 * np.pi, 21)
+    rims = []
+    for side in (-0.2, 0.2):
+        ring = np.c_[side + 0.15 * np.cos(t), np.zeros_like(t), 0.12 * np.sin(t)]
+        rims += [tube(a, b, 0.01) for a, b in pairwise(ring)]
+    temples = [tube((x, 0, 0.05), (x, 0.8 / 2, 0.04), 0.01) for x in (-0.36, 0.36)]
+    return [*rims, *temples, tube((-0.05, 0, 0), (0.05, 0, 0), 0.01)]
 
 
 def sheet(size: float = 0.8) -> trimesh.Trimesh:

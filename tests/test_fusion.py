@@ -1,7 +1,5 @@
 """The fused field against exact solids, a plain reading of its definition, and open3d."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 import trimesh
@@ -17,8 +15,8 @@ from tests.shapes import (
     iou,
     labelled,
     rotated,
+    spectacles,
     towards_cameras,
-    tube,
     two_sided,
     views_of,
 )
@@ -44,16 +42,6 @@ def thin_laptop() -> list[trimesh.Trimesh]:
     keys = [box((0.03, 0.04, 0.006), (x, y, 0.03)) for x in (-0.1, -0.05, 0, 0.05)
             for y in np.linspace(-0.3, 0.3, 12)]  # fmt: skip
     return [box((0.5, 0.8, 0.04), (0, 0, 0.005)), lid, *keys]
-
-
-def spectacles() -> list[trimesh.Trimesh]:
-    t = np.linspace(0, 2 * np.pi, 21)
-    rims = []
-    for side in (-0.2, 0.2):
-        ring = np.c_[side + 0.15 * np.cos(t), np.zeros_like(t), 0.12 * np.sin(t)]
-        rims += [tube(a, b, 0.01) for a, b in pairwise(ring)]
-    temples = [tube((x, 0, 0.05), (x, 0.8 / 2, 0.04), 0.01) for x in (-0.36, 0.36)]
-    return [*rims, *temples, tube((-0.05, 0, 0), (0.05, 0, 0), 0.01)]
 
 
 def half_open_cupboard() -> list[trimesh.Trimesh]:

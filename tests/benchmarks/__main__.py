@@ -8,27 +8,23 @@ are written to a temporary folder. With ARTICUGEN_REAL_MODELS, two real models a
 
 import json
 import os
-import platform
-import subprocess
-import sys
 import tempfile
 import time
 from dataclasses import asdict
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
-from articugen import instance, pipeline
+from articugen import instance
 from tests.benchmarks import cases, measure, memory, ours, scaling, tables
+from tests.benchmarks.about import about
 from tests.benchmarks.cases import Model
 from tests.benchmarks.measure import Results, Row
 from tests.benchmarks.options import Options, dense, parse
 from tests.benchmarks.peers import Peer, peers
 
 REAL = (("eyeglasses", "101287"), ("laptop", "10040"))
-LIBRARIES = ("numpy", "numba", "h5py", "trimesh")
 
 
 def main() -> None:
@@ -82,7 +78,7 @@ def _measured(options: Options, folder: Path, console: Console) -> Row:
         rate = [(int(n), by_workers["instances"] / s) for n, s in by_workers["seconds"].items()]
         curves = {"workers": rate} | curves
     return {
-        "about": _about(options, all_peers),
+        "about": about(options.quick, [peer.versions for peer in all_peers]),
         "methods": [{"name": name, "absent": ""} for name in ours.SETTINGS]
         + [{"name": peer.name, "absent": _absent(peer, options.quick)} for peer in all_peers],
         "categories": list(options.categories),
@@ -143,35 +139,6 @@ def _memory(
             say(f"memory: {peer.name}")
             peaks[peer.name] = memory.measure("peer", number, path, int(options.quick))
     return peaks
-
-
-def _about(options: Options, all_peers: tuple[Peer, ...]) -> Row:
-    versions = {name: metadata.version(name) for name in LIBRARIES}
-    for peer in all_peers:
-        versions |= peer.versions
-    return {
-        "command": " ".join(["python -m tests.benchmarks", *sys.argv[1:]]),
-        "commit": _git("describe", "--always", "--dirty", "--abbrev=12"),
-        "date": time.strftime("%Y-%m-%d"),
-        "machine": f"{_cpu()}, {pipeline.default_jobs()} cores, {platform.platform()}, "
-        f"Python {platform.python_version()}",
-        "load_before": os.getloadavg()[0],
-        "quick": options.quick,
-        "versions": versions,
-    }
-
-
-def _git(*arguments: str) -> str:
-    done = subprocess.run(["git", *arguments], capture_output=True, text=True, check=False)
-    return done.stdout.strip() or "unknown"
-
-
-def _cpu() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor() or platform.machine()
-    return next((x.split(":")[1].strip() for x in lines if x.startswith("model name")), "CPU")
 
 
 if __name__ == "__main__":

@@ -16,7 +16,14 @@ from articugen import articulation, instance
 from articugen.geometry import apply, invert_rigid, rotation_about, transform
 from articugen.instance import Prepared
 from articugen.recipe import Recipe, load_recipe
-from articugen.records import ArticulatedObject, Floats, LabelledMesh, Views, dequantize
+from articugen.records import (
+    ArticulatedObject,
+    Floats,
+    Instance,
+    LabelledMesh,
+    Views,
+    dequantize,
+)
 from articugen.sources import registry
 from articugen.sources.procedural.truth import Truth, _meets_box, _meets_cell, load_truth
 from articugen.sources.registry import ObjectRef
@@ -33,12 +40,12 @@ GENERIC = rotation_about(np.array([0.36, 0.48, 0.8]), 0.7)
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """An object as its recipe wants it; `truth` is None for real models."""
+    """An object as its recipe wants it. There is no truth for real ones, which are not ours."""
 
     ref: ObjectRef
     obj: ArticulatedObject
     recipe: Recipe
-    truth: Truth | None
+    real: bool = False
     messy: bool = False
 
     @property
@@ -77,9 +84,16 @@ class Scene:
     T_world_link: dict[str, Floats]
     prepared: Prepared
 
+    def holds(self, points: Floats) -> Bools:
+        """(n, P) whether the solids of each part hold each point."""
+        by_link = self.truth.holds(self._world(points), self.T_world_link)
+        obj = self.prepared.obj
+        part = np.array([obj.part_of_link[obj.link_index[name]] for name in self.truth.links])
+        return np.stack([by_link[:, part == k].any(axis=1) for k in range(obj.part_count)], axis=1)
+
     def solid(self, points: Floats) -> Bools:
         """(n,) inside a solid."""
-        return np.any(self.truth.holds(self._world(points), self.T_world_link), axis=1)
+        return np.any(self.holds(points), axis=1)
 
     def unseen(self, points: Floats, views: Views) -> Bools:
         """(n,) inside a solid, or behind solids from all `views` by exact ray casting."""
@@ -138,15 +152,15 @@ def bundled(category: str, index: int, *, messy: bool) -> Model:
     """The bundled object number `index` of a category, clean or as badly written as real ones."""
     source = "procedural_messy" if messy else "procedural"
     ref = registry.object_refs(source, category)[index]
-    return _model(ref, messy=messy, truth=True)
+    return _model(ref, messy=messy)
 
 
 def real(folder: Path, category: str) -> Model:
     """A model that is not ours."""
-    return _model(registry.object_refs(folder, category)[0], messy=True, truth=False)
+    return _model(registry.object_refs(folder, category)[0], real=True)
 
 
-def _model(ref: ObjectRef, *, messy: bool, truth: bool) -> Model:
+def _model(ref: ObjectRef, *, real: bool = False, messy: bool = False) -> Model:
     recipe, settings = load_recipe(None, ref.category), registry.settings(ref)
     obj = articulation.resolve(
         registry.load(ref),
@@ -154,34 +168,47 @@ def _model(ref: ObjectRef, *, messy: bool, truth: bool) -> Model:
         canonical=settings.canonical,
         movable=settings.movable,
     )
-    return Model(ref, obj, recipe, load_truth(ref.location) if truth else None, messy)
+    return Model(ref, obj, recipe, real, messy)
 
 
-def _truth(model: Model, prepared: Prepared) -> Truth:
-    """The exact solids, sheets of no thickness as thick as the recipe makes them."""
+def sampled(prepared: Prepared, state: int, count: int) -> Instance:
+    """The instance at the `state`-th joint state with `count` points of each kind and no grids."""
+    many = {"grids": (), "partial_views": 1}
+    many |= dict.fromkeys(("surface_points", "uniform_points", "near_points"), count)
+    sampling = prepared.recipe.sampling.model_copy(update=many)
+    recipe = prepared.recipe.model_copy(update={"sampling": sampling})
+    return instance.make_instance(replace(prepared, recipe=recipe, grids={}), state)
+
+
+def link_frames(prepared: Prepared, state: int) -> dict[str, Floats]:
+    """T_world_link (4, 4) of each link by its name."""
+    posed = articulation.forward_kinematics(prepared.obj, prepared.states[state])
+    names = (link.name for link in prepared.obj.links)
+    return dict(zip(names, posed.T_world_link, strict=True))
+
+
+def scene(model: Model, prepared: Prepared, state: int) -> Scene:
+    """The exact solids of the posed object, sheets of no thickness as thick as the recipe says."""
     thickness = model.recipe.fusion.sheet_thickness * prepared.unit.scale
-    return load_truth(model.ref.location, sheet_thickness=thickness)
+    truth = load_truth(model.ref.location, sheet_thickness=thickness)
+    return Scene(truth, link_frames(prepared, state), prepared)
 
 
 def case(model: Model, prepared: Prepared, state: int, count: int) -> Case:
     """The object at its `state`-th joint state; `count` points of each kind to judge by."""
-    many = {"grids": (), "uniform_points": count, "near_points": count, "partial_views": 1}
-    sampled = model.recipe.sampling.model_copy(update=many)
-    recipe = model.recipe.model_copy(update={"sampling": sampled})
-    made = instance.make_instance(replace(prepared, recipe=recipe, grids={}), state)
+    made = sampled(prepared, state, count)
     points = {
         "uniform": dequantize(made.uniform_points),
         "near": dequantize(made.near_points),
     }
-    posed = articulation.forward_kinematics(model.obj, prepared.states[state])
-    T = {link.name: X for link, X in zip(model.obj.links, posed.T_world_link, strict=True)}
+    T = link_frames(prepared, state)
     meshes = [(T[link.name], link.mesh) for link in model.obj.links]
     pieces = [(prepared.unit.to_unit(apply(X, m.vertices)), m.faces) for X, m in meshes]
     wanted = model.recipe.sampling
     grids = [instance.sampling.grid_points(r) for r in wanted.grids]
     queried = [points["uniform"][: wanted.uniform_points], points["near"][: wanted.near_points]]
-    scene = Scene(_truth(model, prepared), T, prepared) if model.truth else None
-    return Case(model, state, soup(pieces), np.concatenate(grids + queried), points, scene)
+    exact = None if model.real else scene(model, prepared, state)
+    return Case(model, state, soup(pieces), np.concatenate(grids + queried), points, exact)
 
 
 def soup(pieces: list[tuple[Floats, NDArray]]) -> LabelledMesh:

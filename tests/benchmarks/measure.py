@@ -254,7 +254,7 @@ def _about(method: str, model: Model, state: int) -> Row:
         "case": f"{model.name} state {state}",
         "category": model.ref.category,
         "messy": model.messy,
-        "real": model.truth is None,
+        "real": model.real,
     }
 
 

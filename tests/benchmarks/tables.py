@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from rich.console import Console
 from rich.table import Table as RichTable
 
+from tests.benchmarks.about import head
 from tests.benchmarks.measure import Row, median_by_case
 
 NOTHING = "–"
@@ -185,18 +186,8 @@ def all_tables(report: Row) -> list[Table]:
 
 
 def markdown(report: Row) -> str:
-    about = report["about"]
-    versions = ", ".join(f"{name} {v or 'absent'}" for name, v in about["versions"].items())
-    head = [
-        "## Benchmark",
-        "",
-        f"`{about['command']}` at commit {about['commit']}, {about['date']}, "
-        f"{about['minutes']:.1f} minutes. {about['machine']}. {versions}.",
-        "",
-    ]
-    if about["quick"]:
-        head += ["**A quick run: it shows that the benchmark works; its figures mean little.**", ""]
-    return "\n".join(head + [table.markdown() for table in all_tables(report)])
+    tables = [table.markdown() for table in all_tables(report)]
+    return "\n".join(["## Benchmark", "", head(report["about"]), *tables])
 
 
 def _of(rows: Sequence[Row], method: str) -> list[Row]:

@@ -1,0 +1,65 @@
+"""What a report says of itself: command, commit, machine, versions."""
+
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from articugen import pipeline
+
+LIBRARIES = ("numpy", "numba", "h5py", "trimesh")
+
+
+def about(quick: bool, versions: Iterable[Mapping[str, str]] = ()) -> dict[str, Any]:
+    """The record of this run; call it first, for it reads how busy the machine is.
+
+    Args:
+        versions: of further distributions, "" where one is absent.
+    """
+    found = {name: metadata.version(name) for name in LIBRARIES}
+    for more in versions:
+        found |= more
+    module = Path(sys.argv[0]).stem
+    name = "tests.benchmarks" + ("" if module == "__main__" else f".{module}")
+    return {
+        "command": " ".join(["python -m", name, *sys.argv[1:]]),
+        "commit": _git("describe", "--always", "--dirty", "--abbrev=12"),
+        "date": time.strftime("%Y-%m-%d"),
+        "machine": f"{_cpu()}, {pipeline.default_jobs()} cores, {platform.system()}, "
+        f"Python {platform.python_version()}",
+        "load_before": os.getloadavg()[0],
+        "quick": quick,
+        "versions": found,
+    }
+
+
+def head(record: Mapping[str, Any]) -> str:
+    """The record as a paragraph of Markdown."""
+    versions = ", ".join(f"{name} {v or 'absent'}" for name, v in record["versions"].items())
+    lines = [
+        f"`{record['command']}` at commit {record['commit']}, {record['date']}, "
+        f"{record['minutes']:.1f} minutes. {record['machine']}; load before the run "
+        f"{record['load_before']:.1f}. {versions}.",
+        "",
+    ]
+    if record["quick"]:
+        lines += ["**A quick run: it shows that this works; its figures mean little.**", ""]
+    return "\n".join(lines)
+
+
+def _git(*arguments: str) -> str:
+    done = subprocess.run(["git", *arguments], capture_output=True, text=True, check=False)
+    return done.stdout.strip() or "unknown"
+
+
+def _cpu() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    return next((x.split(":")[1].strip() for x in lines if x.startswith("model name")), "CPU")
