@@ -107,7 +107,8 @@ def _end_to_end(run: tuple[str, str, int, int], folder: Path, say: measure.Say) 
     seconds = {}
     for index in range(objects):  # written once, for whatever number of workers
         cases.bundled(category, index, messy=False)
-    for jobs in scaling.worker_counts():
+    counts = scaling.worker_counts()
+    for jobs in counts if setting == "ours" else counts[-1:]:
         say(f"end to end: {setting}, {category}, {objects} x {states}, {jobs} workers")
         seconds[jobs] = ours.end_to_end(
             folder, category, resolution=ours.SETTINGS[setting], objects=objects, states=states,
@@ -129,7 +130,8 @@ def _memory(
     made = cases.case(model, prepared, 1, 10_000)
     path = folder / "mesh.npz"
     np.savez(path, vertices=made.mesh.vertices, faces=made.mesh.faces, asked=made.asked)
-    peaks: Row = {}
+    say("memory: nothing but the libraries that all share")
+    peaks: Row = {"nothing": memory.measure("peer", "none", path, int(options.quick))}
     for setting in ours.SETTINGS:
         say(f"memory: {setting}")
         states = options.extent.states

@@ -33,6 +33,7 @@ class Results:
     shapes: method, thickness (voxels: mean, least, most), growth (voxels).
     failures: method, case, error.
     shared: the cases that peers, too, are measured on.
+    triangles: of each real case.
     """
 
     timings: list[Row] = field(default_factory=list)
@@ -40,6 +41,7 @@ class Results:
     shapes: list[Row] = field(default_factory=list)
     failures: list[Row] = field(default_factory=list)
     shared: list[str] = field(default_factory=list)
+    triangles: dict[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class Extent:
 
     Attributes:
         states: random joint states an object.
-        runs: on clean objects; slow peers run once, messy objects are measured once.
+        runs: on clean objects; slow peers run once, messy and real objects are measured once.
         points: of each kind, to judge by.
         slow_on: the categories whose first objects the slow peers get.
     """
@@ -99,14 +101,10 @@ def objects(
             say(f"run {run + 1} of {extent.runs}: {model.name}")
             first = firsts[model.ref.category, model.messy] is model
             prepared = _time_ours("ours", model, states, run, results, folder)
-            if run == 0:
-                for state in states:
-                    made = cases.case(model, prepared, state, extent.points)
-                    truths = _truths(made, prepared.views)
-                    _score_ours("ours", made, prepared, truths, results)
-                    if first and state == 1:
-                        shared[model.name] = made
-                        results.shared.append(made.name)
+            if first and run == 0:
+                made = shared[model.name] = cases.case(model, prepared, 1, extent.points)
+                results.shared.append(made.name)
+                _score_ours("ours", made, prepared, _truths(made, prepared.views), results)
             del prepared
             if first:
                 _one_case(model, shared[model.name], peers, extent, run, results, say, folder)
@@ -136,18 +134,18 @@ def real_models(
     folder: Path,
 ) -> None:  # fmt: skip
     """Speed on models without a truth, and how far each peer agrees with ours; no slow peers."""
-    for run in range(extent.runs):
-        for model in models:
-            say(f"run {run + 1} of {extent.runs}: {model.name}")
-            prepared = _time_ours("ours", model, [1], run, results, folder)
-            made = cases.case(model, prepared, 1, extent.points)
-            label = instance.pose(prepared, 1)[1].labels
-            by_ours = {kind: label(points) > 0 for kind, points in made.points.items()}
-            for peer in peers:
-                answer = None if peer.slow else _time_peer(peer, made, run, results)
-                if run == 0 and answer:
-                    got = {kind: answer.inside(points) for kind, points in made.points.items()}
-                    results.scores.append(_score(peer.name, made, got, by_ours, "ours"))
+    for model in models:
+        say(model.name)
+        prepared = _time_ours("ours", model, range(1, extent.states + 1), 0, results, folder)
+        made = cases.case(model, prepared, 1, extent.points)
+        results.triangles[made.name] = len(made.mesh.faces)
+        label = instance.pose(prepared, 1)[1].labels
+        by_ours = {kind: label(points) > 0 for kind, points in made.points.items()}
+        for peer in peers:
+            answer = None if peer.slow else _time_peer(peer, made, 0, results)
+            if answer:
+                got = {kind: answer.inside(points) for kind, points in made.points.items()}
+                results.scores.append(_score(peer.name, made, got, by_ours, "ours"))
 
 
 def _time_ours(

@@ -2,6 +2,7 @@
 
     ours <setting> <category> <index> <states>     as a worker: reads, prepares, makes instances
     peer <number> <mesh.npz> <quick: 0 or 1>       from a mesh to labels
+    peer none <mesh.npz> <quick: 0 or 1>           the same without a method
 
 Prints megabytes. A process of its own, because memory that another method took would count too.
 """
@@ -43,7 +44,9 @@ def _peer(number: str, mesh_path: str, quick: str) -> None:
 
     stored = np.load(Path(mesh_path))
     mesh = soup([(stored["vertices"], stored["faces"])])
-    peers(dense(bool(int(quick))))[int(number)].build(mesh).inside(stored["asked"])
+    methods = peers(dense(bool(int(quick))))
+    if number != "none":
+        methods[int(number)].build(mesh).inside(stored["asked"])
 
 
 def _peak() -> float:

@@ -30,9 +30,17 @@ _HALF_DIAGONAL = np.sqrt(3.0) / 2.0
 
 @dataclass(frozen=True, eq=False)
 class OpenSpace:
-    """Free voxels (n, n, n): those that are surely open to the outside, those that may be."""
+    """Free voxels of a part of the unit cube: surely open to the outside, or maybe.
+
+    Attributes:
+        resolution: voxels a side of the unit cube.
+        first: (3,) the voxel of the unit cube that the arrays begin with.
+        surely, maybe: (a, b, c) around the object.
+    """
 
     scene: Scene
+    resolution: int
+    first: NDArray[np.int64]
     surely: Bools
     maybe: Bools
 
@@ -45,7 +53,9 @@ class OpenSpace:
         cells = self.scene.truth._posed(self.scene.T_world_link)
         unit = self.scene.prepared.unit
         for reached, is_so in ((self.maybe, UNDECIDED), (self.surely, OUTSIDE)):
-            near = _looks_into(points[dark], reached, cells, unit.scale, unit.center)
+            near = _looks_into(
+                points[dark], reached, self.resolution, self.first, cells, unit.scale, unit.center
+            )
             verdict[dark[near]] = is_so
         return verdict
 
@@ -59,21 +69,23 @@ def open_space(scene: Scene, opening: float, resolution: int = RESOLUTION) -> Op
     """
     from scipy.ndimage import distance_transform_edt  # noqa: PLC0415 - optional
 
-    axis = (np.arange(resolution) + 0.5) / resolution - 0.5
-    solid = np.empty((resolution,) * 3, np.bool_)
-    for i, x in enumerate(axis):
-        at = np.stack(np.meshgrid(x, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
-        solid[i] = scene.solid(at).reshape(resolution, resolution)
-    solid = np.pad(solid, 1)  # free all around
-    clearance = distance_transform_edt(~solid).astype(np.float32)
     radius = opening * resolution / 2.0
+    margin = int(np.ceil(2.0 * radius)) + 2  # free all around, wide enough for either ball
+    boxes = scene.prepared.unit.to_unit(scene.truth._posed(scene.T_world_link)[2])
+    first = np.floor((boxes[:, 0].min(axis=0) + 0.5) * resolution).astype(np.int64) - margin
+    last = np.ceil((boxes[:, 1].max(axis=0) + 0.5) * resolution).astype(np.int64) + margin
+    x, y, z = ((np.arange(a, b) + 0.5) / resolution - 0.5 for a, b in zip(first, last, strict=True))
+    solid = np.empty((len(x), len(y), len(z)), np.bool_)
+    for i in range(len(x)):
+        at = np.stack(np.meshgrid(x[i], y, z, indexing="ij"), axis=-1).reshape(-1, 3)
+        solid[i] = scene.solid(at).reshape(len(y), len(z))
+    clearance = distance_transform_edt(~solid).astype(np.float32)
     # a distance to the centre of a solid voxel is that to the solid, or more by half a diagonal
     wide = _rolled(clearance > radius + _HALF_DIAGONAL, radius)
     wide = _spread(wide, ~solid, round(CORNER * radius) - 1)
     narrow = _rolled(clearance > radius / 2.0, radius / 2.0)
     narrow = _spread(narrow, ~solid, round(2.0 * radius))
-    inner = (slice(1, -1),) * 3
-    return OpenSpace(scene, wide[inner], narrow[inner] | wide[inner])
+    return OpenSpace(scene, resolution, first, wide, narrow | wide)
 
 
 def _rolled(centers: Bools, radius: float) -> Bools:
@@ -95,22 +107,23 @@ def _spread(reached: Bools, free: Bools, steps: int) -> Bools:
 
 
 @njit(cache=True)
-def _looks_into(points, reached, cells, scale, center):
+def _looks_into(points, reached, resolution, first, cells, scale, center):
     """Whether a straight line through free space leads from each point of the unit frame to the
     centre of a reached voxel, its own or one of the 26 around. Cells are in the world frame."""
     planes, first_plane, boxes = cells
-    n = reached.shape[0]
+    n = reached.shape
     found = np.zeros(len(points), np.bool_)
     for i in range(len(points)):
-        at = np.floor((points[i] + 0.5) * n).astype(np.int64)
+        at = np.floor((points[i] + 0.5) * resolution).astype(np.int64) - first
         start = points[i] * scale + center
         for step in range(27):
             x = at[0] + step % 3 - 1
             y = at[1] + step // 3 % 3 - 1
             z = at[2] + step // 9 - 1
-            if min(x, y, z) < 0 or max(x, y, z) >= n or not reached[x, y, z]:
+            if min(x, y, z) < 0 or x >= n[0] or y >= n[1] or z >= n[2] or not reached[x, y, z]:
                 continue
-            goal = (np.array([x + 0.5, y + 0.5, z + 0.5]) / n - 0.5) * scale + center
+            middle = np.array([x + 0.5, y + 0.5, z + 0.5]) + first
+            goal = (middle / resolution - 0.5) * scale + center
             clear = True
             for c in range(len(boxes)):
                 if _crosses(

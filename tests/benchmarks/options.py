@@ -50,10 +50,10 @@ def parse(arguments: Sequence[str] | None = None) -> Options:
         extent = Extent(states=1, runs=1, points=10_000, slow_on=("laptop",))
         sets = (("ours", "laptop", 2, 2),)
         return Options(("laptop", "drawer"), 1, extent, sets, peers, True, asked.out)
-    extent = Extent(asked.states, asked.runs, 100_000, ("laptop", "drawer"))
+    extent = Extent(asked.states, asked.runs, 50_000, ("laptop", "drawer"))
     sets = (
-        ("ours", "laptop", 8, 30),
+        ("ours", "laptop", 8, 50),
         ("ours, fast", "laptop", 4, 20),
-        ("ours, fine", "laptop", 4, 8),
+        ("ours, fine", "laptop", 4, 20),
     )
     return Options(CATEGORIES, asked.objects, extent, sets, peers, False, asked.out)

@@ -76,37 +76,59 @@ def draw(measured: dict[str, Curve], path: Path) -> str | None:
     except ModuleNotFoundError:
         return "no picture: matplotlib is not installed (pip install 'articugen[bench]')"
     with mpl.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
-        figure = Figure(figsize=(11, 2.8), layout="constrained")
-        axes: Any = figure.subplots(1, len(measured))
-        for axis, (name, curve) in zip(np.atleast_1d(axes), measured.items(), strict=True):
-            _panel(axis, name, curve)
+        figure = Figure(figsize=(11, 2.9), layout="constrained")
+        axes: Any = np.atleast_1d(figure.subplots(1, len(measured)))
+        for axis, (name, curve) in zip(axes, measured.items(), strict=True):
+            (_bars if name == "workers" else _curve)(axis, name, curve)
+        axes[0].set_ylabel("instances / s")
         figure.savefig(path, dpi=150)
     return None
 
 
-def _panel(axis: Any, name: str, curve: Curve) -> None:
+BLUE, GREY = "#2a6f97", "#9aa5ac"
+
+
+def _bars(axis: Any, name: str, curve: Curve) -> None:
+    """End to end, with a mark where each worker would add as much as the first."""
     x, y = zip(*curve, strict=True)
-    axis.plot(x, y, "o-", color="#2a6f97", linewidth=1.5, markersize=4)
+    at = np.arange(len(x))
+    axis.bar(at, y, 0.55, color=BLUE)
+    ideal = [y[0] * n / x[0] for n in x]
+    axis.hlines(ideal, at - 0.34, at + 0.34, color=GREY, linestyle="--", label="ideal")
+    for k, rate in enumerate(y):
+        axis.annotate(f"{rate:.1f}", (k, rate), (0, -12), textcoords="offset points", ha="center",
+                      color="white")  # fmt: skip
+    axis.set_xticks(at, [f"{n:g}" for n in x])
+    axis.set_ylim(0, 1.15 * max(*ideal, *y))
+    axis.set_xlabel(f"{name}, end to end")
+    axis.legend(frameon=False, loc="upper left")
+
+
+def _curve(axis: Any, name: str, curve: Curve) -> None:
+    """One worker, `make_instance` alone, doubly logarithmic; dashed: time linear in x."""
+    x, y = (np.array(values, float) for values in zip(*curve, strict=True))
+    axis.plot(x, y[0] * x[0] / x, "--", color=GREY, linewidth=1.2, label="time linear")
+    axis.plot(x, y, "o-", color=BLUE, linewidth=1.6, markersize=4.5)
     for at, rate in curve:
-        axis.annotate(f"{rate:.1f}", (at, rate), (0, 5), textcoords="offset points", ha="center")
-    if name == "workers":
-        axis.plot(x, [y[0] * n / x[0] for n in x], ":", color="grey", label="ideal")
-        axis.set_xticks(x)
-        axis.legend(frameon=False, loc="lower right")
-    else:
-        axis.set_xscale("log", base=2)
-        axis.set_xticks(x, [_short(n) for n in x])
-        axis.minorticks_off()
-    axis.set_ylim(0, 1.2 * max(y))
-    axis.set_xlabel(name)
-    axis.set_ylabel("instances / s")
+        axis.annotate(f"{rate:.3g}", (at, rate), (0, 6), textcoords="offset points", ha="center")
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.set_xticks(x, [_short(n) for n in x])
+    low, high = 0.6 * min(y), 1.8 * max(y)
+    ticks = [t for t in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200) if low <= t <= high]
+    axis.set_yticks(ticks, [f"{t:g}" for t in ticks])
+    axis.minorticks_off()
+    axis.set_ylim(low, high)
+    axis.margins(x=0.12)
+    axis.set_xlabel(f"{name}, one worker")
     axis.grid(alpha=0.25)
+    axis.legend(frameon=False, loc="lower left")
 
 
 def _short(number: float) -> str:
     if number >= 1_000_000:
         return f"{number / 1e6:.1f}M"
-    return f"{number / 1e3:.0f}k" if number >= 10_000 else f"{number:g}"
+    return f"{number / 1e3:.0f}k" if number >= 1_000 else f"{number:g}"
 
 
 def worker_counts() -> tuple[int, ...]:

@@ -39,12 +39,12 @@ class Table:
 def comparison(report: Row) -> Table:
     """All methods on the same meshes; ratios over the meshes that both did."""
     timings = [row for row in report["timings"] if not row["real"]]
-    ours = median_by_case(_of(timings, "ours"))
+    ours, ours_cpu = (median_by_case(_of(timings, "ours"), k) for k in ("seconds", "cpu"))
     rows = []
     for method in report["methods"]:
         name = method["name"]
         if method["absent"]:
-            rows.append((name, method["absent"], *[NOTHING] * 8))
+            rows.append((name, method["absent"], *[NOTHING] * 9))
             continue
         own = _of(timings, name)
         wall, cpu = median_by_case(own), median_by_case(own, "cpu")
@@ -52,12 +52,16 @@ def comparison(report: Row) -> Table:
         wall = {case: s for case, s in wall.items() if case in shared}
         scores = [s for s in _of(report["scores"], name) if s["case"] in shared]
         ratio = sum(wall.values()) / sum(ours[case] for case in wall) if wall else None
+        cores = (
+            sum(cpu[case] for case in wall) / sum(ours_cpu[case] for case in wall) if wall else None
+        )
         rows.append(
             (
                 name,
                 _number(_mean(wall.values()), ".3g"),
                 _number(_mean(cpu[case] for case in wall), ".3g"),
                 _number(ratio, ".3g"),
+                _number(cores, ".3g"),
                 _iou(s for s in scores if not s["messy"]),
                 _iou(s for s in scores if s["messy"]),
                 *_shape(report["shapes"], name),
@@ -66,10 +70,12 @@ def comparison(report: Row) -> Table:
             )
         )
     columns = (
-        "method", "s a mesh", "core s", "x ours", "IoU U / N, clean", "IoU U / N, messy",
-        "sheet, voxels", "growth, voxels", "peak MB", "meshes x runs",
+        "method", "s a mesh", "core s", "x ours", "x ours, core s", "IoU U / N, clean",
+        "IoU U / N, messy", "sheet, voxels", "growth, voxels", "peak MB", "meshes x runs",
     )  # fmt: skip
-    return Table("Methods side by side, on the same meshes", columns, rows, _COMPARISON)
+    shared = report["memory"].get("nothing")
+    note = _COMPARISON + (f" Those that all share take {shared:.0f} MB." if shared else "")
+    return Table("Methods side by side, on the same meshes", columns, rows, note)
 
 
 _COMPARISON = (
@@ -101,7 +107,7 @@ def by_category(report: Row, *, messy: bool) -> Table:
 
 
 def stages(report: Row) -> Table:
-    """Where an instance's time goes, and how exact ours is over all its instances."""
+    """Where an instance's time goes."""
     rows = []
     for method in report["methods"]:
         timings = [t for t in _of(report["timings"], method["name"]) if not t["real"]]
@@ -109,7 +115,6 @@ def stages(report: Row) -> Table:
             continue
         for category in report["categories"]:
             own = [t for t in timings if t["category"] == category]
-            scores = [s for s in _of(report["scores"], method["name"]) if s["category"] == category]
             ms = [_mean(median_by_case(own, s).values()) for s in (*STAGES, "seconds")]
             rows.append(
                 (
@@ -118,16 +123,9 @@ def stages(report: Row) -> Table:
                     str(len({t["case"] for t in own})),
                     *(_number(1e3 * m if m is not None else None, ".1f") for m in ms),
                     _number(_mean(median_by_case(own, "once").values()), ".2f"),
-                    _iou(s for s in scores if not s["messy"]),
-                    _iou(s for s in scores if s["messy"]),
-                    _number(min((s["uniform"] for s in scores), default=None), ".4f")
-                    + " / " + _number(min((s["near"] for s in scores), default=None), ".4f"),
                 )
-            )  # fmt: skip
-    columns = (
-        "setting", "category", "instances", *STAGES, "sum",
-        "once an object, s", "IoU U / N, clean", "IoU U / N, messy", "worst instance",
-    )  # fmt: skip
+            )
+    columns = ("setting", "category", "instances", *STAGES, "sum", "once an object, s")
     note = (
         "Milliseconds an instance on one core; `prepare` is what is done once an object, shared "
         "out among its instances. Clean and messy objects; random joint states."
@@ -161,7 +159,10 @@ def real(report: Row) -> Table:
             scores = [s for s in _of(report["scores"], method["name"]) if s["case"] == case]
             cells += [_number(seconds.get(case), ".3g"), _iou(scores)]
         rows.append((method["name"], *cells))
-    heads = [head for case in cases for head in (f"{case}: s", "IoU U / N with ours")]
+    heads = []
+    for case in cases:
+        triangles = report["triangles"].get(case, 0)
+        heads += [f"{case}, {triangles:,} triangles: s a mesh", "IoU U / N with ours"]
     note = "There is no truth: IoU says how far a method agrees with ours. Slow peers left out."
     return Table("Real models", ("method", *heads), rows, note)
 
