@@ -159,12 +159,15 @@ def agreement(made: Made) -> Agreement:
 def test_occupancy_and_parts_are_those_of_the_exact_solids(
     make: Maker, category: str, k: int
 ) -> None:
+    """One wrong point of the few inside thin eyeglasses is 0.004 of `uniform`; `make accuracy` asks
+    many more."""
     clean = agreement(make(category, k))
     messy = agreement(make(category, k, messy=True))
-    for found in (clean, messy):
-        assert found.uniform >= 0.99
-        assert found.near >= 0.995
-        assert found.parts >= 0.995
+    assert min(clean.uniform, messy.uniform) >= 0.995
+    assert clean.near >= 0.9975
+    assert clean.parts >= 0.998
+    assert messy.near >= 0.996
+    assert messy.parts >= 0.9965
     assert messy.both >= clean.both - 0.003
 
 
