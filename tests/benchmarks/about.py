@@ -27,7 +27,7 @@ def about(quick: bool, versions: Iterable[Mapping[str, str]] = ()) -> dict[str, 
     module = Path(sys.argv[0]).stem
     name = "tests.benchmarks" + ("" if module == "__main__" else f".{module}")
     return {
-        "command": " ".join(["python -m", name, *sys.argv[1:]]),
+        "command": " ".join(["python -m", name, *_without_folder(sys.argv[1:])]),
         "commit": _git("describe", "--always", "--dirty", "--abbrev=12"),
         "date": time.strftime("%Y-%m-%d"),
         "machine": f"{_cpu()}, {pipeline.default_jobs()} cores, {platform.system()}, "
@@ -50,6 +50,13 @@ def head(record: Mapping[str, Any]) -> str:
     if record["quick"]:
         lines += ["**A quick run: it shows that this works; its figures mean little.**", ""]
     return "\n".join(lines)
+
+
+def _without_folder(arguments: list[str]) -> list[str]:
+    """All but `--out FOLDER`: where it was written is nobody else's business."""
+    before = [None, *arguments]
+    return [a for b, a in zip(before, arguments, strict=False)
+            if b != "--out" and a.split("=")[0] != "--out"]  # fmt: skip
 
 
 def _git(*arguments: str) -> str:
