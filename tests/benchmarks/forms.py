@@ -24,7 +24,7 @@ DIRECTIONS = 16
 def tubes(recipe: Recipe, points: int) -> Row:
     """IoU of a frame of tubes of radius 0.01, `points` uniform ones and near the surface."""
     meshes = spectacles()
-    soup = trimesh.util.concatenate(meshes)
+    soup: Any = trimesh.util.concatenate(meshes)
     rng = np.random.default_rng(0)
     near = trimesh.sample.sample_surface(soup, points, seed=1)[0]
     drawn = {
@@ -97,8 +97,8 @@ def _uniform(
     rng = np.random.default_rng(0)
     ours = sampling.surface_points(mesh, seen, field.is_free, points, rng=rng)
     soup = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    even, face = trimesh.sample.sample_surface(soup, 20 * points, seed=1)
-    even, normals = np.asarray(even), soup.face_normals[face]
+    drawn = trimesh.sample.sample_surface(soup, 20 * points, seed=1)
+    even, normals = np.asarray(drawn[0]), soup.face_normals[drawn[1]]
     if visible is not None:
         kept = visible(even + sampling.SURFACE_OFFSET * normals)
         even, normals = even[kept], normals[kept]

@@ -79,7 +79,7 @@ def open_space(scene: Scene, opening: float, resolution: int = RESOLUTION) -> Op
     for i in range(len(x)):
         at = np.stack(np.meshgrid(x[i], y, z, indexing="ij"), axis=-1).reshape(-1, 3)
         solid[i] = scene.solid(at).reshape(len(y), len(z))
-    clearance = distance_transform_edt(~solid).astype(np.float32)
+    clearance = np.asarray(distance_transform_edt(~solid), np.float32)
     # a distance to the centre of a solid voxel is that to the solid, or more by half a diagonal
     wide = _rolled(clearance > radius + _HALF_DIAGONAL, radius)
     wide = _spread(wide, ~solid, round(CORNER * radius) - 1)
@@ -92,8 +92,9 @@ def _rolled(centers: Bools, radius: float) -> Bools:
     """What a ball sweeps whose centre may go to `centers` from the grid's corner."""
     from scipy.ndimage import distance_transform_edt, label  # noqa: PLC0415 - optional
 
-    connected = label(centers)[0]
-    return distance_transform_edt(connected != connected[0, 0, 0]) <= radius
+    connected = np.asarray(label(centers)[0])  # type: ignore[index]
+    away = np.asarray(distance_transform_edt(connected != connected[0, 0, 0]))
+    return away <= radius
 
 
 def _spread(reached: Bools, free: Bools, steps: int) -> Bools:
@@ -103,7 +104,7 @@ def _spread(reached: Bools, free: Bools, steps: int) -> Bools:
     reached &= free
     if steps <= 0:  # which scipy takes for: until nothing changes
         return reached
-    return binary_dilation(reached, np.ones((3, 3, 3)), steps, mask=free)
+    return np.asarray(binary_dilation(reached, np.ones((3, 3, 3)), steps, mask=free), np.bool_)
 
 
 @njit(cache=True)
