@@ -65,10 +65,13 @@ class Field:
         which = np.arange(len(points)) if which is None else which
         if self.settings.rule == "mean":
             return self.value(points[which]) > 0.0
-        free = self.is_seen_free(points, which)
-        if self.flood is not None:
-            unseen = np.flatnonzero(~free)
-            free[unseen] = self.flood.reaches(points[which[unseen]])
+        if self.flood is None:
+            return self.is_seen_free(points, which)
+        free = self.flood.fills(points[which])  # most of what is free, without asking a view
+        rest = np.flatnonzero(~free)
+        free[rest] = self.is_seen_free(points, which[rest])
+        unseen = rest[~free[rest]]
+        free[unseen] = self.flood.reaches(points[which[unseen]])
         return free
 
     def is_seen_free(
@@ -187,4 +190,4 @@ def fuse(
     if settings.rule != "reachable":
         return field
     state = walls(mesh, settings.opening)
-    return replace(field, flood=flood(state, mesh, field.is_seen_free, hierarchy, part_motion))
+    return replace(field, flood=flood(state, mesh, hierarchy, part_motion))

@@ -6,7 +6,6 @@ has reached. The flood runs over voxels that no face touches, so that it passes 
 voxels and more and never one that is narrower than a voxel; `recipe.Fusion.opening` is two voxels.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,11 +14,9 @@ from numpy.typing import NDArray
 
 from articugen.geometry import bounds, invert_rigid
 from articugen.hierarchy import Hierarchy, meets
-from articugen.records import Floats, LabelledMesh
+from articugen.records import LabelledMesh
 
 _WALL, _DRY, _WET = 1, 0, 2
-
-AROUND = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,20 +25,22 @@ class Flood:
 
     Attributes:
         state: (n, n, n) uint8 over the unit cube: 0 not reached, 1 touched by a face, 2 reached.
-        hidden: (n, n, n) bool: within `AROUND` voxels lies a reached voxel whose centre no view
-            sees free. Elsewhere the views know all that matters.
         hierarchy, to_part: of the posed mesh, as in `fusion.Field`.
     """
 
     state: NDArray[np.uint8]
-    hidden: NDArray[np.bool_]
     hierarchy: Hierarchy
     to_part: NDArray[np.float32]
+
+    def fills(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """(n,) which of the `points` (n, 3) lie in a reached voxel: no face is between them and its
+        centre, so that they are free, whatever the views see."""
+        return _fills(np.ascontiguousarray(points, np.float32), self.state)
 
     def reaches(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
         """(n,) which of the unseen `points` (n, 3) the flood gets to."""
         flat = np.ascontiguousarray(points, np.float32)
-        return _reaches(flat, self.state, self.hidden, self.to_part, self.hierarchy)
+        return _reaches(flat, self.state, self.to_part, self.hierarchy)
 
 
 def walls(mesh: LabelledMesh, opening: float) -> NDArray[np.uint8]:
@@ -55,7 +54,6 @@ def walls(mesh: LabelledMesh, opening: float) -> NDArray[np.uint8]:
 def flood(
     state: NDArray[np.uint8],
     mesh: LabelledMesh,
-    is_seen_free: Callable[[Floats], NDArray[np.bool_]],
     hierarchy: Hierarchy,
     part_motion: NDArray[np.float64],
 ) -> Flood:
@@ -64,7 +62,6 @@ def flood(
     Args:
         state: as `walls` makes it.
         mesh: the faces that made it.
-        is_seen_free: of points (n, 3): whether a view sees them free.
         hierarchy, part_motion: of the posed mesh.
     """
     corners = mesh.vertices[mesh.faces].reshape(-1, 3)
@@ -72,14 +69,10 @@ def flood(
     first = np.clip(low.astype(int), 0, len(state) - 1)
     last = np.clip(high.astype(int), 0, len(state) - 1)
     box = tuple(slice(a, b + 1) for a, b in zip(first, last, strict=True))
-    around = np.full(state.shape, _WET, np.uint8)  # outside the mesh's box a view sees every point
-    around[box] = _filled(state[box])
-    asked = _to_ask(around, first, last)
-    unseen = asked[~is_seen_free((asked + 0.5) / len(state) - 0.5)]
-    hidden = np.zeros(state.shape, np.bool_)
-    _mark_around(hidden, unseen)
+    flooded = np.full(state.shape, _WET, np.uint8)  # nothing is outside the mesh's box
+    flooded[box] = _filled(state[box])
     to_part = np.ascontiguousarray(invert_rigid(part_motion)[:, :3], np.float32)
-    return Flood(around, hidden, hierarchy, to_part)
+    return Flood(flooded, hierarchy, to_part)
 
 
 @njit(cache=True, nogil=True)
@@ -158,46 +151,19 @@ def _filled(state):
 
 
 @njit(cache=True, nogil=True)
-def _to_ask(state, first, last):
-    """(m, 3) the reached voxels of a box beside a wall, and every other one along each axis.
-
-    What no view sees lies close to what hides it, or is wide.
-    """
+def _fills(points, state):
     n = state.shape[0]
-    found = np.empty((state.size, 3), np.int16)
-    count = 0
-    for i in range(first[0], last[0] + 1):
-        for j in range(first[1], last[1] + 1):
-            for k in range(first[2], last[2] + 1):
-                if state[i, j, k] != _WET:
-                    continue
-                if (
-                    (i | j | k) & 1 == 0
-                    or state[max(i - 1, 0), j, k] == _WALL
-                    or state[min(i + 1, n - 1), j, k] == _WALL
-                    or state[i, max(j - 1, 0), k] == _WALL
-                    or state[i, min(j + 1, n - 1), k] == _WALL
-                    or state[i, j, max(k - 1, 0)] == _WALL
-                    or state[i, j, min(k + 1, n - 1)] == _WALL
-                ):
-                    found[count] = (i, j, k)
-                    count += 1
-    return found[:count]
+    filled = np.empty(points.shape[0], np.bool_)
+    for index in range(points.shape[0]):
+        i = min(max(int((points[index, 0] + 0.5) * n), 0), n - 1)
+        j = min(max(int((points[index, 1] + 0.5) * n), 0), n - 1)
+        k = min(max(int((points[index, 2] + 0.5) * n), 0), n - 1)
+        filled[index] = state[i, j, k] == _WET
+    return filled
 
 
 @njit(cache=True, nogil=True)
-def _mark_around(hidden, voxels):
-    n = hidden.shape[0]
-    for index in range(voxels.shape[0]):
-        i, j, k = voxels[index]
-        for a in range(max(i - AROUND, 0), min(i + AROUND + 1, n)):
-            for b in range(max(j - AROUND, 0), min(j + AROUND + 1, n)):
-                for c in range(max(k - AROUND, 0), min(k + AROUND + 1, n)):
-                    hidden[a, b, c] = True
-
-
-@njit(cache=True, nogil=True)
-def _reaches(points, state, hidden, to_part, hierarchy):
+def _reaches(points, state, to_part, hierarchy):
     n = state.shape[0]
     reached = np.zeros(points.shape[0], np.bool_)
     h = hierarchy
@@ -206,7 +172,8 @@ def _reaches(points, state, hidden, to_part, hierarchy):
         i = min(max(int((p[0] + 0.5) * n), 0), n - 1)
         j = min(max(int((p[1] + 0.5) * n), 0), n - 1)
         k = min(max(int((p[2] + 0.5) * n), 0), n - 1)
-        if not hidden[i, j, k]:
+        if state[i, j, k] == _WET:  # no face is between it and the voxel's centre
+            reached[index] = True
             continue
         for a in range(max(i - 1, 0), min(i + 2, n)):
             for b in range(max(j - 1, 0), min(j + 2, n)):
