@@ -18,7 +18,7 @@ In both, a point that no view sees, or only from further behind than the truncat
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ from articugen.hierarchy import Hierarchy, build, triangle_table
 from articugen.reachable import Flood, flood, walls
 from articugen.recipe import Fusion
 from articugen.records import DepthMaps, LabelledMesh
+from articugen.slender import NOTHING
 
 _NO_DEPTH = np.zeros((1, 0, 0), np.float32)
 _NO_FACES = np.zeros((1, 0, 0), np.int32)
@@ -45,6 +46,7 @@ class Field:
         part_motion: (P, 4, 4) of each part from its canonical pose.
         settings: rule and truncation.
         flood: for the rule `reachable`.
+        slender: (n, n, n) where views are checked, see `slender.slender_voxels`.
     """
 
     maps: DepthMaps
@@ -53,6 +55,7 @@ class Field:
     part_motion: NDArray[np.float64]
     settings: Fusion
     flood: Flood | None = None
+    slender: NDArray[np.uint8] = field(default_factory=lambda: NOTHING)
 
     def is_free(
         self, points: NDArray[np.floating], which: NDArray[np.intp] | None = None
@@ -113,6 +116,7 @@ class Field:
             hierarchy=self.hierarchy,
             to_part=np.ascontiguousarray(invert_rigid(self.part_motion)[:, :3], np.float32),
             pixel=np.float32(np.max(away / np.minimum(views.fx, views.fy))),
+            slender=self.slender,
         )
 
 
@@ -173,12 +177,14 @@ def fuse(
     *,
     hierarchy: Hierarchy | None = None,
     part_motion: NDArray[np.float64] | None = None,
+    slender: NDArray[np.uint8] = NOTHING,
 ) -> Field:
     """The field of `maps`, which show the faces of `mesh`.
 
     Args:
         hierarchy, part_motion: of the mesh's parts in the canonical pose, and how they moved from
             there; without them the mesh is taken as it is.
+        slender: see `slender.slender_voxels`.
     """
     if maps.face is not None:
         maps = replace(maps, depth=None)  # the faces' planes say more, and depths take much room
@@ -186,8 +192,8 @@ def fuse(
     if hierarchy is None or part_motion is None:
         part_motion = np.eye(4)[None]
         hierarchy = build(corners, np.zeros(len(corners), np.uint8), 1)
-    field = Field(maps, triangle_table(corners), hierarchy, part_motion, settings)
-    if settings.rule != "reachable":
-        return field
-    state = walls(mesh, settings.opening)
-    return replace(field, flood=flood(state, mesh, hierarchy, part_motion))
+    water = None
+    if settings.rule == "reachable":
+        water = flood(walls(mesh, settings.opening), mesh, hierarchy, part_motion)
+    table = triangle_table(corners)
+    return Field(maps, table, hierarchy, part_motion, settings, water, slender)

@@ -38,6 +38,7 @@ class Scene(NamedTuple):
         hierarchy: of each part in its canonical pose.
         to_part: (P, 3, 4) from the pose at hand to each part's canonical pose.
         pixel: the width of a pixel at the object, unit frame.
+        slender: (n, n, n) uint8, see `slender.slender_voxels`.
     """
 
     depth: Any
@@ -50,6 +51,7 @@ class Scene(NamedTuple):
     hierarchy: Any
     to_part: Any
     pixel: Any
+    slender: Any
 
 
 @njit(cache=True, nogil=True)
@@ -76,6 +78,7 @@ def is_free(points, which, scene):
     left = n
     # arrays out of the tuple once, not at every point: each time counts its references
     triangles, hierarchy, to_part = scene.triangles, scene.hierarchy, scene.to_part
+    slender = scene.slender
     pinhole, pixel, by_depth = scene.pinhole, scene.pixel, scene.face.shape[1] == 0
     for k in range(scene.cameras.shape[0]):
         camera = _camera(k, scene)
@@ -91,7 +94,19 @@ def is_free(points, which, scene):
                     verdict[i] = _FREE if gap > 0.0 else _HIDDEN
             else:
                 _read_around(u, v, bx.shape[0], face_map, at, around)
-                _judge(bx, by, bz, around, camera, pinhole, triangles, hierarchy, to_part, verdict)
+                _judge(
+                    bx,
+                    by,
+                    bz,
+                    around,
+                    camera,
+                    pinhole,
+                    triangles,
+                    hierarchy,
+                    to_part,
+                    slender,
+                    verdict,
+                )
             for i in range(bx.shape[0]):
                 if verdict[i] == _FREE:
                     free[origin[i]] = True
@@ -104,37 +119,51 @@ def is_free(points, which, scene):
 
 
 @njit(cache=True, nogil=True)
-def _judge(x, y, z, around, camera, pinhole, triangles, hierarchy, to_part, verdict):
+def _judge(x, y, z, around, camera, pinhole, triangles, hierarchy, to_part, slender, verdict):
     """What a view says of points, given the faces at the four pixels around each.
 
-    _FREE or _HIDDEN where the planes of the four agree, else by the ray itself. Only numbers are
-    handed on: an array handed to a function costs numba two atomic counts, here at every look.
+    _HIDDEN where all four show one face and the point is behind it; _FREE where it is behind none
+    of them and nothing slender is near; else the ray itself is followed. Only numbers are handed
+    on: an array handed to a function costs numba two atomic counts, here at every look.
     """
+    n = slender.shape[0]
     for i in range(x.shape[0]):
         p = (x[i], y[i], z[i])
         f = around[i, 0]
         same = (f == around[i, 1]) & (f == around[i, 2]) & (f == around[i, 3])
-        if same and f < 0:
-            verdict[i] = _FREE
-            continue
         w = _towards_camera(p, camera[4], pinhole)
         looks = 1 if same else 4
         hidden = 0
+        crossed = False
         for q in range(looks):
             f = around[i, q]
-            if f >= 0:
-                t = np.uintp(f)  # unsigned: numba does not ask whether to count from the end
-                plane = (triangles[t, 0], triangles[t, 1], triangles[t, 2], triangles[t, 3])
-                if behind(p, w, plane):
-                    hidden += 1
-        if hidden == 0:
-            verdict[i] = _FREE
-        elif hidden == looks:
+            if f < 0:
+                continue
+            t = np.uintp(f)  # unsigned: numba does not ask whether to count from the end
+            plane = (triangles[t, 0], triangles[t, 1], triangles[t, 2], triangles[t, 3])
+            if behind(p, w, plane):
+                hidden += 1
+                if same or line_meets(
+                    p, w,
+                    (triangles[t, 4], triangles[t, 5], triangles[t, 6]),
+                    (triangles[t, 7], triangles[t, 8], triangles[t, 9]),
+                    (triangles[t, 10], triangles[t, 11], triangles[t, 12]),
+                ):  # fmt: skip
+                    crossed = True
+                    break
+        if crossed:
             verdict[i] = _HIDDEN
-        else:
-            shown = (around[i, 0], around[i, 1], around[i, 2], around[i, 3])
-            leaves = _leaves(p, w, shown, triangles, hierarchy, to_part)
-            verdict[i] = _FREE if leaves else _HIDDEN
+        elif hidden == 0 and (
+            n == 1 or slender[_voxel(p[0], n), _voxel(p[1], n), _voxel(p[2], n)] == 0
+        ):
+            verdict[i] = _FREE
+        else:  # none of what shows is in the way: what shows at no pixel's centre may still be
+            verdict[i] = _FREE if _leaves(p, w, hierarchy, to_part) else _HIDDEN
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _voxel(x, n):
+    return np.uintp(min(max(np.int64((x + np.float32(0.5)) * n), 0), n - 1))
 
 
 @njit(cache=True, nogil=True)
@@ -165,6 +194,7 @@ def value(points, scene, truncation, mean):
     total = np.zeros((n, 2))  # of the views that see the point free, and that it lies close behind
     views = np.zeros((n, 2))
     triangles, hierarchy, to_part = scene.triangles, scene.hierarchy, scene.to_part
+    slender = scene.slender
     pinhole, pixel, by_depth = scene.pinhole, scene.pixel, scene.face.shape[1] == 0
     for k in range(scene.cameras.shape[0]):
         camera = _camera(k, scene)
@@ -172,7 +202,9 @@ def value(points, scene, truncation, mean):
         _project(x, y, z, camera, pinhole, u, v, depth)
         if not by_depth:
             _read_around(u, v, n, face_map, at, around)
-            _judge(x, y, z, around, camera, pinhole, triangles, hierarchy, to_part, verdict)
+            _judge(
+                x, y, z, around, camera, pinhole, triangles, hierarchy, to_part, slender, verdict
+            )
         for i in range(n):
             if by_depth:
                 s = _gap_by_depth(u[i], v[i], depth[i], depth_map, pixel)
@@ -261,12 +293,8 @@ def _read_around(u, v, count, face_map, at, around):
 
 
 @njit(cache=True, nogil=True)
-def _leaves(p, w, shown, triangles, hierarchy, to_part):
+def _leaves(p, w, hierarchy, to_part):
     """Whether the ray from `p` towards the camera, `w`, meets nothing on its way."""
-    for f in shown:
-        if f >= 0 and in_front(p, w, triangles, f) <= 0.0 and line_meets(p, w, triangles, f):
-            return False
-    # none of what shows is in the way: something that shows at no pixel's centre may still be
     h = hierarchy
     return not meets(p, w, ENDLESS, to_part, h.box, h.skip, h.leaf, h.triangles, h.roots)
 
@@ -281,7 +309,8 @@ def _distance(p, shown, camera, pinhole, triangles, free):
     w = _towards_camera(p, camera[4], pinhole)
     for f in shown:
         if f >= 0:
-            s = in_front(p, w, triangles, f)
+            plane = (triangles[f, 0], triangles[f, 1], triangles[f, 2], triangles[f, 3])
+            s = in_front(p, w, plane)
             if free and s > 0.0:
                 nearest = min(nearest, s)
             elif not free and s <= 0.0:

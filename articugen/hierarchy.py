@@ -150,14 +150,23 @@ def meets(p, w, reach, to_part, box, skip, leaf, triangles, roots):
             T[2, 0] * w[0] + T[2, 1] * w[1] + T[2, 2] * w[2],
         )
         inverse = (_inverse(d[0]), _inverse(d[1]), _inverse(d[2]))
-        node = roots[part]
-        while node < roots[part + 1]:
-            if not _enters(q, inverse, reach, box, node):
-                node = skip[node]
+        node, end = roots[part], roots[part + 1]
+        while node < end:
+            n = np.uintp(node)  # unsigned: numba does not ask whether to count from the end
+            low, high = (box[n, 0], box[n, 1], box[n, 2]), (box[n, 3], box[n, 4], box[n, 5])
+            if not _enters(q, inverse, reach, low, high):
+                node = skip[n]
                 continue
-            for f in range(leaf[node, 0], leaf[node, 0] + leaf[node, 1]):
-                ahead = -in_front(q, d, triangles, f)
-                if 0.0 <= ahead <= reach and line_meets(q, d, triangles, f):
+            for f in range(leaf[n, 0], leaf[n, 0] + leaf[n, 1]):
+                t = np.uintp(f)
+                plane = (triangles[t, 0], triangles[t, 1], triangles[t, 2], triangles[t, 3])
+                ahead = -in_front(q, d, plane)
+                if 0.0 <= ahead <= reach and line_meets(
+                    q, d,
+                    (triangles[t, 4], triangles[t, 5], triangles[t, 6]),
+                    (triangles[t, 7], triangles[t, 8], triangles[t, 9]),
+                    (triangles[t, 10], triangles[t, 11], triangles[t, 12]),
+                ):  # fmt: skip
                     return True
             node += 1
     return False
@@ -168,35 +177,34 @@ def _inverse(x):
     return np.float32(1.0) / x if abs(x) > 1e-20 else np.float32(1e20)
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _enters(q, inverse, reach, box, node):
-    near = np.float32(0.0)
-    far = reach
-    for axis in range(3):
-        a = (box[node, axis] - q[axis]) * inverse[axis]
-        b = (box[node, axis + 3] - q[axis]) * inverse[axis]
-        near = max(near, min(a, b))
-        far = min(far, max(a, b))
+@njit(cache=True, nogil=True)
+def _enters(q, inverse, reach, low, high):
+    """Whether the ray from `q` enters a box before `reach`; numbers only, see `_judge`."""
+    ax, bx = (low[0] - q[0]) * inverse[0], (high[0] - q[0]) * inverse[0]
+    ay, by = (low[1] - q[1]) * inverse[1], (high[1] - q[1]) * inverse[1]
+    az, bz = (low[2] - q[2]) * inverse[2], (high[2] - q[2]) * inverse[2]
+    near = max(min(ax, bx), min(ay, by), min(az, bz), np.float32(0.0))
+    far = min(max(ax, bx), max(ay, by), max(az, bz), reach)
     return near <= far
 
 
-@njit(cache=True, nogil=True, inline="always")
-def in_front(p, w, triangles, f):
-    """How far `p` lies in front of face f's plane, along the direction `w` to the camera."""
-    x, y, z = triangles[f, 0], triangles[f, 1], triangles[f, 2]
-    slope = x * w[0] + y * w[1] + z * w[2]
-    if slope == 0.0:
-        slope = np.float32(1e-12)
-    return (x * p[0] + y * p[1] + z * p[2] - triangles[f, 3]) / slope
-
-
-@njit(cache=True, nogil=True, inline="always")
-def behind(p, w, plane):
-    """Whether `p` lies behind a face's plane, seen from the direction `w`: `in_front` <= 0.
+@njit(cache=True, nogil=True)
+def in_front(p, w, plane):
+    """How far `p` lies in front of a face's plane, along the direction `w` to the camera.
 
     Args:
         plane: normal and offset, the first four columns of the `triangle_table`.
     """
+    a, b, c, offset = plane
+    slope = a * w[0] + b * w[1] + c * w[2]
+    if slope == 0.0:
+        slope = np.float32(1e-12)
+    return (a * p[0] + b * p[1] + c * p[2] - offset) / slope
+
+
+@njit(cache=True, nogil=True)
+def behind(p, w, plane):
+    """Whether `p` lies behind a face's plane, seen from the direction `w`: `in_front` <= 0."""
     a, b, c, offset = plane
     gap = a * p[0] + b * p[1] + c * p[2] - offset
     slope = a * w[0] + b * w[1] + c * w[2]
@@ -204,16 +212,15 @@ def behind(p, w, plane):
 
 
 @njit(cache=True, nogil=True)
-def line_meets(p, w, triangles, f):
-    """Whether the line through `p` along `w` passes through face f, either way round.
+def line_meets(p, w, a, b, c):
+    """Whether the line through `p` along `w` passes through the triangle a, b, c, either way round.
 
     Signs of the volumes that the line spans with each edge; the two faces at an edge compute the
     same number with opposite sign, so no line slips between them.
     """
-    t = triangles
-    ax, ay, az = t[f, 4] - p[0], t[f, 5] - p[1], t[f, 6] - p[2]
-    bx, by, bz = t[f, 7] - p[0], t[f, 8] - p[1], t[f, 9] - p[2]
-    cx, cy, cz = t[f, 10] - p[0], t[f, 11] - p[1], t[f, 12] - p[2]
+    ax, ay, az = a[0] - p[0], a[1] - p[1], a[2] - p[2]
+    bx, by, bz = b[0] - p[0], b[1] - p[1], b[2] - p[2]
+    cx, cy, cz = c[0] - p[0], c[1] - p[1], c[2] - p[2]
     ab = w[0] * (ay * bz - az * by) + w[1] * (az * bx - ax * bz) + w[2] * (ax * by - ay * bx)
     bc = w[0] * (by * cz - bz * cy) + w[1] * (bz * cx - bx * cz) + w[2] * (bx * cy - by * cx)
     ca = w[0] * (cy * az - cz * ay) + w[1] * (cz * ax - cx * az) + w[2] * (cx * ay - cy * ax)

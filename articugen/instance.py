@@ -5,7 +5,7 @@ random comes from `seeding.generator(seed, category, object, state, stage)`, so 
 the same whoever makes it, when, and in whatever order.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,9 +33,14 @@ from articugen.rendering import rasterizer, render
 from articugen.rendering.overlay import Overlay
 from articugen.rendering.views import fusion_views, random_pinhole_views
 from articugen.seeding import generator
+from articugen.slender import slender_voxels
 
 MOST_PARTS = 254
 """Labels are uint8: 0 free, k + 1 inside part k."""
+
+SLENDER_PIXELS = 2.0
+"""What is thinner than this, in 1 / resolution of the unit frame, may fit between pixels: views
+are up to sqrt(2) wide."""
 
 FEWEST_SURFACE_POINTS = 1024
 """Drawn even where fewer are stored: near points are drawn around them."""
@@ -76,6 +81,7 @@ class Prepared:
         static: the depth maps of part 0 alone, which every instance shares.
         overlay: what the moving parts of one instance after the other are drawn over part 0 in.
         own: each moving part alone.
+        slender: where what the views say of part 0 is checked.
         grids: by resolution.
     """
 
@@ -93,6 +99,7 @@ class Prepared:
     static: DepthMaps
     overlay: Overlay | None
     own: tuple[fusion.OwnSolid, ...]
+    slender: NDArray[np.uint8]
     grids: dict[int, Grid]
 
     def rng(self, *path: str | int) -> np.random.Generator:
@@ -123,7 +130,8 @@ def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
         raise RejectedInstance("the object has no faces: those of its links have no area")
     views = fusion_views(recipe.views, _swept_box(mesh, unit.rigid_to_unit(motions)))
     static = _render(parts[0].mesh, views, recipe)
-    static_field = fusion.fuse(static, parts[0].mesh, recipe.fusion)
+    slender = parts[0].own.field.slender
+    static_field = fusion.fuse(static, parts[0].mesh, recipe.fusion, slender=slender)
     return Prepared(
         obj=obj,
         recipe=recipe,
@@ -139,6 +147,7 @@ def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
         static=static,
         overlay=Overlay(static) if recipe.views.backend == "rasterizer" else None,
         own=tuple(part.own for part in parts[1:]),
+        slender=slender,
         grids={r: _grid(r, static_field) for r in recipe.sampling.grids},
     )
 
@@ -179,7 +188,14 @@ def pose(
         maps = _render(mesh, p.views, p.recipe)
     else:
         maps = _draw_moving(p, mesh, overlay or Overlay(p.static))
-    field = fusion.fuse(maps, mesh, p.recipe.fusion, hierarchy=p.hierarchy, part_motion=motion)
+    field = fusion.fuse(
+        maps,
+        mesh,
+        p.recipe.fusion,
+        hierarchy=p.hierarchy,
+        part_motion=motion,
+        slender=p.slender,
+    )
     return mesh, fusion.PosedFields(field, p.own, motion)
 
 
@@ -247,7 +263,10 @@ def solid_part(soup: LabelledMesh, recipe: Recipe) -> SolidPart:
     mesh, seen = sheets.solidified(soup, where, free, shown, thickness)
     if len(mesh.faces) != len(soup.faces):  # sheets have become slabs
         alone = _own_solid(mesh, recipe)
-    return SolidPart(mesh, seen, alone)
+    width = SLENDER_PIXELS / recipe.views.resolution
+    slender = slender_voxels(mesh, width, alone.field.hierarchy)
+    own = replace(alone, field=replace(alone.field, slender=slender))
+    return SolidPart(mesh, seen, own)
 
 
 def _own_solid(mesh: LabelledMesh, recipe: Recipe) -> fusion.OwnSolid:

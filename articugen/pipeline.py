@@ -52,6 +52,7 @@ GENERATING_CODE = (
     "schema.py",
     "seeding.py",
     "sheets.py",
+    "slender.py",
     "sources",
 )
 

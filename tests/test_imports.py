@@ -16,11 +16,12 @@ BASE = {"errors", "geometry", "records", "seeding", "recipe", "recipe_files"}
 STAGES = {
     "articulation": set(),
     "rendering": set(),
-    "fusion": {"fusion_kernels", "hierarchy", "reachable"},
+    "fusion": {"fusion_kernels", "hierarchy", "reachable", "slender"},
     "fusion_kernels": {"hierarchy"},
     "hierarchy": set(),
     "reachable": {"hierarchy", "fusion_kernels"},
     "sheets": set(),
+    "slender": {"hierarchy", "reachable", "sheets"},
     "sampling": set(),
     "sources": set(),
 }

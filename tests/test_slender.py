@@ -1,0 +1,57 @@
+"""Features thinner than a pixel: the field is that of exact rays, not of pixel centres."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from articugen.hierarchy import build
+from articugen.instance import solid_part
+from articugen.recipe import Recipe
+from articugen.slender import NOTHING, slender_voxels
+from tests.shapes import Convex, box, labelled, rotated, towards_cameras
+
+RECIPE = Recipe(name="test")
+THIN = 0.6 / 256  # thinner free-standing plates count as sheets
+
+
+def comb(gap: float, thickness: float) -> list[trimesh.Trimesh]:
+    """Upright plates on a base."""
+    at = np.arange(-0.3, 0.3, gap + thickness)
+    return [
+        box((0.8, 0.6, 0.05), (0, 0, -0.2)),
+        *(box((thickness, 0.5, 0.2), (x, 0, -0.075)) for x in at),
+    ]
+
+
+@pytest.mark.parametrize(("gap", "thickness"), [(0.05, THIN), (THIN, 0.05)], ids=["bars", "slits"])
+def test_bars_and_slits_thinner_than_a_pixel_are_as_exact_rays_have_them(
+    gap: float, thickness: float
+) -> None:
+    pieces = [rotated(piece, 0.5, (1, 2, 3)) for piece in comb(gap, thickness)]
+    field = solid_part(labelled(trimesh.util.concatenate(pieces)), RECIPE).own.field
+    rng = np.random.default_rng(0)
+    turned = trimesh.transformations.rotation_matrix(0.5, (1, 2, 3))
+    local = rng.uniform((-0.3, -0.25, -0.175), (0.3, 0.25, 0.03), (20_000, 3))
+    pitch = gap + thickness
+    nearest = -0.3 + pitch * np.round((local[:, 0] + 0.3) / pitch)
+    middle = nearest if gap > thickness else nearest + pitch / 2
+    local[:, 0] = middle + THIN * rng.uniform(-0.6, 0.6, len(local))
+    points = local @ turned[:3, :3].T
+    solid = Convex.of(*pieces)
+    exact = solid.seen_free(points, towards_cameras(field.maps.views)) & ~solid.inside(points)
+    found = field.is_free(points)
+    assert 0.1 < exact.mean() < 0.9
+    assert np.mean(found == exact) >= 0.9995
+
+
+def test_only_what_is_slender_is_marked() -> None:
+    thick = labelled(box((0.5, 0.4, 0.3)))
+    plate = labelled(box((0.5, 0.4, 0.3), (0, 0, -0.2)), box((0.3, 0.3, 0.004), (0, 0, 0.2)))
+    trees = [
+        build(m.vertices[m.faces], np.zeros(len(m.faces), np.uint8), 1) for m in (thick, plate)
+    ]
+    assert slender_voxels(thick, 1 / 128, trees[0]) is NOTHING
+    marked = np.argwhere(slender_voxels(plate, 1 / 128, trees[1])) / 128 - 0.5
+    assert len(marked) > 1000
+    assert np.all(np.abs(marked[:, 2] - 0.2) < 2 / 128)
+    assert np.all(np.abs(marked[:, :2]) < 0.16)
