@@ -163,10 +163,10 @@ def test_occupancy_and_parts_are_those_of_the_exact_solids(
     many more."""
     clean = agreement(make(category, k))
     messy = agreement(make(category, k, messy=True))
-    assert min(clean.uniform, messy.uniform) >= 0.995
-    assert clean.near >= 0.9975
-    assert clean.parts >= 0.998
-    assert messy.near >= 0.996
+    assert min(clean.uniform, messy.uniform) >= 0.998
+    assert clean.near >= 0.999
+    assert clean.parts >= 0.9985
+    assert messy.near >= 0.997
     assert messy.parts >= 0.9965
     assert messy.both >= clean.both - 0.003
 
