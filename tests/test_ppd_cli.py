@@ -19,7 +19,7 @@ RECIPE = """
 extends: ppd_quick
 data: {surface_points: 256, uniform_points: 128, near_points: 128, validation_objects: 1}
 schedule: {batch: 3, stages: [{resolution: 16, iterations: 3}], validate_every: 3}
-seeds: {count: 1}
+seeds: {count: 1, halve_at: []}
 depth: {iterations: 2, batch: 2}
 """
 
@@ -64,9 +64,7 @@ def test_evaluate_predict(folder, monkeypatch):
 
 def test_seeds_race_and_a_race_resumes(folder):
     data, runs = folder / "data", folder / "race"
-    recipe = folder / "race.yaml"
-    recipe.write_text(RECIPE.replace("{count: 1}", "{count: 1, halve_at: []}"))
-    base = ("train", "-c", "box", "-d", data, "-r", recipe, "--runs", runs, "-j", 1)
+    base = ("train", "-c", "box", "-d", data, "-r", folder / "tiny.yaml", "--runs", runs, "-j", 1)
     done = articugen(*base, "--seeds", 2, "--seed", 3)
     assert done.exit_code == 0, done.output
     assert "seed 3: 3/3 held-out objects: rec 0." in done.output

@@ -280,3 +280,16 @@ def test_discriminator_weights_come_to_have_unit_norm():
     before = [layer.u.clone() for layer in critic.layers]
     critic.eval().weights()
     assert all(torch.equal(a, layer.u) for a, layer in zip(before, critic.layers, strict=True))
+
+
+def test_he_s_start_tells_shapes_apart_and_adds_nothing():
+    spread, count = {}, {}
+    for start in ("release", "he"):
+        torch.manual_seed(0)
+        model = PPD(ModelSettings(latent_start=start))
+        boxes = torch.rand(8, 200, 3) - 0.5
+        boxes[:, :, 0] *= torch.linspace(0.2, 1.0, 8)[:, None]
+        spread[start] = float(model(boxes).shape.detail.detach().std(0).mean())
+        count[start] = parameters(model)
+    assert spread["he"] > 100 * spread["release"]
+    assert count["he"] == count["release"]

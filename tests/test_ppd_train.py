@@ -16,6 +16,7 @@ from articugen.ppd.settings import (
     TrainRecipe,
     load_train_recipe,
 )
+from articugen.recipe_files import known
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
@@ -86,12 +87,20 @@ def test_the_paper_s_text_is_the_default():
     assert paper.sha256() == TrainRecipe(name="default").sha256()
 
 
+@pytest.mark.parametrize("name", known(learner=True))
+def test_every_recipe_is_a_valid_one(name):
+    recipe = load_train_recipe(name)
+    assert recipe.name == name
+    assert recipe.seeds.count == 1 or recipe.data.validation_objects
+
+
 def test_recipes_extend_one_another():
     quick, release = load_train_recipe("ppd_quick"), load_train_recipe("ppd_release")
     assert quick.losses.loc_form == release.losses.loc_form == "release"
     assert quick.losses.adv_g == 0.0
     assert release.losses.adv_d == 3.25
-    assert quick.model == release.model
+    assert quick.model.latent_start == "he"
+    assert quick.model.part_frame == release.model.part_frame == "joint"
 
 
 @pytest.mark.parametrize(

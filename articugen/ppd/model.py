@@ -76,7 +76,7 @@ class PPD(nn.Module):
     def __init__(self, settings: ModelSettings) -> None:
         super().__init__()
         self.settings = settings
-        self.encoder = Encoder()
+        self.encoder = Encoder(settings.latent_start)
         self.shape = ShapeDecoder(settings)
         self.pose = PoseDecoder(settings)
 

@@ -34,6 +34,9 @@ class ModelSettings(_Section):
         coordinate_bound: weights of the layer that sees coordinates start in U(-bound, bound).
         part_frame: where a revolute part's shape lives: `world`, B = T(q) R(s, u); or
             `joint`, which turns it with the direction as well, B = T(q) C(r) Rz(s).
+        latent_start: how the encoder's weights start: `release`, as torch's layers do, which leaves
+            latents of different objects the same to a thousandth; or `he`, by He et al. 2015, and
+            the layer that reads z^s 20 times larger, so that shapes differ from the start.
     """
 
     revolute: tuple[Direction, ...] = ((0, 0, 1), (0, 0, -1), (0, 1, 0))
@@ -44,6 +47,7 @@ class ModelSettings(_Section):
     codes_learn: bool = True
     coordinate_bound: float = Field(default=math.sqrt(2.0), gt=0.0)
     part_frame: Literal["world", "joint"] = "world"
+    latent_start: Literal["release", "he"] = "release"
 
     @model_validator(mode="after")
     def _directions_are_unit(self) -> "ModelSettings":

@@ -8,6 +8,7 @@ of the plain network, for a tenth of the work and memory.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from torch import Tensor, nn
@@ -56,11 +57,14 @@ def argmax_of_points(x: Tensor) -> Tensor:
 class Encoder(nn.Module):
     """The simple PointNet of Occupancy Networks (Mescheder et al. 2019), three pooled blocks."""
 
-    def __init__(self) -> None:
+    def __init__(self, start: Literal["release", "he"] = "release") -> None:
         super().__init__()
         self.position = nn.Linear(3, 256)
         self.first, self.second, self.third = (nn.Linear(256, 128) for _ in range(3))
         self.latent = nn.Linear(128, POSE + SHAPE + TEMPLATE + COMMON)
+        if start == "he":
+            for layer in (self.position, self.first, self.second, self.third, self.latent):
+                nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
 
     def forward(self, cloud: Tensor) -> Tensor:
         """The latent (B, 512) of clouds (B, n, 3), whatever the order of their points."""
@@ -168,7 +172,8 @@ class ShapeDecoder(nn.Module):
         # Groups 0 to P - 1 are the heads of F^{s,c}, the others those of F^{s,z}.
         self.head_0, self.head_1 = Grouped(2 * P, 6, 12), Grouped(2 * P, 12, c)
         self.head_2 = Grouped(2 * P, c, 1)
-        nn.init.normal_(self.detail_in.weight, std=math.sqrt(2.0 / SHAPE) / 100.0)
+        scale = 0.2 if settings.latent_start == "he" else 0.01
+        nn.init.normal_(self.detail_in.weight, std=scale * math.sqrt(2.0 / SHAPE))
         nn.init.uniform_(self.detail_in.bias, -1.0 / SHAPE, 1.0 / SHAPE)
 
     def code(self, z_shape: Tensor, z_template: Tensor) -> ShapeCode:
