@@ -28,7 +28,7 @@ from articugen.geometry import apply, invert_rigid
 from articugen.hierarchy import Hierarchy, build, triangle_table
 from articugen.reachable import Flood, flood, walls
 from articugen.recipe import Fusion
-from articugen.records import DepthMaps, LabelledMesh
+from articugen.records import DepthMaps, LabelledMesh, Views
 from articugen.slender import NOTHING
 
 _NO_DEPTH = np.zeros((1, 0, 0), np.float32)
@@ -104,7 +104,6 @@ class Field:
         T, pinhole = views.T_camera_world, views.projection == "pinhole"
         intrinsics = np.stack([views.fx, views.fy, views.cx, views.cy], axis=1)
         eyes = -np.einsum("kji,kj->ki", T[:, :3, :3], T[:, :3, 3]) if pinhole else -T[:, 2, :3]
-        away = np.abs(T[:, 2, 3]) if pinhole else 1.0
         return fusion_kernels.Scene(
             depth=_NO_DEPTH if self.maps.depth is None else self.maps.depth,
             face=_NO_FACES if self.maps.face is None else self.maps.face,
@@ -115,9 +114,15 @@ class Field:
             triangles=self.triangles,
             hierarchy=self.hierarchy,
             to_part=np.ascontiguousarray(invert_rigid(self.part_motion)[:, :3], np.float32),
-            pixel=np.float32(np.max(away / np.minimum(views.fx, views.fy))),
+            pixel=np.float32(pixel_width(views)),
             slender=self.slender,
         )
+
+
+def pixel_width(views: Views) -> float:
+    """How wide the widest pixel of any view is at the middle of the unit frame."""
+    away = np.abs(views.T_camera_world[:, 2, 3]) if views.projection == "pinhole" else 1.0
+    return float(np.max(away / np.minimum(views.fx, views.fy)))
 
 
 @dataclass(frozen=True, eq=False)

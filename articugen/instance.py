@@ -38,10 +38,6 @@ from articugen.slender import slender_voxels
 MOST_PARTS = 254
 """Labels are uint8: 0 free, k + 1 inside part k."""
 
-SLENDER_PIXELS = 2.0
-"""What is thinner than this, in 1 / resolution of the unit frame, may fit between pixels: views
-are up to sqrt(2) wide."""
-
 FEWEST_SURFACE_POINTS = 1024
 """Drawn even where fewer are stored: near points are drawn around them."""
 
@@ -130,7 +126,8 @@ def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
         raise RejectedInstance("the object has no faces: those of its links have no area")
     views = fusion_views(recipe.views, _swept_box(mesh, unit.rigid_to_unit(motions)))
     static = _render(parts[0].mesh, views, recipe)
-    slender = parts[0].own.field.slender
+    tree = parts[0].own.field.hierarchy
+    slender = slender_voxels(parts[0].mesh, fusion.pixel_width(views), tree)
     static_field = fusion.fuse(static, parts[0].mesh, recipe.fusion, slender=slender)
     return Prepared(
         obj=obj,
@@ -263,7 +260,7 @@ def solid_part(soup: LabelledMesh, recipe: Recipe) -> SolidPart:
     mesh, seen = sheets.solidified(soup, where, free, shown, thickness)
     if len(mesh.faces) != len(soup.faces):  # sheets have become slabs
         alone = _own_solid(mesh, recipe)
-    width = SLENDER_PIXELS / recipe.views.resolution
+    width = fusion.pixel_width(alone.field.maps.views)
     slender = slender_voxels(mesh, width, alone.field.hierarchy)
     own = replace(alone, field=replace(alone.field, slender=slender))
     return SolidPart(mesh, seen, own)

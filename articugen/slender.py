@@ -1,8 +1,10 @@
 """Features that fit between pixels.
 
 A view knows what it sees at pixel centres. Between them a bar thinner than a pixel can hide, and a
-view that looks past it must not call its inside free. Here the voxels that such features touch are
-marked, once for each part; a view's word is checked there by following the ray itself.
+view that looks past it must not call its inside free. (A wider one shows at one of the four pixels
+around any of its points: between the corners of a square there is no gap wider than its side,
+whatever the direction.) Here the voxels that such features touch are marked, once for each part; a
+view's word is checked there by following the ray itself.
 """
 
 import numpy as np
@@ -26,6 +28,7 @@ def slender_voxels(mesh: LabelledMesh, width: float, hierarchy: Hierarchy) -> ND
 
     Args:
         mesh: faces outwards.
+        width: of a pixel, unit frame.
         hierarchy: of the mesh as one part, where it is.
     """
     where = probes(mesh, _BENEATH)
