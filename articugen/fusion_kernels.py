@@ -133,16 +133,15 @@ def _judge(x, y, z, around, camera, pinhole, triangles, hierarchy, to_part, slen
         same = (f == around[i, 1]) & (f == around[i, 2]) & (f == around[i, 3])
         w = _towards_camera(p, camera[4], pinhole)
         looks = 1 if same else 4
-        hidden = 0
-        crossed = False
+        doubt = crossed = False
         for q in range(looks):
             f = around[i, q]
-            if f < 0:
+            if f < 0 or (q > 0 and f == around[i, q - 1]) or (q > 1 and f == around[i, q - 2]):
                 continue
             t = np.uintp(f)  # unsigned: numba does not ask whether to count from the end
             plane = (triangles[t, 0], triangles[t, 1], triangles[t, 2], triangles[t, 3])
             if behind(p, w, plane):
-                hidden += 1
+                doubt = True
                 if same or line_meets(
                     p, w,
                     (triangles[t, 4], triangles[t, 5], triangles[t, 6]),
@@ -153,7 +152,7 @@ def _judge(x, y, z, around, camera, pinhole, triangles, hierarchy, to_part, slen
                     break
         if crossed:
             verdict[i] = _HIDDEN
-        elif hidden == 0 and (
+        elif not doubt and (
             n == 1 or slender[_voxel(p[0], n), _voxel(p[1], n), _voxel(p[2], n)] == 0
         ):
             verdict[i] = _FREE

@@ -52,7 +52,7 @@ def parse(arguments: Sequence[str] | None = None) -> Options:
         return Options(("laptop", "drawer"), 1, extent, sets, peers, True, asked.out)
     extent = Extent(asked.states, asked.runs, 50_000, ("laptop", "drawer"))
     sets = (
-        ("ours", "laptop", 8, 50),
+        ("ours", "laptop", 8, 100),
         ("ours, fast", "laptop", 4, 20),
         ("ours, fine", "laptop", 4, 20),
     )
