@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -151,12 +150,16 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(
     out = tmp_path / "cut"
     cut = job(out, jobs=jobs)
     code = f"""
+import os, signal
 from pathlib import Path
 from articugen.pipeline import Job, generate
 from articugen.recipe import Recipe
 recipe = Recipe.model_validate_json({TINY.text()!r})
 job = Job("procedural", "eyeglasses", recipe, 0, Path({str(out)!r}), {jobs})
-generate(job, lambda report: print(report.object_id, flush=True))
+def told(report):
+    print(report.object_id, flush=True)
+    os.killpg(0, signal.SIGINT)  # as Ctrl-C in a terminal: the workers get it too
+generate(job, told)
 """
     process = subprocess.Popen(
         [sys.executable, "-c", code],
@@ -165,10 +168,8 @@ generate(job, lambda report: print(report.object_id, flush=True))
         text=True,
         start_new_session=True,
     )
-    assert process.stdout is not None
-    first = process.stdout.readline().strip()
-    os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C in a terminal: the workers get it too
     said = process.communicate(timeout=60)
+    first = said[0].split("\n")[0]
     assert first, said
     assert process.returncode != 0
     assert not (out / MANIFEST_NAME).exists()
