@@ -17,7 +17,7 @@ torch = pytest.importorskip("torch", reason="PPD needs torch")
 from articugen.ppd.evaluate import Protocol, evaluate, label_votes  # noqa: E402
 from articugen.ppd.meshing import distance  # noqa: E402
 from articugen.ppd.model import PPD  # noqa: E402
-from articugen.ppd.reconstruct import reconstruct, truth  # noqa: E402
+from articugen.ppd.reconstruct import part_logits, predict, reconstruct, truth  # noqa: E402
 from articugen.ppd.settings import ModelSettings  # noqa: E402
 
 torch.set_num_threads(1)
@@ -29,9 +29,13 @@ def boxes(tmp_path_factory):
     return write_boxes(tmp_path_factory.mktemp("boxes"), train=2, test=2, states=2)
 
 
+def exactly(instance):
+    return truth(instance, min(instance.occupancy))
+
+
 def test_the_truth_scores_full_marks(boxes):
     seen = []
-    result = evaluate(boxes, truth, FEW, on_object=seen.append)
+    result = evaluate(boxes, exactly, FEW, on_object=seen.append)
     means = result["means"]
     assert means["label_iou"] == 1.0
     assert means["epe_transform_all"] == pytest.approx(0.0, abs=1e-15)
@@ -41,6 +45,15 @@ def test_the_truth_scores_full_marks(boxes):
     assert means["f_score"] == 100.0
     assert means["assigned_parts"] == 1.0
     assert means["type_accuracy"] == 100.0
+    assert means["reconstruction_iou"] == 1.0
+    assert [(line["joint"], line["kind"]) for line in result["joint_lines"]] == [
+        (0, "revolute"),
+        (1, "prismatic"),
+    ]
+    for line in result["joint_lines"]:
+        assert line["slope"] == pytest.approx(1.0)
+        assert line["residual"] == pytest.approx(0.0, abs=1e-12)
+        assert line["predicted"] == line["states"] == 6
     limits = {name: value for name, value in means.items() if "_below_" in name}
     assert len(limits) == 5 + 4 + 5 + 4 + 5
     assert set(limits.values()) == {100.0}
@@ -51,12 +64,16 @@ def test_the_truth_scores_full_marks(boxes):
 
 def test_nothing_predicted_counts_as_failed(boxes):
     def nothing(instance):
-        empty = np.zeros((0, 3, 3))
+        empty, found = np.zeros((0, 3, 3)), exactly(instance)
+        nowhere = np.zeros_like(found.occupied)
         return dataclasses.replace(
-            truth(instance), triangles=empty, part=np.zeros(0, int), whole=empty
+            found, triangles=empty, part=np.zeros(0, int), whole=empty, occupied=nowhere
         )
 
-    means = evaluate(boxes, nothing, FEW)["means"]
+    result = evaluate(boxes, nothing, FEW)
+    means = result["means"]
+    assert means["reconstruction_iou"] == 0.0
+    assert {line["slope"] for line in result["joint_lines"]} == {None}
     assert means["label_iou"] == means["f_score"] == means["type_accuracy"] == 0.0
     assert means["no_surface"] == 1.0
     assert means["epe_joint_all"] == means["epe_transform_all"] == means["epe_nothing_moves"]
@@ -68,7 +85,9 @@ def test_an_axis_that_points_the_other_way_is_as_good(boxes):
         found = truth(instance)
         return dataclasses.replace(found, state=-found.state, direction=-found.direction)
 
-    means = evaluate(boxes, flipped, FEW)["means"]
+    result = evaluate(boxes, flipped, FEW)
+    means = result["means"]
+    assert [line["slope"] for line in result["joint_lines"]] == pytest.approx([-1.0, -1.0])
     assert means["revolute_state_below_5"] == means["prismatic_state_below_0.025"] == 100.0
     assert means["revolute_direction_below_5"] == 100.0
 
@@ -141,12 +160,19 @@ def test_a_model_s_surfaces_lie_where_its_field_is_zero(part_frame):
     model = PPD(ModelSettings(part_frame=part_frame, coordinate_bound=1 / 3)).eval()
     (instance,) = hinged_box([(0.3, 0.1)])
     cloud = dequantize(instance.surface_points)
+    middling = np.median(part_logits(model, predict(model, cloud), 16).max(0))
+    with torch.no_grad():  # F^{s,z} is halved by the common field, so half of the cube gets free
+        model.shape.head_2.bias[8:] -= 2.0 * middling
     found = reconstruct(model, cloud, 16)
     assert len(found.whole)
     assert len(set(found.part.tolist())) > 1
     # A surface of the whole is the surface of some part, to within the grid's error.
     middle = found.whole.mean(1)[::20]
     assert distance(middle, found.triangles).max() < 1 / 16
+    # A voxel is occupied where the field of any part is above 0 at its centre.
+    logits = part_logits(model, predict(model, cloud), 16)
+    assert 0.1 < found.occupied.mean() < 0.9
+    np.testing.assert_array_equal(found.occupied, (logits > 0).any(0))
     # T_part is what `fields` undoes.
     pose = model(torch.as_tensor(cloud, dtype=torch.float32)[None]).pose
     local = model.motion(pose).apply(torch.tensor([[[0.1, 0.2, 0.3]]]))[0, :, 0].detach().numpy()

@@ -164,17 +164,15 @@ def test_what_failed_is_never_right():
     np.testing.assert_allclose(plots.accuracy(errors, np.array([0.5, 1, 3, 99])), [0, 25, 50, 75])
 
 
-def test_a_line_through_states():
-    true = np.linspace(0.0, 2.0, 50)
-    slope, offset, residual = plots.line_through(true, 0.3 - 0.9 * true)
-    assert (slope, offset, residual) == pytest.approx((-0.9, 0.3, 0.0), abs=1e-9)
-    assert plots.line_through(np.zeros(4), np.arange(4.0)) is None
-
-
 def test_joints_are_drawn_even_if_all_failed(tmp_path):
     state = {"object": "a", "state_index": 1, "joint": 0, "kind": "revolute", "true": 0.3}
     error = {**state, "state": None, "direction": None, "axis": None}
-    result = {"joint_states": [{**state, "predicted": None}], "joint_errors": [error]}
+    line = {"joint": 0, "kind": "revolute", "slope": None}
+    result = {
+        "joint_states": [{**state, "predicted": None}],
+        "joint_lines": [line],
+        "joint_errors": [error],
+    }
     plots.joints(result, COLOURS, tmp_path / "joints.png")
     assert pixels_of(tmp_path / "joints.png").min() < 128
 

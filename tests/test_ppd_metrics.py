@@ -107,6 +107,22 @@ def test_label_iou_by_hand():
     assert metrics.label_iou(true, true) == 1.0
 
 
+def test_occupancy_iou_by_hand():
+    a, b = np.array([True, True, False, False]), np.array([True, False, True, False])
+    assert metrics.occupancy_iou(a, b) == pytest.approx(1 / 3)
+    assert metrics.occupancy_iou(a, a) == metrics.occupancy_iou(a & ~a, a & ~a) == 1.0
+    assert metrics.occupancy_iou(a, ~a) == 0.0
+
+
+def test_a_line_through_states():
+    true = np.linspace(0.0, 2.0, 50)
+    line = metrics.line_through(true, 0.3 - 0.9 * true)
+    assert line == pytest.approx((-0.9, 0.3, 0.0), abs=1e-9)
+    slope, _, residual = metrics.line_through(np.array([0.0, 1, 2, 3]), np.array([0.0, 1, 1, 0]))
+    assert (slope, residual) == pytest.approx((0.0, 0.5))
+    assert metrics.line_through(np.zeros(4), np.arange(4.0)) is None
+
+
 def test_endpoint_error_by_hand():
     points = np.array([[1.0, 0, 0], [2.0, 0, 0], [0, 1.0, 0]])
     true = np.array([1, 1, 0])

@@ -107,8 +107,9 @@ def nothing_at_all(parts: int) -> Reconstruction:
     T = np.tile(np.eye(4), (parts, 1, 1))
     vector = np.zeros((parts, 3))
     return Reconstruction(
-        empty, np.zeros(0, np.int64), empty, zero.astype(np.int64), zero, vector, vector, T
-    )
+        empty, np.zeros(0, np.int64), empty, np.zeros((64, 64, 64), bool),
+        zero.astype(np.int64), zero, vector, vector, T,
+    )  # fmt: skip
 
 
 def test_another_category_is_refused_before_anything_is_computed(boxes):

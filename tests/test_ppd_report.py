@@ -71,6 +71,16 @@ def test_a_run_is_counted_in_its_own_row_of_the_ablation():
     assert "| w/o CS |  | 55.67 |  | 8.827 |" in told
 
 
+def test_lines_through_joint_states_are_told():
+    line = {"joint": 0, "kind": "revolute", "states": 9, "predicted": 8, "slope": -0.98765,
+            "offset": 3.0, "residual": 0.0123}  # fmt: skip
+    lost = {**line, "joint": 1, "kind": "prismatic", "predicted": 0, "slope": None}
+    told = markdown(result(reconstruction_iou=0.61) | {"joint_lines": [line, lost]})
+    assert "| joint 0, revolute | -0.988 | 0.012 rad | 8 of 9 |" in told
+    assert "| joint 1, prismatic |   |   | 0 of 9 |" in told
+    assert "| reconstruction IoU on the meshes' grid, % | 61.000 |" in told
+
+
 def test_what_failed_is_told():
     text = markdown(result())
     assert "| instances without any surface, % | 25.000 |" in text

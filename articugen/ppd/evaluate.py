@@ -87,7 +87,9 @@ def evaluate(
     Returns:
         `means` of every metric over all test instances, `votes` (P, K), `labels` and `dominant`
         of the predicted parts, how many `objects` and `instances` there were; `joint_states`,
-        what the dominant parts say of every joint; `joint_errors`, null where the joint failed.
+        what the dominant parts say of every joint, and the `joint_lines` through them;
+        `joint_errors`, null where the joint failed. There is a `reconstruction_iou` where the data
+        set has a grid of the reconstructions' resolution.
 
     Raises:
         CorruptShard: the data set has no training or no test object, or is of another category.
@@ -116,6 +118,7 @@ def evaluate(
         "objects": objects,
         "instances": len(tally.values["label_iou"]),
         "joint_states": tally.joint_states,
+        "joint_lines": _joint_lines(tally.joint_states),
         "joint_errors": tally.joint_errors,
     }
 
@@ -181,6 +184,9 @@ def _shape_metrics(
     near = metrics.nearest_part(points, found.triangles, found.part, found.parts)
     named = np.where(near == NO_LABEL, NO_LABEL, label[near])
     tally.add(label_iou=metrics.label_iou(named, true))
+    grid = instance.occupancy.get(len(found.occupied))
+    if grid is not None:
+        tally.add(reconstruction_iou=metrics.occupancy_iou(found.occupied, grid > 0))
     surface = dequantize(instance.surface_points)
     to_predicted = np.minimum(distance(surface, found.whole), DIAGONAL)
     to_true = np.full(1, DIAGONAL)
@@ -254,6 +260,21 @@ def _joint_states(instance: Instance, found: Reconstruction, dominant: Ints) -> 
             "predicted": float(found.state[parts[0]]) if parts else None,
         })  # fmt: skip
     return rows
+
+
+def _joint_lines(states: _Rows) -> _Rows:
+    """Of each joint the line through its predicted states over the true ones; null if none is."""
+    lines: _Rows = []
+    for joint, kind in sorted({(row["joint"], row["kind"]) for row in states}):
+        rows = [r for r in states if (r["joint"], r["kind"]) == (joint, kind)]
+        seen = [(r["true"], r["predicted"]) for r in rows if r["predicted"] is not None]
+        line = metrics.line_through(*np.array(seen, np.float64).reshape(-1, 2).T)
+        slope, offset, residual = line or (None, None, None)
+        lines.append({
+            "joint": joint, "kind": kind, "states": len(rows), "predicted": len(seen),
+            "slope": slope, "offset": offset, "residual": residual,
+        })  # fmt: skip
+    return lines
 
 
 def _joint_metrics(

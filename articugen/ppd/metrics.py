@@ -62,6 +62,21 @@ def label_iou(predicted: Ints, true: Ints) -> float:
     return float(np.mean(each))
 
 
+def occupancy_iou(predicted: NDArray[np.bool_], true: NDArray[np.bool_]) -> float:
+    """|predicted and true| / |predicted or true| of two grids; 1 where both are empty."""
+    either = np.count_nonzero(predicted | true)
+    return np.count_nonzero(predicted & true) / either if either else 1.0
+
+
+def line_through(true: Floats, predicted: Floats) -> tuple[float, float, float] | None:
+    """(slope, offset, residual): least squares, root mean square; None if `true` does not vary."""
+    if len(true) < 2 or np.ptp(true) < 1e-9:
+        return None
+    slope, offset = np.polyfit(true, predicted, 1)
+    residual = np.sqrt(np.mean((predicted - slope * true - offset) ** 2))
+    return float(slope), float(offset), float(residual)
+
+
 def endpoint_error(points: Floats, true: Ints, T_true: Floats, T_predicted: Floats) -> float:
     """EPE: the mean over true parts of the mean distance between where points end up.
 

@@ -32,6 +32,7 @@ class Reconstruction:
     Attributes:
         triangles, part: (F, 3, 3) the surfaces of all parts, (F,) whose each is.
         whole: (G, 3, 3) the surface of the whole.
+        occupied: (R, R, R) whether a voxel's centre lies in any part; R = 0 where that is unknown.
         kind: (P,) FIXED, REVOLUTE or PRISMATIC.
         state: (P,) joint states, 0 for fixed parts.
         pivot, direction: (P, 3).
@@ -41,6 +42,7 @@ class Reconstruction:
     triangles: Floats
     part: NDArray[np.int64]
     whole: Floats
+    occupied: NDArray[np.bool_]
     kind: NDArray[np.int64]
     state: Floats
     pivot: Floats
@@ -97,7 +99,8 @@ def reconstruction_of(
 ) -> Reconstruction:
     """`reconstruct` from a prediction that is there already."""
     settings, pose = model.settings, predicted.pose
-    surfaces, whole = (meshes or _meshes)(part_logits(model, predicted, resolution))
+    logits = part_logits(model, predicted, resolution)
+    surfaces, whole = (meshes or _meshes)(logits)
     R, J = len(settings.revolute), settings.joints
     with torch.no_grad():
         inverse = model.motion(pose)
@@ -108,6 +111,7 @@ def reconstruction_of(
         triangles=np.concatenate([_NO_TRIANGLES, *surfaces]),
         part=np.repeat(np.arange(J + 1), [len(s) for s in surfaces]),
         whole=whole,
+        occupied=logits.max(0) > 0.0,
         kind=np.array([FIXED] + [REVOLUTE] * R + [PRISMATIC] * (J - R)),
         state=np.append(0.0, pose.state[0].double().cpu().numpy()),
         pivot=pose.pivot[0].double().cpu().numpy(),
@@ -196,8 +200,13 @@ def _own_fields(logits: Floats) -> Floats:
     return np.minimum(logits, logits - greatest_other)
 
 
-def truth(instance: Instance) -> Reconstruction:
-    """The ground truth in the place of a prediction; its surfaces are the stored points."""
+def truth(instance: Instance, resolution: int = 32) -> Reconstruction:
+    """The ground truth in the place of a prediction; its surfaces are the stored points.
+
+    Args:
+        resolution: of the stored grid that tells what is occupied, if there is such a grid.
+    """
+    grid = instance.occupancy.get(resolution, np.zeros((0, 0, 0), np.uint8))
     points = dequantize(instance.surface_points)
     J = len(instance.joint_kind)
     triangles = np.repeat(points[:, None], 3, axis=1)
@@ -205,6 +214,7 @@ def truth(instance: Instance) -> Reconstruction:
         triangles=triangles,
         part=instance.surface_part.astype(np.int64),
         whole=triangles,
+        occupied=grid > 0,
         kind=np.append(FIXED, instance.joint_kind).astype(np.int64),
         state=np.append(0.0, instance.joint_state),
         pivot=np.concatenate([np.zeros((1, 3)), instance.joint_pivot]),

@@ -40,6 +40,7 @@ _DETAILS = (
     ("EPE x 100, transform only, all voted parts", "epe_transform_all", 100.0),
     ("EPE x 100, transform only, dominant part", "epe_transform_dominant", 100.0),
     ("EPE x 100 if nothing moved", "epe_nothing_moves", 100.0),
+    ("reconstruction IoU on the meshes' grid, %", "reconstruction_iou", 100.0),
     ("instances without any surface, %", "no_surface", 100.0),
 )
 
@@ -161,6 +162,7 @@ def _details(result: Result) -> list[str]:
     for title, name, factor in _DETAILS:
         if name in means:
             lines.append(f"| {title} | {factor * means[name]:.3f} |")
+    lines += _joint_lines(result.get("joint_lines", []))
     limits = {name: value for name, value in means.items() if "_below_" in name}
     if limits:
         lines += ["", "| joints | error below | right, % |", "|---|---:|---:|"]
@@ -171,6 +173,22 @@ def _details(result: Result) -> list[str]:
         unit = "°" if angle else " of the unit frame"
         lines.append(f"| {kind} {quantity} | {limit}{unit} | {value:.1f} |")
     return [*lines, ""]
+
+
+def _joint_lines(joints: Sequence[dict[str, Any]]) -> list[str]:
+    """The line through predicted over true states of each joint's dominant part."""
+    if not joints:
+        return []
+    lines = ["", "| predicted over true joint state | slope | residual | of its kind in |"]
+    lines += ["|---|---:|---:|---:|"]
+    for joint in joints:
+        unit = "rad" if joint["kind"] == "revolute" else "of the unit frame"
+        fit = [" ", " "]
+        if joint["slope"] is not None:
+            fit = [f"{joint['slope']:.3f}", f"{joint['residual']:.3f} {unit}"]
+        found = f"{joint['predicted']} of {joint['states']}"
+        lines.append(f"| joint {joint['joint']}, {joint['kind']} | {' | '.join(fit)} | {found} |")
+    return lines
 
 
 def _left_out(result: Result) -> list[str]:

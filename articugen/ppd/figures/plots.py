@@ -112,15 +112,6 @@ def accuracy(errors: Sequence[float | None], thresholds: Floats) -> Floats:
     return 100.0 * np.searchsorted(known, thresholds, side="left") / max(len(errors), 1)
 
 
-def line_through(true: Floats, predicted: Floats) -> tuple[float, float, float] | None:
-    """(slope, offset, residual): least squares, root mean square; None if `true` does not vary."""
-    if len(true) < 2 or np.ptp(true) < 1e-9:
-        return None
-    slope, offset = np.polyfit(true, predicted, 1)
-    residual = np.sqrt(np.mean((predicted - slope * true - offset) ** 2))
-    return float(slope), float(offset), float(residual)
-
-
 def joints(result: dict[str, Any], colours: Sequence[str], path: Path) -> None:
     """Predicted against true joint states, and the share of joints right within a threshold.
 
@@ -138,7 +129,8 @@ def joints(result: dict[str, Any], colours: Sequence[str], path: Path) -> None:
         scatter, *panels = axes[4 * row : 4 * row + 4]
         angle = kind == "revolute"
         states = [r for r in result["joint_states"] if r["kind"] == kind]
-        _states(scatter, states, colours, angle)
+        lines = [line for line in result["joint_lines"] if line["kind"] == kind]
+        _states(scatter, states, lines, colours, angle)
         errors = [r for r in result["joint_errors"] if r["kind"] == kind]
         wanted = ("state", "direction", "axis") if angle else ("state", "direction")
         for axis, what in zip(panels, wanted, strict=False):
@@ -153,22 +145,25 @@ _NAMES = {"state": "joint state", "direction": "direction", "axis": "distance of
 
 
 def _states(
-    axis: Axes, rows: Sequence[dict[str, Any]], colours: Sequence[str], angle: bool
+    axis: Axes,
+    rows: Sequence[dict[str, Any]],
+    lines: Sequence[dict[str, Any]],
+    colours: Sequence[str],
+    angle: bool,
 ) -> None:
     unit, symbol = (np.degrees(1.0), "°") if angle else (1.0, "")
     texts = []
-    for joint in sorted({row["joint"] for row in rows}):
-        mine = [row for row in rows if row["joint"] == joint]
-        seen = [row for row in mine if row["predicted"] is not None]
+    for line in lines:
+        joint = line["joint"]
+        seen = [r for r in rows if r["joint"] == joint and r["predicted"] is not None]
         true = unit * np.array([row["true"] for row in seen])
         predicted = unit * np.array([row["predicted"] for row in seen])
         colour = colours[(joint + 1) % len(colours)]
         axis.scatter(true, predicted, s=9, color=colour, alpha=0.5, linewidths=0)
-        line = line_through(true, predicted)
-        if line is None:
+        if line["slope"] is None:
             texts.append((f"joint {joint}: none predicted" if not seen else "", colour))
             continue
-        slope, offset, residual = line
+        slope, offset, residual = line["slope"], unit * line["offset"], unit * line["residual"]
         ends = np.array([true.min(), true.max()])
         axis.plot(ends, slope * ends + offset, color=colour, linewidth=1.2)
         digits = 1 if angle else 3
