@@ -15,7 +15,7 @@ from articugen.ppd.discriminator import Discriminator  # noqa: E402
 from articugen.ppd.kinematics import inverse_motion, joint_frames, rotation_from_z  # noqa: E402
 from articugen.ppd.model import PPD  # noqa: E402
 from articugen.ppd.settings import ModelSettings  # noqa: E402
-from articugen.ppd.shape import Encoder, Quantizer, argmax_of_points  # noqa: E402
+from articugen.ppd.shape import Encoder, Quantizer, argmax_of_points, distinct  # noqa: E402
 
 torch.set_num_threads(1)
 PAPER = ModelSettings()
@@ -73,10 +73,11 @@ def plain_encoder(encoder, points):
     return encoder.latent(x.amax(1).relu())
 
 
-def test_the_encoder_s_shortcut_changes_neither_value_nor_gradient():
+@pytest.mark.parametrize("count", [130, 1000])
+def test_the_encoder_s_shortcut_changes_neither_value_nor_gradient(count):
     torch.manual_seed(1)
-    encoder, points = Encoder().double(), cloud(3, 1000)
-    points[:, 500:] = points[:, :500]  # ties: a cloud may hold a point twice
+    encoder, points = Encoder().double(), cloud(3, count)
+    points[:, count // 2 :] = points[:, : count // 2]  # ties: a cloud may hold a point twice
     weight = torch.randn(3, 512, dtype=torch.float64)
     short, plain = encoder(points), plain_encoder(encoder, points)
     torch.testing.assert_close(short, plain)
@@ -93,6 +94,16 @@ def test_the_argmax_by_blocks_is_an_argmax(count, levels):
     x = torch.randint(levels, (2, count, 5)).double() - levels
     found = argmax_of_points(x)
     assert torch.equal(x.gather(1, found[:, None])[:, 0], x.amax(1))
+
+
+@settings(deadline=None, max_examples=40)
+@given(count=st.integers(1, 30), levels=st.integers(1, 40))
+def test_each_number_once_a_row(count, levels):
+    index = torch.randint(levels, (3, count))
+    once = distinct(index)
+    each = [set(row) for row in index.tolist()]
+    assert [set(row) for row in once.tolist()] == each
+    assert once.shape[1] == max(map(len, each))
 
 
 def test_the_order_of_points_does_not_matter(model):

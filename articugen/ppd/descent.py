@@ -23,9 +23,10 @@ class Descent:
 
     def __init__(self, network: nn.Module, patient: bool | None = None) -> None:
         self.network = network
-        self.adam = torch.optim.Adam(network.parameters())
-        on_cpu = next(network.parameters()).device.type == "cpu"
-        self.patient = not on_cpu if patient is None else patient
+        device = next(network.parameters()).device.type
+        # One call for all parameters; the other devices have no such kernel.
+        self.adam = torch.optim.Adam(network.parameters(), fused=device in ("cpu", "cuda"))
+        self.patient = device != "cpu" if patient is None else patient
         self._names: tuple[str, ...] = ()
         self._noted: Tensor | None = None
 

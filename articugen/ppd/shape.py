@@ -54,6 +54,15 @@ def argmax_of_points(x: Tensor) -> Tensor:
     return 64 * block + blocks.gather(1, at)[:, 0].argmax(1)
 
 
+def distinct(index: Tensor) -> Tensor:
+    """(B, k) the numbers in each row of (B, n), once each; rows that have fewer repeat one."""
+    ordered = index.sort(1).values
+    again = ordered[:, 1:] == ordered[:, :-1]
+    ordered[:, 1:] = torch.where(again, ordered[:, :1], ordered[:, 1:])
+    most = int((~again).sum(1).max()) + 1
+    return ordered.sort(1).values[:, -most:]
+
+
 class Encoder(nn.Module):
     """The simple PointNet of Occupancy Networks (Mescheder et al. 2019), three pooled blocks."""
 
@@ -68,16 +77,19 @@ class Encoder(nn.Module):
 
     def forward(self, cloud: Tensor) -> Tensor:
         """The latent (B, 512) of clouds (B, n, 3), whatever the order of their points."""
-        if torch.is_grad_enabled() and cloud.shape[1] > 3 * 128:
+        if torch.is_grad_enabled() and cloud.shape[1] > 128:
             cloud = gather_points(cloud, self._decisive(cloud))
         return self.latent(self._each(cloud)[-1].amax(1).relu())
 
     @torch.no_grad()
     def _decisive(self, cloud: Tensor) -> Tensor:
-        """(B, 384) the indices of the points that hold a maximum in any of the blocks."""
-        return one_by_one(
+        """(B, 384) the indices of the points that hold a maximum in any of the blocks; on a CPU
+        less, since many hold several.
+        """
+        index = one_by_one(
             lambda c: torch.cat([argmax_of_points(each) for each in self._each(c)], 1), cloud
         )
+        return distinct(index) if index.device.type == "cpu" else index
 
     def _each(self, cloud: Tensor) -> list[Tensor]:
         """What each block makes of each point: (B, n, 128).
