@@ -97,7 +97,7 @@ def test_depth_input_has_its_row():
 
 def test_recipes_know_their_row():
     assert paper.variant(load_train_recipe("ppd_paper")) == paper.COMPLETE
-    assert paper.variant(load_train_recipe("ppd_quick")) == "w/o L_vol, L_adv_g"
+    assert paper.variant(load_train_recipe("ppd_quick")) == "w/o L_adv_g"
     changed = load_train_recipe("ppd_paper").model_dump(mode="json")
     changed["losses"]["vol"] = 0.0
     changed["model"]["common_pose"] = False
