@@ -204,8 +204,8 @@ def markdown(report: Row) -> str:
     for row in report["rows"]:
         shares = " | ".join(f"{100 * row['share'][stage]:.0f} %" for stage in STAGES)
         lines.append(
-            f"| {row['recipe']} | {row['device']} | {row['iterations_per_second']:.2f} "
-            f"| {row['cpu_seconds_per_iteration']:.2f} | {row['peak_bytes'] / 2**30:.2f} GiB "
+            f"| {row['recipe']} | {row['device']} | {row['iterations_per_second']:.3g} "
+            f"| {row['cpu_seconds_per_iteration']:.3g} | {row['peak_bytes'] / 2**30:.2f} GiB "
             f"| {shares} |"
         )
     return "\n".join(lines) + "\n"
