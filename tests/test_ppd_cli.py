@@ -39,6 +39,7 @@ def folder(tmp_path_factory):
     assert done.exit_code == 0, done.output
     assert "3/3 held-out objects: rec 0." in done.output
     assert "next: articugen evaluate" in done.output
+    assert "data: 2 training objects show that all works" in done.output.replace("\n", " ")
     return folder
 
 

@@ -212,9 +212,11 @@ def test_a_gradient_that_is_not_finite_is_named_and_not_stepped(boxes, tmp_path,
 
 
 def test_validation_holds_objects_out_of_training():
-    kept, out = split_objects([f"o{i}" for i in range(6)] * 3, 2)
+    kept, out = split_objects([f"o{i}" for i in range(8)] * 3, 2)
     assert len(out) == 2
-    assert sorted([*kept, *out]) == [f"o{i}" for i in range(6)]
+    assert sorted([*kept, *out]) == [f"o{i}" for i in range(8)]
+    assert len(split_objects([f"o{i}" for i in range(7)], 4)[1]) == 1
+    assert len(split_objects(["a", "b"], 4)[1]) == 1
     assert split_objects(["a"], 4) == (["a"], [])
 
 

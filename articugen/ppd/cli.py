@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 Said = Callable[..., AbstractContextManager[None]]
 
+FEW_OBJECTS = 20
+"""Fewer than the smallest category's 24."""
+
 _said: Said
 _out = Console(highlight=False)
 _err = Console(stderr=True, highlight=False)
@@ -105,8 +108,10 @@ def train(
             at_once = (jobs or os.cpu_count() or 1) if device == "cpu" else 1
             run_training = partial(race, jobs=min(at_once, settings.seeds.count))
         with processes.joined(device) as own_device, _ProgressBar() as on_progress:
-            if processes.is_first() and not boards.is_installed():
-                _err.print(boards.MISSING, soft_wrap=True, markup=False)
+            if processes.is_first():
+                _hint_of_few(data)
+                if not boards.is_installed():
+                    _err.print(boards.MISSING, soft_wrap=True, markup=False)
             run = run_training(
                 settings,
                 category=category,
@@ -290,6 +295,19 @@ def _prepare(device: str = "cpu", threads: int = 0) -> None:
         raise ArticugenError(
             f"--device {device}: torch sees no such device; use --device cpu"
         ) from None
+
+
+def _hint_of_few(data: Path) -> None:
+    """Tell where a data set is too small for a model to carry over to other objects."""
+    from articugen.manifest import Manifest
+
+    count = sum(o.key.split == "train" for o in Manifest.read(data).objects)
+    if count < FEW_OBJECTS:
+        _err.print(
+            f"{data}: {count} training objects show that all works, but teach little that carries "
+            "over to others; for that make the full data set, without RECIPE=quick or OBJECTS=",
+            soft_wrap=True, markup=False,
+        )  # fmt: skip
 
 
 def _newest(run: Path) -> Path:

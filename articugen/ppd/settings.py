@@ -120,7 +120,7 @@ class DataSettings(_Section):
         surface_points: the encoder's input.
         grid_points, uniform_points, near_points: points with an indicator value: of the stage's
             grid, anywhere in the cube, near the surface.
-        validation_objects: how many objects of the training split are held out.
+        validation_objects: how many objects of the training split are held out; at most a quarter.
     """
 
     surface_points: int = Field(default=4096, ge=1)
