@@ -4,8 +4,9 @@ The object is a box with a lid on a hinge and a knob that slides on the lid: thr
 joint, and a prismatic joint that hangs on the revolute one. Every label is exact.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -191,3 +192,17 @@ def _partial(
     seen = np.flatnonzero(np.isfinite(depth))
     chosen = rng.choice(seen, recipe.sampling.partial_points)
     return eye + depth[chosen, None] * rays[chosen], part[chosen], T_camera_world
+
+
+def changed(row: Instance, **fields: Any) -> Instance:
+    """The row with other fields."""
+    return replace(row, **fields)
+
+
+def edited(
+    row: Instance, name: str, edit: Callable[[NDArray[Any]], NDArray[Any] | None]
+) -> Instance:
+    """The row with one field edited, in place or by what `edit` returns."""
+    array = np.array(getattr(row, name))
+    result = edit(array)
+    return changed(row, **{name: array if result is None else result})

@@ -15,6 +15,8 @@ from articugen.sources.procedural.solids import Solid
 from articugen.sources.procedural.truth import Truth, load_truth
 from articugen.sources.urdf import load_urdf
 
+L_SHAPE = np.array([(0, 0), (3, 0), (3, 1), (1, 1), (1, 3), (0, 3)], dtype=float)
+
 
 def written(
     category: str, object_id: str, folder: Path, *, messy: bool = False
@@ -80,3 +82,15 @@ def crossings(
         holds = truth.holds(apply(T[link], surface_points(obj, link, count, rng)), T)
         pairs |= {(link, o) for k, o in enumerate(truth.links) if o != link and holds[:, k].any()}
     return pairs
+
+
+def truth_of(*solids: Solid) -> Truth:
+    """A truth whose link k is solid k."""
+    planes = [p for s in solids for p in s.half_spaces]
+    return Truth(
+        links=tuple(f"link{k}" for k in range(len(solids))),
+        link_of_cell=np.repeat(np.arange(len(solids)), [len(s.cells) for s in solids]),
+        first_plane=np.cumsum([0, *map(len, planes)]),
+        planes=np.concatenate(planes),
+        boxes=np.concatenate([s.cell_bounds for s in solids]),
+    )

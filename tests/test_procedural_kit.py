@@ -1,24 +1,17 @@
-"""Solids, writer and truth of the procedural source, against closed forms and naive oracles."""
+"""Solids, outlines and truth of the procedural source, against closed forms, naive oracles."""
 
-import json
 import math
-import os
-from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yourdfpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from articugen.errors import InvalidSource
 from articugen.geometry import apply, fibonacci_sphere, rotation_about, transform
 from articugen.records import Floats
 from articugen.seeding import generator
-from articugen.sources.procedural import build_model, object_id, outlines, write_object, writer
-from articugen.sources.procedural.model import Model, ModelJoint, ModelLink
+from articugen.sources.procedural import outlines
 from articugen.sources.procedural.solids import (
     Solid,
     along_x,
@@ -32,17 +25,13 @@ from articugen.sources.procedural.solids import (
     stack,
     sweep,
 )
-from articugen.sources.procedural.truth import Truth, load_truth
 from tests.procedural_truth import (
-    assert_sound,
+    L_SHAPE,
     is_closed,
-    link_frames,
     mesh_volume,
-    random_state,
-    written,
+    truth_of,
 )
 
-L_SHAPE = np.array([(0, 0), (3, 0), (3, 1), (1, 1), (1, 3), (0, 3)], dtype=float)
 OCTAGON = outlines.circle(0.2, 8)
 OCTAGON_AREA = 4 * 0.2**2 * math.sin(math.pi / 4)
 
@@ -122,18 +111,6 @@ def winding(points: Floats, solid: Solid) -> NDArray[np.bool_]:
         dots = np.sum(a * b, 1) * lc + np.sum(b * c, 1) * la + np.sum(c * a, 1) * lb
         total += 2.0 * np.arctan2(top, la * lb * lc + dots)
     return total > 2.0 * np.pi
-
-
-def truth_of(*solids: Solid) -> Truth:
-    """A truth whose link k is solid k."""
-    planes = [p for s in solids for p in s.half_spaces]
-    return Truth(
-        links=tuple(f"link{k}" for k in range(len(solids))),
-        link_of_cell=np.repeat(np.arange(len(solids)), [len(s.cells) for s in solids]),
-        first_plane=np.cumsum([0, *map(len, planes)]),
-        planes=np.concatenate(planes),
-        boxes=np.concatenate([s.cell_bounds for s in solids]),
-    )
 
 
 @pytest.mark.parametrize("name", SOLIDS)
@@ -250,218 +227,3 @@ def test_loft_between_twisted_rings_is_convex_and_closed() -> None:
     assert len(solid.faces) == 12
     assert is_closed(solid.faces)
     assert len(solid.half_spaces[0]) == 10
-
-
-def small_model() -> Model:
-    """A body with a knob that stands on it, a lid with a thin pane, and a drawer."""
-    body = (
-        box((0, 0, 0), (0.4, 0.3, 0.1)),
-        box((0.1, 0.1, 0.1), (0.12, 0.12, 0.13)),
-        box((0.0, 0.1, 0.1), (0.05, 0.2, 0.11)),
-    )
-    lid = (
-        box((0, 0, 0.15), (0.4, 0.3, 0.16)),
-        box((0.1, 0.1, 0.165), (0.3, 0.2, 0.166), panel=True),
-    )
-    tray = (prism(L_SHAPE * 0.05 + (0.5, 0.0), 0.0, 0.05),)
-    joints = (
-        ModelJoint("hinge", "revolute", "body", "lid", (0.4, 0, 0.14), (0, 1, 0), 0.0, 2.0),
-        ModelJoint("slide", "prismatic", "lid", "tray", (0.5, 0, 0), (1, 0, 0), 0.0, 0.2),
-    )
-    links = (
-        ModelLink("body", "body", body),
-        ModelLink("lid", "lid", lid),
-        ModelLink("tray", "tray", tray),
-    )
-    return Model(links, joints)
-
-
-def test_a_model_is_a_tree() -> None:
-    model = small_model()
-    with pytest.raises(ValueError, match="parent must come first"):
-        Model(model.links, model.joints[::-1])
-    with pytest.raises(ValueError, match="each link but the first"):
-        Model(model.links, model.joints[:1])
-    with pytest.raises(ValueError, match="may not be called base"):
-        Model((ModelLink("base", "", model.links[0].solids),), ())
-
-
-@pytest.mark.parametrize("messy", [False, True])
-def test_files_stand_where_the_model_was_drawn(tmp_path: Path, *, messy: bool) -> None:
-    path = writer.write_model(
-        small_model(), tmp_path / "m", object_id="m", category="none", messy=messy
-    )
-    robot = yourdfpy.URDF.load(str(path))
-    robot.update_cfg(np.zeros(2))
-    drawn = np.concatenate([s.vertices for k in small_model().links for s in k.solids])
-    box_drawn = np.stack([drawn.min(axis=0), drawn.max(axis=0)])
-    if messy:  # The tray's and the body's outlines remain, whatever became a sheet.
-        np.testing.assert_allclose(robot.scene.bounds, box_drawn, atol=2e-3)
-        np.testing.assert_allclose(robot.scene.bounds[0], box_drawn[0], atol=1e-8)
-    else:
-        np.testing.assert_allclose(robot.scene.bounds, box_drawn, atol=1e-8)
-
-
-@pytest.mark.parametrize("messy", [False, True])
-@pytest.mark.parametrize("category", ["laptop", "eyeglasses"])
-def test_meshes_lie_on_the_truth(tmp_path: Path, category: str, *, messy: bool) -> None:
-    """Just inside each triangle there is its link: with yourdfpy's kinematics, at random states."""
-    name = object_id(category, 2)
-    obj, truth = written(category, name, tmp_path / name, messy=messy)
-    robot = yourdfpy.URDF.load(str(tmp_path / name / "model.urdf"))
-    rng = generator(0, name, "states")
-    q = random_state(obj, rng)
-    robot.update_cfg(dict(zip([j.name for j in obj.moving_joints], q, strict=True)))
-    T = {link.name: robot.get_transform(link.name) for link in obj.links}
-    for link in obj.links:
-        if len(link.mesh.faces) == 0:
-            continue
-        a, b, c = np.moveaxis(link.mesh.vertices[link.mesh.faces], 1, 0)
-        normal = np.cross(b - a, c - a)
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        middle = (a + b + c) / 3
-        k = truth.links.index(link.name)
-        behind, before = (
-            truth.holds(apply(T[link.name], middle + s * normal * 1e-6), T)[:, k] for s in (-1, 1)
-        )
-        assert (behind | before).all() if messy else behind.all()
-
-
-def first_with_thin_lenses() -> str:
-    names = (object_id("eyeglasses", k) for k in range(42))
-    lenses = ((name, build_model("eyeglasses", name).links[0].solids[0].sheet) for name in names)
-    return next(name for name, lens in lenses if lens is not None and lens.thickness < 0.9e-3)
-
-
-@pytest.mark.parametrize("category", ["laptop", "eyeglasses"])
-def test_messy_and_clean_are_the_same_object(tmp_path: Path, category: str) -> None:
-    sheets = 0
-    for name in ("laptop_0000",) if category == "laptop" else (first_with_thin_lenses(),):
-        clean, truth = written(category, name, tmp_path / name)
-        messy, messy_truth = written(category, name, tmp_path / f"{name}m", messy=True)
-        content = json.loads((tmp_path / f"{name}m" / "solids.json").read_text())
-        sheets += sum(len(link["sheets"]) for link in content["links"].values())
-        assert truth.links == messy_truth.links
-        rng = generator(0, name, "states")
-        for _ in range(3):
-            q = random_state(clean, rng)
-            T, T_messy = link_frames(clean, q), link_frames(messy, q)
-            points = rng.uniform(*_bounds(clean, T), (10_000, 3))
-            label = truth.inside(points, T)
-            assert (label > 0).mean() > 0.003
-            np.testing.assert_array_equal(label, messy_truth.inside(points, T_messy))
-    assert sheets > 0
-
-
-def _bounds(obj, T: dict[str, Floats]) -> tuple[Floats, Floats]:
-    points = np.concatenate([apply(T[k.name], k.mesh.vertices) for k in obj.links])
-    return points.min(axis=0), points.max(axis=0)
-
-
-def test_messy_models_are_messy(tmp_path: Path) -> None:
-    path = writer.write_model(small_model(), tmp_path / "m", object_id="m", category="", messy=True)
-    robot = yourdfpy.URDF.load(str(path), load_meshes=False)
-    assert [link.name for link in robot.robot.links] == ["base", "lid", "tray", "body"]
-    assert [len(link.visuals) for link in robot.robot.links] == [0, 2, 1, 3]
-    visual, hinge = robot.robot.links[1].visuals[0], robot.robot.joints[1]
-    assert visual.origin is not None
-    assert hinge.origin is not None
-    np.testing.assert_allclose(visual.origin[:3, 3], -hinge.origin[:3, 3])
-    assert [_closed_twice(tmp_path / "m" / f"body-{k}.obj") for k in range(3)] == [
-        True,  # the body
-        False,  # the knob, open where it stands on the body
-        True,  # every second solid keeps all its faces
-    ]
-    sheet = _obj(tmp_path / "m" / "lid-1.obj")
-    assert len(sheet[1]) == 4
-    assert np.ptp(sheet[0], axis=0).min() == 0.0
-
-
-def _obj(path: Path) -> tuple[Floats, NDArray[np.int32]]:
-    rows = [line.split() for line in path.read_text().splitlines()]
-    vertices = np.array([row[1:] for row in rows if row[0] == "v"], float)
-    return vertices, np.array([row[1:] for row in rows if row[0] == "f"], np.int32) - 1
-
-
-def _closed_twice(path: Path) -> bool:
-    """Every triangle is there with both windings; whether those of one winding are closed."""
-    faces = _obj(path)[1]
-    np.testing.assert_array_equal(faces[::2], faces[1::2, ::-1])
-    return is_closed(faces[::2])
-
-
-def test_only_faces_that_nothing_can_see_are_dropped(tmp_path: Path) -> None:
-    """What a messy link leaves out lies within its other solids."""
-    model = build_model("laptop", "laptop_0001")
-    path = writer.write_model(model, tmp_path / "m", object_id="m", category="", messy=True)
-    dropped = 0
-    for link in model.links:
-        names = [f"link{k}" for k in range(len(link.solids))]
-        truth, T = truth_of(*link.solids), dict.fromkeys(names, np.eye(4))
-        for k, solid in enumerate(link.solids):
-            kept = len(_obj(path.parent / f"{link.name}-{k}.obj")[1]) // 2
-            if solid.sheet is not None or kept == len(solid.faces):
-                continue
-            corners = solid.vertices[solid.faces]
-            normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-            normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-            holds = truth.holds(corners.mean(axis=1) + 1e-6 * normal, T)
-            assert np.sum(holds[:, np.arange(len(names)) != k].any(axis=1)) >= (
-                len(solid.faces) - kept
-            )
-            dropped += len(solid.faces) - kept
-    assert dropped > 50
-
-
-def _bytes(folder: Path) -> dict[str, bytes]:
-    return {p.name: p.read_bytes() for p in sorted(folder.iterdir())}
-
-
-@pytest.mark.parametrize("messy", [False, True])
-def test_same_id_same_bytes_other_id_other_bytes(tmp_path: Path, *, messy: bool) -> None:
-    for folder, name in (("a", "laptop_0003"), ("b", "laptop_0003"), ("c", "laptop_0004")):
-        write_object("laptop", name, tmp_path / folder / name, messy=messy)
-    first = _bytes(tmp_path / "a" / "laptop_0003")
-    assert first == _bytes(tmp_path / "b" / "laptop_0003")
-    other = _bytes(tmp_path / "c" / "laptop_0004")
-    assert first["solids.json"] != other["solids.json"]
-    assert first["model.urdf"] != other["model.urdf"]
-
-
-def test_a_whole_folder_is_left_alone_and_another_is_replaced(tmp_path: Path) -> None:
-    folder = tmp_path / "eyeglasses_0000"
-    path = write_object("eyeglasses", folder.name, folder)
-    before, stamp = _bytes(folder), os.stat(path).st_mtime_ns
-    assert write_object("eyeglasses", folder.name, folder) == path
-    assert os.stat(path).st_mtime_ns == stamp
-    (folder / "solids.json").write_text('{"version": 0, "messy": false}')
-    (folder / "left over.txt").write_text("of another version")
-    write_object("eyeglasses", folder.name, folder)
-    assert _bytes(folder) == before
-    write_object("eyeglasses", folder.name, folder, messy=True)
-    assert writer.is_complete(folder, messy=True)
-    assert [p.name for p in tmp_path.iterdir()] == [folder.name]
-
-
-def test_many_writers_of_one_object_leave_one_whole_object(tmp_path: Path) -> None:
-    folder = tmp_path / "m"
-    folder.mkdir()
-    (folder / "solids.json").write_text("half a fi")
-
-    def write(_: int) -> Path:
-        return writer.write_model(small_model(), folder, object_id="m", category="none")
-
-    with ThreadPoolExecutor(8) as pool:
-        paths = list(pool.map(write, range(24)))
-    assert set(paths) == {folder / "model.urdf"}
-    assert load_truth(folder).links == ("body", "lid", "tray")
-    assert [p.name for p in tmp_path.iterdir()] == ["m"]
-
-
-def test_unknown_category_is_refused() -> None:
-    with pytest.raises(InvalidSource, match="no category 'chair'; it has drawer, eyeglasses"):
-        build_model("chair", "chair_0000")
-
-
-def test_small_model_is_sound() -> None:
-    assert_sound(small_model())

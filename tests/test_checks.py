@@ -1,0 +1,312 @@
+"""Every check of an instance or object passes on sound data and is tripped by its one fault."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from instances import SMALL, changed, edited, hinged_box
+from test_manifest import STATES
+
+from articugen import checks
+from articugen.recipe import Recipe, Sampling
+from articugen.records import Instance, dequantize, quantize
+
+ROWS = hinged_box()
+RICH = SMALL.model_copy(
+    update={
+        "sampling": SMALL.sampling.model_copy(
+            update={
+                "grids": (16, 32, 64),
+                "uniform_points": 4096,
+                "near_points": 8192,
+                "surface_points": 8192,
+            }
+        )
+    }
+)
+RICH_ROWS = hinged_box(recipe=RICH)
+CHECKS = {**checks.VALUE_CHECKS, **checks.GEOMETRY_CHECKS, **checks.OBJECT_CHECKS}
+
+
+# What is sound is left in peace.
+
+
+@pytest.mark.parametrize("rows", [ROWS, RICH_ROWS, ROWS[:1]], ids=["small", "rich", "canonical"])
+def test_sound_instances(rows):
+    assert list(checks.faults(rows, RICH if rows is RICH_ROWS else SMALL)) == []
+
+
+def test_part_without_surface_points_has_no_flow_to_judge():
+    rows = [edited(row, "surface_part", lambda part: np.minimum(part, 1)) for row in RICH_ROWS]
+    checked = [f for f in checks.faults(rows, RICH) if f.check == "flow"]
+    assert checked == []
+
+
+def test_default_recipe_and_an_empty_one_are_sound():
+    full = Recipe(name="full")
+    assert list(checks.faults(hinged_box(STATES, recipe=full), full)) == []
+    nothing = Sampling(
+        grids=(), surface_points=0, uniform_points=0, near_points=0, partial_views=1,
+        partial_points=0,
+    )  # fmt: skip
+    none = Recipe(name="none", sampling=nothing)
+    assert list(checks.faults(hinged_box(STATES, recipe=none), none)) == []
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.tuples(st.floats(0, 1.74), st.floats(0, 0.3)), max_size=3), st.integers(0, 99))
+def test_any_joint_states_are_sound(states, seed):
+    rows = hinged_box([(0.0, 0.0), *states], seed=seed)
+    assert list(checks.faults(rows, SMALL)) == []
+
+
+# Each fault trips its check.
+
+
+def put(index, value):
+    def edit(array):
+        array[index] = value
+
+    return edit
+
+
+def grids(row: Instance, edit) -> Instance:
+    return changed(row, occupancy={r: edit(r, grid) for r, grid in row.occupancy.items()})
+
+
+def moved_camera(row: Instance) -> Instance:
+    return edited(row, "partial_T_camera_world", lambda T: T @ np.diag([1.0, -1.0, -1.0, 1.0]))
+
+
+def other_part(part):
+    return (part + 1) % 3
+
+
+def _other_state(row: Instance) -> Instance:
+    """The joints and motions of another instance: consistent among themselves."""
+    names = ("joint_state", "joint_axis", "joint_pivot", "part_motion")
+    return changed(row, **{name: getattr(RICH_ROWS[3], name) for name in names})
+
+
+FAULTS = {
+    "not a number": ("numbers", lambda r: edited(r, "joint_axis", put((0, 0), np.nan))),
+    "infinite scale": ("numbers", lambda r: changed(r, scale=np.inf)),
+    "negative scale": ("numbers", lambda r: changed(r, scale=-1.0)),
+    "range turned around": ("numbers", lambda r: edited(r, "joint_lower", put(0, 9.0))),
+    "range is no number": ("numbers", lambda r: edited(r, "joint_upper", put(0, np.nan))),
+    "unknown kind": ("numbers", lambda r: edited(r, "joint_kind", put(0, 3))),
+    "unknown parent": ("numbers", lambda r: edited(r, "joint_parent", put(0, 3))),
+    "its own parent": ("numbers", lambda r: edited(r, "joint_parent", put(1, 2))),
+    "a point too few": (
+        "counts",
+        lambda r: changed(r, near_points=r.near_points[1:], near_label=r.near_label[1:]),
+    ),
+    "a grid too few": ("counts", lambda r: changed(r, occupancy={16: r.occupancy[16]})),
+    "label of no part": ("labels", lambda r: edited(r, "uniform_label", put(5, 4))),
+    "near label of no part": ("labels", lambda r: edited(r, "near_label", put(5, 4))),
+    "voxel of no part": (
+        "labels",
+        lambda r: grids(r, lambda _, g: np.where(g == 3, 4, g).astype("u1")),
+    ),
+    "surface of no part": ("labels", lambda r: edited(r, "surface_part", put(0, 3))),
+    "view of no part": ("labels", lambda r: edited(r, "partial_part", put((0, 0), 3))),
+    "long normal": ("normals", lambda r: edited(r, "surface_normals", put(7, (127, 20, 0)))),
+    "no normal": ("normals", lambda r: edited(r, "surface_normals", put(7, 0))),
+    "beyond its range": ("joint range", lambda r: edited(r, "joint_upper", put(0, 0.1))),
+    "below its range": ("joint range", lambda r: edited(r, "joint_lower", put(0, 1.6))),
+    "motion that scales": ("rigid", lambda r: edited(r, "part_motion", lambda T: T * [[[1.01]]])),
+    "motion that mirrors": (
+        "rigid",
+        lambda r: edited(r, "part_motion", put((1, slice(0, 3), 0), -r.part_motion[1, :3, 0])),
+    ),
+    "camera that shears": (
+        "rigid",
+        lambda r: edited(r, "partial_T_camera_world", put((0, 0, 1), 0.9)),
+    ),
+    "fixed part moves": ("motion", lambda r: edited(r, "part_motion", put((0, 0, 3), 1e-6))),
+    "motion of another state": (
+        "motion",
+        lambda r: changed(r, part_motion=RICH_ROWS[3].part_motion),
+    ),
+    "state of another motion": ("motion", lambda r: edited(r, "joint_state", lambda q: q + 1e-5)),
+    "pivot beside its axis": ("motion", lambda r: edited(r, "joint_pivot", put((0, 2), 0.0))),
+    "axis in the wrong frame": (
+        "motion",
+        lambda r: edited(r, "joint_axis", put(1, RICH_ROWS[0].joint_axis[1])),
+    ),
+    "axis not of unit length": (
+        "motion",
+        lambda r: edited(r, "joint_axis", put(0, (0, -1.001, 0))),
+    ),
+    "wrong kind": ("motion", lambda r: changed(r, joint_kind=np.array([1, 1], np.uint8))),
+    "wrong parent": ("motion", lambda r: changed(r, joint_parent=np.array([0, 0], np.uint8))),
+    "surface out of the box": ("box", lambda r: edited(r, "surface_points", put(0, 65535))),
+    "occupied out of the box": (
+        "box",
+        lambda r: edited(r, "uniform_points", put(np.argmax(r.uniform_label), 0)),
+    ),
+    "coarse grid mirrored": (
+        "grids",
+        lambda r: grids(r, lambda n, g: g[:, :, ::-1].copy() if n == 32 else g),
+    ),
+    "coarse grid of other labels": (
+        "grids",
+        lambda r: grids(r, lambda n, g: g + (g > 0) * (g < 3) if n == 16 else g),
+    ),
+    "coarse grid full": ("grids", lambda r: grids(r, lambda n, g: g * 0 + 1 if n == 16 else g)),
+    "grids of another state": ("filling", lambda r: changed(r, occupancy=RICH_ROWS[3].occupancy)),
+    "grids indexed z y x": ("filling", lambda r: grids(r, lambda _, g: g.T.copy())),
+    "grids empty": ("filling", lambda r: grids(r, lambda _, g: g * 0)),
+    "grids full": ("filling", lambda r: grids(r, lambda _, g: g * 0 + 1)),
+    "uniform points of another state": (
+        "grids",
+        lambda r: changed(
+            r,
+            uniform_points=RICH_ROWS[3].uniform_points,
+            uniform_label=RICH_ROWS[3].uniform_label,
+        ),
+    ),
+    "near points of another state": (
+        "near",
+        lambda r: changed(
+            r, near_points=RICH_ROWS[3].near_points, near_label=RICH_ROWS[3].near_label
+        ),
+    ),
+    "points without their labels": (
+        "zero level",
+        lambda r: changed(
+            r, near_points=RICH_ROWS[3].near_points, uniform_points=RICH_ROWS[3].uniform_points
+        ),
+    ),
+    "surface beside the zero level": (
+        "zero level",
+        lambda r: changed(
+            r,
+            surface_points=quantize(dequantize(r.surface_points) + 0.005 * r.surface_normals / 127),
+        ),
+    ),
+    "surface of another state": (
+        "zero level",
+        lambda r: changed(
+            r, surface_points=RICH_ROWS[3].surface_points, surface_part=RICH_ROWS[3].surface_part
+        ),
+    ),
+    "normals inwards": ("zero level", lambda r: edited(r, "surface_normals", np.negative)),
+    "surface of another part": ("zero level", lambda r: edited(r, "surface_part", other_part)),
+    "camera that looks away": ("cameras", moved_camera),
+    "camera of another state": (
+        "cameras",
+        lambda r: edited(r, "partial_T_camera_world", lambda T: T[::-1]),
+    ),
+    "transform inverted": (
+        "cameras",
+        lambda r: edited(r, "partial_T_camera_world", np.linalg.inv),
+    ),
+    "no focal length": ("cameras", lambda r: edited(r, "partial_intrinsics", put((0, 0), 0.0))),
+    "shorter focal length": (
+        "cameras",
+        lambda r: edited(r, "partial_intrinsics", put((0, slice(0, 2)), 95.0)),
+    ),
+    "longer focal length": (
+        "cameras",
+        lambda r: edited(r, "partial_intrinsics", put((0, slice(0, 2)), 900.0)),
+    ),
+    "pixel corners": (
+        "cameras",
+        lambda r: edited(r, "partial_intrinsics", lambda k: k - [0, 0, 0.5, 0.5]),
+    ),
+    "seen part is another": ("partial parts", lambda r: edited(r, "partial_part", other_part)),
+    "seen points are elsewhere": (
+        "partial parts",
+        lambda r: changed(
+            r,
+            partial_points=quantize(np.clip(dequantize(r.partial_points) * 0.5, -0.5, 0.5)),
+        ),
+    ),
+    "joints of another state": ("flow", _other_state),
+}
+
+
+@pytest.mark.parametrize("what", FAULTS)
+def test_fault_is_found(what):
+    check, harm = FAULTS[what]
+    rows = list(RICH_ROWS)
+    rows[2] = harm(rows[2])
+    found = list(checks.faults(rows, RICH))
+    assert check in {fault.check for fault in found if fault.state_index == 2}, found
+    assert {fault.state_index for fault in found} <= {2}
+    assert all("\n" not in fault.sentence for fault in found)
+
+
+def _all(harm):
+    return lambda rows: [harm(row) for row in rows]
+
+
+def _halved(row: Instance) -> Instance:
+    """Half as large in the cube, everything else in order: only the box is not filled."""
+    half = {
+        name: quantize(dequantize(getattr(row, name)) / 2)
+        for name in ("surface_points", "near_points", "uniform_points", "partial_points")
+    }
+    return changed(row, **half)
+
+
+OBJECT_FAULTS = {
+    "a state twice": ("states", lambda rows: [*rows, rows[2]]),
+    "no canonical pose": ("states", lambda rows: rows[1:]),
+    "canonical pose moved": (
+        "states",
+        lambda rows: [changed(rows[1], state_index=0), changed(rows[0], state_index=1), *rows[2:]],
+    ),
+    "two centers": (
+        "shared",
+        lambda rows: [*rows[:3], edited(rows[3], "center", lambda c: c + 1e-6)],
+    ),
+    "two scales": ("shared", lambda rows: [*rows[:3], changed(rows[3], scale=1.0)]),
+    "two ranges": (
+        "shared",
+        lambda rows: [*rows[:3], edited(rows[3], "joint_upper", lambda q: q + 1)],
+    ),
+    "a hinge that wanders": (
+        "shared",
+        lambda rows: [*rows[:3], edited(rows[3], "joint_pivot", lambda p: p + 0.1)],
+    ),
+    "half the box": ("fills box", _all(_halved)),
+}
+
+
+@pytest.mark.parametrize("what", OBJECT_FAULTS)
+def test_fault_of_an_object_is_found(what):
+    check, harm = OBJECT_FAULTS[what]
+    found = list(checks.faults(harm(list(RICH_ROWS)), RICH))
+    assert check in {fault.check for fault in found}, found
+
+
+def test_every_check_has_a_fault():
+    assert {check for check, _ in (*FAULTS.values(), *OBJECT_FAULTS.values())} == set(CHECKS)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32), st.integers(0, 200), st.integers(0, 50), st.floats(0.005, 0.4))
+def test_nearest_is_the_nearest(seed, many, few, radius):
+    rng = np.random.default_rng(seed)
+    points, queries = rng.random((many, 3)) - 0.5, 1.1 * (rng.random((few, 3)) - 0.5)
+    distance = np.linalg.norm(queries[:, None] - points[None], axis=2)
+    expected = np.full(few, -1)
+    if many:
+        found = distance.min(axis=1) <= radius
+        expected[found] = distance.argmin(axis=1)[found]
+    np.testing.assert_array_equal(checks._nearest(points, queries, radius), expected)
+
+
+def test_labels_about_a_point_are_those_of_the_eight_nearest_voxels():
+    rng = np.random.default_rng(0)
+    grid = rng.integers(0, 5, (7, 7, 7)).astype(np.uint8)
+    points = rng.random((50, 3)) - 0.5
+    at = (np.arange(7) + 0.5) / 7 - 0.5
+    for point, labels in zip(points, checks._about(grid, points), strict=True):
+        if (np.abs(point) > at[-1]).any():
+            continue
+        near = [np.argsort(np.abs(at - p))[:2] for p in point]
+        expected = [grid[i, j, k] for i in near[0] for j in near[1] for k in near[2]]
+        assert sorted(labels) == sorted(expected)
