@@ -17,6 +17,17 @@ class RejectedInstance(ArticugenError):
     """One object or instance cannot be made into data; the others can."""
 
 
+class NotOfCategory(ArticugenError):
+    """An object has nothing to articulate in the recipe's sense: it is skipped, which is no fault."""
+
+
+class MachineFault(ArticugenError):
+    """The machine failed, not the data: no memory, a full or broken disk, a killed worker.
+
+    Never an object's verdict: what was not made because of it is tried again by the next run.
+    """
+
+
 class CorruptShard(ArticugenError):
     """A shard or manifest is damaged, of another version, or not one of ours."""
 

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from articugen.errors import ArticugenError
+from articugen.errors import MachineFault
 
 _CURES = {
     errno.ENOSPC: "the disk is full; free {megabytes:.0f} MB or choose another output folder",
@@ -31,7 +31,7 @@ def write_atomically(
     is synchronised, so that the name survives a power cut as well.
 
     Raises:
-        ArticugenError: the disk is full, the folder cannot be written to, or the like.
+        MachineFault: the disk is full, the folder cannot be written to, or the like.
     """
     temporary = path.with_name(partial_name(path.name))
     try:
@@ -47,7 +47,7 @@ def write_atomically(
         finally:
             temporary.unlink(missing_ok=True)
     except OSError as error:
-        raise ArticugenError(cannot_write(path, error, len(data))) from error
+        raise MachineFault(cannot_write(path, error, len(data))) from error
 
 
 def partial_name(name: str) -> str:
