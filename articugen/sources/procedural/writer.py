@@ -30,7 +30,7 @@ from articugen.geometry import Array, apply, cross, invert_rigid, rotation_from_
 from articugen.sources.procedural.model import ROOT_NAME, Model, ModelLink
 from articugen.sources.procedural.solids import Solid
 
-GENERATOR_VERSION = 3
+GENERATOR_VERSION = 4
 """Raised whenever any generator's output changes, so that folders written before are replaced."""
 
 URDF_NAME = "model.urdf"
