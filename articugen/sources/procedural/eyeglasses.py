@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from articugen.geometry import Array, rotation_about, transform
+from articugen.portable import cos, norm, power, product, sin, turned
 from articugen.sources.procedural.lenses import lens_outline, lens_shapes
 from articugen.sources.procedural.model import Model, ModelJoint, ModelLink
 from articugen.sources.procedural.outlines import circle, ellipse, rounded_rectangle
@@ -76,8 +77,8 @@ class _Shape:
 
     def place(self, point: Array) -> Array:
         """(y, z) on the right lens's plane to where it stands (x, y, z)."""
-        turned = rotation_about((0, 0, 1), -self.wrap) @ np.array([0.0, *point])
-        return turned + np.array([0.0, self.lens_y, 0.0])
+        wrapped = turned(rotation_about((0, 0, 1), -self.wrap), (0.0, *point))
+        return wrapped + np.array([0.0, self.lens_y, 0.0])
 
 
 def build(rng: np.random.Generator) -> Model:
@@ -194,16 +195,15 @@ def _eye(rng: np.random.Generator, s: _Shape) -> list[Solid]:
 def _shield(rng: np.random.Generator, s: _Shape) -> tuple[list[Solid], Array]:
     """One pane bent around the face, with a bar above, and where its right end is."""
     half, bend = rng.uniform(62, 72) * MM, np.deg2rad(rng.uniform(28, 48))
-    radius = half / np.sin(bend)
+    radius = half / sin(bend)
     turn = np.linspace(-bend, bend, 33)
-    path = np.stack([radius * (1 - np.cos(turn)), radius * np.sin(turn), 0 * turn], axis=1)
+    path = np.stack([radius * (1 - cos(turn)), radius * sin(turn), 0 * turn], axis=1)
     u = np.abs(turn) / bend
     top = rng.uniform(14, 20) * MM - rng.uniform(0, 4) * MM * u**2
     nose = np.clip(1.0 - u / 0.3, 0.0, 1.0)
     deep = rng.uniform(20, 34) * MM
-    bottom = -deep * (1.0 - u**4 * rng.uniform(0.3, 0.75)) + deep * nose**1.5 * rng.uniform(
-        0.5, 0.75
-    )
+    high = deep * power(nose, 1.5)
+    bottom = -deep * (1.0 - u**2 * u**2 * rng.uniform(0.3, 0.75)) + high * rng.uniform(0.5, 0.75)
     t = max(s.lens_thickness, 1.2 * MM) / 2
     corners = [np.stack([x + 0 * u, z], axis=1) for x, z in ((-t, bottom), (t, bottom))]
     corners += [np.stack([x + 0 * u, z], axis=1) for x, z in ((t, top), (-t, top))]
@@ -259,7 +259,7 @@ def _arch(s: _Shape, start: Array, rise: float, forward: float) -> Solid:
 def _inner_point(s: _Shape, z: float) -> Array:
     """The point (y, z) of the lens's edge that is nearest to the nose at height `z`."""
     inner = s.lens[s.lens[:, 0] < 0.0]
-    order = np.argsort(inner[:, 1])
+    order = np.argsort(inner[:, 1], kind="stable")
     depth = 1.5 * s.wire if s.style == "rimless" else 0.0
     return np.array([np.interp(z, inner[order, 1], inner[order, 0]) + depth, z])
 
@@ -280,7 +280,7 @@ def _nose_pads(rng: np.random.Generator, s: _Shape) -> list[Solid]:
     middle = (start + center) / 2 + np.array([1.0, 1.2, 1.0]) * MM
     pad = stack([ellipse(f * size[0], f * size[1], 14) for f in (0.7, 1, 0.7)], _pad_layers())
     # The pad's flat side looks to the nose and a little to the front.
-    turn = rotation_about((0, 0, 1), np.deg2rad(60.0)) @ np.eye(3)[[2, 0, 1]]
+    turn = product(rotation_about((0, 0, 1), np.deg2rad(60.0)), np.eye(3)[[2, 0, 1]])
     pad = pad.moved(transform(turn, center))
     solids = [sweep([start, middle, center], circle(arm, 6)), pad]
     return [*solids, *(solid.mirrored(1) for solid in solids)]
@@ -296,7 +296,7 @@ def _knuckle_radius(s: _Shape) -> float:
 
 def _clear(s: _Shape) -> float:
     """How far end piece and temple stay from the hinge's axis."""
-    half = (s.temple[0] + s.temple[1] * np.sin(_MOST_LEAN)) / 2
+    half = (s.temple[0] + s.temple[1] * sin(_MOST_LEAN)) / 2
     return max(half, _knuckle_radius(s)) + _SLIT
 
 
@@ -308,7 +308,7 @@ def _hinge_across(s: _Shape, face: list[Solid]) -> float:
 
 def _normal(lean: float) -> Array:
     """The normal of the planes in which both temples turn."""
-    return np.array([0.0, -np.sin(lean), np.cos(lean)])
+    return np.array([0.0, -sin(lean), cos(lean)])
 
 
 def _lean(temple: list[Solid], across: float) -> float:
@@ -318,8 +318,8 @@ def _lean(temple: list[Solid], across: float) -> float:
     points = np.concatenate([solid.vertices for solid in temple])
 
     def room(lean: float) -> float:
-        y, z = points[:, 1] * np.sin(lean), points[:, 2] * np.cos(lean)
-        return float(2 * across * np.sin(lean) + (z + y).min() - (z - y).max())
+        y, z = points[:, 1] * sin(lean), points[:, 2] * cos(lean)
+        return float(2 * across * sin(lean) + (z + y).min() - (z - y).max())
 
     low, high = 0.0, _MOST_LEAN
     if room(high) < _BETWEEN:
@@ -334,7 +334,7 @@ def _hinge_depth(s: _Shape, face: list[Solid], temple: list[Solid], lean: float)
     """The x of the hinges' axes: behind all that either folded temple passes."""
     deepest = max(float(solid.vertices[:, 0].max()) for solid in face)
     points = np.concatenate([solid.vertices for solid in temple])
-    y, z = points[:, 1] * np.cos(lean), points[:, 2] * np.sin(lean)
+    y, z = points[:, 1] * cos(lean), points[:, 2] * sin(lean)
     inward = float(np.maximum(-y - z, z - y).max())
     return max(deepest + max(inward, _knuckle_radius(s)) + _SLIT, _clear(s) + 2 * MM)
 
@@ -348,7 +348,7 @@ def _temple_section(s: _Shape, scale: float = 1.0) -> Array:
 def _outer_point(s: _Shape) -> Array:
     """Where the right end piece starts, on the rim or, without one, a little inside the lens."""
     outer = s.lens[s.lens[:, 0] > 0.0]
-    order = np.argsort(outer[:, 1])
+    order = np.argsort(outer[:, 1], kind="stable")
     y = float(np.interp(s.hinge_z, outer[order, 1], outer[order, 0]))
     return s.place(np.array([y - (4 * MM if s.style == "rimless" else 0.0), s.hinge_z]))
 
@@ -393,21 +393,21 @@ def _temple(rng: np.random.Generator, s: _Shape, across: float) -> list[Solid]:
     tip = min(tip, 12 * MM) if bend > np.deg2rad(60) else tip
     # The lower the tip, the more the hinges must lean for the temples to pass each other.
     lowest = max(4 * MM, min(20 * MM, 0.4 * across - 1.3 * s.temple[1]))
-    while radius * (1 - np.cos(bend)) + tip * np.sin(bend) > lowest:
+    while radius * (1 - cos(bend)) + tip * sin(bend) > lowest:
         bend *= 0.95
-    way = np.array([np.cos(bend), -np.sin(bend)])
+    way = np.array([cos(bend), -sin(bend)])
     # Folded, the tip must end before the other end piece.
-    slant = np.sin(min(bend, np.pi / 2))
+    slant = sin(min(bend, np.pi / 2))
     reach = radius * slant + tip * max(way[0], 0.0) + 0.85 * max(s.temple) * slant
     straight = min(straight, 2 * across - start - MM - reach)
     turn = np.linspace(0.0, bend, max(3, round(np.rad2deg(bend) / 7)) + 1)
-    arc = np.stack([straight + radius * np.sin(turn), -radius * (1 - np.cos(turn))], axis=1)
+    arc = np.stack([straight + radius * sin(turn), -radius * (1 - cos(turn))], axis=1)
     line = np.linspace(start, straight, 8)[:-1]
     flat = np.concatenate([np.c_[line, 0 * line], arc, arc[-1:] + way * tip])
-    along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(flat, axis=0), axis=1))])
+    along = np.concatenate([[0], np.cumsum(norm(np.diff(flat, axis=0)))])
     along /= along[-1]
     # Bowed a little outwards in the middle and back inwards at the tip, as heads are.
-    bow = rng.uniform(0.0, 3.0) * MM * np.sin(np.pi * along) - s.hug * along**3
+    bow = rng.uniform(0.0, 3.0) * MM * sin(np.pi * along) - s.hug * along * along * along
     path = np.stack([flat[:, 0], bow, flat[:, 1]], axis=1)
     waist, end = rng.uniform(0.55, 1.0), rng.uniform(0.7, 1.3)
     scale = np.interp(along, [0.0, 0.5, 1.0], [1.0, waist, max(end, 0.6)])

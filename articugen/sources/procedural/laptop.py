@@ -15,6 +15,7 @@ at most, and the base ends before the axis.
 import numpy as np
 
 from articugen.geometry import Array, transform
+from articugen.portable import cos, sin
 from articugen.sources.procedural.keyboard import Keyboard
 from articugen.sources.procedural.laptop_shape import MM, SLIT, LaptopShape, draw_shape
 from articugen.sources.procedural.model import Model, ModelJoint, ModelLink
@@ -181,7 +182,7 @@ def _trackpad(rng: np.random.Generator, s: LaptopShape, x: float, palm_rest: flo
     z = s.deck, s.deck + relief
     style = rng.choice(["plate", "plate", "buttons", "ball"], p=[0.4, 0.3, 0.25, 0.05])
     if style == "ball":
-        radii = 12 * MM * np.sin(np.linspace(np.pi / 2, 0.05, 4))
+        radii = 12 * MM * sin(np.linspace(np.pi / 2, 0.05, 4))
         heights = [s.deck + relief * h for h in (0.0, 0.5, 0.85, 1.0)]
         return [stack([circle(r, 20, (x, y)) for r in radii], heights)]
     corner = rng.uniform(0.5, 5) * MM
@@ -367,7 +368,7 @@ def _handle(rng: np.random.Generator, s: LaptopShape) -> list[Solid]:
     z = (s.deck + s.floor) / 2
     turn = np.linspace(0.0, np.pi / 2, 5)[:, None] * np.ones(2)
     bend = 14 * MM
-    arc = np.stack([-half + bend * (1 - np.cos(turn[:, 0])), -bend * np.sin(turn[:, 0])], 1)
+    arc = np.stack([-half + bend * (1 - cos(turn[:, 0])), -bend * sin(turn[:, 0])], 1)
     arc[:, 1] += s.front - out + bend
     left = np.concatenate([[(-half, s.front + 3 * MM)], arc])
     path = np.concatenate([left, left[::-1] * (-1, 1)])

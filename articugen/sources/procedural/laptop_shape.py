@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from articugen.geometry import Array
+from articugen.portable import norm
 from articugen.sources.procedural.outlines import rounded_rectangle
 
 MM = 1e-3
@@ -167,7 +168,7 @@ class LaptopShape:
     def shelf(self) -> float:
         """The height below which the base may reach back under the hinge, whatever the angle."""
         if self.drops:
-            return -np.hypot(self.lid_rear, self.back) - SLIT
+            return -norm((self.lid_rear, self.back)) - SLIT
         return -self.barrel - SLIT
 
     @property
@@ -221,7 +222,7 @@ def draw_shape(rng: np.random.Generator) -> LaptopShape:
     ranges = KINDS[kind]
     diagonal = rng.uniform(*ranges.diagonal) * 25.4 * MM
     ratio = _ASPECTS[2 + rng.integers(2)] if kind == "retro" else _ASPECTS[rng.integers(3)]
-    screen = diagonal * np.array([ratio, 1.0]) / np.hypot(ratio, 1.0)
+    screen = diagonal * np.array([ratio, 1.0]) / norm((ratio, 1.0))
     side = rng.uniform(*ranges.bezel) * MM
     top, chin = side * rng.uniform(1.0, 1.6), side * rng.uniform(1.3, 3.0)
     width = screen[0] + 2 * side

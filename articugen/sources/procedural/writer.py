@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.geometry import Array, apply, cross, invert_rigid, rotation_from_rpy, transform
+from articugen.portable import norm, product, turned
 from articugen.sources.procedural.model import ROOT_NAME, Model, ModelLink
 from articugen.sources.procedural.solids import Solid
 
@@ -117,7 +118,7 @@ def _seen_faces(solid: Solid, index: int, others: Iterable[Solid]) -> NDArray[np
         return solid.faces
     corners = solid.vertices[solid.faces]
     normals = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals /= norm(normals)[:, None]
     outside = corners + 1e-6 * normals[:, None]
     hidden = np.zeros(len(corners), bool)
     for other in others:
@@ -127,7 +128,7 @@ def _seen_faces(solid: Solid, index: int, others: Iterable[Solid]) -> NDArray[np
             near = np.all((outside >= low - 1e-7) & (outside <= high + 1e-7), axis=(1, 2))
             near &= ~hidden
             if near.any():
-                over = outside[near] @ planes[:, :3].T - planes[:, 3]
+                over = product(outside[near], planes[:, :3].T) - planes[:, 3]
                 hidden[np.flatnonzero(near)[np.all(over <= 1e-7, axis=(1, 2))]] = True
     return solid.faces[~hidden]
 
@@ -159,8 +160,8 @@ def _urdf(
         )
     for j in model.joints:
         pivot[j.child] = np.asarray(j.origin, np.float64)
-        shift = R.T @ (pivot[j.child] - pivot[j.parent])
-        axis = None if j.kind == "fixed" else R.T @ np.asarray(j.axis, np.float64)
+        shift = turned(R.T, pivot[j.child] - pivot[j.parent])
+        axis = None if j.kind == "fixed" else turned(R.T, j.axis)
         joints.append(
             _joint(
                 j.name,
@@ -173,7 +174,7 @@ def _urdf(
             )
         )
     links = [
-        _link(name, files, -(R.T @ pivot[name]) if messy else np.zeros(3))
+        _link(name, files, -turned(R.T, pivot[name]) if messy else np.zeros(3))
         for name, files in visuals.items()
     ]
     if messy:  # As PartNet-Mobility has it: an empty base first, the body last.
