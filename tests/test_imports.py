@@ -25,7 +25,7 @@ STAGES = {
     "sampling": set(),
     "sources": set(),
 }
-STORE = {"files", "schema", "shards", "manifest", "journal"}
+STORE = {"files", "schema", "chunks", "shards", "manifest", "journal"}
 
 PPD_WITH_TORCH = {
     "dataset", "depth", "descent", "discriminator", "evaluate", "kinematics", "learner", "losses",
@@ -46,7 +46,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "instance": BASE | set(STAGES),
     "files": {"errors"},
     "schema": set(),
-    "shards": {"errors", "records", "files", "schema"},
+    "chunks": set(),
+    "shards": {"errors", "records", "files", "schema", "chunks"},
     "manifest": {"errors", "files", "schema", "shards"},
     "journal": {"errors", "files", "manifest"},
     "checks": BASE,

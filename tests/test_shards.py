@@ -2,6 +2,7 @@
 
 import errno
 import hashlib
+import json
 import os
 import pickle
 import resource
@@ -23,7 +24,7 @@ from instances import SMALL, changed, hinged_box
 from articugen import schema
 from articugen.errors import ArticugenError, CorruptShard
 from articugen.records import Instance, stored_name
-from articugen.shards import content_digests, content_sha256, open_shard, write_shard
+from articugen.shards import content_sha256, instance_sha256, open_shard, write_shard
 
 VERSION_1 = Path(__file__).parent / "data" / "shard_version_1.h5"
 ROWS = hinged_box()
@@ -203,10 +204,10 @@ def test_content_digest_is_the_one_documented(written):
 def test_content_digest_does_not_depend_on_the_layout(written, copy):
     _rewrite(copy, "uniform_points", lambda a: {"data": a, "compression": 9, "fletcher32": True})
     with h5py.File(copy) as file:
-        names = sorted(file)
-        states = [("box-0", int(s)) for s in file["state_index"][()]]
-        digests = content_digests(((name, file[name][()]) for name in names), states)
-    assert digests == written[1].content
+        names = sorted(set(file) - {"object_id"})
+        for row, (object_id, _, digest) in enumerate(written[1].content):
+            arrays = [(name, np.asarray(file[name][row])) for name in names]
+            assert instance_sha256(object_id, reversed(arrays)) == digest
     assert copy.read_bytes() != written[0].read_bytes()
 
 
@@ -232,10 +233,10 @@ def test_plain_h5py_reads_it_and_finds_it_described(written):
             assert dataset.chunks == (1, *dataset.shape[1:])
             assert dataset.fletcher32
             assert (dataset.compression == "gzip") is field.compressed
-            assert dataset.attrs["meaning"].decode() == field.meaning
-            assert dataset.attrs["shape"].decode() == schema.written_shape(field)
-            assert dataset.attrs.get("unit", b"").decode() == field.unit
-            assert dataset.attrs.get("frame", b"").decode() == field.frame
+            assert dataset.attrs["meaning"] == field.meaning
+            assert dataset.attrs["shape"] == schema.written_shape(field)
+            assert dataset.attrs.get("unit", "") == field.unit
+            assert dataset.attrs.get("frame", "") == field.frame
         points = file["surface_points"][1] / 65535 - 0.5
         assert np.abs(points).max() <= 0.45 + 1e-5
 
@@ -270,7 +271,7 @@ def test_workers_open_the_file_for_themselves(written):
 def shards(draw):
     """Instances of one random shape, filled with random bytes."""
     J, S, U, K, C, M = (draw(st.integers(0, 4)) for _ in range(6))
-    names = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]))
+    names = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=60)
     grids = draw(st.sets(st.integers(1, 5), max_size=2))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     known = {"J": J, "P": J + 1, "S": S, "U": U, "K": K, "C": C, "M": M}
@@ -308,7 +309,7 @@ def test_any_shape_comes_back(tmp_path_factory, rows):
 def test_mixed_shapes_are_refused(tmp_path):
     other = hinged_box(recipe=SMALL.model_copy(update={"padding": 0.2}))[0]
     fewer = Instance(**{**_kept(other), "occupancy": {8: other.occupancy[8]}})
-    with pytest.raises(ValueError, match="not in every instance"):
+    with pytest.raises(ValueError, match="of different fields or shapes"):
         write_shard(tmp_path / "a.h5", [ROWS[0], fewer], ABOUT)
     with pytest.raises(ValueError, match="'split' is missing"):
         write_shard(tmp_path / "a.h5", ROWS, {k: v for k, v in ABOUT.items() if k != "split"})
@@ -393,6 +394,26 @@ def _virtual(file):
     file.create_virtual_dataset("scale", layout)
 
 
+def _attributes(change):
+    """Change the attributes as articugen reads them."""
+
+    def edit(file):
+        text = json.dumps(change(json.loads(file.attrs[schema.CHECKED_ATTRIBUTES]))).encode()
+        del file.attrs[schema.CHECKED_ATTRIBUTES]
+        dtype = h5py.string_dtype("utf-8", len(text))
+        file.attrs.create(schema.CHECKED_ATTRIBUTES, np.array(text, dtype), dtype=dtype)
+
+    return _edit(edit)
+
+
+def _without_seed(attributes):
+    return {name: value for name, value in attributes.items() if name != "seed"}
+
+
+def _checked_attributes_of_variable_length(file):
+    file.attrs[schema.CHECKED_ATTRIBUTES] = file.attrs[schema.CHECKED_ATTRIBUTES].decode()
+
+
 def _user_elsewhere(file):
     file["user"] = h5py.ExternalLink("/etc/passwd", "/x")
 
@@ -471,13 +492,24 @@ HARM = {
     ),
     "other version": (_edit(lambda f: f.attrs.modify("schema_version", 99)), "schema version 99"),
     "no version": (_edit(lambda f: f.attrs.pop("schema_version")), "schema version None"),
-    "other format": (_edit(lambda f: f.attrs.pop("format")), "not an articugen shard"),
-    "attribute of variable length": (
-        _edit(lambda f: f.attrs.create("note", "text")),
-        "'note' is neither a number nor a text",
+    "version 0": (_edit(lambda f: f.attrs.modify("schema_version", 0)), "schema version 0"),
+    "two versions": (_attributes(lambda a: a | {"schema_version": 1}), "schema version 2 or 1"),
+    "other format": (_attributes(lambda a: a | {"format": "x"}), "not an articugen shard"),
+    "attributes of variable length": (
+        _edit(_checked_attributes_of_variable_length),
+        "'checked_attributes' is neither a number nor a text of a fixed length",
     ),
-    "array attribute": (_edit(lambda f: f.attrs.create("note", [1, 2])), "'note' is neither"),
-    "missing attribute": (_edit(lambda f: f.attrs.pop("seed")), "'seed' is missing"),
+    "no attributes": (
+        _edit(lambda f: f.attrs.pop(schema.CHECKED_ATTRIBUTES)),
+        "'checked_attributes' is missing",
+    ),
+    "many attributes": (
+        _edit(lambda f: [f.attrs.create(f"a{i}", i) for i in range(70)]),
+        "[0-9]+ attributes",
+    ),
+    "attributes that are a list": (_attributes(lambda a: [*a]), "does not hold the others"),
+    "array attribute": (_attributes(lambda a: a | {"note": [1, 2]}), "'note' is neither"),
+    "missing attribute": (_attributes(_without_seed), "not of its type"),
 }
 
 
@@ -570,12 +602,12 @@ def test_killed_while_writing(written, tmp_path):
     """Whenever the process dies, the final name is absent or a whole shard."""
     path = tmp_path / "train-00000.h5"
     loop = "print('go', flush=True)\nwhile True: write_shard(Path(sys.argv[1]), ROWS, ABOUT)"
-    for moment in (0.01, 0.13, 0.2):
+    for moment in (0.01, 0.13, 20.0):
         process = subprocess.Popen([*_script(loop), str(path)], stdout=subprocess.PIPE)
         assert process.stdout is not None
         process.stdout.readline()
         until = time.monotonic() + moment
-        while time.monotonic() < until:
+        while time.monotonic() < until and not (moment > 1.0 and path.exists()):
             _assert_absent_or_whole(path, written[1].sha256)
         process.send_signal(signal.SIGKILL)
         process.wait()
