@@ -195,13 +195,13 @@ def make_object(job: Job, task: Task) -> Outcome:
     _give_back_large_blocks()
     try:
         obj, instances = _instances(job, task)
+        record = write_shard(job.out / task.shard, instances, _attributes(job, task.ref))
     except (InvalidSource, RejectedInstance) as error:
         return _rejected(task, str(error))
     except ArticugenError:
         raise
     except Exception as error:  # an object must not take the others down with it
         return _rejected(task, f"internal error, please report it: {type(error).__name__}: {error}")
-    record = write_shard(job.out / task.shard, instances, _attributes(job, task.ref))
     return Outcome.of_shard(
         task.key,
         record,
@@ -222,8 +222,8 @@ def _give_back_large_blocks() -> None:
         mallopt(_M_MMAP_THRESHOLD, _LARGE_BLOCK)
 
 
-def _instances(job: Job, task: Task) -> tuple[ArticulatedObject, list[Instance]]:
-    """The object and all its instances; what they share is given back before they are written."""
+def _instances(job: Job, task: Task) -> tuple[ArticulatedObject, Iterator[Instance]]:
+    """The object and its instances, which are made as they are asked for."""
     # numba and the mesh readers take a second to import: the command line should not wait for them
     from articugen import articulation  # noqa: PLC0415
     from articugen.instance import make_instance, prepare  # noqa: PLC0415
@@ -236,7 +236,7 @@ def _instances(job: Job, task: Task) -> tuple[ArticulatedObject, list[Instance]]
         movable=settings.movable,
     )
     prepared = prepare(obj, job.recipe, job.seed)
-    return obj, [make_instance(prepared, index) for index in range(len(prepared.states))]
+    return obj, (make_instance(prepared, index) for index in range(len(prepared.states)))
 
 
 def _rejected(task: Task, reason: str) -> Outcome:

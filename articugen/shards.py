@@ -309,11 +309,8 @@ class _Column:
             OSError, RuntimeError, ValueError: damaged.
         """
         array = np.empty((len(rows), *self.shape[1:]), self.dtype)
-        into, size, buffer = (
-            memoryview(array.reshape(-1).view(np.uint8)),
-            self.row_bytes,
-            self.buffer(),
-        )
+        into, size = array.reshape(-1).view(np.uint8).data, self.row_bytes
+        buffer = self.buffer()
         for place, row in enumerate(rows):
             into[place * size : (place + 1) * size] = self._bytes(row, buffer)
         return array
@@ -341,16 +338,21 @@ class _Disk(io.RawIOBase):
         self.fault: OSError | None = None
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        return self._file.seek(offset, whence)
+        return self._unless_faulty(self._file.seek, offset, whence) or 0
 
     def tell(self) -> int:
-        return self._file.tell()
+        return self._unless_faulty(self._file.tell) or 0
 
     def readinto(self, buffer: Any) -> int:
-        return self._file.readinto(buffer)  # type: ignore[attr-defined]
+        data = self._unless_faulty(self._file.read, len(buffer)) or b""
+        buffer[: len(data)] = data
+        return len(data)
 
     def write(self, data: Any) -> int:
-        return self._unless_faulty(self._file.write, data) or memoryview(data).nbytes
+        return self._unless_faulty(self._save, data) or memoryview(data).nbytes
+
+    def _save(self, data: Any) -> int:
+        return self._file.write(data)
 
     def truncate(self, size: int | None = None) -> int:
         return self._unless_faulty(self._file.truncate, size) or 0

@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 import warnings
 from pathlib import Path
 
@@ -21,8 +22,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from instances import SMALL, changed, hinged_box
 
-from articugen import schema
-from articugen.errors import ArticugenError, CorruptShard
+from articugen import schema, shards
+from articugen.errors import ArticugenError, CorruptShard, MachineFault, RejectedInstance
 from articugen.records import Instance, stored_name
 from articugen.shards import content_sha256, instance_sha256, open_shard, write_shard
 
@@ -268,7 +269,7 @@ def test_workers_open_the_file_for_themselves(written):
 
 
 @st.composite
-def shards(draw):
+def made_up(draw):
     """Instances of one random shape, filled with random bytes."""
     J, S, U, K, C, M = (draw(st.integers(0, 4)) for _ in range(6))
     names = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=60)
@@ -296,7 +297,7 @@ def shards(draw):
 
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-@given(shards())
+@given(made_up())
 def test_any_shape_comes_back(tmp_path_factory, rows):
     path = tmp_path_factory.mktemp("any") / "shard.h5"
     record = write_shard(path, rows, ABOUT)
@@ -304,6 +305,38 @@ def test_any_shape_comes_back(tmp_path_factory, rows):
         assert shard.content() == record.content
         for index, row in enumerate(rows):
             assert_same(shard.instance(index), row)
+
+
+def test_memory_does_not_grow_with_the_number_of_instances(tmp_path):
+    """Neither while writing nor while reading back."""
+
+    def peak(count: int) -> int:
+        rows = (changed(ROWS[i % len(ROWS)], state_index=i) for i in range(count))
+        tracemalloc.start()
+        try:
+            write_shard(tmp_path / f"{count}.h5", rows, ABOUT)
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    one_row = sum(np.asarray(value).nbytes for value in ROWS[0].arrays().values())
+    peak(2)  # imports, caches
+    assert peak(160) - peak(40) < one_row
+    with open_shard(tmp_path / "160.h5") as shard:
+        assert shard.read("state_index").tolist() == list(range(160))
+
+
+def test_instances_that_end_in_an_error_leave_no_file(tmp_path):
+    def rows():
+        yield from ROWS[:2]
+        raise RejectedInstance("nothing of it can be seen")
+
+    with pytest.raises(RejectedInstance, match="nothing of it can be seen"):
+        write_shard(tmp_path / "train-00000.h5", rows(), ABOUT)
+    assert _leftovers(tmp_path) == []
+    with pytest.raises(ValueError, match="is missing"):
+        write_shard(tmp_path / "train-00000.h5", iter(()), ABOUT)
+    assert _leftovers(tmp_path) == []
 
 
 def test_mixed_shapes_are_refused(tmp_path):
@@ -528,6 +561,34 @@ def test_refused(copy, what):
 
 def _leftovers(folder):
     return sorted(p.name for p in folder.iterdir())
+
+
+@pytest.mark.parametrize("written_before", [0, 1, 40])
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO])
+def test_fault_in_the_middle_is_the_disks_own(tmp_path, monkeypatch, written_before, code):
+    """Whatever HDF5 makes of it, however much was written by then; no more rows are made."""
+    writes, made = iter(range(10_000)), []
+
+    def write(self, data):
+        if next(writes) >= written_before:
+            raise OSError(code, os.strerror(code))
+        return whole(self, data)
+
+    def rows():
+        for row in ROWS * 20:
+            made.append(row)
+            yield row
+
+    whole = shards._Disk._save
+    with monkeypatch.context() as patch:
+        patch.setattr(shards._Disk, "_save", write)
+        with pytest.raises(MachineFault, match="not written: ") as caught:
+            write_shard(tmp_path / "train-00000.h5", rows(), ABOUT)
+    assert isinstance(caught.value.__cause__, OSError)
+    assert caught.value.__cause__.errno == code
+    assert _leftovers(tmp_path) == []
+    assert len(made) < 20
+    write_shard(tmp_path / "train-00000.h5", ROWS, {**ABOUT, "seed": 1})  # HDF5 is as it was
 
 
 @pytest.mark.parametrize("name", ["fsync", "replace", "write"])
