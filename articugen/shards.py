@@ -334,31 +334,35 @@ class _Disk(io.RawIOBase):
     """
 
     def __init__(self, file: BinaryIO) -> None:
-        self._file = file
+        self._handle = file.fileno()
+        self._at = 0
         self.fault: OSError | None = None
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        return self._unless_faulty(self._file.seek, offset, whence) or 0
+        end = whence == os.SEEK_END
+        self._at = os.fstat(self._handle).st_size + offset if end else offset
+        return self._at
 
     def tell(self) -> int:
-        return self._unless_faulty(self._file.tell) or 0
+        return self._at
 
     def readinto(self, buffer: Any) -> int:
-        data = self._unless_faulty(self._file.read, len(buffer)) or b""
+        data = self._unless_faulty(os.pread, self._handle, len(buffer), self._at) or b""
         buffer[: len(data)] = data
         return len(data)
 
     def write(self, data: Any) -> int:
-        return self._unless_faulty(self._save, data) or memoryview(data).nbytes
-
-    def _save(self, data: Any) -> int:
-        return self._file.write(data)
+        rest = memoryview(data).cast("B")
+        size = len(rest)
+        while rest and self.fault is None:  # a call may write less than it is given
+            done = self._unless_faulty(os.pwrite, self._handle, rest, self._at) or 0
+            rest, self._at = rest[done:], self._at + done
+        return size
 
     def truncate(self, size: int | None = None) -> int:
-        return self._unless_faulty(self._file.truncate, size) or 0
-
-    def flush(self) -> None:
-        self._unless_faulty(self._file.flush)
+        size = self._at if size is None else size
+        self._unless_faulty(os.ftruncate, self._handle, size)
+        return size
 
     def _unless_faulty(self, act: Any, *arguments: Any) -> Any:
         if self.fault is not None:
