@@ -311,7 +311,8 @@ def _data_sets(path: Path) -> list[Path]:
     """The data set in `path`, or those in its folders."""
     if next(path.glob("*.h5"), None) or (path / "manifest.json").exists():
         return [path]
-    folders = sorted({shard.parent for shard in path.glob("*/*.h5")})
+    marks = ("*/*.h5", "*/manifest.json")
+    folders = sorted({file.parent for mark in marks for file in path.glob(mark)})
     if not folders:
         raise CorruptShard(f"{path}: holds no data set; make one with: articugen generate")
     return folders

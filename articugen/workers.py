@@ -87,7 +87,7 @@ def each(
         name: what a task is called in it.
 
     Raises:
-        MachineFault: no worker can be started.
+        MachineFault: no worker can be started, or none does anything before it is lost.
     """
     if workers == 0:
         yield from _here(function, tasks)
@@ -250,6 +250,9 @@ class _Crew:
         self._hire = hire
         self._limit = limit
         self._width = width
+        self._hopeless = width + 3
+        self._deaths = 0
+        self._any_done = False
         self._busy: list[_Worker] = []
         self._idle: list[_Worker] = []
         self._waiting: deque[int] = deque()
@@ -313,6 +316,7 @@ class _Crew:
             self._dismiss(worker)
             return self._lost(worker, "ran out of memory")
         if kind == _DONE:
+            self._any_done = True
             self._busy.remove(worker)
             self._idle.append(worker)
             return Ended(worker.number or 0, value=value), None
@@ -320,6 +324,12 @@ class _Crew:
 
     def _lost(self, worker: _Worker, fate: str) -> tuple[Ended[Any] | None, str | None]:
         number = worker.number or 0
+        self._deaths += 1
+        if self._deaths == self._hopeless and not self._any_done:
+            raise MachineFault(
+                f"{self._deaths} workers were lost and no task was done, the last one {fate}; end "
+                "other programs or raise the limits (ulimit)"
+            )
         if worker.alone:
             return Ended(number, lost=fate), None
         self._alone.append(number)
@@ -348,7 +358,7 @@ class _Crew:
 def _fate(status: int) -> str:
     """What an exit status tells of a worker that we did not end."""
     if status == -signal.SIGKILL:
-        return "was killed, as systems do where memory runs out,"
+        return "was killed (as systems do where memory runs out)"
     if status < 0:
         return f"was ended by {signal.Signals(-status).name}"
     return f"ended by itself with status {status}"
