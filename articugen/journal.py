@@ -64,7 +64,7 @@ class Journal:
         self._trusted: dict[ShardEntry, bool] = {}
         self._outcomes: dict[tuple[str, str], Outcome] = {}
         self._ours: set[str] = set()
-        self._in_manifest: tuple[Key, ...] = ()
+        self._manifest: Manifest | None = None
         self._claimed = False
         self._lock: int | None = None
         if folder.exists():
@@ -112,8 +112,9 @@ class Journal:
 
     def is_complete(self, keys: Sequence[Key]) -> bool:
         """Whether a run for `keys` has nothing to do: all made, and the manifest says just that."""
-        told = not self._path.exists() and set(self._in_manifest) == set(keys)
-        return told and all(self.why(key) is None for key in keys)
+        if self._manifest is None or os.path.lexists(self._path):
+            return False
+        return set(self._manifest.keys) == set(keys) and all(self.why(key) is None for key in keys)
 
     def conflict(self, keys: Sequence[Key]) -> str | None:
         """One sentence, where the folder holds data that a run for `keys` would replace."""
@@ -177,12 +178,12 @@ class Journal:
                 "move it away or choose another output folder"
             )
         self._ours.update(names)
-        self._in_manifest = ()
+        self._manifest = None
         lines: list[dict[str, Any]] = [Claims(claims=tuple(sorted(self._ours))).model_dump()]
         lines += [outcome.model_dump(mode="json") for outcome in self._outcomes.values()]
         text = "".join(json.dumps(line) + "\n" for line in lines)
         write_atomically(self._path, text.encode())
-        self._remove([MANIFEST_NAME, *self.stale_partials()])
+        self.remove([MANIFEST_NAME, *self._temporary()])
         self._claimed = True
 
     def record(self, outcome: Outcome) -> None:
@@ -203,18 +204,45 @@ class Journal:
     def finish(self, manifest: Manifest) -> None:
         """Write the manifest, then remove the journal and those of our shards it does not name."""
         manifest.write(self.folder)
-        orphans = sorted(self._ours - {shard.name for shard in manifest.shards})
-        self._remove([*orphans, *self.stale_partials()])
-        self._remove([JOURNAL_NAME])
+        self._manifest = manifest
+        self.remove(self.leftovers())
         self._claimed = False
 
-    def stale_partials(self) -> list[str]:
-        """Temporary names that runs which were killed have left; no worker may be at work."""
+    def leftovers(self) -> dict[str, str]:
+        """What killed runs left here, in the order to remove it, and why it is not needed.
+
+        No worker may be at work. Shards that are recorded, and the journal of a run that can go on,
+        are none.
+        """
+        entries = [o.shard for o in self._outcomes.values() if o.shard]
+        kept = {shard.name for shard in (self._manifest.shards if self._manifest else entries)}
+        orphans = [name for name in sorted(self._ours - kept) if self._is_file(name)]
+        found = dict.fromkeys(self._temporary(), "a temporary file")
+        found |= dict.fromkeys(orphans, "a shard that is not recorded")
+        if self._manifest and self._is_file(JOURNAL_NAME):
+            found[JOURNAL_NAME] = "the manifest says it all"
+        return found
+
+    def remove(self, names: Iterable[str]) -> None:
+        """Remove files of this folder, in this order; what is not there is no fault."""
+        try:
+            for name in names:
+                (self.folder / name).unlink(missing_ok=True)
+            sync_folder(self.folder)
+        except OSError as error:
+            raise MachineFault(cannot_write(self.folder, error)) from None
+
+    def _temporary(self) -> list[str]:
         try:
             names = sorted(os.listdir(self.folder))
         except OSError as error:
             raise MachineFault(f"{self.folder}: cannot be read ({error.strerror})") from None
-        return [name for name in names if _is_ours(whole_name(name) or "")]
+        return [name for name in names if is_temporary(name) and self._is_file(name)]
+
+    def _is_file(self, name: str) -> bool:
+        """Whether it is there, and no folder."""
+        path = self.folder / name
+        return os.path.lexists(path) and (path.is_symlink() or not path.is_dir())
 
     def _take_lock(self) -> None:
         try:
@@ -225,7 +253,7 @@ class Journal:
 
     def _is_foreign(self, path: Path) -> bool:
         """Whether there is something that no run of ours has put there."""
-        return os.path.lexists(path) and (path.name not in self._ours or _is_folder(path))
+        return os.path.lexists(path) and not (path.name in self._ours and self._is_file(path.name))
 
     def _load(self) -> None:
         if os.path.lexists(self.folder / MANIFEST_NAME):
@@ -234,7 +262,7 @@ class Journal:
             self._ours.update(shards)
             self._take(Outcome(made=o, shard=shards[o.shard]) for o in manifest.objects)
             self._take(Outcome(rejected=rejection) for rejection in manifest.rejected)
-            self._in_manifest = tuple(e.key for e in (*manifest.objects, *manifest.rejected))
+            self._manifest = manifest
         if os.path.lexists(self._path):
             self._load_journal()
 
@@ -266,23 +294,11 @@ class Journal:
         except OSError:
             return False
 
-    def _remove(self, names: Iterable[str]) -> None:
-        try:
-            for path in (self.folder / name for name in names):
-                if not _is_folder(path):
-                    path.unlink(missing_ok=True)
-            sync_folder(self.folder)
-        except OSError as error:
-            raise MachineFault(cannot_write(self.folder, error)) from None
 
-
-def _is_ours(name: str) -> bool:
-    """Whether a run gives files this name."""
-    return name in (MANIFEST_NAME, JOURNAL_NAME) or is_shard_name(name)
-
-
-def _is_folder(path: Path) -> bool:
-    return path.is_dir() and not path.is_symlink()
+def is_temporary(name: str) -> bool:
+    """Whether a run gives a file this name until it is whole."""
+    whole = whole_name(name)
+    return whole in (MANIFEST_NAME, JOURNAL_NAME) or (whole is not None and is_shard_name(whole))
 
 
 def _append(path: Path, line: bytes) -> None:

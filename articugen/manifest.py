@@ -4,6 +4,7 @@ It is written last: a folder with a manifest is complete. journal.py tells of th
 """
 
 import hashlib
+import json
 import os
 import platform
 import subprocess
@@ -11,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterable
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -103,7 +104,7 @@ class ObjectEntry(_Record):
     """
 
     key: Key
-    input_sha256: str
+    input_sha256: Sha256
     shard: str
     instances: int = Field(gt=0)
     content_sha256: Sha256
@@ -194,6 +195,7 @@ class Manifest(_Record):
         content_sha256: `content_of` the objects: the same for the same recipe, seed, models and
             code, whatever the number of workers, the grouping into shards or the HDF5 version.
         timings: of the last run.
+        manifest_sha256: `digest` of all the rest: an edit shows.
     """
 
     schema_version: int
@@ -212,6 +214,7 @@ class Manifest(_Record):
     rejected: tuple[Rejection, ...]
     content_sha256: Sha256
     timings: Timings
+    manifest_sha256: Sha256
 
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> "Manifest":
@@ -225,7 +228,29 @@ class Manifest(_Record):
             told[entry.shard] += entry.instances
         if held != told or len(held) != len(self.shards):
             raise ValueError("objects and shards do not tell of the same instances")
+        told_of = Counter((key.split, key.object_id) for key in self.keys)
+        if told_of and told_of.most_common(1)[0][1] > 1:
+            raise ValueError(f"object {told_of.most_common(1)[0][0][1]} is told of twice")
+        if self.digest() != self.manifest_sha256:
+            raise ValueError("manifest_sha256 is not the digest of the rest: it was edited")
         return self
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """Of all objects that were tried."""
+        return tuple(entry.key for entry in (*self.objects, *self.rejected))
+
+    def digest(self) -> str:
+        """Of everything but `manifest_sha256`, as JSON with sorted keys and without spaces."""
+        rest = self.model_dump(mode="json", exclude={"manifest_sha256"})
+        text = json.dumps(rest, sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    @staticmethod
+    def sealed(**values: Any) -> "Manifest":
+        """A manifest of these values, and with their digest."""
+        draft = Manifest.model_construct(**values)
+        return Manifest(**values, manifest_sha256=draft.digest())
 
     @staticmethod
     def of(
@@ -241,7 +266,7 @@ class Manifest(_Record):
         """The manifest of a finished run: of these outcomes, made here and now by this code."""
         outcomes = sorted(outcomes, key=lambda o: (o.key.split, o.key.object_id))
         objects = tuple(o.made for o in outcomes if o.made)
-        return Manifest(
+        return Manifest.sealed(
             schema_version=SCHEMA_VERSION,
             category=category,
             source=source,

@@ -48,6 +48,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "shards": {"errors", "records", "files", "schema"},
     "manifest": {"errors", "files", "schema", "shards"},
     "journal": {"errors", "files", "manifest"},
+    "cleaning": {"errors", "journal", "manifest"},
     "checks": BASE,
     "verify": BASE | STORE | {"checks"},
     "pipeline": BASE | STORE | {"sources", "articulation", "instance"},
@@ -60,6 +61,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "console": {"inspection", "manifest", "pipeline", "sources"},
     "cli": {
         "errors",
+        "cleaning",
         "console",
         "inspection",
         "pipeline",
