@@ -286,6 +286,26 @@ def verify(
         raise typer.Exit(FAILED)
 
 
+@app.command(epilog="Example: articugen clean data/laptop --dry-run")
+def clean(
+    path: Annotated[Path, typer.Argument(help="The folder of a data set, or one of such folders.")],
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say what would be removed; remove nothing.")
+    ] = False,
+) -> None:
+    """Remove what killed runs left; what is finished or can be resumed stays."""
+    with _said_in_one_sentence():
+        from articugen.cleaning import clean as tidy
+        from articugen.inspection.tables import size
+
+        leftovers = tidy(path, dry_run=dry_run)
+        for left in leftovers:
+            told = f"{left.path}: {left.why}, {size(left.bytes)}"
+            out.print(escape(f"{'would remove' if dry_run else 'removed'} {told}"), soft_wrap=True)
+        if not leftovers:
+            out.print(f"{path}: no killed run has left anything here", soft_wrap=True)
+
+
 @app.command(
     epilog="Example: articugen mesh data/laptop laptop_0003 --state 7 --resolution 256 -o lid.ply",
 )

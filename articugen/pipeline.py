@@ -294,7 +294,7 @@ class _OverLimit(RejectedInstance):
 
 
 def _unmade(key: Key, error: Exception) -> Rejection:
-    over = error.over if isinstance(error, _OverLimit) else None
+    over = error.over if isinstance(error, _OverLimit) else ()
     return Rejection(key=key, reason=printable(str(error)), over=over)
 
 
@@ -510,8 +510,8 @@ def _report(outcome: Outcome, *, reused: bool) -> ObjectReport:
     )
 
 
-def _shortfall(outcomes: list[Outcome], recipe: Recipe) -> str:
-    """One sentence on why the set is not what its recipe asks for; "" where it is."""
+def _shortfall(outcomes: list[Outcome], recipe: Recipe) -> str | None:
+    """One sentence on why the set is not what its recipe asks for, or None."""
     made, rejected, skipped, failed = (
         sum(getattr(outcome, kind) is not None for outcome in outcomes)
         for kind in ("made", "rejected", "skipped", "failed")
@@ -529,7 +529,7 @@ def _shortfall(outcomes: list[Outcome], recipe: Recipe) -> str:
         )
     if not sentences and not made:
         sentences.append(f"no object is left: {skipped} skipped, {rejected} rejected")
-    return "; ".join(sentences)
+    return "; ".join(sentences) or None
 
 
 def _timings(todo: Plan, seconds: float, jobs: int) -> Timings:

@@ -12,7 +12,7 @@ import articugen
 
 PACKAGE = Path(articugen.__file__).parent
 
-BASE = {"errors", "geometry", "records", "seeding", "recipe", "recipe_files"}
+BASE = {"errors", "files", "geometry", "records", "seeding", "recipe", "recipe_files"}
 STAGES = {
     "articulation": set(),
     "rendering": set(),
@@ -25,7 +25,7 @@ STAGES = {
     "sampling": set(),
     "sources": set(),
 }
-STORE = {"files", "schema", "shards", "manifest", "journal"}
+STORE = {"schema", "shards", "manifest", "journal"}
 
 PPD_WITH_TORCH = {
     "dataset", "depth", "descent", "discriminator", "evaluate", "kinematics", "learner", "losses",
@@ -39,7 +39,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "geometry": set(),
     "seeding": set(),
     "records": {"geometry"},
-    "recipe_files": {"errors"},
+    "recipe_files": {"errors", "files"},
     "recipe": {"errors", "recipe_files"},
     **{stage: BASE | own for stage, own in STAGES.items()},
     "instance": BASE | set(STAGES),
@@ -48,6 +48,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "shards": {"errors", "records", "files", "schema"},
     "manifest": {"errors", "files", "schema", "shards"},
     "journal": {"errors", "files", "manifest"},
+    "cleaning": {"errors", "journal", "manifest"},
     "checks": BASE,
     "workers": {"errors"},
     "verify": BASE | STORE | {"checks", "workers"},
@@ -61,6 +62,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "console": {"inspection", "manifest", "pipeline", "sources"},
     "cli": {
         "errors",
+        "cleaning",
         "console",
         "inspection",
         "pipeline",

@@ -1,7 +1,6 @@
 """Data sets from end to end: the same bytes whoever makes them, resumed, planned, refused."""
 
 import errno
-import json
 import os
 import shutil
 import subprocess
@@ -25,7 +24,7 @@ from articugen.errors import (
 )
 from articugen.instance import make_instance, prepare
 from articugen.journal import JOURNAL_NAME
-from articugen.manifest import MANIFEST_NAME, Manifest, ObjectEntry, content_of
+from articugen.manifest import MANIFEST_NAME, Manifest, Rejection, content_of
 from articugen.pipeline import Job, ObjectReport, generate, plan
 from articugen.recipe import Articulation, Recipe, Sampling, ViewSettings, load_recipe
 from articugen.shards import open_shard
@@ -322,7 +321,7 @@ def test_too_many_rejects_fail_the_run_and_keep_what_was_made(boxes: Path, tmp_p
     assert str(boxes / "box1.urdf") in str(caught.value)
     assert "\n" not in str(caught.value)
     manifest = Manifest.read(ours.out)
-    assert manifest.shortfall in str(caught.value)
+    assert (manifest.shortfall or "?") in str(caught.value)
     assert len(manifest.objects) == 3
     assert [finding.check for finding in verify(ours.out).findings] == ["incomplete"]
     kept = contents(ours.out)
@@ -333,7 +332,7 @@ def test_too_many_rejects_fail_the_run_and_keep_what_was_made(boxes: Path, tmp_p
     manifest, reports = made(replace(ours, recipe=patient))
     assert [r.reused for r in reports] == [True] * 4
     assert len(manifest.rejected) == 1
-    assert manifest.shortfall == ""
+    assert manifest.shortfall is None
     assert verify(ours.out).findings == ()
     assert contents(ours.out) == kept
 
@@ -422,25 +421,27 @@ def test_a_fault_of_ours_ends_no_run_and_is_tried_again(
             assert found.conflict is None  # --replace is not asked for
     manifest, reports = made(ours)
     assert sum(r.reused for r in reports) == 3
-    assert (len(manifest.objects), manifest.failed, manifest.shortfall) == (4, (), "")
+    assert (len(manifest.objects), manifest.failed, manifest.shortfall) == (4, (), None)
     assert verify(ours.out).findings == ()
 
 
 def test_rejections_that_earlier_versions_wrote_over_our_faults_are_tried_again(
     mine: Path, whole: Path
 ) -> None:
-    manifest = json.loads((mine / MANIFEST_NAME).read_text())
-    entry = manifest["objects"].pop()
-    shard = next(s for s in manifest["shards"] if s["name"] == entry["shard"])
-    manifest["shards"].remove(shard)
-    (mine / shard["name"]).unlink()
+    manifest = Manifest.read(mine)
+    *objects, last = manifest.objects
     reason = "internal error, please report it: MemoryError: "
-    manifest["rejected"] = [{"key": entry["key"], "reason": reason}]
-    rest = [ObjectEntry.model_validate_json(json.dumps(o)) for o in manifest["objects"]]
-    manifest["content_sha256"] = content_of(rest)
-    (mine / MANIFEST_NAME).write_text(json.dumps(manifest))
-    assert not verify(mine).ok
-    assert [t.ref.object_id for t in plan(job(mine)).tasks] == [entry["key"]["object_id"]]
+    told = {name: getattr(manifest, name) for name in Manifest.model_fields} | {
+        "objects": tuple(objects),
+        "shards": tuple(s for s in manifest.shards if s.name != last.shard),
+        "rejected": (Rejection(key=last.key, reason=reason),),
+        "content_sha256": content_of(objects),
+    }
+    del told["manifest_sha256"]
+    Manifest.sealed(**told).write(mine)
+    (mine / last.shard).unlink()
+    assert [finding.check for finding in verify(mine).findings] == ["incomplete"]
+    assert [t.ref.object_id for t in plan(job(mine)).tasks] == [last.key.object_id]
     made(job(mine))
     assert contents(mine) == contents(whole)
 
@@ -582,7 +583,7 @@ def test_an_object_that_is_not_of_the_category_is_skipped_without_blame(
     broken(monkeypatch, "box3", NotOfCategory("box3: a hob, it has no door"))
     manifest, reports = made(ours)
     assert [s.sentence for s in manifest.skipped] == ["box3: a hob, it has no door"]
-    assert (len(manifest.objects), manifest.rejected, manifest.shortfall) == (3, (), "")
+    assert (len(manifest.objects), manifest.rejected, manifest.shortfall) == (3, (), None)
     assert [r.skipped for r in reports if not r.shard] == ["box3: a hob, it has no door"]
     assert verify(ours.out).findings == ()
     assert plan(ours).tasks == ()
