@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from articugen import __version__
+from articugen import __version__, articulation
 from articugen.cli import app
+from articugen.errors import NotOfCategory
 
 TINY = """
 name: tiny
@@ -229,3 +230,84 @@ def test_ctrl_c_keeps_finished_work_and_the_next_run_goes_on(
         whole["content_sha256"]
         == json.loads((made / "manifest.json").read_text())["content_sha256"]
     )
+
+
+TWICE = """
+import os, signal
+from articugen import cli, journal
+close = journal.Journal.close
+def closed(self):
+    for _ in range(3):
+        os.kill(os.getpid(), signal.SIGINT)  # Ctrl-C again and again while all is put in order
+    close(self)
+journal.Journal.close = closed
+"""
+
+
+def test_a_second_ctrl_c_changes_nothing(recipe: Path, tmp_path: Path) -> None:
+    command = ["generate", "-c", "laptop", "-r", str(recipe), "-o", str(tmp_path), "-j", "0"]
+    code = TWICE + INTERRUPTED.replace("len(begun) == 2", "len(begun) == 1")
+    done = subprocess.run(
+        [sys.executable, "-c", code, *command], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 130, done.stderr
+    assert done.stderr == "finished work is kept; run the same command to resume\n"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+@pytest.mark.parametrize("arguments", [["sources"], ["--help"], ["inspect", "SET"]])
+def test_a_full_standard_output_is_one_sentence(arguments: list[str], made: Path) -> None:
+    command = [str(made) if word == "SET" else word for word in arguments]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "articugen", *command],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert done.returncode == 1
+    assert done.stderr == "error: output: No space left on device\n"
+
+
+def test_a_reader_that_goes_away_is_no_error(made: Path) -> None:
+    command = f"{sys.executable} -m articugen inspect {made} 2>&1 | head -1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("laptop  2 objects")
+    assert done.stdout.count("\n") == 1
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "a/b", "-x", "a\nb"])
+def test_a_category_is_a_name(name: str, tmp_path: Path) -> None:
+    for command in (("generate", "-o"), ("train", "-d", tmp_path, "--runs")):
+        refused = run(*command, tmp_path / "out", "-c", name)
+        assert refused.exit_code == 1
+        assert "cannot be a category's name" in refused.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_is_skipped_or_has_failed_shows_once(
+    boxes: Path, recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    resolve = articulation.resolve
+
+    def resolved(obj, *given, **settings):
+        if obj.object_id == "one":
+            raise NotOfCategory("a hob, it has no door")
+        if obj.object_id == "two":
+            raise ZeroDivisionError("by nought")
+        return resolve(obj, *given, **settings)
+
+    monkeypatch.setattr(articulation, "resolve", resolved)
+    common = ("-c", "box", "-s", boxes, "-j", 0, "-r", recipe, "-n", 3, "--max-rejected", 1)
+    done = run("generate", *common, "-o", tmp_path)
+    assert done.exit_code == 1
+    assert "1 of 2 objects failed through no fault of theirs" in done.stderr
+    for reason in ("a hob, it has no door", "by nought"):
+        assert done.output.count(reason) == 1
+        assert reason in " ".join(done.stdout.split())
+    assert "1 object, such as one: a hob" in " ".join(done.stdout.split())
+    checked = run("verify", tmp_path, "-j", 1)
+    assert checked.exit_code == 1
+    assert "two: incomplete: is not in the data, and will be tried again" in checked.output
