@@ -27,17 +27,14 @@ from articugen.errors import (
     machine_fault,
     printable,
 )
+from articugen.estimate import instance_bytes, run_seconds
 from articugen.journal import Journal
 from articugen.manifest import Key, Manifest, Outcome, Rejection, Timings
-from articugen.recipe import Recipe, Sampling, check_category
+from articugen.recipe import Recipe, check_category
 from articugen.records import ArticulatedObject, Instance
 from articugen.shards import write_shard
 from articugen.sources import registry
 from articugen.sources.registry import ObjectRef
-
-SECONDS_PER_INSTANCE = 0.06
-SECONDS_PER_OBJECT = 1.0
-"""Rough figures of one core, for `plan`; a run's own rate shows in its progress bar."""
 
 SECONDS_FOR_ANY_OBJECT = 600.0
 SECONDS_FOR_ANY_INSTANCE = 5.0
@@ -401,14 +398,14 @@ def _plan(job: Job, journal: Journal) -> Plan:
             why = journal.why(key) or "the recipe now allows it more"
             tasks.append(Task(ref, key, names[key], why, known.get(key)))
     instances = len(tasks) * _instances_each(job.recipe)
-    seconds = instances * SECONDS_PER_INSTANCE + len(tasks) * SECONDS_PER_OBJECT
+    entries = [outcome.made for outcome in done if outcome.made]
     return Plan(
         keys=tuple(keys),
         tasks=tuple(tasks),
         done=tuple(done),
         instances=instances,
-        bytes=instances * _bytes_per_instance(job.recipe.sampling),
-        seconds=seconds / max(1, min(job.jobs, len(tasks))),
+        bytes=instances * instance_bytes(job.recipe.sampling),
+        seconds=run_seconds(job.recipe, len(tasks), job.jobs, entries),
         conflict=journal.conflict(keys),
     )
 
@@ -544,12 +541,6 @@ def _timings(todo: Plan, seconds: float, jobs: int) -> Timings:
         peak_memory_bytes=peak * unit,
         workers=max(1, jobs),
     )
-
-
-def _bytes_per_instance(sampling: Sampling) -> int:
-    points = 10 * sampling.surface_points + 7 * (sampling.uniform_points + sampling.near_points)
-    partial = 7 * sampling.partial_views * sampling.partial_points
-    return points + partial + sum(r**3 for r in sampling.grids) // 25 + 2000
 
 
 def default_jobs() -> int:

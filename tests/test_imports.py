@@ -52,7 +52,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "checks": BASE,
     "workers": {"errors"},
     "verify": BASE | STORE | {"checks", "workers"},
-    "pipeline": BASE | STORE | {"sources", "articulation", "instance", "workers"},
+    "estimate": {"manifest", "recipe"},
+    "pipeline": BASE | STORE | {"sources", "articulation", "instance", "workers", "estimate"},
     "meshing": BASE | {"fusion"},
     "replay": BASE
     | STORE
