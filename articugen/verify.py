@@ -6,16 +6,15 @@ numbers. Nothing is changed and nothing is believed.
 
 import hashlib
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import nullcontext
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
-from multiprocessing import get_context
 from pathlib import Path
 
 from pydantic import ValidationError
 
+from articugen import workers
 from articugen.checks import faults
 from articugen.errors import CorruptShard
 from articugen.files import sha256_of
@@ -69,7 +68,7 @@ def verify(folder: Path, *, jobs: int = 1, on_shard: Callable[[str], None] | Non
 
     Args:
         folder: of the data set.
-        jobs: processes to work with.
+        jobs: processes to work with; with 1 it is this one.
         on_shard: called with the name of each shard once it has been looked at.
     """
     try:
@@ -79,8 +78,13 @@ def verify(folder: Path, *, jobs: int = 1, on_shard: Callable[[str], None] | Non
     findings = list(_folder_findings(folder, manifest))
     look = partial(_shard_findings, folder, manifest.category, manifest.seed)
     contents = [[o for o in manifest.objects if o.shard == s.name] for s in manifest.shards]
-    with _workers(min(jobs, len(manifest.shards))) as pool:
-        looked = (pool.map if pool else map)(look, manifest.shards, contents)
+    looked = workers.in_order(
+        look,
+        list(zip(manifest.shards, contents, strict=True)),
+        workers=min(jobs, len(manifest.shards)) if jobs > 1 else 0,
+        name=lambda task: task[0].name,
+    )
+    with closing(looked):
         for shard, found in zip(manifest.shards, looked, strict=True):
             findings += found
             if on_shard is not None:
@@ -90,13 +94,6 @@ def verify(folder: Path, *, jobs: int = 1, on_shard: Callable[[str], None] | Non
     )
 
 
-def _workers(jobs: int) -> "nullcontext[None] | Executor":
-    """Spawned, not forked: HDF5 and numba's threads do not outlive a fork."""
-    if jobs <= 1:
-        return nullcontext()
-    return ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
-
-
 def _folder_findings(folder: Path, manifest: Manifest) -> Iterator[Finding]:
     known = {shard.name for shard in manifest.shards}
     for path in sorted(folder.glob("*.h5")):
@@ -104,6 +101,12 @@ def _folder_findings(folder: Path, manifest: Manifest) -> Iterator[Finding]:
             yield Finding("surplus", "the manifest does not know this file", path.name)
     if (folder / JOURNAL_NAME).exists():
         yield Finding("unfinished", "a run is at work here or was cut short; start it again")
+    unfinished = [outcome.fault for outcome in manifest.outcomes if outcome.fault]
+    for fault in unfinished:
+        sentence = f"is not in the data, and will be tried again: {fault.reason}"
+        yield Finding("incomplete", sentence, object_id=fault.key.object_id)
+    if manifest.shortfall and not unfinished:
+        yield Finding("incomplete", manifest.shortfall)
     seen: dict[str, str] = {}
     for entry in manifest.objects:
         other = seen.setdefault(entry.key.object_id, entry.key.split)
@@ -117,9 +120,10 @@ def _folder_findings(folder: Path, manifest: Manifest) -> Iterator[Finding]:
 
 
 def _shard_findings(
-    folder: Path, category: str, seed: int, entry: ShardEntry, objects: list[ObjectEntry]
+    folder: Path, category: str, seed: int, told: tuple[ShardEntry, list[ObjectEntry]]
 ) -> list[Finding]:
     """What is wrong with one shard. A file that is not the one recorded is looked into as well."""
+    entry, objects = told
     path = folder / entry.name
     if not path.is_file():
         return [

@@ -53,7 +53,7 @@ def boxes(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def made(recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a data set: two procedural laptops."""
     root = tmp_path_factory.mktemp("made")
-    done = run("generate", "-c", "laptop", "-r", recipe, "-o", root, "-j", 1)
+    done = run("generate", "-c", "laptop", "-r", recipe, "-o", root, "-j", 0)
     assert done.exit_code == 0, done.output
     return root / "laptop"
 
@@ -95,7 +95,7 @@ def test_a_dry_run_tells_the_plan_and_makes_nothing(recipe: Path, tmp_path: Path
 
 
 def test_data_made_in_another_way_is_replaced_only_on_request(recipe: Path, tmp_path: Path) -> None:
-    common = ("generate", "-c", "laptop", "-r", recipe, "-n", 1, "-j", 1, "-o", tmp_path)
+    common = ("generate", "-c", "laptop", "-r", recipe, "-n", 1, "-j", 0, "-o", tmp_path)
     assert run(*common, "--states", 0).exit_code == 0
     before = (tmp_path / "laptop" / "manifest.json").read_bytes()
     refused = run(*common, "--states", 1)
@@ -146,7 +146,7 @@ def test_a_rejected_object_shows_in_the_exit_status(
 ) -> None:
     patient = tmp_path / "patient.yaml"
     patient.write_text(f"extends: {recipe}\nobjects: 3\nmax_rejected_fraction: 0.5\n")
-    common = ("generate", "-c", "box", "-s", boxes, "-j", 1)
+    common = ("generate", "-c", "box", "-s", boxes, "-j", 0)
     done = run(*common, "-r", patient, "-o", tmp_path)
     assert done.exit_code == 3, done.output
     assert "worse" in done.stdout
@@ -158,7 +158,11 @@ def test_a_rejected_object_shows_in_the_exit_status(
     strict = run(*common, "-r", recipe, "-n", 3, "-o", tmp_path / "strict")
     assert strict.exit_code == 1
     assert "1 of 3 objects were rejected" in strict.stderr
-    assert not (tmp_path / "strict" / "box" / "manifest.json").exists()
+    assert strict.output.count("lost") == 1  # the reason is told once
+    assert (tmp_path / "strict" / "box" / "manifest.json").exists()
+    lax = run(*common, "-r", recipe, "-n", 3, "-o", tmp_path / "strict", "--max-rejected", 0.5)
+    assert lax.exit_code == 3
+    assert "nothing to do" in lax.stdout
 
 
 def test_verify_accepts_what_was_made_and_finds_a_flipped_bit(made: Path, tmp_path: Path) -> None:
@@ -204,7 +208,7 @@ cli.main()
 def test_ctrl_c_keeps_finished_work_and_the_next_run_goes_on(
     recipe: Path, made: Path, tmp_path: Path
 ) -> None:
-    command = ["generate", "-c", "laptop", "-r", str(recipe), "-o", str(tmp_path), "-j", "1"]
+    command = ["generate", "-c", "laptop", "-r", str(recipe), "-o", str(tmp_path), "-j", "0"]
     process = subprocess.Popen(
         [sys.executable, "-c", INTERRUPTED, *command],
         stderr=subprocess.PIPE,

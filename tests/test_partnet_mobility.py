@@ -206,7 +206,6 @@ class Opened:
         self.obj = resolve(
             self.source,
             load_recipe(None, category).articulation,
-            clip=False,
             canonical=settings.canonical,
             movable=settings.movable,
         )
