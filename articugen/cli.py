@@ -251,14 +251,13 @@ def _exit_with(status: int) -> None:
 
 def _made(job: "Job", *, dry_run: bool, replace: bool) -> int:
     """Make one data set and tell of it; the exit status."""
-    status = 0
     with _said_in_one_sentence(_KEPT):
         from articugen import console, pipeline
 
         with pipeline.started(job) as run:
             if dry_run:
                 out.print(console.plan_table(job, run.plan))
-                return status
+                return 0
             if run.plan.conflict and not replace:
                 raise ArticugenError(f"{run.plan.conflict}, or add --replace")
             with console.progress(err, run.plan) as tell:
@@ -269,8 +268,7 @@ def _made(job: "Job", *, dry_run: bool, replace: bool) -> int:
         if manifest.shortfall:
             raise ArticugenError(manifest.shortfall)
         out.print(f"next: articugen inspect {job.out} --image {job.out}/sheet.png", soft_wrap=True)
-        status = REJECTED if manifest.rejected else 0
-    return status
+    return REJECTED if manifest.rejected else 0
 
 
 def _made_each(todo: list["Job"], *, dry_run: bool, replace: bool) -> int:
