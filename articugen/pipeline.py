@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 
@@ -69,6 +69,7 @@ GENERATING_CODE = (
 class Job:
     """A data set to make: `recipe.objects` objects of `category` from `source` into `out`.
 
+    `ids` and `exclude` choose among the objects and change nothing of those that are made.
     `jobs` worker processes make it. With 0 this process does, without the recipe's limits of time
     and memory: for debugging.
     """
@@ -79,6 +80,8 @@ class Job:
     seed: int
     out: Path
     jobs: int
+    ids: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """
@@ -185,6 +188,8 @@ def generate(
 @contextmanager
 def started(job: Job) -> Iterator["Run"]:
     """A run that has its folder to itself and a plan, and has made nothing yet."""
+    clips = registry.clips_to_limits(job.source)
+    job = replace(job, recipe=job.recipe.for_source(clips_to_limits=clips))
     with Journal(job.out) as journal:
         yield Run(job, journal, _plan(job, journal))
 
@@ -378,7 +383,9 @@ def _instances_each(recipe: Recipe) -> int:
 
 
 def _plan(job: Job, journal: Journal) -> Plan:
-    refs = registry.object_refs(job.source, job.category, objects=job.recipe.objects)
+    refs = registry.object_refs(
+        job.source, job.category, objects=job.recipe.objects, ids=job.ids, exclude=job.exclude
+    )
     limit = _limit(job.recipe)
     keys, known = [], dict[Key, Outcome]()
     for ref, read in zip(refs, _read(job, refs, limit), strict=True):
