@@ -12,7 +12,9 @@ import articugen
 
 PACKAGE = Path(articugen.__file__).parent
 
-BASE = {"errors", "portable", "geometry", "records", "seeding", "recipe", "recipe_files"}
+BASE = {
+    "errors", "files", "portable", "geometry", "records", "seeding", "recipe", "recipe_files"
+}  # fmt: skip
 STAGES = {
     "articulation": set(),
     "rendering": set(),
@@ -25,7 +27,7 @@ STAGES = {
     "sampling": set(),
     "sources": set(),
 }
-STORE = {"files", "schema", "chunks", "shards", "manifest", "journal"}
+STORE = {"schema", "chunks", "shards", "manifest", "journal"}
 
 PPD_WITH_TORCH = {
     "dataset", "depth", "descent", "discriminator", "evaluate", "kinematics", "learner", "losses",
@@ -40,8 +42,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "geometry": {"portable"},
     "seeding": set(),
     "records": {"geometry", "portable"},
-    "recipe_files": {"errors"},
-    "recipe": {"recipe_files"},
+    "recipe_files": {"errors", "files"},
+    "recipe": {"errors", "recipe_files"},
     **{stage: BASE | own for stage, own in STAGES.items()},
     "instance": BASE | set(STAGES),
     "files": {"errors"},
@@ -50,18 +52,22 @@ MAY_IMPORT: dict[str, set[str]] = {
     "shards": {"errors", "records", "files", "schema", "chunks"},
     "manifest": {"errors", "files", "schema", "shards"},
     "journal": {"errors", "files", "manifest"},
+    "cleaning": {"errors", "journal", "manifest"},
     "checks": BASE,
-    "verify": BASE | STORE | {"checks"},
-    "pipeline": BASE | STORE | {"sources", "articulation", "instance"},
+    "workers": {"errors"},
+    "verify": BASE | STORE | {"checks", "workers"},
+    "estimate": {"manifest", "recipe"},
+    "pipeline": BASE | STORE | {"sources", "articulation", "instance", "workers", "estimate"},
     "meshing": BASE | {"fusion"},
     "replay": BASE
     | STORE
     | {"sources", "articulation", "instance", "meshing", "pipeline", "verify"},
     "inspection": BASE | STORE | {"rendering"},
-    "ppd": BASE | STORE | {"inspection"},
+    "ppd": BASE | STORE | {"inspection", "workers"},
     "console": {"inspection", "manifest", "pipeline", "sources"},
     "cli": {
         "errors",
+        "cleaning",
         "console",
         "inspection",
         "pipeline",
