@@ -360,9 +360,9 @@ class _Disk(io.RawIOBase):
         return size
 
     def truncate(self, size: int | None = None) -> int:
-        size = self._at if size is None else size
-        self._unless_faulty(os.ftruncate, self._handle, size)
-        return size
+        end = self._at if size is None else size
+        self._unless_faulty(os.ftruncate, self._handle, end)
+        return end
 
     def _unless_faulty(self, act: Any, *arguments: Any) -> Any:
         if self.fault is not None:

@@ -547,6 +547,27 @@ HARM = {
 }
 
 
+@pytest.mark.parametrize(
+    ("chunk", "skipped", "sentence"),
+    [
+        (bytes(8), 1, "scale: damaged .a chunk without its checksum."),
+        (bytes(60_000), 0, "scale: damaged"),  # larger than any chunk of the field can be
+        (bytes(11), 0, "scale: damaged .it holds 7 bytes, not 8."),
+    ],
+)
+def test_chunks_of_another_make_are_not_read(copy, chunk, skipped, sentence):
+    with h5py.File(copy, "r+") as file:
+        dataset = file["scale"]
+        assert isinstance(dataset, h5py.Dataset)
+        dataset.id.write_direct_chunk((2,), chunk, filter_mask=skipped)
+    with open_shard(copy) as shard:
+        assert shard.read("scale", 1) == ROWS[1].scale
+        with pytest.raises(CorruptShard, match=sentence):
+            shard.read("scale", 2)
+        with pytest.raises(CorruptShard, match="damaged"):
+            shard.content()
+
+
 @pytest.mark.parametrize("what", HARM)
 def test_refused(copy, what):
     harm, sentence = HARM[what]
