@@ -30,7 +30,7 @@ STORE = {"schema", "shards", "manifest", "journal"}
 PPD_WITH_TORCH = {
     "dataset", "depth", "descent", "discriminator", "evaluate", "kinematics", "learner", "losses",
     "model", "objective", "predict", "processes", "race", "reconstruct", "release", "runs",
-    "shape", "train", "figures.draw", "figures.shapes",
+    "shape", "tensors", "train", "figures.draw", "figures.shapes",
 }  # fmt: skip
 """The modules of ppd that cannot be imported without torch."""
 
