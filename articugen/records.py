@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.geometry import apply
+from articugen.portable import turned
 
 JointKind = Literal["fixed", "revolute", "continuous", "prismatic"]
 Floats = NDArray[np.float64]
@@ -211,7 +212,7 @@ class Normalization:
     def rigid_to_unit(self, T_world: Floats) -> Floats:
         """A rigid motion (..., 4, 4) of world points, as it acts on unit-frame points."""
         T = np.array(T_world)
-        moved = np.einsum("...ij,j->...i", T[..., :3, :3], self.center)
+        moved = turned(T[..., :3, :3], self.center)
         T[..., :3, 3] = (T[..., :3, 3] + moved - self.center) / self.scale
         return T
 

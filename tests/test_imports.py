@@ -12,7 +12,9 @@ import articugen
 
 PACKAGE = Path(articugen.__file__).parent
 
-BASE = {"errors", "files", "geometry", "records", "seeding", "recipe", "recipe_files"}
+BASE = {
+    "errors", "files", "portable", "geometry", "records", "seeding", "recipe", "recipe_files",
+}  # fmt: skip
 STAGES = {
     "articulation": set(),
     "rendering": set(),
@@ -36,9 +38,10 @@ PPD_WITH_TORCH = {
 
 MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
-    "geometry": set(),
+    "portable": set(),
+    "geometry": {"portable"},
     "seeding": set(),
-    "records": {"geometry"},
+    "records": {"geometry", "portable"},
     "recipe_files": {"errors", "files"},
     "recipe": {"recipe_files"},
     **{stage: BASE | own for stage, own in STAGES.items()},
