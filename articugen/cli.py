@@ -1,13 +1,17 @@
 """The command line: a thin face, each command calls one function.
 
-Exit status: 0 done; 1 an error, said in one sentence on stderr; 2 wrong usage; 3 the data set is
-complete, but for objects that were rejected (within the recipe's limit); 130 interrupted.
+Exit status: 0 done; 1 an error, said in one sentence on stderr, or a data set that is not what its
+recipe asks for, as its manifest says; 2 wrong usage; 3 the data set is complete, but for objects
+that were rejected (within the recipe's limit); 130 interrupted.
 """
 
 # Everything else is imported where it is used: --help should not wait for numba, h5py and trimesh.
 # ruff: noqa: PLC0415
+import os
+import signal
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -16,7 +20,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from articugen import __version__
-from articugen.errors import ArticugenError, CorruptShard
+from articugen.errors import ArticugenError, CorruptShard, printable
 from articugen.ppd.cli import register as register_ppd
 
 FAILED, REJECTED, INTERRUPTED = 1, 3, 130
@@ -38,7 +42,31 @@ app = typer.Typer(
 
 def main() -> None:
     """Run the command line and exit."""
-    app(prog_name="articugen")
+    signal.signal(signal.SIGINT, _interrupt_once)
+    try:
+        app(prog_name="articugen")
+    except OSError as error:  # what is meant for the terminal went to a full disk, say
+        with suppress(OSError):
+            _say_error(f"{error.filename or 'output'}: {error.strerror}")
+        _drop_output()
+        sys.exit(FAILED)
+
+
+def _interrupt_once(*_: object) -> None:
+    """The first Ctrl-C stops the work; what is then put in order takes no second one."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    raise KeyboardInterrupt
+
+
+def _drop_output() -> None:
+    """Have Python not try again, at its end, to write what could not be written."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        os.dup2(nowhere, stream)
+
+
+def _say_error(sentence: str) -> None:
+    err.print(f"[bold red]error:[/] {escape(printable(sentence))}", soft_wrap=True)
 
 
 @contextmanager
@@ -47,7 +75,7 @@ def _said_in_one_sentence(interrupted: str = "interrupted") -> Iterator[None]:
     try:
         yield
     except ArticugenError as error:
-        err.print(f"[bold red]error:[/] {escape(str(error))}", soft_wrap=True)
+        _say_error(str(error))
         raise typer.Exit(FAILED) from None
     except KeyboardInterrupt:
         err.print(interrupted, soft_wrap=True)
@@ -121,7 +149,23 @@ def generate(
     ] = None,
     jobs: Annotated[
         int | None,
-        typer.Option("--jobs", "-j", min=1, help="Worker processes.", show_default="all cores"),
+        typer.Option(
+            "--jobs",
+            "-j",
+            min=0,
+            help="Worker processes; 0 works in this one, without limits, for debugging.",
+            show_default="all cores",
+        ),
+    ] = None,
+    max_rejected: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            max=1.0,
+            metavar="FRACTION",
+            help="Of the objects, so many may be rejected before the run counts as failed.",
+            show_default="recipe's",
+        ),
     ] = None,
     folder: Annotated[
         Path, typer.Option("--out", "-o", help="The data set goes to a folder <category> in here.")
@@ -142,10 +186,12 @@ def generate(
         job = pipeline.Job(
             source=source,
             category=category,
-            recipe=load_recipe(recipe, category).with_counts(objects=objects, states=states),
+            recipe=load_recipe(recipe, category).with_counts(
+                objects=objects, states=states, max_rejected=max_rejected
+            ),
             seed=seed,
             out=folder / category,
-            jobs=jobs or pipeline.default_jobs(),
+            jobs=pipeline.default_jobs() if jobs is None else jobs,
         )
         with pipeline.started(job) as run:
             if dry_run:
@@ -153,11 +199,13 @@ def generate(
                 return
             if run.plan.conflict and not replace:
                 raise ArticugenError(f"{run.plan.conflict}, or add --replace")
-            with console.progress(err, run.plan) as on_object:
-                manifest = run.finish(on_object)
+            with console.progress(err, run.plan) as tell:
+                manifest = run.finish(tell.of_object, tell.of_notice)
         if not run.plan.tasks:
             out.print("nothing to do, all of it was there already")
         out.print(console.made_table(manifest, job.out))
+        if manifest.shortfall:
+            raise ArticugenError(manifest.shortfall)
         out.print(f"next: articugen inspect {job.out} --image {job.out}/sheet.png", soft_wrap=True)
     if manifest.rejected:
         raise typer.Exit(REJECTED)
@@ -178,10 +226,12 @@ def inspect(
 ) -> None:
     """Print what a shard or a data set holds, and draw it."""
     with _said_in_one_sentence():
+        from articugen.console import left_out
         from articugen.inspection.summary import shards_of, summary
 
         shards = shards_of(path)
         out.print(summary(shards))
+        out.print(left_out(path))
         if image is not None:
             from articugen.inspection.contact_sheet import contact_sheet
 
@@ -281,7 +331,8 @@ def _data_sets(path: Path) -> list[Path]:
     """The data set in `path`, or those in its folders."""
     if next(path.glob("*.h5"), None) or (path / "manifest.json").exists():
         return [path]
-    folders = sorted({shard.parent for shard in path.glob("*/*.h5")})
+    marks = ("*/*.h5", "*/manifest.json")
+    folders = sorted({file.parent for mark in marks for file in path.glob(mark)})
     if not folders:
         raise CorruptShard(f"{path}: holds no data set; make one with: articugen generate")
     return folders

@@ -7,6 +7,7 @@ finished object, on the disk as soon as its shard is.
 import fcntl
 import json
 import os
+import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -38,6 +39,9 @@ from articugen.manifest import (
 )
 
 JOURNAL_NAME = ".articugen-journal.jsonl"
+
+DYING_SECONDS = 1.0
+"""The workers of a killed run hold its lock for so long at most: see `workers.die_with`."""
 
 
 class Journal:
@@ -92,11 +96,18 @@ class Journal:
             os.close(self._lock)
             self._lock = None
 
+    @property
+    def handles(self) -> tuple[int, ...]:
+        """The open file that keeps other runs out; whoever holds it does so as well."""
+        return () if self._lock is None else (self._lock,)
+
     def why(self, key: Key) -> str | None:
         """Why the object must be made (again); None where what is on the disk will do."""
         outcome = self._outcomes.get((key.split, key.object_id))
         if outcome is None:
             return "it has not been made yet"
+        if outcome.fault is not None:
+            return f"it failed ({outcome.fault.reason})"
         difference = key.difference(outcome.key)
         if difference is not None or outcome.shard is None:
             return difference
@@ -258,10 +269,8 @@ class Journal:
     def _load(self) -> None:
         if os.path.lexists(self.folder / MANIFEST_NAME):
             manifest = Manifest.read(self.folder)
-            shards = {shard.name: shard for shard in manifest.shards}
-            self._ours.update(shards)
-            self._take(Outcome(made=o, shard=shards[o.shard]) for o in manifest.objects)
-            self._take(Outcome(rejected=rejection) for rejection in manifest.rejected)
+            self._ours.update(shard.name for shard in manifest.shards)
+            self._take(manifest.outcomes)
             self._manifest = manifest
         if os.path.lexists(self._path):
             self._load_journal()
@@ -319,15 +328,21 @@ def _append(path: Path, line: bytes) -> None:
 
 
 def _locked(folder: Path) -> int:
-    """A handle that keeps other runs out for as long as it, or this process, lives."""
+    """A handle that keeps other runs out for as long as anybody holds it open."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(handle)
-        raise ArticugenError(
-            f"{folder}: another run is writing here; wait for it or choose another output folder"
-        ) from None
-    except OSError:
-        pass  # a file system without locks: there the user must see to it
-    return handle
+    patience = time.monotonic() + DYING_SECONDS
+    while True:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() < patience:
+                time.sleep(0.05)
+                continue
+            os.close(handle)
+            raise ArticugenError(
+                f"{folder}: another run is writing here; wait for it or choose another output "
+                "folder"
+            ) from None
+        except OSError:
+            pass  # a file system without locks: there the user must see to it
+        return handle

@@ -10,16 +10,15 @@ the manifest does not tell of is named.
 
 import hashlib
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import nullcontext
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
-from multiprocessing import get_context
 from pathlib import Path
 
 from pydantic import ValidationError
 
+from articugen import workers
 from articugen.checks import faults
 from articugen.errors import CorruptShard
 from articugen.files import sha256_of
@@ -81,7 +80,7 @@ def verify(folder: Path, *, jobs: int = 1, on_shard: Callable[[str], None] | Non
 
     Args:
         folder: of the data set.
-        jobs: processes to work with.
+        jobs: processes to work with; with 1 it is this one.
         on_shard: called with the name of each shard once it has been looked at.
     """
     try:
@@ -91,8 +90,13 @@ def verify(folder: Path, *, jobs: int = 1, on_shard: Callable[[str], None] | Non
     findings = [*_manifest_findings(manifest), *_strays(folder, manifest), *_leftovers(folder)]
     look = partial(_shard_findings, folder, _told_attributes(manifest))
     contents = [[o for o in manifest.objects if o.shard == s.name] for s in manifest.shards]
-    with _workers(min(jobs, len(manifest.shards))) as pool:
-        looked = (pool.map if pool else map)(look, manifest.shards, contents)
+    looked = workers.in_order(
+        look,
+        list(zip(manifest.shards, contents, strict=True)),
+        workers=min(jobs, len(manifest.shards)) if jobs > 1 else 0,
+        name=lambda task: task[0].name,
+    )
+    with closing(looked):
         for shard, found in zip(manifest.shards, looked, strict=True):
             findings += found
             if on_shard is not None:
@@ -100,13 +104,6 @@ def verify(folder: Path, *, jobs: int = 1, on_shard: Callable[[str], None] | Non
     return Report(
         tuple(findings), len(manifest.shards), sum(shard.instances for shard in manifest.shards)
     )
-
-
-def _workers(jobs: int) -> "nullcontext[None] | Executor":
-    """Spawned, not forked: HDF5 and numba's threads do not outlive a fork."""
-    if jobs <= 1:
-        return nullcontext()
-    return ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
 
 
 def _manifest_findings(manifest: Manifest) -> Iterator[Finding]:
@@ -134,6 +131,12 @@ def _manifest_findings(manifest: Manifest) -> Iterator[Finding]:
             )
     if recipe and not _is_plausible(manifest, recipe):
         yield Finding("manifest", "timings tell of a number of instances that cannot be")
+    unfinished = [outcome.fault for outcome in manifest.outcomes if outcome.fault]
+    for fault in unfinished:
+        sentence = f"is not in the data, and will be tried again: {fault.reason}"
+        yield Finding("incomplete", sentence, object_id=fault.key.object_id)
+    if manifest.shortfall and not unfinished:
+        yield Finding("incomplete", manifest.shortfall)
     yield from _splits(manifest)
 
 
@@ -203,9 +206,10 @@ def _told_attributes(manifest: Manifest) -> dict[str, str | int]:
 
 
 def _shard_findings(
-    folder: Path, told: dict[str, str | int], entry: ShardEntry, objects: list[ObjectEntry]
+    folder: Path, about: dict[str, str | int], told: tuple[ShardEntry, list[ObjectEntry]]
 ) -> list[Finding]:
     """What is wrong with one shard. A file that is not the one recorded is looked into as well."""
+    entry, objects = told
     path = folder / entry.name
     if not path.is_file():
         return [
@@ -217,7 +221,7 @@ def _shard_findings(
             sentence = "not the file that the manifest tells of"
             findings.append(Finding("checksum", sentence, entry.name))
         with open_shard(path) as shard:
-            findings += _attribute_findings(shard, told, objects)
+            findings += _attribute_findings(shard, about, objects)
             findings += _content_findings(shard, entry, objects)
             findings += _geometry_findings(shard)
     except CorruptShard as error:

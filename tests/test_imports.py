@@ -43,7 +43,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "seeding": set(),
     "records": {"geometry", "portable"},
     "recipe_files": {"errors", "files"},
-    "recipe": {"recipe_files"},
+    "recipe": {"errors", "recipe_files"},
     **{stage: BASE | own for stage, own in STAGES.items()},
     "instance": BASE | set(STAGES),
     "files": {"errors"},
@@ -53,14 +53,15 @@ MAY_IMPORT: dict[str, set[str]] = {
     "journal": {"errors", "files", "manifest"},
     "cleaning": {"errors", "journal", "manifest"},
     "checks": BASE,
-    "verify": BASE | STORE | {"checks"},
-    "pipeline": BASE | STORE | {"sources", "articulation", "instance"},
+    "workers": {"errors"},
+    "verify": BASE | STORE | {"checks", "workers"},
+    "pipeline": BASE | STORE | {"sources", "articulation", "instance", "workers"},
     "meshing": BASE | {"fusion"},
     "replay": BASE
     | STORE
     | {"sources", "articulation", "instance", "meshing", "pipeline", "verify"},
     "inspection": BASE | STORE | {"rendering"},
-    "ppd": BASE | STORE | {"inspection"},
+    "ppd": BASE | STORE | {"inspection", "workers"},
     "console": {"inspection", "manifest", "pipeline", "sources"},
     "cli": {
         "errors",

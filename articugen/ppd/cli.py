@@ -82,6 +82,9 @@ def train(
 ) -> None:
     """Train PPD on a data set, or go on with a run."""
     with _said("interrupted; the last checkpoint is kept, go on with --resume"):
+        from articugen.recipe import check_category
+
+        check_category(category)
         _prepare(device, threads)
         from articugen.ppd import boards, processes
         from articugen.ppd.race import race

@@ -16,7 +16,7 @@ from concurrent.futures import ProcessPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +27,7 @@ from articugen.files import write_atomically
 from articugen.ppd.runs import BEST, LATEST, METRICS, RunFolder, read_checkpoint
 from articugen.ppd.settings import TrainRecipe
 from articugen.ppd.train import Progress, new_run, train
+from articugen.workers import die_with
 
 if TYPE_CHECKING:
     from multiprocessing.queues import Queue
@@ -199,6 +200,9 @@ def _begin(mail: "Queue[Progress]") -> None:
     global _mail  # noqa: PLW0603
     _mail = mail
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says when to stop
+    parent = parent_process()
+    if parent is not None and parent.pid is not None:
+        die_with(parent.pid)
     torch.set_num_threads(1)
 
 
