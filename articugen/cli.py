@@ -13,7 +13,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -22,6 +22,9 @@ from rich.markup import escape
 from articugen import __version__
 from articugen.errors import ArticugenError, printable
 from articugen.ppd.cli import register as register_ppd
+
+if TYPE_CHECKING:
+    from articugen.pipeline import Job
 
 FAILED, REJECTED, INTERRUPTED = 1, 3, 130
 
@@ -113,12 +116,19 @@ def sources() -> None:
 @app.command(
     epilog="Examples:\n\n"
     "articugen generate --category laptop --recipe quick\n\n"
-    "articugen generate --category oven --objects 6 --states 10 --out /tmp/data\n\n"
+    "articugen generate -c laptop,oven --objects 6 --states 10 --out /tmp/data\n\n"
+    "articugen generate -c storage_furniture -s partnet_mobility --movable 'drawer*'\n\n"
     "articugen generate --category cabinet --source path/to/urdfs --dry-run",
 )
 def generate(
     category: Annotated[
-        str, typer.Option("--category", "-c", help="What to make, as `articugen sources` lists it.")
+        list[str],
+        typer.Option(
+            "--category",
+            "-c",
+            help="What to make, as `articugen sources` lists it; several, or `all`: each into its "
+            "own folder.",
+        ),
     ],
     source: Annotated[
         str, typer.Option("--source", "-s", help="A source's name, or a folder of URDFs.")
@@ -137,6 +147,26 @@ def generate(
             min=1,
             help="So many objects, in the splits' ratio.",
             show_default="all",
+        ),
+    ] = None,
+    ids: Annotated[
+        list[str] | None, typer.Option(help="These objects alone: 10040,10101.", show_default="all")
+    ] = None,
+    exclude: Annotated[
+        list[str] | None, typer.Option(help="But not these.", show_default="none")
+    ] = None,
+    movable: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Joints or parts that move, as patterns: 'drawer*,*door'.",
+            show_default="recipe's, else source's",
+        ),
+    ] = None,
+    canonical: Annotated[
+        str | None,
+        typer.Option(
+            help="The joint value that is state 0: zero, lower or upper (limit).",
+            show_default="recipe's, else source's",
         ),
     ] = None,
     states: Annotated[
@@ -179,24 +209,55 @@ def generate(
     ] = False,
 ) -> None:
     """Make a data set, or what is missing of it: run it again to resume."""
-    with _said_in_one_sentence("finished work is kept; run the same command to resume"):
-        from articugen import console, pipeline
+    with _said_in_one_sentence(_KEPT):
+        from articugen import pipeline
         from articugen.recipe import load_recipe
+        from articugen.sources import registry
 
-        job = pipeline.Job(
-            source=source,
-            category=category,
-            recipe=load_recipe(recipe, category).with_counts(
-                objects=objects, states=states, max_rejected=max_rejected
-            ),
-            seed=seed,
-            out=folder / category,
-            jobs=pipeline.default_jobs() if jobs is None else jobs,
-        )
+        names = registry.categories(source, category)
+        shares = registry.share_out(source, names, _listed(ids), _listed(exclude))
+        todo = [
+            pipeline.Job(
+                source=source,
+                category=name,
+                recipe=load_recipe(recipe, name)
+                .with_counts(objects=objects, states=states, max_rejected=max_rejected)
+                .with_articulation(movable=_listed(movable), canonical=canonical),
+                seed=seed,
+                out=folder / name,
+                jobs=pipeline.default_jobs() if jobs is None else jobs,
+                ids=own,
+                exclude=out_of,
+            )
+            for name, (own, out_of) in shares.items()
+        ]
+    if len(todo) == 1:
+        _exit_with(_made(todo[0], dry_run=dry_run, replace=replace))
+    _exit_with(_made_each(todo, dry_run=dry_run, replace=replace))
+
+
+_KEPT = "finished work is kept; run the same command to resume"
+
+
+def _listed(texts: list[str] | None) -> list[str]:
+    """What an option names that may be given several times, with several names each."""
+    return [name.strip() for text in texts or () for name in text.split(",") if name.strip()]
+
+
+def _exit_with(status: int) -> None:
+    if status:
+        raise typer.Exit(status)
+
+
+def _made(job: "Job", *, dry_run: bool, replace: bool) -> int:
+    """Make one data set and tell of it; the exit status."""
+    with _said_in_one_sentence(_KEPT):
+        from articugen import console, pipeline
+
         with pipeline.started(job) as run:
             if dry_run:
                 out.print(console.plan_table(job, run.plan))
-                return
+                return 0
             if run.plan.conflict and not replace:
                 raise ArticugenError(f"{run.plan.conflict}, or add --replace")
             with console.progress(err, run.plan) as tell:
@@ -207,8 +268,26 @@ def generate(
         if manifest.shortfall:
             raise ArticugenError(manifest.shortfall)
         out.print(f"next: articugen inspect {job.out} --image {job.out}/sheet.png", soft_wrap=True)
-    if manifest.rejected:
-        raise typer.Exit(REJECTED)
+    return REJECTED if manifest.rejected else 0
+
+
+def _made_each(todo: list["Job"], *, dry_run: bool, replace: bool) -> int:
+    """Make several data sets: one that fails does not stop the others. The worst exit status."""
+    ended: dict[str, int] = {}
+    for job in todo:
+        try:
+            ended[job.category] = _made(job, dry_run=dry_run, replace=replace)
+        except typer.Exit as left:
+            if left.exit_code == INTERRUPTED:
+                raise
+            ended[job.category] = left.exit_code
+    failed = [name for name, status in ended.items() if status == FAILED]
+    out.print(
+        f"{len(ended) - len(failed)} of {len(ended)} categories are done"
+        + (f"; not: {', '.join(failed)}" if failed else ""),
+        soft_wrap=True,
+    )
+    return FAILED if failed else max(ended.values(), default=0)
 
 
 @app.command(

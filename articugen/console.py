@@ -59,8 +59,9 @@ def plan_table(job: Job, plan: Plan) -> RenderableType:
             "to make", escape(f"{_count(len(objects), 'object')} ({some}), each because {why}")
         )
     table.add_row("instances", f"{plan.instances:,}")
-    table.add_row("disk", f"about {size(plan.bytes)}")
-    table.add_row("time", f"about {duration(plan.seconds)} on {_count(job.jobs, 'worker')}")
+    table.add_row("disk", f"about {size(plan.bytes)}: an estimate")
+    on = f"on {_count(max(job.jobs, 1), 'worker')}"
+    table.add_row("time", f"about {duration(round(plan.seconds))} {on}: an estimate")
     lines: list[RenderableType] = [_title(job.category, job.out), table]
     if plan.conflict:
         lines.append(Text(plan.conflict, "yellow"))

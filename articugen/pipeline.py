@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 
@@ -27,17 +27,14 @@ from articugen.errors import (
     machine_fault,
     printable,
 )
+from articugen.estimate import instance_bytes, run_seconds
 from articugen.journal import Journal
 from articugen.manifest import Key, Manifest, Outcome, Rejection, Timings
-from articugen.recipe import Recipe, Sampling, check_category
+from articugen.recipe import Recipe, check_category
 from articugen.records import ArticulatedObject, Instance
 from articugen.shards import write_shard
 from articugen.sources import registry
 from articugen.sources.registry import ObjectRef
-
-SECONDS_PER_INSTANCE = 0.06
-SECONDS_PER_OBJECT = 1.0
-"""Rough figures of one core, for `plan`; a run's own rate shows in its progress bar."""
 
 SECONDS_FOR_ANY_OBJECT = 600.0
 SECONDS_FOR_ANY_INSTANCE = 5.0
@@ -72,6 +69,7 @@ GENERATING_CODE = (
 class Job:
     """A data set to make: `recipe.objects` objects of `category` from `source` into `out`.
 
+    `ids` and `exclude` choose among the objects and change nothing of those that are made.
     `jobs` worker processes make it. With 0 this process does, without the recipe's limits of time
     and memory: for debugging.
     """
@@ -82,6 +80,8 @@ class Job:
     seed: int
     out: Path
     jobs: int
+    ids: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """
@@ -188,6 +188,8 @@ def generate(
 @contextmanager
 def started(job: Job) -> Iterator["Run"]:
     """A run that has its folder to itself and a plan, and has made nothing yet."""
+    clips = registry.clips_to_limits(job.source)
+    job = replace(job, recipe=job.recipe.for_source(clips_to_limits=clips))
     with Journal(job.out) as journal:
         yield Run(job, journal, _plan(job, journal))
 
@@ -381,7 +383,9 @@ def _instances_each(recipe: Recipe) -> int:
 
 
 def _plan(job: Job, journal: Journal) -> Plan:
-    refs = registry.object_refs(job.source, job.category, objects=job.recipe.objects)
+    refs = registry.object_refs(
+        job.source, job.category, objects=job.recipe.objects, ids=job.ids, exclude=job.exclude
+    )
     limit = _limit(job.recipe)
     keys, known = [], dict[Key, Outcome]()
     for ref, read in zip(refs, _read(job, refs, limit), strict=True):
@@ -402,14 +406,14 @@ def _plan(job: Job, journal: Journal) -> Plan:
             why = journal.why(key) or "the recipe now allows it more"
             tasks.append(Task(ref, key, names[key], why, known.get(key)))
     instances = len(tasks) * _instances_each(job.recipe)
-    seconds = instances * SECONDS_PER_INSTANCE + len(tasks) * SECONDS_PER_OBJECT
+    entries = [outcome.made for outcome in done if outcome.made]
     return Plan(
         keys=tuple(keys),
         tasks=tuple(tasks),
         done=tuple(done),
         instances=instances,
-        bytes=instances * _bytes_per_instance(job.recipe.sampling),
-        seconds=seconds / max(1, min(job.jobs, len(tasks))),
+        bytes=instances * instance_bytes(job.recipe.sampling),
+        seconds=run_seconds(job.recipe, len(tasks), job.jobs, entries),
         conflict=journal.conflict(keys),
     )
 
@@ -545,12 +549,6 @@ def _timings(todo: Plan, seconds: float, jobs: int) -> Timings:
         peak_memory_bytes=peak * unit,
         workers=max(1, jobs),
     )
-
-
-def _bytes_per_instance(sampling: Sampling) -> int:
-    points = 10 * sampling.surface_points + 7 * (sampling.uniform_points + sampling.near_points)
-    partial = 7 * sampling.partial_views * sampling.partial_points
-    return points + partial + sum(r**3 for r in sampling.grids) // 25 + 2000
 
 
 def default_jobs() -> int:

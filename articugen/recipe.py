@@ -7,6 +7,7 @@ keys are refused with the nearest valid name. The hash of the resolved recipe is
 import hashlib
 import json
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -31,7 +32,8 @@ class Articulation(_Section):
         revolute_degrees: the range sampled from, relative to the canonical pose; also the limits
             of continuous joints and of joints without any.
         prismatic_metres: the same for prismatic joints; null means up to the URDF's own limit.
-        clip_to_limits: stay inside the URDF's limits.
+        clip_to_limits: stay inside the URDF's limits; `source` asks source.yaml: models made by
+            others do, our own procedural ones keep the range of the recipe.
         movable: names of joints that move, as patterns with * and ?; the others are locked at the
             canonical value and their links ride on what they hang on. [] means: ask source.yaml.
     """
@@ -40,7 +42,7 @@ class Articulation(_Section):
     canonical: Literal["source", "zero", "lower", "upper"] = "source"
     revolute_degrees: tuple[float, float] = (0.0, 135.0)
     prismatic_metres: tuple[float, float] | None = None
-    clip_to_limits: bool = False
+    clip_to_limits: bool | Literal["source"] = "source"
     movable: tuple[str, ...] = ()
 
     @model_validator(mode="after")
@@ -153,6 +155,28 @@ class Recipe(_Section):
         if states is not None:
             data["articulation"]["states"] = states
         return Recipe.model_validate(data)
+
+    def with_articulation(
+        self, *, movable: Sequence[str] = (), canonical: str | None = None
+    ) -> "Recipe":
+        """This recipe with other moving joints or another canonical pose; nothing keeps its own.
+
+        Raises:
+            InvalidRecipe: there is no such canonical pose.
+        """
+        data = self.model_dump()
+        if movable:
+            data["articulation"]["movable"] = list(movable)
+        if canonical is not None:
+            data["articulation"]["canonical"] = canonical
+        return validated(Recipe, data, f"recipe {self.name!r}")
+
+    def for_source(self, *, clips_to_limits: bool) -> "Recipe":
+        """This recipe as it is for a source: that its joints are clipped, or not, is then said."""
+        if self.articulation.clip_to_limits != "source":
+            return self
+        own = self.articulation.model_copy(update={"clip_to_limits": clips_to_limits})
+        return self.model_copy(update={"articulation": own})
 
 
 def check_category(name: str) -> None:

@@ -95,6 +95,46 @@ def test_a_dry_run_tells_the_plan_and_makes_nothing(recipe: Path, tmp_path: Path
     assert not list(tmp_path.rglob("*.h5"))
 
 
+def test_several_categories_go_into_their_own_folders_and_one_that_fails_stops_none(
+    recipe: Path, boxes: Path, tmp_path: Path
+) -> None:
+    for name in ("one", "two"):
+        folder = tmp_path / "models" / "Lamp" / name
+        folder.mkdir(parents=True)
+        (folder / "lamp.urdf").write_text(BOX)
+        broken = tmp_path / "models" / "Chair" / name
+        broken.mkdir(parents=True)
+        (broken / "chair.urdf").write_text((boxes / "worse.urdf").read_text())
+    flags = ("-r", recipe, "-o", tmp_path / "data", "-j", 0, "-s", tmp_path / "models")
+    done = run("generate", "-c", "all", *flags)
+    assert done.exit_code == 1
+    assert "1 of 2 categories are done; not: chair" in done.output
+    manifest = json.loads((tmp_path / "data" / "lamp" / "manifest.json").read_text())
+    assert [entry["key"]["object_id"] for entry in manifest["objects"]] == ["two", "one"]
+    one = run("generate", "-c", "Lamp,lamp", "--exclude", "two", *flags, "--dry-run")
+    assert "1 object" in one.output
+    assert "categories are done" not in one.output
+
+
+def test_chosen_joints_are_in_the_manifest_and_chosen_objects_keep_their_shards(
+    recipe: Path, made: Path, tmp_path: Path
+) -> None:
+    flags = ("-c", "laptop", "-r", recipe, "-o", tmp_path, "-j", 0)
+    both = json.loads((made / "manifest.json").read_text())["objects"]
+    split = {entry["key"]["object_id"]: entry["key"]["split"] for entry in both}
+    last = max(split)
+    done = run("generate", *flags, "--ids", last, "--movable", "hin*,x", "--movable", "y")
+    assert done.exit_code == 0, done.output
+    manifest = json.loads((tmp_path / "laptop" / "manifest.json").read_text())
+    articulation = json.loads(manifest["recipe"])["articulation"]
+    assert articulation["movable"] == ["hin*", "x", "y"]
+    assert articulation["clip_to_limits"] is False
+    keys = [entry["key"] for entry in manifest["objects"]]
+    assert [(key["object_id"], key["split"]) for key in keys] == [(last, split[last])]
+    lost = run("generate", *flags, "--ids", "laptop_1", "--dry-run")
+    assert (lost.exit_code, "did you mean 'laptop_" in lost.output) == (1, True)
+
+
 def test_data_made_in_another_way_is_replaced_only_on_request(recipe: Path, tmp_path: Path) -> None:
     common = ("generate", "-c", "laptop", "-r", recipe, "-n", 1, "-j", 0, "-o", tmp_path)
     assert run(*common, "--states", 0).exit_code == 0

@@ -13,7 +13,7 @@ import articugen
 PACKAGE = Path(articugen.__file__).parent
 
 BASE = {
-    "errors", "files", "portable", "geometry", "records", "seeding", "recipe", "recipe_files",
+    "errors", "files", "portable", "geometry", "records", "seeding", "recipe", "recipe_files"
 }  # fmt: skip
 STAGES = {
     "articulation": set(),
@@ -55,7 +55,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "checks": BASE,
     "workers": {"errors"},
     "verify": BASE | STORE | {"checks", "workers"},
-    "pipeline": BASE | STORE | {"sources", "articulation", "instance", "workers"},
+    "estimate": {"manifest", "recipe"},
+    "pipeline": BASE | STORE | {"sources", "articulation", "instance", "workers", "estimate"},
     "meshing": BASE | {"fusion"},
     "replay": BASE
     | STORE
