@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from articugen import chunks, schema
 from articugen.errors import ArticugenError, CorruptShard
-from articugen.files import sha256_of, written_atomically
+from articugen.files import UnfitFile, check_regular, sha256_of, written_atomically
 from articugen.records import Instance
 from articugen.schema import Field
 
@@ -499,7 +499,10 @@ def _describe_file(file: h5py.File, attributes: Mapping[str, Attribute]) -> None
 def _opened(path: Path) -> h5py.File:
     """Without HDF5's file lock, which network file systems lack: a shard never changes."""
     try:
+        check_regular(path)
         return h5py.File(path, "r", locking=False)
+    except UnfitFile as error:
+        raise CorruptShard(f"{path}: {error.strerror}; move it away") from None
     except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
         reason = os.strerror(error.errno or 0)
         raise CorruptShard(f"{path}: cannot be opened ({reason})") from None
