@@ -13,9 +13,29 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from articugen.errors import ArticugenError, CorruptShard
-from articugen.files import cannot_write, partial_name, sha256_of, sync_folder, write_atomically
-from articugen.manifest import MANIFEST_NAME, Key, Manifest, Outcome, ShardEntry
+from pydantic import ValidationError
+
+from articugen.errors import ArticugenError, CorruptShard, MachineFault
+from articugen.files import (
+    UnfitFile,
+    cannot_write,
+    make_folder,
+    read_regular,
+    sha256_of,
+    sync_folder,
+    whole_name,
+    write_atomically,
+)
+from articugen.manifest import (
+    MANIFEST_NAME,
+    MOST_BYTES,
+    Claims,
+    Key,
+    Manifest,
+    Outcome,
+    ShardEntry,
+    is_shard_name,
+)
 
 JOURNAL_NAME = ".articugen-journal.jsonl"
 
@@ -25,7 +45,7 @@ class Journal:
 
     Nothing is believed that is not on the disk as it was recorded: a shard counts only with the
     size and digest that its line states. Shards of ours that are out of date are replaced; files
-    that no line names are never touched.
+    that no line names are never touched, nor anything outside the folder, whatever a line says.
 
     Use it as `with Journal(folder) as journal:`. The journal's first line that claims a file name
     is on the disk before the file is, so that a run that was killed recognises its own files.
@@ -35,7 +55,8 @@ class Journal:
         """Read what `folder` holds, and keep other runs out of it. Nothing is written yet.
 
         Raises:
-            ArticugenError: another run is at work in it, it cannot be read.
+            ArticugenError: another run is at work in it.
+            MachineFault: it cannot be read.
             CorruptShard: its manifest or journal is damaged.
         """
         self.folder = folder
@@ -143,12 +164,13 @@ class Journal:
         """Say that shards of these names are about to be written; the manifest goes, if any.
 
         Raises:
-            ArticugenError: a file of that name is there and not ours; the folder cannot be written.
+            ArticugenError: a file of that name is there and not ours.
+            MachineFault: the folder cannot be written.
         """
         names = sorted(set(names))
         if self._lock is None:
             self._take_lock()
-        foreign = [n for n in names if n not in self._ours and (self.folder / n).exists()]
+        foreign = [n for n in names if self._is_foreign(self.folder / n)]
         if foreign:
             raise ArticugenError(
                 f"{self.folder / foreign[0]}: exists and was not made by an earlier run here; "
@@ -156,11 +178,11 @@ class Journal:
             )
         self._ours.update(names)
         self._in_manifest = ()
-        lines: list[dict[str, Any]] = [{"claims": sorted(self._ours)}]
+        lines: list[dict[str, Any]] = [Claims(claims=tuple(sorted(self._ours))).model_dump()]
         lines += [outcome.model_dump(mode="json") for outcome in self._outcomes.values()]
         text = "".join(json.dumps(line) + "\n" for line in lines)
         write_atomically(self._path, text.encode())
-        self._remove([MANIFEST_NAME, *(partial_name(name) for name in names)])
+        self._remove([MANIFEST_NAME, *self.stale_partials()])
         self._claimed = True
 
     def record(self, outcome: Outcome) -> None:
@@ -174,54 +196,64 @@ class Journal:
             self._trusted[outcome.shard] = True
         line = outcome.model_dump_json() + "\n"
         try:
-            with self._path.open("ab") as file:
-                file.write(line.encode())
-                file.flush()
-                os.fsync(file.fileno())
+            _append(self._path, line.encode())
         except OSError as error:
-            raise ArticugenError(cannot_write(self._path, error, len(line))) from None
+            raise MachineFault(cannot_write(self._path, error, len(line))) from None
 
     def finish(self, manifest: Manifest) -> None:
         """Write the manifest, then remove the journal and those of our shards it does not name."""
         manifest.write(self.folder)
-        self._remove(sorted(self._ours - {shard.name for shard in manifest.shards}))
+        orphans = sorted(self._ours - {shard.name for shard in manifest.shards})
+        self._remove([*orphans, *self.stale_partials()])
         self._remove([JOURNAL_NAME])
         self._claimed = False
 
+    def stale_partials(self) -> list[str]:
+        """Temporary names that runs which were killed have left; no worker may be at work."""
+        try:
+            names = sorted(os.listdir(self.folder))
+        except OSError as error:
+            raise MachineFault(f"{self.folder}: cannot be read ({error.strerror})") from None
+        return [name for name in names if _is_ours(whole_name(name) or "")]
+
     def _take_lock(self) -> None:
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
+            make_folder(self.folder)
             self._lock = _locked(self.folder)
         except OSError as error:
-            raise ArticugenError(cannot_write(self.folder, error)) from None
+            raise MachineFault(cannot_write(self.folder, error)) from None
+
+    def _is_foreign(self, path: Path) -> bool:
+        """Whether there is something that no run of ours has put there."""
+        return os.path.lexists(path) and (path.name not in self._ours or _is_folder(path))
 
     def _load(self) -> None:
-        if (self.folder / MANIFEST_NAME).exists():
+        if os.path.lexists(self.folder / MANIFEST_NAME):
             manifest = Manifest.read(self.folder)
             shards = {shard.name: shard for shard in manifest.shards}
             self._ours.update(shards)
             self._take(Outcome(made=o, shard=shards[o.shard]) for o in manifest.objects)
             self._take(Outcome(rejected=rejection) for rejection in manifest.rejected)
             self._in_manifest = tuple(e.key for e in (*manifest.objects, *manifest.rejected))
-        if self._path.exists():
+        if os.path.lexists(self._path):
             self._load_journal()
 
     def _load_journal(self) -> None:
+        cure = "delete that file and the shards beside it to start afresh"
         try:
-            lines = self._path.read_bytes().split(b"\n")
+            lines = read_regular(self._path, MOST_BYTES, follow=False).split(b"\n")
+        except UnfitFile as error:
+            raise CorruptShard(f"{self._path}: {error.strerror}; {cure}") from None
         except OSError as error:
-            raise ArticugenError(f"{self._path}: cannot be read ({error.strerror})") from None
+            raise MachineFault(f"{self._path}: cannot be read ({error.strerror})") from None
         for number, line in enumerate(lines[:-1], start=1):  # what follows the last \n is torn
             try:
                 if number == 1:
-                    self._ours.update(json.loads(line)["claims"])
+                    self._ours.update(Claims.model_validate_json(line).claims)
                 else:
                     self._take([Outcome.model_validate_json(line)])
-            except (ValueError, KeyError, TypeError):
-                raise CorruptShard(
-                    f"{self._path}: line {number} is damaged; delete that file and the shards "
-                    "beside it to start afresh"
-                ) from None
+            except ValidationError:
+                raise CorruptShard(f"{self._path}: line {number} is damaged; {cure}") from None
 
     def _take(self, outcomes: Iterable[Outcome]) -> None:
         for outcome in outcomes:
@@ -236,16 +268,43 @@ class Journal:
 
     def _remove(self, names: Iterable[str]) -> None:
         try:
-            for name in names:
-                (self.folder / name).unlink(missing_ok=True)
+            for path in (self.folder / name for name in names):
+                if not _is_folder(path):
+                    path.unlink(missing_ok=True)
             sync_folder(self.folder)
         except OSError as error:
-            raise ArticugenError(cannot_write(self.folder, error)) from None
+            raise MachineFault(cannot_write(self.folder, error)) from None
+
+
+def _is_ours(name: str) -> bool:
+    """Whether a run gives files this name."""
+    return name in (MANIFEST_NAME, JOURNAL_NAME) or is_shard_name(name)
+
+
+def _is_folder(path: Path) -> bool:
+    return path.is_dir() and not path.is_symlink()
+
+
+def _append(path: Path, line: bytes) -> None:
+    """Add a line to a file that is there: on the disk when this returns, or none of it is."""
+    handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW)
+    try:
+        before = os.fstat(handle).st_size
+        try:
+            written = 0
+            while written < len(line):
+                written += os.write(handle, line[written:])
+            os.fsync(handle)
+        except OSError:
+            os.ftruncate(handle, before)  # a torn line would spoil what is added after it
+            raise
+    finally:
+        os.close(handle)
 
 
 def _locked(folder: Path) -> int:
     """A handle that keeps other runs out for as long as it, or this process, lives."""
-    handle = os.open(folder, os.O_RDONLY)
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

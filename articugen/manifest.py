@@ -4,7 +4,6 @@ It is written last: a folder with a manifest is complete. journal.py tells of th
 """
 
 import hashlib
-import json
 import os
 import platform
 import subprocess
@@ -12,24 +11,42 @@ from collections import Counter
 from collections.abc import Iterable
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from articugen import __version__
 from articugen.errors import CorruptShard
-from articugen.files import write_atomically
+from articugen.files import UnfitFile, read_regular, write_atomically
 from articugen.schema import SCHEMA_VERSION
 from articugen.shards import ShardRecord, content_sha256
 
 MANIFEST_NAME = "manifest.json"
 
-_SHA256 = r"^[0-9a-f]{64}$"
-_SHARD_NAME = r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.h5$"
+MOST_BYTES = 1 << 28
+"""That a manifest or journal may have: of some 300,000 objects."""
+
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+ShardName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.h5$", max_length=200)]
 
 
 class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class Claims(_Record):
+    """Names of shards that a run may write, replace and remove: of files in its own folder."""
+
+    claims: tuple[ShardName, ...]
+
+
+def is_shard_name(name: str) -> bool:
+    """Whether a shard may be called so."""
+    try:
+        Claims(claims=(name,))
+    except ValidationError:
+        return False
+    return True
 
 
 class Key(_Record):
@@ -46,7 +63,7 @@ class Key(_Record):
     split: str
     object_id: str
     ref: str
-    recipe_sha256: str = Field(pattern=_SHA256)
+    recipe_sha256: Sha256
     seed: int
     generator: str
 
@@ -66,8 +83,8 @@ class Key(_Record):
 class ShardEntry(_Record):
     """A shard: its name in the folder, digest and size of the file, how many instances it holds."""
 
-    name: str = Field(pattern=_SHARD_NAME, max_length=200)
-    sha256: str = Field(pattern=_SHA256)
+    name: ShardName
+    sha256: Sha256
     bytes: int = Field(gt=0)
     instances: int = Field(gt=0)
 
@@ -89,7 +106,7 @@ class ObjectEntry(_Record):
     input_sha256: str
     shard: str
     instances: int = Field(gt=0)
-    content_sha256: str = Field(pattern=_SHA256)
+    content_sha256: Sha256
     notes: tuple[str, ...] = ()
     seconds: float = Field(0.0, ge=0.0)
 
@@ -184,7 +201,7 @@ class Manifest(_Record):
     source: str
     licence: str
     recipe: str
-    recipe_sha256: str = Field(pattern=_SHA256)
+    recipe_sha256: Sha256
     seed: int
     articugen_version: str
     commit: str | None
@@ -193,7 +210,7 @@ class Manifest(_Record):
     objects: tuple[ObjectEntry, ...]
     shards: tuple[ShardEntry, ...]
     rejected: tuple[Rejection, ...]
-    content_sha256: str = Field(pattern=_SHA256)
+    content_sha256: Sha256
     timings: Timings
 
     @model_validator(mode="after")
@@ -260,7 +277,11 @@ class Manifest(_Record):
         """
         path = folder / MANIFEST_NAME
         try:
-            text = path.read_bytes()
+            text = read_regular(path, MOST_BYTES)
+        except UnfitFile as error:
+            raise CorruptShard(
+                f"{path}: {error.strerror}; move it away, or choose another folder"
+            ) from None
         except OSError as error:
             raise CorruptShard(
                 f"{path}: cannot be read ({error.strerror}); a run that was cut short goes on when "
@@ -326,10 +347,15 @@ def this_commit() -> str | None:
         return None
 
 
-def _version_in(text: bytes) -> Any:
+class _Version(BaseModel):
+    model_config = ConfigDict(strict=True)
+    schema_version: int
+
+
+def _version_in(text: bytes) -> int | None:
     try:
-        return json.loads(text)["schema_version"]
-    except (ValueError, KeyError, TypeError):
+        return _Version.model_validate_json(text).schema_version
+    except ValidationError:
         return None
 
 

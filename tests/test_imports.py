@@ -12,7 +12,7 @@ import articugen
 
 PACKAGE = Path(articugen.__file__).parent
 
-BASE = {"errors", "portable", "geometry", "records", "seeding", "recipe", "recipe_files"}
+BASE = {"errors", "files", "portable", "geometry", "records", "seeding", "recipe", "recipe_files"}
 STAGES = {
     "articulation": set(),
     "rendering": set(),
@@ -25,7 +25,7 @@ STAGES = {
     "sampling": set(),
     "sources": set(),
 }
-STORE = {"files", "schema", "shards", "manifest", "journal"}
+STORE = {"schema", "shards", "manifest", "journal"}
 
 PPD_WITH_TORCH = {
     "dataset", "depth", "descent", "discriminator", "evaluate", "kinematics", "learner", "losses",
@@ -40,7 +40,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "geometry": {"portable"},
     "seeding": set(),
     "records": {"geometry", "portable"},
-    "recipe_files": {"errors"},
+    "recipe_files": {"errors", "files"},
     "recipe": {"recipe_files"},
     **{stage: BASE | own for stage, own in STAGES.items()},
     "instance": BASE | set(STAGES),
