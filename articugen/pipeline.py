@@ -20,7 +20,7 @@ from functools import cache
 from pathlib import Path
 
 from articugen import __version__
-from articugen.errors import ArticugenError, InvalidSource, RejectedInstance
+from articugen.errors import ArticugenError, InvalidSource, NotOfCategory, RejectedInstance
 from articugen.journal import Journal
 from articugen.manifest import Key, Manifest, Outcome, Rejection, Timings
 from articugen.recipe import Recipe, Sampling
@@ -195,7 +195,7 @@ def make_object(job: Job, task: Task) -> Outcome:
     _give_back_large_blocks()
     try:
         obj, instances = _instances(job, task)
-    except (InvalidSource, RejectedInstance) as error:
+    except (InvalidSource, RejectedInstance, NotOfCategory) as error:
         return _rejected(task, str(error))
     except ArticugenError:
         raise

@@ -27,7 +27,8 @@ class Articulation(_Section):
         revolute_degrees: the range sampled from, relative to the canonical pose; also the limits
             of continuous joints and of joints without any.
         prismatic_metres: the same for prismatic joints; null means up to the URDF's own limit.
-        clip_to_limits: stay inside the URDF's limits.
+        clip_to_limits: stay inside the URDF's limits; `source` asks source.yaml: models made by
+            others do, our own procedural ones keep the range of the recipe.
         movable: names of joints that move, as patterns with * and ?; the others are locked at the
             canonical value and their links ride on what they hang on. [] means: ask source.yaml.
     """
@@ -36,7 +37,7 @@ class Articulation(_Section):
     canonical: Literal["source", "zero", "lower", "upper"] = "source"
     revolute_degrees: tuple[float, float] = (0.0, 135.0)
     prismatic_metres: tuple[float, float] | None = None
-    clip_to_limits: bool = False
+    clip_to_limits: bool | Literal["source"] = "source"
     movable: tuple[str, ...] = ()
 
     @model_validator(mode="after")
