@@ -215,7 +215,7 @@ REFUSED = {
     "floating": (two_links("", "floating"), "joint 'j': type 'floating' .* is not read"),
     "spherical": (two_links("", "spherical"), "joint 'j': type 'spherical' .* is not read"),
     "unknown type": (two_links("", "hinge"), "unknown type 'hinge'; make it fixed, revolute"),
-    "no type": (two_links("").replace('type="revolute"', ""), "unknown type None"),
+    "no type": (two_links("").replace('type="revolute"', ""), "unknown type ''"),
     "no parent": (two_links("").replace('<parent link="a"/>', ""), "'j': has no <parent>"),
     "no child": (two_links("").replace('<child link="b"/>', ""), "'j': has no <child>"),
     "two children": (two_links('<child link="b"/>'), "'j': has 2 <child>"),
@@ -242,7 +242,7 @@ REFUSED = {
     "limit nan": (two_links('<limit lower="nan"/>'), "<limit> lower='nan' is not 1 number"),
     "limits crossed": (two_links('<limit lower="2" upper="1"/>'), "lower limit 2 is above"),
     "mimic of nobody": (two_links('<mimic joint="x"/>'), "mimics the unknown joint 'x'"),
-    "mimic of no name": (two_links("<mimic/>"), "mimics the unknown joint None"),
+    "mimic of no name": (two_links("<mimic/>"), "mimics the unknown joint ''"),
     "mimic of itself": (two_links('<mimic joint="j"/>'), "its <mimic> leads back to 'j'"),
     "mimic nan": (two_links('<mimic joint="j" offset="nan"/>'), "<mimic> offset='nan'"),
     "mimic of fixed": (
@@ -315,13 +315,13 @@ def test_xml_from_strangers(tmp_path, text, problem):
 
 def test_limits_on_size(tmp_path, monkeypatch):
     monkeypatch.setattr(urdf_check, "MAX_LINKS", 2)
-    with pytest.raises(InvalidSource, match="more than 2 links"):
+    with pytest.raises(InvalidSource, match="at most 2 are read"):
         read(tmp_path, links("a", "b", "c"))
     monkeypatch.setattr("articugen.sources.urdf.MAX_OBJECT_FACES", 20)
     with pytest.raises(InvalidSource, match="more than 20 triangles"):
         read(tmp_path, links("a", "b") + joint("j", "a", "b"))
-    monkeypatch.setattr(urdf_check, "MAX_URDF_BYTES", 99)
-    with pytest.raises(InvalidSource, match="not a URDF"):
+    monkeypatch.setattr("articugen.sources.urdf.MAX_TEXT_BYTES", 99)
+    with pytest.raises(InvalidSource, match="more than the 99 that it may have; simplify it"):
         read(tmp_path, links("a"))
     with pytest.raises(InvalidSource, match="cannot be read"):
         load_urdf(tmp_path / "none.urdf", object_id="1", category="c")
