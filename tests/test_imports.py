@@ -41,7 +41,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "seeding": set(),
     "records": {"geometry", "portable"},
     "recipe_files": {"errors", "files"},
-    "recipe": {"recipe_files"},
+    "recipe": {"recipe_files", "schema"},
     **{stage: BASE | own for stage, own in STAGES.items()},
     "instance": BASE | set(STAGES),
     "files": {"errors"},

@@ -132,5 +132,5 @@ def test_with_counts_replaces_what_is_given_and_checks_it() -> None:
     assert recipe.with_counts(objects=3).objects == 3
     changed = recipe.with_counts(states=2)
     assert (changed.articulation.states, changed.objects) == (2, recipe.objects)
-    with pytest.raises(ValueError, match="greater than or equal to 1"):
+    with pytest.raises(InvalidRecipe, match="greater than or equal to 1"):
         recipe.with_counts(objects=0)

@@ -383,7 +383,7 @@ def test_objects_of_one_name_are_called_by_their_path(tmp_path):
         ("categories: {}", "categories"),
         ("reader: procedural", "a procedural category needs counts"),
         ("reader: pickle", "reader"),
-        ("[", "cannot be read as YAML"),
+        ("[", "not YAML that can be read"),
     ],
 )
 def test_wrong_source_file(tmp_path, yaml, problem):
