@@ -169,7 +169,7 @@ def validated(model: type[Model], data: dict[str, Any], where: str) -> Model:
         key = ".".join(map(str, first["loc"]))
         if first["type"] == "extra_forbidden":
             hint = nearest(str(first["loc"][-1]), _keys_at(model, first["loc"][:-1]))
-            raise InvalidRecipe(f"{where}: unknown key {key!r}{hint}") from None
+            raise InvalidRecipe(f"{where}: unknown key {key[:100]!r}{hint}") from None
         message = first["msg"].removeprefix("Value error, ")
         raise InvalidRecipe(f"{where}: {key or 'the recipe'}: {message}") from None
     except OverflowError:  # pydantic's, of an integer that no float can hold

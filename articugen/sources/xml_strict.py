@@ -35,7 +35,7 @@ def parse_xml(data: bytes, path: Path) -> Any:
     except (etree.XMLSyntaxError, ValueError, LookupError) as error:
         if getattr(error, "code", None) == etree.ErrorTypes.ERR_NO_MEMORY:
             raise MemoryError(f"{path}: no memory to read it") from None
-        reason = " ".join(str(error).split())
+        reason = " ".join(str(error).split())[:200]
         raise InvalidSource(
             f"{path}: not well-formed XML ({reason}); correct it there, nothing is guessed"
         ) from None
