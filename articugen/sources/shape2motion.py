@@ -109,7 +109,8 @@ def _load_raw(folder: Path, ref: ObjectRef, turn: Floats) -> ArticulatedObject:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise InvalidSource(f"{path}: {quoted(where)}: {first['msg']}; correct it there") from None
+        problem = first["msg"].removeprefix("Value error, ")
+        raise InvalidSource(f"{path}: {quoted(where)}: {problem}; correct it there") from None
     dofs = list(_walk(root))
     if len(dofs) >= MAX_LINKS:
         raise InvalidSource(f"{path}: more than {MAX_LINKS:,} parts; split the model")
