@@ -216,10 +216,10 @@ class _Visuals:
         if element.tag == "box":
             return meshes.box(numbers("size"))
         if element.tag == "sphere":
-            return meshes.sphere(*numbers("radius"))
+            return meshes.sphere(numbers("radius")[0])
         if element.tag in ("cylinder", "capsule"):
             make = meshes.cylinder if element.tag == "cylinder" else meshes.capsule
-            return make(*numbers("radius"), *numbers("length"))
+            return make(numbers("radius")[0], numbers("length")[0])
         mesh = self._file(element.get("filename"), by)
         if mesh is None or element.get("scale") is None:
             return mesh
