@@ -377,6 +377,21 @@ def test_what_a_reader_did_not_expect_is_the_objects_fault(tmp_path, monkeypatch
         assert "\n" not in str(caught.value)
 
 
+def test_names_stay_distinct_however_contrived(tmp_path):
+    for name in ("a.urdf", "a/x.urdf", "a.x.urdf.urdf", "b/a.urdf", "a.URDF"):
+        add(tmp_path / name)
+    found = ids(object_refs(tmp_path, "thing"))
+    assert len(set(found)) == 5
+    assert {"a.urdf", "a.URDF", "b", "a.x.urdf", "a.x.urdf~"} == set(found)
+
+
+def test_a_source_that_cannot_be_written_down_is_refused(tmp_path):
+    with pytest.raises(InvalidSource, match="is not UTF-8; rename it"):
+        object_refs(tmp_path / "caf\udce9", "thing")
+    with pytest.raises(InvalidSource, match="no source"):
+        object_refs("a" * 5000, "thing")
+
+
 def test_a_meta_json_that_never_ends_is_not_read(tmp_path):
     (tmp_path / "meta.json").symlink_to("/dev/zero")
     assert model_category(tmp_path) == ""

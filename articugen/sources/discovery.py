@@ -113,14 +113,19 @@ def urdf_models(base: Path, skip: Collection[Path] = ()) -> list[Found]:
 
 
 def distinct(found: Sequence[Found], base: Path) -> list[Found]:
-    """The same objects; those that share a name are called by their whole path below `base`."""
+    """The same objects; those that share a name are called by their whole path below `base`, with
+    a ~ for each time that this, too, is taken."""
     count = Counter(f.object_id for f in found)
-    return [
-        f
-        if count[f.object_id] == 1
-        else replace(f, object_id=".".join(f.location.relative_to(base).parts))
-        for f in found
-    ]
+    renamed = [f for f in found if count[f.object_id] > 1]
+    taken = {f.object_id for f in found if count[f.object_id] == 1}
+    names: dict[Path, str] = {}
+    for f in sorted(renamed, key=lambda f: f.location):
+        name = ".".join(f.location.relative_to(base).parts)
+        while name in taken:
+            name += "~"
+        taken.add(name)
+        names[f.location] = name
+    return [replace(f, object_id=names.get(f.location, f.object_id)) for f in found]
 
 
 def _is_urdf(path: Path) -> bool:

@@ -333,7 +333,11 @@ def _source(name: str) -> _Named | None:
 def _named(source: str | Path) -> _Named | None:
     """The named source, or None for the path of something that exists."""
     named = _source(source) if isinstance(source, str) else None
-    if named is None and not Path(source).exists():
+    if named is None and _UNWRITABLE.search(str(source)):
+        raise InvalidSource(
+            f"{printable(str(source))}: its name has control characters or is not UTF-8; rename it"
+        )
+    if named is None and not os.path.exists(source):
         known = sorted(_source_files())
         raise InvalidSource(
             f"no source {str(source)!r}{nearest(str(source), known)}; there are: "
