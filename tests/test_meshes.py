@@ -432,6 +432,10 @@ def test_nodes_of_a_dae_that_double_are_counted_not_built(tmp_path):
     bomb = good[:before] + library + good[before:inside] + '<node><instance_node url="#n0"/></node>'
     with pytest.raises(InvalidSource, match="more than 1,000,000 triangles"):
         read_mesh(write(tmp_path / "m.dae", bomb + good[end:]))
+    chain = "".join(f'<node id="n{i}"><instance_node url="#n{i + 1}"/></node>' for i in range(5000))
+    deep = bomb.replace(twice, chain + '<node id="n5000"/>')
+    with pytest.raises(InvalidSource, match="nested more than 100 deep"):
+        read_mesh(write(tmp_path / "m.dae", deep + good[end:]))
     loop = bomb.replace('<instance_node url="#n2"/>', '<instance_node url="#n1"/>')
     with pytest.raises(InvalidSource, match="node 'n1' holds itself"):
         read_mesh(write(tmp_path / "m.dae", loop + good[end:]))

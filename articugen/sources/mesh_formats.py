@@ -27,6 +27,7 @@ MAX_VERTICES = 3 * MAX_FACES
 """Of one mesh file, and of an object. Each node of a scene counts: a mesh may hang on many."""
 
 _MAX_NODES = 10_000  # of a scene
+_MAX_DEPTH = 100  # of nodes that instance others
 _MAX_HEADER = 2**16  # bytes of a PLY's
 
 _Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
@@ -82,10 +83,8 @@ def _without(root: Any, *names: str) -> Any:
 
 
 def _check_dae_size(root: Any, path: Path) -> None:
-    """Triangles at most, each instance counted: nodes that instance nodes can double at each step.
-
-    A polygon of n corners takes n numbers and more of <vcount> or <p>, so that those count.
-    """
+    """Refuse scenes of too many triangles, each instance counted, since nodes that instance nodes
+    can double at each step; and nodes that pycollada would take for ever to put together."""
     faces = {g.get("id"): _dae_faces(g, path) for g in root.iterfind(".//{*}geometry")}
     nodes = {n.get("id"): n for n in root.iterfind(".//{*}node") if n.get("id")}
     known: dict[str, tuple[int, int]] = {}
@@ -104,14 +103,19 @@ def _check_dae_size(root: Any, path: Path) -> None:
             elif name == "instance_node" and target in nodes:
                 if target in above:
                     raise _broken(path, f"its node {quoted(target)} holds itself")
+                if len(above) > _MAX_DEPTH:
+                    raise _broken(path, f"its nodes are nested more than {_MAX_DEPTH} deep")
                 if target not in known:
                     known[target] = size(nodes[target], (*above, target))
                 more = known[target]
             total = (total[0] + more[0], total[1] + more[1])
         return total
 
-    for scene in root.iterfind(".//{*}visual_scene"):
-        triangles, count = size(scene, ())
+    every = list(root.iterfind(".//{*}node"))
+    if len(every) > _MAX_NODES:
+        raise _broken(path, f"it has more than {_MAX_NODES:,} nodes")
+    for element in (*every, *root.iterfind(".//{*}visual_scene")):
+        triangles, count = size(element, ())
         check_size(path, faces=triangles)
         if count > _MAX_NODES:
             raise _broken(path, f"its scene has more than {_MAX_NODES:,} nodes")
@@ -121,11 +125,18 @@ _FACES = ("triangles", "polylist", "polygons", "tristrips", "trifans")
 
 
 def _dae_faces(geometry: Any, path: Path) -> int:
+    """How many triangles a geometry says that it has, or has numbers for."""
+    faces = 0
     try:
-        counts = [e.get("count") for tag in _FACES for e in geometry.iterfind(f".//{{*}}{tag}")]
-        return sum(int(count or 0) for count in counts)
-    except ValueError:
-        raise _broken(path, "a count of its faces is not a number") from None
+        for element in (e for tag in _FACES for e in geometry.iterfind(f".//{{*}}{tag}")):
+            offsets = [int(i.get("offset", "0")) for i in element.iterfind("{*}input")]
+            texts = [p.text or "" for p in element.iterfind("{*}p")]
+            numbers = sum(text.count(" ") + text.count("\n") for text in texts)
+            corners = numbers // (1 + max(offsets, default=0))
+            faces += max(int(element.get("count") or 0), corners // 3)
+    except (ValueError, ZeroDivisionError):
+        raise _broken(path, "a count or offset of its faces is not a number") from None
+    return faces
 
 
 def read_glb(data: bytes, path: Path, files: ModelFiles) -> _Arrays:
