@@ -23,7 +23,7 @@ STAGES = {
     "sheets": set(),
     "slender": {"hierarchy", "reachable", "sheets"},
     "sampling": set(),
-    "sources": set(),
+    "sources": {"files"},
 }
 STORE = {"files", "schema", "shards", "manifest", "journal"}
 
