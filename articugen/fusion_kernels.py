@@ -166,11 +166,12 @@ def _voxel(x, n):
 
 
 @njit(cache=True, nogil=True)
-def in_box(points, T, box):
-    """The indices of the points (n, 3) that the transform T (4, 4) takes into the box (2, 3)."""
-    found = np.empty(points.shape[0], np.int64)
+def in_box(points, which, T, box):
+    """Those of `which`, indices into `points` (n, 3), that T (4, 4) takes into the box (2, 3)."""
+    found = np.empty(which.shape[0], np.int64)
     count = 0
-    for i in range(points.shape[0]):
+    for n in range(which.shape[0]):
+        i = which[n]
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         inside = True
         for axis in range(3):

@@ -17,8 +17,14 @@ from articugen.geometry import apply
 JointKind = Literal["fixed", "revolute", "continuous", "prismatic"]
 Floats = NDArray[np.float64]
 
-FREE = 0
-"""Occupancy label of free space; a point inside part k has label k + 1."""
+FREE, ENCLOSED = 0, 255
+"""Labels of free space, and of what no view sees though no part's own solid holds it. The material
+of part k has label k + 1."""
+
+
+def is_material(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Where labels name the material of some part."""
+    return (label != FREE) & (label != ENCLOSED)
 
 
 def _freeze(record: Any, **wanted: tuple[type, tuple[int | None, ...]]) -> None:
@@ -343,8 +349,8 @@ class Instance:
     """One object at one joint state: all that a row of a shard holds, in the unit frame.
 
     Point coordinates are stored in fixed point: `quantize` and `dequantize` say how. P parts, J
-    moving joints (P = J + 1), joint j carries part j + 1. Labels: 0 free, k + 1 inside part k;
-    parts: k. docs/format.md describes every field.
+    moving joints (P = J + 1), joint j carries part j + 1. Labels: 0 free, k + 1 material of
+    part k, 255 enclosed; parts: k. docs/format.md describes every field.
     """
 
     object_id: str
