@@ -14,6 +14,7 @@ import numpy as np
 
 from articugen.errors import RejectedInstance
 from articugen.geometry import invert_rigid, rotation_about, transform
+from articugen.portable import product, turned
 from articugen.recipe import Articulation
 from articugen.records import ArticulatedObject, Floats, Joint, JointState, Mimic, PosedObject
 
@@ -109,11 +110,11 @@ def forward_kinematics(obj: ArticulatedObject, state: JointState) -> PosedObject
     T_world_link[0] = obj.T_world_root
     T_world_joint: dict[str, Floats] = {}
     for joint in obj.joints:
-        T = T_world_link[index[joint.parent]] @ joint.T_parent_joint
+        T = product(T_world_link[index[joint.parent]], joint.T_parent_joint)
         T_world_joint[joint.name] = T
-        T_world_link[index[joint.child]] = T @ _motion(joint, q.get(joint.name, 0.0))
+        T_world_link[index[joint.child]] = product(T, _motion(joint, q.get(joint.name, 0.0)))
     at = [T_world_joint[joint.name] for joint in moving]
-    axes = [T[:3, :3] @ joint.axis for T, joint in zip(at, moving, strict=True)]
+    axes = [turned(T[:3, :3], joint.axis) for T, joint in zip(at, moving, strict=True)]
     return PosedObject(
         T_world_link=T_world_link,
         T_world_part=T_world_link[[0] + [index[joint.child] for joint in moving]],
@@ -128,7 +129,7 @@ def part_motions(posed: PosedObject, canonical_posed: PosedObject) -> Floats:
     A point of part k at x in the canonical pose is at `apply(motions[k], x)` in the posed object.
     Part 0 has the identity.
     """
-    motions = posed.T_world_part @ invert_rigid(canonical_posed.T_world_part)
+    motions = product(posed.T_world_part, invert_rigid(canonical_posed.T_world_part))
     motions[0] = np.eye(4)
     return motions
 
@@ -259,7 +260,7 @@ def _planned(joint: Joint, plan: _Plan) -> Joint:
     return replace(
         joint,
         kind=joint.kind if plan.moves else "fixed",
-        T_parent_joint=joint.T_parent_joint @ _motion(joint, plan.value),
+        T_parent_joint=product(joint.T_parent_joint, _motion(joint, plan.value)),
         axis=plan.sign * joint.axis,
         lower=plan.lower,
         upper=plan.upper,

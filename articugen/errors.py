@@ -18,7 +18,7 @@ class RejectedInstance(ArticugenError):
 
 
 class NotOfCategory(ArticugenError):
-    """An object has nothing to articulate in the recipe's sense: it is skipped, which is no fault."""
+    """An object has nothing to articulate in the recipe's sense: skipped, which is no fault."""
 
 
 class MachineFault(ArticugenError):

@@ -1,11 +1,13 @@
 """Rigid transforms, axis-angle, boxes and directions on a sphere.
 
 `T_a_b` is the 4x4 transform that takes b-coordinates to a-coordinates. Everything is float64 and
-right-handed; angles are radians.
+right-handed; angles are radians. Sums and angles go through portable.py: the same bits everywhere.
 """
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from articugen.portable import norm, product, sin_cos, turned
 
 Array = NDArray[np.float64]
 
@@ -14,16 +16,17 @@ def rotation_about(axis: ArrayLike, angle: float) -> Array:
     """The (3, 3) rotation by `angle` about the unit vector `axis` (Rodrigues' formula)."""
     x, y, z = np.asarray(axis, dtype=np.float64)
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * (K @ K)
+    sine, cosine = sin_cos(angle)
+    return np.eye(3) + sine * K + (1.0 - cosine) * product(K, K)
 
 
 def rotation_from_rpy(rpy: ArrayLike) -> Array:
     """The (3, 3) rotation of URDF's fixed-axis roll, pitch, yaw: Rz(yaw) Ry(pitch) Rx(roll)."""
     roll, pitch, yaw = np.asarray(rpy, dtype=np.float64)
-    return (
-        rotation_about((0, 0, 1), yaw)
-        @ rotation_about((0, 1, 0), pitch)
-        @ rotation_about((1, 0, 0), roll)
+    return product(
+        rotation_about((0, 0, 1), yaw),
+        rotation_about((0, 1, 0), pitch),
+        rotation_about((1, 0, 0), roll),
     )
 
 
@@ -38,11 +41,7 @@ def transform(rotation: ArrayLike | None = None, translation: ArrayLike | None =
 
 
 def apply(T: Array, points: ArrayLike) -> Array:
-    """`T` (4, 4) applied to `points` (..., 3).
-
-    Not a matrix product: BLAS shares rows out among its threads, and what it makes of the last row
-    of a share may differ in the last bit.
-    """
+    """`T` (4, 4) applied to `points` (..., 3)."""
     points = np.asarray(points, dtype=np.float64)
     x, y, z = np.moveaxis(points, -1, 0)
     moved = np.empty_like(points)
@@ -56,7 +55,7 @@ def invert_rigid(T: Array) -> Array:
     inverse = np.zeros_like(T)
     rotation_t = np.swapaxes(T[..., :3, :3], -1, -2)
     inverse[..., :3, :3] = rotation_t
-    inverse[..., :3, 3] = -np.einsum("...ij,...j->...i", rotation_t, T[..., :3, 3])
+    inverse[..., :3, 3] = -turned(rotation_t, T[..., :3, 3])
     inverse[..., 3, 3] = 1.0
     return inverse
 
@@ -84,7 +83,8 @@ def fibonacci_sphere(count: int) -> Array:
     z = 1.0 - (2.0 * i + 1.0) / count
     longitude = i * np.pi * (3.0 - np.sqrt(5.0))
     radius = np.sqrt(1.0 - z * z)
-    return np.stack([radius * np.cos(longitude), radius * np.sin(longitude), z], axis=1)
+    sine, cosine = sin_cos(longitude)
+    return np.stack([radius * cosine, radius * sine, z], axis=1)
 
 
 def cross(a: ArrayLike, b: ArrayLike) -> Array:
@@ -107,9 +107,9 @@ def look_along(direction: ArrayLike, eye: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
     y for a camera that looks straight up or down.
     """
     forward = np.asarray(direction, dtype=np.float64)
-    forward = forward / np.linalg.norm(forward)
+    forward = forward / norm(forward)
     up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.999 else np.array([0.0, 1.0, 0.0])
     right = cross(forward, up)
-    right /= np.linalg.norm(right)
+    right /= norm(right)
     rotation = np.stack([right, cross(forward, right), forward])
-    return transform(rotation, -rotation @ np.asarray(eye, dtype=np.float64))
+    return transform(rotation, -turned(rotation, eye))

@@ -43,6 +43,7 @@ GENERATING_CODE = (
     "geometry.py",
     "hierarchy.py",
     "instance.py",
+    "portable.py",
     "reachable.py",
     "recipe.py",
     "recipe_files.py",

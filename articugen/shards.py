@@ -92,7 +92,8 @@ def content_digests(
     """The SHA-256 of each instance's content, whatever the layout of the file that holds it.
 
     For every field but object_id, in the order of the names: one line "name dtype shape" with the
-    little-endian dtype and the shape without N, then the bytes of the row in C order.
+    little-endian dtype and the shape without N, then the bytes of the row in C order. Of text the
+    dtype is "utf-8", and a zero byte follows each, however long the file makes them all.
 
     Args:
         columns: (name, array (N, ...)) in the order of the names.
@@ -102,11 +103,13 @@ def content_digests(
     for name, array in columns:
         if name == "object_id":
             continue
+        is_text = array.dtype.kind == "S"
         little = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
-        line = f"{name} {little.dtype.str} {little.shape[1:]}\n".encode()
+        dtype = "utf-8" if is_text else little.dtype.str
+        line = f"{name} {dtype} {little.shape[1:]}\n".encode()
         for digest, row in zip(digests, little, strict=True):
             digest.update(line)
-            digest.update(row.tobytes())
+            digest.update(b"".join(text + b"\0" for text in row) if is_text else row.tobytes())
     return tuple(
         (object_id, state_index, digest.hexdigest())
         for (object_id, state_index), digest in zip(instances, digests, strict=True)
@@ -210,18 +213,19 @@ class Shard:
         if not 0 <= index < len(self):
             raise IndexError(f"{self.path}: no instance {index}, there are {len(self)}")
         row: dict[str, Any] = {name: self.read(name, index) for name in self.fields}
-        grids = {
-            int(name.rpartition("_")[2]): row.pop(name)
-            for name in list(row)
-            if name.startswith("occupancy_")
-        }
-        row["object_id"] = self._text(row["object_id"])
+        for field in schema.FIELDS:
+            if field.is_grid:
+                names = sorted(filter(field.matches, self.fields), key=schema.resolution_of)
+                grids = {schema.resolution_of(name): row.pop(name) for name in names}
+                row[field.stem] = MappingProxyType(grids)
+            elif field.dtype == "S" and field.name in row:
+                row[field.name] = self._texts(row[field.name])
         row["state_index"], row["scale"] = int(row["state_index"]), float(row["scale"])
-        return Instance(occupancy=MappingProxyType(dict(sorted(grids.items()))), **row)
+        return Instance(**row)
 
     def object_ids(self) -> tuple[str, ...]:
         """The object of each instance."""
-        return tuple(self._text(text) for text in self.read("object_id"))
+        return self._texts(self.read("object_id"))
 
     def content(self) -> Content:
         """The digest of each instance, computed from what is stored."""
@@ -240,11 +244,14 @@ class Shard:
         assert isinstance(dataset, h5py.Dataset)  # _checked has seen to it
         return dataset
 
-    def _text(self, text: bytes) -> str:
+    def _texts(self, stored: Any) -> Any:
+        """A text of numpy's as str, an array of them as a tuple."""
+        if isinstance(stored, np.ndarray):
+            return tuple(map(self._texts, stored))
         try:
-            return text.decode()
+            return stored.decode()
         except UnicodeDecodeError:
-            raise CorruptShard(f"{self.path}: object_id {text!r} is not UTF-8") from None
+            raise CorruptShard(f"{self.path}: the text {stored!r} is not UTF-8") from None
 
 
 def _columns(rows: Sequence[Instance]) -> Iterator[tuple[str, NDArray[Any]]]:
@@ -259,9 +266,17 @@ def _columns(rows: Sequence[Instance]) -> Iterator[tuple[str, NDArray[Any]]]:
             raise ValueError(f"{name}: not in the schema, or not in every instance of the shard")
         column = [row[name] for row in arrays]
         if field.dtype == "S":
-            yield name, np.array([text.encode() for text in column])
+            yield name, _stored_texts(column)
         else:
             yield name, np.stack([np.asarray(value, field.dtype) for value in column])
+
+
+def _stored_texts(texts: Any) -> NDArray[Any]:
+    """Texts, however nested, in UTF-8 of a fixed length: the same in every shard."""
+    text = np.char.encode(np.asarray(texts, np.str_), "utf-8")
+    if text.itemsize > schema.MAX_TEXT:
+        raise ValueError(f"a text of more than {schema.MAX_TEXT} bytes ({text.itemsize})")
+    return text.astype(f"S{schema.MAX_TEXT}")
 
 
 def _image(rows: Sequence[Instance], attributes: Mapping[str, Attribute]) -> bytes:
@@ -344,9 +359,9 @@ def _attributes(file: h5py.File) -> dict[str, Attribute]:
     if attributes.get("format") != schema.FORMAT:
         raise CorruptShard("an HDF5 file, but not an articugen shard")
     version = attributes.get("schema_version")
-    if version != schema.SCHEMA_VERSION:
+    if not isinstance(version, int) or not 1 <= version <= schema.SCHEMA_VERSION:
         raise CorruptShard(
-            f"schema version {version}, this articugen reads {schema.SCHEMA_VERSION} only"
+            f"schema version {version}, this articugen reads 1 to {schema.SCHEMA_VERSION}"
         )
     for name, (kind, _) in schema.ATTRIBUTES.items():
         if not isinstance(attributes.get(name), kind):
@@ -371,12 +386,15 @@ def _checked(file: h5py.File) -> dict[str, tuple[int, ...]]:
     shapes: dict[str, tuple[int, ...]] = {}
     for name in map(str, file):
         field = schema.field_of(name)
-        if field is None:
+        if field is None and name != schema.USER_GROUP:
             raise CorruptShard(f"{name!r} is not in the schema")
         if file.id.links.get_info(name.encode()).type != h5py.h5l.TYPE_HARD:
             raise CorruptShard(f"{name!r} is a link to elsewhere")
-        if h5py.h5o.get_info(file.id, name.encode()).type != h5py.h5o.TYPE_DATASET:
-            raise CorruptShard(f"{name!r} is not a data set")
+        kind = h5py.h5o.get_info(file.id, name.encode()).type
+        if kind != (h5py.h5o.TYPE_DATASET if field else h5py.h5o.TYPE_GROUP):
+            raise CorruptShard(f"{name!r} is not a {'data set' if field else 'group'}")
+        if field is None:
+            continue
         shapes[name] = _checked_dataset(h5py.h5d.open(file.id, name.encode()), name, field)
     fault = schema.misfit(shapes)
     if fault:
@@ -392,7 +410,7 @@ def _checked_dataset(dataset: h5py.h5d.DatasetID, name: str, field: Field) -> tu
     if made.get_layout() != h5py.h5d.CHUNKED or made.get_chunk() != _chunks(shape):
         raise CorruptShard(f"{name!r} is not stored one instance a chunk")
     filters = [made.get_filter(i)[0] for i in range(made.get_nfilters())]
-    if filters != ([_GZIP] if field.compressed else []) + [_FLETCHER32]:
+    if filters not in ([_GZIP, _FLETCHER32], [_FLETCHER32]):
         raise CorruptShard(f"{name!r} has filters {filters}, not the schema's")
     chunk_bytes = int(np.prod(_chunks(shape), dtype=float)) * dataset.dtype.itemsize
     if chunk_bytes > schema.MAX_CHUNK_BYTES:

@@ -12,7 +12,7 @@ import articugen
 
 PACKAGE = Path(articugen.__file__).parent
 
-BASE = {"errors", "geometry", "records", "seeding", "recipe", "recipe_files"}
+BASE = {"errors", "portable", "geometry", "records", "seeding", "recipe", "recipe_files"}
 STAGES = {
     "articulation": set(),
     "rendering": set(),
@@ -37,9 +37,10 @@ PPD_WITH_TORCH = {
 
 MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
-    "geometry": set(),
+    "portable": set(),
+    "geometry": {"portable"},
     "seeding": set(),
-    "records": {"geometry"},
+    "records": {"geometry", "portable"},
     "recipe_files": {"errors"},
     "recipe": {"recipe_files"},
     **{stage: BASE | own for stage, own in STAGES.items()},

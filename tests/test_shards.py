@@ -18,14 +18,29 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from instances import SMALL, hinged_box
+from instances import SMALL, changed, hinged_box
 
 from articugen import schema
 from articugen.errors import ArticugenError, CorruptShard
-from articugen.records import Instance
+from articugen.records import Instance, stored_name
 from articugen.shards import content_digests, content_sha256, open_shard, write_shard
 
+VERSION_1 = Path(__file__).parent / "data" / "shard_version_1.h5"
 ROWS = hinged_box()
+NAMED = tuple(
+    changed(
+        row,
+        joint_name=("Scharnier für den Deckel", "滑"),
+        part_name=("base", "ü" * 127 + "x", "part with spaces"),
+        part_semantic=("", "lid", ""),
+        coverage={
+            r: np.where(grid > 0, 255, r).astype(np.uint8) for r, grid in row.occupancy.items()
+        },
+    )
+    for row in ROWS
+)
+"""With every field that is optional."""
+
 ABOUT = {
     "category": "box",
     "split": "train",
@@ -67,6 +82,95 @@ def test_instances_come_back_as_they_were(written):
             shard.instance(4)
 
 
+def test_optional_fields_come_back_as_they_were(tmp_path):
+    write_shard(tmp_path / "named.h5", NAMED, ABOUT)
+    with open_shard(tmp_path / "named.h5") as shard:
+        for index, row in enumerate(NAMED):
+            assert_same(shard.instance(index), row)
+    with h5py.File(tmp_path / "named.h5") as file:
+        dataset = file["part_name"]
+        assert isinstance(dataset, h5py.Dataset)
+        assert tuple(dataset.asstr()[2]) == NAMED[2].part_name
+
+
+def test_shards_without_optional_fields_have_none(written):
+    with open_shard(written[0]) as shard:
+        row = shard.instance(0)
+    assert (row.joint_name, row.part_name, row.part_semantic, dict(row.coverage)) == (None,) * 3 + (
+        {},
+    )
+
+
+def test_names_count_in_the_content_whatever_the_grouping(tmp_path):
+    """An object's digest is the same beside one with longer names, and another for other names."""
+    other = [
+        changed(row, object_id="the-longer-one", part_name=("n" * 255, "b", "c")) for row in NAMED
+    ]
+    alone = write_shard(tmp_path / "alone.h5", NAMED, ABOUT).content
+    both = write_shard(tmp_path / "both.h5", [*other, *NAMED], ABOUT).content
+    assert both[len(other) :] == alone
+    renamed = [changed(row, part_semantic=("", "", "lid")) for row in NAMED]
+    again = write_shard(tmp_path / "renamed.h5", renamed, ABOUT).content
+    assert not {digest for *_, digest in alone} & {digest for *_, digest in again}
+
+
+@pytest.mark.parametrize(
+    ("name", "stored"),
+    [
+        ("Tür", "Tür"),
+        ("", ""),
+        ("x" * 255, "x" * 255),
+        ("x" * 254 + "ü", "x" * 254),
+        ("a\0b\0", "a\ufffdb\ufffd"),
+        ("a\ud800b", "a\ufffdb"),
+    ],
+)
+def test_any_name_fits_into_a_shard(tmp_path, name, stored):
+    assert stored_name(name) == stored
+    write_shard(tmp_path / "a.h5", [changed(NAMED[0], joint_name=(stored, "other"))], ABOUT)
+    with open_shard(tmp_path / "a.h5") as shard:
+        assert shard.instance(0).joint_name == (stored, "other")
+
+
+def test_longer_names_are_faults_of_the_caller(tmp_path):
+    with pytest.raises(ValueError, match="a text of more than 255 bytes"):
+        write_shard(tmp_path / "a.h5", [changed(ROWS[0], object_id="x" * 256)], ABOUT)
+    with pytest.raises(ValueError, match="2 names, not 3"):
+        changed(ROWS[0], part_name=("a", "b"))
+
+
+def test_shards_of_version_1_are_read():
+    """The file was written by version 1; the digests are those that its writer printed."""
+    with open_shard(VERSION_1) as shard:
+        assert shard.attributes["schema_version"] == 1
+        assert shard.attributes["note"] == "Größe"
+        assert shard.content() == (
+            ("box-0", 0, "234b858de71e1e3869b733e1b718378c5250701ad5bb69d1e060e0230cc53efb"),
+            ("box-0", 1, "c3e12e2936857b2fceceabe29e987d021f935c4d918bcd7cc84b4c6fa602f77c"),
+            ("box-0", 2, "3aeb5b0ecda9104e29dda3ccbdbd45203b94a8629a26f8a31b50ef64ec3671c1"),
+        )
+        row, same = shard.instance(2), hinged_box(((0.0, 0.0), (0.5, 0.1), (1.2, 0.25)))[2]
+        assert (row.state_index, row.joint_name, sorted(row.occupancy)) == (2, None, [4, 8])
+        np.testing.assert_allclose(row.joint_state, [1.2, 0.25 / row.scale])
+        for name in ("joint_axis", "part_motion", "center", "scale"):
+            np.testing.assert_allclose(getattr(row, name), getattr(same, name), atol=1e-12)
+        batch = shard.batch([2, 0], ["state_index", "uniform_label"])
+        assert batch["state_index"].tolist() == [2, 0]
+
+
+def test_what_users_add_is_left_alone(written, copy):
+    with h5py.File(copy, "r+") as file:
+        own = file.create_group(schema.USER_GROUP)
+        own["away"] = h5py.ExternalLink("/etc/passwd", "/x")
+        own["nowhere"] = h5py.SoftLink("/not/there")
+        own.create_dataset("outside", (4,), "<f8", external=[("/etc/passwd", 0, 32)])
+        own.create_dataset("names", data=["of", "any", "length"])
+        own.create_group("deeper")["scale"] = np.zeros(3)
+    with open_shard(copy) as shard:
+        assert shard.content() == written[1].content
+        assert set(shard.fields) == set(ROWS[0].arrays())
+
+
 def test_record_tells_of_the_file(written):
     path, record = written
     data = path.read_bytes()
@@ -83,6 +187,10 @@ def test_content_digest_is_the_one_documented(written):
         if name != "object_id":
             field = schema.field_of(name)
             assert field is not None
+            if field.dtype == "S":
+                text += f"{name} utf-8 ({len(value)},)\n".encode()
+                text += b"".join(each.encode() + b"\0" for each in value)
+                continue
             array = np.asarray(value, field.dtype)
             text += f"{name} {array.dtype.str} {array.shape}\n".encode() + array.tobytes()
     digest = hashlib.sha256(text).hexdigest()
@@ -112,7 +220,7 @@ def test_format_page_is_true():
     page = (Path(__file__).parents[1] / "docs" / "format.md").read_text()
     assert schema.markdown() in page, "docs/format.md: put in what schema.markdown() returns"
     assert f"version {schema.SCHEMA_VERSION}\n" in page
-    assert set(ROWS[0].arrays()) == {
+    assert set(NAMED[0].arrays()) == {
         name.replace("<R>", str(r)) for name in (f.name for f in schema.FIELDS) for r in (8, 16, 32)
     }
 
@@ -162,6 +270,7 @@ def test_workers_open_the_file_for_themselves(written):
 def shards(draw):
     """Instances of one random shape, filled with random bytes."""
     J, S, U, K, C, M = (draw(st.integers(0, 4)) for _ in range(6))
+    names = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]))
     grids = draw(st.sets(st.integers(1, 5), max_size=2))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     known = {"J": J, "P": J + 1, "S": S, "U": U, "K": K, "C": C, "M": M}
@@ -170,17 +279,18 @@ def shards(draw):
         shape = [known[s] if isinstance(s, str) else s for s in field.shape[1:]]
         if field.dtype == "<f8":
             return rng.normal(size=shape)
+        if field.dtype == "S":
+            return tuple(draw(names) for _ in range(shape[0]))
         return rng.integers(0, 100, shape).astype(field.dtype)
 
-    names = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), min_size=1)
+    named = draw(st.booleans())
     rows = []
     for index in range(draw(st.integers(1, 3))):
-        arrays = {
-            f.name: values(f) for f in schema.FIELDS if "<R>" not in f.name and f.dtype != "S"
-        }
+        plain = [f for f in schema.FIELDS if not f.is_grid and (named or not f.optional)]
+        arrays = {f.name: values(f) for f in plain if f.name != "object_id"}
         arrays |= {"state_index": index, "scale": float(arrays["scale"])}
-        occupancy = {r: rng.integers(0, 9, (r, r, r)).astype(np.uint8) for r in grids}
-        rows.append(Instance(object_id=draw(names), occupancy=occupancy, **arrays))
+        grid = {r: rng.integers(0, 9, (r, r, r)).astype(np.uint8) for r in grids}
+        rows.append(Instance(object_id=draw(names), occupancy=grid, coverage=grid, **arrays))
     return rows
 
 
@@ -283,6 +393,10 @@ def _virtual(file):
     file.create_virtual_dataset("scale", layout)
 
 
+def _user_elsewhere(file):
+    file["user"] = h5py.ExternalLink("/etc/passwd", "/x")
+
+
 def _group(file):
     del file["scale"]
     file.create_group("scale")
@@ -321,6 +435,8 @@ HARM = {
     "another file's bytes": (_edit(_external_storage), "not stored one instance a chunk"),
     "a virtual data set": (_edit(_virtual), "not stored one instance a chunk"),
     "a group": (_edit(_group), "not a data set"),
+    "a user's group elsewhere": (_edit(_user_elsewhere), "'user' is a link to elsewhere"),
+    "a user's data set": (_edit(lambda f: f.create_dataset("user", data=1)), "not a group"),
     "an unknown name": (_edit(lambda f: f.create_dataset("x", data=1)), "'x' is not in the schema"),
     "a missing field": (_edit(lambda f: f.pop("scale")), "'scale' is missing"),
     "a shape bomb": (_edit(_bomb), "0 chunks for shape"),

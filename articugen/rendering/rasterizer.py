@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from articugen.geometry import apply
 from articugen.records import DepthMaps, LabelledMesh, Views
 
 SUBPIXEL_BITS = 12
@@ -51,7 +52,7 @@ def cameras(mesh: LabelledMesh, views: Views) -> tuple[NDArray[np.float64], bool
     pinhole = views.projection == "pinhole"
     if pinhole:
         T = views.T_camera_world
-        z = mesh.vertices @ T[:, 2, :3].T + T[:, 2, 3]
+        z = np.stack([apply(t, mesh.vertices)[:, 2] for t in T])
         if z.min(initial=np.inf) <= 1e-6:
             raise ValueError("a vertex lies behind a pinhole camera: move the camera back")
     return np.stack([views.fx, views.fy, views.cx, views.cy], axis=1), pinhole

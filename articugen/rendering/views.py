@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.geometry import apply, box_corners, fibonacci_sphere, look_along
+from articugen.portable import dot, norm
 from articugen.recipe import ViewSettings
 from articugen.records import Views
 
@@ -22,10 +23,10 @@ def spread_order(directions: NDArray[np.float64]) -> NDArray[np.intp]:
     of the first few.
     """
     order = np.zeros(len(directions), np.intp)
-    nearest = directions @ directions[0]
+    nearest = dot(directions, directions[0])
     for n in range(1, len(directions)):
         order[n] = np.argmin(nearest)
-        nearest = np.maximum(nearest, directions @ directions[order[n]])
+        nearest = np.maximum(nearest, dot(directions, directions[order[n]]))
     return order
 
 
@@ -74,7 +75,7 @@ def random_pinhole_views(
     """
     center = box.mean(axis=0)
     directions = rng.normal(size=(count, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions /= norm(directions)[:, None]
     distances = rng.uniform(1.2, 2.0, size=count)
     T = [look_along(-d, center + r * d) for d, r in zip(directions, distances, strict=True)]
     return fitted("pinhole", np.array(T).reshape(-1, 4, 4), box, resolution, resolution)

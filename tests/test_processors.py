@@ -1,0 +1,91 @@
+"""The same content hash whatever processor numpy, OpenBLAS and numba find, or are told to find."""
+
+import json
+import os
+import platform
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from articugen.sources.registry import SOURCE_FOLDER
+
+CATEGORIES = ("drawer", "eyeglasses", "laptop", "oven", "washing_machine")
+
+RECIPE = """\
+extends: category
+articulation: {states: 1}
+views: {count: 12, resolution: 64}
+sampling:
+  {grids: [8], surface_points: 64, uniform_points: 64, near_points: 64, partial_points: 16}
+"""
+
+MAKE = """
+import sys
+from articugen.cli import app
+for category in sys.argv[2:]:
+    app(["generate", "-c", category, "-n", "1", "-j", "1", "-r", sys.argv[1], "-o", "data"],
+        standalone_mode=False)
+"""
+
+x86 = pytest.mark.skipif(platform.machine() != "x86_64", reason="names of x86-64 processors")
+
+
+def _numpy_features() -> str:
+    """All that numpy would choose kernels by here."""
+    umath = np._core._multiarray_umath  # type: ignore[attr-defined]
+    return " ".join(f for f in umath.__cpu_dispatch__ if umath.__cpu_features__.get(f))
+
+
+def made_under(folder: Path, **settings: str) -> dict[str, str]:
+    """The content hash of a tiny set of each category; the models are written anew as well."""
+    for source in ("procedural", "procedural_messy"):
+        (folder / "sources" / source).mkdir(parents=True)
+        shutil.copy(SOURCE_FOLDER / source / "source.yaml", folder / "sources" / source)
+    (folder / "tiny.yaml").write_text(RECIPE)
+    own = {"ARTICUGEN_SOURCES": str(folder / "sources"), "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(  # noqa: PLW1510
+        [sys.executable, "-c", MAKE, "tiny.yaml", *CATEGORIES],
+        cwd=folder,
+        env={**os.environ, **own, **settings},
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+    assert done.returncode == 0, done.stderr
+    manifests = {
+        c: json.loads((folder / "data" / c / "manifest.json").read_text()) for c in CATEGORIES
+    }
+    return {category: manifest["content_sha256"] for category, manifest in manifests.items()}
+
+
+@pytest.fixture(scope="module")
+def usual(tmp_path_factory) -> dict[str, str]:
+    return made_under(tmp_path_factory.mktemp("usual"))
+
+
+@x86
+@pytest.mark.parametrize("core", ["Prescott", "Haswell"])
+def test_openblas_does_not_show(usual, tmp_path, core):
+    assert made_under(tmp_path, OPENBLAS_CORETYPE=core, OPENBLAS_NUM_THREADS="2") == usual
+
+
+def test_numpy_kernels_do_not_show(usual, tmp_path):
+    assert made_under(tmp_path, NPY_DISABLE_CPU_FEATURES=_numpy_features()) == usual
+
+
+@x86
+def test_the_c_library_s_kernels_do_not_show(usual, tmp_path):
+    plain = "glibc.cpu.hwcaps=-AVX512F,-AVX2,-AVX2_Usable,-FMA,-FMA_Usable,-AVX,-AVX_Usable"
+    assert made_under(tmp_path, GLIBC_TUNABLES=plain) == usual
+
+
+@x86
+@pytest.mark.slow
+def test_numba_s_processor_does_not_show(usual, tmp_path):
+    cache = tmp_path / "kernels"
+    told = {"NUMBA_CPU_NAME": "nehalem", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(cache)}
+    assert made_under(tmp_path, **told) == usual
