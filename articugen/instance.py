@@ -35,7 +35,7 @@ from articugen.rendering import rasterizer, render
 from articugen.rendering.overlay import Overlay
 from articugen.rendering.views import fusion_views, random_pinhole_views
 from articugen.seeding import generator
-from articugen.slender import slender_voxels
+from articugen.slender import Slender, slender_voxels
 from articugen.winding import pieces
 
 MOST_PARTS = 254
@@ -102,7 +102,7 @@ class Prepared:
     static: DepthMaps
     overlay: Overlay | None
     own: tuple[fusion.OwnSolid, ...]
-    slender: NDArray[np.uint8]
+    slender: Slender
     grids: dict[int, Grid]
 
     def rng(self, *path: str | int) -> np.random.Generator:
