@@ -145,6 +145,8 @@ def draw_view(faces, closed, snapped, image, depth, face, first_face):
             continue
         if area < 0:  # the same triangle the other way round
             b, c = c, b
+        if last - first < 2 and right - left < 2 and not _covers(a, b, c, first, last, left, right):
+            continue
         pa = (image[ia, 0], image[ia, 1], image[ia, 2])
         pb = (image[ib, 0], image[ib, 1], image[ib, 2])
         pc = (image[ic, 0], image[ic, 1], image[ic, 2])
@@ -176,6 +178,26 @@ def _pixels(a, b, c, size):
     first = (min(a, b, c) - half + SUBPIXELS - 1) >> SUBPIXEL_BITS
     last = (max(a, b, c) - half) >> SUBPIXEL_BITS
     return max(first, 0), min(last, size - 1)
+
+
+@njit(cache=True, nogil=True)
+def _covers(a, b, c, first, last, left, right):
+    """Whether a triangle covers the centre of one of a few pixels: most small ones cover none."""
+    for i in range(first, last + 1):
+        y = i * SUBPIXELS + SUBPIXELS // 2
+        for j in range(left, right + 1):
+            x = j * SUBPIXELS + SUBPIXELS // 2
+            if _left_of(a, b, x, y) and _left_of(b, c, x, y) and _left_of(c, a, x, y):
+                return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _left_of(a, b, x, y):
+    """Whether an edge's function, see `_edge`, is not negative."""
+    A, B = a[1] - b[1], b[0] - a[0]
+    value = A * (x - a[0]) + B * (y - a[1])
+    return value > 0 or (value == 0 and (A > 0 or (A == 0 and B > 0)))
 
 
 @njit(cache=True, nogil=True)
