@@ -293,7 +293,11 @@ def solid_part(soup: LabelledMesh, recipe: Recipe) -> SolidPart:
 def _own_solid(mesh: LabelledMesh, closed: NDArray[np.bool_], recipe: Recipe) -> fusion.OwnSolid:
     box = bounds(mesh.vertices[mesh.faces].reshape(-1, 3)) if len(mesh.faces) else np.zeros((2, 3))
     views = fusion_views(recipe.views, box)
-    field = fusion.fuse(_render(mesh, views, recipe), mesh, recipe.fusion)
+    if recipe.views.backend == "rasterizer":
+        maps = rasterizer.render(mesh, views, keep_depth=False)
+    else:
+        maps = _render(mesh, views, recipe)
+    field = fusion.fuse(maps, mesh, recipe.fusion)
     return fusion.OwnSolid(field, box, _closed_pieces(mesh, closed, field))
 
 

@@ -19,7 +19,11 @@ LARGEST_PIXEL = 1 << 15
 
 
 def render(
-    mesh: LabelledMesh, views: Views, *, closed: NDArray[np.bool_] | None = None
+    mesh: LabelledMesh,
+    views: Views,
+    *,
+    closed: NDArray[np.bool_] | None = None,
+    keep_depth: bool = True,
 ) -> DepthMaps:
     """The depth maps of `mesh` from `views`, with the face seen at each pixel.
 
@@ -27,12 +31,14 @@ def render(
         mesh: unit frame.
         views: the cameras; every vertex must lie in front of every pinhole camera.
         closed: (F,) which faces bound closed solids, outwards: their backs cannot be seen.
+        keep_depth: or only the faces are kept, at half of the memory.
 
     Raises:
         ValueError: a vertex lies behind a pinhole camera or far outside the image.
     """
     shape = (len(views), views.height, views.width)
-    depth, face = np.full(shape, np.inf, np.float32), np.full(shape, -1, np.int32)
+    face = np.full(shape, -1, np.int32)
+    depth = np.empty(shape if keep_depth else (1, *shape[1:]), np.float32)
     if closed is None:
         closed = np.zeros(len(mesh.faces), np.bool_)
     intrinsics, pinhole = cameras(mesh, views)
@@ -40,7 +46,7 @@ def render(
         mesh.vertices, mesh.faces, closed, views.T_camera_world, intrinsics, pinhole, depth, face
     )
     check_inside(inside)
-    return DepthMaps(depth, face, views)
+    return DepthMaps(depth if keep_depth else None, face, views)
 
 
 def cameras(mesh: LabelledMesh, views: Views) -> tuple[NDArray[np.float64], bool]:
@@ -70,11 +76,11 @@ def _draw(vertices, faces, closed, T, intrinsics, pinhole, depth, face):
     for k in range(T.shape[0]):
         if not project(vertices, T[k], intrinsics[k], pinhole, snapped, image):
             return False
+        view = depth[k % depth.shape[0]]  # one for all views, or each its own
+        view[:] = 0.0 if pinhole else np.inf
+        draw_view(faces, closed, snapped, image, view, face[k], 0)
         if pinhole:
-            depth[k] = 0.0
-        draw_view(faces, closed, snapped, image, depth[k], face[k], 0)
-        if pinhole:
-            _from_key(depth[k])
+            _from_key(view)
     return True
 
 
