@@ -90,14 +90,15 @@ class Fusion(_Section):
     Attributes:
         rule: `seen`: outside is what at least one view sees free; `reachable`: and what lies open
             to that; `mean`: where the mean of the truncated distances is positive (Curless and
-            Levoy 1996, Occupancy Networks).
+            Levoy 1996, Occupancy Networks); `rigid`: what no part's own solid holds, the material
+            alone, the fastest.
         opening: for `reachable`, the width of openings that count, in the unit frame: those of half
             the width never do.
         truncation: in the unit frame.
         sheet_thickness: what a sheet without any thickness is given, in the unit frame.
     """
 
-    rule: Literal["seen", "reachable", "mean"] = "seen"
+    rule: Literal["seen", "reachable", "mean", "rigid"] = "seen"
     truncation: float = Field(default=0.01, gt=0.0, le=0.5)
     opening: float = Field(default=1 / 48, ge=1 / 128, le=0.5)
     sheet_thickness: float = Field(default=1.5 / 256, ge=0.0, le=0.1)

@@ -18,8 +18,15 @@ from articugen.portable import turned
 JointKind = Literal["fixed", "revolute", "continuous", "prismatic"]
 Floats = NDArray[np.float64]
 
-FREE = 0
-"""Occupancy label of free space; a point inside part k has label k + 1."""
+FREE, ENCLOSED = 0, 255
+"""Labels of free space, and of what no view sees though no part's own solid holds it. The material
+of part k has label k + 1."""
+
+
+def is_material(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Where labels name the material of some part."""
+    return (label != FREE) & (label != ENCLOSED)
+
 
 MAX_NAME = 255
 """Bytes of UTF-8 that a shard keeps of a name."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from instances import SMALL, changed, edited, hinged_box
+from instances import SMALL, changed, edited, hinged_box, voxel_centres
 from test_manifest import STATES
 
 from articugen import checks
@@ -251,6 +251,13 @@ def _halved(row: Instance) -> Instance:
     return changed(row, **half)
 
 
+def _one_freed(grid):
+    """A grid without one of part 0's voxels, which others in every pose have."""
+    grid = grid.copy()
+    grid.ravel()[np.flatnonzero(grid == 1)[0]] = 0
+    return grid
+
+
 OBJECT_FAULTS = {
     "a state twice": ("states", lambda rows: [*rows, rows[2]]),
     "no canonical pose": ("states", lambda rows: rows[1:]),
@@ -272,6 +279,10 @@ OBJECT_FAULTS = {
         lambda rows: [*rows[:3], edited(rows[3], "joint_pivot", lambda p: p + 0.1)],
     ),
     "half the box": ("fills box", _all(_halved)),
+    "a voxel of the fixed part that comes and goes": (
+        "fixed part",
+        lambda rows: [*rows[:3], grids(rows[3], lambda n, g: g if n != 64 else _one_freed(g))],
+    ),
 }
 
 
@@ -280,6 +291,35 @@ def test_fault_of_an_object_is_found(what):
     check, harm = OBJECT_FAULTS[what]
     found = list(checks.faults(harm(list(RICH_ROWS)), RICH))
     assert check in {fault.check for fault in found}, found
+
+
+def _with_enclosed(row: Instance) -> Instance:
+    """What is free but far from every surface is said to be enclosed, by all samples alike."""
+    surface = dequantize(row.surface_points)
+
+    def relabelled(points, label):
+        flat = points.reshape(-1, 3)
+        far = (checks._nearest(surface, flat, 0.03) < 0) & (np.abs(flat) < 0.4).all(axis=1)
+        return np.where((label == 0) & far.reshape(label.shape), 255, label).astype(np.uint8)
+
+    queries = {
+        f"{name}_label": relabelled(
+            dequantize(getattr(row, f"{name}_points")), getattr(row, f"{name}_label")
+        )
+        for name in ("uniform", "near")
+    }
+    occupancy = {r: relabelled(voxel_centres(r), grid) for r, grid in row.occupancy.items()}
+    return changed(row, occupancy=occupancy, **queries)
+
+
+def test_enclosed_space_is_a_label_but_where_the_rule_knows_none():
+    rows = [_with_enclosed(row) for row in RICH_ROWS]
+    assert (rows[0].occupancy[64] == 255).any()
+    found = {fault.check for fault in checks.faults(rows, RICH)}
+    assert not found - {"filling"}  # so much of it is not made by any object
+    rigid = RICH.model_copy(update={"fusion": RICH.fusion.model_copy(update={"rule": "rigid"})})
+    assert "labels" in {fault.check for fault in checks.faults(rows, rigid)}
+    assert "labels" not in {fault.check for fault in checks.faults(RICH_ROWS, rigid)}
 
 
 def test_every_check_has_a_fault():

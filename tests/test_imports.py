@@ -16,12 +16,13 @@ BASE = {"errors", "files", "portable", "geometry", "records", "seeding", "recipe
 STAGES = {
     "articulation": set(),
     "rendering": set(),
-    "fusion": {"fusion_kernels", "hierarchy", "reachable", "slender"},
+    "fusion": {"fusion_kernels", "hierarchy", "reachable", "slender", "winding"},
     "fusion_kernels": {"hierarchy"},
     "hierarchy": set(),
     "reachable": {"hierarchy", "fusion_kernels"},
     "sheets": set(),
     "slender": {"hierarchy", "reachable", "sheets"},
+    "winding": {"hierarchy"},
     "sampling": set(),
     "sources": {"files"},
 }

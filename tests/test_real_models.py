@@ -192,6 +192,22 @@ def test_other_urdfs_move_too(folder: str, models: int) -> None:
         assert_moves_rigidly(*all_stages(ref))
 
 
+SMALL_PARTS = {"Microwave": "7265", "CoffeeMachine": "103127", "Dishwasher": "12553"}
+"""Buttons and knobs of 1/30 to 1/200 of the object."""
+
+
+@pytest.mark.parametrize(("category", "model"), SMALL_PARTS.items())
+def test_small_moving_parts_take_no_more_memory_than_others(category: str, model: str) -> None:
+    (ref,) = registry.object_refs(
+        REAL_MODELS / "partnet_mobility_more" / category / model, category.lower()
+    )
+    prepared, _ = all_stages(ref)
+    rng = np.random.default_rng(0)
+    for own in prepared.own:
+        assert own.field.slender.bits.nbytes < 5e6
+        assert own.holds(rng.uniform(*own.box, (4000, 3))).any()
+
+
 # --- difficult models
 
 REFUSED = {

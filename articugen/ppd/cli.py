@@ -201,7 +201,11 @@ def evaluate(
             measure = partial(
                 run_evaluation,
                 data,
-                protocol=Protocol(label_poses=label_poses, test_states=states),
+                protocol=Protocol(
+                    label_poses=label_poses,
+                    test_states=states,
+                    occupancy=checkpoint.recipe.data.occupancy,
+                ),
                 category=checkpoint.category,
                 on_object=lambda name: status.update(f"evaluated {name}"),
             )
