@@ -27,6 +27,7 @@ def is_material(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Where labels name the material of some part."""
     return (label != FREE) & (label != ENCLOSED)
 
+
 MAX_NAME = 255
 """Bytes of UTF-8 that a shard keeps of a name."""
 

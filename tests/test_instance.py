@@ -405,7 +405,9 @@ def test_names_and_semantics_are_those_of_the_file(make: Maker, category: str) -
     children = {joint.name: joint.child for joint in made.obj.joints}
     links = {link.name: link for link in made.obj.links}
     for instance in made.instances:
-        assert instance.joint_name and instance.part_name and instance.part_semantic
+        assert instance.joint_name
+        assert instance.part_name
+        assert instance.part_semantic
         assert instance.part_name[0] == made.obj.links[0].name
         assert instance.part_name[1:] == tuple(children[name] for name in instance.joint_name)
         assert instance.part_semantic == tuple(links[n].semantic for n in instance.part_name)
@@ -534,6 +536,29 @@ def unit_normals(instance: Instance) -> Floats:
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     assert np.abs(lengths - 1.0).max() < 0.007  # rounding to 1/127
     return normals / lengths
+
+
+@pytest.mark.parametrize("rule", ["seen", "rigid"])
+def test_coverage_is_the_share_of_the_exact_solids(make: Maker, rule: str) -> None:
+    """Of every grid, whether it divides the finest or not; without it all else stays as it is."""
+    made = make("eyeglasses", 0)
+    sampling = SAMPLES.model_copy(update={"grids": (8, 12, 32), "coverage": True})
+    fusion = made.recipe.fusion.model_copy(update={"rule": rule})
+    recipe = made.recipe.model_copy(update={"sampling": sampling, "fusion": fusion})
+    instance = make_instance(prepare(made.obj, recipe, seed=0), 1)
+    truth = made.inside if rule == "seen" else lambda s, x: made.holds(s, x).any(axis=1)
+    jitter = np.random.default_rng(0).uniform(-0.5, 0.5, (96**3, 3)) / 96  # or thin parts alias
+    dense = truth(1, grid_points(96) + jitter).reshape((96,) * 3)
+    for r, share in instance.coverage.items():
+        k = 96 // r
+        exact = dense.reshape(r, k, r, k, r, k).mean(axis=(1, 3, 5))
+        assert share.sum() / 255 / r**3 == pytest.approx(dense.mean(), rel=0.05)
+        most = 0.03 if r < 32 else 0.15  # which has 2^3 samples a cell, and 3^3 for the truth
+        assert np.mean(np.abs(share / 255 - exact)[exact > 0]) < most
+    assert sorted(instance.coverage) == [8, 12, 32]
+    assert (instance.occupancy[8] > 0).sum() < 0.2 * (instance.coverage[8] > 0).sum()
+    if rule == "seen":
+        np.testing.assert_array_equal(instance.near_label, made.instances[1].near_label)
 
 
 def test_an_instance_may_hold_no_samples_at_all() -> None:
