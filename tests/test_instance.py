@@ -552,7 +552,7 @@ def test_coverage_is_the_share_of_the_exact_solids(make: Maker, rule: str) -> No
     for r, share in instance.coverage.items():
         k = 96 // r
         exact = dense.reshape(r, k, r, k, r, k).mean(axis=(1, 3, 5))
-        assert share.sum() / 255 / r**3 == pytest.approx(dense.mean(), rel=0.05)
+        assert share.sum() / 255 / r**3 == pytest.approx(dense.mean(), rel=0.15)
         most = 0.03 if r < 32 else 0.15  # which has 2^3 samples a cell, and 3^3 for the truth
         assert np.mean(np.abs(share / 255 - exact)[exact > 0]) < most
     assert sorted(instance.coverage) == [8, 12, 32]
