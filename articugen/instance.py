@@ -138,7 +138,7 @@ def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
     tree = parts[0].own.field.hierarchy
     slender = slender_voxels(parts[0].mesh, fusion.pixel_width(views), tree)
     static_field = fusion.fuse(static, parts[0].mesh, recipe.fusion, slender=slender)
-    fixed = replace(parts[0].own, field=static_field)
+    fixed = replace(parts[0].own, field=replace(static_field, flood=parts[0].own.field.flood))
     own = (fixed, *(part.own for part in parts[1:]))
     draws = recipe.views.backend == "rasterizer" and recipe.fusion.rule != "rigid"
     return Prepared(
@@ -283,7 +283,7 @@ def solid_part(soup: LabelledMesh, recipe: Recipe) -> SolidPart:
         alone = _own_solid(mesh, recipe)
     width = fusion.pixel_width(alone.field.maps.views)
     slender = slender_voxels(mesh, width, alone.field.hierarchy)
-    own = replace(alone, field=replace(alone.field, slender=slender))
+    own = replace(alone, field=fusion.flooded(replace(alone.field, slender=slender), mesh))
     if recipe.fusion.rule != "mean":
         own = replace(own, closed=pieces(mesh, sheets.closed(mesh)))
     return SolidPart(mesh, seen, own)
