@@ -12,8 +12,8 @@ from typing import Literal
 
 import numpy as np
 
-from articugen.errors import RejectedInstance
-from articugen.geometry import invert_rigid, rotation_about, transform
+from articugen.errors import NotOfCategory, RejectedInstance
+from articugen.geometry import apply, bounds, invert_rigid, rotation_about, transform
 from articugen.portable import product, turned
 from articugen.recipe import Articulation
 from articugen.records import ArticulatedObject, Floats, Joint, JointState, Mimic, PosedObject
@@ -23,6 +23,9 @@ Canonical = Literal["zero", "lower", "upper"]
 _TIE = 1e-6
 """Rooms (rad or m) on the two sides of the canonical pose that differ by less count as equal."""
 
+_LEVEL = 0.02
+"""Parts whose middles differ by less than this share of the object's length are in one row."""
+
 
 def resolve(
     obj: ArticulatedObject,
@@ -30,6 +33,7 @@ def resolve(
     *,
     canonical: Canonical = "zero",
     movable: Sequence[str] = (),
+    clip: bool = True,
 ) -> ArticulatedObject:
     """The object as the recipe wants it: q = 0 is the canonical pose, limits are what is sampled.
 
@@ -39,6 +43,11 @@ def resolve(
     whatever `movable` says of itself: multiplier > 0, offset 0 and the driver's range times the
     multiplier; where the driver is locked, so is it.
 
+    Where the source names the parts that move, they are numbered so that a number means the same in
+    all its objects: revolute ones first, by the pattern that picks them, then as one reads who
+    stands before the object's front (+x), from the top row down and in a row from -y to +y. Other
+    objects keep the order of their URDF.
+
     Args:
         obj: as a source gives it, with the limits of its URDF.
         settings: the recipe's choice.
@@ -46,21 +55,27 @@ def resolve(
             its canonical pose at 0. `settings.canonical` other than "source" overrides it.
         movable: the source's choice of joints, as fnmatch patterns on the joint's name or on its
             child link's semantic; empty means all. `settings.movable`, if any, overrides it.
+        clip: the source's choice whether to stay inside the limits of the URDF;
+            `settings.clip_to_limits` other than "source" overrides it.
 
     Returns:
         The object with `notes` extended by what was decided against the letter of its URDF.
 
     Raises:
-        RejectedInstance: no joint moves, a prismatic joint has no limit, the limits leave nothing
-            of the recipe's range, mimic joints drive each other.
+        NotOfCategory: no joint moves, or none that was asked for.
+        RejectedInstance: a prismatic joint has no limit, the limits leave nothing of the recipe's
+            range, mimic joints drive each other.
     """
-    chosen: Canonical = canonical if settings.canonical == "source" else settings.canonical
+    if settings.canonical == "source":
+        settings = settings.model_copy(update={"canonical": canonical})
+    if settings.clip_to_limits == "source":
+        settings = settings.model_copy(update={"clip_to_limits": clip})
     patterns = tuple(settings.movable) or tuple(movable)
     remarks: dict[str, list[str]] = defaultdict(list)
     plans: dict[str, _Plan] = {}
     for joint in obj.joints:
         if joint.kind != "fixed" and joint.mimic is None:
-            plan = _plan_driver(obj, joint, chosen, patterns, settings)
+            plan = _plan_driver(obj, joint, patterns, settings)
             plans[joint.name] = plan
             for remark in plan.remarks:
                 remarks[remark].append(joint.name)
@@ -70,12 +85,13 @@ def resolve(
         if not plans[joint.name].moves:
             remarks["locked, as the joints that drive them are"].append(joint.name)
     if not any(plan.moves for plan in plans.values()):
-        raise RejectedInstance(_nothing_moves(obj, patterns))
-    return replace(
+        raise NotOfCategory(_nothing_moves(obj, patterns))
+    resolved = replace(
         obj,
         joints=tuple(_planned(j, plans[j.name]) if j.name in plans else j for j in obj.joints),
         notes=obj.notes + tuple(f"{text}: {', '.join(names)}" for text, names in remarks.items()),
     )
+    return replace(resolved, part_order=_part_order(resolved, patterns)) if movable else resolved
 
 
 def canonical_state(obj: ArticulatedObject) -> JointState:
@@ -159,17 +175,17 @@ class _Plan:
 def _plan_driver(
     obj: ArticulatedObject,
     joint: Joint,
-    canonical: Canonical,
     patterns: tuple[str, ...],
     settings: Articulation,
 ) -> _Plan:
+    canonical = settings.canonical
     value = {"zero": 0.0, "lower": joint.lower, "upper": joint.upper}[canonical]
     remarks: list[str] = []
     if not np.isfinite(value):
         value = 0.0
         if joint.kind != "continuous":
             remarks.append(f"no {canonical} limit, canonical pose at 0 instead")
-    if not _matches(obj, joint, patterns):
+    if patterns and _pattern_of(obj, joint, patterns) == len(patterns):
         return _Plan(value, remarks=(*remarks, "locked, not among the movable joints"))
     if not joint.lower - _TIE <= value <= joint.upper + _TIE:
         remarks.append("canonical pose outside the limits of the URDF")
@@ -277,9 +293,47 @@ def _motion(joint: Joint, q: float) -> Floats:
     return transform(rotation_about(joint.axis, q))
 
 
-def _matches(obj: ArticulatedObject, joint: Joint, patterns: tuple[str, ...]) -> bool:
+def _pattern_of(obj: ArticulatedObject, joint: Joint, patterns: tuple[str, ...]) -> int:
+    """The first pattern that picks the joint; the number of patterns where none does."""
     names = (joint.name, obj.links[obj.link_index[joint.child]].semantic)
-    return not patterns or any(fnmatchcase(name, p) for name in names for p in patterns)
+    picks = (k for k, p in enumerate(patterns) if any(fnmatchcase(name, p) for name in names))
+    return next(picks, len(patterns))
+
+
+def _part_order(obj: ArticulatedObject, patterns: tuple[str, ...]) -> tuple[str, ...]:
+    """The moving joints by pattern, then by where their parts are in the canonical pose."""
+    boxes = _part_boxes(obj)
+    middle = boxes.mean(axis=1)
+    length = float((boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0)).max())
+    row = _levels(-middle[1:, 2], _LEVEL * length)
+    column = _levels(middle[1:, 1], _LEVEL * length)
+
+    def place(j: int) -> tuple[float, ...]:
+        x, y, z = middle[j + 1]
+        return (_pattern_of(obj, moving[j], patterns), row[j], column[j], -z, y, -x)
+
+    moving = obj.moving_joints
+    return tuple(moving[j].name for j in sorted(range(len(moving)), key=place))
+
+
+def _part_boxes(obj: ArticulatedObject) -> Floats:
+    """(P, 2, 3) the box of each part in the canonical pose, world frame; of an empty one, its
+    pivot or the origin."""
+    posed = forward_kinematics(obj, canonical_state(obj))
+    pivots = np.concatenate([posed.T_world_part[:1, :3, 3], posed.pivots])
+    at: list[list[Floats]] = [[] for _ in pivots]
+    for link, T, part in zip(obj.links, posed.T_world_link, obj.part_of_link, strict=True):
+        at[part].append(apply(T, link.mesh.vertices[link.mesh.faces].reshape(-1, 3)))
+    shapes = [np.concatenate(points) for points in at]
+    return np.array([bounds(s if len(s) else p[None]) for s, p in zip(shapes, pivots, strict=True)])
+
+
+def _levels(values: Floats, gap: float) -> list[int]:
+    """The number of the level that each value is on; levels ascend, more than `gap` apart."""
+    order = np.argsort(values, kind="stable")
+    levels = np.zeros(len(values), int)
+    levels[order[1:]] = np.cumsum(np.diff(values[order]) > gap)
+    return levels.tolist()
 
 
 def _nothing_moves(obj: ArticulatedObject, patterns: tuple[str, ...]) -> str:

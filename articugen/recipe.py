@@ -6,12 +6,17 @@ keys are refused with the nearest valid name. The hash of the resolved recipe is
 
 import hashlib
 import json
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from articugen.errors import InvalidRecipe, printable
 from articugen.recipe_files import RECIPE_FOLDER, find, resolved, validated
+
+_CATEGORY = re.compile(r"\w(?:[\w .+-]{0,98}[\w+-])?")
 
 
 class _Section(BaseModel):
@@ -27,7 +32,8 @@ class Articulation(_Section):
         revolute_degrees: the range sampled from, relative to the canonical pose; also the limits
             of continuous joints and of joints without any.
         prismatic_metres: the same for prismatic joints; null means up to the URDF's own limit.
-        clip_to_limits: stay inside the URDF's limits.
+        clip_to_limits: stay inside the URDF's limits; `source` asks source.yaml: models made by
+            others do, our own procedural ones keep the range of the recipe.
         movable: names of joints that move, as patterns with * and ?; the others are locked at the
             canonical value and their links ride on what they hang on. [] means: ask source.yaml.
     """
@@ -36,7 +42,7 @@ class Articulation(_Section):
     canonical: Literal["source", "zero", "lower", "upper"] = "source"
     revolute_degrees: tuple[float, float] = (0.0, 135.0)
     prismatic_metres: tuple[float, float] | None = None
-    clip_to_limits: bool = False
+    clip_to_limits: bool | Literal["source"] = "source"
     movable: tuple[str, ...] = ()
 
     @model_validator(mode="after")
@@ -110,7 +116,15 @@ class Sampling(_Section):
 
 
 class Recipe(_Section):
-    """One recipe, resolved. See the sections for the meaning of each key."""
+    """One recipe, resolved. See the sections for the meaning of each key.
+
+    Attributes:
+        objects: so many of the category; null means all.
+        max_rejected_fraction: with more rejected objects than that a data set counts as failed.
+        seconds_per_object: an object that takes longer is rejected; null means ten minutes and five
+            seconds more for each instance.
+        memory_per_object_mb: so is one for which a worker comes to hold more.
+    """
 
     name: str
     articulation: Articulation = Articulation()
@@ -120,27 +134,75 @@ class Recipe(_Section):
     padding: float = Field(default=0.1, ge=0.0, lt=1.0)
     objects: int | None = Field(default=None, ge=1)
     max_rejected_fraction: float = Field(default=0.1, ge=0.0, le=1.0)
+    seconds_per_object: float | None = Field(default=None, gt=0.0, le=1e7)
+    memory_per_object_mb: float = Field(default=4096.0, ge=256.0, le=1e7)
 
     def text(self) -> str:
         """The resolved recipe as canonical JSON; equal recipes have equal texts."""
         return json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
 
     def for_one_object(self) -> "Recipe":
-        """What of the recipe decides an object's data: neither its name nor how many objects."""
+        """What of the recipe decides an object's data: neither its name nor numbers and limits."""
+        fields = Recipe.model_fields
+        limits = ("seconds_per_object", "memory_per_object_mb")
         aside = {"name": "object", "objects": None, "max_rejected_fraction": 1.0}
-        return self.model_copy(update=aside)
+        return self.model_copy(update=aside | {name: fields[name].default for name in limits})
 
     def sha256(self) -> str:
         return hashlib.sha256(self.text().encode()).hexdigest()
 
-    def with_counts(self, *, objects: int | None = None, states: int | None = None) -> "Recipe":
-        """This recipe with other numbers of objects and of random states; None keeps its own."""
+    def with_counts(
+        self,
+        *,
+        objects: int | None = None,
+        states: int | None = None,
+        max_rejected: float | None = None,
+    ) -> "Recipe":
+        """This recipe with other numbers of objects and of random states, or another
+        `max_rejected_fraction`; None keeps its own."""
         data = self.model_dump()
+        if max_rejected is not None:
+            data["max_rejected_fraction"] = max_rejected
         if objects is not None:
             data["objects"] = objects
         if states is not None:
             data["articulation"]["states"] = states
         return Recipe.model_validate(data)
+
+    def with_articulation(
+        self, *, movable: Sequence[str] = (), canonical: str | None = None
+    ) -> "Recipe":
+        """This recipe with other moving joints or another canonical pose; nothing keeps its own.
+
+        Raises:
+            InvalidRecipe: there is no such canonical pose.
+        """
+        data = self.model_dump()
+        if movable:
+            data["articulation"]["movable"] = list(movable)
+        if canonical is not None:
+            data["articulation"]["canonical"] = canonical
+        return validated(Recipe, data, f"recipe {self.name!r}")
+
+    def for_source(self, *, clips_to_limits: bool) -> "Recipe":
+        """This recipe as it is for a source: that its joints are clipped, or not, is then said."""
+        if self.articulation.clip_to_limits != "source":
+            return self
+        own = self.articulation.model_copy(update={"clip_to_limits": clips_to_limits})
+        return self.model_copy(update={"articulation": own})
+
+
+def check_category(name: str) -> None:
+    """Categories name recipes and folders: letters, digits and _, within also space, - . and +.
+
+    Raises:
+        InvalidRecipe: another name.
+    """
+    if not _CATEGORY.fullmatch(name):
+        raise InvalidRecipe(
+            f"{printable(name)!r} cannot be a category's name; use up to 100 letters, digits, _ "
+            "and, within, - or ., without any /"
+        )
 
 
 def load_recipe(name: str | Path | None, category: str) -> Recipe:
@@ -151,6 +213,8 @@ def load_recipe(name: str | Path | None, category: str) -> Recipe:
     Raises:
         InvalidRecipe: no such recipe, bad YAML, an unknown key or a bad value.
     """
+
+    check_category(category)
 
     def base_of(base: str) -> Path:
         return _category_recipe(category) if base == "category" else find(base, learner=False)

@@ -14,12 +14,19 @@ from numba import njit
 from numpy.typing import NDArray
 
 from articugen.geometry import cross
+from articugen.portable import arctan2, dot, norm
 from articugen.records import DepthMaps, LabelledMesh
 
 SAMPLE_AREA = 0.02**2
 MOST_SAMPLES = 16
 SHEET_SHARE = 1.0 / 3.0
 """A face is a sheet where at least this share of its samples is seen free on both sides."""
+
+MOST_AT_AN_EDGE = 8
+"""Of more faces than these at one edge, only neighbours in their order are looked at."""
+
+LONGEST_MITRE = 2.0
+"""A corner of a bent sheet is lifted by at most so many times the sheet's thickness."""
 
 SMOOTH_COSINE = np.cos(np.radians(30.0))
 """Sheets that meet at less than 30 degrees share their edge; steeper ones are walled on it."""
@@ -136,18 +143,25 @@ def _slabs(
     part_of_face: NDArray[np.uint8],
     thickness: float,
 ) -> LabelledMesh:
-    """Each face as a slab: two caps, and walls on the edges where the sheet ends or folds."""
-    corners = vertices[faces]
+    """Each face as a slab: two caps, and walls on the edges where the sheet ends or folds.
+
+    Where the sheet goes on over an edge, smoothly, the slabs on both sides share the edge's lifted
+    ends (a mitre joint): along a bent sheet there is no crack to look into it through.
+    """
     normals = face_normals(vertices, faces)
-    lifted = corners[:, None] + np.array([0.5, -0.5])[None, :, None, None] * (
-        thickness * normals[:, None, None, :]
+    pairs = _smooth_pairs(welded(vertices)[faces], normals)
+    ways = _mitres(vertices[faces], normals, pairs)
+    lifted = vertices[faces][:, None] + np.array([0.5, -0.5])[None, :, None, None] * (
+        thickness * ways[:, None]
     )
     first = 6 * np.arange(len(faces))[:, None]  # each face has six vertices of its own
     top, bottom = np.array([0, 1, 2]), np.array([5, 4, 3])
     caps = np.concatenate([first + top, first + bottom])
+    continued = np.zeros((len(faces), 3), np.bool_)
+    continued[pairs[:, 0], pairs[:, 1]] = True
     walls, owner = [], []
     for edge, (a, b) in enumerate(((0, 1), (1, 2), (2, 0))):
-        ends = np.flatnonzero(~_continued(vertices, faces, normals, edge))
+        ends = np.flatnonzero(~continued[:, edge])
         for corners_of_half in ((a, 3 + a, 3 + b), (a, 3 + b, b)):
             walls.append(first[ends] + np.array(corners_of_half))
             owner.append(ends)
@@ -156,27 +170,102 @@ def _slabs(
     return LabelledMesh(lifted.reshape(-1, 3), all_faces.astype(np.int32), part_of_face[source])
 
 
-def _continued(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    normals: NDArray[np.float64],
-    edge: int,
-) -> NDArray[np.bool_]:
-    """Whether another face goes on smoothly over the given edge (0, 1 or 2) of each face."""
-    weld = welded(vertices)[faces]
-    pairs = np.concatenate([weld[:, [0, 1]], weld[:, [1, 2]], weld[:, [2, 0]]])
-    pairs = np.sort(pairs, axis=1)
-    owner = np.tile(np.arange(len(faces)), 3)
-    key = pairs[:, 0] * (weld.max(initial=0) + 1) + pairs[:, 1]
+def _smooth_pairs(weld: NDArray[np.intp], normals: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Rows (f, e, g, d): face g goes on smoothly with its edge d over edge e of face f, and the
+    other way about; edges 0, 1, 2 run from the corner of that number to the next.
+
+    Args:
+        weld: (F, 3) a number for the place of each corner.
+    """
+    ends = np.stack([weld, np.roll(weld, -1, axis=1)], axis=2).reshape(-1, 2)
+    ends = np.sort(ends, axis=1)
+    key = ends[:, 0] * (int(weld.max(initial=0)) + 1) + ends[:, 1]
     order = np.argsort(key, kind="stable")
-    mine = key[edge * len(faces) : (edge + 1) * len(faces)]
-    start = np.searchsorted(key[order], mine, side="left")
-    count = np.searchsorted(key[order], mine, side="right") - start
-    face = np.repeat(np.arange(len(faces)), count)
-    rank = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
-    other = owner[order[start[face] + rank]]
-    smooth = np.abs(np.einsum("ni,ni->n", normals[face], normals[other])) > SMOOTH_COSINE
-    return np.bincount(face, weights=smooth & (other != face), minlength=len(faces)) > 0
+    found = [np.zeros((0, 2), np.intp)]
+    for step in range(1, MOST_AT_AN_EDGE):  # each edge with the next ones that lie in its place
+        same = np.flatnonzero(key[order[step:]] == key[order[:-step]]) if step < len(key) else []
+        if not len(same):
+            break
+        found.append(np.stack([order[same], order[same + step]], axis=1))
+    one, other = np.concatenate(found).T
+    smooth = np.abs(dot(normals[one // 3], normals[other // 3])) > SMOOTH_COSINE
+    one, other = one[smooth & (one // 3 != other // 3)], other[smooth & (one // 3 != other // 3)]
+    rows = np.stack([one // 3, one % 3, other // 3, other % 3], axis=1)
+    return np.concatenate([rows, rows[:, [2, 3, 0, 1]]])
+
+
+def _mitres(
+    corners: NDArray[np.float64], normals: NDArray[np.float64], pairs: NDArray[np.intp]
+) -> NDArray[np.float64]:
+    """(F, 3, 3) where each corner of a face goes as the face is lifted by 1 along its normal.
+
+    The same place, or the opposite one, for corners that `_smooth_pairs` joins: along the mean of
+    the normals there, weighted by the faces' angles (Thuermer and Wuethrich 1998), and further the
+    more it leans, by no more than `LONGEST_MITRE`.
+    """
+    sides = np.roll(corners, -1, axis=1) - corners
+    back = -np.roll(sides, 1, axis=1)
+    angle = arctan2(norm(cross(sides, back)), dot(sides, back))
+    group, side = _groups(len(normals), pairs, normals)
+    own = np.repeat(normals, 3, axis=0)
+    mean = np.zeros((3 * len(normals), 3))
+    np.add.at(mean, group, (side * angle.reshape(-1))[:, None] * own)
+    mean = side[:, None] * mean[group]
+    length = norm(mean)
+    along = dot(mean, own) / np.maximum(length, 1e-30)
+    leans = along > 1.0 / LONGEST_MITRE  # or faces that cannot be told up from down meet here
+    ways = mean / np.maximum(length * np.maximum(along, 1e-30), 1e-30)[:, None]
+    return np.where(leans[:, None], ways, own).reshape(-1, 3, 3)
+
+
+@njit(cache=True, nogil=True)
+def _groups(count, pairs, normals):
+    """For each of 3 * count corners the first of those joined to it, and on which side it lies.
+
+    The side is -1 where the face's winding is the other way about from that first corner's.
+    """
+    parent = np.arange(3 * count)
+    side = np.ones(3 * count)
+    for n in range(pairs.shape[0]):
+        f, e, g, d = pairs[n]
+        turn = 1.0
+        if (
+            normals[f, 0] * normals[g, 0]
+            + normals[f, 1] * normals[g, 1]
+            + normals[f, 2] * normals[g, 2]
+        ) < 0.0:
+            turn = -1.0
+        # edges of faces wound alike run against each other
+        first, last = (d, (d + 1) % 3) if turn < 0.0 else ((d + 1) % 3, d)
+        _join(parent, side, 3 * f + e, 3 * g + first, turn)
+        _join(parent, side, 3 * f + (e + 1) % 3, 3 * g + last, turn)
+    for c in range(3 * count):
+        _settle(parent, side, c)
+    return parent, side
+
+
+@njit(cache=True, nogil=True)
+def _join(parent, side, a, b, turn):
+    a_root, b_root = _settle(parent, side, a), _settle(parent, side, b)
+    if a_root != b_root:
+        low, high = min(a_root, b_root), max(a_root, b_root)
+        side[high] = turn * side[a] * side[b]
+        parent[high] = low
+
+
+@njit(cache=True, nogil=True)
+def _settle(parent, side, c):
+    """The root of corner `c`, which becomes its parent; its side is then that towards the root."""
+    root, turn = c, 1.0
+    while parent[root] != root:
+        turn *= side[root]
+        root = parent[root]
+    while parent[c] != root and parent[c] != c:
+        onward, own = parent[c], side[c]
+        parent[c], side[c] = root, turn
+        turn *= own
+        c = onward
+    return root
 
 
 def closed(mesh: LabelledMesh) -> NDArray[np.bool_]:

@@ -18,8 +18,9 @@ from articugen.geometry import fibonacci_sphere, invert_rigid, rotation_about, t
 from articugen.inspection.camera import framed
 from articugen.inspection.cells import cells_of, near
 from articugen.inspection.contact_sheet import contact_sheet
+from articugen.inspection.layout import CAPTION, MARGIN, TILE, Row, sheet
 from articugen.inspection.light import Cloud, occlusion, occlusion_in_detail
-from articugen.inspection.portrait import COLOURS
+from articugen.inspection.portrait import COLOURS, colour_of
 from articugen.inspection.shading import PAPER
 from articugen.inspection.summary import histogram, shards_of, summary
 from articugen.inspection.surfels import Sample, draw, surfels
@@ -269,6 +270,63 @@ def test_every_instance_has_its_share_in_a_picture(tmp_path: Path) -> None:
     far_off = [(np.abs(tile - pooled).max(axis=-1) > 60).sum() for tile in (alone, wrong)]
     assert 0 < far_off[0] < 1000
     assert far_off[1] > 4 * far_off[0]
+
+
+def test_colours_are_distinct_to_sixteen_parts_and_never_part_0s() -> None:
+    assert [colour_of(k) for k in range(17)] == list(COLOURS)
+    assert colour_of(17) == colour_of(1)
+    assert COLOURS[0] not in {colour_of(k) for k in range(1, 254)}
+    lab = np.array([perceived(colour) for colour in COLOURS])
+    apart = np.linalg.norm(lab[:, None] - lab[None], axis=-1) + 1e3 * np.eye(len(lab))
+    assert apart.min() > 24.0  # 2.3 is the least that can be seen at all
+
+
+def perceived(colour: str) -> np.ndarray:
+    """CIE L*a*b*, in which distances are as large as they look."""
+    rgb = np.frombuffer(bytes.fromhex(colour[1:]), np.uint8) / 255.0
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    to_xyz = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    x, y, z = np.cbrt(np.array(to_xyz) @ linear / (0.9505, 1.0, 1.089))
+    return np.array([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)])
+
+
+def test_captions_of_many_joints_take_several_lines() -> None:
+    tile = Image.new("RGB", (TILE, TILE), "#ffffff")
+    captions = [[(f"{k + 100}°", colour_of(k + 1)) for k in range(count)] for count in (1, 12)]
+    few, many = (
+        np.asarray(sheet([Row("title", [tile], [caption])]).convert("L")) for caption in captions
+    )
+    assert (many.shape[0] - few.shape[0]) % CAPTION == 0
+    assert many.shape[0] > few.shape[0] + CAPTION
+    for picture in (few, many):  # nothing is written beside the tile
+        assert (picture[:, :MARGIN] == 255).all()
+        assert (picture[:, MARGIN + TILE :] == 255).all()
+
+
+def test_discs_of_a_thin_plate_stay_within_it() -> None:
+    """A plate 0.006 thick with a sparse face inside, which ends 0.01 before the plate's rim."""
+    rng = np.random.default_rng(0)
+    outer = rng.uniform(-0.3, 0.3, (4000, 3))
+    outer[:, 0] = 0.0
+    inner = rng.uniform(-0.29, 0.29, (300, 3))
+    inner[:, 1], inner[:, 0] = -0.29, rng.uniform(-0.08, -0.006, 300)
+    normals = np.concatenate([np.tile((1.0, 0.0, 0.0), (4000, 1)), np.tile((0, 1.0, 0), (300, 1))])
+    part = np.repeat(np.array([0, 1], np.uint8), (4000, 300))
+    discs = surfels([Sample(np.concatenate([outer, inner]), normals, part)])
+    camera = framed(discs.points, np.pi / 5, 0.2, 192, fill=0.8)
+    depth, _, values = draw(discs, discs.part[:, None].astype(float), camera)
+    at = camera.eye + depth[..., None] * camera.rays
+    shown = np.isfinite(depth) & (values[..., 0] > 0.5)
+    assert shown.sum() == 0 or at[shown][:, 0].max() < 0.003
+
+
+def test_tables_keep_their_numbers_on_one_line_on_a_narrow_terminal(tmp_path: Path) -> None:
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(summary([shard(tmp_path)]))
+    text = console.export_text()
+    assert " on disk " in text
+    assert max(map(len, text.splitlines())) <= 80
+    assert len(text.splitlines()) < 80
 
 
 def test_a_sheet_needs_surface_points(tmp_path: Path) -> None:

@@ -135,3 +135,40 @@ def test_a_face_that_shows_between_its_probes_is_seen():
     assert on_top.sum() == 2
     assert part.seen[on_top].all()
     assert np.all(sheets.face_normals(part.mesh.vertices, part.mesh.faces)[on_top, 2] > 0.99)
+
+
+def bent_sheet(turns: int = 12, bend: float = np.radians(150.0), radius: float = 0.3):
+    """A strip bent round an arc, facet by facet, wound at random; and its facets' length."""
+    angle = np.linspace(0.0, bend, turns + 1)
+    arc = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    rows = [np.column_stack([arc, np.full(turns + 1, z)]) for z in (-0.2, 0.0, 0.2)]
+    at = np.arange(3 * (turns + 1)).reshape(3, turns + 1)
+    quads = np.stack([at[:-1, :-1], at[:-1, 1:], at[1:, 1:], at[1:, :-1]], axis=-1).reshape(-1, 4)
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    wound = np.random.default_rng(0).random(len(faces)) < 0.5
+    faces[wound] = faces[wound][:, ::-1]
+    return trimesh.Trimesh(np.concatenate(rows), faces, process=False), 2 * radius * np.sin(
+        bend / turns / 2
+    )
+
+
+def test_a_bent_sheet_becomes_one_watertight_solid_of_its_thickness():
+    strip, facet = bent_sheet()
+    mesh = labelled(strip)
+    where = sheets.probes(mesh, 1e-3)
+    free, shown = np.ones((2, len(where.face)), bool), np.ones((2, len(mesh.faces)), int)
+    solid, _ = sheets.solidified(mesh, where, free, shown, 0.01)
+    together = trimesh.Trimesh(solid.vertices, solid.faces)
+    together.merge_vertices(digits_vertex=9)
+    trimesh.repair.fix_winding(together)
+    assert together.is_watertight
+    assert abs(together.volume) == pytest.approx(12 * facet * 0.4 * 0.01, rel=1e-6)
+
+
+def test_nobody_looks_into_a_bent_sheet_between_its_facets():
+    """Finely bent, as a tap or a lamp shade is: each point of the middle surface is inside."""
+    strip, _ = bent_sheet(turns=60, radius=0.1)
+    part = solid_part(labelled(two_sided(strip)), RECIPE)
+    points, _ = trimesh.sample.sample_surface(strip, 4000, seed=0)
+    inner = points[np.abs(points[:, 2]) < 0.195]
+    assert not part.own.field.is_free(inner.astype(np.float32)).any()

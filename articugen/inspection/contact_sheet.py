@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from articugen.errors import ArticugenError
 from articugen.inspection.layout import Caption, Row, save, sheet
-from articugen.inspection.portrait import COLOURS, best_azimuth, pooled, portrait, tile_camera
+from articugen.inspection.portrait import best_azimuth, colour_of, pooled, portrait, tile_camera
 from articugen.inspection.surfels import Surfels
 from articugen.records import Instance, dequantize
 from articugen.shards import Shard, open_shard
@@ -128,7 +128,7 @@ def _moved(shard: Shard, index: int) -> float:
 def _states(instance: Instance) -> Caption:
     """The joint states, each in the colour of its part."""
     J = len(instance.joint_state)
-    return [(_state(instance, j), COLOURS[(j + 1) % len(COLOURS)]) for j in range(J)]
+    return [(_state(instance, j), colour_of(j + 1)) for j in range(J)]
 
 
 def _state(instance: Instance, joint: int) -> str:

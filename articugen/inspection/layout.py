@@ -11,7 +11,7 @@ from articugen.inspection.shading import PAPER, Picture
 
 INK, GREY = "#333333", "#8a8a8a"
 
-TILE, MARGIN, CAPTION = 288, 10, 22
+TILE, MARGIN, CAPTION, GAP = 288, 10, 22, 12
 
 Caption = Sequence[tuple[str, str]]
 """Texts, each after a dot of its colour, if it has one."""
@@ -27,18 +27,20 @@ class Row:
 
 
 def sheet(rows: Sequence[Row]) -> Picture:
-    """The rows under each other."""
+    """The rows under each other; captions wider than a tile take several lines."""
     columns = max(len(row.pictures) for row in rows)
-    height = TILE + 2 * CAPTION
-    canvas = Image.new("RGB", (2 * MARGIN + columns * TILE, 2 * MARGIN + len(rows) * height), PAPER)
+    captions = [[_lines(caption) for caption in row.captions] for row in rows]
+    heights = [TILE + CAPTION * (1 + max(map(len, row), default=1)) for row in captions]
+    canvas = Image.new("RGB", (2 * MARGIN + columns * TILE, 2 * MARGIN + sum(heights)), PAPER)
     pen = ImageDraw.Draw(canvas)
     for r, row in enumerate(rows):
-        top = MARGIN + r * height
+        top = MARGIN + sum(heights[:r])
         pen.text((MARGIN + 6, top + 2), row.title, GREY, ImageFont.load_default(14))
-        for c, (picture, caption) in enumerate(zip(row.pictures, row.captions, strict=True)):
+        for c, (picture, lines) in enumerate(zip(row.pictures, captions[r], strict=True)):
             x = MARGIN + c * TILE
             canvas.paste(picture, (x, top + CAPTION))
-            _write(pen, caption, x + TILE // 2, top + CAPTION + TILE)
+            for k, line in enumerate(lines):
+                _write(pen, line, x + TILE // 2, top + CAPTION * (1 + k) + TILE)
     return canvas
 
 
@@ -54,12 +56,28 @@ def save(picture: Picture, path: Path) -> None:
         raise ArticugenError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-def _write(pen: ImageDraw.ImageDraw, caption: Caption, middle: int, top: int) -> None:
+def _lines(caption: Caption) -> list[Caption]:
+    """The caption in lines that are no wider than a tile, as even as can be."""
+    widths = [_width(entry) for entry in caption]
+    most = max(int((TILE + GAP) / (max(widths, default=0.0) + GAP)), 1)
+    if sum(widths) + GAP * (len(widths) - 1) <= TILE:
+        most = len(caption)
+    count = -(-len(caption) // most) if caption else 1
+    each = -(-len(caption) // count)
+    return [caption[k * each : (k + 1) * each] for k in range(count)]
+
+
+def _width(entry: tuple[str, str]) -> float:
+    text, colour = entry
+    return 16 * bool(colour) + ImageFont.load_default(14).getlength(text)
+
+
+def _write(pen: ImageDraw.ImageDraw, line: Caption, middle: int, top: int) -> None:
     font = ImageFont.load_default(14)
-    widths = [16 * bool(colour) + pen.textlength(text, font) for text, colour in caption]
-    x = middle - (sum(widths) + 12 * (len(widths) - 1)) / 2
-    for (text, colour), width in zip(caption, widths, strict=True):
+    widths = [_width(entry) for entry in line]
+    x = middle - (sum(widths) + GAP * (len(widths) - 1)) / 2
+    for (text, colour), width in zip(line, widths, strict=True):
         if colour:
             pen.ellipse((x, top + 4, x + 10, top + 14), colour)
         pen.text((x + 16 * bool(colour), top), text, INK, font)
-        x += width + 12
+        x += width + GAP

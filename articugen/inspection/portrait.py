@@ -20,13 +20,23 @@ from articugen.records import Instance, dequantize
 
 Array = NDArray[np.float64]
 
-COLOURS = ("#d9d4cb", "#4477aa", "#ddaa33", "#bb5566", "#44aa99", "#882255", "#88ccee", "#999933")
-"""Of part 0, 1, ...: pairs that readers with any colour vision tell apart (after Paul Tol)."""
+COLOURS = (
+    "#d9d4cb",
+    *("#4477aa", "#ddaa33", "#bb5566", "#44aa99", "#882255", "#88ccee", "#999933", "#cc88ee"),
+    *("#444422", "#442288", "#66cc66", "#cc6622", "#226622", "#eeaacc", "#aa8866", "#2266cc"),
+)
+"""Of part 0, 1, ...: the first eight are pairs that readers with any colour vision tell apart
+(after Paul Tol), the others as far from them and from each other as calm colours can be."""
 
 NOTHING = Solid(np.zeros((0, 3, 3)), np.zeros(0, np.int64), ())
 
 AZIMUTHS = tuple(np.radians((-35.0, 35.0, 145.0, 215.0)))
 ELEVATION = float(np.radians(27.0))
+
+
+def colour_of(part: int) -> str:
+    """The colour of a part; from part 17 on they repeat, but for part 0's."""
+    return COLOURS[0] if part == 0 else COLOURS[1 + (part - 1) % (len(COLOURS) - 1)]
 
 
 def sample(instance: Instance) -> Sample:
@@ -70,7 +80,6 @@ def portrait(
     floor: float,
     *,
     beside: Solid = NOTHING,
-    colours: Sequence[str] = COLOURS,
 ) -> Picture:
     """An instance, drawn with the `pooled` discs of its object in the colours of its parts.
 
@@ -80,7 +89,7 @@ def portrait(
     """
     posed, own = discs.moved(instance.part_motion), sample(instance)
     coarse = Cloud(own.points, own.normals, np.full(len(own.points), own.spacing() ** 2))
-    palette = _palette([colours[k % len(colours)] for k in range(256)])
+    palette = _palette([colour_of(k) for k in range(256)])
     seen = nearer(draw(posed, palette[posed.part], camera), _drawn(beside, camera))
     return shaded(seen, camera, coarse, posed.cloud, floor)
 

@@ -21,6 +21,15 @@ NEIGHBOURS = 14
 """The spacing of the points, and how far a disc must reach so that random gaps between them close,
 is judged by the distance to the neighbour of this rank: about 2.1 spacings on a plane."""
 
+DIRECTIONS = 8
+"""In so many directions it is asked where the face of a disc ends."""
+
+BEYOND = 0.4
+"""The edge of a face lies beyond its last point, by so many spacings as a rule."""
+
+MOST_AROUND = 15
+"""A pixel lies in a gap where so many of the 24 around it are nearer."""
+
 SAME_FACE = np.cos(np.radians(25.0))
 """Normals that differ by less belong to one face, others to two that meet in an edge."""
 
@@ -58,7 +67,9 @@ class Surfels:
         radius: (n,) of the discs.
         clip_ends: (n, 2) where each disc's part of `clip` begins and ends.
         clip: for every disc the neighbours across a convex edge; it ends at their planes.
-        trim: (n, 4) a direction in its plane and how far it goes that way.
+        across: (n, 3) a unit direction in each disc's plane.
+        reach: (n, DIRECTIONS) how far each goes in even directions in its plane, from `across` on:
+            not beyond the last point of its face that way.
     """
 
     points: Array
@@ -68,7 +79,8 @@ class Surfels:
     radius: Array
     clip_ends: NDArray[np.int64]
     clip: NDArray[np.int32]
-    trim: Array
+    across: Array
+    reach: Array
 
     @property
     def cloud(self) -> Cloud:
@@ -79,13 +91,11 @@ class Surfels:
 
         A disc's edges depend on discs of its own part only, so they move with it.
         """
-        trim = self.trim.copy()
-        trim[:, :3] = _turned(T_part, self.trim[:, :3], self.part)
         return replace(
             self,
             points=_turned(T_part, self.points, self.part) + T_part[self.part, :3, 3],
             normals=_turned(T_part, self.normals, self.part),
-            trim=trim,
+            across=_turned(T_part, self.across, self.part),
         )
 
 
@@ -107,8 +117,16 @@ def surfels(samples: Sequence[Sample]) -> Surfels:
     covers = _covers(points, normals, part, source, len(samples), cells, spacing)
     local = spacing / np.sqrt(covers)
     cells = cells_of(points, 3.0 * float(np.median(local)))
-    radius, ends, clip, trim = _outline(points, normals, part, local, cells, NEIGHBOURS)
-    return Surfels(points, normals, part, local, radius, ends, clip, trim)
+    across = _across(normals)
+    radius, ends, clip, reach = _outline(points, normals, across, part, local, cells, NEIGHBOURS)
+    return Surfels(points, normals, part, local, radius, ends, clip, across, reach)
+
+
+def _across(normals: Array) -> Array:
+    """A unit direction at right angles to each of `normals` (n, 3)."""
+    least = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
+    across = np.cross(normals, least)
+    return across / np.linalg.norm(across, axis=1, keepdims=True)
 
 
 def draw(discs: Surfels, values: Array, camera: Camera) -> tuple[Array, Array, Array]:
@@ -136,7 +154,8 @@ def draw(discs: Surfels, values: Array, camera: Camera) -> tuple[Array, Array, A
         discs.radius,
         discs.clip_ends,
         discs.clip,
-        discs.trim,
+        discs.across,
+        discs.reach,
         np.concatenate([discs.normals, values], axis=1),
         np.flatnonzero(facing)[np.argsort(z[facing, 0])],
         np.clip(box, 0, camera.size).astype(np.int64),
@@ -144,7 +163,8 @@ def draw(discs: Surfels, values: Array, camera: Camera) -> tuple[Array, Array, A
         camera.eye,
         discs.spacing,
     )
-    _close(depth, blended)
+    for _ in range(2):
+        _close(depth, blended, 2.0 * float(np.median(discs.spacing)))
     length = np.linalg.norm(blended[..., :3], axis=-1, keepdims=True)
     return depth, blended[..., :3] / np.maximum(length, 1e-12), blended[..., 3:]
 
@@ -183,17 +203,17 @@ def _covers(points, normals, part, source, sources, cells, reach):
 
 
 @numba.njit(cache=True, nogil=True)
-def _outline(points, normals, part, spacing, cells, rank):
-    """The radius of each disc, and the neighbours across a convex edge, in one list.
+def _outline(points, normals, across, part, spacing, cells, rank):
+    """The radius of each disc, the neighbours across a convex edge in one list, and its reach.
 
     The radius is the distance to the neighbour of the given rank on the same face, or two spacings
     where so many are not there. Neighbour j bounds disc i where each lies behind the other and the
-    face of i does not go on beyond j; one neighbour a plane is enough. A disc that nothing bounds
-    is trimmed to its face.
+    face of i does not go on beyond j; one neighbour a plane is enough. In no direction does a disc
+    go on far beyond the last point of its face: where a face ends at a plate too thin to be told
+    from it, or beside one that nobody sees, nothing else would keep the disc from sticking out.
     """
     radius = 2.0 * spacing
-    trim = np.zeros((len(points), 4))
-    trim[:, 3] = np.inf
+    reaches = np.empty((len(points), DIRECTIONS))
     ends = np.zeros((len(points), 2), np.int64)
     clip = [np.int32(0) for _ in range(0)]
     found = np.empty(len(points), np.int64)
@@ -202,7 +222,7 @@ def _outline(points, normals, part, spacing, cells, rank):
     distance = np.empty(len(points))
     for i in range(len(points)):
         reach, slack = 3.0 * spacing[i], 0.15 * spacing[i]
-        behind = before = level = 0
+        behind = level = 0
         for j in found[: near(cells, points, points[i], 1.5 * reach, found)]:
             if part[j] != part[i]:
                 continue
@@ -216,44 +236,68 @@ def _outline(points, normals, part, spacing, cells, rank):
             elif not alike and -2.0 * spacing[i] < ahead < 0.0:
                 others[behind] = j
                 behind += 1
-            elif ahead >= 0.0 and away < reach:
-                before += 1
         if level > rank:
             radius[i] = min(np.partition(distance[:level], rank)[rank], reach)
         ends[i] = len(clip)
         for j in others[:behind]:
             gap = -_ahead(points[i], points[j], normals[j])
+            below = _ahead(points[j], points[i], normals[i])
+            wide = np.sqrt(reach * reach + below * below)  # as much of i's plane for any depth
             if (
                 0.0 < gap < radius[i]
                 and not _is_known(points, normals, clip, ends[i, 0], j, slack)
-                and not _goes_on(points, face[:level], points[j], normals[j], reach, slack)
+                and not _goes_on(points, face[:level], points[j], normals[j], wide, slack)
             ):
                 clip.append(j)
         ends[i, 1] = len(clip)
-        if ends[i, 0] == ends[i, 1] and before == 0:
-            _trim(points, i, face[:level], radius[i], 0.25 * spacing[i], trim)
-    return radius, ends, np.array(clip, dtype=np.int32), trim
+        bounding = clip[ends[i, 0] :]
+        for k in range(DIRECTIONS):
+            way = _direction(across[i], normals[i], k)
+            if _is_bounded(normals, bounding, way):
+                reaches[i, k] = np.inf
+            else:
+                last = _last(points, i, face[:level], radius[i], way)
+                reaches[i, k] = last + BEYOND * spacing[i]
+    return radius, ends, np.array(clip, dtype=np.int32), reaches
 
 
 @numba.njit(cache=True, nogil=True)
-def _trim(points, i, face, radius, margin, trim):
-    """Where the points of a face lie on one side of disc i, it ends a little beyond the last."""
-    away = np.zeros(3)
-    count = 0
-    for k in face:
-        if _squared(points[i], points[k]) < radius * radius:
-            away += points[i] - points[k]
-            count += 1
-    length = np.sqrt(_dot(away, away))
-    if length < 0.3 * radius * count:
-        return
-    away /= length
+def _direction(across, normal, k):
+    """The k-th of DIRECTIONS even directions in a disc's plane, from `across` on."""
+    turn = 2.0 * np.pi * k / DIRECTIONS
+    c, s = np.cos(turn), np.sin(turn)
+    way = np.empty(3)
+    way[0] = c * across[0] + s * (normal[1] * across[2] - normal[2] * across[1])
+    way[1] = c * across[1] + s * (normal[2] * across[0] - normal[0] * across[2])
+    way[2] = c * across[2] + s * (normal[0] * across[1] - normal[1] * across[0])
+    return way
+
+
+@numba.njit(cache=True, nogil=True)
+def _is_bounded(normals, planes, way):
+    """Whether one of the planes ends what goes this way."""
+    for j in planes:  # noqa: SIM110 (numba compiles no any)
+        if _dot(normals[j], way) > 0.7:
+            return True
+    return False
+
+
+@numba.njit(cache=True, nogil=True)
+def _last(points, i, face, radius, way):
+    """How far the points of a face within `radius` of point i reach this way."""
     last = 0.0
-    for k in face:
-        if _squared(points[i], points[k]) < radius * radius:
-            last = max(last, _ahead(points[k], points[i], away))
-    trim[i, :3] = away
-    trim[i, 3] = last + margin
+    for j in face:
+        if _squared(points[i], points[j]) < radius * radius:
+            last = max(last, _ahead(points[j], points[i], way))
+    return last
+
+
+@numba.njit(cache=True, nogil=True)
+def _is_beyond(at, center, ways, reach):
+    for k in range(DIRECTIONS):  # noqa: SIM110 (numba compiles no any)
+        if _ahead(at, center, ways[k]) > reach[k]:
+            return True
+    return False
 
 
 @numba.njit(cache=True, nogil=True)
@@ -297,7 +341,9 @@ def _ahead(point, origin, normal):
 
 
 @numba.njit(cache=True, nogil=True)
-def _splat(points, normals, radius, clip_ends, clip, trim, values, order, box, rays, eye, spacing):
+def _splat(
+    points, normals, radius, clip_ends, clip, across, reach, values, order, box, rays, eye, spacing
+):
     """Two passes: the nearest depth of each pixel, then the mean of the discs at that depth.
 
     The discs from near to far, so that those behind others are known to be in the second pass.
@@ -306,6 +352,7 @@ def _splat(points, normals, radius, clip_ends, clip, trim, values, order, box, r
     weight = np.full(rays.shape[:2], 1e-30)
     blended = np.zeros((*rays.shape[:2], values.shape[1]))
     at = np.empty(3)
+    ways = np.empty((DIRECTIONS, 3))
     is_seen = np.zeros(len(points), np.bool_)
     for final in (False, True):
         for i in order:
@@ -313,6 +360,8 @@ def _splat(points, normals, radius, clip_ends, clip, trim, values, order, box, r
                 continue
             offset = _ahead(points[i], eye, normals[i])
             planes = clip[clip_ends[i, 0] : clip_ends[i, 1]]
+            for k in range(DIRECTIONS):
+                ways[k] = _direction(across[i], normals[i], k)
             gap = 0.1 * spacing[i]  # so that faces that meet leave no crack
             for row in range(box[i, 1, 0], box[i, 1, 1]):
                 for column in range(box[i, 0, 0], box[i, 0, 1]):
@@ -327,7 +376,7 @@ def _splat(points, normals, radius, clip_ends, clip, trim, values, order, box, r
                     squared = _squared(at, points[i])
                     if (
                         squared > radius[i] * radius[i]
-                        or _ahead(at, points[i], trim[i, :3]) > trim[i, 3]
+                        or _is_beyond(at, points[i], ways, reach[i])
                         or _is_cut(points, normals, planes, at, gap)
                     ):
                         continue
@@ -350,25 +399,23 @@ def _is_cut(points, normals, planes, at, gap):
 
 
 @numba.njit(cache=True, nogil=True)
-def _close(depth, values):
-    """Fill, from the pixels around it, each pixel where nothing is but around which something is.
+def _close(depth, values, step):
+    """Fill each pixel that lies behind most of those around it, by more than `step`, from them.
 
-    Of a random covering a few gaps stay open; what is outside the object has more company.
+    Of a random covering a few gaps stay open, through which one sees what lies behind or nothing;
+    beside an object's outline, nearer pixels are in the minority.
     """
-    was = depth.copy()
-    for row in range(1, depth.shape[0] - 1):
-        for column in range(1, depth.shape[1] - 1):
-            if was[row, column] < np.inf:
-                continue
-            count = 0
-            for i in range(row - 1, row + 2):
-                for j in range(column - 1, column + 2):
-                    count += was[i, j] < np.inf
-            if count < 5:
-                continue
-            depth[row, column], values[row, column] = 0.0, 0.0
-            for i in range(row - 1, row + 2):
-                for j in range(column - 1, column + 2):
-                    if was[i, j] < np.inf:
-                        depth[row, column] += was[i, j] / count
-                        values[row, column] += values[i, j] / count
+    was, before = depth.copy(), values.copy()
+    total = np.empty(values.shape[2])
+    for row in range(2, depth.shape[0] - 2):
+        for column in range(2, depth.shape[1] - 2):
+            count, away = 0, 0.0
+            total[:] = 0.0
+            for i in range(row - 2, row + 3):
+                for j in range(column - 2, column + 3):
+                    if was[i, j] < was[row, column] - step:
+                        count += 1
+                        away += was[i, j]
+                        total += before[i, j]
+            if count >= MOST_AROUND:
+                depth[row, column], values[row, column] = away / count, total / count

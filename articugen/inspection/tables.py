@@ -7,14 +7,17 @@ DIM = "bright_black"
 
 
 def quiet_table(*headers: str) -> Table:
-    """A table with one rule under its headers; > in front of one means a column of numbers."""
+    """A table with one rule under its headers; > in front of one means a column of numbers.
+
+    On a narrow terminal, texts behind the first column wrap; names and numbers do not.
+    """
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, header_style=DIM)
-    for header in headers:
+    for place, header in enumerate(headers):
         right = header.startswith(">")
         table.add_column(
             header.removeprefix(">"),
             justify="right" if right else "left",
-            no_wrap=not right,
+            no_wrap=right or place == 0,
             overflow="fold",
         )
     return table

@@ -8,7 +8,7 @@ import numpy as np
 
 from articugen.errors import ArticugenError
 from articugen.files import write_atomically
-from articugen.inspection.portrait import COLOURS
+from articugen.inspection.portrait import colour_of
 from articugen.ppd.clouds import UNIT
 from articugen.ppd.meshing import Floats
 from articugen.ppd.reconstruct import FIXED, REVOLUTE, Reconstruction
@@ -48,7 +48,7 @@ def write_rig(
             visual = ET.SubElement(link, "visual")
             ET.SubElement(ET.SubElement(visual, "geometry"), "mesh", filename=file)
             material = ET.SubElement(visual, "material", name=f"part_{i}")
-            ET.SubElement(material, "color", rgba=_rgba(COLOURS[i % len(COLOURS)]))
+            ET.SubElement(material, "color", rgba=_rgba(colour_of(i)))
         if found.kind[i] != FIXED:
             _joint(robot, found, i, origin, frame.scale)
     path = folder / f"{name}.urdf"

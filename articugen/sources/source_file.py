@@ -31,12 +31,14 @@ class CategorySettings(_Section):
     Attributes:
         canonical: the joint value that is the canonical pose: 0, the lower or the upper limit.
         movable: which joints move, as patterns with * and ? on the joint's name or its child link's
-            semantic; () means all of them.
+            semantic, in the order in which parts are numbered; () means all of them, in the order
+            of the file.
         yaw_degrees: turns the model about the world's z so that its joints point as
             docs/conventions.md says.
         train, test: how many objects each split has, or their ids. Ids of one split alone leave the
             other objects to the other split; without either, a hash of the id decides, about 8 : 2.
         model_cat: the names of this category in PartNet-Mobility's meta.json.
+        aliases: what else people call it.
     """
 
     canonical: Literal["zero", "lower", "upper"] = "zero"
@@ -45,6 +47,11 @@ class CategorySettings(_Section):
     train: Share = None
     test: Share = None
     model_cat: tuple[str, ...] = ()
+    aliases: tuple[str, ...] = ()
+
+    def said(self) -> str:
+        """What of it decides how an object stands and moves, as text."""
+        return self.model_dump_json(include={"canonical", "movable", "yaw_degrees"})
 
     @field_validator("train", "test", mode="before")
     @classmethod
@@ -74,6 +81,7 @@ class SourceFile(_Section):
         licence: under which terms.
         frame: the frame and unit of the models as they come, in words.
         reader: the module under articugen/sources that reads them.
+        clip_to_limits: whether recipes that leave it to the source stay inside the URDF's limits.
         messy: (procedural only) write the objects as real data come.
         path: the folder of the models, absolute or relative to source.yaml; by default
             $ARTICUGEN_SOURCES/<source> where that exists, else the folder of source.yaml.
@@ -84,6 +92,7 @@ class SourceFile(_Section):
     licence: str
     frame: str
     reader: Reader = "urdf"
+    clip_to_limits: bool = True
     messy: bool = False
     path: Path | None = None
     categories: dict[str, CategorySettings] = Field(min_length=1)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from articugen.inspection.portrait import COLOURS
+from articugen.inspection.portrait import colour_of
 
 UNNAMED = "#5f5f5f"
 """Of a predicted part that no true part has voted for."""
@@ -25,7 +25,7 @@ def part_colours(labels: Sequence[int], dominant: Sequence[int]) -> list[str]:
         mine.sort(key=lambda i: dominant[i] != label)
         for rank, i in enumerate(mine):
             shade = _SHADES[min(rank, len(_SHADES) - 1)]
-            colours[i] = shaded(COLOURS[label % len(COLOURS)], shade)
+            colours[i] = shaded(colour_of(label), shade)
     return colours
 
 

@@ -8,7 +8,7 @@ import torch
 
 from articugen.inspection.layout import Caption, Row, sheet
 from articugen.inspection.portrait import (
-    COLOURS,
+    colour_of,
     pooled,
     portrait,
     solid_portrait,
@@ -137,14 +137,14 @@ def _caption(instance: Instance, changes: Sequence[float | None] | Floats) -> Ca
             text = f"{round(np.degrees(change))}°"
         else:
             text = f"{round(100.0 * change * instance.scale)} cm"
-        texts.append((text, COLOURS[(j + 1) % len(COLOURS)]))
+        texts.append((text, colour_of(j + 1)))
     return texts
 
 
 def _true_axes(instance: Instance) -> Solid:
     points, part = dequantize(instance.surface_points), instance.surface_part
     return Solid.joined([
-        _axis(kind, pivot, axis, points, points[part == j + 1], COLOURS[(j + 1) % len(COLOURS)])
+        _axis(kind, pivot, axis, points, points[part == j + 1], colour_of(j + 1))
         for j, (kind, pivot, axis) in enumerate(
             zip(instance.joint_kind, instance.joint_pivot, instance.joint_axis, strict=True)
         )
@@ -158,7 +158,7 @@ def _predicted_axes(instance: Instance, found: Reconstruction, names: Names) -> 
     for j in range(len(instance.joint_kind)):
         i = names.part_of(j)
         if i is not None and found.kind[i] in (REVOLUTE, PRISMATIC):
-            colour = COLOURS[(j + 1) % len(COLOURS)]
+            colour = colour_of(j + 1)
             of_part = points[part == j + 1]
             axes.append(
                 _axis(found.kind[i], found.pivot[i], found.direction[i], points, of_part, colour)
