@@ -23,7 +23,7 @@ replace = $(if $(REPLACE),--replace)
 option = $(if $($(1)),--$(2) "$($(1))")
 
 .DEFAULT_GOAL := help
-.PHONY: help dataset inspect verify train depth evaluate test check format bench accuracy bench-train backends learner clean
+.PHONY: help dataset inspect verify train depth evaluate test check format bench accuracy bench-reading bench-train backends learner clean
 
 help:  ## list the targets
 	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1"
@@ -91,6 +91,9 @@ bench: $(testing)  ## measure speed, exactness and memory beside other tools (AR
 
 accuracy: $(testing)  ## measure how exact instances are against exact solids (ARGS=--quick)
 	@$(VENV)/bin/python -m tests.benchmarks.accuracy $(ARGS)
+
+bench-reading: $(testing)  ## measure what reading a shard costs, beside .npz files
+	@$(VENV)/bin/python -m tests.benchmarks.reading $(ARGS)
 
 bench-train: $(testing) $(learner)  ## measure PPD's training: rate, shares, memory (ARGS=--iterations 20)
 	@$(VENV)/bin/python -m tests.benchmarks.training $(ARGS)

@@ -28,6 +28,7 @@ from articugen.records import (
     Views,
     dequantize,
     quantize,
+    stored_name,
 )
 from articugen.rendering import rasterizer, render
 from articugen.rendering.overlay import Overlay
@@ -157,14 +158,19 @@ def make_instance(p: Prepared, state_index: int) -> Instance:
     """
     mesh, fields = pose(p, state_index, overlay=p.overlay)
     surface = _surface(p, state_index, mesh, fields)
+    joint_name, part_name, part_semantic = _names(p.obj)
     return Instance(
         object_id=p.obj.object_id,
         state_index=state_index,
         center=p.unit.center,
         scale=p.unit.scale,
         **_joint_fields(p, state_index),
+        joint_name=joint_name,
+        part_name=part_name,
+        part_semantic=part_semantic,
         part_motion=fields.part_motion,
         occupancy={r: _labelled_grid(grid, fields, r) for r, grid in p.grids.items()},
+        coverage={},
         **_surface_fields(p, surface),
         **_query_fields(p, state_index, surface, fields),
         **_partial_fields(p, state_index, mesh),
@@ -311,6 +317,17 @@ def _joint_fields(p: Prepared, state_index: int) -> dict[str, NDArray]:
         "joint_axis": posed.axes,
         "joint_pivot": p.unit.to_unit(posed.pivots),
     }
+
+
+def _names(obj: ArticulatedObject) -> tuple[tuple[str, ...], ...]:
+    """(J,) names of the joints, (P,) names and (P,) semantics of each part's first link."""
+    joints = obj.moving_joints
+    first = [obj.links[0], *(obj.links[obj.link_index[joint.child]] for joint in joints)]
+    return (
+        tuple(stored_name(joint.name) for joint in joints),
+        tuple(stored_name(link.name) for link in first),
+        tuple(stored_name(link.semantic) for link in first),
+    )
 
 
 def _surface(

@@ -371,9 +371,9 @@ class Manifest(_Record):
                 "it is started again"
             ) from None
         found = _version_in(text)
-        if found is not None and found != SCHEMA_VERSION:
+        if found is not None and found not in range(1, SCHEMA_VERSION + 1):
             raise CorruptShard(
-                f"{path}: schema version {found}, this articugen reads {SCHEMA_VERSION} only; "
+                f"{path}: schema version {found}, this articugen reads 1 to {SCHEMA_VERSION}; "
                 "make the data set again in another folder"
             )
         try:

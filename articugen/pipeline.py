@@ -336,8 +336,8 @@ def _give_back_large_blocks() -> None:
         mallopt(_M_MMAP_THRESHOLD, _LARGE_BLOCK)
 
 
-def _instances(job: Job, task: Task) -> tuple[ArticulatedObject, list[Instance]]:
-    """The object and all its instances; what they share is given back before they are written."""
+def _instances(job: Job, task: Task) -> tuple[ArticulatedObject, Iterator[Instance]]:
+    """The object and its instances, which are made as they are asked for."""
     # numba and the mesh readers take a second to import: the command line should not wait for them
     from articugen import articulation  # noqa: PLC0415
     from articugen.instance import make_instance, prepare  # noqa: PLC0415
@@ -350,7 +350,7 @@ def _instances(job: Job, task: Task) -> tuple[ArticulatedObject, list[Instance]]
         movable=settings.movable,
     )
     prepared = prepare(obj, job.recipe, job.seed)
-    return obj, [make_instance(prepared, index) for index in range(len(prepared.states))]
+    return obj, (make_instance(prepared, index) for index in range(len(prepared.states)))
 
 
 def _import_stages() -> None:

@@ -25,9 +25,9 @@ STAGES = {
     "sheets": set(),
     "slender": {"hierarchy", "reachable", "sheets"},
     "sampling": set(),
-    "sources": set(),
+    "sources": {"files"},
 }
-STORE = {"schema", "shards", "manifest", "journal"}
+STORE = {"schema", "chunks", "shards", "manifest", "journal"}
 
 PPD_WITH_TORCH = {
     "dataset", "depth", "descent", "discriminator", "evaluate", "kinematics", "learner", "losses",
@@ -48,7 +48,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "instance": BASE | set(STAGES),
     "files": {"errors"},
     "schema": set(),
-    "shards": {"errors", "records", "files", "schema"},
+    "chunks": set(),
+    "shards": {"errors", "records", "files", "schema", "chunks"},
     "manifest": {"errors", "files", "schema", "shards"},
     "journal": {"errors", "files", "manifest"},
     "cleaning": {"journal"},

@@ -288,6 +288,21 @@ def test_joint_fields_say_how_the_parts_move(make: Maker, category: str) -> None
 
 
 @pytest.mark.parametrize("category", CATEGORIES)
+def test_names_and_semantics_are_those_of_the_file(make: Maker, category: str) -> None:
+    made = make(category, 0)
+    children = {joint.name: joint.child for joint in made.obj.joints}
+    links = {link.name: link for link in made.obj.links}
+    for instance in made.instances:
+        assert instance.joint_name is not None
+        assert instance.part_name is not None
+        assert instance.part_name[0] == made.obj.links[0].name
+        assert instance.part_name[1:] == tuple(children[name] for name in instance.joint_name)
+        assert instance.part_semantic == tuple(links[n].semantic for n in instance.part_name)
+        part_of_link = made.obj.part_of_link[[made.obj.link_index[n] for n in instance.part_name]]
+        assert part_of_link.tolist() == list(range(made.obj.part_count))
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
 def test_part_motion_takes_the_canonical_meshes_to_the_posed_ones(
     make: Maker, category: str
 ) -> None:
