@@ -4,9 +4,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from articugen.errors import CorruptShard
-from articugen.journal import JOURNAL_NAME, Journal, is_temporary
-from articugen.manifest import MANIFEST_NAME
+from articugen.journal import Journal, data_sets
 
 
 @dataclass(frozen=True)
@@ -40,7 +38,7 @@ def clean(path: Path, *, dry_run: bool = False) -> list[Leftover]:
         MachineFault: something cannot be read or removed.
     """
     found: list[Leftover] = []
-    for folder in _data_sets(path):
+    for folder in data_sets(path):
         with Journal(folder) as journal:
             leftovers = journal.leftovers()
             found += [
@@ -50,19 +48,3 @@ def clean(path: Path, *, dry_run: bool = False) -> list[Leftover]:
             if not dry_run:
                 journal.remove(leftovers)
     return found
-
-
-def _data_sets(path: Path) -> list[Path]:
-    inside = sorted(path.iterdir()) if path.is_dir() else []
-    folders = [folder for folder in (path, *inside) if _is_data_set(folder)]
-    if not folders:
-        raise CorruptShard(f"{path}: holds no data set and nothing that a run has left")
-    return folders
-
-
-def _is_data_set(folder: Path) -> bool:
-    """Whether a run has been at work in a folder."""
-    if not folder.is_dir() or folder.is_symlink():
-        return False
-    names = os.listdir(folder)
-    return any(name in (MANIFEST_NAME, JOURNAL_NAME) or is_temporary(name) for name in names)

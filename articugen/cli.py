@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from articugen import __version__
-from articugen.errors import ArticugenError, CorruptShard, printable
+from articugen.errors import ArticugenError, printable
 from articugen.ppd.cli import register as register_ppd
 
 if TYPE_CHECKING:
@@ -337,10 +337,11 @@ def verify(
     """Check checksums, schema, value ranges and geometry of data sets."""
     sound = True
     with _said_in_one_sentence():
+        from articugen.journal import data_sets
         from articugen.pipeline import default_jobs
         from articugen.verify import verify as verify_folder
 
-        for folder in _data_sets(path):
+        for folder in data_sets(path):
             report = verify_folder(folder, jobs=jobs or default_jobs())
             findings = list(report.findings)
             if again and report.ok:
@@ -400,17 +401,6 @@ def mesh(
         with err.status("fusing ..."):
             faces = write_mesh(folder, object_id, state, resolution, output)
         out.print(f"{output}: {faces:,} faces, unit frame", soft_wrap=True)
-
-
-def _data_sets(path: Path) -> list[Path]:
-    """The data set in `path`, or those in its folders."""
-    if next(path.glob("*.h5"), None) or (path / "manifest.json").exists():
-        return [path]
-    marks = ("*/*.h5", "*/manifest.json")
-    folders = sorted({file.parent for mark in marks for file in path.glob(mark)})
-    if not folders:
-        raise CorruptShard(f"{path}: holds no data set; make one with: articugen generate")
-    return folders
 
 
 register_ppd(app, _said_in_one_sentence)

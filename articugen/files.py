@@ -69,6 +69,17 @@ def read_regular(path: Path, most_bytes: int, *, follow: bool = True) -> bytes:
     return data
 
 
+def check_regular(path: Path) -> None:
+    """See to it that a library which opens files by name will not wait for a writer.
+
+    Raises:
+        UnfitFile: it is no regular file.
+        OSError: it is not there, or the like.
+    """
+    found = os.stat(path)
+    _check_regular(found, found.st_size)
+
+
 def _check_regular(found: os.stat_result, most_bytes: int) -> None:
     if not stat.S_ISREG(found.st_mode):
         kind = _KINDS.get(stat.S_IFMT(found.st_mode), "a device")

@@ -304,6 +304,26 @@ class Journal:
             return False
 
 
+def data_sets(path: Path) -> list[Path]:
+    """The data set in `path`, or those in its folders, whole or not.
+
+    Raises:
+        CorruptShard: there is none.
+    """
+    inside = sorted(path.iterdir()) if path.is_dir() else []
+    folders = [path] if _is_data_set(path) else [f for f in inside if _is_data_set(f)]
+    if not folders:
+        raise CorruptShard(f"{path}: holds no data set; make one with: articugen generate")
+    return folders
+
+
+def _is_data_set(folder: Path) -> bool:
+    """Whether a run has been at work in a folder, or shards lie there."""
+    names = os.listdir(folder) if folder.is_dir() else []
+    ours = (MANIFEST_NAME, JOURNAL_NAME)
+    return any(name in ours or is_temporary(name) or is_shard_name(name) for name in names)
+
+
 def is_temporary(name: str) -> bool:
     """Whether a run gives a file this name until it is whole."""
     whole = whole_name(name)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from articugen import schema
 from articugen.errors import ArticugenError, CorruptShard
-from articugen.files import write_atomically
+from articugen.files import UnfitFile, check_regular, write_atomically
 from articugen.records import Instance
 from articugen.schema import Field
 
@@ -325,7 +325,10 @@ def _describe(where: h5py.File | h5py.Dataset, attributes: Mapping[str, Attribut
 def _opened(path: Path) -> h5py.File:
     """Without HDF5's file lock, which network file systems lack: a shard never changes."""
     try:
+        check_regular(path)
         return h5py.File(path, "r", locking=False)
+    except UnfitFile as error:
+        raise CorruptShard(f"{path}: {error.strerror}; move it away") from None
     except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
         reason = os.strerror(error.errno or 0)
         raise CorruptShard(f"{path}: cannot be opened ({reason})") from None

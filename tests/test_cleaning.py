@@ -15,7 +15,7 @@ from articugen.cleaning import clean
 from articugen.cli import app
 from articugen.errors import ArticugenError, CorruptShard
 from articugen.files import partial_name
-from articugen.journal import JOURNAL_NAME
+from articugen.journal import JOURNAL_NAME, data_sets
 from articugen.manifest import MANIFEST_NAME
 from articugen.verify import verify
 
@@ -115,6 +115,15 @@ def test_all_data_sets_of_a_folder(folder):
     for nothing in (folder.parent / "empty", folder.parent / "nowhere"):
         with pytest.raises(CorruptShard, match="holds no data set"):
             clean(nothing)
+
+
+def test_a_folder_that_has_only_a_manifest_or_a_journal_is_verified_as_well(folder):
+    for path in folder.glob("*.h5"):
+        path.unlink()
+    other = folder.parent / "cut short"
+    run(other, keys(), stop_after=0)
+    assert data_sets(folder.parent) == [folder, other]
+    assert data_sets(other) == [other]
 
 
 def test_the_command_says_what_it_removed(folder):

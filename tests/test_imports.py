@@ -32,7 +32,7 @@ STORE = {"schema", "shards", "manifest", "journal"}
 PPD_WITH_TORCH = {
     "dataset", "depth", "descent", "discriminator", "evaluate", "kinematics", "learner", "losses",
     "model", "objective", "predict", "processes", "race", "reconstruct", "release", "runs",
-    "shape", "train", "figures.draw", "figures.shapes",
+    "shape", "tensors", "train", "figures.draw", "figures.shapes",
 }  # fmt: skip
 """The modules of ppd that cannot be imported without torch."""
 
@@ -51,7 +51,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "shards": {"errors", "records", "files", "schema"},
     "manifest": {"errors", "files", "schema", "shards"},
     "journal": {"errors", "files", "manifest"},
-    "cleaning": {"errors", "journal", "manifest"},
+    "cleaning": {"journal"},
     "checks": BASE,
     "workers": {"errors"},
     "verify": BASE | STORE | {"checks", "workers"},
@@ -69,6 +69,7 @@ MAY_IMPORT: dict[str, set[str]] = {
         "cleaning",
         "console",
         "inspection",
+        "journal",
         "pipeline",
         "ppd",
         "recipe",

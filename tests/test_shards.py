@@ -243,6 +243,13 @@ def test_missing_file(tmp_path):
         open_shard(tmp_path / "none.h5")
 
 
+def test_a_fifo_is_no_shard(tmp_path):
+    """HDF5 would wait for a writer for ever."""
+    os.mkfifo(tmp_path / "train-00000.h5")
+    with pytest.raises(CorruptShard, match="it is a FIFO, not a regular file; move it away"):
+        open_shard(tmp_path / "train-00000.h5")
+
+
 # Files that are not shards, or mean harm.
 
 

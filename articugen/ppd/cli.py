@@ -317,7 +317,7 @@ def _newest(run: Path) -> Path:
     """The run itself, or the newest of the numbered runs in a folder."""
     if (run / "run.json").is_file():
         return run
-    numbered = sorted((p for p in run.glob("*") if p.name.isdigit()), key=lambda p: int(p.name))
+    numbered = sorted((p for p in run.glob("*") if p.name.isdecimal()), key=lambda p: int(p.name))
     if not numbered:
         raise InvalidCheckpoint(f"{run}: holds no run; make one with: articugen train")
     return numbered[-1]

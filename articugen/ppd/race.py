@@ -71,8 +71,14 @@ class Heat:
                 )
             except TrainingDiverged:
                 return None
-        told = (r for r in RunFolder(path).metrics() if r["iteration"] == self.stop)
-        return next(r["validation"] for r in told if "validation" in r)
+        told = [r for r in RunFolder(path).metrics() if r["iteration"] == self.stop]
+        found = [r["validation"] for r in told if "rec" in r.get("validation", {})]
+        if not found:
+            raise InvalidCheckpoint(
+                f"{path / METRICS}: lacks the validation at iteration {self.stop}; delete {path} "
+                "and resume the race"
+            )
+        return found[0]
 
 
 def race(
@@ -122,7 +128,8 @@ def race(
                     f"all seeds diverged before iteration {stop}; lower schedule.learning_rate"
                 )
     for name in (LATEST, BEST, METRICS):
-        shutil.copyfile(run.path / "seeds" / str(racing[0]) / name, run.path / name)
+        own = run.path / "seeds" / str(racing[0]) / name
+        write_atomically(run.path / name, own.read_bytes())
     _note(run, {"chosen_by": "validation rec", "rounds": rounds, "winner": racing[0]})
     return run
 
