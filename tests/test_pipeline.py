@@ -560,20 +560,20 @@ def test_a_full_disk_stops_the_run_and_rejects_nothing(whole: Path, tmp_path: Pa
 # --- limits
 
 
-def test_an_object_over_its_time_is_rejected_until_it_may_take_more(
-    boxes: Path, tmp_path: Path
-) -> None:
-    recipe = TINY.model_copy(update={"max_rejected_fraction": 1.0, "objects": 2})
-    hasty = recipe.model_copy(update={"seconds_per_object": 1e-3})
-    ours = job(tmp_path / "out", source=str(boxes), category="box", jobs=1)
-    with pytest.raises(ArticugenError, match="no object is left: 0 skipped, 2 rejected"):
-        made(replace(ours, recipe=hasty))
-    manifest = Manifest.read(ours.out)
-    assert [r.over for r in manifest.rejected] == [("seconds_per_object", 1e-3)] * 2
-    assert [t.why for t in plan(replace(ours, recipe=recipe, jobs=0)).tasks] == [
-        "its source has changed"  # it could not even be read
-    ] * 2
-    assert len(made(replace(ours, recipe=recipe, jobs=0))[0].objects) == 2
+def test_an_object_over_its_time_is_rejected_until_it_may_take_more(tmp_path: Path) -> None:
+    long = TINY.with_counts(objects=1, states=60).model_copy(update={"max_rejected_fraction": 1.0})
+    hasty = job(
+        tmp_path / "out", recipe=long.model_copy(update={"seconds_per_object": 1e-3}), jobs=1
+    )
+    with pytest.raises(ArticugenError, match="no object is left: 0 skipped, 1 rejected"):
+        made(hasty)
+    (rejected,) = Manifest.read(hasty.out).rejected
+    assert rejected.over == ("seconds_per_object", 1e-3)
+    assert "it takes too many seconds; raise the recipe's seconds_per_object" in rejected.reason
+    assert plan(hasty).tasks == ()
+    patient = replace(hasty, recipe=long, jobs=0)
+    assert [task.why for task in plan(patient).tasks] == ["the recipe now allows it more"]
+    assert len(made(patient)[0].objects) == 1
 
 
 # --- what is skipped, and what cannot even be planned
