@@ -261,7 +261,8 @@ def test_partial_clouds_are_what_a_camera_sees(make: Maker, category: str) -> No
             behind = made.holds(s, points + BEHIND * away)
             part = instance.partial_part[c]
             assert np.mean(behind[np.arange(len(part)), part]) >= 0.98  # silhouettes graze
-            assert np.mean(made.holds(s, points - BEHIND * away).any(axis=1)) <= 0.02
+            before = made.holds(s, points - 2 * BEHIND * away)  # rounding counts more where grazed
+            assert np.mean(before.any(axis=1)) <= 0.02
 
 
 # --- motion and frame
