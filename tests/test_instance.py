@@ -239,7 +239,7 @@ def test_surface_points_go_back_to_the_canonical_surface_of_their_part(
             assert own.sum() > 50
             at, out = apply(T, points[own]), normals[own] @ T[:3, :3].T
             assert np.mean(made.holds(0, at - BEHIND * out)[:, k]) >= 0.999
-            assert np.mean(made.holds(0, at + BEFORE * out)[:, k]) <= 0.005
+            assert np.mean(made.holds(0, at + BEFORE * out)[:, k]) <= 0.01  # inner edges
 
 
 @pytest.mark.parametrize("category", CATEGORIES)
