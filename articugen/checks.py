@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from articugen.geometry import apply, invert_rigid, rotation_about, transform
 from articugen.recipe import Recipe
-from articugen.records import Floats, Instance, dequantize
+from articugen.records import ENCLOSED, Floats, Instance, dequantize, is_material
 
 ROUNDING = 1e-9
 """What rounding may do to rigid motions and unit vectors in float64."""
@@ -55,7 +55,7 @@ def _of(row: Instance, recipe: Recipe, checks: dict[str, "InstanceCheck"]) -> It
 def _numbers(row: Instance, _: Recipe) -> Iterator[str]:
     limits = ("joint_lower", "joint_upper")
     for name, array in row.arrays().items():
-        if name == "object_id" or name in limits:
+        if name in limits or isinstance(array, str | tuple):  # names are no numbers
             continue
         if not np.isfinite(array).all():
             yield f"{name} has numbers that are not finite"
@@ -85,17 +85,22 @@ def _counts(row: Instance, recipe: Recipe) -> Iterator[str]:
         have = getattr(row, name).shape[:-1]
         if have != shape:
             yield f"{name} has {have} points where the recipe asks for {shape}"
-    if sorted(row.occupancy) != sorted(ask.grids):
-        yield f"occupancy has grids {sorted(row.occupancy)}, not {sorted(ask.grids)}"
+    grids = {"occupancy": ask.grids, "coverage": ask.grids if ask.coverage else ()}
+    for name, resolutions in grids.items():
+        have = sorted(getattr(row, name))
+        if have != sorted(resolutions):
+            yield f"{name} has grids {have}, not {sorted(resolutions)}"
 
 
-def _labels(row: Instance, _: Recipe) -> Iterator[str]:
+def _labels(row: Instance, recipe: Recipe) -> Iterator[str]:
     parts = len(row.part_motion)
+    enclosed = recipe.fusion.rule != "rigid"
     labels = {"uniform_label": row.uniform_label, "near_label": row.near_label}
     labels |= {f"occupancy_{r}": grid for r, grid in row.occupancy.items()}
     for name, label in labels.items():
-        if label.size and label.max() > parts:
-            yield f"{name} has label {label.max()} of {parts} parts"
+        known = label[label != ENCLOSED] if enclosed else label
+        if known.size and known.max() > parts:
+            yield f"{name} has label {known.max()} of {parts} parts"
     for name in ("surface_part", "partial_part"):
         part = getattr(row, name)
         if part.size and part.max() >= parts:
@@ -177,7 +182,7 @@ def _grids_agree(row: Instance, _: Recipe) -> Iterator[str]:
     for name, (points, label) in labelled.items():
         about = _about(row.occupancy[finest], points)
         clear = (about == about[:, :1]).all(axis=1)
-        for wanted in range(len(row.part_motion) + 1):
+        for wanted in (*range(len(row.part_motion) + 1), ENCLOSED):
             judged = label[clear & (about[:, 0] == wanted)]
             if len(judged) >= 20 and (share := (judged == wanted).mean()) < 0.6:
                 yield (
@@ -213,6 +218,22 @@ def _grids_filled(row: Instance, _: Recipe) -> Iterator[str]:
             yield f"occupancy_{resolution} is {share:.0%} full, uniform_label {expected:.0%}"
 
 
+def _covered(row: Instance, _: Recipe) -> Iterator[str]:
+    """The centre of a cell that is all inside is inside, and of one that is all free it is free.
+
+    But for films finer than the sub-samples that pass just through the centre.
+    """
+    for resolution, coverage in sorted(row.coverage.items()):
+        inside = row.occupancy[resolution] > 0
+        for value, wanted in ((255, True), (0, False)):
+            judged = inside[coverage == value]
+            if len(judged) >= 20 and (share := (judged == wanted).mean()) < 0.9:
+                yield (
+                    f"occupancy_{resolution} agrees at {share:.0%} of the cells of which "
+                    f"coverage_{resolution} is {value}"
+                )
+
+
 def _near(row: Instance, recipe: Recipe) -> Iterator[str]:
     """Points near the surface are near the surface points."""
     if len(row.surface_points) < 1000 or not len(row.near_points):
@@ -235,7 +256,7 @@ def _zero_level(row: Instance, _: Recipe) -> Iterator[str]:
     clear = (np.abs(ahead) > 0.001) & (np.abs(ahead) > 0.5 * beside)
     if clear.sum() >= 30 and (share := ((label == 0) == (ahead > 0.0))[clear].mean()) < 0.75:
         yield f"surface_points bound what is occupied at {share:.0%} of the places one can tell"
-    inside = clear & (label > 0) & (ahead < 0.0)
+    inside = clear & is_material(label) & (ahead < 0.0)  # thin walls enclose space close by
     same = label == row.surface_part[nearest] + 1
     if inside.sum() >= 20 and (share := same[inside].mean()) < 0.6:
         yield f"surface_part agrees with the labels just inside at {share:.0%} of the places"
@@ -333,6 +354,21 @@ def _flow(rows: Sequence[Instance], _: Recipe) -> Iterator[tuple[int | None, str
                 )
 
 
+def _fixed_part(rows: Sequence[Instance], _: Recipe) -> Iterator[tuple[int | None, str]]:
+    """Where part 0 has material in one pose it has in all, or a moving part's lies in it."""
+    for resolution, first in rows[0].occupancy.items():
+        held = first == 1
+        for row in rows[1:]:
+            grid = row.occupancy.get(resolution, first)
+            gone = (held & ~is_material(grid)) | ((grid == 1) & ~is_material(first))
+            if gone.any():
+                yield (
+                    row.state_index,
+                    f"{gone.sum()} voxels of occupancy_{resolution} are material of part 0, which "
+                    f"never moves, in this pose or in that of instance {rows[0].state_index} alone",
+                )
+
+
 InstanceCheck = Callable[[Instance, Recipe], Iterator[str]]
 ObjectCheck = Callable[[Sequence[Instance], Recipe], Iterator[tuple[int | None, str]]]
 
@@ -349,6 +385,7 @@ GEOMETRY_CHECKS: dict[str, InstanceCheck] = {
     "box": _inside_box,
     "grids": _grids_agree,
     "filling": _grids_filled,
+    "coverage": _covered,
     "near": _near,
     "zero level": _zero_level,
     "cameras": _cameras,
@@ -359,6 +396,7 @@ OBJECT_CHECKS: dict[str, ObjectCheck] = {
     "shared": _shared,
     "fills box": _fills_box,
     "flow": _flow,
+    "fixed part": _fixed_part,
 }
 
 

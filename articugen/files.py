@@ -6,9 +6,10 @@ import os
 import re
 import secrets
 import stat
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from articugen.errors import MachineFault
 
@@ -69,6 +70,17 @@ def read_regular(path: Path, most_bytes: int, *, follow: bool = True) -> bytes:
     return data
 
 
+def check_regular(path: Path) -> None:
+    """See to it that a library which opens files by name will not wait for a writer.
+
+    Raises:
+        UnfitFile: it is no regular file.
+        OSError: it is not there, or the like.
+    """
+    found = os.stat(path)
+    _check_regular(found, found.st_size)
+
+
 def _check_regular(found: os.stat_result, most_bytes: int) -> None:
     if not stat.S_ISREG(found.st_mode):
         kind = _KINDS.get(stat.S_IFMT(found.st_mode), "a device")
@@ -84,18 +96,34 @@ def write_atomically(
 ) -> None:
     """Write `data` so that `path` is at any moment what it was before, or all of `data`.
 
+    Raises:
+        MachineFault: the disk is full, the folder cannot be written to, or the like.
+    """
+    with written_atomically(path, check=check) as file:
+        file.write(data)
+
+
+@contextmanager
+def written_atomically(
+    path: Path, *, check: Callable[[Path], None] | None = None
+) -> Iterator[BinaryIO]:
+    """A file to write and read; once the block has ended without an error, `path` is all of it.
+
     The bytes go to a temporary name in the same folder and to the disk (fsync); `check` looks at
     that file and raises where it is not as it should be; only then it gets its name, and the folder
-    is synchronised, so that the name survives a power cut as well.
+    is synchronised, so that the name survives a power cut as well. Where anything fails `path` is
+    what it was, and the temporary file is gone.
 
     Raises:
         MachineFault: the disk is full, the folder cannot be written to, or the like.
     """
     temporary = path.with_name(partial_name(path.name))
+    size = 0
     try:
         try:
-            with temporary.open("xb") as file:  # never through a link that someone put there
-                file.write(data)
+            with temporary.open("x+b") as file:  # never through a link that someone put there
+                yield file
+                size = file.seek(0, os.SEEK_END)
                 file.flush()
                 os.fsync(file.fileno())
             if check is not None:
@@ -105,7 +133,7 @@ def write_atomically(
         finally:
             temporary.unlink(missing_ok=True)
     except OSError as error:
-        raise MachineFault(cannot_write(path, error, len(data))) from error
+        raise MachineFault(cannot_write(path, error, size)) from error
 
 
 def partial_name(name: str) -> str:

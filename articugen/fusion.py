@@ -14,11 +14,13 @@ Rules (`recipe.Fusion.rule`):
         the value of the views that it lies behind, with the sign turned.
     mean: the value is the plain mean over the views that see the point free or close behind, as in
         Occupancy Networks' preparation; outside where that is positive.
-In both, a point that no view sees, or only from further behind than the truncation, is inside.
+In all three, a point that no view sees, or only from further behind than the truncation, is inside.
+    rigid: a point is inside where the own solid of some part holds it, see `OwnSolid`. The posed
+        object is not looked at.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +30,15 @@ from articugen.geometry import apply, invert_rigid
 from articugen.hierarchy import Hierarchy, build, triangle_table
 from articugen.reachable import Flood, flood, walls
 from articugen.recipe import Fusion
-from articugen.records import DepthMaps, LabelledMesh, Views
-from articugen.slender import NOTHING
+from articugen.records import ENCLOSED, FREE, DepthMaps, LabelledMesh, Views
+from articugen.slender import NOTHING, Slender
+from articugen.winding import surely_inside
 
 _NO_DEPTH = np.zeros((1, 0, 0), np.float32)
 _NO_FACES = np.zeros((1, 0, 0), np.int32)
+
+GLANCES = 5
+"""So many views see most of what is free: they look from all around, see `views.spread_order`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +52,7 @@ class Field:
         part_motion: (P, 4, 4) of each part from its canonical pose.
         settings: rule and truncation.
         flood: for the rule `reachable`.
-        slender: (n, n, n) where views are checked, see `slender.slender_voxels`.
+        slender: where views are checked.
     """
 
     maps: DepthMaps
@@ -55,7 +61,7 @@ class Field:
     part_motion: NDArray[np.float64]
     settings: Fusion
     flood: Flood | None = None
-    slender: NDArray[np.uint8] = field(default_factory=lambda: NOTHING)
+    slender: Slender = NOTHING
 
     def is_free(
         self, points: NDArray[np.floating], which: NDArray[np.intp] | None = None
@@ -78,12 +84,18 @@ class Field:
         return free
 
     def is_seen_free(
-        self, points: NDArray[np.floating], which: NDArray[np.intp] | None = None
+        self,
+        points: NDArray[np.floating],
+        which: NDArray[np.intp] | None = None,
+        *,
+        views: int | None = None,
     ) -> NDArray[np.bool_]:
-        """Which of `points` (n, 3), or of points[which], at least one view sees free."""
+        """Which of `points` (n, 3), or of points[which], at least one of the first `views` views,
+        or of all, sees free."""
         which = np.arange(len(points)) if which is None else which
         flat = np.ascontiguousarray(points, np.float32)
-        return fusion_kernels.is_free(flat, which, self._scene())
+        every = len(self.maps.views)
+        return fusion_kernels.is_free(flat, which, self._scene(), 0, min(views or every, every))
 
     def value(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
         """The field at `points` (n, 3): (n,) in [-truncation, truncation], negative inside.
@@ -127,51 +139,134 @@ def pixel_width(views: Views) -> float:
 
 @dataclass(frozen=True, eq=False)
 class OwnSolid:
-    """A part seen alone: its field in the canonical pose, and the box (2, 3) that holds it."""
+    """A part seen alone, in its canonical pose: its material.
+
+    Attributes:
+        field: of its own views, and what lies open to them: the dark corners of a deep shelf are no
+            material, whatever the rule.
+        box: (2, 3) that holds it.
+        closed: its closed pieces: what they wind around no view can see.
+    """
 
     field: Field
     box: NDArray[np.float64]
+    closed: Hierarchy | None = None
+
+    def holds(self, points: NDArray[np.floating], *, glance: bool = False) -> NDArray[np.bool_]:
+        """(n,) which of `points` (n, 3), unit frame, in the canonical pose, it holds.
+
+        Args:
+            glance: take the word of a few views for what they see free, before anything else:
+                cheaper where that is most.
+        """
+        if self.closed is None:
+            return ~self.field.is_free(points)
+        left = np.arange(len(points))
+        if self.field.flood is not None:
+            left = np.flatnonzero(~self.field.flood.fills(points))
+        if glance:
+            left = left[~self.field.is_seen_free(points, left, views=GLANCES)]
+        sure = surely_inside(points[left], self.closed)
+        rest = left[~sure]
+        held = np.zeros(len(points), np.bool_)
+        held[left[sure]] = True
+        held[rest] = ~self.field.is_free(points, rest)
+        return held
+
+    def value(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(n,) as `Field.value`, negative where it holds the points (n, 3)."""
+        value = self.field.value(points)
+        if self.closed is not None:
+            sure = surely_inside(points, self.closed)
+            value[sure] = np.minimum(-np.abs(value[sure]), -1e-9)
+        return value
+
+
+@dataclass(frozen=True, eq=False)
+class PosedSolids:
+    """The own solids of all parts, each moved rigidly to where it is: the material.
+
+    Attributes:
+        own: of each part, part 0 first.
+        part_motion: (P, 4, 4) from the canonical pose, unit frame.
+        settings: of all of them.
+    """
+
+    own: Sequence[OwnSolid]
+    part_motion: NDArray[np.float64]
+    settings: Fusion
+
+    def holds(
+        self,
+        part: int,
+        points: NDArray[np.float32],
+        which: NDArray[np.intp],
+        *,
+        glance: bool = False,
+    ) -> NDArray[np.intp]:
+        """Those of `which`, indices into `points` (n, 3), that the part's own solid holds."""
+        own, to_canonical = self.own[part], invert_rigid(self.part_motion[part])
+        near = fusion_kernels.in_box(points, which, to_canonical, own.box)
+        return near[own.holds(apply(to_canonical, points[near]), glance=glance)]
+
+    def labels(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
+        """(n,) k + 1 in the material of part k, else FREE, for `points` (n, 3).
+
+        Where own solids overlap, the first moving part counts, and part 0 last.
+        """
+        points = np.ascontiguousarray(points, np.float32)
+        label = np.full(len(points), FREE, np.uint8)
+        for part in (*range(1, len(self.own)), 0):
+            label[self.holds(part, points, np.flatnonzero(label == FREE))] = part + 1
+        return label
+
+    def is_free(
+        self, points: NDArray[np.floating], which: NDArray[np.intp] | None = None
+    ) -> NDArray[np.bool_]:
+        """Which of `points` (n, 3), or of points[which], no part's own solid holds."""
+        asked = np.ascontiguousarray(points if which is None else points[which], np.float32)
+        free = np.ones(len(asked), np.bool_)
+        for part in range(len(self.own)):
+            free[self.holds(part, asked, np.flatnonzero(free), glance=True)] = False
+        return free
+
+    def value(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(n,) the least of the parts' own values at `points` (n, 3), see `Field.value`."""
+        value = np.full(len(points), self.settings.truncation)
+        for own, T in zip(self.own, invert_rigid(self.part_motion), strict=True):
+            value = np.minimum(value, own.value(apply(T, points)))
+        return value
 
 
 @dataclass(frozen=True, eq=False)
 class PosedFields:
-    """The field of a posed object, and the fields of its parts alone, which label its inside.
+    """What is inside of a posed object, and the material of its parts, which labels it.
 
     Attributes:
-        whole: the field of all parts together, posed.
-        own: for parts 1, 2, ... the part alone in the canonical pose.
-        part_motion: (P, 4, 4) from the canonical pose, unit frame.
+        whole: the field of all parts together, posed; with the rule `rigid` the material itself.
+        material: what the parts' own solids hold.
     """
 
-    whole: Field
-    own: Sequence[OwnSolid]
-    part_motion: NDArray[np.float64]
+    whole: Field | PosedSolids
+    material: PosedSolids
+
+    @property
+    def part_motion(self) -> NDArray[np.float64]:
+        return self.material.part_motion
 
     def labels(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
-        """(n,) 0 where free, k + 1 inside part k, for `points` (n, 3).
-
-        A point is inside part k > 0 where that part's own solid holds it (the first such part), and
-        inside part 0 where none does and no view sees it free: part 0 has what the parts enclose.
-        """
-        label = self._moving_part(points)
-        rest = np.flatnonzero(label == 0)
-        label[rest] = ~self.whole.is_free(points, rest)
-        return label
-
-    def labels_inside(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
-        """The same for points that are known to be inside."""
-        return np.maximum(self._moving_part(points), 1)
-
-    def _moving_part(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
-        """(n,) k + 1 for the first part k > 0 whose own solid holds the point, else 0."""
+        """(n,) FREE, k + 1 in the material of part k, ENCLOSED where no view sees free what no
+        part's own solid holds; for `points` (n, 3)."""
         points = np.ascontiguousarray(points, np.float32)
-        label = np.zeros(len(points), np.uint8)
-        for k, own in enumerate(self.own, start=1):
-            to_canonical = invert_rigid(self.part_motion[k])
-            near = fusion_kernels.in_box(points, to_canonical, own.box)
-            asked = near[label[near] == 0]
-            held = ~own.field.is_free(apply(to_canonical, points[asked]))
-            label[asked[held]] = k + 1
+        return self.with_enclosed(points, self.material.labels(points))
+
+    def with_enclosed(
+        self, points: NDArray[np.float32], label: NDArray[np.uint8]
+    ) -> NDArray[np.uint8]:
+        """`label`, the material at `points` (n, 3), with ENCLOSED set where that is."""
+        if isinstance(self.whole, Field):
+            rest = np.flatnonzero(label == FREE)
+            label[rest[~self.whole.is_free(points, rest)]] = ENCLOSED
         return label
 
 
@@ -182,7 +277,7 @@ def fuse(
     *,
     hierarchy: Hierarchy | None = None,
     part_motion: NDArray[np.float64] | None = None,
-    slender: NDArray[np.uint8] = NOTHING,
+    slender: Slender = NOTHING,
 ) -> Field:
     """The field of `maps`, which show the faces of `mesh`.
 
@@ -197,8 +292,14 @@ def fuse(
     if hierarchy is None or part_motion is None:
         part_motion = np.eye(4)[None]
         hierarchy = build(corners, np.zeros(len(corners), np.uint8), 1)
-    water = None
-    if settings.rule == "reachable":
-        water = flood(walls(mesh, settings.opening), mesh, hierarchy, part_motion)
     table = triangle_table(corners)
-    return Field(maps, table, hierarchy, part_motion, settings, water, slender)
+    field = Field(maps, table, hierarchy, part_motion, settings, None, slender)
+    return flooded(field, mesh) if settings.rule == "reachable" else field
+
+
+def flooded(field: Field, mesh: LabelledMesh) -> Field:
+    """The field of `mesh` by the rule `reachable`; with the rule `mean` as it is."""
+    if field.settings.rule == "mean" or field.flood is not None:
+        return field
+    state = walls(mesh, field.settings.opening)
+    return replace(field, flood=flood(state, mesh, field.hierarchy, field.part_motion))

@@ -38,7 +38,7 @@ class Scene(NamedTuple):
         hierarchy: of each part in its canonical pose.
         to_part: (P, 3, 4) from the pose at hand to each part's canonical pose.
         pixel: the width of a pixel at the object, unit frame.
-        slender: (n, n, n) uint8, see `slender.slender_voxels`.
+        slender: see `slender.Slender`.
     """
 
     depth: Any
@@ -55,8 +55,9 @@ class Scene(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def is_free(points, which, scene):
-    """(m,) which of points[which] at least one view sees free; a point is done with at the first.
+def is_free(points, which, scene, first_view, end_view):
+    """(m,) which of points[which] at least one view from `first_view` on, and before `end_view`,
+    sees free; a point is done with at the first.
 
     View by view over the points that are left, which stay packed: a view's map stays in the cache.
     A block is projected, then the faces around its points are read, then judged: three short loops,
@@ -80,7 +81,7 @@ def is_free(points, which, scene):
     triangles, hierarchy, to_part = scene.triangles, scene.hierarchy, scene.to_part
     slender = scene.slender
     pinhole, pixel, by_depth = scene.pinhole, scene.pixel, scene.face.shape[1] == 0
-    for k in range(scene.cameras.shape[0]):
+    for k in range(first_view, end_view):
         camera = _camera(k, scene)
         face_map, depth_map = _maps(k, scene)
         kept = 0
@@ -126,7 +127,11 @@ def _judge(x, y, z, around, camera, pinhole, triangles, hierarchy, to_part, slen
     of them and nothing slender is near; else the ray itself is followed. Only numbers are handed
     on: an array handed to a function costs numba two atomic counts, here at every look.
     """
-    n = slender.shape[0]
+    bits, n = slender.bits, slender.resolution
+    rows, columns, eighths = (
+        np.uintp(bits.shape[0]), np.uintp(bits.shape[1]), np.uintp(bits.shape[2])
+    )  # fmt: skip
+    first = (slender.first[0], slender.first[1], slender.first[2])
     for i in range(x.shape[0]):
         p = (x[i], y[i], z[i])
         f = around[i, 0]
@@ -152,25 +157,35 @@ def _judge(x, y, z, around, camera, pinhole, triangles, hierarchy, to_part, slen
                     break
         if crossed:
             verdict[i] = _HIDDEN
-        elif not doubt and (
-            n == 1 or slender[_voxel(p[0], n), _voxel(p[1], n), _voxel(p[2], n)] == 0
-        ):
+            continue
+        if not doubt:
+            a, b, c = (
+                _voxel(p[0], n, first[0]),
+                _voxel(p[1], n, first[1]),
+                _voxel(p[2], n, first[2]),
+            )
+            byte = c >> np.uintp(3)
+            if a < rows and b < columns and byte < eighths:
+                doubt = (bits[a, b, byte] >> (c & np.uintp(7))) & 1 == 1
+        if not doubt:
             verdict[i] = _FREE
         else:  # none of what shows is in the way: what shows at no pixel's centre may still be
             verdict[i] = _FREE if _leaves(p, w, hierarchy, to_part) else _HIDDEN
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _voxel(x, n):
-    return np.uintp(min(max(np.int64((x + np.float32(0.5)) * n), 0), n - 1))
+def _voxel(x, n, first):
+    """Along one axis, counted from `first`; before it the number is larger than any."""
+    return np.uintp(min(max(np.int64((x + np.float32(0.5)) * n), 0), n - 1) - first)
 
 
 @njit(cache=True, nogil=True)
-def in_box(points, T, box):
-    """The indices of the points (n, 3) that the transform T (4, 4) takes into the box (2, 3)."""
-    found = np.empty(points.shape[0], np.int64)
+def in_box(points, which, T, box):
+    """Those of `which`, indices into `points` (n, 3), that T (4, 4) takes into the box (2, 3)."""
+    found = np.empty(which.shape[0], np.int64)
     count = 0
-    for i in range(points.shape[0]):
+    for n in range(which.shape[0]):
+        i = which[n]
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         inside = True
         for axis in range(3):

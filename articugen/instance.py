@@ -5,6 +5,7 @@ random comes from `seeding.generator(seed, category, object, state, stage)`, so 
 the same whoever makes it, when, and in whatever order.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,10 +13,12 @@ from numpy.typing import NDArray
 
 from articugen import articulation, fusion, sampling, sheets
 from articugen.errors import RejectedInstance
-from articugen.geometry import apply, bounds
+from articugen.geometry import apply, bounds, box_corners
 from articugen.hierarchy import Hierarchy, build
+from articugen.reachable import touched
 from articugen.recipe import Recipe
 from articugen.records import (
+    FREE,
     JOINT_KINDS,
     ArticulatedObject,
     DepthMaps,
@@ -28,15 +31,17 @@ from articugen.records import (
     Views,
     dequantize,
     quantize,
+    stored_name,
 )
 from articugen.rendering import rasterizer, render
 from articugen.rendering.overlay import Overlay
 from articugen.rendering.views import fusion_views, random_pinhole_views
 from articugen.seeding import generator
-from articugen.slender import slender_voxels
+from articugen.slender import Slender, slender_voxels
+from articugen.winding import pieces
 
 MOST_PARTS = 254
-"""Labels are uint8: 0 free, k + 1 inside part k."""
+"""Labels are uint8: 0 free, k + 1 material of part k, 255 enclosed."""
 
 FEWEST_SURFACE_POINTS = 1024
 """Drawn even where fewer are stored: near points are drawn around them."""
@@ -44,19 +49,22 @@ FEWEST_SURFACE_POINTS = 1024
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """The voxels of a grid, and what is known of them in every pose.
+    """The voxel centres of a grid, and what is known of them in every pose.
 
     Attributes:
-        solid: (s,) flat indices of the voxels that part 0 alone fills: inside, whatever the other
-            parts do.
-        open: (o,) flat indices of the others.
-        solid_points, open_points: (s, 3), (o, 3) float32 their centres.
+        points: (R^3, 3) float32, x slowest.
+        fixed: (R^3,) uint8: the material of part 0 alone, which never moves.
     """
 
-    solid: NDArray[np.intp]
-    open: NDArray[np.intp]
-    solid_points: NDArray[np.float32]
-    open_points: NDArray[np.float32]
+    points: NDArray[np.float32]
+    fixed: NDArray[np.uint8]
+
+    def within(self, box: Floats) -> NDArray[np.intp]:
+        """The flat indices of the voxels whose centres lie in the box (2, 3), and some around."""
+        resolution = round(len(self.points) ** (1 / 3))
+        low, high = np.clip(np.floor((box + 0.5) * resolution).astype(int), 0, resolution - 1)
+        x, y, z = (np.arange(a, b + 1) for a, b in zip(low, high, strict=True))
+        return ((x[:, None, None] * resolution + y[:, None]) * resolution + z).ravel()
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +83,9 @@ class Prepared:
         views: the views that are fused.
         closed: (F,) whether a face belongs to a closed solid, whose inner side nobody sees.
         static: the depth maps of part 0 alone, which every instance shares.
-        overlay: what the moving parts of one instance after the other are drawn over part 0 in.
-        own: each moving part alone.
+        overlay: what the moving parts of one instance after the other are drawn over part 0 in;
+            None where the backend is another, or the posed object is not looked at.
+        own: each part alone, part 0 first.
         slender: where what the views say of part 0 is checked.
         grids: by resolution.
     """
@@ -95,7 +104,7 @@ class Prepared:
     static: DepthMaps
     overlay: Overlay | None
     own: tuple[fusion.OwnSolid, ...]
-    slender: NDArray[np.uint8]
+    slender: Slender
     grids: dict[int, Grid]
 
     def rng(self, *path: str | int) -> np.random.Generator:
@@ -129,6 +138,9 @@ def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
     tree = parts[0].own.field.hierarchy
     slender = slender_voxels(parts[0].mesh, fusion.pixel_width(views), tree)
     static_field = fusion.fuse(static, parts[0].mesh, recipe.fusion, slender=slender)
+    fixed = replace(parts[0].own, field=replace(static_field, flood=parts[0].own.field.flood))
+    own = (fixed, *(part.own for part in parts[1:]))
+    draws = recipe.views.backend == "rasterizer" and recipe.fusion.rule != "rigid"
     return Prepared(
         obj=obj,
         recipe=recipe,
@@ -140,12 +152,12 @@ def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
         seen=np.concatenate([part.seen for part in parts]),
         hierarchy=build(mesh.vertices[mesh.faces], mesh.part_of_face, obj.part_count),
         views=views,
-        closed=np.concatenate([sheets.closed(part.mesh) for part in parts]),
+        closed=np.concatenate([part.closed for part in parts]),
         static=static,
-        overlay=Overlay(static) if recipe.views.backend == "rasterizer" else None,
-        own=tuple(part.own for part in parts[1:]),
+        overlay=Overlay(static) if draws else None,
+        own=own,
         slender=slender,
-        grids={r: _grid(r, static_field) for r in recipe.sampling.grids},
+        grids={r: _grid(r, own, recipe) for r in recipe.sampling.grids},
     )
 
 
@@ -157,14 +169,20 @@ def make_instance(p: Prepared, state_index: int) -> Instance:
     """
     mesh, fields = pose(p, state_index, overlay=p.overlay)
     surface = _surface(p, state_index, mesh, fields)
+    joint_name, part_name, part_semantic = _names(p.obj)
+    occupancy = {r: _labelled_grid(grid, fields, r) for r, grid in p.grids.items()}
     return Instance(
         object_id=p.obj.object_id,
         state_index=state_index,
         center=p.unit.center,
         scale=p.unit.scale,
         **_joint_fields(p, state_index),
+        joint_name=joint_name,
+        part_name=part_name,
+        part_semantic=part_semantic,
         part_motion=fields.part_motion,
-        occupancy={r: _labelled_grid(grid, fields, r) for r, grid in p.grids.items()},
+        occupancy=occupancy,
+        coverage=_coverage(p, state_index, mesh, fields, occupancy),
         **_surface_fields(p, surface),
         **_query_fields(p, state_index, surface, fields),
         **_partial_fields(p, state_index, mesh),
@@ -181,6 +199,9 @@ def pose(
     posed = articulation.forward_kinematics(p.obj, p.states[state_index])
     motion = p.unit.rigid_to_unit(articulation.part_motions(posed, p.canonical))
     mesh = p.mesh.moved(motion)
+    material = fusion.PosedSolids(p.own, motion, p.recipe.fusion)
+    if p.recipe.fusion.rule == "rigid":
+        return mesh, fusion.PosedFields(material, material)
     if p.overlay is None:
         maps = _render(mesh, p.views, p.recipe)
     else:
@@ -193,7 +214,7 @@ def pose(
         part_motion=motion,
         slender=p.slender,
     )
-    return mesh, fusion.PosedFields(field, p.own, motion)
+    return mesh, fusion.PosedFields(field, material)
 
 
 def _joint_states(obj: ArticulatedObject, count: int, seed: int) -> tuple[JointState, ...]:
@@ -242,34 +263,54 @@ def _normalization(box: Floats, padding: float) -> Normalization:
 
 @dataclass(frozen=True, eq=False)
 class SolidPart:
-    """One part alone in the canonical pose: its surface, which faces can be seen, its field."""
+    """One part alone in the canonical pose: its surface, which of its faces can be seen and which
+    are those of closed pieces, its field."""
 
     mesh: LabelledMesh
     seen: NDArray[np.bool_]
+    closed: NDArray[np.bool_]
     own: fusion.OwnSolid
 
 
 def solid_part(soup: LabelledMesh, recipe: Recipe) -> SolidPart:
     """Thicken the sheets of one part and turn its faces outwards, by how it is seen alone."""
     soup = sheets.without_repeats(soup).compact()
-    alone = _own_solid(soup, recipe)
+    alone = _own_solid(soup, closed := sheets.closed(soup), recipe)
     thickness = recipe.fusion.sheet_thickness
     where = sheets.probes(soup, max(thickness, 1e-3) / 3.0)
-    free = np.stack([alone.field.is_free(side) for side in where.points])
+    free = np.stack([~alone.holds(side) for side in where.points])
     shown = sheets.shown_sides(soup, alone.field.maps)
-    mesh, seen = sheets.solidified(soup, where, free, shown, thickness)
-    if len(mesh.faces) != len(soup.faces):  # sheets have become slabs
-        alone = _own_solid(mesh, recipe)
+    mesh, seen = sheets.solidified(soup, where, free, shown, thickness, closed)
+    if not np.array_equal(mesh.faces, soup.faces):
+        closed = sheets.closed(mesh)
+        if len(mesh.faces) != len(soup.faces):  # sheets have become slabs
+            alone = _own_solid(mesh, closed, recipe)
+        else:
+            alone = replace(alone, closed=_closed_pieces(mesh, closed, alone.field))
     width = fusion.pixel_width(alone.field.maps.views)
     slender = slender_voxels(mesh, width, alone.field.hierarchy)
-    own = replace(alone, field=replace(alone.field, slender=slender))
-    return SolidPart(mesh, seen, own)
+    own = replace(alone, field=fusion.flooded(replace(alone.field, slender=slender), mesh))
+    return SolidPart(mesh, seen, closed, own)
 
 
-def _own_solid(mesh: LabelledMesh, recipe: Recipe) -> fusion.OwnSolid:
+def _own_solid(mesh: LabelledMesh, closed: NDArray[np.bool_], recipe: Recipe) -> fusion.OwnSolid:
     box = bounds(mesh.vertices[mesh.faces].reshape(-1, 3)) if len(mesh.faces) else np.zeros((2, 3))
     views = fusion_views(recipe.views, box)
-    return fusion.OwnSolid(fusion.fuse(_render(mesh, views, recipe), mesh, recipe.fusion), box)
+    if recipe.views.backend == "rasterizer":
+        maps = rasterizer.render(mesh, views, keep_depth=False)
+    else:
+        maps = _render(mesh, views, recipe)
+    field = fusion.fuse(maps, mesh, recipe.fusion)
+    return fusion.OwnSolid(field, box, _closed_pieces(mesh, closed, field))
+
+
+def _closed_pieces(
+    mesh: LabelledMesh, closed: NDArray[np.bool_], field: fusion.Field
+) -> Hierarchy | None:
+    """What `OwnSolid.closed` holds; None where the recipe's rule takes the views' word alone."""
+    if field.settings.rule == "mean":
+        return None
+    return field.hierarchy if closed.all() else pieces(mesh, closed)
 
 
 def _render(mesh: LabelledMesh, views: Views, recipe: Recipe) -> DepthMaps:
@@ -282,17 +323,53 @@ def _draw_moving(p: Prepared, mesh: LabelledMesh, overlay: Overlay) -> DepthMaps
     return overlay.draw(moving.compact(), closed=p.closed[first:], first_face=first)
 
 
-def _grid(resolution: int, static: fusion.Field) -> Grid:
+def _grid(resolution: int, own: Sequence[fusion.OwnSolid], recipe: Recipe) -> Grid:
     points = sampling.grid_points(resolution).astype(np.float32)
-    free = static.is_free(points)
-    return Grid(np.flatnonzero(~free), np.flatnonzero(free), points[~free], points[free])
+    fixed = fusion.PosedSolids(own[:1], np.eye(4)[None], recipe.fusion)
+    return Grid(points, fixed.labels(points))
 
 
 def _labelled_grid(grid: Grid, fields: fusion.PosedFields, resolution: int) -> NDArray[np.uint8]:
-    label = np.empty(resolution**3, np.uint8)
-    label[grid.open] = fields.labels(grid.open_points)
-    label[grid.solid] = fields.labels_inside(grid.solid_points)
+    """As `fields.labels` of all voxels, from what is known of them in every pose."""
+    label = grid.fixed.copy()
+    material = fields.material
+    for part in reversed(range(1, len(material.own))):  # where they overlap the first one counts
+        corners = apply(material.part_motion[part], box_corners(material.own[part].box))
+        held = material.holds(part, grid.points, grid.within(bounds(corners)))
+        label[held] = part + 1
+    label = fields.with_enclosed(grid.points, label)
     return label.reshape(resolution, resolution, resolution)
+
+
+def _coverage(
+    p: Prepared,
+    state_index: int,
+    mesh: LabelledMesh,
+    fields: fusion.PosedFields,
+    occupancy: dict[int, NDArray[np.uint8]],
+) -> dict[int, NDArray[np.uint8]]:
+    """The share of each cell that is inside, x 255, for each grid; none unless the recipe asks.
+
+    Sub-samples of the finest grid serve every coarser one that divides it.
+    """
+    if not p.recipe.sampling.coverage:
+        return {}
+    coverage, counted = {}, {}
+    finest = max(occupancy, default=1)
+    for r in sorted(occupancy, reverse=True):
+        base = finest if finest % r == 0 else r
+        if base not in counted:
+            counted[base] = sampling.solid_counts(
+                occupancy[base] != FREE,
+                touched(mesh, base) > 0,
+                lambda points: fields.labels(points) != FREE,
+                rng=p.rng(state_index, "coverage", base),
+            )
+        counts, most = counted[base]
+        k = base // r
+        inside = counts.reshape(r, k, r, k, r, k).sum(axis=(1, 3, 5))
+        coverage[r] = ((2 * 255 * inside + most * k**3) // (2 * most * k**3)).astype(np.uint8)
+    return coverage
 
 
 def _joint_fields(p: Prepared, state_index: int) -> dict[str, NDArray]:
@@ -311,6 +388,17 @@ def _joint_fields(p: Prepared, state_index: int) -> dict[str, NDArray]:
         "joint_axis": posed.axes,
         "joint_pivot": p.unit.to_unit(posed.pivots),
     }
+
+
+def _names(obj: ArticulatedObject) -> tuple[tuple[str, ...], ...]:
+    """(J,) names of the joints, (P,) names and (P,) semantics of each part's first link."""
+    joints = obj.moving_joints
+    first = [obj.links[0], *(obj.links[obj.link_index[joint.child]] for joint in joints)]
+    return (
+        tuple(stored_name(joint.name) for joint in joints),
+        tuple(stored_name(link.name) for link in first),
+        tuple(stored_name(link.semantic) for link in first),
+    )
 
 
 def _surface(

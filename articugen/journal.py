@@ -7,6 +7,7 @@ finished object, on the disk as soon as its shard is.
 import fcntl
 import json
 import os
+import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -39,6 +40,9 @@ from articugen.manifest import (
 
 JOURNAL_NAME = ".articugen-journal.jsonl"
 
+DYING_SECONDS = 1.0
+"""The workers of a killed run hold its lock for so long at most: see `workers.die_with`."""
+
 
 class Journal:
     """What a folder already holds, and the record of a run in it; one run at a time.
@@ -64,7 +68,7 @@ class Journal:
         self._trusted: dict[ShardEntry, bool] = {}
         self._outcomes: dict[tuple[str, str], Outcome] = {}
         self._ours: set[str] = set()
-        self._in_manifest: tuple[Key, ...] = ()
+        self._manifest: Manifest | None = None
         self._claimed = False
         self._lock: int | None = None
         if folder.exists():
@@ -92,11 +96,18 @@ class Journal:
             os.close(self._lock)
             self._lock = None
 
+    @property
+    def handles(self) -> tuple[int, ...]:
+        """The open file that keeps other runs out; whoever holds it does so as well."""
+        return () if self._lock is None else (self._lock,)
+
     def why(self, key: Key) -> str | None:
         """Why the object must be made (again); None where what is on the disk will do."""
         outcome = self._outcomes.get((key.split, key.object_id))
         if outcome is None:
             return "it has not been made yet"
+        if outcome.fault is not None:
+            return f"it failed ({outcome.fault.reason})"
         difference = key.difference(outcome.key)
         if difference is not None or outcome.shard is None:
             return difference
@@ -112,8 +123,9 @@ class Journal:
 
     def is_complete(self, keys: Sequence[Key]) -> bool:
         """Whether a run for `keys` has nothing to do: all made, and the manifest says just that."""
-        told = not self._path.exists() and set(self._in_manifest) == set(keys)
-        return told and all(self.why(key) is None for key in keys)
+        if self._manifest is None or os.path.lexists(self._path):
+            return False
+        return set(self._manifest.keys) == set(keys) and all(self.why(key) is None for key in keys)
 
     def conflict(self, keys: Sequence[Key]) -> str | None:
         """One sentence, where the folder holds data that a run for `keys` would replace."""
@@ -177,12 +189,12 @@ class Journal:
                 "move it away or choose another output folder"
             )
         self._ours.update(names)
-        self._in_manifest = ()
+        self._manifest = None
         lines: list[dict[str, Any]] = [Claims(claims=tuple(sorted(self._ours))).model_dump()]
         lines += [outcome.model_dump(mode="json") for outcome in self._outcomes.values()]
         text = "".join(json.dumps(line) + "\n" for line in lines)
         write_atomically(self._path, text.encode())
-        self._remove([MANIFEST_NAME, *self.stale_partials()])
+        self.remove([MANIFEST_NAME, *self._temporary()])
         self._claimed = True
 
     def record(self, outcome: Outcome) -> None:
@@ -203,18 +215,45 @@ class Journal:
     def finish(self, manifest: Manifest) -> None:
         """Write the manifest, then remove the journal and those of our shards it does not name."""
         manifest.write(self.folder)
-        orphans = sorted(self._ours - {shard.name for shard in manifest.shards})
-        self._remove([*orphans, *self.stale_partials()])
-        self._remove([JOURNAL_NAME])
+        self._manifest = manifest
+        self.remove(self.leftovers())
         self._claimed = False
 
-    def stale_partials(self) -> list[str]:
-        """Temporary names that runs which were killed have left; no worker may be at work."""
+    def leftovers(self) -> dict[str, str]:
+        """What killed runs left here, in the order to remove it, and why it is not needed.
+
+        No worker may be at work. Shards that are recorded, and the journal of a run that can go on,
+        are none.
+        """
+        entries = [o.shard for o in self._outcomes.values() if o.shard]
+        kept = {shard.name for shard in (self._manifest.shards if self._manifest else entries)}
+        orphans = [name for name in sorted(self._ours - kept) if self._is_file(name)]
+        found = dict.fromkeys(self._temporary(), "a temporary file")
+        found |= dict.fromkeys(orphans, "a shard that is not recorded")
+        if self._manifest and self._is_file(JOURNAL_NAME):
+            found[JOURNAL_NAME] = "the manifest says it all"
+        return found
+
+    def remove(self, names: Iterable[str]) -> None:
+        """Remove files of this folder, in this order; what is not there is no fault."""
+        try:
+            for name in names:
+                (self.folder / name).unlink(missing_ok=True)
+            sync_folder(self.folder)
+        except OSError as error:
+            raise MachineFault(cannot_write(self.folder, error)) from None
+
+    def _temporary(self) -> list[str]:
         try:
             names = sorted(os.listdir(self.folder))
         except OSError as error:
             raise MachineFault(f"{self.folder}: cannot be read ({error.strerror})") from None
-        return [name for name in names if _is_ours(whole_name(name) or "")]
+        return [name for name in names if is_temporary(name) and self._is_file(name)]
+
+    def _is_file(self, name: str) -> bool:
+        """Whether it is there, and no folder."""
+        path = self.folder / name
+        return os.path.lexists(path) and (path.is_symlink() or not path.is_dir())
 
     def _take_lock(self) -> None:
         try:
@@ -225,16 +264,14 @@ class Journal:
 
     def _is_foreign(self, path: Path) -> bool:
         """Whether there is something that no run of ours has put there."""
-        return os.path.lexists(path) and (path.name not in self._ours or _is_folder(path))
+        return os.path.lexists(path) and not (path.name in self._ours and self._is_file(path.name))
 
     def _load(self) -> None:
         if os.path.lexists(self.folder / MANIFEST_NAME):
             manifest = Manifest.read(self.folder)
-            shards = {shard.name: shard for shard in manifest.shards}
-            self._ours.update(shards)
-            self._take(Outcome(made=o, shard=shards[o.shard]) for o in manifest.objects)
-            self._take(Outcome(rejected=rejection) for rejection in manifest.rejected)
-            self._in_manifest = tuple(e.key for e in (*manifest.objects, *manifest.rejected))
+            self._ours.update(shard.name for shard in manifest.shards)
+            self._take(manifest.outcomes)
+            self._manifest = manifest
         if os.path.lexists(self._path):
             self._load_journal()
 
@@ -266,23 +303,31 @@ class Journal:
         except OSError:
             return False
 
-    def _remove(self, names: Iterable[str]) -> None:
-        try:
-            for path in (self.folder / name for name in names):
-                if not _is_folder(path):
-                    path.unlink(missing_ok=True)
-            sync_folder(self.folder)
-        except OSError as error:
-            raise MachineFault(cannot_write(self.folder, error)) from None
+
+def data_sets(path: Path) -> list[Path]:
+    """The data set in `path`, or those in its folders, whole or not.
+
+    Raises:
+        CorruptShard: there is none.
+    """
+    inside = sorted(path.iterdir()) if path.is_dir() else []
+    folders = [path] if _is_data_set(path) else [f for f in inside if _is_data_set(f)]
+    if not folders:
+        raise CorruptShard(f"{path}: holds no data set; make one with: articugen generate")
+    return folders
 
 
-def _is_ours(name: str) -> bool:
-    """Whether a run gives files this name."""
-    return name in (MANIFEST_NAME, JOURNAL_NAME) or is_shard_name(name)
+def _is_data_set(folder: Path) -> bool:
+    """Whether a run has been at work in a folder, or shards lie there."""
+    names = os.listdir(folder) if folder.is_dir() else []
+    ours = (MANIFEST_NAME, JOURNAL_NAME)
+    return any(name in ours or is_temporary(name) or is_shard_name(name) for name in names)
 
 
-def _is_folder(path: Path) -> bool:
-    return path.is_dir() and not path.is_symlink()
+def is_temporary(name: str) -> bool:
+    """Whether a run gives a file this name until it is whole."""
+    whole = whole_name(name)
+    return whole in (MANIFEST_NAME, JOURNAL_NAME) or (whole is not None and is_shard_name(whole))
 
 
 def _append(path: Path, line: bytes) -> None:
@@ -303,15 +348,21 @@ def _append(path: Path, line: bytes) -> None:
 
 
 def _locked(folder: Path) -> int:
-    """A handle that keeps other runs out for as long as it, or this process, lives."""
+    """A handle that keeps other runs out for as long as anybody holds it open."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(handle)
-        raise ArticugenError(
-            f"{folder}: another run is writing here; wait for it or choose another output folder"
-        ) from None
-    except OSError:
-        pass  # a file system without locks: there the user must see to it
-    return handle
+    patience = time.monotonic() + DYING_SECONDS
+    while True:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() < patience:
+                time.sleep(0.05)
+                continue
+            os.close(handle)
+            raise ArticugenError(
+                f"{folder}: another run is writing here; wait for it or choose another output "
+                "folder"
+            ) from None
+        except OSError:
+            pass  # a file system without locks: there the user must see to it
+        return handle

@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.errors import MissingExtra, RejectedInstance
-from articugen.fusion import Field
+from articugen.fusion import Field, PosedSolids
 from articugen.records import Mesh
 
 _SLAB = 1 << 20
 """Voxels whose sign is asked at a time."""
 
 
-def extract_mesh(field: Field, resolution: int) -> Mesh:
+def extract_mesh(field: Field | PosedSolids, resolution: int) -> Mesh:
     """The zero level of `field` in the unit cube as a closed mesh, unit frame, faces outwards.
 
     Marching cubes (Lorensen and Cline 1987; scikit-image's, after Lewiner et al. 2003) on the voxel
@@ -46,7 +46,7 @@ def extract_mesh(field: Field, resolution: int) -> Mesh:
     return Mesh((vertices - 0.5) / resolution - 0.5, faces)
 
 
-def _free(field: Field, resolution: int) -> NDArray[np.bool_]:
+def _free(field: Field | PosedSolids, resolution: int) -> NDArray[np.bool_]:
     axis = (np.arange(resolution) + 0.5) / resolution - 0.5
     rows = max(1, _SLAB // resolution**2)
     slabs = []

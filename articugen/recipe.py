@@ -7,6 +7,8 @@ keys are refused with the nearest valid name. The hash of the resolved recipe is
 import hashlib
 import json
 import math
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -14,8 +16,11 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from articugen import schema
+from articugen.errors import InvalidRecipe, printable
 from articugen.recipe_files import RECIPE_FOLDER, find, resolved, validated
 from articugen.recipe_files import Section as _Section
+
+_CATEGORY = re.compile(r"\w(?:[\w .+-]{0,98}[\w+-])?")
 
 MAX_TEXT_BYTES = 32_000
 """Of a resolved recipe: it is kept in an attribute of each shard, which can hold 60,000."""
@@ -85,23 +90,36 @@ class Fusion(_Section):
     Attributes:
         rule: `seen`: outside is what at least one view sees free; `reachable`: and what lies open
             to that; `mean`: where the mean of the truncated distances is positive (Curless and
-            Levoy 1996, Occupancy Networks).
+            Levoy 1996, Occupancy Networks); `rigid`: what no part's own solid holds, the material
+            alone, the fastest.
         opening: for `reachable`, the width of openings that count, in the unit frame: those of half
             the width never do.
         truncation: in the unit frame.
         sheet_thickness: what a sheet without any thickness is given, in the unit frame.
     """
 
-    rule: Literal["seen", "reachable", "mean"] = "seen"
+    rule: Literal["seen", "reachable", "mean", "rigid"] = "seen"
     truncation: float = Field(default=0.01, gt=0.0, le=0.5)
     opening: float = Field(default=1 / 48, ge=1 / 128, le=0.5)
     sheet_thickness: float = Field(default=1.5 / 256, ge=0.0, le=0.1)
 
 
 class Sampling(_Section):
-    """How many samples an instance gets. Lengths are in the unit frame."""
+    """How many samples an instance gets. Lengths are in the unit frame.
+
+    Attributes:
+        grids: resolutions of the grids of labels.
+        coverage: whether each grid comes with the share of every cell that is inside, which keeps
+            the thin parts that lie between the centres of a coarse grid.
+        surface_points, uniform_points, near_points: how many.
+        near_sigma: how far from the surface `near_points` are.
+        partial_views, partial_points, partial_resolution: how many depth cameras, points of each,
+            pixels along the edge of its image.
+        depth_noise: standard deviation of what they measure.
+    """
 
     grids: tuple[int, ...] = (16, 32, 64)
+    coverage: bool = False
     surface_points: int = Field(default=8192, ge=0, le=1_000_000)
     uniform_points: int = Field(default=8192, ge=0, le=1_000_000)
     near_points: int = Field(default=8192, ge=0, le=1_000_000)
@@ -156,7 +174,15 @@ class Sampling(_Section):
 
 
 class Recipe(_Section):
-    """One recipe, resolved. See the sections for the meaning of each key."""
+    """One recipe, resolved. See the sections for the meaning of each key.
+
+    Attributes:
+        objects: so many of the category; null means all.
+        max_rejected_fraction: with more rejected objects than that a data set counts as failed.
+        seconds_per_object: an object that takes longer is rejected; null means ten minutes and five
+            seconds more for each instance.
+        memory_per_object_mb: so is one for which a worker comes to hold more.
+    """
 
     name: Annotated[str, Field(min_length=1, max_length=255)]
     articulation: Articulation = Articulation()
@@ -166,6 +192,8 @@ class Recipe(_Section):
     padding: float = Field(default=0.1, ge=0.0, lt=1.0)
     objects: int | None = Field(default=None, ge=1, le=1_000_000)
     max_rejected_fraction: float = Field(default=0.1, ge=0.0, le=1.0)
+    seconds_per_object: float | None = Field(default=None, gt=0.0, le=1e7)
+    memory_per_object_mb: float = Field(default=4096.0, ge=256.0, le=1e7)
 
     @model_validator(mode="after")
     def _fits_an_attribute(self) -> "Recipe":
@@ -182,25 +210,71 @@ class Recipe(_Section):
         return json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
 
     def for_one_object(self) -> "Recipe":
-        """What of the recipe decides an object's data: neither its name nor how many objects."""
+        """What of the recipe decides an object's data: neither its name nor numbers and limits."""
+        fields = Recipe.model_fields
+        limits = ("seconds_per_object", "memory_per_object_mb")
         aside = {"name": "object", "objects": None, "max_rejected_fraction": 1.0}
-        return self.model_copy(update=aside)
+        return self.model_copy(update=aside | {name: fields[name].default for name in limits})
 
     def sha256(self) -> str:
         return hashlib.sha256(self.text().encode()).hexdigest()
 
-    def with_counts(self, *, objects: int | None = None, states: int | None = None) -> "Recipe":
-        """This recipe with other numbers of objects and of random states; None keeps its own.
+    def with_counts(
+        self,
+        *,
+        objects: int | None = None,
+        states: int | None = None,
+        max_rejected: float | None = None,
+    ) -> "Recipe":
+        """This recipe with other numbers of objects and of random states, or another
+        `max_rejected_fraction`; None keeps its own.
 
         Raises:
             InvalidRecipe: there cannot be so many.
         """
         data = self.model_dump()
+        if max_rejected is not None:
+            data["max_rejected_fraction"] = max_rejected
         if objects is not None:
             data["objects"] = objects
         if states is not None:
             data["articulation"]["states"] = states
         return validated(Recipe, data, f"recipe {self.name!r}")
+
+    def with_articulation(
+        self, *, movable: Sequence[str] = (), canonical: str | None = None
+    ) -> "Recipe":
+        """This recipe with other moving joints or another canonical pose; nothing keeps its own.
+
+        Raises:
+            InvalidRecipe: there is no such canonical pose.
+        """
+        data = self.model_dump()
+        if movable:
+            data["articulation"]["movable"] = list(movable)
+        if canonical is not None:
+            data["articulation"]["canonical"] = canonical
+        return validated(Recipe, data, f"recipe {self.name!r}")
+
+    def for_source(self, *, clips_to_limits: bool) -> "Recipe":
+        """This recipe as it is for a source: that its joints are clipped, or not, is then said."""
+        if self.articulation.clip_to_limits != "source":
+            return self
+        own = self.articulation.model_copy(update={"clip_to_limits": clips_to_limits})
+        return self.model_copy(update={"articulation": own})
+
+
+def check_category(name: str) -> None:
+    """Categories name recipes and folders: letters, digits and _, within also space, - . and +.
+
+    Raises:
+        InvalidRecipe: another name.
+    """
+    if not _CATEGORY.fullmatch(name):
+        raise InvalidRecipe(
+            f"{printable(name)!r} cannot be a category's name; use up to 100 letters, digits, _ "
+            "and, within, - or ., without any /"
+        )
 
 
 def load_recipe(name: str | Path | None, category: str) -> Recipe:
@@ -211,6 +285,8 @@ def load_recipe(name: str | Path | None, category: str) -> Recipe:
     Raises:
         InvalidRecipe: no such recipe, bad YAML, an unknown key or a bad value.
     """
+
+    check_category(category)
 
     def base_of(base: str) -> Path:
         return _category_recipe(category) if base == "category" else find(base, learner=False)

@@ -18,8 +18,18 @@ from articugen.portable import turned
 JointKind = Literal["fixed", "revolute", "continuous", "prismatic"]
 Floats = NDArray[np.float64]
 
-FREE = 0
-"""Occupancy label of free space; a point inside part k has label k + 1."""
+FREE, ENCLOSED = 0, 255
+"""Labels of free space, and of what no view sees though no part's own solid holds it. The material
+of part k has label k + 1."""
+
+
+def is_material(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Where labels name the material of some part."""
+    return (label != FREE) & (label != ENCLOSED)
+
+
+MAX_NAME = 255
+"""Bytes of UTF-8 that a shard keeps of a name."""
 
 
 def _freeze(record: Any, **wanted: tuple[type, tuple[int | None, ...]]) -> None:
@@ -349,8 +359,9 @@ class Instance:
     """One object at one joint state: all that a row of a shard holds, in the unit frame.
 
     Point coordinates are stored in fixed point: `quantize` and `dequantize` say how. P parts, J
-    moving joints (P = J + 1), joint j carries part j + 1. Labels: 0 free, k + 1 inside part k;
-    parts: k. docs/format.md describes every field.
+    moving joints (P = J + 1), joint j carries part j + 1. Labels: 0 free, k + 1 material of part k,
+    255 enclosed; parts: k. Names are None where a shard has none. docs/format.md describes every
+    field.
     """
 
     object_id: str
@@ -365,7 +376,11 @@ class Instance:
     joint_axis: Floats
     joint_pivot: Floats
     part_motion: Floats
+    joint_name: tuple[str, ...] | None = None
+    part_name: tuple[str, ...] | None = None
+    part_semantic: tuple[str, ...] | None = None
     occupancy: Mapping[int, NDArray[np.uint8]] = field(default_factory=_no_grids)
+    coverage: Mapping[int, NDArray[np.uint8]] = field(default_factory=_no_grids)
     surface_points: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 3), np.uint16))
     surface_normals: NDArray[np.int8] = field(default_factory=lambda: np.zeros((0, 3), np.int8))
     surface_part: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
@@ -407,19 +422,41 @@ class Instance:
             partial_T_camera_world=(np.float64, (C, 4, 4)),
             partial_intrinsics=(np.float64, (C, 4)),
         )
-        for resolution, grid in self.occupancy.items():
-            if grid.shape != (resolution,) * 3 or grid.dtype != np.uint8:
-                raise ValueError(f"Instance.occupancy[{resolution}]: {grid.shape} {grid.dtype}")
+        for name in GRIDS:
+            for resolution, grid in getattr(self, name).items():
+                if grid.shape != (resolution,) * 3 or grid.dtype != np.uint8:
+                    raise ValueError(f"Instance.{name}[{resolution}]: {grid.shape} {grid.dtype}")
+        for name, count in (("joint_name", J), ("part_name", J + 1), ("part_semantic", J + 1)):
+            texts = getattr(self, name)
+            if texts is not None and len(texts) != count:
+                raise ValueError(f"Instance.{name}: {len(texts)} names, not {count}")
 
     def arrays(self) -> dict[str, Any]:
-        """Every field by its name in a shard; grids as `occupancy_<resolution>`."""
-        named = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "occupancy"}
-        grids = {f"occupancy_{r}": grid for r, grid in sorted(self.occupancy.items())}
-        return named | grids
+        """Every field that it has, by its name in a shard; grids as `occupancy_<resolution>`."""
+        all_fields = {f.name: getattr(self, f.name) for f in fields(self)}
+        grids = {
+            f"{name}_{r}": grid
+            for name in GRIDS
+            for r, grid in sorted(all_fields.pop(name).items())
+        }
+        return {name: value for name, value in all_fields.items() if value is not None} | grids
+
+
+GRIDS = ("occupancy", "coverage")
+"""Those fields of `Instance` that have an array for each of several resolutions."""
 
 
 JOINT_KINDS = {"revolute": 1, "continuous": 1, "prismatic": 2}
 """`Instance.joint_kind` of each kind of moving joint."""
+
+
+def stored_name(name: str) -> str:
+    """A name as it fits into a shard: whole characters of at most MAX_NAME bytes of UTF-8.
+
+    What UTF-8 or a text padded with zero bytes cannot hold becomes U+FFFD.
+    """
+    whole = name.encode("utf-16", "surrogatepass").decode("utf-16", "replace")
+    return whole.replace("\0", "\ufffd").encode()[:MAX_NAME].decode(errors="ignore")
 
 
 def quantize(points: NDArray[np.floating]) -> NDArray[np.uint16]:

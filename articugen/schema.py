@@ -3,8 +3,11 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+"""Of what is written. Readers take every version up to it: a later one only adds optional fields,
+and tells apart what an earlier one did not (docs/format.md says what)."""
 
 FORMAT = "articugen shard"
 """The attribute `format` of every shard."""
@@ -14,7 +17,10 @@ MAX_CHUNK_BYTES = 1 << 26
 """No field of one instance may take more than 64 MiB: what a reader risks on a hostile file."""
 
 MAX_TEXT = 255
-"""Bytes of an object_id in UTF-8."""
+"""Bytes of a text in UTF-8: an object_id, the name of a joint or a part."""
+
+USER_GROUP = "user"
+"""A group of this name belongs to whoever uses the data: readers leave it alone."""
 
 SYMBOLS = {
     "N": "instances in the shard",
@@ -36,13 +42,14 @@ class Field:
 
     Attributes:
         name: of the data set; <R> stands for a grid's resolution.
-        dtype: as numpy writes it, byte order included; "S" is UTF-8 of a fixed length, padded
-            with zero bytes.
+        dtype: as numpy writes it, byte order included; "S" is UTF-8 of a fixed length of at most
+            MAX_TEXT bytes, padded with zero bytes.
         shape: numbers, and letters from SYMBOLS; the first is always N.
         unit: of one number.
         frame: the coordinates it is given in, or "".
         meaning: one sentence or two.
         compressed: with gzip, for what gets smaller by it; random 16-bit coordinates do not.
+        optional: a shard may lack it.
     """
 
     name: str
@@ -52,12 +59,22 @@ class Field:
     frame: str
     meaning: str
     compressed: bool = False
+    optional: bool = False
+
+    @property
+    def stem(self) -> str:
+        """The name without a grid's resolution."""
+        return self.name.removesuffix("_<R>")
+
+    @property
+    def is_grid(self) -> bool:
+        return self.stem != self.name
 
     def matches(self, name: str) -> bool:
         """Whether a data set of this name is described by this field."""
-        if "<R>" not in self.name:
+        if not self.is_grid:
             return name == self.name
-        return re.fullmatch(self.name.replace("<R>", "([1-9][0-9]{0,2})"), name) is not None
+        return re.fullmatch(f"{self.stem}_[1-9][0-9]{{0,2}}", name) is not None
 
     def fits(self, name: str, shape: tuple[int, ...], known: dict[str, int]) -> bool:
         """Whether `shape` is this field's; the letters it settles are added to `known`."""
@@ -67,7 +84,7 @@ class Field:
             if isinstance(want, int):
                 expected = want
             elif want == "R":
-                expected = int(name.rpartition("_")[2])
+                expected = resolution_of(name)
             else:
                 expected = known.setdefault(want, size)
             if size != expected:
@@ -75,17 +92,27 @@ class Field:
         return True
 
 
-_GRID = "occupancy_<R>"
 _FIXED_POINT = "1/65535"
 _UNIT = "unit"
 _STORED = "x = stored / 65535 - 0.5."
+_LABEL = "0 free, k + 1 material of part k, 255 enclosed: no view sees it, no part holds it."
 
 FIELDS = (
-    Field("object_id", "S", ("N",), "UTF-8", "", "Which object it is."),
+    Field("object_id", "S", ("N",), "UTF-8", "", "Which object it is.", True),
     Field("state_index", "<u4", ("N",), "", "", "Counts an object's instances; 0 is canonical."),
     Field("center", "<f8", ("N", 3), "m", "world", "x_world = x_unit * scale + center."),
     Field("scale", "<f8", ("N",), "m", "", "Length of the unit frame's unit; one an object."),
     Field("joint_kind", "u1", ("N", "J"), "", "", "1 revolute (or continuous), 2 prismatic."),
+    Field(
+        "joint_name",
+        "S",
+        ("N", "J"),
+        "UTF-8",
+        "",
+        "What the model's file calls joint j.",
+        True,
+        optional=True,
+    ),
     Field(
         "joint_parent",
         "u1",
@@ -140,13 +167,45 @@ FIELDS = (
         "motion[j + 1] = (rotation about, or translation along, axis j) @ motion[joint_parent[j]].",
     ),
     Field(
-        _GRID,
+        "part_name",
+        "S",
+        ("N", "P"),
+        "UTF-8",
+        "",
+        "What the model's file calls each part: the root link, or the one that joint j moves.",
+        True,
+        optional=True,
+    ),
+    Field(
+        "part_semantic",
+        "S",
+        ("N", "P"),
+        "UTF-8",
+        "",
+        "What that link is (door, lid, ...) where the source says so, else empty.",
+        True,
+        optional=True,
+    ),
+    Field(
+        "occupancy_<R>",
         "u1",
         ("N", "R", "R", "R"),
         "label",
         _UNIT,
-        "Label at the voxel centres (i + 0.5) / R - 0.5, indexed [x, y, z].",
+        f"Label at the voxel centres (i + 0.5) / R - 0.5, indexed [x, y, z]. {_LABEL}",
         True,
+        optional=True,
+    ),
+    Field(
+        "coverage_<R>",
+        "u1",
+        ("N", "R", "R", "R"),
+        "1/255",
+        _UNIT,
+        "Share of each cell that is inside (label > 0) x 255; the cell reaches from i / R - 0.5 to "
+        "(i + 1) / R - 0.5, indexed [x, y, z].",
+        True,
+        optional=True,
     ),
     Field(
         "surface_points",
@@ -174,7 +233,7 @@ FIELDS = (
         _UNIT,
         f"Uniform in the unit cube. {_STORED}",
     ),
-    Field("uniform_label", "u1", ("N", "U"), "label", "", "Labels there.", True),
+    Field("uniform_label", "u1", ("N", "U"), "label", "", f"Labels there. {_LABEL}", True),
     Field(
         "near_points",
         "<u2",
@@ -183,7 +242,7 @@ FIELDS = (
         _UNIT,
         f"Surface points moved by Gaussian noise (recipe: near_sigma). {_STORED}",
     ),
-    Field("near_label", "u1", ("N", "K"), "label", "", "Labels there.", True),
+    Field("near_label", "u1", ("N", "K"), "label", "", f"Labels there. {_LABEL}", True),
     Field(
         "partial_points",
         "<u2",
@@ -210,11 +269,15 @@ FIELDS = (
         "fx, fy, cx, cy: u = fx x / z + cx, v = fy y / z + cy; pixel centres at + 0.5.",
     ),
 )
-"""Every data set; those without <R> are in every shard, that one once for each grid."""
+"""Every data set; those with <R> once for each grid."""
+
+CHECKED_ATTRIBUTES = "checked_attributes"
+"""The attribute that holds all others as JSON: of a fixed length, which HDF5 guards by a checksum.
+Text of variable length, which plain readers get as str, it does not."""
 
 ATTRIBUTES: Mapping[str, tuple[type, str]] = {
     "format": (str, f'Always "{FORMAT}".'),
-    "schema_version": (int, "Of this description; readers refuse any other."),
+    "schema_version": (int, "Of this description; readers refuse later ones."),
     "category": (str, "For instance laptop."),
     "split": (str, "train or test, say; each object is in one split only."),
     "recipe": (str, "The resolved recipe as canonical JSON: everything that decides the content."),
@@ -225,9 +288,15 @@ ATTRIBUTES: Mapping[str, tuple[type, str]] = {
 """Attributes of the file that every shard has; it may have more, all scalar."""
 
 
+@lru_cache(1024)
 def field_of(name: str) -> Field | None:
     """The field that describes the data set `name`, or None."""
     return next((field for field in FIELDS if field.matches(name)), None)
+
+
+def resolution_of(name: str) -> int:
+    """Of the grid that a data set of this name holds."""
+    return int(name.rpartition("_")[2])
 
 
 def misfit(names_and_shapes: Mapping[str, tuple[int, ...]]) -> str | None:
@@ -239,7 +308,7 @@ def misfit(names_and_shapes: Mapping[str, tuple[int, ...]]) -> str | None:
             return f"data set {name!r} is not in the schema"
         if not field.fits(name, shape, known):
             return f"data set {name!r} has shape {shape}, not {written_shape(field)} with {known}"
-    missing = [f.name for f in FIELDS if f.name != _GRID and f.name not in names_and_shapes]
+    missing = [f.name for f in FIELDS if not f.optional and f.name not in names_and_shapes]
     if missing:
         return f"data set {missing[0]!r} is missing"
     if known["P"] != known["J"] + 1:
@@ -257,10 +326,11 @@ def written_shape(field: Field) -> str:
 def markdown() -> str:
     """The tables of docs/format.md."""
     rows = [
-        f"| `{f.name}` | `{f.dtype}`{' gzip' if f.compressed else ''} | {written_shape(f)} "
-        f"| {f.unit} | {f.frame} | {f.meaning} |"
+        f"| `{f.name}`{'?' if f.optional else ''} | `{f.dtype}`{' gzip' if f.compressed else ''} "
+        f"| {written_shape(f)} | {f.unit} | {f.frame} | {f.meaning} |"
         for f in FIELDS
     ]
+    checked = f"| `{CHECKED_ATTRIBUTES}` | bytes | All the others as JSON; see below. |"
     letters = [f"| {letter} | {meaning} |" for letter, meaning in SYMBOLS.items()]
     attributes = [f"| `{n}` | {kind.__name__} | {what} |" for n, (kind, what) in ATTRIBUTES.items()]
     return "\n".join(
@@ -276,6 +346,7 @@ def markdown() -> str:
             "| attribute of the file | type | meaning |",
             "|---|---|---|",
             *attributes,
+            checked,
             "",
         ]
     )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from instances import SMALL, changed, edited, hinged_box
+from instances import SMALL, changed, edited, hinged_box, voxel_centres
 from test_manifest import STATES
 
 from articugen import checks
@@ -25,6 +25,7 @@ RICH = SMALL.model_copy(
     }
 )
 RICH_ROWS = hinged_box(recipe=RICH)
+COVERED = RICH.model_copy(update={"sampling": RICH.sampling.model_copy(update={"coverage": True})})
 CHECKS = {**checks.VALUE_CHECKS, **checks.GEOMETRY_CHECKS, **checks.OBJECT_CHECKS}
 
 
@@ -72,6 +73,13 @@ def put(index, value):
 
 def grids(row: Instance, edit) -> Instance:
     return changed(row, occupancy={r: edit(r, grid) for r, grid in row.occupancy.items()})
+
+
+def covered(row: Instance) -> dict[int, np.ndarray]:
+    """Coverage by the labels of the finest grid."""
+    fine = row.occupancy[64] > 0
+    blocks = {r: fine.reshape(r, 64 // r, r, 64 // r, r, 64 // r) for r in row.occupancy}
+    return {r: np.round(255 * b.mean(axis=(1, 3, 5))).astype("u1") for r, b in blocks.items()}
 
 
 def moved_camera(row: Instance) -> Instance:
@@ -166,6 +174,7 @@ FAULTS = {
             uniform_label=RICH_ROWS[3].uniform_label,
         ),
     ),
+    "coverage of another state": ("coverage", lambda r: changed(r, coverage=covered(RICH_ROWS[3]))),
     "near points of another state": (
         "near",
         lambda r: changed(
@@ -230,9 +239,11 @@ FAULTS = {
 @pytest.mark.parametrize("what", FAULTS)
 def test_fault_is_found(what):
     check, harm = FAULTS[what]
-    rows = list(RICH_ROWS)
+    recipe, rows = RICH, list(RICH_ROWS)
+    if check == "coverage":
+        recipe, rows = COVERED, [changed(row, coverage=covered(row)) for row in rows]
     rows[2] = harm(rows[2])
-    found = list(checks.faults(rows, RICH))
+    found = list(checks.faults(rows, recipe))
     assert check in {fault.check for fault in found if fault.state_index == 2}, found
     assert {fault.state_index for fault in found} <= {2}
     assert all("\n" not in fault.sentence for fault in found)
@@ -249,6 +260,13 @@ def _halved(row: Instance) -> Instance:
         for name in ("surface_points", "near_points", "uniform_points", "partial_points")
     }
     return changed(row, **half)
+
+
+def _one_freed(grid):
+    """A grid without one of part 0's voxels, which others in every pose have."""
+    grid = grid.copy()
+    grid.ravel()[np.flatnonzero(grid == 1)[0]] = 0
+    return grid
 
 
 OBJECT_FAULTS = {
@@ -272,6 +290,10 @@ OBJECT_FAULTS = {
         lambda rows: [*rows[:3], edited(rows[3], "joint_pivot", lambda p: p + 0.1)],
     ),
     "half the box": ("fills box", _all(_halved)),
+    "a voxel of the fixed part that comes and goes": (
+        "fixed part",
+        lambda rows: [*rows[:3], grids(rows[3], lambda n, g: g if n != 64 else _one_freed(g))],
+    ),
 }
 
 
@@ -280,6 +302,42 @@ def test_fault_of_an_object_is_found(what):
     check, harm = OBJECT_FAULTS[what]
     found = list(checks.faults(harm(list(RICH_ROWS)), RICH))
     assert check in {fault.check for fault in found}, found
+
+
+def test_coverage_is_asked_for_and_agrees():
+    rows = [changed(row, coverage=covered(row)) for row in RICH_ROWS]
+    assert list(checks.faults(rows, COVERED)) == []
+    assert {fault.check for fault in checks.faults(RICH_ROWS, COVERED)} == {"counts"}
+    assert {fault.check for fault in checks.faults(rows, RICH)} == {"counts"}
+
+
+def _with_enclosed(row: Instance) -> Instance:
+    """What is free but far from every surface is said to be enclosed, by all samples alike."""
+    surface = dequantize(row.surface_points)
+
+    def relabelled(points, label):
+        flat = points.reshape(-1, 3)
+        far = (checks._nearest(surface, flat, 0.03) < 0) & (np.abs(flat) < 0.4).all(axis=1)
+        return np.where((label == 0) & far.reshape(label.shape), 255, label).astype(np.uint8)
+
+    queries = {
+        f"{name}_label": relabelled(
+            dequantize(getattr(row, f"{name}_points")), getattr(row, f"{name}_label")
+        )
+        for name in ("uniform", "near")
+    }
+    occupancy = {r: relabelled(voxel_centres(r), grid) for r, grid in row.occupancy.items()}
+    return changed(row, occupancy=occupancy, **queries)
+
+
+def test_enclosed_space_is_a_label_but_where_the_rule_knows_none():
+    rows = [_with_enclosed(row) for row in RICH_ROWS]
+    assert (rows[0].occupancy[64] == 255).any()
+    found = {fault.check for fault in checks.faults(rows, RICH)}
+    assert not found - {"filling"}  # so much of it is not made by any object
+    rigid = RICH.model_copy(update={"fusion": RICH.fusion.model_copy(update={"rule": "rigid"})})
+    assert "labels" in {fault.check for fault in checks.faults(rows, rigid)}
+    assert "labels" not in {fault.check for fault in checks.faults(RICH_ROWS, rigid)}
 
 
 def test_every_check_has_a_fault():

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from instances import SMALL, hinged_box
 
+from articugen import __version__
 from articugen.errors import ArticugenError, CorruptShard, MachineFault
 from articugen.files import partial_name, sha256_of
 from articugen.journal import JOURNAL_NAME, Journal
@@ -29,14 +30,17 @@ from articugen.manifest import (
 )
 from articugen.shards import write_shard
 
-TIMINGS = Timings(seconds=1.5, instances_per_second=2.0, peak_memory_bytes=10, workers=1)
+TIMINGS = Timings(seconds=1.7, instances_per_second=3 / 1.7, peak_memory_bytes=10, workers=1)
 STATES = ((0.0, 0.0), (0.9, 0.1))
+ONE = SMALL.for_one_object()
+GENERATOR = f"{__version__}+1"
 LAST = "box-3"
 """The object that is always rejected."""
 
 
 def key(object_id="box-0", split="train", **other) -> Key:
-    values = {"ref": "r", "recipe_sha256": SMALL.sha256(), "seed": 0, "generator": "1"} | other
+    values = {"ref": "f" * 64, "recipe_sha256": ONE.sha256(), "seed": 0, "generator": GENERATOR}
+    values |= other
     return Key(split=split, object_id=object_id, **values)
 
 
@@ -50,10 +54,15 @@ def make(folder: Path, k: Key, name: str) -> Outcome:
     if k.object_id == LAST:
         return Outcome(rejected=Rejection(key=k, reason="it has no lid"))
     rows = hinged_box(STATES, object_id=k.object_id, seed=k.seed)
-    about = {"category": "box", "split": k.split, "recipe": SMALL.text(), "seed": k.seed}
-    about |= {"recipe_sha256": SMALL.sha256(), "articugen_version": "1"}
-    record = write_shard(folder / name, rows, about)
+    record = write_shard(folder / name, rows, attributes(k))
     return Outcome.of_shard(k, record, input_sha256="f" * 64, notes=("a note",), seconds=0.5)
+
+
+def attributes(k: Key) -> dict[str, str | int]:
+    """What a shard says of itself."""
+    about = {"category": "box", "source": "tests", "licence": "MIT", "split": k.split}
+    about |= {"recipe": ONE.text(), "recipe_sha256": ONE.sha256(), "articugen_version": k.generator}
+    return {**about, "seed": k.seed}
 
 
 def run(folder: Path, wanted: list[Key], *, stop_after: int | None = None) -> list[str]:
@@ -165,6 +174,8 @@ def _edited(change):
         (_edited(lambda m: m["shards"][0].update(sha256="0")), r"shards\.0\.sha256"),
         (_edited(lambda m: m["shards"].pop()), "same instances"),
         (_edited(lambda m: m["objects"].pop()), "content_sha256"),
+        (_edited(lambda m: m["rejected"].append(m["rejected"][0])), "box-3 is told of twice"),
+        (_edited(lambda m: m["timings"].update(workers=2)), "manifest_sha256 is not the digest"),
         (_edited(lambda m: m.update(recipe="{}")), "recipe_sha256"),
     ],
 )
@@ -246,7 +257,7 @@ def test_killed_between_manifest_and_journal(folder):
     [
         ({"recipe_sha256": "0" * 64}, "the recipe has changed"),
         ({"seed": 1}, "the seed was 0, is 1"),
-        ({"generator": "2"}, "it was made by version 1, this is 2"),
+        ({"generator": "2"}, f"it was made by version {GENERATOR}, this is 2"),
         ({"ref": "other"}, "its source has changed"),
     ],
 )

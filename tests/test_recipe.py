@@ -206,3 +206,22 @@ def test_with_counts_replaces_what_is_given_and_checks_it() -> None:
     assert (changed.articulation.states, changed.objects) == (2, recipe.objects)
     with pytest.raises(InvalidRecipe, match="greater than or equal to 1"):
         recipe.with_counts(objects=0)
+
+
+def test_what_moves_and_from_where_is_part_of_the_recipe() -> None:
+    recipe = load_recipe(None, "laptop")
+    assert recipe.with_articulation().sha256() == recipe.sha256()
+    other = recipe.with_articulation(movable=["door*"], canonical="upper")
+    assert (other.articulation.movable, other.articulation.canonical) == (("door*",), "upper")
+    assert other.for_one_object().sha256() != recipe.for_one_object().sha256()
+    with pytest.raises(InvalidRecipe, match=r"recipe 'laptop': articulation\.canonical: .*'lower'"):
+        recipe.with_articulation(canonical="middle")
+
+
+def test_whether_joints_keep_to_their_limits_is_said_in_the_recipe_that_is_stored() -> None:
+    left_open = load_recipe(None, "oven")
+    assert left_open.articulation.clip_to_limits == "source"
+    real, ours = (left_open.for_source(clips_to_limits=clips) for clips in (True, False))
+    assert (real.articulation.clip_to_limits, ours.articulation.clip_to_limits) == (True, False)
+    assert real.for_one_object().sha256() != ours.for_one_object().sha256()
+    assert ours.for_source(clips_to_limits=True) == ours, "said once, it stays"

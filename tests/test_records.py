@@ -162,9 +162,12 @@ def bare_instance(**changed) -> Instance:
 
 def test_an_instance_lists_every_field_once_with_one_entry_a_grid() -> None:
     grids = {32: np.zeros((32,) * 3, np.uint8), 16: np.zeros((16,) * 3, np.uint8)}
-    arrays_ = bare_instance(occupancy=grids).arrays()
-    own = {f.name for f in fields(Instance)} - {"occupancy"}
-    assert set(arrays_) == own | {"occupancy_16", "occupancy_32"}
+    own = {f.name for f in fields(Instance)} - {"occupancy", "coverage"}
+    names = {"joint_name": ("a",), "part_name": ("b", "c"), "part_semantic": ("", "")}
+    grid_names = {"occupancy_16", "occupancy_32", "coverage_32"}
+    full = bare_instance(occupancy=grids, coverage={32: grids[32]}, **names)
+    assert set(full.arrays()) == own | grid_names
+    assert set(bare_instance().arrays()) == own - set(names)
 
 
 @pytest.mark.parametrize(
@@ -175,6 +178,8 @@ def test_an_instance_lists_every_field_once_with_one_entry_a_grid() -> None:
         ({"surface_points": np.zeros((5, 3))}, "Instance.surface_normals"),
         ({"occupancy": {16: np.zeros((16, 16, 15), np.uint8)}}, r"Instance.occupancy\[16\]"),
         ({"occupancy": {4: np.zeros((4, 4, 4), np.int64)}}, r"Instance.occupancy\[4\]"),
+        ({"coverage": {4: np.zeros((4, 4, 5), np.uint8)}}, r"Instance.coverage\[4\]"),
+        ({"part_semantic": ("lid",)}, "Instance.part_semantic: 1 names, not 2"),
     ],
 )
 def test_an_instance_whose_fields_disagree_is_not_made(changed, named: str) -> None:

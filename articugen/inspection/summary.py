@@ -13,6 +13,7 @@ from rich.text import Text
 from articugen import schema
 from articugen.errors import CorruptShard
 from articugen.inspection.tables import DIM, quiet_table, size
+from articugen.records import ENCLOSED
 from articugen.shards import Shard, open_shard
 
 LOOKED_AT = 256
@@ -131,7 +132,7 @@ def histogram(values: NDArray[np.float64], low: float, high: float) -> str:
 
 
 def _parts(paths: Sequence[Path]) -> Table:
-    """For each part its share of the points, and of the finest grid."""
+    """For each part its share of the points, and of the finest grid; what is enclosed apart."""
     counts: dict[str, NDArray[np.int64]] = {}
     for shard in _each(paths):
         grids = sorted((n for n in shard.fields if n.startswith("occupancy_")), key=_resolution)
@@ -146,7 +147,11 @@ def _parts(paths: Sequence[Path]) -> Table:
         table.add_row(
             str(part), *(f"{s[part]:.2%}" if part < len(s) else "" for s in shares.values())
         )
-    inside = (f"{s.sum():.2%}" for s in shares.values())
+    enclosed = {n: total[ENCLOSED] / max(total.sum(), 1) for n, total in counts.items()}
+    if any(enclosed.values()):
+        cells = ("" if n.endswith("_part") else f"{share:.2%}" for n, share in enclosed.items())
+        table.add_row("enclosed", *cells, style=DIM)
+    inside = (f"{s.sum() + enclosed[n]:.2%}" for n, s in shares.items())
     table.add_row("all", *inside, style="bold")
     return table
 
@@ -156,6 +161,7 @@ def _resolution(name: str) -> int:
 
 
 def _shares(name: str, counts: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(P,) the fraction of the points that lies in each part; label 0 is free space."""
+    """(P,) the fraction of the points that lies in each part; label k + 1 is part k."""
     fractions = counts / max(int(counts.sum()), 1)
-    return np.trim_zeros(fractions if name.endswith("_part") else fractions[1:], "b")
+    parts = fractions if name.endswith("_part") else fractions[1:]
+    return np.trim_zeros(parts[: ENCLOSED - 1], "b")

@@ -18,6 +18,7 @@ from articugen.errors import CorruptShard
 from articugen.manifest import Manifest
 from articugen.ppd import processes
 from articugen.ppd.settings import DataSettings
+from articugen.records import FREE, is_material
 from articugen.shards import Shard, open_shard
 
 
@@ -52,8 +53,8 @@ class PackedSplit:
         object_id: (I,) names.
         state_index: (I,) 0 is the canonical pose.
         surface: (I, S, 3).
-        grids: (I, R^3) labels by resolution.
-        uniform, near: ((I, K, 3) coordinates, (I, K) labels).
+        grids: (I, R^3) labels by resolution, above 0 where the recipe calls it occupied.
+        uniform, near: ((I, K, 3) coordinates, (I, K) such labels).
         partial: (I, C, M, 3) what each of C depth cameras sees; C = 0 unless asked for.
     """
 
@@ -200,7 +201,9 @@ def load_split(
         "partial_points": int(partial),
     }
     shards = [
-        _read(folder / name, split, manifest.category, wanted, sorted(set(resolutions)), joints)
+        _read(
+            folder / name, split, manifest.category, wanted, sorted(set(resolutions)), joints, ask
+        )
         for name in names
     ]
     try:
@@ -208,6 +211,8 @@ def load_split(
     except ValueError:
         raise CorruptShard(f"{folder}: shards of different shapes; make them again") from None
     grids = {int(n.rpartition("_")[2]): n for n in joined if n.startswith("occupancy_")}
+    for resolution, name in grids.items():
+        _fill_empty(joined[name], joined["surface_points"], resolution)
     return PackedSplit(
         joined["object_id"],
         joined["state_index"],
@@ -226,6 +231,7 @@ def _read(
     wanted: dict[str, int],
     resolutions: list[int],
     joints: tuple[int, int] | None,
+    ask: DataSettings,
 ) -> dict[str, NDArray[Any]]:
     with open_shard(path) as shard:
         for name, should in (("split", split), ("category", category)):
@@ -256,7 +262,26 @@ def _read(
                 )
             fields.append(name)
         row = {name: _kept(shard, name, wanted) for name in fields}
+        if ask.occupancy == "material":
+            for name, array in row.items():
+                if name.endswith("_label") or name.startswith("occupancy_"):
+                    row[name] = np.where(is_material(array), array, FREE)
         return {"object_id": np.array(shard.object_ids()), **row}
+
+
+def _fill_empty(grid: NDArray[np.uint8], surface: NDArray[np.uint16], resolution: int) -> None:
+    """Where no voxel's centre is occupied, those are that the surface passes through.
+
+    Thin parts can lie between all centres of a coarse grid, and a grid that says "nothing is here"
+    would teach just that.
+
+    Args:
+        grid: (I, R, R, R) labels, changed in place.
+        surface: (I, S, 3) in fixed point.
+    """
+    for row in np.flatnonzero(~grid.any(axis=(1, 2, 3))):
+        x, y, z = (surface[row].astype(np.int64) * resolution // 65536).T
+        grid[row, x, y, z] = 1
 
 
 def _kept(shard: Shard, name: str, wanted: dict[str, int]) -> NDArray[Any]:

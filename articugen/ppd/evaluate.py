@@ -19,7 +19,7 @@ from articugen.ppd import metrics
 from articugen.ppd.meshing import Floats, distance, sample
 from articugen.ppd.metrics import NO_LABEL, Ints
 from articugen.ppd.reconstruct import PRISMATIC, REVOLUTE, Reconstruction
-from articugen.records import Instance, dequantize
+from articugen.records import Instance, dequantize, is_material
 from articugen.seeding import generator
 from articugen.shards import open_shard
 
@@ -45,6 +45,7 @@ class Protocol:
             object; None means all.
         f_threshold: of the F-score, in the unit frame; the paper names none.
         surface_samples: points on the predicted surface for F-score and Chamfer-L1.
+        occupancy: what the reconstruction IoU compares with, as `DataSettings.occupancy`.
     """
 
     points: int = 1000
@@ -53,6 +54,7 @@ class Protocol:
     test_states: int | None = None
     f_threshold: float = 0.01
     surface_samples: int = 8192
+    occupancy: str = "visible"
 
 
 @dataclass
@@ -186,7 +188,8 @@ def _shape_metrics(
     tally.add(label_iou=metrics.label_iou(named, true))
     grid = instance.occupancy.get(len(found.occupied))
     if grid is not None:
-        tally.add(reconstruction_iou=metrics.occupancy_iou(found.occupied, grid > 0))
+        true_grid = is_material(grid) if protocol.occupancy == "material" else grid > 0
+        tally.add(reconstruction_iou=metrics.occupancy_iou(found.occupied, true_grid))
     surface = dequantize(instance.surface_points)
     to_predicted = np.minimum(distance(surface, found.whole), DIAGONAL)
     to_true = np.full(1, DIAGONAL)

@@ -117,6 +117,8 @@ class DataSettings(_Section):
         surface_points: the encoder's input.
         grid_points, uniform_points, near_points: points with an indicator value: of the stage's
             grid, anywhere in the cube, near the surface.
+        occupancy: what is 1 there: `visible`, what no view sees free (the paper's); or `material`,
+            the parts' own solids without the space that they enclose, the same in every pose.
         validation_objects: how many objects of the training split are held out; at most a quarter.
     """
 
@@ -124,6 +126,7 @@ class DataSettings(_Section):
     grid_points: int = Field(default=4096, ge=0)
     uniform_points: int = Field(default=0, ge=0)
     near_points: int = Field(default=0, ge=0)
+    occupancy: Literal["visible", "material"] = "visible"
     validation_objects: int = Field(default=4, ge=0)
 
     @model_validator(mode="after")

@@ -9,6 +9,7 @@ import importlib
 import os
 import re
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -142,21 +143,7 @@ def object_refs(
     """
     if objects is not None and objects < 1:
         raise InvalidSource(f"{objects} objects asked for; ask for one at least")
-    named = _named(source)
-    if named is None:
-        refs = _folder_refs(Path(source), category)
-    elif named.file.reader == "procedural":
-        refs = _procedural_refs(named, _category(named, category), objects, (*ids, *exclude))
-    else:
-        own = _category(named, category)
-        found = of_category(sorted_models(named.file.reader, named.folder), named.file, own)
-        refs = _refs(found, named.file.categories[own], named.name, own, named.folder)
-        if not refs:
-            raise InvalidSource(
-                f"no model of {own!r} under {named.folder}; {named.yaml.parent}/README.md says"
-                " how to get them"
-            )
-    refs = _chosen(refs, ids, exclude)
+    refs = _chosen(_pool(source, category, objects, (*ids, *exclude)), category, ids, exclude)
     if objects is None or objects >= len(refs):
         return tuple(refs)
     tests = sum(ref.split == "test" for ref in refs)
@@ -164,20 +151,65 @@ def object_refs(
     return tuple(ref for ref in refs if _take(left, ref.split))
 
 
-def _chosen(
-    refs: list[ObjectRef], ids: Collection[str], exclude: Collection[str]
+def share_out(
+    source: str | Path, names: Sequence[str], ids: Collection[str], exclude: Collection[str]
+) -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
+    """Of each category the `ids` and `exclude` that are its own; with ids, none without any.
+
+    Raises:
+        InvalidSource: an id is of none of the categories.
+    """
+    wanted = (*ids, *exclude)
+    if len(names) == 1 or not wanted:
+        return {name: (tuple(ids), tuple(exclude)) for name in names}
+    known: dict[str, list[str]] = {}
+    for name in names:
+        with suppress(InvalidSource):  # said when its turn comes
+            known[name] = [ref.object_id for ref in _pool(source, name, None, wanted)]
+    everything = [each for own in known.values() for each in own]
+    _check_ids(wanted, everything, ", ".join(names))
+    shares = {
+        n: tuple(tuple(i for i in w if i in own) for w in (ids, exclude))
+        for n, own in known.items()
+    }
+    return {n: (share[0], share[1]) for n, share in shares.items() if share[0] or not ids}
+
+
+def _pool(
+    source: str | Path, category: str, objects: int | None, ids: Collection[str]
 ) -> list[ObjectRef]:
-    known = [ref.object_id for ref in refs]
-    for name in (*ids, *exclude):
+    """All objects of a category; of a procedural one, so many and those called `ids`."""
+    named = _named(source)
+    if named is None:
+        return _folder_refs(Path(source), category)
+    own = _category(named, category)
+    if named.file.reader == "procedural":
+        return _procedural_refs(named, own, objects, ids)
+    found = of_category(sorted_models(named.file.reader, named.folder), named.file, own)
+    refs = _refs(found, named.file.categories[own], named.name, own, named.folder)
+    if not refs:
+        raise InvalidSource(
+            f"no model of {own!r} under {named.folder}; {named.yaml.parent}/README.md says how to"
+            " get them"
+        )
+    return refs
+
+
+def _chosen(
+    refs: list[ObjectRef], category: str, ids: Collection[str], exclude: Collection[str]
+) -> list[ObjectRef]:
+    _check_ids((*ids, *exclude), [ref.object_id for ref in refs], category)
+    left = [r for r in refs if (not ids or r.object_id in ids) and r.object_id not in exclude]
+    if refs and not left:
+        raise InvalidSource(f"no object of {category!r} is left; exclude fewer")
+    return left
+
+
+def _check_ids(wanted: Collection[str], known: list[str], category: str) -> None:
+    for name in wanted:
         if name not in known:
             hint = nearest(name, known) or f"; there are: {', '.join(known[:5])}, ..."
-            raise InvalidSource(f"no object {name!r} of {refs[0].category!r}{hint}")
-    left = [
-        ref for ref in refs if (not ids or ref.object_id in ids) and ref.object_id not in exclude
-    ]
-    if not left:
-        raise InvalidSource(f"no object of {refs[0].category!r} is left; exclude fewer")
-    return left
+            raise InvalidSource(f"no object {name!r} of {category!r}{hint}")
 
 
 def _take(left: dict[str, int], split: str) -> bool:

@@ -1,0 +1,74 @@
+"""The winding number about closed pieces, against shapes of which every point is known."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from articugen import sheets
+from articugen.records import LabelledMesh
+from articugen.winding import pieces, surely_inside
+from tests.shapes import Convex, box, labelled, rotated
+
+
+def of(mesh: LabelledMesh):
+    return pieces(mesh, sheets.closed(mesh))
+
+
+def points(count: int = 20_000) -> np.ndarray:
+    return np.random.default_rng(0).uniform(-0.5, 0.5, (count, 3))
+
+
+SHAPES = {
+    "turned box": lambda: [rotated(box((0.6, 0.5, 0.3)), 0.5, (1, 2, 3))],
+    "box along the axes": lambda: [box((0.5, 0.5, 0.5))],
+    "boxes that meet, cross and lie in each other": lambda: [
+        box((0.4, 0.2, 0.2), (-0.1, 0, 0)),
+        box((0.4, 0.2, 0.2), (0.3, 0, 0)),
+        box((0.2, 0.6, 0.1)),
+        box((0.05, 0.05, 0.05)),
+    ],
+    "many thin bars": lambda: [
+        box((0.9, 0.01, 0.01), (0, y, 0)) for y in np.linspace(-0.4, 0.4, 30)
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_inside_is_what_the_shapes_hold(name):
+    meshes = SHAPES[name]()
+    asked = np.concatenate([points(), 0.3 * points(2000), np.round(points(2000) * 40) / 40])
+    exact = Convex.of(*meshes).inside(asked)
+    sure = surely_inside(asked, of(labelled(*meshes)))
+    assert not (sure & ~exact).any()
+    on_faces = slice(-2000, None)  # of a lattice that runs along faces: little is sure there
+    missed = exact & ~sure
+    missed[on_faces] = False
+    assert missed.sum() <= 1e-3 * exact.sum()
+
+
+def test_a_sphere_of_many_faces():
+    sphere = trimesh.creation.icosphere(subdivisions=4, radius=0.4)
+    asked = points()
+    sure = surely_inside(asked, of(labelled(sphere)))
+    radius = np.linalg.norm(asked, axis=1)
+    assert np.mean(sure[radius < 0.398]) >= 0.998  # the rest: rays along edges
+    assert not sure[radius > 0.4].any()
+
+
+def test_a_cavity_is_not_inside_and_an_open_shell_says_nothing():
+    shell = trimesh.util.concatenate([box((0.8, 0.8, 0.8)), box((0.6, 0.6, 0.6))])
+    inner = slice(12, 24)
+    shell.faces[inner] = shell.faces[inner, ::-1]
+    mesh = labelled(shell)
+    closed = np.ones(24, bool)
+    inside = surely_inside(points(), pieces(mesh, closed))
+    most = np.abs(points()).max(axis=1)
+    np.testing.assert_array_equal(inside, (most < 0.4) & (most > 0.3))
+    open_box = box((0.8, 0.8, 0.8))
+    open_box.update_faces(np.arange(12) != 3)
+    assert not surely_inside(points(), of(labelled(open_box))).any()
+
+
+def test_no_closed_piece_holds_nothing():
+    empty = LabelledMesh(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+    assert not surely_inside(points(10), of(empty)).any()
