@@ -164,7 +164,9 @@ class Sampling(_Section):
         sizes: dict[str, int] = {}
         for field in schema.FIELDS:
             size = schema.MAX_TEXT if field.dtype == "S" else np.dtype(field.dtype).itemsize
-            for resolution in self.grids if "<R>" in field.name else (1,):
+            if field.stem == "coverage" and not self.coverage:
+                continue
+            for resolution in self.grids if field.is_grid else (1,):
                 dims = [
                     n if isinstance(n, int) else (numbers | {"R": resolution}).get(n, MOST_PARTS)
                     for n in field.shape[1:]
