@@ -16,16 +16,18 @@ dev       := $(VENV)/.installed-dev
 backends  := $(VENV)/.installed-backends
 learner   := $(VENV)/.installed-ppd
 
-options = $(foreach pair,RECIPE:recipe OBJECTS:objects STATES:states JOBS:jobs SEED:seed,\
+options = $(foreach pair,RECIPE:recipe OBJECTS:objects IDS:ids EXCLUDE:exclude MOVABLE:movable \
+    CANONICAL:canonical STATES:states MAX_REJECTED:max-rejected JOBS:jobs SEED:seed,\
     $(call option,$(word 1,$(subst :, ,$(pair))),$(word 2,$(subst :, ,$(pair)))))
 replace = $(if $(REPLACE),--replace)
 option = $(if $($(1)),--$(2) "$($(1))")
 
 .DEFAULT_GOAL := help
-.PHONY: help dataset inspect verify train depth evaluate test check format bench accuracy bench-train backends learner clean
+.PHONY: help dataset inspect verify train depth evaluate test check format bench accuracy bench-reading bench-train backends learner clean
 
 help:  ## list the targets
-	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1]"
+	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1"
+	@echo "     IDS= EXCLUDE= MOVABLE= CANONICAL= MAX_REJECTED=]; CATEGORY=laptop,oven or all for several"
 	@echo "make train CATEGORY=laptop [RECIPE=ppd_quick SEED= SEEDS= OUT= RUNS=]; make evaluate CATEGORY=laptop"
 	@echo
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  \1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
@@ -89,6 +91,9 @@ bench: $(testing)  ## measure speed, exactness and memory beside other tools (AR
 
 accuracy: $(testing)  ## measure how exact instances are against exact solids (ARGS=--quick)
 	@$(VENV)/bin/python -m tests.benchmarks.accuracy $(ARGS)
+
+bench-reading: $(testing)  ## measure what reading a shard costs, beside .npz files
+	@$(VENV)/bin/python -m tests.benchmarks.reading $(ARGS)
 
 bench-train: $(testing) $(learner)  ## measure PPD's training: rate, shares, memory (ARGS=--iterations 20)
 	@$(VENV)/bin/python -m tests.benchmarks.training $(ARGS)

@@ -5,15 +5,15 @@ ranges. Everything after it sees joints that are 0 in the canonical pose. All fu
 """
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Literal
 
 import numpy as np
 
-from articugen.errors import RejectedInstance
-from articugen.geometry import invert_rigid, rotation_about, transform
+from articugen.errors import NotOfCategory, RejectedInstance
+from articugen.geometry import apply, bounds, invert_rigid, rotation_about, transform
 from articugen.portable import product, turned
 from articugen.recipe import Articulation
 from articugen.records import ArticulatedObject, Floats, Joint, JointState, Mimic, PosedObject
@@ -23,6 +23,12 @@ Canonical = Literal["zero", "lower", "upper"]
 _TIE = 1e-6
 """Rooms (rad or m) on the two sides of the canonical pose that differ by less count as equal."""
 
+_FARTHEST = 1e6
+"""Rad or m: beyond it, joints lose the digits that a pose needs."""
+
+_LEVEL = 0.02
+"""Parts whose middles differ by less than this share of the object's length are in one row."""
+
 
 def resolve(
     obj: ArticulatedObject,
@@ -30,6 +36,7 @@ def resolve(
     *,
     canonical: Canonical = "zero",
     movable: Sequence[str] = (),
+    clip: bool = True,
 ) -> ArticulatedObject:
     """The object as the recipe wants it: q = 0 is the canonical pose, limits are what is sampled.
 
@@ -39,6 +46,11 @@ def resolve(
     whatever `movable` says of itself: multiplier > 0, offset 0 and the driver's range times the
     multiplier; where the driver is locked, so is it.
 
+    Where the source names the parts that move, they are numbered so that a number means the same in
+    all its objects: revolute ones first, by the pattern that picks them, then as one reads who
+    stands before the object's front (+x), from the top row down and in a row from -y to +y. Other
+    objects keep the order of their URDF.
+
     Args:
         obj: as a source gives it, with the limits of its URDF.
         settings: the recipe's choice.
@@ -46,36 +58,44 @@ def resolve(
             its canonical pose at 0. `settings.canonical` other than "source" overrides it.
         movable: the source's choice of joints, as fnmatch patterns on the joint's name or on its
             child link's semantic; empty means all. `settings.movable`, if any, overrides it.
+        clip: the source's choice whether to stay inside the limits of the URDF;
+            `settings.clip_to_limits` other than "source" overrides it.
 
     Returns:
         The object with `notes` extended by what was decided against the letter of its URDF.
 
     Raises:
-        RejectedInstance: no joint moves, a prismatic joint has no limit, the limits leave nothing
-            of the recipe's range, mimic joints drive each other.
+        NotOfCategory: no joint moves, or none that was asked for.
+        RejectedInstance: a prismatic joint has no limit, the limits leave nothing of the recipe's
+            range, mimic joints drive each other.
     """
-    chosen: Canonical = canonical if settings.canonical == "source" else settings.canonical
+    if settings.canonical == "source":
+        settings = settings.model_copy(update={"canonical": canonical})
+    if settings.clip_to_limits == "source":
+        settings = settings.model_copy(update={"clip_to_limits": clip})
     patterns = tuple(settings.movable) or tuple(movable)
     remarks: dict[str, list[str]] = defaultdict(list)
     plans: dict[str, _Plan] = {}
     for joint in obj.joints:
         if joint.kind != "fixed" and joint.mimic is None:
-            plan = _plan_driver(obj, joint, chosen, patterns, settings)
+            plan = _plan_driver(obj, joint, patterns, settings)
             plans[joint.name] = plan
             for remark in plan.remarks:
                 remarks[remark].append(joint.name)
     followers = [j for j in obj.joints if j.kind != "fixed" and j.mimic is not None]
+    by_name = {joint.name: joint for joint in obj.joints}
     for joint in followers:
-        plans[joint.name] = _plan_follower(obj, joint, plans)
+        plans[joint.name] = _plan_follower(by_name, joint, plans)
         if not plans[joint.name].moves:
             remarks["locked, as the joints that drive them are"].append(joint.name)
     if not any(plan.moves for plan in plans.values()):
-        raise RejectedInstance(_nothing_moves(obj, patterns))
-    return replace(
+        raise NotOfCategory(_nothing_moves(obj, patterns))
+    resolved = replace(
         obj,
         joints=tuple(_planned(j, plans[j.name]) if j.name in plans else j for j in obj.joints),
         notes=obj.notes + tuple(f"{text}: {', '.join(names)}" for text, names in remarks.items()),
     )
+    return replace(resolved, part_order=_part_order(resolved, patterns)) if movable else resolved
 
 
 def canonical_state(obj: ArticulatedObject) -> JointState:
@@ -159,17 +179,17 @@ class _Plan:
 def _plan_driver(
     obj: ArticulatedObject,
     joint: Joint,
-    canonical: Canonical,
     patterns: tuple[str, ...],
     settings: Articulation,
 ) -> _Plan:
+    canonical = settings.canonical
     value = {"zero": 0.0, "lower": joint.lower, "upper": joint.upper}[canonical]
     remarks: list[str] = []
     if not np.isfinite(value):
         value = 0.0
         if joint.kind != "continuous":
             remarks.append(f"no {canonical} limit, canonical pose at 0 instead")
-    if not _matches(obj, joint, patterns):
+    if patterns and _pattern_of(obj, joint, patterns) == len(patterns):
         return _Plan(value, remarks=(*remarks, "locked, not among the movable joints"))
     if not joint.lower - _TIE <= value <= joint.upper + _TIE:
         remarks.append("canonical pose outside the limits of the URDF")
@@ -199,13 +219,13 @@ def _sampled_range(
         lower, upper = 0.0, max(room, 0.0)
     else:
         raise RejectedInstance(
-            f"{obj.object_id}: prismatic joint {joint.name!r} has no limit; "
-            "set articulation.prismatic_metres in the recipe"
+            f"prismatic joint {joint.name!r} has no <limit> in its URDF; add one, or set "
+            "articulation.prismatic_metres in the recipe"
         )
     if settings.clip_to_limits:
         if max(lower, -back) > min(upper, room):
             raise RejectedInstance(
-                f"{obj.object_id}: nothing of the recipe's range {lower:g} to {upper:g} lies in "
+                f"nothing of the recipe's range {lower:g} to {upper:g} lies in "
                 f"the limits of joint {joint.name!r}, {-back:g} to {room:g} from the canonical "
                 "pose; choose another articulation.canonical or clip_to_limits: false"
             )
@@ -213,11 +233,17 @@ def _sampled_range(
     return (-sign, -upper, -lower) if upper <= 0.0 and lower < 0.0 else (sign, lower, upper)
 
 
-def _plan_follower(obj: ArticulatedObject, joint: Joint, plans: dict[str, _Plan]) -> _Plan:
+def _plan_follower(by_name: Mapping[str, Joint], joint: Joint, plans: dict[str, _Plan]) -> _Plan:
     """With v = m v_driver + b and v_driver = c + s q: v = (m c + b) + m s q."""
-    driver, multiplier, offset = _driver(obj, joint)
+    driver, multiplier, offset = _driver(by_name, joint)
     plan = plans.get(driver, _Plan(0.0))
     value = multiplier * plan.value + offset
+    ends = [value, multiplier * plan.lower, multiplier * plan.upper]
+    if not np.all(np.abs(ends) <= _FARTHEST):
+        raise RejectedInstance(
+            f"joint {joint.name!r} follows {driver!r} beyond {_FARTHEST:,.0f} rad or m; correct "
+            "the multipliers and offsets of the <mimic> elements of its URDF"
+        )
     if not plan.moves or multiplier == 0.0:
         return _Plan(value)
     return _Plan(
@@ -230,28 +256,28 @@ def _plan_follower(obj: ArticulatedObject, joint: Joint, plans: dict[str, _Plan]
     )
 
 
-def _driver(obj: ArticulatedObject, joint: Joint) -> tuple[str, float, float]:
+def _driver(by_name: Mapping[str, Joint], joint: Joint) -> tuple[str, float, float]:
     """(name, multiplier, offset) of the joint that drives `joint` at the end of all mimics."""
-    by_name = {j.name: j for j in obj.joints}
-    multiplier, offset, seen = 1.0, 0.0, [joint.name]
+    multiplier, offset, seen = 1.0, 0.0, {joint.name: None}
     while joint.mimic is not None and joint.kind != "fixed":
         mimic = joint.mimic
         if mimic.joint in seen or mimic.joint not in by_name:
             raise RejectedInstance(
-                f"{obj.object_id}: the mimic joints {' -> '.join([*seen, mimic.joint])} end at no "
-                "joint that moves by itself; mend the <mimic> elements of its URDF"
+                f"the mimic joints {' -> '.join([*seen, mimic.joint])} end at no joint that moves "
+                "by itself; mend the <mimic> elements of its URDF"
             )
         multiplier, offset = multiplier * mimic.multiplier, multiplier * mimic.offset + offset
         joint = by_name[mimic.joint]
-        seen.append(joint.name)
+        seen[joint.name] = None
     return joint.name, multiplier, offset
 
 
 def _driven_state(obj: ArticulatedObject, drivers: dict[str, float]) -> JointState:
     """The state in which each driver has its value (0 where not given) and the others follow."""
     q = np.zeros(len(obj.moving_joints))
+    by_name = {joint.name: joint for joint in obj.joints}
     for k, joint in enumerate(obj.moving_joints):
-        driver, multiplier, offset = _driver(obj, joint)
+        driver, multiplier, offset = _driver(by_name, joint)
         q[k] = multiplier * drivers.get(driver, 0.0) + offset
     return JointState(q)
 
@@ -277,19 +303,66 @@ def _motion(joint: Joint, q: float) -> Floats:
     return transform(rotation_about(joint.axis, q))
 
 
-def _matches(obj: ArticulatedObject, joint: Joint, patterns: tuple[str, ...]) -> bool:
+def _pattern_of(obj: ArticulatedObject, joint: Joint, patterns: tuple[str, ...]) -> int:
+    """The first pattern that picks the joint; the number of patterns where none does."""
     names = (joint.name, obj.links[obj.link_index[joint.child]].semantic)
-    return not patterns or any(fnmatchcase(name, p) for name in names for p in patterns)
+    picks = (k for k, p in enumerate(patterns) if any(fnmatchcase(name, p) for name in names))
+    return next(picks, len(patterns))
+
+
+def _part_order(obj: ArticulatedObject, patterns: tuple[str, ...]) -> tuple[str, ...]:
+    """The moving joints by pattern, then by where their parts are in the canonical pose."""
+    boxes = _part_boxes(obj)
+    middle = boxes.mean(axis=1)
+    length = float((boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0)).max())
+    row = _levels(-middle[1:, 2], _LEVEL * length)
+    column = _levels(middle[1:, 1], _LEVEL * length)
+
+    def place(j: int) -> tuple[float, ...]:
+        x, y, z = middle[j + 1]
+        return (_pattern_of(obj, moving[j], patterns), row[j], column[j], -z, y, -x)
+
+    moving = obj.moving_joints
+    return tuple(moving[j].name for j in sorted(range(len(moving)), key=place))
+
+
+def _part_boxes(obj: ArticulatedObject) -> Floats:
+    """(P, 2, 3) the box of each part in the canonical pose, world frame; of an empty one, its
+    pivot or the origin."""
+    posed = forward_kinematics(obj, canonical_state(obj))
+    pivots = np.concatenate([posed.T_world_part[:1, :3, 3], posed.pivots])
+    at: list[list[Floats]] = [[] for _ in pivots]
+    for link, T, part in zip(obj.links, posed.T_world_link, obj.part_of_link, strict=True):
+        at[part].append(apply(T, link.mesh.vertices[link.mesh.faces].reshape(-1, 3)))
+    shapes = [np.concatenate(points) for points in at]
+    return np.array([bounds(s if len(s) else p[None]) for s, p in zip(shapes, pivots, strict=True)])
+
+
+def _levels(values: Floats, gap: float) -> list[int]:
+    """The number of the level that each value is on; levels ascend, more than `gap` apart."""
+    order = np.argsort(values, kind="stable")
+    levels = np.zeros(len(values), int)
+    levels[order[1:]] = np.cumsum(np.diff(values[order]) > gap)
+    return levels.tolist()
 
 
 def _nothing_moves(obj: ArticulatedObject, patterns: tuple[str, ...]) -> str:
     jointed = [joint for joint in obj.joints if joint.kind != "fixed"]
     if not jointed:
-        return f"{obj.object_id}: no joint moves; all joints of its URDF are fixed, leave it out"
-    index = obj.link_index
-    named = [f"{j.name} ({obj.links[index[j.child]].semantic or 'no name'})" for j in jointed]
-    wanted = f"articulation.movable {list(patterns)} picks none" if patterns else "no range"
+        return "no joint moves; all joints of its URDF are fixed, leave it out"
+
+    def told(joints: list[Joint]) -> str:
+        index = obj.link_index
+        names = [f"{j.name} ({obj.links[index[j.child]].semantic or 'no name'})" for j in joints]
+        return ", ".join(names[:12] + ["..."] * (len(names) > 12))
+
+    picked = [j for j in jointed if not patterns or _pattern_of(obj, j, patterns) < len(patterns)]
+    if picked:
+        return (
+            f"no joint moves: the limits leave no range to {told(picked)}; correct the <limit> "
+            "elements of its URDF"
+        )
     return (
-        f"{obj.object_id}: no joint moves: {wanted} of {', '.join(named)}; "
-        "name the joints or parts that move in articulation.movable"
+        f"no joint moves: articulation.movable {list(patterns)} picks none of {told(jointed)}; "
+        "name the joints or parts that move there"
     )

@@ -1,23 +1,30 @@
 """The command line: a thin face, each command calls one function.
 
-Exit status: 0 done; 1 an error, said in one sentence on stderr; 2 wrong usage; 3 the data set is
-complete, but for objects that were rejected (within the recipe's limit); 130 interrupted.
+Exit status: 0 done; 1 an error, said in one sentence on stderr, or a data set that is not what its
+recipe asks for, as its manifest says; 2 wrong usage; 3 the data set is complete, but for objects
+that were rejected (within the recipe's limit); 130 interrupted.
 """
 
 # Everything else is imported where it is used: --help should not wait for numba, h5py and trimesh.
 # ruff: noqa: PLC0415
+import os
+import signal
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 from rich.markup import escape
 
 from articugen import __version__
-from articugen.errors import ArticugenError, CorruptShard
+from articugen.errors import ArticugenError, printable
 from articugen.ppd.cli import register as register_ppd
+
+if TYPE_CHECKING:
+    from articugen.pipeline import Job
 
 FAILED, REJECTED, INTERRUPTED = 1, 3, 130
 
@@ -38,7 +45,31 @@ app = typer.Typer(
 
 def main() -> None:
     """Run the command line and exit."""
-    app(prog_name="articugen")
+    signal.signal(signal.SIGINT, _interrupt_once)
+    try:
+        app(prog_name="articugen")
+    except OSError as error:  # what is meant for the terminal went to a full disk, say
+        with suppress(OSError):
+            _say_error(f"{error.filename or 'output'}: {error.strerror}")
+        _drop_output()
+        sys.exit(FAILED)
+
+
+def _interrupt_once(*_: object) -> None:
+    """The first Ctrl-C stops the work; what is then put in order takes no second one."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    raise KeyboardInterrupt
+
+
+def _drop_output() -> None:
+    """Have Python not try again, at its end, to write what could not be written."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        os.dup2(nowhere, stream)
+
+
+def _say_error(sentence: str) -> None:
+    err.print(f"[bold red]error:[/] {escape(printable(sentence))}", soft_wrap=True)
 
 
 @contextmanager
@@ -47,7 +78,7 @@ def _said_in_one_sentence(interrupted: str = "interrupted") -> Iterator[None]:
     try:
         yield
     except ArticugenError as error:
-        err.print(f"[bold red]error:[/] {escape(str(error))}", soft_wrap=True)
+        _say_error(str(error))
         raise typer.Exit(FAILED) from None
     except KeyboardInterrupt:
         err.print(interrupted, soft_wrap=True)
@@ -85,12 +116,19 @@ def sources() -> None:
 @app.command(
     epilog="Examples:\n\n"
     "articugen generate --category laptop --recipe quick\n\n"
-    "articugen generate --category oven --objects 6 --states 10 --out /tmp/data\n\n"
+    "articugen generate -c laptop,oven --objects 6 --states 10 --out /tmp/data\n\n"
+    "articugen generate -c storage_furniture -s partnet_mobility --movable 'drawer*'\n\n"
     "articugen generate --category cabinet --source path/to/urdfs --dry-run",
 )
 def generate(
     category: Annotated[
-        str, typer.Option("--category", "-c", help="What to make, as `articugen sources` lists it.")
+        list[str],
+        typer.Option(
+            "--category",
+            "-c",
+            help="What to make, as `articugen sources` lists it; several, or `all`: each into its "
+            "own folder.",
+        ),
     ],
     source: Annotated[
         str, typer.Option("--source", "-s", help="A source's name, or a folder of URDFs.")
@@ -111,6 +149,26 @@ def generate(
             show_default="all",
         ),
     ] = None,
+    ids: Annotated[
+        list[str] | None, typer.Option(help="These objects alone: 10040,10101.", show_default="all")
+    ] = None,
+    exclude: Annotated[
+        list[str] | None, typer.Option(help="But not these.", show_default="none")
+    ] = None,
+    movable: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Joints or parts that move, as patterns: 'drawer*,*door'.",
+            show_default="recipe's, else source's",
+        ),
+    ] = None,
+    canonical: Annotated[
+        str | None,
+        typer.Option(
+            help="The joint value that is state 0: zero, lower or upper (limit).",
+            show_default="recipe's, else source's",
+        ),
+    ] = None,
     states: Annotated[
         int | None,
         typer.Option(
@@ -121,7 +179,23 @@ def generate(
     ] = None,
     jobs: Annotated[
         int | None,
-        typer.Option("--jobs", "-j", min=1, help="Worker processes.", show_default="all cores"),
+        typer.Option(
+            "--jobs",
+            "-j",
+            min=0,
+            help="Worker processes; 0 works in this one, without limits, for debugging.",
+            show_default="all cores",
+        ),
+    ] = None,
+    max_rejected: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            max=1.0,
+            metavar="FRACTION",
+            help="Of the objects, so many may be rejected before the run counts as failed.",
+            show_default="recipe's",
+        ),
     ] = None,
     folder: Annotated[
         Path, typer.Option("--out", "-o", help="The data set goes to a folder <category> in here.")
@@ -135,32 +209,85 @@ def generate(
     ] = False,
 ) -> None:
     """Make a data set, or what is missing of it: run it again to resume."""
-    with _said_in_one_sentence("finished work is kept; run the same command to resume"):
-        from articugen import console, pipeline
+    with _said_in_one_sentence(_KEPT):
+        from articugen import pipeline
         from articugen.recipe import load_recipe
+        from articugen.sources import registry
 
-        job = pipeline.Job(
-            source=source,
-            category=category,
-            recipe=load_recipe(recipe, category).with_counts(objects=objects, states=states),
-            seed=seed,
-            out=folder / category,
-            jobs=jobs or pipeline.default_jobs(),
-        )
+        names = registry.categories(source, category)
+        shares = registry.share_out(source, names, _listed(ids), _listed(exclude))
+        todo = [
+            pipeline.Job(
+                source=source,
+                category=name,
+                recipe=load_recipe(recipe, name)
+                .with_counts(objects=objects, states=states, max_rejected=max_rejected)
+                .with_articulation(movable=_listed(movable), canonical=canonical),
+                seed=seed,
+                out=folder / name,
+                jobs=pipeline.default_jobs() if jobs is None else jobs,
+                ids=own,
+                exclude=out_of,
+            )
+            for name, (own, out_of) in shares.items()
+        ]
+    if len(todo) == 1:
+        _exit_with(_made(todo[0], dry_run=dry_run, replace=replace))
+    _exit_with(_made_each(todo, dry_run=dry_run, replace=replace))
+
+
+_KEPT = "finished work is kept; run the same command to resume"
+
+
+def _listed(texts: list[str] | None) -> list[str]:
+    """What an option names that may be given several times, with several names each."""
+    return [name.strip() for text in texts or () for name in text.split(",") if name.strip()]
+
+
+def _exit_with(status: int) -> None:
+    if status:
+        raise typer.Exit(status)
+
+
+def _made(job: "Job", *, dry_run: bool, replace: bool) -> int:
+    """Make one data set and tell of it; the exit status."""
+    with _said_in_one_sentence(_KEPT):
+        from articugen import console, pipeline
+
         with pipeline.started(job) as run:
             if dry_run:
                 out.print(console.plan_table(job, run.plan))
-                return
+                return 0
             if run.plan.conflict and not replace:
                 raise ArticugenError(f"{run.plan.conflict}, or add --replace")
-            with console.progress(err, run.plan) as on_object:
-                manifest = run.finish(on_object)
+            with console.progress(err, run.plan) as tell:
+                manifest = run.finish(tell.of_object, tell.of_notice)
         if not run.plan.tasks:
             out.print("nothing to do, all of it was there already")
         out.print(console.made_table(manifest, job.out))
+        if manifest.shortfall:
+            raise ArticugenError(manifest.shortfall)
         out.print(f"next: articugen inspect {job.out} --image {job.out}/sheet.png", soft_wrap=True)
-    if manifest.rejected:
-        raise typer.Exit(REJECTED)
+    return REJECTED if manifest.rejected else 0
+
+
+def _made_each(todo: list["Job"], *, dry_run: bool, replace: bool) -> int:
+    """Make several data sets: one that fails does not stop the others. The worst exit status."""
+    ended: dict[str, int] = {}
+    for job in todo:
+        try:
+            ended[job.category] = _made(job, dry_run=dry_run, replace=replace)
+        except typer.Exit as left:
+            if left.exit_code == INTERRUPTED:
+                raise
+            ended[job.category] = left.exit_code
+    failed = [name for name, status in ended.items() if status == FAILED]
+    out.print(
+        f"{len(ended) - len(failed)} of {len(ended)} categories are done"
+        + (f"; not: {', '.join(failed)}" if failed else ""),
+        soft_wrap=True,
+    )
+    return FAILED if failed else max(ended.values(), default=0)
 
 
 @app.command(
@@ -178,10 +305,12 @@ def inspect(
 ) -> None:
     """Print what a shard or a data set holds, and draw it."""
     with _said_in_one_sentence():
+        from articugen.console import left_out
         from articugen.inspection.summary import shards_of, summary
 
         shards = shards_of(path)
         out.print(summary(shards))
+        out.print(left_out(path))
         if image is not None:
             from articugen.inspection.contact_sheet import contact_sheet
 
@@ -212,10 +341,11 @@ def verify(
     """Check checksums, schema, value ranges and geometry of data sets."""
     sound = True
     with _said_in_one_sentence():
+        from articugen.journal import data_sets
         from articugen.pipeline import default_jobs
         from articugen.verify import verify as verify_folder
 
-        for folder in _data_sets(path):
+        for folder in data_sets(path):
             report = verify_folder(folder, jobs=jobs or default_jobs())
             findings = list(report.findings)
             if again and report.ok:
@@ -234,6 +364,26 @@ def verify(
             sound = sound and not findings
     if not sound:
         raise typer.Exit(FAILED)
+
+
+@app.command(epilog="Example: articugen clean data/laptop --dry-run")
+def clean(
+    path: Annotated[Path, typer.Argument(help="The folder of a data set, or one of such folders.")],
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say what would be removed; remove nothing.")
+    ] = False,
+) -> None:
+    """Remove what killed runs left; what is finished or can be resumed stays."""
+    with _said_in_one_sentence():
+        from articugen.cleaning import clean as tidy
+        from articugen.inspection.tables import size
+
+        leftovers = tidy(path, dry_run=dry_run)
+        for left in leftovers:
+            told = f"{left.path}: {left.why}, {size(left.bytes)}"
+            out.print(escape(f"{'would remove' if dry_run else 'removed'} {told}"), soft_wrap=True)
+        if not leftovers:
+            out.print(f"{path}: no killed run has left anything here", soft_wrap=True)
 
 
 @app.command(
@@ -255,16 +405,6 @@ def mesh(
         with err.status("fusing ..."):
             faces = write_mesh(folder, object_id, state, resolution, output)
         out.print(f"{output}: {faces:,} faces, unit frame", soft_wrap=True)
-
-
-def _data_sets(path: Path) -> list[Path]:
-    """The data set in `path`, or those in its folders."""
-    if next(path.glob("*.h5"), None) or (path / "manifest.json").exists():
-        return [path]
-    folders = sorted({shard.parent for shard in path.glob("*/*.h5")})
-    if not folders:
-        raise CorruptShard(f"{path}: holds no data set; make one with: articugen generate")
-    return folders
 
 
 register_ppd(app, _said_in_one_sentence)

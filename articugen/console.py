@@ -3,16 +3,18 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console, Group, RenderableType
 from rich.markup import escape
 from rich.padding import Padding
 from rich.progress import BarColumn, Progress, SpinnerColumn, Task, TextColumn, TimeRemainingColumn
+from rich.table import Table
 from rich.text import Text
 
 from articugen.inspection.tables import duration, facts, size
-from articugen.manifest import Manifest
+from articugen.manifest import MANIFEST_NAME, Manifest
 from articugen.pipeline import Job, ObjectReport, Plan
 from articugen.sources.registry import SourceInfo
 
@@ -57,8 +59,9 @@ def plan_table(job: Job, plan: Plan) -> RenderableType:
             "to make", escape(f"{_count(len(objects), 'object')} ({some}), each because {why}")
         )
     table.add_row("instances", f"{plan.instances:,}")
-    table.add_row("disk", f"about {size(plan.bytes)}")
-    table.add_row("time", f"about {duration(plan.seconds)} on {_count(job.jobs, 'worker')}")
+    table.add_row("disk", f"about {size(plan.bytes)}: an estimate")
+    on = f"on {_count(max(job.jobs, 1), 'worker')}"
+    table.add_row("time", f"about {duration(round(plan.seconds))} {on}: an estimate")
     lines: list[RenderableType] = [_title(job.category, job.out), table]
     if plan.conflict:
         lines.append(Text(plan.conflict, "yellow"))
@@ -82,14 +85,42 @@ def made_table(manifest: Manifest, folder: Path) -> RenderableType:
         f"{_count(took.workers, 'worker')}, {size(took.peak_memory_bytes)} of memory at most",
     )
     table.add_row("content", manifest.content_sha256)
-    for rejection in manifest.rejected:
-        told = f"{rejection.key.object_id}: {rejection.reason}"
-        table.add_row("[yellow]rejected[/]", f"[yellow]{escape(told)}[/]")
+    _add_left_out(table, manifest)
     return Group(_title(manifest.category, folder), table)
 
 
+def left_out(folder: Path) -> RenderableType:
+    """The objects that are not in a data set, and why; nothing where there is no manifest.
+
+    Raises:
+        CorruptShard: its manifest is damaged.
+    """
+    table = facts()
+    if (folder / MANIFEST_NAME).is_file():
+        _add_left_out(table, Manifest.read(folder))
+    return table if table.row_count else Group()
+
+
+def _add_left_out(table: Table, manifest: Manifest) -> None:
+    """A row for each object that failed or was rejected, and one for all that were skipped."""
+    for word, objects in (("failed", manifest.failed), ("rejected", manifest.rejected)):
+        for each in objects:
+            table.add_row(f"[yellow]{word}[/]", f"[yellow]{escape(each.sentence)}[/]")
+    for first in manifest.skipped[:1]:
+        count = _count(len(manifest.skipped), "object")
+        table.add_row("skipped", escape(f"{count}, such as {first.sentence}"))
+
+
+@dataclass(frozen=True)
+class Teller:
+    """What a run calls while it works."""
+
+    of_object: Callable[[ObjectReport], None]
+    of_notice: Callable[[str], None]
+
+
 @contextmanager
-def progress(console: Console, plan: Plan) -> Iterator[Callable[[ObjectReport], None]]:
+def progress(console: Console, plan: Plan) -> Iterator[Teller]:
     """A bar with the rate and the time left; one line an object where `console` is no terminal."""
     bar = Progress(
         SpinnerColumn(),
@@ -116,20 +147,23 @@ def progress(console: Console, plan: Plan) -> Iterator[Callable[[ObjectReport], 
             objects=state["objects"] + 1,
             made=state["made"] + report.instances,
         )
-        if report.rejected is not None:
-            console.print(
-                f"[yellow]rejected[/] {escape(f'{report.object_id}: {report.rejected}')}",
-                soft_wrap=True,
-            )
-        elif not console.is_terminal:
-            console.print(
-                f"{state['objects']}/{wanted} {report.shard} {report.object_id}: "
-                f"{report.instances} instances in {duration(report.seconds)}",
-                soft_wrap=True,
-            )
+        if console.is_terminal:
+            return
+        # why an object was not made stands in `made_table`
+        ended = {"rejected": report.rejected, "skipped": report.skipped, "failed": report.failed}
+        word = next((word for word, why in ended.items() if why is not None), "")
+        made = f"{report.instances} instances in {duration(report.seconds)}"
+        console.print(
+            f"{state['objects']}/{wanted} {report.shard or '-'} {report.object_id}: {word or made}",
+            soft_wrap=True,
+            markup=False,
+        )
+
+    def on_notice(sentence: str) -> None:
+        console.print(f"[yellow]{escape(sentence)}[/]", soft_wrap=True)
 
     with bar:
-        yield on_object
+        yield Teller(on_object, on_notice)
 
 
 class _Rate(TextColumn):

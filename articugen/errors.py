@@ -1,5 +1,8 @@
 """The errors a user can meet. Each message is one sentence that names the file and the cure."""
 
+import errno
+from collections.abc import Iterator
+
 
 class ArticugenError(Exception):
     """Base of every error that the command line prints as one sentence, without a traceback."""
@@ -18,7 +21,7 @@ class RejectedInstance(ArticugenError):
 
 
 class NotOfCategory(ArticugenError):
-    """An object has nothing to articulate in the recipe's sense: skipped, which is no fault."""
+    """An object has nothing to articulate in the recipe's sense: it is skipped, no fault."""
 
 
 class MachineFault(ArticugenError):
@@ -49,3 +52,58 @@ class InvalidCheckpoint(ArticugenError):
 
 class TrainingDiverged(ArticugenError):
     """A loss or a gradient is no longer a finite number."""
+
+
+_MACHINE = {
+    errno.EMFILE: "raise the limit of open files (ulimit -n) or use fewer --jobs",
+    errno.ENFILE: "end other programs, or use fewer --jobs",
+    errno.EIO: "the disk or the network does not answer; see to it",
+    errno.ENOSPC: "free some space on the disk",
+    errno.EDQUOT: "the disk quota is used up; free some space",
+    errno.EROFS: "the file system cannot be written to; choose another folder",
+    errno.EAGAIN: "end other programs, or use fewer --jobs",
+    errno.ESTALE: "the network's disk has lost it; see to it",
+    errno.ETIMEDOUT: "the network's disk does not answer; see to it",
+    errno.ENODEV: "the disk is gone; see to it",
+}
+"""What an OSError can tell of that is no file's fault, and the cure."""
+
+_NO_LIBRARY_FOR_WANT_OF_MEMORY = ("Cannot allocate memory", "failed to map segment")
+
+
+def machine_fault(error: BaseException) -> MachineFault | MemoryError | None:
+    """The fault of the machine that `error` is, or that it was raised over; None where it is none.
+
+    Readers turn whatever they meet into an `InvalidSource`; what they met tells whose fault it was.
+    """
+    for cause in _behind(error):
+        if isinstance(cause, MachineFault | MemoryError):
+            return cause
+        told = str(cause)
+        if isinstance(cause, ImportError) and any(
+            words in told for words in _NO_LIBRARY_FOR_WANT_OF_MEMORY
+        ):
+            return MemoryError(told)
+        if isinstance(cause, OSError):
+            if cause.errno == errno.ENOMEM:
+                return MemoryError(told)
+            cure = _MACHINE.get(cause.errno or 0)
+            if cure is not None:
+                where = f"{cause.filename}: " if cause.filename else ""
+                return MachineFault(printable(f"{where}{cause.strerror}; {cure}"))
+    return None
+
+
+def _behind(error: BaseException | None) -> Iterator[BaseException]:
+    """`error`, and what was being handled as it was raised, and so on."""
+    seen: set[int] = set()
+    while error is not None and id(error) not in seen:
+        seen.add(id(error))
+        yield error
+        error = error.__cause__ or error.__context__
+
+
+def printable(text: str) -> str:
+    """`text` on one line that any file and terminal takes: what is no character is spelt out."""
+    line = " ".join(text.encode("utf-8", "backslashreplace").decode().split())
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)

@@ -3,8 +3,13 @@
 import errno
 import hashlib
 import os
-from collections.abc import Callable
+import re
+import secrets
+import stat
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from articugen.errors import MachineFault
 
@@ -21,23 +26,104 @@ _CURES |= dict.fromkeys(
 )
 
 
+_PARTIAL = re.compile(r"\.(?P<name>.+)\.[0-9a-f]{8}\.partial", re.DOTALL)
+
+_KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a FIFO",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFLNK: "a symbolic link",
+}
+
+
+class UnfitFile(OSError):
+    """What is there cannot be read as a file of ours: no regular file, or too large.
+
+    An OSError with a `strerror`, so that one handler makes a sentence of all that can go wrong with
+    a file, but unlike other OSErrors never a fault of the machine.
+    """
+
+
+def read_regular(path: Path, most_bytes: int, *, follow: bool = True) -> bytes:
+    """The bytes of a regular file; its kind and size are looked at before anything is read.
+
+    Args:
+        path: a name that may be hostile: of a FIFO, a device, a file of many gigabytes.
+        most_bytes: that it may have.
+        follow: whether it may be a symbolic link to such a file.
+
+    Raises:
+        UnfitFile: it is no regular file, or larger.
+        OSError: it cannot be read.
+    """
+    try:
+        _check_regular(os.stat(path, follow_symlinks=follow), most_bytes)
+        # Whatever has taken its place meanwhile, opening it does not wait for a writer.
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | (0 if follow else os.O_NOFOLLOW))
+    except ValueError:  # NUL, or a lone surrogate
+        raise UnfitFile(errno.EINVAL, "no file can have that name") from None
+    with open(handle, "rb") as file:
+        _check_regular(os.fstat(handle), most_bytes)
+        data = file.read(most_bytes + 1)
+    if len(data) > most_bytes:  # it has grown, or lies in /proc, where sizes are 0
+        raise UnfitFile(errno.EFBIG, f"more than the {most_bytes:,} bytes that it may have")
+    return data
+
+
+def check_regular(path: Path) -> None:
+    """See to it that a library which opens files by name will not wait for a writer.
+
+    Raises:
+        UnfitFile: it is no regular file.
+        OSError: it is not there, or the like.
+    """
+    found = os.stat(path)
+    _check_regular(found, found.st_size)
+
+
+def _check_regular(found: os.stat_result, most_bytes: int) -> None:
+    if not stat.S_ISREG(found.st_mode):
+        kind = _KINDS.get(stat.S_IFMT(found.st_mode), "a device")
+        raise UnfitFile(errno.EINVAL, f"it is {kind}, not a regular file")
+    if found.st_size > most_bytes:
+        raise UnfitFile(
+            errno.EFBIG, f"{found.st_size:,} bytes, more than the {most_bytes:,} that it may have"
+        )
+
+
 def write_atomically(
     path: Path, data: bytes, *, check: Callable[[Path], None] | None = None
 ) -> None:
     """Write `data` so that `path` is at any moment what it was before, or all of `data`.
 
+    Raises:
+        MachineFault: the disk is full, the folder cannot be written to, or the like.
+    """
+    with written_atomically(path, check=check) as file:
+        file.write(data)
+
+
+@contextmanager
+def written_atomically(
+    path: Path, *, check: Callable[[Path], None] | None = None
+) -> Iterator[BinaryIO]:
+    """A file to write and read; once the block has ended without an error, `path` is all of it.
+
     The bytes go to a temporary name in the same folder and to the disk (fsync); `check` looks at
     that file and raises where it is not as it should be; only then it gets its name, and the folder
-    is synchronised, so that the name survives a power cut as well.
+    is synchronised, so that the name survives a power cut as well. Where anything fails `path` is
+    what it was, and the temporary file is gone.
 
     Raises:
         MachineFault: the disk is full, the folder cannot be written to, or the like.
     """
     temporary = path.with_name(partial_name(path.name))
+    size = 0
     try:
         try:
-            with temporary.open("wb") as file:
-                file.write(data)
+            with temporary.open("x+b") as file:  # never through a link that someone put there
+                yield file
+                size = file.seek(0, os.SEEK_END)
                 file.flush()
                 os.fsync(file.fileno())
             if check is not None:
@@ -47,18 +133,41 @@ def write_atomically(
         finally:
             temporary.unlink(missing_ok=True)
     except OSError as error:
-        raise MachineFault(cannot_write(path, error, len(data))) from error
+        raise MachineFault(cannot_write(path, error, size)) from error
 
 
 def partial_name(name: str) -> str:
-    """What a file is called until it is whole; the same each time, so that none are left over."""
-    return f".{name}.partial"
+    """What a file is called until it is whole: `.<name>.<8 random hex digits>.partial`.
+
+    Each write has a name of its own, so that two writers, a run and what a killed one left behind,
+    never write into the same file.
+    """
+    return f".{name}.{secrets.token_hex(4)}.partial"
+
+
+def whole_name(name: str) -> str | None:
+    """What a file that is called `name` would be called once it is whole; None where it is."""
+    match = _PARTIAL.fullmatch(name)
+    return match["name"] if match else None
 
 
 def cannot_write(path: Path, error: OSError, size: int = 0) -> str:
     """One sentence on why `path` (of `size` bytes) could not be written, with the cure."""
     cure = _CURES.get(error.errno or 0, f"{error.strerror or error}; choose another output folder")
     return f"{path}: not written: {cure.format(megabytes=max(size, 1e6) / 1e6)}"
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder, and what is missing above it, as durable as what will be in it.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in missing:
+        with suppress(PermissionError):  # one may write to a folder that one may not read
+            sync_folder(path.parent)
 
 
 def sync_folder(folder: Path) -> None:

@@ -7,17 +7,41 @@ finished object, on the disk as soon as its shard is.
 import fcntl
 import json
 import os
+import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from articugen.errors import ArticugenError, CorruptShard
-from articugen.files import cannot_write, partial_name, sha256_of, sync_folder, write_atomically
-from articugen.manifest import MANIFEST_NAME, Key, Manifest, Outcome, ShardEntry
+from pydantic import ValidationError
+
+from articugen.errors import ArticugenError, CorruptShard, MachineFault
+from articugen.files import (
+    UnfitFile,
+    cannot_write,
+    make_folder,
+    read_regular,
+    sha256_of,
+    sync_folder,
+    whole_name,
+    write_atomically,
+)
+from articugen.manifest import (
+    MANIFEST_NAME,
+    MOST_BYTES,
+    Claims,
+    Key,
+    Manifest,
+    Outcome,
+    ShardEntry,
+    is_shard_name,
+)
 
 JOURNAL_NAME = ".articugen-journal.jsonl"
+
+DYING_SECONDS = 1.0
+"""The workers of a killed run hold its lock for so long at most: see `workers.die_with`."""
 
 
 class Journal:
@@ -25,7 +49,7 @@ class Journal:
 
     Nothing is believed that is not on the disk as it was recorded: a shard counts only with the
     size and digest that its line states. Shards of ours that are out of date are replaced; files
-    that no line names are never touched.
+    that no line names are never touched, nor anything outside the folder, whatever a line says.
 
     Use it as `with Journal(folder) as journal:`. The journal's first line that claims a file name
     is on the disk before the file is, so that a run that was killed recognises its own files.
@@ -35,7 +59,8 @@ class Journal:
         """Read what `folder` holds, and keep other runs out of it. Nothing is written yet.
 
         Raises:
-            ArticugenError: another run is at work in it, it cannot be read.
+            ArticugenError: another run is at work in it.
+            MachineFault: it cannot be read.
             CorruptShard: its manifest or journal is damaged.
         """
         self.folder = folder
@@ -43,7 +68,7 @@ class Journal:
         self._trusted: dict[ShardEntry, bool] = {}
         self._outcomes: dict[tuple[str, str], Outcome] = {}
         self._ours: set[str] = set()
-        self._in_manifest: tuple[Key, ...] = ()
+        self._manifest: Manifest | None = None
         self._claimed = False
         self._lock: int | None = None
         if folder.exists():
@@ -71,11 +96,18 @@ class Journal:
             os.close(self._lock)
             self._lock = None
 
+    @property
+    def handles(self) -> tuple[int, ...]:
+        """The open file that keeps other runs out; whoever holds it does so as well."""
+        return () if self._lock is None else (self._lock,)
+
     def why(self, key: Key) -> str | None:
         """Why the object must be made (again); None where what is on the disk will do."""
         outcome = self._outcomes.get((key.split, key.object_id))
         if outcome is None:
             return "it has not been made yet"
+        if outcome.fault is not None:
+            return f"it failed ({outcome.fault.reason})"
         difference = key.difference(outcome.key)
         if difference is not None or outcome.shard is None:
             return difference
@@ -91,8 +123,9 @@ class Journal:
 
     def is_complete(self, keys: Sequence[Key]) -> bool:
         """Whether a run for `keys` has nothing to do: all made, and the manifest says just that."""
-        told = not self._path.exists() and set(self._in_manifest) == set(keys)
-        return told and all(self.why(key) is None for key in keys)
+        if self._manifest is None or os.path.lexists(self._path):
+            return False
+        return set(self._manifest.keys) == set(keys) and all(self.why(key) is None for key in keys)
 
     def conflict(self, keys: Sequence[Key]) -> str | None:
         """One sentence, where the folder holds data that a run for `keys` would replace."""
@@ -143,24 +176,25 @@ class Journal:
         """Say that shards of these names are about to be written; the manifest goes, if any.
 
         Raises:
-            ArticugenError: a file of that name is there and not ours; the folder cannot be written.
+            ArticugenError: a file of that name is there and not ours.
+            MachineFault: the folder cannot be written.
         """
         names = sorted(set(names))
         if self._lock is None:
             self._take_lock()
-        foreign = [n for n in names if n not in self._ours and (self.folder / n).exists()]
+        foreign = [n for n in names if self._is_foreign(self.folder / n)]
         if foreign:
             raise ArticugenError(
                 f"{self.folder / foreign[0]}: exists and was not made by an earlier run here; "
                 "move it away or choose another output folder"
             )
         self._ours.update(names)
-        self._in_manifest = ()
-        lines: list[dict[str, Any]] = [{"claims": sorted(self._ours)}]
+        self._manifest = None
+        lines: list[dict[str, Any]] = [Claims(claims=tuple(sorted(self._ours))).model_dump()]
         lines += [outcome.model_dump(mode="json") for outcome in self._outcomes.values()]
         text = "".join(json.dumps(line) + "\n" for line in lines)
         write_atomically(self._path, text.encode())
-        self._remove([MANIFEST_NAME, *(partial_name(name) for name in names)])
+        self.remove([MANIFEST_NAME, *self._temporary()])
         self._claimed = True
 
     def record(self, outcome: Outcome) -> None:
@@ -174,54 +208,89 @@ class Journal:
             self._trusted[outcome.shard] = True
         line = outcome.model_dump_json() + "\n"
         try:
-            with self._path.open("ab") as file:
-                file.write(line.encode())
-                file.flush()
-                os.fsync(file.fileno())
+            _append(self._path, line.encode())
         except OSError as error:
-            raise ArticugenError(cannot_write(self._path, error, len(line))) from None
+            raise MachineFault(cannot_write(self._path, error, len(line))) from None
 
     def finish(self, manifest: Manifest) -> None:
         """Write the manifest, then remove the journal and those of our shards it does not name."""
         manifest.write(self.folder)
-        self._remove(sorted(self._ours - {shard.name for shard in manifest.shards}))
-        self._remove([JOURNAL_NAME])
+        self._manifest = manifest
+        self.remove(self.leftovers())
         self._claimed = False
+
+    def leftovers(self) -> dict[str, str]:
+        """What killed runs left here, in the order to remove it, and why it is not needed.
+
+        No worker may be at work. Shards that are recorded, and the journal of a run that can go on,
+        are none.
+        """
+        entries = [o.shard for o in self._outcomes.values() if o.shard]
+        kept = {shard.name for shard in (self._manifest.shards if self._manifest else entries)}
+        orphans = [name for name in sorted(self._ours - kept) if self._is_file(name)]
+        found = dict.fromkeys(self._temporary(), "a temporary file")
+        found |= dict.fromkeys(orphans, "a shard that is not recorded")
+        if self._manifest and self._is_file(JOURNAL_NAME):
+            found[JOURNAL_NAME] = "the manifest says it all"
+        return found
+
+    def remove(self, names: Iterable[str]) -> None:
+        """Remove files of this folder, in this order; what is not there is no fault."""
+        try:
+            for name in names:
+                (self.folder / name).unlink(missing_ok=True)
+            sync_folder(self.folder)
+        except OSError as error:
+            raise MachineFault(cannot_write(self.folder, error)) from None
+
+    def _temporary(self) -> list[str]:
+        try:
+            names = sorted(os.listdir(self.folder))
+        except OSError as error:
+            raise MachineFault(f"{self.folder}: cannot be read ({error.strerror})") from None
+        return [name for name in names if is_temporary(name) and self._is_file(name)]
+
+    def _is_file(self, name: str) -> bool:
+        """Whether it is there, and no folder."""
+        path = self.folder / name
+        return os.path.lexists(path) and (path.is_symlink() or not path.is_dir())
 
     def _take_lock(self) -> None:
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
+            make_folder(self.folder)
             self._lock = _locked(self.folder)
         except OSError as error:
-            raise ArticugenError(cannot_write(self.folder, error)) from None
+            raise MachineFault(cannot_write(self.folder, error)) from None
+
+    def _is_foreign(self, path: Path) -> bool:
+        """Whether there is something that no run of ours has put there."""
+        return os.path.lexists(path) and not (path.name in self._ours and self._is_file(path.name))
 
     def _load(self) -> None:
-        if (self.folder / MANIFEST_NAME).exists():
+        if os.path.lexists(self.folder / MANIFEST_NAME):
             manifest = Manifest.read(self.folder)
-            shards = {shard.name: shard for shard in manifest.shards}
-            self._ours.update(shards)
-            self._take(Outcome(made=o, shard=shards[o.shard]) for o in manifest.objects)
-            self._take(Outcome(rejected=rejection) for rejection in manifest.rejected)
-            self._in_manifest = tuple(e.key for e in (*manifest.objects, *manifest.rejected))
-        if self._path.exists():
+            self._ours.update(shard.name for shard in manifest.shards)
+            self._take(manifest.outcomes)
+            self._manifest = manifest
+        if os.path.lexists(self._path):
             self._load_journal()
 
     def _load_journal(self) -> None:
+        cure = "delete that file and the shards beside it to start afresh"
         try:
-            lines = self._path.read_bytes().split(b"\n")
+            lines = read_regular(self._path, MOST_BYTES, follow=False).split(b"\n")
+        except UnfitFile as error:
+            raise CorruptShard(f"{self._path}: {error.strerror}; {cure}") from None
         except OSError as error:
-            raise ArticugenError(f"{self._path}: cannot be read ({error.strerror})") from None
+            raise MachineFault(f"{self._path}: cannot be read ({error.strerror})") from None
         for number, line in enumerate(lines[:-1], start=1):  # what follows the last \n is torn
             try:
                 if number == 1:
-                    self._ours.update(json.loads(line)["claims"])
+                    self._ours.update(Claims.model_validate_json(line).claims)
                 else:
                     self._take([Outcome.model_validate_json(line)])
-            except (ValueError, KeyError, TypeError):
-                raise CorruptShard(
-                    f"{self._path}: line {number} is damaged; delete that file and the shards "
-                    "beside it to start afresh"
-                ) from None
+            except ValidationError:
+                raise CorruptShard(f"{self._path}: line {number} is damaged; {cure}") from None
 
     def _take(self, outcomes: Iterable[Outcome]) -> None:
         for outcome in outcomes:
@@ -234,25 +303,66 @@ class Journal:
         except OSError:
             return False
 
-    def _remove(self, names: Iterable[str]) -> None:
+
+def data_sets(path: Path) -> list[Path]:
+    """The data set in `path`, or those in its folders, whole or not.
+
+    Raises:
+        CorruptShard: there is none.
+    """
+    inside = sorted(path.iterdir()) if path.is_dir() else []
+    folders = [path] if _is_data_set(path) else [f for f in inside if _is_data_set(f)]
+    if not folders:
+        raise CorruptShard(f"{path}: holds no data set; make one with: articugen generate")
+    return folders
+
+
+def _is_data_set(folder: Path) -> bool:
+    """Whether a run has been at work in a folder, or shards lie there."""
+    names = os.listdir(folder) if folder.is_dir() else []
+    ours = (MANIFEST_NAME, JOURNAL_NAME)
+    return any(name in ours or is_temporary(name) or is_shard_name(name) for name in names)
+
+
+def is_temporary(name: str) -> bool:
+    """Whether a run gives a file this name until it is whole."""
+    whole = whole_name(name)
+    return whole in (MANIFEST_NAME, JOURNAL_NAME) or (whole is not None and is_shard_name(whole))
+
+
+def _append(path: Path, line: bytes) -> None:
+    """Add a line to a file that is there: on the disk when this returns, or none of it is."""
+    handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW)
+    try:
+        before = os.fstat(handle).st_size
         try:
-            for name in names:
-                (self.folder / name).unlink(missing_ok=True)
-            sync_folder(self.folder)
-        except OSError as error:
-            raise ArticugenError(cannot_write(self.folder, error)) from None
+            written = 0
+            while written < len(line):
+                written += os.write(handle, line[written:])
+            os.fsync(handle)
+        except OSError:
+            os.ftruncate(handle, before)  # a torn line would spoil what is added after it
+            raise
+    finally:
+        os.close(handle)
 
 
 def _locked(folder: Path) -> int:
-    """A handle that keeps other runs out for as long as it, or this process, lives."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(handle)
-        raise ArticugenError(
-            f"{folder}: another run is writing here; wait for it or choose another output folder"
-        ) from None
-    except OSError:
-        pass  # a file system without locks: there the user must see to it
-    return handle
+    """A handle that keeps other runs out for as long as anybody holds it open."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    patience = time.monotonic() + DYING_SECONDS
+    while True:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() < patience:
+                time.sleep(0.05)
+                continue
+            os.close(handle)
+            raise ArticugenError(
+                f"{folder}: another run is writing here; wait for it or choose another output "
+                "folder"
+            ) from None
+        except OSError:
+            pass  # a file system without locks: there the user must see to it
+        return handle

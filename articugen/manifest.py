@@ -12,24 +12,42 @@ from collections import Counter
 from collections.abc import Iterable
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from articugen import __version__
-from articugen.errors import CorruptShard
-from articugen.files import write_atomically
+from articugen.errors import CorruptShard, printable
+from articugen.files import UnfitFile, read_regular, write_atomically
 from articugen.schema import SCHEMA_VERSION
 from articugen.shards import ShardRecord, content_sha256
 
 MANIFEST_NAME = "manifest.json"
 
-_SHA256 = r"^[0-9a-f]{64}$"
-_SHARD_NAME = r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.h5$"
+MOST_BYTES = 1 << 28
+"""That a manifest or journal may have: of some 300,000 objects."""
+
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+ShardName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.h5$", max_length=200)]
 
 
 class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class Claims(_Record):
+    """Names of shards that a run may write, replace and remove: of files in its own folder."""
+
+    claims: tuple[ShardName, ...]
+
+
+def is_shard_name(name: str) -> bool:
+    """Whether a shard may be called so."""
+    try:
+        Claims(claims=(name,))
+    except ValidationError:
+        return False
+    return True
 
 
 class Key(_Record):
@@ -46,7 +64,7 @@ class Key(_Record):
     split: str
     object_id: str
     ref: str
-    recipe_sha256: str = Field(pattern=_SHA256)
+    recipe_sha256: Sha256
     seed: int
     generator: str
 
@@ -66,8 +84,8 @@ class Key(_Record):
 class ShardEntry(_Record):
     """A shard: its name in the folder, digest and size of the file, how many instances it holds."""
 
-    name: str = Field(pattern=_SHARD_NAME, max_length=200)
-    sha256: str = Field(pattern=_SHA256)
+    name: ShardName
+    sha256: Sha256
     bytes: int = Field(gt=0)
     instances: int = Field(gt=0)
 
@@ -86,34 +104,63 @@ class ObjectEntry(_Record):
     """
 
     key: Key
-    input_sha256: str
+    input_sha256: Sha256
     shard: str
     instances: int = Field(gt=0)
-    content_sha256: str = Field(pattern=_SHA256)
+    content_sha256: Sha256
     notes: tuple[str, ...] = ()
     seconds: float = Field(0.0, ge=0.0)
 
 
+_OUR_FAULT = "internal error, please report it: "
+
+
 class Rejection(_Record):
-    """An object that could not be made into data, and why."""
+    """An object that is not in the data, and why: one sentence.
+
+    Attributes:
+        over: where it exceeded a limit of the recipe: the limit's key and value; else ().
+    """
 
     key: Key
     reason: str
+    over: tuple[str, float] | tuple[()] = ()
+
+    @property
+    def sentence(self) -> str:
+        """The object's name, once, and the reason."""
+        name = self.key.object_id
+        return self.reason if self.reason.startswith(f"{name}:") else f"{name}: {self.reason}"
+
+    @staticmethod
+    def of_fault(key: Key, error: Exception) -> "Rejection":
+        """For a fault of our code, which says nothing about the object."""
+        return Rejection(key=key, reason=printable(f"{_OUR_FAULT}{type(error).__name__}: {error}"))
 
 
 class Outcome(_Record):
-    """What became of one object: data in a shard, or a rejection."""
+    """What became of one object.
+
+    Attributes:
+        made, shard: it is in the data.
+        rejected: it cannot be used.
+        skipped: it has nothing to articulate in the recipe's sense, which is no fault.
+        failed: through a fault of the machine or of ours; the next run tries it again.
+    """
 
     made: ObjectEntry | None = None
     shard: ShardEntry | None = None
     rejected: Rejection | None = None
+    skipped: Rejection | None = None
+    failed: Rejection | None = None
 
     @model_validator(mode="after")
-    def _is_one_of_two(self) -> "Outcome":
-        if (self.made is None) != (self.shard is None) or (self.made is None) == (
-            self.rejected is None
-        ):
-            raise ValueError("an outcome is an object with its shard, or a rejection")
+    def _is_one_of_four(self) -> "Outcome":
+        told = (self.made, self.rejected, self.skipped, self.failed)
+        if (self.made is None) != (self.shard is None) or sum(o is not None for o in told) != 1:
+            raise ValueError(
+                "an outcome is an object with its shard, or why there is none: one of the two"
+            )
         if self.made and self.shard and self.made.shard != self.shard.name:
             raise ValueError("the object is said to be in another shard")
         return self
@@ -147,9 +194,16 @@ class Outcome(_Record):
 
     @property
     def key(self) -> Key:
-        entry = self.made or self.rejected
-        assert entry is not None  # _is_one_of_two has seen to it
+        entry = self.made or self.rejected or self.skipped or self.failed
+        assert entry is not None  # _is_one_of_four has seen to it
         return entry.key
+
+    @property
+    def fault(self) -> Rejection | None:
+        """Why the object says nothing about itself and is tried again, whatever its key."""
+        if self.rejected and self.rejected.reason.startswith(_OUR_FAULT):
+            return self.rejected  # so earlier versions wrote it
+        return self.failed
 
 
 class Timings(_Record):
@@ -173,10 +227,12 @@ class Manifest(_Record):
             "+changes" where that had any.
         versions: of Python and the libraries that decide numbers or bytes.
         machine: what it ran on.
-        objects, shards, rejected: what was made and what was not.
+        objects, shards, rejected, skipped, failed: what was made and what was not: see `Outcome`.
+        shortfall: one sentence on why the set is not what its recipe asks for, or None.
         content_sha256: `content_of` the objects: the same for the same recipe, seed, models and
             code, whatever the number of workers, the grouping into shards or the HDF5 version.
         timings: of the last run.
+        manifest_sha256: `digest` of all the rest: an edit shows.
     """
 
     schema_version: int
@@ -184,7 +240,7 @@ class Manifest(_Record):
     source: str
     licence: str
     recipe: str
-    recipe_sha256: str = Field(pattern=_SHA256)
+    recipe_sha256: Sha256
     seed: int
     articugen_version: str
     commit: str | None
@@ -193,8 +249,12 @@ class Manifest(_Record):
     objects: tuple[ObjectEntry, ...]
     shards: tuple[ShardEntry, ...]
     rejected: tuple[Rejection, ...]
-    content_sha256: str = Field(pattern=_SHA256)
+    skipped: tuple[Rejection, ...]
+    failed: tuple[Rejection, ...]
+    shortfall: str | None
+    content_sha256: Sha256
     timings: Timings
+    manifest_sha256: Sha256
 
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> "Manifest":
@@ -208,7 +268,32 @@ class Manifest(_Record):
             told[entry.shard] += entry.instances
         if held != told or len(held) != len(self.shards):
             raise ValueError("objects and shards do not tell of the same instances")
+        if self.failed and not self.shortfall:
+            raise ValueError("objects failed, but the set is said to be whole")
+        told_of = Counter((key.split, key.object_id) for key in self.keys)
+        if told_of and told_of.most_common(1)[0][1] > 1:
+            raise ValueError(f"object {told_of.most_common(1)[0][0][1]} is told of twice")
+        if self.digest() != self.manifest_sha256:
+            raise ValueError("manifest_sha256 is not the digest of the rest: it was edited")
         return self
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """Of all objects that were tried."""
+        lists = (self.objects, self.rejected, self.skipped, self.failed)
+        return tuple(entry.key for entries in lists for entry in entries)
+
+    def digest(self) -> str:
+        """Of everything but `manifest_sha256`, as JSON with sorted keys and without spaces."""
+        rest = self.model_dump(mode="json", exclude={"manifest_sha256"})
+        text = json.dumps(rest, sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    @staticmethod
+    def sealed(**values: Any) -> "Manifest":
+        """A manifest of these values, and with their digest."""
+        draft = Manifest.model_construct(**values)
+        return Manifest(**values, manifest_sha256=draft.digest())
 
     @staticmethod
     def of(
@@ -220,11 +305,12 @@ class Manifest(_Record):
         recipe: str,
         seed: int,
         timings: Timings,
+        shortfall: str | None = None,
     ) -> "Manifest":
         """The manifest of a finished run: of these outcomes, made here and now by this code."""
         outcomes = sorted(outcomes, key=lambda o: (o.key.split, o.key.object_id))
         objects = tuple(o.made for o in outcomes if o.made)
-        return Manifest(
+        return Manifest.sealed(
             schema_version=SCHEMA_VERSION,
             category=category,
             source=source,
@@ -239,8 +325,22 @@ class Manifest(_Record):
             objects=objects,
             shards=tuple(sorted((o.shard for o in outcomes if o.shard), key=lambda s: s.name)),
             rejected=tuple(o.rejected for o in outcomes if o.rejected),
+            skipped=tuple(o.skipped for o in outcomes if o.skipped),
+            failed=tuple(o.failed for o in outcomes if o.failed),
+            shortfall=shortfall,
             content_sha256=content_of(objects),
             timings=timings,
+        )
+
+    @property
+    def outcomes(self) -> tuple[Outcome, ...]:
+        """What became of each object."""
+        shards = {shard.name: shard for shard in self.shards}
+        return (
+            *(Outcome(made=entry, shard=shards[entry.shard]) for entry in self.objects),
+            *(Outcome(rejected=rejection) for rejection in self.rejected),
+            *(Outcome(skipped=rejection) for rejection in self.skipped),
+            *(Outcome(failed=rejection) for rejection in self.failed),
         )
 
     def write(self, folder: Path) -> None:
@@ -260,7 +360,11 @@ class Manifest(_Record):
         """
         path = folder / MANIFEST_NAME
         try:
-            text = path.read_bytes()
+            text = read_regular(path, MOST_BYTES)
+        except UnfitFile as error:
+            raise CorruptShard(
+                f"{path}: {error.strerror}; move it away, or choose another folder"
+            ) from None
         except OSError as error:
             raise CorruptShard(
                 f"{path}: cannot be read ({error.strerror}); a run that was cut short goes on when "
@@ -326,10 +430,15 @@ def this_commit() -> str | None:
         return None
 
 
-def _version_in(text: bytes) -> Any:
+class _Version(BaseModel):
+    model_config = ConfigDict(strict=True)
+    schema_version: int
+
+
+def _version_in(text: bytes) -> int | None:
     try:
-        return json.loads(text)["schema_version"]
-    except (ValueError, KeyError, TypeError):
+        return _Version.model_validate_json(text).schema_version
+    except ValidationError:
         return None
 
 

@@ -6,32 +6,39 @@ number of workers nor an interruption can be seen in the data. `instance.py` tel
 
 import ctypes
 import hashlib
-import multiprocessing
 import os
 import resource
-import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 
-from articugen import __version__
-from articugen.errors import ArticugenError, InvalidSource, RejectedInstance
+from articugen import __version__, workers
+from articugen.errors import (
+    ArticugenError,
+    InvalidRecipe,
+    InvalidSource,
+    MachineFault,
+    NotOfCategory,
+    RejectedInstance,
+    machine_fault,
+    printable,
+)
+from articugen.estimate import instance_bytes, run_seconds
 from articugen.journal import Journal
 from articugen.manifest import Key, Manifest, Outcome, Rejection, Timings
-from articugen.recipe import Recipe, Sampling
+from articugen.recipe import Recipe, check_category
 from articugen.records import ArticulatedObject, Instance
 from articugen.shards import write_shard
 from articugen.sources import registry
 from articugen.sources.registry import ObjectRef
 
-SECONDS_PER_INSTANCE = 0.06
-SECONDS_PER_OBJECT = 1.0
-"""Rough figures of one core, for `plan`; a run's own rate shows in its progress bar."""
+SECONDS_FOR_ANY_OBJECT = 600.0
+SECONDS_FOR_ANY_INSTANCE = 5.0
+"""What an object may take where its recipe says nothing of it: a hundred times what most do."""
 
 _M_MMAP_THRESHOLD = -3  # of malloc.h
 _LARGE_BLOCK = 8 << 20
@@ -60,7 +67,12 @@ GENERATING_CODE = (
 
 @dataclass(frozen=True)
 class Job:
-    """A data set to make: `recipe.objects` objects of `category` from `source` into `out`."""
+    """A data set to make: `recipe.objects` objects of `category` from `source` into `out`.
+
+    `ids` and `exclude` choose among the objects and change nothing of those that are made.
+    `jobs` worker processes make it. With 0 this process does, without the recipe's limits of time
+    and memory: for debugging.
+    """
 
     source: str
     category: str
@@ -68,6 +80,19 @@ class Job:
     seed: int
     out: Path
     jobs: int
+    ids: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """
+        Raises:
+            InvalidRecipe: what no folder, shard or manifest can be called or hold.
+        """
+        check_category(self.category)
+        if not -(2**63) <= self.seed < 2**63:
+            raise InvalidRecipe(f"the seed is {self.seed}; choose one of at most 18 digits")
+        if printable(self.source) != self.source:
+            raise InvalidRecipe(f"{printable(self.source)}: rename it to plain text")
 
 
 @dataclass(frozen=True)
@@ -75,10 +100,10 @@ class ObjectReport:
     """What became of one object.
 
     Attributes:
-        shard: its file, "" where it was rejected.
-        instances: 0 where it was rejected.
+        shard: its file, "" where there is none.
+        instances: 0 where there is no shard.
         seconds: of one worker.
-        rejected: why, or None.
+        rejected, skipped, failed: why there is none, or None: see `Outcome`.
         reused: whether it was there already.
     """
 
@@ -89,16 +114,19 @@ class ObjectReport:
     seconds: float
     rejected: str | None
     reused: bool
+    skipped: str | None = None
+    failed: str | None = None
 
 
 @dataclass(frozen=True)
 class Task:
-    """An object to make: why, and as which shard."""
+    """An object to make: why, and as which shard; or what is known of it without making it."""
 
     ref: ObjectRef
     key: Key
     shard: str
     why: str
+    known: Outcome | None = None
 
 
 @dataclass(frozen=True)
@@ -132,24 +160,36 @@ def plan(job: Job) -> Plan:
         return run.plan
 
 
-def generate(job: Job, on_object: Callable[[ObjectReport], None]) -> Manifest:
+def generate(
+    job: Job,
+    on_object: Callable[[ObjectReport], None],
+    on_notice: Callable[[str], None] = lambda _: None,
+) -> Manifest:
     """Make the data set, or what is missing of it, and write its manifest.
 
     Args:
         on_object: called for each object, those that are there already first.
+        on_notice: called with one sentence where a worker was lost.
 
     Raises:
-        ArticugenError: unknown source or category, the disk is full, more objects were rejected
-            than the recipe allows (what was made is kept), and the like.
+        ArticugenError: unknown source or category; objects failed, or more were rejected than the
+            recipe allows: the manifest, which is written first, says so in its `shortfall`.
+        MachineFault: the disk is full, or the like; what was made is kept.
         KeyboardInterrupt: finished objects are kept; the next run goes on after them.
     """
     with started(job) as run:
-        return run.finish(on_object)
+        manifest = run.finish(on_object, on_notice)
+    if manifest.shortfall:
+        first = (*manifest.failed, *manifest.rejected, *manifest.skipped)[0]
+        raise ArticugenError(f"{job.out}: {manifest.shortfall}; the first, {first.sentence}")
+    return manifest
 
 
 @contextmanager
 def started(job: Job) -> Iterator["Run"]:
     """A run that has its folder to itself and a plan, and has made nothing yet."""
+    clips = registry.clips_to_limits(job.source)
+    job = replace(job, recipe=job.recipe.for_source(clips_to_limits=clips))
     with Journal(job.out) as journal:
         yield Run(job, journal, _plan(job, journal))
 
@@ -162,20 +202,26 @@ class Run:
     journal: Journal
     plan: Plan
 
-    def finish(self, on_object: Callable[[ObjectReport], None]) -> Manifest:
-        """Make what is missing; see `generate`."""
+    def finish(
+        self,
+        on_object: Callable[[ObjectReport], None],
+        on_notice: Callable[[str], None] = lambda _: None,
+    ) -> Manifest:
+        """Make what is missing; see `generate`, but a `shortfall` is not raised."""
         began = time.perf_counter()
         outcomes = list(self.plan.done)
         for outcome in outcomes:
             on_object(_report(outcome, reused=True))
-        if self.journal.is_complete(self.plan.keys):
-            return Manifest.read(self.job.out)
+        if not self.plan.tasks and self.journal.is_complete(self.plan.keys):
+            manifest = Manifest.read(self.job.out)
+            if manifest.shortfall == _shortfall(outcomes, self.job.recipe):
+                return manifest
         self.journal.claim(task.shard for task in self.plan.tasks)
-        for outcome in _made(self.job, self.plan.tasks):
-            self.journal.record(outcome)
-            outcomes.append(outcome)
-            on_object(_report(outcome, reused=False))
-        _check_rejects(outcomes, self.job)
+        with closing(self._made(on_notice)) as made:
+            for outcome in made:
+                self.journal.record(outcome)
+                outcomes.append(outcome)
+                on_object(_report(outcome, reused=False))
         manifest = Manifest.of(
             outcomes,
             category=self.job.category,
@@ -184,24 +230,55 @@ class Run:
             recipe=self.job.recipe.text(),
             seed=self.job.seed,
             timings=_timings(self.plan, time.perf_counter() - began, self.job.jobs),
+            shortfall=_shortfall(outcomes, self.job.recipe),
         )
         self.journal.finish(manifest)
         return manifest
 
+    def _made(self, on_notice: Callable[[str], None]) -> Generator[Outcome, None, None]:
+        """The outcome of each task, as they finish."""
+        yield from (task.known for task in self.plan.tasks if task.known)
+        tasks = [task for task in self.plan.tasks if not task.known]
+        limit = _limit(self.job.recipe)
+        made = workers.each(
+            partial(make_object, self.job),
+            tasks,
+            workers=self.job.jobs,
+            limit=limit,
+            ready=_import_stages,
+            handles=self.journal.handles,
+            notice=on_notice,
+            name=lambda task: task.key.object_id,
+        )
+        try:
+            with closing(made):
+                for ended in made:
+                    yield ended.value or _not_made(tasks[ended.number].key, ended, limit)
+        except MachineFault as error:
+            raise MachineFault(
+                f"{error}; finished objects are kept, the same command goes on after them"
+            ) from error
+
 
 def make_object(job: Job, task: Task) -> Outcome:
-    """Make one object and write its shard; a fault of the object becomes its rejection."""
+    """Make one object and write its shard; a fault of the object becomes its rejection.
+
+    Raises:
+        MachineFault, MemoryError: it says nothing about the object.
+        ArticugenError: no object can be made, for want of a library say.
+    """
     started = time.perf_counter()
     _give_back_large_blocks()
     try:
         obj, instances = _instances(job, task)
-    except (InvalidSource, RejectedInstance) as error:
-        return _rejected(task, str(error))
-    except ArticugenError:
-        raise
+        record = write_shard(job.out / task.shard, instances, _attributes(job, task.ref))
+    except NotOfCategory as error:
+        return Outcome(skipped=_unmade(task.key, error))
     except Exception as error:  # an object must not take the others down with it
-        return _rejected(task, f"internal error, please report it: {type(error).__name__}: {error}")
-    record = write_shard(job.out / task.shard, instances, _attributes(job, task.ref))
+        verdict = _verdict(error, task.ref, job.recipe)
+        if verdict is None:
+            return Outcome(failed=Rejection.of_fault(task.key, error))
+        return Outcome(rejected=_unmade(task.key, verdict))
     return Outcome.of_shard(
         task.key,
         record,
@@ -209,6 +286,43 @@ def make_object(job: Job, task: Task) -> Outcome:
         notes=obj.notes,
         seconds=time.perf_counter() - started,
     )
+
+
+class _OverLimit(RejectedInstance):
+    """An object takes more than the recipe allows: `over` is the recipe's key and value."""
+
+    def __init__(self, takes: str, key: str, value: float) -> None:
+        super().__init__(f"it {takes}; raise the recipe's {key} ({value:,.0f}) if it may")
+        self.over = (key, value)
+
+
+def _unmade(key: Key, error: Exception) -> Rejection:
+    over = error.over if isinstance(error, _OverLimit) else ()
+    return Rejection(key=key, reason=printable(str(error)), over=over)
+
+
+def _verdict(error: Exception, ref: ObjectRef, recipe: Recipe) -> Exception | None:
+    """What `error` says of the object; None where it is a fault of our code.
+
+    Raises:
+        Exception: it says nothing of the object, and ends the run or has the object tried again.
+    """
+    fault = machine_fault(error)
+    asked = getattr(fault, "_total_size", 0) / 1e6  # of numpy's own MemoryError
+    if asked > recipe.memory_per_object_mb:
+        takes = f"asks for {asked:,.0f} MB of memory at once"
+        return _OverLimit(takes, "memory_per_object_mb", recipe.memory_per_object_mb)
+    if fault is not None:
+        raise fault
+    if isinstance(error, InvalidSource | RejectedInstance):
+        return error
+    if isinstance(error, ArticugenError):
+        raise error
+    if isinstance(error, OSError) and registry.is_procedural(ref.source):
+        raise MachineFault(printable(f"{ref.object_id}: {error}; see to it")) from error
+    if isinstance(error, OSError) and error.errno is not None:
+        return error
+    return None
 
 
 @cache
@@ -222,8 +336,8 @@ def _give_back_large_blocks() -> None:
         mallopt(_M_MMAP_THRESHOLD, _LARGE_BLOCK)
 
 
-def _instances(job: Job, task: Task) -> tuple[ArticulatedObject, list[Instance]]:
-    """The object and all its instances; what they share is given back before they are written."""
+def _instances(job: Job, task: Task) -> tuple[ArticulatedObject, Iterator[Instance]]:
+    """The object and its instances, which are made as they are asked for."""
     # numba and the mesh readers take a second to import: the command line should not wait for them
     from articugen import articulation  # noqa: PLC0415
     from articugen.instance import make_instance, prepare  # noqa: PLC0415
@@ -236,57 +350,128 @@ def _instances(job: Job, task: Task) -> tuple[ArticulatedObject, list[Instance]]
         movable=settings.movable,
     )
     prepared = prepare(obj, job.recipe, job.seed)
-    return obj, [make_instance(prepared, index) for index in range(len(prepared.states))]
+    return obj, (make_instance(prepared, index) for index in range(len(prepared.states)))
 
 
-def _rejected(task: Task, reason: str) -> Outcome:
-    return Outcome(rejected=Rejection(key=task.key, reason=reason))
+def _import_stages() -> None:
+    """What takes a worker seconds once, and is no object's fault."""
+    import articugen.articulation  # noqa: PLC0415
+    import articugen.instance  # noqa: PLC0415, F401
+
+
+def _not_made(key: Key, ended: workers.Ended, limit: workers.Limit) -> Outcome:
+    """The outcome of an object whose worker was killed, by us or by others."""
+    over = {
+        "seconds": _OverLimit("takes too many seconds", "seconds_per_object", limit.seconds),
+        "megabytes": _OverLimit("takes too many MB", "memory_per_object_mb", limit.megabytes),
+    }
+    if ended.over:
+        return Outcome(rejected=_unmade(key, over[ended.over]))
+    reason = f"its worker {ended.lost} when it was tried alone as well; use fewer --jobs, or end "
+    return Outcome(failed=Rejection(key=key, reason=reason + "other programs, and run it again"))
+
+
+def _limit(recipe: Recipe) -> workers.Limit:
+    seconds = recipe.seconds_per_object
+    if seconds is None:
+        seconds = SECONDS_FOR_ANY_OBJECT + SECONDS_FOR_ANY_INSTANCE * _instances_each(recipe)
+    return workers.Limit(seconds, recipe.memory_per_object_mb)
+
+
+def _instances_each(recipe: Recipe) -> int:
+    return recipe.articulation.states + 1
 
 
 def _plan(job: Job, journal: Journal) -> Plan:
-    refs = registry.object_refs(job.source, job.category, objects=job.recipe.objects)
-    keys = [_key(job, ref) for ref in refs]
+    refs = registry.object_refs(
+        job.source, job.category, objects=job.recipe.objects, ids=job.ids, exclude=job.exclude
+    )
+    limit = _limit(job.recipe)
+    keys, known = [], dict[Key, Outcome]()
+    for ref, read in zip(refs, _read(job, refs, limit), strict=True):
+        key = _key(job, ref, read.value or "unreadable")
+        keys.append(key)
+        if read.value is None:
+            known[key] = _not_made(key, read, limit)
+        elif key.object_id != ref.object_id:
+            reason = f"{printable(str(ref.location))}: its name is no plain text; rename it"
+            known[key] = Outcome(rejected=Rejection(key=key, reason=reason))
     names = journal.shard_names(keys)
     done, tasks = [], []
     for ref, key in zip(refs, keys, strict=True):
         outcome = journal.finished(key)
-        if outcome is not None:
+        if outcome is not None and not _may_do_with_more(outcome, limit):
             done.append(outcome)
         else:
-            tasks.append(Task(ref, key, names[key], journal.why(key) or ""))
-    instances = len(tasks) * (job.recipe.articulation.states + 1)
-    seconds = instances * SECONDS_PER_INSTANCE + len(tasks) * SECONDS_PER_OBJECT
+            why = journal.why(key) or "the recipe now allows it more"
+            tasks.append(Task(ref, key, names[key], why, known.get(key)))
+    instances = len(tasks) * _instances_each(job.recipe)
+    entries = [outcome.made for outcome in done if outcome.made]
     return Plan(
         keys=tuple(keys),
         tasks=tuple(tasks),
         done=tuple(done),
         instances=instances,
-        bytes=instances * _bytes_per_instance(job.recipe.sampling),
-        seconds=seconds / max(1, min(job.jobs, len(tasks))),
+        bytes=instances * instance_bytes(job.recipe.sampling),
+        seconds=run_seconds(job.recipe, len(tasks), job.jobs, entries),
         conflict=journal.conflict(keys),
     )
 
 
-def _key(job: Job, ref: ObjectRef) -> Key:
+def _may_do_with_more(outcome: Outcome, limit: workers.Limit) -> bool:
+    """Whether the object was rejected by a limit that is lower than this one."""
+    name, value = (outcome.rejected and outcome.rejected.over) or ("", 0.0)
+    most = {"seconds_per_object": limit.seconds, "memory_per_object_mb": limit.megabytes}
+    return value < most.get(name, 0.0)
+
+
+def _key(job: Job, ref: ObjectRef, read_from: str) -> Key:
     return Key(
         split=ref.split,
-        object_id=ref.object_id,
-        ref=_source_digest(ref),
+        object_id=_plain_name(ref.object_id),
+        ref=read_from,
         recipe_sha256=job.recipe.for_one_object().sha256(),
         seed=job.seed,
         generator=generator_version(),
     )
 
 
-def _source_digest(ref: ObjectRef) -> str:
-    """What an object is read from. A procedural one is what the generating code makes of its name;
-    an unreadable one will be rejected with its reason when its turn comes."""
-    if registry.is_procedural(ref.source):
-        return f"{ref.source}/{ref.object_id}"
+def _plain_name(object_id: str) -> str:
+    """The name that stands for an object whose own no file could hold, unlike any other's."""
+    plain = printable(object_id)
+    if plain == object_id:
+        return plain
+    return f"{plain[:100]}~{hashlib.sha256(os.fsencode(object_id)).hexdigest()[:8]}"
+
+
+def _read(
+    job: Job, refs: Sequence[ObjectRef], limit: workers.Limit
+) -> Sequence[workers.Ended[str]]:
+    """What each object is read from. A procedural one is what the generating code makes of its
+    name; the others are read by workers, as they will be when they are made."""
+    if registry.is_procedural(job.source):
+        return [workers.Ended(i, f"{r.source}/{r.object_id}") for i, r in enumerate(refs)]
+    read = workers.each(
+        partial(_source_digest, job.recipe),
+        refs,
+        workers=job.jobs,
+        limit=limit,
+        name=lambda ref: _plain_name(ref.object_id),
+    )
+    return sorted(read, key=lambda ended: ended.number)
+
+
+def _source_digest(recipe: Recipe, ref: ObjectRef) -> str:
+    """Of an object's files; where they cannot be read, why: making it will tell the same.
+
+    Raises:
+        MachineFault, MemoryError: it says nothing about the object.
+    """
     try:
         return registry.load(ref).sha256
-    except InvalidSource as error:
-        return f"unreadable: {error}"
+    except Exception as error:  # an object must not take the others down with it
+        verdict = _verdict(error, ref, recipe) or f"{type(error).__name__}: {error}"
+        return printable(f"unreadable: {verdict}")
 
 
 @cache
@@ -299,32 +484,6 @@ def generator_version() -> str:
         for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
             digest.update(file.relative_to(package).as_posix().encode() + b"\0" + file.read_bytes())
     return f"{__version__}+{digest.hexdigest()[:12]}"
-
-
-def _made(job: Job, tasks: tuple[Task, ...]) -> Iterator[Outcome]:
-    """The outcome of each task, as they finish."""
-    if job.jobs == 1 or len(tasks) < 2:
-        for task in tasks:
-            yield make_object(job, task)
-        return
-    pool = ProcessPoolExecutor(
-        min(job.jobs, len(tasks)),
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_leave_interrupts_to_the_parent,
-    )
-    try:
-        for future in as_completed([pool.submit(make_object, job, task) for task in tasks]):
-            yield future.result()
-    except BaseException:
-        for process in list((pool._processes or {}).values()):
-            process.terminate()  # a shard that is being written has no final name yet
-        pool.shutdown(wait=False, cancel_futures=True)
-        raise
-    pool.shutdown()
-
-
-def _leave_interrupts_to_the_parent() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _attributes(job: Job, ref: ObjectRef) -> dict[str, str | int]:
@@ -351,22 +510,34 @@ def _report(outcome: Outcome, *, reused: bool) -> ObjectReport:
         seconds=made.seconds if made else 0.0,
         rejected=outcome.rejected.reason if outcome.rejected else None,
         reused=reused,
+        skipped=outcome.skipped.reason if outcome.skipped else None,
+        failed=outcome.failed.reason if outcome.failed else None,
     )
 
 
-def _check_rejects(outcomes: list[Outcome], job: Job) -> None:
-    rejected = [outcome.rejected for outcome in outcomes if outcome.rejected]
-    if len(rejected) <= job.recipe.max_rejected_fraction * len(outcomes):
-        return
-    first = rejected[0]
-    raise ArticugenError(
-        f"{len(rejected)} of {len(outcomes)} objects were rejected, more than the recipe's "
-        f"max_rejected_fraction of {job.recipe.max_rejected_fraction:g}; the first, "
-        f"{first.key.object_id}: {first.reason}"
+def _shortfall(outcomes: list[Outcome], recipe: Recipe) -> str | None:
+    """One sentence on why the set is not what its recipe asks for, or None."""
+    made, rejected, skipped, failed = (
+        sum(getattr(outcome, kind) is not None for outcome in outcomes)
+        for kind in ("made", "rejected", "skipped", "failed")
     )
+    wanted, sentences = len(outcomes) - skipped, list[str]()
+    if failed:
+        sentences.append(
+            f"{failed} of {wanted} objects failed through no fault of theirs, and are tried again "
+            "by the same command"
+        )
+    if rejected > recipe.max_rejected_fraction * wanted:
+        sentences.append(
+            f"{rejected} of {wanted} objects were rejected, more than the recipe's "
+            f"max_rejected_fraction of {recipe.max_rejected_fraction:g} (--max-rejected) allows"
+        )
+    if not sentences and not made:
+        sentences.append(f"no object is left: {skipped} skipped, {rejected} rejected")
+    return "; ".join(sentences) or None
 
 
-def _timings(todo: Plan, seconds: float, workers: int) -> Timings:
+def _timings(todo: Plan, seconds: float, jobs: int) -> Timings:
     unit = 1 if sys.platform == "darwin" else 1024
     peak = max(
         resource.getrusage(who).ru_maxrss
@@ -376,14 +547,8 @@ def _timings(todo: Plan, seconds: float, workers: int) -> Timings:
         seconds=seconds,
         instances_per_second=todo.instances / seconds if seconds > 0 else 0.0,
         peak_memory_bytes=peak * unit,
-        workers=workers,
+        workers=max(1, jobs),
     )
-
-
-def _bytes_per_instance(sampling: Sampling) -> int:
-    points = 10 * sampling.surface_points + 7 * (sampling.uniform_points + sampling.near_points)
-    partial = 7 * sampling.partial_views * sampling.partial_points
-    return points + partial + sum(r**3 for r in sampling.grids) // 25 + 2000
 
 
 def default_jobs() -> int:

@@ -82,6 +82,16 @@ def sin_cos(angle: ArrayLike) -> tuple[Any, Any]:
     )
 
 
+def sin(angle: ArrayLike) -> Any:
+    """See `sin_cos`."""
+    return sin_cos(angle)[0]
+
+
+def cos(angle: ArrayLike) -> Any:
+    """See `sin_cos`."""
+    return sin_cos(angle)[1]
+
+
 def arctan2(y: ArrayLike, x: ArrayLike) -> Any:
     """The angle (...) of the points (x, y), in (-pi, pi]; 0 for the origin."""
     y, x = np.broadcast_arrays(np.asarray(y, np.float64), np.asarray(x, np.float64))

@@ -6,16 +6,33 @@ keys are refused with the nearest valid name. The hash of the resolved recipe is
 
 import hashlib
 import json
+import math
+import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+import numpy as np
+from pydantic import Field, model_validator
 
+from articugen import schema
+from articugen.errors import InvalidRecipe, printable
 from articugen.recipe_files import RECIPE_FOLDER, find, resolved, validated
+from articugen.recipe_files import Section as _Section
 
+_CATEGORY = re.compile(r"\w(?:[\w .+-]{0,98}[\w+-])?")
 
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+MAX_TEXT_BYTES = 32_000
+"""Of a resolved recipe: it is kept in an attribute of each shard, which can hold 60,000."""
+MAX_INSTANCE_BYTES = 1 << 27
+"""Of an instance in memory: some are held at once."""
+MAX_PIXELS = 1 << 28
+"""Of all views together, 4 bytes each."""
+MOST_PARTS = 255
+
+_Pattern = Annotated[str, Field(min_length=1, max_length=255)]
+_Degrees = Annotated[float, Field(ge=-3600.0, le=3600.0)]
+_Metres = Annotated[float, Field(ge=-1000.0, le=1000.0)]
 
 
 class Articulation(_Section):
@@ -27,17 +44,18 @@ class Articulation(_Section):
         revolute_degrees: the range sampled from, relative to the canonical pose; also the limits
             of continuous joints and of joints without any.
         prismatic_metres: the same for prismatic joints; null means up to the URDF's own limit.
-        clip_to_limits: stay inside the URDF's limits.
+        clip_to_limits: stay inside the URDF's limits; `source` asks source.yaml: models made by
+            others do, our own procedural ones keep the range of the recipe.
         movable: names of joints that move, as patterns with * and ?; the others are locked at the
             canonical value and their links ride on what they hang on. [] means: ask source.yaml.
     """
 
     states: int = Field(default=100, ge=0, le=65_535)
     canonical: Literal["source", "zero", "lower", "upper"] = "source"
-    revolute_degrees: tuple[float, float] = (0.0, 135.0)
-    prismatic_metres: tuple[float, float] | None = None
-    clip_to_limits: bool = False
-    movable: tuple[str, ...] = ()
+    revolute_degrees: tuple[_Degrees, _Degrees] = (0.0, 135.0)
+    prismatic_metres: tuple[_Metres, _Metres] | None = None
+    clip_to_limits: bool | Literal["source"] = "source"
+    movable: tuple[_Pattern, ...] = ()
 
     @model_validator(mode="after")
     def _ranges_ascend(self) -> "Articulation":
@@ -55,6 +73,15 @@ class ViewSettings(_Section):
     projection: Literal["orthographic", "pinhole"] = "orthographic"
     resolution: int = Field(default=256, ge=16, le=4096)
     backend: Literal["rasterizer", "embree", "opengl", "sapien"] = "rasterizer"
+
+    @model_validator(mode="after")
+    def _fit_into_memory(self) -> "ViewSettings":
+        if self.count * self.resolution**2 > MAX_PIXELS:
+            raise ValueError(
+                f"{self.count:,} views of {self.resolution} x {self.resolution} pixels have more "
+                f"than {MAX_PIXELS:,}; lower count or resolution"
+            )
+        return self
 
 
 class Fusion(_Section):
@@ -96,39 +123,146 @@ class Sampling(_Section):
             raise ValueError("grids are different sizes from 1 to 256")
         return self
 
+    @model_validator(mode="after")
+    def _fits_a_shard(self) -> "Sampling":
+        sizes = self.instance_bytes()
+        name, most = max(sizes.items(), key=lambda item: item[1])
+        if most > schema.MAX_CHUNK_BYTES:
+            raise ValueError(
+                f"{name} would take {most / 2**20:,.0f} MiB an instance, more than the "
+                f"{schema.MAX_CHUNK_BYTES >> 20} that a shard can hold; ask for fewer points"
+            )
+        if sum(sizes.values()) > MAX_INSTANCE_BYTES:
+            raise ValueError(
+                f"an instance would take {sum(sizes.values()) / 2**20:,.0f} MiB, more than "
+                f"{MAX_INSTANCE_BYTES >> 20}; ask for fewer points or smaller grids"
+            )
+        return self
+
+    def instance_bytes(self) -> dict[str, int]:
+        """What each field of one instance takes before compression, for as many parts as a shard
+        can hold."""
+        numbers = {
+            "S": self.surface_points,
+            "U": self.uniform_points,
+            "K": self.near_points,
+            "C": self.partial_views,
+            "M": self.partial_points,
+        }
+        sizes: dict[str, int] = {}
+        for field in schema.FIELDS:
+            size = schema.MAX_TEXT if field.dtype == "S" else np.dtype(field.dtype).itemsize
+            for resolution in self.grids if "<R>" in field.name else (1,):
+                dims = [
+                    n if isinstance(n, int) else (numbers | {"R": resolution}).get(n, MOST_PARTS)
+                    for n in field.shape[1:]
+                ]
+                sizes[field.name.replace("<R>", str(resolution))] = size * math.prod(dims)
+        return sizes
+
 
 class Recipe(_Section):
-    """One recipe, resolved. See the sections for the meaning of each key."""
+    """One recipe, resolved. See the sections for the meaning of each key.
 
-    name: str
+    Attributes:
+        objects: so many of the category; null means all.
+        max_rejected_fraction: with more rejected objects than that a data set counts as failed.
+        seconds_per_object: an object that takes longer is rejected; null means ten minutes and five
+            seconds more for each instance.
+        memory_per_object_mb: so is one for which a worker comes to hold more.
+    """
+
+    name: Annotated[str, Field(min_length=1, max_length=255)]
     articulation: Articulation = Articulation()
     views: ViewSettings = ViewSettings()
     fusion: Fusion = Fusion()
     sampling: Sampling = Sampling()
     padding: float = Field(default=0.1, ge=0.0, lt=1.0)
-    objects: int | None = Field(default=None, ge=1)
+    objects: int | None = Field(default=None, ge=1, le=1_000_000)
     max_rejected_fraction: float = Field(default=0.1, ge=0.0, le=1.0)
+    seconds_per_object: float | None = Field(default=None, gt=0.0, le=1e7)
+    memory_per_object_mb: float = Field(default=4096.0, ge=256.0, le=1e7)
+
+    @model_validator(mode="after")
+    def _fits_an_attribute(self) -> "Recipe":
+        length = len(self.text())
+        if length > MAX_TEXT_BYTES:
+            raise ValueError(
+                f"the recipe takes {length:,} bytes when written out, more than {MAX_TEXT_BYTES:,};"
+                " use fewer or shorter patterns in articulation.movable"
+            )
+        return self
 
     def text(self) -> str:
         """The resolved recipe as canonical JSON; equal recipes have equal texts."""
         return json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
 
     def for_one_object(self) -> "Recipe":
-        """What of the recipe decides an object's data: neither its name nor how many objects."""
+        """What of the recipe decides an object's data: neither its name nor numbers and limits."""
+        fields = Recipe.model_fields
+        limits = ("seconds_per_object", "memory_per_object_mb")
         aside = {"name": "object", "objects": None, "max_rejected_fraction": 1.0}
-        return self.model_copy(update=aside)
+        return self.model_copy(update=aside | {name: fields[name].default for name in limits})
 
     def sha256(self) -> str:
         return hashlib.sha256(self.text().encode()).hexdigest()
 
-    def with_counts(self, *, objects: int | None = None, states: int | None = None) -> "Recipe":
-        """This recipe with other numbers of objects and of random states; None keeps its own."""
+    def with_counts(
+        self,
+        *,
+        objects: int | None = None,
+        states: int | None = None,
+        max_rejected: float | None = None,
+    ) -> "Recipe":
+        """This recipe with other numbers of objects and of random states, or another
+        `max_rejected_fraction`; None keeps its own.
+
+        Raises:
+            InvalidRecipe: there cannot be so many.
+        """
         data = self.model_dump()
+        if max_rejected is not None:
+            data["max_rejected_fraction"] = max_rejected
         if objects is not None:
             data["objects"] = objects
         if states is not None:
             data["articulation"]["states"] = states
-        return Recipe.model_validate(data)
+        return validated(Recipe, data, f"recipe {self.name!r}")
+
+    def with_articulation(
+        self, *, movable: Sequence[str] = (), canonical: str | None = None
+    ) -> "Recipe":
+        """This recipe with other moving joints or another canonical pose; nothing keeps its own.
+
+        Raises:
+            InvalidRecipe: there is no such canonical pose.
+        """
+        data = self.model_dump()
+        if movable:
+            data["articulation"]["movable"] = list(movable)
+        if canonical is not None:
+            data["articulation"]["canonical"] = canonical
+        return validated(Recipe, data, f"recipe {self.name!r}")
+
+    def for_source(self, *, clips_to_limits: bool) -> "Recipe":
+        """This recipe as it is for a source: that its joints are clipped, or not, is then said."""
+        if self.articulation.clip_to_limits != "source":
+            return self
+        own = self.articulation.model_copy(update={"clip_to_limits": clips_to_limits})
+        return self.model_copy(update={"articulation": own})
+
+
+def check_category(name: str) -> None:
+    """Categories name recipes and folders: letters, digits and _, within also space, - . and +.
+
+    Raises:
+        InvalidRecipe: another name.
+    """
+    if not _CATEGORY.fullmatch(name):
+        raise InvalidRecipe(
+            f"{printable(name)!r} cannot be a category's name; use up to 100 letters, digits, _ "
+            "and, within, - or ., without any /"
+        )
 
 
 def load_recipe(name: str | Path | None, category: str) -> Recipe:
@@ -139,6 +273,8 @@ def load_recipe(name: str | Path | None, category: str) -> Recipe:
     Raises:
         InvalidRecipe: no such recipe, bad YAML, an unknown key or a bad value.
     """
+
+    check_category(category)
 
     def base_of(base: str) -> Path:
         return _category_recipe(category) if base == "category" else find(base, learner=False)

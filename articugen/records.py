@@ -117,6 +117,8 @@ class ArticulatedObject:
         sha256: hex digest of the bytes of every file the object was read from.
         source: the name of the source.
         notes: what a user should know (skipped meshes, locked joints), one sentence each.
+        part_order: names of joints in the order in which their parts are numbered; () means that of
+            `joints`.
     """
 
     object_id: str
@@ -127,6 +129,7 @@ class ArticulatedObject:
     sha256: str
     source: str = ""
     notes: tuple[str, ...] = ()
+    part_order: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         _freeze(self, T_world_root=(np.float64, (4, 4)))
@@ -139,12 +142,14 @@ class ArticulatedObject:
     def moving_joints(self) -> tuple[Joint, ...]:
         """The joints that move, in part order: joint j carries part j + 1.
 
-        Revolute and continuous joints first, then prismatic ones, each in the order of the file
-        (PPD's release orders its parts so).
+        Revolute and continuous joints first, then prismatic ones (PPD's release orders its parts
+        so), each as `part_order` says.
         """
-        revolute = [j for j in self.joints if j.kind in ("revolute", "continuous")]
-        prismatic = [j for j in self.joints if j.kind == "prismatic"]
-        return tuple(revolute + prismatic)
+        rank = {name: k for k, name in enumerate(self.part_order)}
+        moving = [j for j in self.joints if j.kind != "fixed"]
+        return tuple(
+            sorted(moving, key=lambda j: (j.kind == "prismatic", rank.get(j.name, len(rank))))
+        )
 
     @property
     def part_of_link(self) -> NDArray[np.int32]:

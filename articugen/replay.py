@@ -55,10 +55,7 @@ def prepared_again(manifest: Manifest, object_id: str) -> Prepared:
             f"{object_id} was made by articugen {entry.key.generator}, this is "
             f"{generator_version()}; only the same version can make it again"
         )
-    refs = registry.object_refs(manifest.source, manifest.category, objects=recipe.objects)
-    ref = next((r for r in refs if r.object_id == object_id), None)
-    if ref is None:
-        raise InvalidSource(f"source {manifest.source!r} no longer has the object {object_id!r}")
+    (ref,) = registry.object_refs(manifest.source, manifest.category, ids=[object_id])
     settings = registry.settings(ref)
     obj = registry.load(ref)
     if obj.sha256 != entry.input_sha256:

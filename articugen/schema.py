@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 SCHEMA_VERSION = 2
 """Of what is written. Readers take every version up to it: a later one only adds optional fields,
@@ -269,6 +270,10 @@ FIELDS = (
 )
 """Every data set; those with <R> once for each grid."""
 
+CHECKED_ATTRIBUTES = "checked_attributes"
+"""The attribute that holds all others as JSON: of a fixed length, which HDF5 guards by a checksum.
+Text of variable length, which plain readers get as str, it does not."""
+
 ATTRIBUTES: Mapping[str, tuple[type, str]] = {
     "format": (str, f'Always "{FORMAT}".'),
     "schema_version": (int, "Of this description; readers refuse later ones."),
@@ -282,6 +287,7 @@ ATTRIBUTES: Mapping[str, tuple[type, str]] = {
 """Attributes of the file that every shard has; it may have more, all scalar."""
 
 
+@lru_cache(1024)
 def field_of(name: str) -> Field | None:
     """The field that describes the data set `name`, or None."""
     return next((field for field in FIELDS if field.matches(name)), None)
@@ -323,6 +329,7 @@ def markdown() -> str:
         f"| {written_shape(f)} | {f.unit} | {f.frame} | {f.meaning} |"
         for f in FIELDS
     ]
+    checked = f"| `{CHECKED_ATTRIBUTES}` | bytes | All the others as JSON; see below. |"
     letters = [f"| {letter} | {meaning} |" for letter, meaning in SYMBOLS.items()]
     attributes = [f"| `{n}` | {kind.__name__} | {what} |" for n, (kind, what) in ATTRIBUTES.items()]
     return "\n".join(
@@ -338,6 +345,7 @@ def markdown() -> str:
             "| attribute of the file | type | meaning |",
             "|---|---|---|",
             *attributes,
+            checked,
             "",
         ]
     )

@@ -1,16 +1,20 @@
 """HDF5 shards: the atomic writer and the distrustful reader (the only user of h5py).
 
-A shard is built in memory, so that HDF5 never holds a half-written file and every fault of the disk
-is an ordinary OSError; its bytes depend on nothing but the instances and attributes.
+A shard is written one instance at a time, and read so, in chunks that `chunks.py` makes and opens:
+HDF5 keeps the index. Its bytes depend on nothing but the instances and attributes.
 """
 
 import hashlib
+import io
+import json
+import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType, TracebackType
-from typing import Any
+from typing import Any, BinaryIO
 
 import h5py
 import h5py.h5l
@@ -18,14 +22,13 @@ import h5py.h5o
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen import schema
+from articugen import chunks, schema
 from articugen.errors import ArticugenError, CorruptShard
-from articugen.files import write_atomically
+from articugen.files import UnfitFile, check_regular, sha256_of, written_atomically
 from articugen.records import Instance
 from articugen.schema import Field
 
 _GZIP, _FLETCHER32 = 1, 3
-_GZIP_LEVEL = 4
 _MAX_ATTRIBUTES = 64
 _MAX_ATTRIBUTE_BYTES = 60_000
 """An HDF5 object header has no room for more than 64 kB."""
@@ -61,59 +64,57 @@ def write_shard(
 
     Args:
         path: the final name; a shard of that name is replaced, in one step.
-        instances: one or more, all of the same field shapes.
+        instances: one or more, all of the same field shapes; taken one at a time, so that memory
+            does not grow with their number. What it raises leaves no file behind.
         attributes: those of `schema.ATTRIBUTES` besides format and schema_version; more may follow.
 
     Raises:
-        ArticugenError: the disk is full, the folder cannot be written to.
+        MachineFault: the disk is full, the folder cannot be written to.
         ValueError: instances of different shapes, a missing attribute: faults of the caller.
     """
-    rows = list(instances)
     given = {"format": schema.FORMAT, "schema_version": schema.SCHEMA_VERSION, **attributes}
     for name, (kind, _) in schema.ATTRIBUTES.items():
         if not isinstance(given.get(name), kind):
             raise ValueError(f"{path}: attribute {name!r} is missing or not of its type")
-    image = _image(rows, given)
-    content = content_digests(_columns(rows), [(row.object_id, row.state_index) for row in rows])
+    content: list[tuple[str, int, str]] = []
+    sha256, size = "", 0
 
-    def is_whole(temporary: Path) -> None:
+    def look(temporary: Path) -> None:
+        nonlocal sha256, size
         with open_shard(temporary) as shard:
-            if shard.content() != content or dict(shard.attributes) != given:
+            if shard.content() != tuple(content) or dict(shard.attributes) != given:
                 raise ArticugenError(f"{path}: reads back otherwise than written; check the disk")
+        sha256, size = sha256_of(temporary), temporary.stat().st_size
 
-    write_atomically(path, image, check=is_whole)
-    sha256 = hashlib.sha256(image).hexdigest()
-    return ShardRecord(path.name, sha256, len(image), len(rows), content)
+    with written_atomically(path, check=look) as file:
+        disk = _Disk(file)
+        with _new_file(disk, given) as hdf5:
+            for row in _written(hdf5, instances):
+                content.append(row)
+                if disk.fault is not None:
+                    break
+    return ShardRecord(path.name, sha256, size, len(content), tuple(content))
 
 
-def content_digests(
-    columns: Iterable[tuple[str, NDArray[Any]]], instances: Sequence[tuple[str, int]]
-) -> Content:
-    """The SHA-256 of each instance's content, whatever the layout of the file that holds it.
+def instance_sha256(object_id: str, arrays: Iterable[tuple[str, NDArray[Any]]]) -> str:
+    """The digest of an instance's content, whatever the layout of the file that holds it.
 
-    For every field but object_id, in the order of the names: one line "name dtype shape" with the
-    little-endian dtype and the shape without N, then the bytes of the row in C order. Of text the
-    dtype is "utf-8", and a zero byte follows each, however long the file makes them all.
-
-    Args:
-        columns: (name, array (N, ...)) in the order of the names.
-        instances: (object_id, state_index) of the N rows; the object_id is digested first.
+    First a line "object_id <id>". For every other field, in the order of the names: one line "name
+    dtype shape" with the little-endian dtype, then the bytes in C order. Of text the dtype is
+    "utf-8", and a zero byte follows each, however long the file makes them all.
     """
-    digests = [hashlib.sha256(f"object_id {object_id}\n".encode()) for object_id, _ in instances]
-    for name, array in columns:
+    digest = hashlib.sha256(f"object_id {object_id}\n".encode())
+    for name, array in sorted(arrays, key=lambda named: named[0]):
         if name == "object_id":
             continue
-        is_text = array.dtype.kind == "S"
-        little = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
-        dtype = "utf-8" if is_text else little.dtype.str
-        line = f"{name} {dtype} {little.shape[1:]}\n".encode()
-        for digest, row in zip(digests, little, strict=True):
-            digest.update(line)
-            digest.update(b"".join(text + b"\0" for text in row) if is_text else row.tobytes())
-    return tuple(
-        (object_id, state_index, digest.hexdigest())
-        for (object_id, state_index), digest in zip(instances, digests, strict=True)
-    )
+        if array.dtype.kind == "S":
+            digest.update(f"{name} utf-8 {array.shape}\n".encode())
+            digest.update(b"".join(text + b"\0" for text in array.ravel()))
+        else:
+            little = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+            digest.update(f"{name} {little.dtype.str} {array.shape}\n".encode())
+            digest.update(little.reshape(-1).view(np.uint8).data)
+    return digest.hexdigest()
 
 
 def content_sha256(content: Iterable[tuple[Any, ...]]) -> str:
@@ -146,16 +147,21 @@ class Shard:
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
+        self._open()
+
+    def _open(self) -> None:
         self._file, self._process = _opened(self.path), os.getpid()
         try:
             self.attributes: Mapping[str, Attribute] = MappingProxyType(_attributes(self._file))
-            self.fields: Mapping[str, tuple[int, ...]] = MappingProxyType(_checked(self._file))
+            self._stored = _checked(self._file)
         except CorruptShard as error:
             self.close()
             raise CorruptShard(f"{self.path}: {error}; make it again or fetch it again") from None
         except (OSError, RuntimeError, ValueError, TypeError, KeyError) as error:
             self.close()
             raise CorruptShard(f"{self.path}: damaged ({error}); make it again") from None
+        shapes = {name: column.shape for name, column in self._stored.items()}
+        self.fields: Mapping[str, tuple[int, ...]] = MappingProxyType(shapes)
 
     def __enter__(self) -> "Shard":
         return self
@@ -182,26 +188,19 @@ class Shard:
 
         Raises:
             CorruptShard: the bytes fail their checksum.
+            IndexError: there is no such row.
             KeyError: the shard has no such data set.
         """
-        try:
-            return self._dataset(name)[index]
-        except OSError as error:
-            raise CorruptShard(
-                f"{self.path}: {name}: damaged ({error}); make it again or fetch it again"
-            ) from None
+        chosen = range(len(self))[index]
+        if isinstance(chosen, int):
+            return self._rows(name, [chosen])[0]
+        return self._rows(name, chosen)
 
     def batch(self, indices: Sequence[int], names: Iterable[str]) -> dict[str, NDArray[Any]]:
         """Some fields (n, ...) of some instances, in the order asked for; repeats are allowed."""
-        chosen, place = np.unique(np.asarray(indices, np.intp), return_inverse=True)
-        batch: dict[str, NDArray[Any]] = {}
-        for name in names:
-            shape = self.fields[name]
-            rows = np.empty((len(chosen), *shape[1:]), self._dataset(name).dtype)
-            for row, index in enumerate(chosen):
-                rows[row] = self.read(name, int(index))
-            batch[name] = rows[place]
-        return batch
+        every = range(len(self))
+        chosen = [every[int(index)] for index in indices]
+        return {name: self._rows(name, chosen) for name in names}
 
     def instance(self, index: int) -> Instance:
         """The record that was written as row `index`.
@@ -229,20 +228,37 @@ class Shard:
 
     def content(self) -> Content:
         """The digest of each instance, computed from what is stored."""
-        states = self.read("state_index").tolist()
-        columns = ((name, self.read(name)) for name in sorted(self.fields))
-        return content_digests(columns, list(zip(self.object_ids(), states, strict=True)))
+        columns = {name: self._column(name) for name in self.fields}
+        buffers = {name: column.buffer() for name, column in columns.items()}
+        content: list[tuple[str, int, str]] = []
+        for index, object_id in enumerate(self.object_ids()):
+            with self._telling_damage("an instance"):
+                row = {name: column.row(index, buffers[name]) for name, column in columns.items()}
+            digest = instance_sha256(object_id, row.items())
+            content.append((object_id, int(row["state_index"]), digest))
+        return tuple(content)
 
     def stored_bytes(self, name: str) -> int:
         """What a data set takes in the file, after compression, without its index."""
-        return self._dataset(name).id.get_storage_size()
+        return self._column(name).dataset.get_storage_size()
 
-    def _dataset(self, name: str) -> h5py.Dataset:
+    def _column(self, name: str) -> "_Column":
         if self._process != os.getpid():
-            self._file, self._process = _opened(self.path), os.getpid()
-        dataset = self._file[name]
-        assert isinstance(dataset, h5py.Dataset)  # _checked has seen to it
-        return dataset
+            self._open()
+        return self._stored[name]
+
+    def _rows(self, name: str, rows: Sequence[int]) -> NDArray[Any]:
+        with self._telling_damage(name):
+            return self._column(name).rows(rows)
+
+    @contextmanager
+    def _telling_damage(self, what: str) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, RuntimeError, ValueError) as error:
+            raise CorruptShard(
+                f"{self.path}: {what}: damaged ({error}); make it again or fetch it again"
+            ) from None
 
     def _texts(self, stored: Any) -> Any:
         """A text of numpy's as str, an array of them as a tuple."""
@@ -254,61 +270,189 @@ class Shard:
             raise CorruptShard(f"{self.path}: the text {stored!r} is not UTF-8") from None
 
 
-def _columns(rows: Sequence[Instance]) -> Iterator[tuple[str, NDArray[Any]]]:
-    """(name, array (N, ...)) of each field as it is stored, in the order of the names.
+@dataclass(frozen=True)
+class _Column:
+    """A data set that has been looked at: one chunk a row, which are read without HDF5's filters.
 
-    One at a time: all at once, they would take as much memory again as the instances.
+    Attributes:
+        dataset: open for reading.
+        shape: (N, ...).
+        dtype: of what is stored.
+        compressed: whether with gzip.
     """
-    arrays = [row.arrays() for row in rows]
-    for name in sorted(arrays[0]):
-        field = schema.field_of(name)
-        if field is None or any(other.keys() != arrays[0].keys() for other in arrays):
-            raise ValueError(f"{name}: not in the schema, or not in every instance of the shard")
-        column = [row[name] for row in arrays]
+
+    dataset: h5py.h5d.DatasetID
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    compressed: bool
+
+    @property
+    def row_bytes(self) -> int:
+        return math.prod(self.shape[1:]) * self.dtype.itemsize
+
+    def buffer(self) -> NDArray[np.uint8]:
+        """Room for one chunk. HDF5 refuses one that is larger, so no index can ask for more."""
+        return np.empty(chunks.most_bytes(self.row_bytes), np.uint8)
+
+    def row(self, row: int, buffer: NDArray[np.uint8]) -> NDArray[Any]:
+        """(...) in place in `buffer` where nothing had to be done to it.
+
+        Raises:
+            OSError, RuntimeError, ValueError: damaged.
+        """
+        return np.frombuffer(self._bytes(row, buffer), self.dtype).reshape(self.shape[1:])
+
+    def rows(self, rows: Sequence[int]) -> NDArray[Any]:
+        """(n, ...) in the order asked for.
+
+        Raises:
+            OSError, RuntimeError, ValueError: damaged.
+        """
+        array = np.empty((len(rows), *self.shape[1:]), self.dtype)
+        into, size = array.reshape(-1).view(np.uint8).data, self.row_bytes
+        buffer = self.buffer()
+        for place, row in enumerate(rows):
+            into[place * size : (place + 1) * size] = self._bytes(row, buffer)
+        return array
+
+    def _bytes(self, row: int, buffer: NDArray[np.uint8]) -> memoryview | bytes:
+        size = self.row_bytes
+        if not size:
+            return b""
+        at = (row, *(0,) * (len(self.shape) - 1))
+        skipped, chunk = self.dataset.read_direct_chunk(at, out=buffer)
+        if skipped:
+            raise ValueError("a chunk without its checksum")
+        return chunks.decoded(chunk, size, compressed=self.compressed)
+
+
+class _Disk(io.RawIOBase):
+    """The file that HDF5 writes to; the disk's first fault is kept as it was.
+
+    HDF5 would make other errors of it, and more of them when it closes: it is told that all is well
+    from then on, and the fault is raised once it is done.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._handle = file.fileno()
+        self._at = 0
+        self.fault: OSError | None = None
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        end = whence == os.SEEK_END
+        self._at = os.fstat(self._handle).st_size + offset if end else offset
+        return self._at
+
+    def tell(self) -> int:
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:
+        data = self._unless_faulty(os.pread, self._handle, len(buffer), self._at) or b""
+        buffer[: len(data)] = data
+        return len(data)
+
+    def write(self, data: Any) -> int:
+        rest = memoryview(data).cast("B")
+        size = len(rest)
+        while rest and self.fault is None:  # a call may write less than it is given
+            done = self._unless_faulty(os.pwrite, self._handle, rest, self._at) or 0
+            rest, self._at = rest[done:], self._at + done
+        return size
+
+    def truncate(self, size: int | None = None) -> int:
+        end = self._at if size is None else size
+        self._unless_faulty(os.ftruncate, self._handle, end)
+        return end
+
+    def _unless_faulty(self, act: Any, *arguments: Any) -> Any:
+        if self.fault is not None:
+            return None
+        try:
+            return act(*arguments)
+        except OSError as error:
+            self.fault = error
+            return None
+
+
+@contextmanager
+def _new_file(disk: _Disk, attributes: Mapping[str, Attribute]) -> Iterator[h5py.File]:
+    """An HDF5 file on `disk`. Its format v110 (HDF5 1.10, 2016) has checksums on its metadata.
+
+    Raises:
+        OSError: as the disk gave it.
+    """
+    try:
+        with h5py.File(disk, "w", libver="v110") as hdf5:
+            _describe_file(hdf5, attributes)
+            yield hdf5
+    finally:
+        if disk.fault is not None:
+            raise disk.fault
+
+
+def _written(file: h5py.File, instances: Iterable[Instance]) -> Iterator[tuple[str, int, str]]:
+    """Write rows as they come; (object_id, state_index, digest) of each."""
+    datasets: dict[str, h5py.h5d.DatasetID] = {}
+    shapes: dict[str, tuple[int, ...]] = {}
+    count = 0
+    for row in instances:
+        arrays = _stored_arrays(row)
+        if not datasets:
+            shapes = {name: array.shape for name, array in arrays.items()}
+            datasets = {name: _new_dataset(file, name, array) for name, array in arrays.items()}
+        if {name: array.shape for name, array in arrays.items()} != shapes:
+            raise ValueError("instances that do not make a shard: of different fields or shapes")
+        for name, array in arrays.items():
+            _append(datasets[name], count, array, compressed=_field(name).compressed)
+        count += 1
+        yield row.object_id, row.state_index, instance_sha256(row.object_id, arrays.items())
+    fault = schema.misfit({name: (count, *shape) for name, shape in shapes.items()})
+    if fault:
+        raise ValueError(f"instances that do not make a shard: {fault}")
+
+
+def _stored_arrays(row: Instance) -> dict[str, NDArray[Any]]:
+    """Each field of an instance as it is stored, in the order of the names."""
+    arrays: dict[str, NDArray[Any]] = {}
+    for name, value in sorted(row.arrays().items()):
+        field = _field(name)
         if field.dtype == "S":
-            yield name, _stored_texts(column)
+            arrays[name] = _stored_texts(value)
         else:
-            yield name, np.stack([np.asarray(value, field.dtype) for value in column])
+            arrays[name] = np.ascontiguousarray(value, field.dtype).reshape(np.shape(value))
+        if arrays[name].nbytes > schema.MAX_CHUNK_BYTES:
+            raise ValueError(
+                f"{name}: {arrays[name].nbytes} bytes an instance; ask for fewer samples"
+            )
+    return arrays
 
 
-def _stored_texts(texts: Any) -> NDArray[Any]:
-    """Texts, however nested, in UTF-8 of a fixed length: the same in every shard."""
+def _field(name: str) -> Field:
+    field = schema.field_of(name)
+    if field is None:
+        raise ValueError(f"{name}: not in the schema")
+    return field
+
+
+def _stored_texts(texts: str | tuple[str, ...]) -> NDArray[Any]:
+    """Text in UTF-8 of a fixed length, which is the same in every shard."""
     text = np.char.encode(np.asarray(texts, np.str_), "utf-8")
     if text.itemsize > schema.MAX_TEXT:
         raise ValueError(f"a text of more than {schema.MAX_TEXT} bytes ({text.itemsize})")
     return text.astype(f"S{schema.MAX_TEXT}")
 
 
-def _image(rows: Sequence[Instance], attributes: Mapping[str, Attribute]) -> bytes:
-    """The bytes of the HDF5 file. Format v110 (HDF5 1.10, 2016) has checksums on its metadata."""
-    fault = schema.misfit({name: array.shape for name, array in _columns(rows)})
-    if fault:
-        raise ValueError(f"instances that do not make a shard: {fault}")
-    with h5py.File(
-        "shard.h5", "w", driver="core", backing_store=False, block_size=1 << 22, libver="v110"
-    ) as file:
-        _describe(file, attributes)
-        for name, array in _columns(rows):
-            _add(file, name, array)
-        file.flush()
-        return file.id.get_file_image()
-
-
-def _add(file: h5py.File, name: str, array: NDArray[Any]) -> None:
-    """One data set, one instance a chunk, with what the schema says of it as attributes."""
-    field = schema.field_of(name)
-    assert field is not None  # _columns has seen to it
-    if array[0].nbytes > schema.MAX_CHUNK_BYTES:
-        raise ValueError(f"{name}: {array[0].nbytes} bytes an instance; ask for fewer samples")
-    if field.dtype == "S":
-        array = array.astype(h5py.string_dtype("utf-8", array.itemsize))
+def _new_dataset(file: h5py.File, name: str, row: NDArray[Any]) -> h5py.h5d.DatasetID:
+    """A data set without rows yet, with what the schema says of it as attributes."""
+    field = _field(name)
     dataset = file.create_dataset(
         name,
-        data=array,
-        chunks=_chunks(array.shape),
+        shape=(0, *row.shape),
+        dtype=h5py.string_dtype("utf-8", row.itemsize) if field.dtype == "S" else row.dtype,
+        chunks=_chunks((0, *row.shape)),
         # An empty data set has to be allowed to grow before h5py accepts chunks for it.
-        maxshape=tuple(size or None for size in array.shape),
-        compression=_GZIP_LEVEL if field.compressed else None,
+        maxshape=(None, *(size or None for size in row.shape)),
+        compression=chunks.GZIP_LEVEL if field.compressed else None,
         fletcher32=True,
         track_times=False,
     )
@@ -318,29 +462,47 @@ def _add(file: h5py.File, name: str, array: NDArray[Any]) -> None:
         "frame": field.frame,
         "meaning": field.meaning,
     }
-    _describe(dataset, {key: text for key, text in described.items() if text})
+    for key, text in described.items():
+        if text:
+            dataset.attrs[key] = text
+    return dataset.id
+
+
+def _append(
+    dataset: h5py.h5d.DatasetID, count: int, row: NDArray[Any], *, compressed: bool
+) -> None:
+    """Give a data set of `count` rows one more."""
+    dataset.set_extent((count + 1, *row.shape))
+    if row.size:
+        chunk = chunks.encoded(row.tobytes(), compressed=compressed)
+        dataset.write_direct_chunk((count, *(0,) * row.ndim), chunk)
 
 
 def _chunks(shape: tuple[int, ...]) -> tuple[int, ...]:
     return (1, *(max(size, 1) for size in shape[1:]))
 
 
-def _describe(where: h5py.File | h5py.Dataset, attributes: Mapping[str, Attribute]) -> None:
+def _describe_file(file: h5py.File, attributes: Mapping[str, Attribute]) -> None:
+    """Write the attributes twice: as anyone reads them, and together as HDF5 checks them."""
+    text = json.dumps(attributes, ensure_ascii=False, sort_keys=True).encode()
+    if len(text) > _MAX_ATTRIBUTE_BYTES:
+        raise ValueError(f"attributes of {len(text)} bytes")
+    fixed = h5py.string_dtype("utf-8", len(text))
+    file.attrs.create(schema.CHECKED_ATTRIBUTES, np.array(text, fixed), dtype=fixed)
     for name, value in attributes.items():
         if isinstance(value, str):
-            text = value.encode()
-            if len(text) > _MAX_ATTRIBUTE_BYTES:
-                raise ValueError(f"attribute {name!r} takes {len(text)} bytes")
-            stored = h5py.string_dtype("utf-8", max(len(text), 1))
-            where.attrs.create(name, np.array(text, stored), dtype=stored)
+            file.attrs[name] = value
         else:
-            where.attrs.create(name, value, dtype="<i8" if isinstance(value, int) else "<f8")
+            file.attrs.create(name, value, dtype="<i8" if isinstance(value, int) else "<f8")
 
 
 def _opened(path: Path) -> h5py.File:
     """Without HDF5's file lock, which network file systems lack: a shard never changes."""
     try:
+        check_regular(path)
         return h5py.File(path, "r", locking=False)
+    except UnfitFile as error:
+        raise CorruptShard(f"{path}: {error.strerror}; move it away") from None
     except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
         reason = os.strerror(error.errno or 0)
         raise CorruptShard(f"{path}: cannot be opened ({reason})") from None
@@ -351,25 +513,50 @@ def _opened(path: Path) -> h5py.File:
 
 
 def _attributes(file: h5py.File) -> dict[str, Attribute]:
-    """The file's attributes; their types and sizes are looked at before anything is read."""
-    names = list(file.attrs)
-    if len(names) > _MAX_ATTRIBUTES:
-        raise CorruptShard(f"{len(names)} attributes")
-    attributes = {name: _attribute(file, name) for name in names}
-    if attributes.get("format") != schema.FORMAT:
-        raise CorruptShard("an HDF5 file, but not an articugen shard")
-    version = attributes.get("schema_version")
+    """The file's attributes; their types and sizes are looked at before anything is read.
+
+    Text of variable length is left unread: HDF5 trusts the sizes it finds there, and no checksum
+    guards them. From version 2 on all is in one text of a fixed length as well.
+    """
+    if len(file.attrs) > _MAX_ATTRIBUTES:
+        raise CorruptShard(f"{len(file.attrs)} attributes")
+    version = _attribute(file, "schema_version") if "schema_version" in file.attrs else None
     if not isinstance(version, int) or not 1 <= version <= schema.SCHEMA_VERSION:
+        if "schema_version" not in file.attrs and "format" not in file.attrs:
+            raise CorruptShard("an HDF5 file, but not an articugen shard")
         raise CorruptShard(
             f"schema version {version}, this articugen reads 1 to {schema.SCHEMA_VERSION}"
         )
+    if version == 1:
+        attributes = {name: _attribute(file, name) for name in file.attrs}
+    else:
+        attributes = _unpacked(str(_attribute(file, schema.CHECKED_ATTRIBUTES)))
+    if attributes.get("format") != schema.FORMAT:
+        raise CorruptShard("an HDF5 file, but not an articugen shard")
     for name, (kind, _) in schema.ATTRIBUTES.items():
         if not isinstance(attributes.get(name), kind):
             raise CorruptShard(f"attribute {name!r} is missing or not of its type")
+    if attributes["schema_version"] != version:
+        raise CorruptShard(f"schema version {version} or {attributes['schema_version']}")
+    return attributes
+
+
+def _unpacked(text: str) -> dict[str, Attribute]:
+    try:
+        attributes = json.loads(text)
+    except (ValueError, RecursionError):
+        raise CorruptShard(f"attribute {schema.CHECKED_ATTRIBUTES!r} is not JSON") from None
+    if not isinstance(attributes, dict) or len(attributes) > _MAX_ATTRIBUTES:
+        raise CorruptShard(f"attribute {schema.CHECKED_ATTRIBUTES!r} does not hold the others")
+    for name, value in attributes.items():
+        if isinstance(value, bool) or not isinstance(value, str | int | float):
+            raise CorruptShard(f"attribute {name!r} is neither a number nor a text")
     return attributes
 
 
 def _attribute(file: h5py.File, name: str) -> Attribute:
+    if name not in file.attrs:
+        raise CorruptShard(f"attribute {name!r} is missing")
     stored = h5py.h5a.open(file.id, name.encode("utf-8", "surrogateescape"))
     is_text = isinstance(stored.get_type(), h5py.h5t.TypeStringID)
     plain = stored.shape == () and stored.get_storage_size() <= _MAX_ATTRIBUTE_BYTES
@@ -381,9 +568,9 @@ def _attribute(file: h5py.File, name: str) -> Attribute:
     raise CorruptShard(f"attribute {name!r} is neither a number nor a text of a fixed length")
 
 
-def _checked(file: h5py.File) -> dict[str, tuple[int, ...]]:
-    """The shape of every data set, once all is as the schema says."""
-    shapes: dict[str, tuple[int, ...]] = {}
+def _checked(file: h5py.File) -> dict[str, _Column]:
+    """Every data set, once all is as the schema says."""
+    columns: dict[str, _Column] = {}
     for name in map(str, file):
         field = schema.field_of(name)
         if field is None and name != schema.USER_GROUP:
@@ -395,14 +582,14 @@ def _checked(file: h5py.File) -> dict[str, tuple[int, ...]]:
             raise CorruptShard(f"{name!r} is not a {'data set' if field else 'group'}")
         if field is None:
             continue
-        shapes[name] = _checked_dataset(h5py.h5d.open(file.id, name.encode()), name, field)
-    fault = schema.misfit(shapes)
+        columns[name] = _checked_dataset(h5py.h5d.open(file.id, name.encode()), name, field)
+    fault = schema.misfit({name: column.shape for name, column in columns.items()})
     if fault:
         raise CorruptShard(fault)
-    return shapes
+    return columns
 
 
-def _checked_dataset(dataset: h5py.h5d.DatasetID, name: str, field: Field) -> tuple[int, ...]:
+def _checked_dataset(dataset: h5py.h5d.DatasetID, name: str, field: Field) -> _Column:
     shape = dataset.shape
     if shape is None or not _is_dtype(dataset, field):
         raise CorruptShard(f"{name!r} is not of dtype {field.dtype}")
@@ -417,7 +604,8 @@ def _checked_dataset(dataset: h5py.h5d.DatasetID, name: str, field: Field) -> tu
         raise CorruptShard(f"{name!r} takes {chunk_bytes} bytes an instance")
     if 0 not in shape and dataset.get_num_chunks() != shape[0]:
         raise CorruptShard(f"{name!r} has {dataset.get_num_chunks()} chunks for shape {shape}")
-    return shape
+    dtype = np.dtype(f"S{dataset.get_type().get_size()}" if field.dtype == "S" else field.dtype)
+    return _Column(dataset, shape, dtype, compressed=filters[0] == _GZIP)
 
 
 def _is_dtype(dataset: h5py.h5d.DatasetID, field: Field) -> bool:

@@ -1,28 +1,34 @@
 """Whether a data set is what its manifest says and what its makers promise.
 
-Files first (names, sizes, digests, schema), then content digests, then what checks.py knows of the
-numbers. Nothing is changed and nothing is believed.
+The manifest first, against its digest and itself; then files (names, sizes, digests, schema), what
+the shards say of themselves, content digests, and what checks.py knows of the numbers. Nothing is
+changed and nothing is believed.
+
+Pictures and pages are welcome in a data set's folder: our commands put them there. Whatever else
+the manifest does not tell of is named.
 """
 
 import hashlib
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import nullcontext
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
-from multiprocessing import get_context
 from pathlib import Path
 
 from pydantic import ValidationError
 
+from articugen import workers
 from articugen.checks import faults
 from articugen.errors import CorruptShard
 from articugen.files import sha256_of
-from articugen.journal import JOURNAL_NAME
-from articugen.manifest import Manifest, ObjectEntry, ShardEntry
+from articugen.journal import JOURNAL_NAME, is_temporary
+from articugen.manifest import MANIFEST_NAME, Manifest, ObjectEntry, ShardEntry
 from articugen.recipe import Recipe
 from articugen.shards import Shard, content_sha256, open_shard
+
+WELCOME = (".png", ".html")
+"""Endings of files that may lie beside the shards."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +51,15 @@ class Finding:
 
     def __str__(self) -> str:
         state = "" if self.state_index is None else f"[{self.state_index}]"
-        where = " ".join(part for part in (self.shard, self.object_id + state) if part)
+        where = " ".join(_plain(part) for part in (self.shard, self.object_id + state) if part)
         return (
             f"{where}: {self.check}: {self.sentence}" if where else f"{self.check}: {self.sentence}"
         )
+
+
+def _plain(name: str) -> str:
+    """A name as it can be printed on one line."""
+    return name if name.isprintable() else ascii(name)
 
 
 @dataclass(frozen=True)
@@ -69,18 +80,23 @@ def verify(folder: Path, *, jobs: int = 1, on_shard: Callable[[str], None] | Non
 
     Args:
         folder: of the data set.
-        jobs: processes to work with.
+        jobs: processes to work with; with 1 it is this one.
         on_shard: called with the name of each shard once it has been looked at.
     """
     try:
         manifest = Manifest.read(folder)
     except CorruptShard as error:
-        return Report((Finding("manifest", str(error)),), 0, 0)
-    findings = list(_folder_findings(folder, manifest))
-    look = partial(_shard_findings, folder, manifest.category, manifest.seed)
+        return Report((Finding("manifest", str(error)), *_leftovers(folder)), 0, 0)
+    findings = [*_manifest_findings(manifest), *_strays(folder, manifest), *_leftovers(folder)]
+    look = partial(_shard_findings, folder, _told_attributes(manifest))
     contents = [[o for o in manifest.objects if o.shard == s.name] for s in manifest.shards]
-    with _workers(min(jobs, len(manifest.shards))) as pool:
-        looked = (pool.map if pool else map)(look, manifest.shards, contents)
+    looked = workers.in_order(
+        look,
+        list(zip(manifest.shards, contents, strict=True)),
+        workers=min(jobs, len(manifest.shards)) if jobs > 1 else 0,
+        name=lambda task: task[0].name,
+    )
+    with closing(looked):
         for shard, found in zip(manifest.shards, looked, strict=True):
             findings += found
             if on_shard is not None:
@@ -90,69 +106,143 @@ def verify(folder: Path, *, jobs: int = 1, on_shard: Callable[[str], None] | Non
     )
 
 
-def _workers(jobs: int) -> "nullcontext[None] | Executor":
-    """Spawned, not forked: HDF5 and numba's threads do not outlive a fork."""
-    if jobs <= 1:
-        return nullcontext()
-    return ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
-
-
-def _folder_findings(folder: Path, manifest: Manifest) -> Iterator[Finding]:
-    known = {shard.name for shard in manifest.shards}
-    for path in sorted(folder.glob("*.h5")):
-        if path.name not in known:
-            yield Finding("surplus", "the manifest does not know this file", path.name)
-    if (folder / JOURNAL_NAME).exists():
-        yield Finding("unfinished", "a run is at work here or was cut short; start it again")
-    seen: dict[str, str] = {}
+def _manifest_findings(manifest: Manifest) -> Iterator[Finding]:
+    """Where the manifest does not agree with itself, though its digest does."""
+    recipe = _recipe_of(manifest.recipe)
+    if recipe is None:
+        yield Finding("manifest", "recipe is not a recipe of this version")
+    elif recipe.objects is not None and len(manifest.keys) > recipe.objects:
+        yield Finding("manifest", f"{len(manifest.keys)} objects, the recipe asks for fewer")
+    for key in manifest.keys:
+        if recipe and key.recipe_sha256 != recipe.for_one_object().sha256():
+            yield Finding("manifest", "recipe_sha256 is not of the recipe", "", key.object_id)
+        if key.seed != manifest.seed:
+            yield Finding("manifest", f"seed is not {manifest.seed}", "", key.object_id)
+        version = manifest.articugen_version
+        if (
+            not key.generator.startswith(f"{version}+")
+            or key.generator != manifest.keys[0].generator
+        ):
+            yield Finding("manifest", f"generator is not the one of {version}", "", key.object_id)
     for entry in manifest.objects:
-        other = seen.setdefault(entry.key.object_id, entry.key.split)
-        if other != entry.key.split:
+        if entry.key.ref not in (entry.input_sha256, f"{manifest.source}/{entry.key.object_id}"):
             yield Finding(
-                "splits",
-                f"is in {other} and in {entry.key.split}",
-                entry.shard,
-                entry.key.object_id,
+                "manifest", "ref is neither its input's nor a name's", "", entry.key.object_id
+            )
+    if recipe and not _is_plausible(manifest, recipe):
+        yield Finding("manifest", "timings tell of a number of instances that cannot be")
+    unfinished = [outcome.fault for outcome in manifest.outcomes if outcome.fault]
+    for fault in unfinished:
+        sentence = f"is not in the data, and will be tried again: {fault.reason}"
+        yield Finding("incomplete", sentence, object_id=fault.key.object_id)
+    if manifest.shortfall and not unfinished:
+        yield Finding("incomplete", manifest.shortfall)
+    yield from _splits(manifest)
+
+
+def _is_plausible(manifest: Manifest, recipe: Recipe) -> bool:
+    """Whether rate times time is a whole number of instances, and not more than there can be."""
+    made = manifest.timings.instances_per_second * manifest.timings.seconds
+    most = len(manifest.keys) * (recipe.articulation.states + 1)
+    return abs(made - round(made)) <= 1e-6 * max(made, 1.0) and round(made) <= most
+
+
+def _splits(manifest: Manifest) -> Iterator[Finding]:
+    shards = {entry.key: entry.shard for entry in manifest.objects}
+    seen: dict[str, str] = {}
+    for key in manifest.keys:
+        other = seen.setdefault(key.object_id, key.split)
+        if other != key.split:
+            sentence = f"is in {other} and in {key.split}"
+            yield Finding("splits", sentence, shards.get(key, ""), key.object_id)
+
+
+def _strays(folder: Path, manifest: Manifest) -> Iterator[Finding]:
+    known = {MANIFEST_NAME, JOURNAL_NAME, *(shard.name for shard in manifest.shards)}
+    for path in sorted(folder.iterdir()):
+        welcome = path.suffix in WELCOME and path.is_file() and not path.is_symlink()
+        if path.name not in known and not (welcome or is_temporary(path.name)):
+            what = "folder" if path.is_dir() else "file"
+            sentence = f"the manifest does not know this {what}; move it elsewhere"
+            yield Finding("surplus", sentence, path.name)
+
+
+def _leftovers(folder: Path) -> Iterator[Finding]:
+    """What a run that was cut short has left."""
+    for path in sorted(folder.iterdir()) if folder.is_dir() else []:
+        if path.name == JOURNAL_NAME:
+            yield Finding(
+                "unfinished",
+                "a run is at work here or was cut short; start it again, or tidy up with: "
+                f"articugen clean {folder}",
+            )
+        elif is_temporary(path.name):
+            yield Finding(
+                "leftover",
+                "a temporary file of a run that is at work or was killed; remove the latter's "
+                f"with: articugen clean {folder}",
+                path.name,
             )
 
 
+def _recipe_of(text: str) -> Recipe | None:
+    try:
+        recipe = Recipe.model_validate_json(text)
+    except ValidationError:
+        return None
+    return recipe if recipe.text() == text else None
+
+
+def _told_attributes(manifest: Manifest) -> dict[str, str | int]:
+    """What the manifest says of every shard's attributes."""
+    recipe = _recipe_of(manifest.recipe)
+    told: dict[str, str | int] = {
+        "category": manifest.category,
+        "source": manifest.source,
+        "licence": manifest.licence,
+        "seed": manifest.seed,
+    }
+    return told | ({"recipe": recipe.for_one_object().text()} if recipe else {})
+
+
 def _shard_findings(
-    folder: Path, category: str, seed: int, entry: ShardEntry, objects: list[ObjectEntry]
+    folder: Path, about: dict[str, str | int], told: tuple[ShardEntry, list[ObjectEntry]]
 ) -> list[Finding]:
     """What is wrong with one shard. A file that is not the one recorded is looked into as well."""
+    entry, objects = told
     path = folder / entry.name
     if not path.is_file():
         return [
             Finding("missing", "the manifest lists this shard, the folder lacks it", entry.name)
         ]
     findings: list[Finding] = []
-    if path.stat().st_size != entry.bytes or sha256_of(path) != entry.sha256:
-        findings.append(Finding("checksum", "not the file that the manifest tells of", entry.name))
     try:
+        if path.stat().st_size != entry.bytes or sha256_of(path) != entry.sha256:
+            sentence = "not the file that the manifest tells of"
+            findings.append(Finding("checksum", sentence, entry.name))
         with open_shard(path) as shard:
-            findings += _attribute_findings(shard, category, seed, objects)
+            findings += _attribute_findings(shard, about, objects)
             findings += _content_findings(shard, entry, objects)
             findings += _geometry_findings(shard)
     except CorruptShard as error:
         findings.append(Finding("schema", str(error), entry.name))
+    except OSError as error:
+        findings.append(Finding("unreadable", error.strerror or str(error), entry.name))
     return findings
 
 
 def _attribute_findings(
-    shard: Shard, category: str, seed: int, objects: list[ObjectEntry]
+    shard: Shard, told: dict[str, str | int], objects: list[ObjectEntry]
 ) -> Iterator[Finding]:
     about, name = shard.attributes, shard.path.name
-    digest = hashlib.sha256(str(about["recipe"]).encode()).hexdigest()
-    wanted = {
-        "category": {category},
-        "seed": {seed},
-        "split": {entry.key.split for entry in objects},
-        "recipe_sha256": {digest},  # the key has the digest of what decides content alone
-    }
+    wanted = {attribute: {value} for attribute, value in told.items() if attribute in about}
+    wanted["recipe_sha256"] = {hashlib.sha256(str(about["recipe"]).encode()).hexdigest()}
+    wanted["split"] = {entry.key.split for entry in objects}
+    wanted["articugen_version"] = {entry.key.generator for entry in objects}
     for attribute, values in wanted.items():
         if {about[attribute]} != values:
-            told = " or ".join(sorted(map(str, values)))
-            yield Finding("attributes", f"{attribute} is {about[attribute]}, not {told}", name)
+            expected = " or ".join(sorted(map(str, values)))
+            yield Finding("attributes", f"{attribute} is {about[attribute]}, not {expected}", name)
 
 
 def _content_findings(

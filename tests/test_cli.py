@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from articugen import __version__
+from articugen import __version__, articulation
 from articugen.cli import app
+from articugen.errors import NotOfCategory
 
 TINY = """
 name: tiny
@@ -53,7 +54,7 @@ def boxes(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def made(recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a data set: two procedural laptops."""
     root = tmp_path_factory.mktemp("made")
-    done = run("generate", "-c", "laptop", "-r", recipe, "-o", root, "-j", 1)
+    done = run("generate", "-c", "laptop", "-r", recipe, "-o", root, "-j", 0)
     assert done.exit_code == 0, done.output
     return root / "laptop"
 
@@ -94,8 +95,48 @@ def test_a_dry_run_tells_the_plan_and_makes_nothing(recipe: Path, tmp_path: Path
     assert not list(tmp_path.rglob("*.h5"))
 
 
+def test_several_categories_go_into_their_own_folders_and_one_that_fails_stops_none(
+    recipe: Path, boxes: Path, tmp_path: Path
+) -> None:
+    for name in ("one", "two"):
+        folder = tmp_path / "models" / "Lamp" / name
+        folder.mkdir(parents=True)
+        (folder / "lamp.urdf").write_text(BOX)
+        broken = tmp_path / "models" / "Chair" / name
+        broken.mkdir(parents=True)
+        (broken / "chair.urdf").write_text((boxes / "worse.urdf").read_text())
+    flags = ("-r", recipe, "-o", tmp_path / "data", "-j", 0, "-s", tmp_path / "models")
+    done = run("generate", "-c", "all", *flags)
+    assert done.exit_code == 1
+    assert "1 of 2 categories are done; not: chair" in done.output
+    manifest = json.loads((tmp_path / "data" / "lamp" / "manifest.json").read_text())
+    assert [entry["key"]["object_id"] for entry in manifest["objects"]] == ["two", "one"]
+    one = run("generate", "-c", "Lamp,lamp", "--exclude", "two", *flags, "--dry-run")
+    assert "1 object" in one.output
+    assert "categories are done" not in one.output
+
+
+def test_chosen_joints_are_in_the_manifest_and_chosen_objects_keep_their_shards(
+    recipe: Path, made: Path, tmp_path: Path
+) -> None:
+    flags = ("-c", "laptop", "-r", recipe, "-o", tmp_path, "-j", 0)
+    both = json.loads((made / "manifest.json").read_text())["objects"]
+    split = {entry["key"]["object_id"]: entry["key"]["split"] for entry in both}
+    last = max(split)
+    done = run("generate", *flags, "--ids", last, "--movable", "hin*,x", "--movable", "y")
+    assert done.exit_code == 0, done.output
+    manifest = json.loads((tmp_path / "laptop" / "manifest.json").read_text())
+    articulation = json.loads(manifest["recipe"])["articulation"]
+    assert articulation["movable"] == ["hin*", "x", "y"]
+    assert articulation["clip_to_limits"] is False
+    keys = [entry["key"] for entry in manifest["objects"]]
+    assert [(key["object_id"], key["split"]) for key in keys] == [(last, split[last])]
+    lost = run("generate", *flags, "--ids", "laptop_1", "--dry-run")
+    assert (lost.exit_code, "did you mean 'laptop_" in lost.output) == (1, True)
+
+
 def test_data_made_in_another_way_is_replaced_only_on_request(recipe: Path, tmp_path: Path) -> None:
-    common = ("generate", "-c", "laptop", "-r", recipe, "-n", 1, "-j", 1, "-o", tmp_path)
+    common = ("generate", "-c", "laptop", "-r", recipe, "-n", 1, "-j", 0, "-o", tmp_path)
     assert run(*common, "--states", 0).exit_code == 0
     before = (tmp_path / "laptop" / "manifest.json").read_bytes()
     refused = run(*common, "--states", 1)
@@ -146,7 +187,7 @@ def test_a_rejected_object_shows_in_the_exit_status(
 ) -> None:
     patient = tmp_path / "patient.yaml"
     patient.write_text(f"extends: {recipe}\nobjects: 3\nmax_rejected_fraction: 0.5\n")
-    common = ("generate", "-c", "box", "-s", boxes, "-j", 1)
+    common = ("generate", "-c", "box", "-s", boxes, "-j", 0)
     done = run(*common, "-r", patient, "-o", tmp_path)
     assert done.exit_code == 3, done.output
     assert "worse" in done.stdout
@@ -158,7 +199,11 @@ def test_a_rejected_object_shows_in_the_exit_status(
     strict = run(*common, "-r", recipe, "-n", 3, "-o", tmp_path / "strict")
     assert strict.exit_code == 1
     assert "1 of 3 objects were rejected" in strict.stderr
-    assert not (tmp_path / "strict" / "box" / "manifest.json").exists()
+    assert strict.output.count("lost") == 1  # the reason is told once
+    assert (tmp_path / "strict" / "box" / "manifest.json").exists()
+    lax = run(*common, "-r", recipe, "-n", 3, "-o", tmp_path / "strict", "--max-rejected", 0.5)
+    assert lax.exit_code == 3
+    assert "nothing to do" in lax.stdout
 
 
 def test_verify_accepts_what_was_made_and_finds_a_flipped_bit(made: Path, tmp_path: Path) -> None:
@@ -204,7 +249,7 @@ cli.main()
 def test_ctrl_c_keeps_finished_work_and_the_next_run_goes_on(
     recipe: Path, made: Path, tmp_path: Path
 ) -> None:
-    command = ["generate", "-c", "laptop", "-r", str(recipe), "-o", str(tmp_path), "-j", "1"]
+    command = ["generate", "-c", "laptop", "-r", str(recipe), "-o", str(tmp_path), "-j", "0"]
     process = subprocess.Popen(
         [sys.executable, "-c", INTERRUPTED, *command],
         stderr=subprocess.PIPE,
@@ -225,3 +270,84 @@ def test_ctrl_c_keeps_finished_work_and_the_next_run_goes_on(
         whole["content_sha256"]
         == json.loads((made / "manifest.json").read_text())["content_sha256"]
     )
+
+
+TWICE = """
+import os, signal
+from articugen import cli, journal
+close = journal.Journal.close
+def closed(self):
+    for _ in range(3):
+        os.kill(os.getpid(), signal.SIGINT)  # Ctrl-C again and again while all is put in order
+    close(self)
+journal.Journal.close = closed
+"""
+
+
+def test_a_second_ctrl_c_changes_nothing(recipe: Path, tmp_path: Path) -> None:
+    command = ["generate", "-c", "laptop", "-r", str(recipe), "-o", str(tmp_path), "-j", "0"]
+    code = TWICE + INTERRUPTED.replace("len(begun) == 2", "len(begun) == 1")
+    done = subprocess.run(
+        [sys.executable, "-c", code, *command], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 130, done.stderr
+    assert done.stderr == "finished work is kept; run the same command to resume\n"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+@pytest.mark.parametrize("arguments", [["sources"], ["--help"], ["inspect", "SET"]])
+def test_a_full_standard_output_is_one_sentence(arguments: list[str], made: Path) -> None:
+    command = [str(made) if word == "SET" else word for word in arguments]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "articugen", *command],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert done.returncode == 1
+    assert done.stderr == "error: output: No space left on device\n"
+
+
+def test_a_reader_that_goes_away_is_no_error(made: Path) -> None:
+    command = f"{sys.executable} -m articugen inspect {made} 2>&1 | head -1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("laptop  2 objects")
+    assert done.stdout.count("\n") == 1
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "a/b", "-x", "a\nb"])
+def test_a_category_is_a_name(name: str, tmp_path: Path) -> None:
+    for command in (("generate", "-o"), ("train", "-d", tmp_path, "--runs")):
+        refused = run(*command, tmp_path / "out", "-c", name)
+        assert refused.exit_code == 1
+        assert "cannot be a category's name" in refused.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_is_skipped_or_has_failed_shows_once(
+    boxes: Path, recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    resolve = articulation.resolve
+
+    def resolved(obj, *given, **settings):
+        if obj.object_id == "one":
+            raise NotOfCategory("a hob, it has no door")
+        if obj.object_id == "two":
+            raise ZeroDivisionError("by nought")
+        return resolve(obj, *given, **settings)
+
+    monkeypatch.setattr(articulation, "resolve", resolved)
+    common = ("-c", "box", "-s", boxes, "-j", 0, "-r", recipe, "-n", 3, "--max-rejected", 1)
+    done = run("generate", *common, "-o", tmp_path)
+    assert done.exit_code == 1
+    assert "1 of 2 objects failed through no fault of theirs" in done.stderr
+    for reason in ("a hob, it has no door", "by nought"):
+        assert done.output.count(reason) == 1
+        assert reason in " ".join(done.stdout.split())
+    assert "1 object, such as one: a hob" in " ".join(done.stdout.split())
+    checked = run("verify", tmp_path, "-j", 1)
+    assert checked.exit_code == 1
+    assert "two: incomplete: is not in the data, and will be tried again" in checked.output

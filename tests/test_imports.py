@@ -12,7 +12,7 @@ import articugen
 
 PACKAGE = Path(articugen.__file__).parent
 
-BASE = {"errors", "portable", "geometry", "records", "seeding", "recipe", "recipe_files"}
+BASE = {"errors", "files", "portable", "geometry", "records", "seeding", "recipe", "recipe_files"}
 STAGES = {
     "articulation": set(),
     "rendering": set(),
@@ -24,14 +24,14 @@ STAGES = {
     "slender": {"hierarchy", "reachable", "sheets"},
     "winding": {"hierarchy"},
     "sampling": set(),
-    "sources": set(),
+    "sources": {"files"},
 }
-STORE = {"files", "schema", "shards", "manifest", "journal"}
+STORE = {"schema", "chunks", "shards", "manifest", "journal"}
 
 PPD_WITH_TORCH = {
     "dataset", "depth", "descent", "discriminator", "evaluate", "kinematics", "learner", "losses",
     "model", "objective", "predict", "processes", "race", "reconstruct", "release", "runs",
-    "shape", "train", "figures.draw", "figures.shapes",
+    "shape", "tensors", "train", "figures.draw", "figures.shapes",
 }  # fmt: skip
 """The modules of ppd that cannot be imported without torch."""
 
@@ -41,29 +41,35 @@ MAY_IMPORT: dict[str, set[str]] = {
     "geometry": {"portable"},
     "seeding": set(),
     "records": {"geometry", "portable"},
-    "recipe_files": {"errors"},
-    "recipe": {"recipe_files"},
+    "recipe_files": {"errors", "files"},
+    "recipe": {"errors", "recipe_files", "schema"},
     **{stage: BASE | own for stage, own in STAGES.items()},
     "instance": BASE | set(STAGES),
     "files": {"errors"},
     "schema": set(),
-    "shards": {"errors", "records", "files", "schema"},
+    "chunks": set(),
+    "shards": {"errors", "records", "files", "schema", "chunks"},
     "manifest": {"errors", "files", "schema", "shards"},
     "journal": {"errors", "files", "manifest"},
+    "cleaning": {"journal"},
     "checks": BASE,
-    "verify": BASE | STORE | {"checks"},
-    "pipeline": BASE | STORE | {"sources", "articulation", "instance"},
+    "workers": {"errors"},
+    "verify": BASE | STORE | {"checks", "workers"},
+    "estimate": {"manifest", "recipe"},
+    "pipeline": BASE | STORE | {"sources", "articulation", "instance", "workers", "estimate"},
     "meshing": BASE | {"fusion"},
     "replay": BASE
     | STORE
     | {"sources", "articulation", "instance", "meshing", "pipeline", "verify"},
     "inspection": BASE | STORE | {"rendering"},
-    "ppd": BASE | STORE | {"inspection"},
+    "ppd": BASE | STORE | {"inspection", "workers"},
     "console": {"inspection", "manifest", "pipeline", "sources"},
     "cli": {
         "errors",
+        "cleaning",
         "console",
         "inspection",
+        "journal",
         "pipeline",
         "ppd",
         "recipe",

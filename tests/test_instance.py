@@ -417,7 +417,8 @@ def test_names_and_semantics_are_those_of_the_file(make: Maker, category: str) -
     children = {joint.name: joint.child for joint in made.obj.joints}
     links = {link.name: link for link in made.obj.links}
     for instance in made.instances:
-        assert instance.joint_name and instance.part_name and instance.part_semantic
+        assert instance.joint_name is not None
+        assert instance.part_name is not None
         assert instance.part_name[0] == made.obj.links[0].name
         assert instance.part_name[1:] == tuple(children[name] for name in instance.joint_name)
         assert instance.part_semantic == tuple(links[n].semantic for n in instance.part_name)

@@ -1,5 +1,6 @@
 """The manifest is read strictly; the journal resumes, replaces only its own, trusts nothing."""
 
+import errno
 import json
 import os
 import signal
@@ -10,11 +11,13 @@ from pathlib import Path
 import pytest
 from instances import SMALL, hinged_box
 
-from articugen.errors import ArticugenError, CorruptShard
-from articugen.files import sha256_of
+from articugen import __version__
+from articugen.errors import ArticugenError, CorruptShard, MachineFault
+from articugen.files import partial_name, sha256_of
 from articugen.journal import JOURNAL_NAME, Journal
 from articugen.manifest import (
     MANIFEST_NAME,
+    MOST_BYTES,
     Key,
     Manifest,
     Outcome,
@@ -27,14 +30,17 @@ from articugen.manifest import (
 )
 from articugen.shards import write_shard
 
-TIMINGS = Timings(seconds=1.5, instances_per_second=2.0, peak_memory_bytes=10, workers=1)
+TIMINGS = Timings(seconds=1.7, instances_per_second=3 / 1.7, peak_memory_bytes=10, workers=1)
 STATES = ((0.0, 0.0), (0.9, 0.1))
+ONE = SMALL.for_one_object()
+GENERATOR = f"{__version__}+1"
 LAST = "box-3"
 """The object that is always rejected."""
 
 
 def key(object_id="box-0", split="train", **other) -> Key:
-    values = {"ref": "r", "recipe_sha256": SMALL.sha256(), "seed": 0, "generator": "1"} | other
+    values = {"ref": "f" * 64, "recipe_sha256": ONE.sha256(), "seed": 0, "generator": GENERATOR}
+    values |= other
     return Key(split=split, object_id=object_id, **values)
 
 
@@ -48,10 +54,15 @@ def make(folder: Path, k: Key, name: str) -> Outcome:
     if k.object_id == LAST:
         return Outcome(rejected=Rejection(key=k, reason="it has no lid"))
     rows = hinged_box(STATES, object_id=k.object_id, seed=k.seed)
-    about = {"category": "box", "split": k.split, "recipe": SMALL.text(), "seed": k.seed}
-    about |= {"recipe_sha256": SMALL.sha256(), "articugen_version": "1"}
-    record = write_shard(folder / name, rows, about)
+    record = write_shard(folder / name, rows, attributes(k))
     return Outcome.of_shard(k, record, input_sha256="f" * 64, notes=("a note",), seconds=0.5)
+
+
+def attributes(k: Key) -> dict[str, str | int]:
+    """What a shard says of itself."""
+    about = {"category": "box", "source": "tests", "licence": "MIT", "split": k.split}
+    about |= {"recipe": ONE.text(), "recipe_sha256": ONE.sha256(), "articugen_version": k.generator}
+    return {**about, "seed": k.seed}
 
 
 def run(folder: Path, wanted: list[Key], *, stop_after: int | None = None) -> list[str]:
@@ -163,6 +174,8 @@ def _edited(change):
         (_edited(lambda m: m["shards"][0].update(sha256="0")), r"shards\.0\.sha256"),
         (_edited(lambda m: m["shards"].pop()), "same instances"),
         (_edited(lambda m: m["objects"].pop()), "content_sha256"),
+        (_edited(lambda m: m["rejected"].append(m["rejected"][0])), "box-3 is told of twice"),
+        (_edited(lambda m: m["timings"].update(workers=2)), "manifest_sha256 is not the digest"),
         (_edited(lambda m: m.update(recipe="{}")), "recipe_sha256"),
     ],
 )
@@ -218,7 +231,7 @@ def test_killed_run_goes_on(complete, tmp_path, moment):
     run(tmp_path, keys(), stop_after=1)
     journal = tmp_path / JOURNAL_NAME
     if moment == "in its shard":
-        (tmp_path / ".train-00001.h5.partial").write_bytes(b"half")
+        (tmp_path / partial_name("train-00001.h5")).write_bytes(b"half")
     else:
         make(tmp_path, keys()[1], "train-00001.h5")
     if moment == "in its line":
@@ -244,7 +257,7 @@ def test_killed_between_manifest_and_journal(folder):
     [
         ({"recipe_sha256": "0" * 64}, "the recipe has changed"),
         ({"seed": 1}, "the seed was 0, is 1"),
-        ({"generator": "2"}, "it was made by version 1, this is 2"),
+        ({"generator": "2"}, f"it was made by version {GENERATOR}, this is 2"),
         ({"ref": "other"}, "its source has changed"),
     ],
 )
@@ -338,6 +351,131 @@ def test_damaged_journal(tmp_path):
         Journal(tmp_path)
     path.unlink()
     Journal(tmp_path).close()
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["../x.txt", "{tmp}/x.txt", "sub/x.h5", "..", "", ".hidden.h5", "x.txt", "x.h5\n", "x.h5\0",
+     "a" * 198 + ".h5", None, 7, ["x.h5"], {}],
+)  # fmt: skip
+def test_a_journal_removes_nothing_outside_its_folder(tmp_path, name):
+    """Names in our own files are as hostile as anyone's: these once deleted any file."""
+    folder = tmp_path / "out" / "box"
+    (folder / "sub").mkdir(parents=True)
+    precious = [tmp_path / "x.txt", folder / "sub" / "x.h5", folder / "x.txt", tmp_path / "x.h5"]
+    for path in precious:
+        path.write_text("precious")
+    name = name.format(tmp=tmp_path) if isinstance(name, str) else name
+    (folder / JOURNAL_NAME).write_text(json.dumps({"claims": ["train-00000.h5", name]}) + "\n")
+    with pytest.raises(CorruptShard, match="line 1 is damaged; delete that file"):
+        run(folder, keys())
+    assert [path.read_text() for path in precious] == ["precious"] * 4
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"null", b"5", b"[]", b"{}", b'"x"', b"\0", b"", b"\xff\xfe", b"{\"claims\": null}",
+        b'{"claims": "train-00000.h5"}', b'{"claims": [], "more": 1}', b'{"claims": {"a.h5": 1}}',
+        b'{"claims": ["\\ud800.h5"]}', b"[" * 100_000, b'{"claims":' * 10_000,
+        b'{"claims": [' + b"9" * 5_000 + b"]}", b"NaN", b'{"claims": [], "claims": 1}',
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_line_of_a_journal_may_hold_anything(tmp_path, line, number):
+    head = b'{"claims": []}\n' * (number - 1)
+    (tmp_path / JOURNAL_NAME).write_bytes(head + line + b"\n")
+    with pytest.raises(CorruptShard, match=f"line {number} is damaged") as caught:
+        Journal(tmp_path)
+    assert "\n" not in str(caught.value)
+    (tmp_path / JOURNAL_NAME).unlink()
+    Journal(tmp_path).close()  # the lock was given back
+
+
+@pytest.mark.parametrize("name", [JOURNAL_NAME, MANIFEST_NAME])
+@pytest.mark.parametrize("kind", ["FIFO", "folder", "device", "link", "round link", "too large"])
+def test_kind_and_size_are_looked_at_before_reading(tmp_path, name, kind):
+    path = tmp_path / "box" / name
+    path.parent.mkdir()
+    if kind == "FIFO":
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "too large":
+        path.touch()
+        os.truncate(path, MOST_BYTES + 1)
+    else:
+        targets = {"device": "/dev/zero", "link": tmp_path / "elsewhere", "round link": path}
+        (tmp_path / "elsewhere").write_text('{"claims": ["train-00000.h5"]}\n')
+        path.symlink_to(targets[kind])
+    with pytest.raises(CorruptShard, match=f"{name}: ") as caught:
+        Journal(path.parent)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(CorruptShard):
+        Manifest.read(path.parent)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["[" * 100_000, '{"a":' * 10_000, '{"schema_version": ' + "9" * 5_000 + "}",
+     '{"schema_version": NaN}', '{"category": "\\ud800"}', "\0", "null"],
+)  # fmt: skip
+def test_a_manifest_may_hold_anything(tmp_path, text):
+    (tmp_path / MANIFEST_NAME).write_text(text)
+    with pytest.raises(CorruptShard, match=r"manifest\.json: ") as caught:
+        Manifest.read(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_shard_s_name_may_be_a_link_or_a_folder(folder):
+    """Links are replaced and removed themselves, not what they lead to; folders stay."""
+    outside = folder.parent / "mine.h5"
+    outside.write_text("precious")
+    for name in ("train-00000.h5", "test-00000.h5"):
+        (folder / name).unlink()
+        (folder / name).symlink_to(outside)
+    few = [k for k in keys() if k.split == "train"]
+    assert run(folder, few) == ["box-0"]
+    assert names_in(folder) == ["manifest.json", "train-00000.h5", "train-00001.h5"]
+    assert not (folder / "train-00000.h5").is_symlink()
+    assert outside.read_text() == "precious"
+    (folder / "train-00001.h5").unlink()
+    (folder / "train-00001.h5").mkdir()
+    with pytest.raises(ArticugenError, match="was not made by an earlier run here; move it away"):
+        run(folder, few)
+    assert run(folder, few[:1]) == []
+    assert (folder / "train-00001.h5").is_dir()
+
+
+def test_a_smaller_run_removes_what_a_killed_larger_one_left(folder):
+    left = [partial_name(n) for n in ("train-00001.h5", "test-00000.h5", MANIFEST_NAME)]
+    left += [partial_name("train-00001.h5"), partial_name(JOURNAL_NAME)]
+    for name in left:
+        (folder / name).write_bytes(b"half")
+    others = [partial_name("thesis.tex"), ".train-00000.h5.partial"]
+    for name in others:
+        (folder / name).write_bytes(b"mine")
+    run(folder, keys()[:1])
+    assert names_in(folder) == sorted([*others, "manifest.json", "train-00000.h5"])
+
+
+def test_a_line_that_could_not_be_written_leaves_no_torn_one(tmp_path, monkeypatch):
+    """The disk is full for a moment: what is recorded after it is still read."""
+    write = os.write
+
+    def half(handle, data):
+        write(handle, data[: len(data) // 2])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with Journal(tmp_path) as journal:
+        journal.claim(["train-00000.h5", "train-00001.h5"])
+        with monkeypatch.context() as full:
+            full.setattr(os, "write", half)
+            with pytest.raises(MachineFault, match="the disk is full"):
+                journal.record(make(tmp_path, key(), "train-00000.h5"))
+        journal.record(make(tmp_path, key("box-1"), "train-00001.h5"))
+    with Journal(tmp_path) as journal:
+        assert journal.finished(key("box-1"))
 
 
 def test_record_needs_a_claim(tmp_path):

@@ -1,4 +1,4 @@
-"""Eyeglasses: two temples that fold inwards, clear of the front, and no two pairs alike."""
+"""Eyeglasses: two temples that fold inwards, clear of the front and of each other."""
 
 from pathlib import Path
 
@@ -11,27 +11,36 @@ from articugen.sources.procedural import build_model, object_id
 from tests.procedural_truth import assert_sound, crossings, link_frames, written
 
 IDS = [object_id("eyeglasses", k) for k in range(42)]
-BETWEEN_TEMPLES = {("left_temple", "right_temple"), ("right_temple", "left_temple")}
+FOLDED = [(a, b) for a in (0, 45, 67, 90) for b in (0, 45, 67, 90)]
 
 
 @pytest.mark.parametrize("name", IDS[:6])
-def test_eyeglasses_are_sound_and_the_temples_clear_the_front(name: str, tmp_path: Path) -> None:
+def test_eyeglasses_are_sound_and_no_two_parts_meet(name: str, tmp_path: Path) -> None:
     assert_sound(build_model("eyeglasses", name))
     obj, truth = written("eyeglasses", name, tmp_path / name)
     rng = generator(0, name)
-    assert crossings(obj, truth, np.zeros(2), rng) == set()
-    states = [(90.0, 0.0), (0.0, 90.0), (90.0, 90.0), *rng.uniform(0, 90, (4, 2))]
-    for state in states:
-        found = crossings(obj, truth, np.radians(state), rng)
-        assert found <= BETWEEN_TEMPLES, state
-        if min(state) == 0.0:
-            assert not found, state
+    for state in (*FOLDED, *rng.uniform(0, 90, (6, 2))):
+        assert crossings(obj, truth, np.radians(state), rng) == set(), state
+
+
+def test_the_left_temple_turns_in_a_plane_above_the_right_ones() -> None:
+    """No state has to be tried: along the common normal the two never share a height."""
+    for name in IDS[::2]:
+        model = build_model("eyeglasses", name)
+        left, right = model.joints
+        normal = np.asarray(left.axis)
+        np.testing.assert_allclose(normal, -np.asarray(right.axis), atol=1e-15)
+        above, below = (
+            np.concatenate([s.vertices for s in link.solids]) @ normal for link in model.links[1:]
+        )
+        assert above.min() > below.max() + 0.0005, name
+        assert np.degrees(np.arccos(normal[2])) < 13.0, "hinges lean a little, no more"
 
 
 def test_the_temples_fold_inwards_about_z(tmp_path: Path) -> None:
     obj, _ = written("eyeglasses", IDS[1], tmp_path / IDS[1])
     left, right = obj.moving_joints
-    np.testing.assert_array_equal([left.axis, right.axis], [(0, 0, 1), (0, 0, -1)])
+    np.testing.assert_allclose([left.axis, right.axis], [(0, 0, 1), (0, 0, -1)], atol=0.22)
     assert np.degrees([left.lower, left.upper, right.lower, right.upper]) == pytest.approx(
         [0, 90, 0, 90]
     )
@@ -40,7 +49,7 @@ def test_the_temples_fold_inwards_about_z(tmp_path: Path) -> None:
         opened = apply(link_frames(obj, np.zeros(2))[joint.child], points)
         folded = apply(link_frames(obj, np.radians([90.0, 90.0]))[joint.child], points)
         assert np.ptp(opened[:, 0]) > 0.09
-        assert np.ptp(folded[:, 1]) == pytest.approx(np.ptp(opened[:, 0]), abs=1e-9)
+        assert np.ptp(folded[:, 1]) == pytest.approx(np.ptp(opened[:, 0]), rel=0.06)
         assert (side * opened[:, 1]).min() > 0.04
         # The tip has come across the middle of the face.
         assert (side * folded[:, 1]).min() < 0.0
@@ -48,8 +57,8 @@ def test_the_temples_fold_inwards_about_z(tmp_path: Path) -> None:
 
 def test_eyeglasses_are_symmetric_when_open() -> None:
     model = build_model("eyeglasses", IDS[3])
-    left, right = (
-        np.concatenate([s.vertices for s in model.links[k].solids]) * (1, sign, 1)
+    left, right = (  # The hinge's knuckles come last; they lean.
+        np.concatenate([s.vertices for s in model.links[k].solids[:-2]]) * (1, sign, 1)
         for k, sign in ((1, -1), (2, 1))
     )
     np.testing.assert_allclose(left, right, atol=1e-12)

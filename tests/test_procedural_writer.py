@@ -1,8 +1,6 @@
-"""Models as files: where the truth is, whole, the same for the same id, messy where asked."""
+"""Models as files: where the truth is, the same for the same id, messy where asked."""
 
 import json
-import os
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +18,6 @@ from articugen.sources.procedural.solids import (
     box,
     prism,
 )
-from articugen.sources.procedural.truth import load_truth
 from tests.procedural_truth import (
     L_SHAPE,
     assert_sound,
@@ -56,6 +53,13 @@ def small_model() -> Model:
     return Model(links, joints)
 
 
+def files_of(model: Model, folder: Path, *, messy: bool) -> Path:
+    """The URDF of a model that was written into a new folder."""
+    folder.mkdir()
+    writer.write_model(model, folder, object_id="m", category="none", messy=messy)
+    return folder / writer.URDF_NAME
+
+
 def test_a_model_is_a_tree() -> None:
     model = small_model()
     with pytest.raises(ValueError, match="parent must come first"):
@@ -68,9 +72,7 @@ def test_a_model_is_a_tree() -> None:
 
 @pytest.mark.parametrize("messy", [False, True])
 def test_files_stand_where_the_model_was_drawn(tmp_path: Path, *, messy: bool) -> None:
-    path = writer.write_model(
-        small_model(), tmp_path / "m", object_id="m", category="none", messy=messy
-    )
+    path = files_of(small_model(), tmp_path / "m", messy=messy)
     robot = yourdfpy.URDF.load(str(path))
     robot.update_cfg(np.zeros(2))
     drawn = np.concatenate([s.vertices for k in small_model().links for s in k.solids])
@@ -139,7 +141,7 @@ def _bounds(obj, T: dict[str, Floats]) -> tuple[Floats, Floats]:
 
 
 def test_messy_models_are_messy(tmp_path: Path) -> None:
-    path = writer.write_model(small_model(), tmp_path / "m", object_id="m", category="", messy=True)
+    path = files_of(small_model(), tmp_path / "m", messy=True)
     robot = yourdfpy.URDF.load(str(path), load_meshes=False)
     assert [link.name for link in robot.robot.links] == ["base", "lid", "tray", "body"]
     assert [len(link.visuals) for link in robot.robot.links] == [0, 2, 1, 3]
@@ -173,7 +175,7 @@ def _closed_twice(path: Path) -> bool:
 def test_only_faces_that_nothing_can_see_are_dropped(tmp_path: Path) -> None:
     """What a messy link leaves out lies within its other solids."""
     model = build_model("laptop", "laptop_0001")
-    path = writer.write_model(model, tmp_path / "m", object_id="m", category="", messy=True)
+    path = files_of(model, tmp_path / "m", messy=True)
     dropped = 0
     for link in model.links:
         names = [f"link{k}" for k in range(len(link.solids))]
@@ -208,39 +210,16 @@ def test_same_id_same_bytes_other_id_other_bytes(tmp_path: Path, *, messy: bool)
     assert first["model.urdf"] != other["model.urdf"]
 
 
-def test_a_whole_folder_is_left_alone_and_another_is_replaced(tmp_path: Path) -> None:
-    folder = tmp_path / "eyeglasses_0000"
-    path = write_object("eyeglasses", folder.name, folder)
-    before, stamp = _bytes(folder), os.stat(path).st_mtime_ns
-    assert write_object("eyeglasses", folder.name, folder) == path
-    assert os.stat(path).st_mtime_ns == stamp
-    (folder / "solids.json").write_text('{"version": 0, "messy": false}')
-    (folder / "left over.txt").write_text("of another version")
-    write_object("eyeglasses", folder.name, folder)
-    assert _bytes(folder) == before
-    write_object("eyeglasses", folder.name, folder, messy=True)
-    assert writer.is_complete(folder, messy=True)
-    assert [p.name for p in tmp_path.iterdir()] == [folder.name]
-
-
-def test_many_writers_of_one_object_leave_one_whole_object(tmp_path: Path) -> None:
-    folder = tmp_path / "m"
-    folder.mkdir()
-    (folder / "solids.json").write_text("half a fi")
-
-    def write(_: int) -> Path:
-        return writer.write_model(small_model(), folder, object_id="m", category="none")
-
-    with ThreadPoolExecutor(8) as pool:
-        paths = list(pool.map(write, range(24)))
-    assert set(paths) == {folder / "model.urdf"}
-    assert load_truth(folder).links == ("body", "lid", "tray")
-    assert [p.name for p in tmp_path.iterdir()] == ["m"]
-
-
 def test_unknown_category_is_refused() -> None:
     with pytest.raises(InvalidSource, match="no category 'chair'; it has drawer, eyeglasses"):
         build_model("chair", "chair_0000")
+
+
+@pytest.mark.parametrize("name", ["laptop_1/../../x", "oven_0001", "laptop_0001\n", "laptop_"])
+def test_ids_that_are_not_the_categorys_are_refused(name: str, tmp_path: Path) -> None:
+    with pytest.raises(InvalidSource, match="its ids are like laptop_0003"):
+        write_object("laptop", name, tmp_path / "x")
+    assert not list(tmp_path.iterdir())
 
 
 def test_small_model_is_sound() -> None:

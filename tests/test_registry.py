@@ -1,5 +1,6 @@
 """Which objects a source has, their splits, and that each is read by the right reader."""
 
+import errno
 import os
 import pickle
 from collections import Counter
@@ -10,11 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from articugen.errors import InvalidSource
+from articugen.errors import InvalidSource, MachineFault
 from articugen.sources import procedural, registry
+from articugen.sources.discovery import model_category
 from articugen.sources.registry import ObjectRef, load, object_refs, source_names
 from articugen.sources.source_file import CategorySettings, read_source_file
 from articugen.sources.splits import assign_splits, split_sizes
+from articugen.sources.urdf import load_urdf
 
 PAPER = {
     "drawer": (24, 6),
@@ -137,10 +140,14 @@ def test_folders_are_read_by_the_reader_they_look_like(tmp_path, monkeypatch):
 
     def reader(folder, ref, settings):
         seen.append((folder.name, ref.object_id, settings))
+        return load_urdf(box, object_id=ref.object_id, category="x", source="x")
+
+    box = add(tmp_path.parent / "box.urdf")
 
     for name in ("partnet_mobility", "shape2motion"):
         monkeypatch.setattr(f"articugen.sources.{name}.load", reader)
-    assert [load(ref) for ref in refs[:2]] == [None, None]
+    digests = [load(ref).sha256 for ref in refs]
+    assert digests[0] != digests[1], "what source.yaml says of laptops counts in the digest"
     assert load(refs[2]).object_id == "400"
     assert [found[:2] for found in seen] == [("100", "100"), ("300", "300")]
     partnet = read_source_file(registry.SOURCE_FOLDER / "partnet_mobility" / "source.yaml")
@@ -151,7 +158,7 @@ def test_folders_are_read_by_the_reader_they_look_like(tmp_path, monkeypatch):
 def test_flat_partnet_models_of_no_such_category(tmp_path):
     add_partnet(tmp_path / "100", "Laptop")
     add_partnet(tmp_path / "200", "Oven")
-    with pytest.raises(InvalidSource, match="its models are Laptop, Oven, none is a 'chair'"):
+    with pytest.raises(InvalidSource, match="no category 'chair'; there are: Laptop, Oven"):
         object_refs(tmp_path, "chair")
 
 
@@ -183,6 +190,211 @@ def test_own_source_with_lists_of_ids(own_sources, tmp_path):
     assert ids(refs, "train") == ["a", "c", "d"]
     assert ids(refs, "test") == ["b"]
     assert load(refs[0]).source == "mine"
+
+
+# --- categories by any name
+
+
+def add_many(folder: Path) -> None:
+    """Category folders as people have them, one model of each but two dishwashers."""
+    for name in ("12552", "12553"):
+        add_partnet(folder / "Dishwasher" / name, "Dishwasher")
+    add_partnet(folder / "StorageFurniture" / "40147", "StorageFurniture")
+    add_partnet(folder / "Table" / "25913", "Table")
+    add_partnet(folder / "Washing Machine" / "103480", "WashingMachine")
+    add(folder / "notes" / "readme.txt", "x")
+
+
+def add_flat(folder: Path) -> None:
+    """The same models side by side, as the data set is shipped."""
+    kinds = {"12552": "Dishwasher", "12553": "Dishwasher", "40147": "StorageFurniture"}
+    for name, kind in (kinds | {"25913": "Table", "103480": "WashingMachine"}).items():
+        add_partnet(folder / name, kind)
+
+
+@pytest.mark.parametrize("lay", [add_many, add_flat])
+@pytest.mark.parametrize("as_source", [True, False])
+@pytest.mark.parametrize(
+    ("asked", "own", "wanted"),
+    [
+        ("dishwasher", "dishwasher", ["12552", "12553"]),
+        ("Dishwasher", "dishwasher", ["12552", "12553"]),
+        ("washing_machine", "washing_machine", ["103480"]),
+        ("WASHINGMACHINE", "washing_machine", ["103480"]),
+        ("cabinet", "storage_furniture", ["40147"]),
+        ("StorageFurniture", "storage_furniture", ["40147"]),
+        ("table", "table", ["25913"]),
+        ("drawer", "drawer", ["25913", "40147"]),
+    ],
+)
+def test_a_category_by_any_of_its_names(lay, as_source, asked, own, wanted, own_sources, tmp_path):
+    folder = own_sources / "partnet_mobility" if as_source else tmp_path / "models"
+    lay(folder)
+    source = "partnet_mobility" if as_source else str(folder)
+    assert registry.categories(source, [asked]) == (own,)
+    for name in (asked, own):
+        refs = object_refs(source, name)
+        assert ids(refs) == wanted
+        assert registry.settings(refs[0]).model_cat
+    assert registry.categories(source, [f"{asked}, {own}"]) == (own,)
+
+
+@pytest.mark.parametrize("lay", [add_many, add_flat])
+def test_a_category_that_is_not_there_names_the_nearest_and_all(lay, tmp_path):
+    lay(tmp_path)
+    with pytest.raises(InvalidSource, match=r"no category 'dishwsher'; did you mean 'dishwasher'"):
+        object_refs(tmp_path, "dishwsher")
+    with pytest.raises(InvalidSource, match=r"there are: .*StorageFurniture, Table, Washing"):
+        object_refs(tmp_path, "laptop")
+
+
+@pytest.mark.parametrize("lay", [add_many, add_flat])
+def test_all_categories_are_those_that_are_there(lay, tmp_path, own_sources):
+    lay(tmp_path / "models")
+    lay(own_sources / "partnet_mobility")
+    four = ("dishwasher", "storage_furniture", "table", "washing_machine")
+    assert registry.categories(tmp_path / "models", ["all"]) == four
+    assert set(registry.categories("partnet_mobility", ["all"])) == {*four, "drawer"}
+    assert registry.categories("procedural", ["oven", "all"])[0] == "oven"
+    assert set(registry.categories("procedural", ["all"])) == set(PAPER)
+
+
+def test_a_plain_folder_takes_any_name_but_does_not_know_all(tmp_path):
+    add(tmp_path / "a.urdf")
+    add(tmp_path / "laptop" / "urdf" / "laptop.urdf")
+    assert registry.categories(str(tmp_path), ["Cabinet,thing", "thing"]) == ("Cabinet", "thing")
+    assert ids(object_refs(tmp_path, "Cabinet")) == ["a", "laptop"]
+    with pytest.raises(InvalidSource, match="does not tell of what categories"):
+        registry.categories(str(tmp_path), ["all"])
+    with pytest.raises(InvalidSource, match="no category is asked for"):
+        registry.categories(str(tmp_path), [" , "])
+
+
+def test_plain_urdfs_in_folders_called_like_categories(tmp_path):
+    for name in ("lamp/a", "lamp/b", "Chair/c", "Chair/d"):
+        add(tmp_path / f"{name}.urdf")
+    assert ids(object_refs(tmp_path, "chair")) == ["c", "d"]
+    assert registry.categories(tmp_path, ["all"]) == ("chair", "lamp")
+    with pytest.raises(InvalidSource, match="no category 'table'; there are: Chair, lamp"):
+        object_refs(tmp_path, "table")
+
+
+def test_a_partnet_model_is_read_as_what_its_meta_json_says(tmp_path):
+    add_partnet(tmp_path / "200", "Oven")
+    (ref,) = object_refs(tmp_path / "200", "anything")
+    assert registry.settings(ref).model_cat == ("Oven",)
+
+
+# --- some objects only
+
+
+@pytest.mark.parametrize("source", ["procedural", "folder"])
+def test_chosen_objects_keep_their_splits(source, tmp_path):
+    for k in range(20):
+        add(tmp_path / f"laptop_{k:04d}.urdf")
+    where = tmp_path if source == "folder" else source
+    split = {ref.object_id: ref.split for ref in object_refs(where, "laptop")}
+    some = ("laptop_0003", "laptop_0006", "laptop_0011")
+    refs = object_refs(where, "laptop", ids=some)
+    assert ids(refs) == list(some)
+    assert all(ref.split == split[ref.object_id] for ref in refs)
+    rest = object_refs(where, "laptop", exclude=some)
+    assert ids(rest) == [name for name in split if name not in some]
+    assert all(ref.split == split[ref.object_id] for ref in rest)
+    assert ids(object_refs(where, "laptop", ids=some, exclude=some[:1])) == list(some[1:])
+    assert len(object_refs(where, "laptop", ids=some, objects=2)) == 2
+    with pytest.raises(InvalidSource, match=r"no object 'laptop_3'.*did you mean 'laptop_00"):
+        object_refs(where, "laptop", ids=["laptop_3"])
+    with pytest.raises(InvalidSource, match="no object 'x' of 'laptop'; there are: laptop_0000,"):
+        object_refs(where, "laptop", exclude=["x"])
+    with pytest.raises(InvalidSource, match="no object of 'laptop' is left"):
+        object_refs(where, "laptop", ids=some, exclude=some)
+
+
+def test_a_procedural_object_past_the_papers_number_can_be_asked_for():
+    (ref,) = object_refs("procedural", "laptop", ids=["laptop_0123"])
+    more = object_refs("procedural", "laptop", objects=200)
+    assert ref in more
+
+
+def test_models_of_others_stay_inside_their_limits(tmp_path):
+    assert registry.clips_to_limits("partnet_mobility")
+    assert registry.clips_to_limits(str(tmp_path))
+    assert not registry.clips_to_limits("procedural")
+    assert not registry.clips_to_limits("procedural_messy")
+
+
+# --- hostile objects
+
+
+def test_one_bad_object_stops_no_other(tmp_path):
+    """Each is found, and its own reading tells what is wrong with it."""
+    add(tmp_path / "good.URDF")
+    os.mkfifo(tmp_path / "fifo.urdf")
+    (tmp_path / "gone.urdf").symlink_to("nowhere")
+    os.makedirs(os.fsencode(tmp_path) + b"/caf\xe9")
+    add(Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9/m.urdf")))
+    add(tmp_path / "a\nb.urdf")
+    deep = tmp_path / ("x" * 200)
+    add(deep / "one.urdf")
+    add(deep / ("y" * 200) / "two.urdf")
+    (tmp_path / "closed").mkdir(mode=0)
+    told = {}
+    for ref in object_refs(tmp_path, "thing"):
+        try:
+            told[ref.object_id] = load(ref).object_id
+        except InvalidSource as error:
+            told[ref.object_id] = str(error)
+    assert all(map(str.isprintable, told.values()))
+    assert told["good"] == "good"
+    assert "it is a FIFO, not a regular file" in told["fifo"]
+    assert "put the file there" in told["gone"]
+    assert "is not UTF-8; rename" in told["caf\\udce9"]
+    assert "control characters" in told["a\nb"]
+    assert "its id has more than 255 bytes" in told[f"{'x' * 200}.{'y' * 200}.two"]
+    assert told[f"{'x' * 200}.one"] == f"{'x' * 200}.one"
+
+
+def test_what_a_reader_did_not_expect_is_the_objects_fault(tmp_path, monkeypatch):
+    ref = object_refs(add(tmp_path / "a.urdf"), "thing")[0]
+
+    def raising(error):
+        def read(*_args, **_kinds):
+            raise error
+
+        return read
+
+    for error, kind in (
+        (ValueError("odd\nthing"), InvalidSource),
+        (RecursionError(), InvalidSource),
+        (MemoryError(), MemoryError),
+        (OSError(errno.EIO, "Input/output error"), MachineFault),
+        (OSError(errno.EMFILE, "Too many open files"), MachineFault),
+    ):
+        monkeypatch.setattr("articugen.sources.urdf.load_urdf", raising(error))
+        with pytest.raises(kind) as caught:
+            load(ref)
+        assert "\n" not in str(caught.value)
+
+
+def test_names_stay_distinct_however_contrived(tmp_path):
+    for name in ("a.urdf", "a/x.urdf", "a.x.urdf.urdf", "b/a.urdf", "a.URDF"):
+        add(tmp_path / name)
+    found = ids(object_refs(tmp_path, "thing"))
+    assert len(set(found)) == 5
+    assert {"a.urdf", "a.URDF", "b", "a.x.urdf", "a.x.urdf~"} == set(found)
+
+
+def test_a_source_that_cannot_be_written_down_is_refused(tmp_path):
+    with pytest.raises(InvalidSource, match="is not UTF-8; rename it"):
+        object_refs(tmp_path / "caf\udce9", "thing")
+    with pytest.raises(InvalidSource, match="no source"):
+        object_refs("a" * 5000, "thing")
+
+
+def test_a_meta_json_that_never_ends_is_not_read(tmp_path):
+    (tmp_path / "meta.json").symlink_to("/dev/zero")
+    assert model_category(tmp_path) == ""
 
 
 # --- refusals
@@ -221,11 +433,13 @@ def test_sources_folder_that_is_none(monkeypatch):
         source_names()
 
 
-def test_two_objects_of_one_name(tmp_path):
+def test_objects_of_one_name_are_called_by_their_path(tmp_path):
     add(tmp_path / "a.urdf")
     add(tmp_path / "a" / "x.urdf")
-    with pytest.raises(InvalidSource, match="2 objects are called 'a'"):
-        object_refs(tmp_path, "x")
+    add(tmp_path / "B.URDF")
+    refs = object_refs(tmp_path, "x")
+    assert ids(refs) == ["B", "a.urdf", "a.x.urdf"]
+    assert len({ref.split for ref in refs if ref.object_id.startswith("a")}) == 1
 
 
 @pytest.mark.parametrize(
@@ -244,7 +458,7 @@ def test_two_objects_of_one_name(tmp_path):
         ("categories: {}", "categories"),
         ("reader: procedural", "a procedural category needs counts"),
         ("reader: pickle", "reader"),
-        ("[", "cannot be read as YAML"),
+        ("[", "not YAML that can be read"),
     ],
 )
 def test_wrong_source_file(tmp_path, yaml, problem):

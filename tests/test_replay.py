@@ -27,7 +27,7 @@ RECIPE = Recipe.model_validate(
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("oven")
-    generate(Job("procedural", "oven", RECIPE, seed=3, out=folder, jobs=1), lambda _: None)
+    generate(Job("procedural", "oven", RECIPE, seed=3, out=folder, jobs=0), lambda _: None)
     return folder
 
 

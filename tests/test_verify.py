@@ -1,17 +1,24 @@
 """A data set on the disk: sound ones are left in peace, each kind of damage is found."""
 
+import copy
 import hashlib
 import json
+import os
 import shutil
+from fnmatch import fnmatch
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 
 import numpy as np
 import pytest
 from instances import SMALL, changed, edited, hinged_box
-from test_manifest import STATES, TIMINGS, key, keys, make, run
+from test_manifest import STATES, TIMINGS, attributes, key, keys, make, manifest_of, run
 
+from articugen import verify as verification
+from articugen.files import partial_name
 from articugen.journal import Journal
-from articugen.manifest import MANIFEST_NAME, Manifest, Outcome
+from articugen.manifest import MANIFEST_NAME, Manifest, Outcome, Rejection
 from articugen.shards import write_shard
 from articugen.verify import Report, verify
 
@@ -37,7 +44,14 @@ def found(report: Report) -> set[tuple[str, str]]:
 def with_manifest(folder: Path, edit) -> None:
     data = json.loads((folder / MANIFEST_NAME).read_text())
     edit(data)
-    (folder / MANIFEST_NAME).write_text(json.dumps(data))
+    (folder / MANIFEST_NAME).write_text(json.dumps(resealed(data)))
+
+
+def resealed(manifest: dict) -> dict:
+    """With the digest that docs/format.md describes, as one would compute it without us."""
+    rest = {name: value for name, value in manifest.items() if name != "manifest_sha256"}
+    text = json.dumps(rest, sort_keys=True, separators=(",", ":"))
+    return rest | {"manifest_sha256": hashlib.sha256(text.encode()).hexdigest()}
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -62,12 +76,152 @@ def test_no_manifest(folder):
 def test_unfinished_run(folder):
     with Journal(folder) as journal:
         journal.claim(["train-00000.h5"])
-        assert found(verify(folder)) == {("", "manifest")}
+        assert found(verify(folder)) == {("", "manifest"), ("", "unfinished")}
 
 
-def test_left_over_journal(folder):
+def test_what_killed_runs_left_is_named_with_the_cure(folder):
     (folder / ".articugen-journal.jsonl").write_text('{"claims": []}\n')
-    assert found(verify(folder)) == {("", "unfinished")}
+    part = partial_name("train-00000.h5")
+    (folder / part).write_bytes(b"half")
+    report = verify(folder)
+    assert found(report) == {("", "unfinished"), (part, "leftover")}
+    assert all(f"articugen clean {folder}" in str(finding) for finding in report.findings)
+
+
+def test_strays_are_named_and_pictures_are_welcome(folder):
+    (folder / "sheet.png").write_bytes(b"drawn")
+    (folder / "report.html").write_text("<p>")
+    assert verify(folder).ok
+    strays = ["notes.txt", ".hidden", "train-00000.h5.bak", "a\nb", os.fsdecode(b"\xff.bin")]
+    for name in strays:
+        (folder / name).write_text("x")
+    os.mkfifo(folder / "fifo.png")
+    (folder / "train").mkdir()
+    (folder / "link.png").symlink_to("sheet.png")
+    strays += ["fifo.png", "train", "link.png"]
+    report = verify(folder)
+    assert found(report) == {(name, "surplus") for name in strays}
+    assert all(str(finding).isprintable() for finding in report.findings)
+
+
+def test_a_folder_of_links_is_a_data_set_as_well(sound, tmp_path):
+    for path in sound.iterdir():
+        (tmp_path / path.name).symlink_to(path)
+    assert verify(tmp_path).ok
+
+
+def leaves(value, path=()):
+    """The path of every leaf of plain JSON."""
+    if isinstance(value, dict | list):
+        inner = value.items() if isinstance(value, dict) else enumerate(value)
+        for name, item in inner:
+            yield from leaves(item, (*path, name))
+    else:
+        yield path
+
+
+def changes(value):
+    """(what was done, what is there then) for one leaf; REMOVED where it is gone."""
+    yield "removed", REMOVED
+    yield from (("retyped", other) for other in (None, [], {}, [value]) if other != value)
+    if isinstance(value, str):
+        yield "retyped", 1
+        yield "changed", value + "x"
+        yield "changed", value[:-1] + ("0" if value[-1] != "0" else "1")
+        yield "changed", ""
+    elif value is None:
+        yield "retyped", 1
+        yield "changed", "0" * 40
+    else:
+        yield "retyped", str(value)
+        yield "changed", value + 1
+        yield "changed", -1 - value
+        yield "changed", 3 * value + 1e-3 if isinstance(value, float) else 3 * value + 1
+
+
+REMOVED = object()
+
+ONLY_THE_DIGEST = (
+    "commit", "versions.*", "machine.*", "timings.peak_memory_bytes", "timings.workers",
+    "objects.*.notes.*", "objects.*.seconds", "*ed.*.reason", "*ed.*.key.ref",
+    "*ed.*.key.object_id", "*ed.*.key.split",
+)  # fmt: skip
+"""Leaves that nothing else in the folder tells of; `key.*` only of what was rejected or skipped."""
+
+
+def edited_manifests(manifest: dict):
+    for path in leaves(manifest):
+        *way, last = path
+        for what, value in changes(reduce(getitem, path, manifest)):
+            other = copy.deepcopy(manifest)
+            where = reduce(getitem, way, other)
+            if value is REMOVED:
+                del where[last]
+            else:
+                where[last] = value
+            yield ".".join("*" if isinstance(p, int) else p for p in path), what, other
+
+
+@pytest.fixture
+def small(tmp_path):
+    """An object that was made, one that was rejected, one that was skipped."""
+    outcomes = [make(tmp_path, keys()[0], "train-00000.h5"), make(tmp_path, keys()[-1], "")]
+    still = Rejection(key=key("box-9", "test"), reason="no joint moves")
+    manifest_of([*outcomes, Outcome(skipped=still)]).write(tmp_path)
+    assert verify(tmp_path).ok
+    return tmp_path
+
+
+def test_every_edit_of_a_manifest_is_found(small):
+    """Each leaf changed, retyped, removed; nobody has computed the digest anew."""
+    manifest = json.loads((small / MANIFEST_NAME).read_text())
+    count = 0
+    for path, what, other in edited_manifests(manifest):
+        (small / MANIFEST_NAME).write_text(json.dumps(other))
+        report = verify(small)
+        assert found(report) == {("", "manifest")}, (path, what)
+        count += 1
+    assert count > 250
+
+
+def test_edits_with_a_new_digest_are_found_by_what_else_is_known(small, monkeypatch):
+    monkeypatch.setattr(verification, "_geometry_findings", lambda _: ())  # of the shards alone
+    manifest = json.loads((small / MANIFEST_NAME).read_text())
+    missed, known = set(), set()
+    for path, what, other in edited_manifests(manifest):
+        if path == "manifest_sha256":
+            continue
+        (small / MANIFEST_NAME).write_text(json.dumps(resealed(other)))
+        (missed if verify(small).ok else known).add((path, what))
+    assert {path for path, _ in missed} == {
+        path for path, _ in missed | known if any(fnmatch(path, only) for only in ONLY_THE_DIGEST)
+    }
+    assert {what for path, what in missed if path.startswith(("timings", "objects.*.seconds"))} == {
+        "changed"
+    }
+
+
+def test_edits_of_whole_entries_are_found(folder):
+    """A rejected object that is left out is a line that only the digest misses."""
+
+    def check(edit, *, seal):
+        manifest = json.loads((folder / MANIFEST_NAME).read_text())
+        before = copy.deepcopy(manifest)
+        edit(manifest)
+        (folder / MANIFEST_NAME).write_text(json.dumps(resealed(manifest) if seal else manifest))
+        ok = verify(folder).ok
+        (folder / MANIFEST_NAME).write_text(json.dumps(before))
+        return not ok
+
+    for name in ("objects", "shards"):
+        for edit in (lambda m: m[name].pop(), lambda m: m[name].append(m[name][0])):  # noqa: B023
+            assert check(edit, seal=True)
+    assert check(lambda m: m["rejected"].pop(), seal=False)
+    assert check(lambda m: m["rejected"].append(m["rejected"][0]), seal=True)
+    assert check(lambda m: m["rejected"][0]["key"].update(m["objects"][0]["key"]), seal=True)
+    for recipe in ("{}", "null", SMALL.model_copy(update={"padding": 0.2}).text()):
+        digest = hashlib.sha256(recipe.encode()).hexdigest()
+        assert check(lambda m: m.update(recipe=recipe, recipe_sha256=digest), seal=True)  # noqa: B023
 
 
 def test_missing_and_surplus_shard(folder):
@@ -111,13 +265,23 @@ def _remade(folder: Path, outcome: Outcome) -> None:
     Manifest.of([outcome], recipe=recipe, timings=TIMINGS, **about).write(folder)
 
 
-@pytest.mark.parametrize("attribute", ["category", "split", "seed", "recipe", "recipe_sha256"])
+@pytest.mark.parametrize(
+    "attribute",
+    [
+        "category",
+        "source",
+        "licence",
+        "split",
+        "seed",
+        "recipe",
+        "recipe_sha256",
+        "articugen_version",
+    ],
+)
 def test_shard_of_another_data_set(folder, attribute):
-    about = {"category": "box", "split": "train", "recipe": SMALL.text(), "seed": 0}
-    about |= {"recipe_sha256": SMALL.sha256(), "articugen_version": "1"}
-    about |= {attribute: 5 if attribute == "seed" else "{}"}
+    about = attributes(key()) | {attribute: 5 if attribute == "seed" else "{}"}
     record = write_shard(folder / "train-00000.h5", hinged_box(STATES), about)
-    _remade(folder, Outcome.of_shard(key(), record, input_sha256=""))
+    _remade(folder, Outcome.of_shard(key(), record, input_sha256="f" * 64))
     assert found(verify(folder)) == {("train-00000.h5", "attributes")}
 
 
@@ -126,10 +290,8 @@ def test_fault_in_an_intact_file(folder):
     rows = list(hinged_box(STATES))
     rows[1] = edited(rows[1], "joint_state", lambda q: q + 1e-5)
     rows[0] = changed(rows[0], scale=np.nan)
-    about = {"category": "box", "split": "train", "recipe": SMALL.text(), "seed": 0}
-    about |= {"recipe_sha256": SMALL.sha256(), "articugen_version": "1"}
-    record = write_shard(folder / "train-00000.h5", rows, about)
-    _remade(folder, Outcome.of_shard(key(), record, input_sha256=""))
+    record = write_shard(folder / "train-00000.h5", rows, attributes(key()))
+    _remade(folder, Outcome.of_shard(key(), record, input_sha256="f" * 64))
     report = verify(folder)
     told = {(f.object_id, f.state_index, f.check) for f in report.findings}
     assert ("box-0", 1, "motion") in told

@@ -82,6 +82,9 @@ def train(
 ) -> None:
     """Train PPD on a data set, or go on with a run."""
     with _said("interrupted; the last checkpoint is kept, go on with --resume"):
+        from articugen.recipe import check_category
+
+        check_category(category)
         _prepare(device, threads)
         from articugen.ppd import boards, processes
         from articugen.ppd.race import race
@@ -318,7 +321,7 @@ def _newest(run: Path) -> Path:
     """The run itself, or the newest of the numbered runs in a folder."""
     if (run / "run.json").is_file():
         return run
-    numbered = sorted((p for p in run.glob("*") if p.name.isdigit()), key=lambda p: int(p.name))
+    numbered = sorted((p for p in run.glob("*") if p.name.isdecimal()), key=lambda p: int(p.name))
     if not numbered:
         raise InvalidCheckpoint(f"{run}: holds no run; make one with: articugen train")
     return numbered[-1]

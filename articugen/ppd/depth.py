@@ -10,6 +10,7 @@ import hashlib
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -19,17 +20,10 @@ from articugen.errors import CorruptShard, InvalidCheckpoint, TrainingDiverged
 from articugen.ppd.dataset import PackedSplit, index_on, load_split, unpacked
 from articugen.ppd.meshing import Floats
 from articugen.ppd.model import PPD
-from articugen.ppd.runs import (
-    LATEST,
-    Checkpoint,
-    RunFolder,
-    check_weights,
-    read_checkpoint,
-    read_tensors,
-    write_tensors,
-)
+from articugen.ppd.runs import LATEST, Checkpoint, RunFolder, read_checkpoint
 from articugen.ppd.settings import DepthSettings
 from articugen.ppd.shape import Encoder
+from articugen.ppd.tensors import CURE, check_adam, check_weights, read_tensors, write_tensors
 from articugen.ppd.train import (
     VALIDATION_GRID,
     Progress,
@@ -42,7 +36,7 @@ from articugen.records import Instance, dequantize
 from articugen.seeding import generator
 
 DEPTH, DEPTH_METRICS = "depth.pt", "depth.jsonl"
-_FORMAT = "articugen ppd depth encoder 1"
+_FORMAT = "articugen ppd depth encoder 2"
 
 
 def train_depth(
@@ -121,12 +115,11 @@ def read_depth_model(folder: Path, point: Checkpoint) -> PPD:
             f"{folder}: has no encoder for partial clouds; make one with: articugen train-depth"
         )
     model = point.generator()
-    data = read_tensors(path, _FORMAT)
+    data = _read(path)
     if data["of"] != weights_sha256(point):
         raise InvalidCheckpoint(
             f"{path}: belongs to other weights than {LATEST}; make it again: articugen train-depth"
         )
-    check_weights(data["encoder"], model.encoder, path)
     model.encoder.load_state_dict(data["encoder"])
     return model
 
@@ -183,12 +176,29 @@ def _student(
     path = run.path / DEPTH
     if not path.is_file():
         return student, optimizer, 0
-    data = read_tensors(path, _FORMAT)
+    data = _read(path)
     if data["of"] != weights_sha256(point):  # of an earlier state of the run
         return student, optimizer, 0
     student.load_state_dict(data["encoder"])
     optimizer.load_state_dict(data["optimizer"])
-    return student, optimizer, int(data["iteration"])
+    return student, optimizer, data["iteration"]
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """What `_write` has written.
+
+    Raises:
+        InvalidCheckpoint: it is damaged, or not one of ours.
+    """
+    data = read_tensors(path, _FORMAT)
+    whole = data.keys() == {"of", "iteration", "encoder", "optimizer"}
+    if not (whole and isinstance(data["of"], str) and type(data["iteration"]) is int):
+        raise InvalidCheckpoint(f"{path}: lacks something; {CURE}")
+    with torch.device("meta"):
+        encoder = Encoder()
+    check_weights(data["encoder"], encoder, path)
+    check_adam(data["optimizer"], encoder, path)
+    return data
 
 
 def _write(

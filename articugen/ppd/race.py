@@ -16,7 +16,7 @@ from concurrent.futures import ProcessPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +27,7 @@ from articugen.files import write_atomically
 from articugen.ppd.runs import BEST, LATEST, METRICS, RunFolder, read_checkpoint
 from articugen.ppd.settings import TrainRecipe
 from articugen.ppd.train import Progress, new_run, train
+from articugen.workers import die_with
 
 if TYPE_CHECKING:
     from multiprocessing.queues import Queue
@@ -70,8 +71,14 @@ class Heat:
                 )
             except TrainingDiverged:
                 return None
-        told = (r for r in RunFolder(path).metrics() if r["iteration"] == self.stop)
-        return next(r["validation"] for r in told if "validation" in r)
+        told = [r for r in RunFolder(path).metrics() if r["iteration"] == self.stop]
+        found = [r["validation"] for r in told if "rec" in r.get("validation", {})]
+        if not found:
+            raise InvalidCheckpoint(
+                f"{path / METRICS}: lacks the validation at iteration {self.stop}; delete {path} "
+                "and resume the race"
+            )
+        return found[0]
 
 
 def race(
@@ -121,7 +128,8 @@ def race(
                     f"all seeds diverged before iteration {stop}; lower schedule.learning_rate"
                 )
     for name in (LATEST, BEST, METRICS):
-        shutil.copyfile(run.path / "seeds" / str(racing[0]) / name, run.path / name)
+        own = run.path / "seeds" / str(racing[0]) / name
+        write_atomically(run.path / name, own.read_bytes())
     _note(run, {"chosen_by": "validation rec", "rounds": rounds, "winner": racing[0]})
     return run
 
@@ -192,6 +200,9 @@ def _begin(mail: "Queue[Progress]") -> None:
     global _mail  # noqa: PLW0603
     _mail = mail
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says when to stop
+    parent = parent_process()
+    if parent is not None and parent.pid is not None:
+        die_with(parent.pid)
     torch.set_num_threads(1)
 
 

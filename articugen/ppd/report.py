@@ -1,13 +1,14 @@
 """What evaluations look like: Markdown tables beside the paper's."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from articugen.errors import InvalidCheckpoint
+from articugen.files import UnfitFile, read_regular
 from articugen.ppd import paper
 
 Result = dict[str, Any]
@@ -45,20 +46,51 @@ _DETAILS = (
 )
 
 
+MOST_BYTES = 1 << 28
+"""That an evaluation may have."""
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(strict=True, allow_inf_nan=False)
+
+
+class _Run(_Part):
+    category: str
+    recipe: str
+    variant: str
+    label_poses: Literal["canonical", "all"]
+
+
+class _Measured(_Part):
+    means: dict[str, float]
+
+
+class _Evaluation(_Measured):
+    """What `tables` needs of evaluation.json."""
+
+    run: _Run
+    depth_input: _Measured | None = None
+
+
 def read_result(run: Path) -> Result:
-    """The evaluation of a run's folder.
+    """Of the evaluation of a run's folder what `tables` needs.
 
     Raises:
-        InvalidCheckpoint: there is none, or it cannot be read.
+        InvalidCheckpoint: there is none, or it is damaged.
     """
     path = run / "evaluation" / "evaluation.json"
+    cure = f"make it with: articugen evaluate {run}"
     try:
-        result = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        raise InvalidCheckpoint(
-            f"{path}: there is no such evaluation; make it with: articugen evaluate {run}"
-        ) from None
-    return result
+        result = _Evaluation.model_validate_json(read_regular(path, MOST_BYTES))
+    except UnfitFile as error:
+        raise InvalidCheckpoint(f"{path}: {error.strerror}; move it away and {cure}") from None
+    except OSError:
+        raise InvalidCheckpoint(f"{path}: there is no such evaluation; {cure}") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        what = ": ".join([".".join(map(str, first["loc"])), first["msg"]]).removeprefix(": ")
+        raise InvalidCheckpoint(f"{path}: not an evaluation ({what}); {cure}") from None
+    return result.model_dump(exclude_unset=True)
 
 
 def markdown(result: Result) -> str:

@@ -3,34 +3,84 @@
 <runs>/<category>/<number>/recipe.yaml, run.json, metrics.jsonl, latest.pt, best.pt; depth.pt and
 depth.jsonl of the third stage; what TensorBoard reads.
 
+Everything is believed only if it is as it was written: a file that is not gives one sentence.
+
 Where several seeds raced, race.json says who won and why, seeds/<seed> are run folders themselves,
 and the winner's metrics and checkpoints are the run's.
 """
 
-import io
 import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
-from pickle import UnpicklingError
-from typing import Any
-from zipfile import BadZipFile
+from typing import Annotated, Any, NoReturn, TypeVar
 
 import torch
-import yaml
-from torch import Tensor, nn
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from torch import Tensor
 
 from articugen import __version__
-from articugen.errors import ArticugenError, InvalidCheckpoint
-from articugen.files import write_atomically
+from articugen.errors import ArticugenError, InvalidCheckpoint, InvalidRecipe, MachineFault
+from articugen.files import (
+    UnfitFile,
+    cannot_write,
+    make_folder,
+    read_regular,
+    whole_name,
+    write_atomically,
+)
 from articugen.manifest import this_commit, this_machine
 from articugen.ppd import boards, processes
+from articugen.ppd.discriminator import Discriminator
 from articugen.ppd.learner import Learner
 from articugen.ppd.model import PPD
 from articugen.ppd.paper import variant
 from articugen.ppd.settings import TrainRecipe, parse_train_recipe
+from articugen.ppd.tensors import CURE, check_adam, check_weights, read_tensors, write_tensors
+from articugen.recipe_files import resolved
 
-FORMAT = "articugen ppd checkpoint 1"
+FORMAT = "articugen ppd checkpoint 2"
 LATEST, BEST, METRICS = "latest.pt", "best.pt", "metrics.jsonl"
+MOST_BYTES = 1 << 28
+"""That a recipe, run.json or metrics may have."""
+
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+
+class _Told(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+class _Data(_Told):
+    folder: str
+    content_sha256: Sha256
+
+
+class _About(_Told):
+    """run.json."""
+
+    category: str
+    seed: int
+    recipe_sha256: Sha256
+    data: _Data
+    articugen: str
+    commit: str | None
+    torch: str
+    machine: dict[str, str | int]
+
+
+class _Line(_Told):
+    """A line of the metrics. What was measured may be no finite number; nothing else may."""
+
+    iteration: int = Field(ge=0)
+    stage: int = Field(default=0, ge=0)
+    terms: dict[str, float] = {}
+    validation: dict[str, float] = {}
+    learning_rate: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
+    seconds: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
+
+
+Told = TypeVar("Told", bound=BaseModel)
 
 
 @dataclass(frozen=True)
@@ -108,41 +158,21 @@ def read_checkpoint(path: Path) -> Checkpoint:
         InvalidCheckpoint: there is none, it is damaged, or not one of ours.
     """
     data = read_tensors(path, FORMAT)
-    recipe = parse_train_recipe(data.pop("recipe"), str(path))
     try:
+        recipe = parse_train_recipe(data.pop("recipe", None), str(path))
         point = Checkpoint(recipe=recipe, **data)
-    except TypeError:
-        raise InvalidCheckpoint(f"{path}: a checkpoint that lacks something; train again") from None
-    with torch.random.fork_rng(devices=[]):
-        check_weights(point.model, PPD(recipe.model), path)
+    except (TypeError, InvalidRecipe):
+        raise InvalidCheckpoint(f"{path}: a checkpoint that lacks something; {CURE}") from None
+    kinds = (type(point.category), type(point.seed), type(point.iteration), type(point.best))
+    if kinds != (str, int, int, float) or not 0 <= point.iteration <= recipe.schedule.iterations:
+        raise InvalidCheckpoint(f"{path}: a checkpoint that makes no sense; {CURE}")
+    with torch.device("meta"):  # shapes alone: whatever its recipe says, it costs nothing
+        model, critic = PPD(recipe.model), Discriminator()
+    check_weights(point.model, model, path)
+    check_weights(point.critic, critic, path)
+    check_adam(point.optimizer, model, path)
+    check_adam(point.critic_optimizer, critic, path)
     return point
-
-
-def read_tensors(path: Path, wanted: str) -> dict[str, Any]:
-    """What was saved at `path`, in the format `wanted`; see `read_checkpoint`."""
-    try:
-        data = torch.load(path, map_location="cpu", weights_only=True)
-    except OSError as error:
-        raise InvalidCheckpoint(f"{path}: cannot be read ({error.strerror or error})") from None
-    except (UnpicklingError, RuntimeError, ValueError, EOFError, KeyError, BadZipFile):
-        raise InvalidCheckpoint(f"{path}: not a checkpoint, or damaged; train again") from None
-    if not isinstance(data, dict) or data.pop("format", None) != wanted:
-        raise InvalidCheckpoint(f"{path}: not a checkpoint of this version; train again")
-    return data
-
-
-def write_tensors(path: Path, data: dict[str, Any], form: str) -> None:
-    """Write tensors and plain data in one step."""
-    buffer = io.BytesIO()
-    torch.save({"format": form, **data}, buffer)
-    write_atomically(path, buffer.getvalue())
-
-
-def check_weights(weights: dict[str, Tensor], network: nn.Module, path: Path) -> None:
-    """Raise InvalidCheckpoint where they are not this network's."""
-    have = {name: value.shape for name, value in weights.items()}
-    if have != {name: value.shape for name, value in network.state_dict().items()}:
-        raise InvalidCheckpoint(f"{path}: its weights are those of another recipe; train again")
 
 
 class RunFolder:
@@ -164,10 +194,11 @@ class RunFolder:
         name: str | None = None,
     ) -> "RunFolder":
         """A folder under `runs`, the next number or `name`; `data` says what it is trained on."""
-        taken = [int(p.name) for p in runs.glob("*") if p.name.isdigit()]
+        taken = [int(p.name) for p in runs.glob("*") if p.name.isdecimal()]
         path = runs / (name or f"{max(taken, default=-1) + 1:03d}")
         try:
-            path.mkdir(parents=True)
+            make_folder(runs)
+            path.mkdir()
         except OSError as error:
             raise ArticugenError(f"{path}: cannot be made ({error.strerror})") from None
         about = {
@@ -193,11 +224,42 @@ class RunFolder:
         """
         if not (path / LATEST).is_file():
             raise InvalidCheckpoint(f"{path}: has no {LATEST} to go on from; start a new run")
-        return RunFolder(path)
+        run = RunFolder(path)
+        if run.writes:
+            run.remove_temporary()
+        return run
+
+    def remove_temporary(self) -> None:
+        """Remove what a process that was killed while it wrote has left."""
+        ours = ("recipe.yaml", "run.json", "race.json", METRICS, LATEST, BEST)
+        for path in self.path.glob(".*.partial"):
+            if whole_name(path.name) in (*ours, "depth.pt", "depth.jsonl"):
+                path.unlink(missing_ok=True)
 
     def recipe(self) -> TrainRecipe:
+        """The recipe that the run was started with.
+
+        Raises:
+            InvalidCheckpoint: there is none, or it is another.
+        """
         path = self.path / "recipe.yaml"
-        return parse_train_recipe(yaml.safe_load(path.read_text(encoding="utf-8")), str(path))
+        _read(path)  # looked at before the YAML reader gets it
+
+        def extends(_: str) -> NoReturn:
+            raise InvalidRecipe(f"{path}: a run's recipe extends no other")
+
+        try:
+            recipe = parse_train_recipe(resolved(path, extends), str(path))
+        except (InvalidRecipe, RecursionError, ValueError):
+            raise InvalidCheckpoint(
+                f"{path}: damaged; restore it from a copy, or start a new run"
+            ) from None
+        if recipe.sha256() != self.about()["recipe_sha256"]:
+            raise InvalidCheckpoint(
+                f"{path}: not the recipe that the run was started with; restore it, or start a "
+                "new run"
+            )
+        return recipe
 
     def about(self) -> dict[str, Any]:
         """What run.json says of the run.
@@ -205,19 +267,25 @@ class RunFolder:
         Raises:
             InvalidCheckpoint: there is none.
         """
-        try:
-            return json.loads((self.path / "run.json").read_bytes())
-        except (OSError, ValueError):
-            raise InvalidCheckpoint(f"{self.path}: is no run's folder, or a damaged one") from None
+        path = self.path / "run.json"
+        return _parsed(_About, _read(path), str(path)).model_dump()
 
     def log(self, record: dict[str, Any], name: str = METRICS) -> None:
-        """Append one line to the metrics."""
+        """Append one line to the metrics.
+
+        Raises:
+            MachineFault: the disk is full, or the like.
+        """
         if not self.writes:
             return
-        with (self.path / name).open("a", encoding="utf-8") as file:
-            file.write(json.dumps(record) + "\n")
-        if name == METRICS:
-            boards.add(self.path, record)
+        path = self.path / name
+        try:
+            with path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(record) + "\n")
+            if name == METRICS:
+                boards.add(self.path, record)
+        except OSError as error:
+            raise MachineFault(cannot_write(path, error)) from None
 
     def keep(self, point: Checkpoint, name: str) -> None:
         """Write a checkpoint."""
@@ -225,9 +293,17 @@ class RunFolder:
             point.write(self.path / name)
 
     def metrics(self, name: str = METRICS) -> list[dict[str, Any]]:
+        """The lines of the metrics; a last one that was cut short is none.
+
+        Raises:
+            InvalidCheckpoint: a line is damaged.
+        """
         path = self.path / name
-        lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
-        return [json.loads(line) for line in lines if line.endswith("}")]
+        if not os.path.lexists(path):
+            return []
+        lines = _read(path).split(b"\n")[:-1]
+        told = ((f"{path}: line {n}", line) for n, line in enumerate(lines, start=1))
+        return [_parsed(_Line, line, at).model_dump(exclude_unset=True) for at, line in told]
 
     def forget_after(self, iteration: int, name: str = METRICS) -> None:
         """Drop metrics of iterations that will be done again."""
@@ -238,3 +314,28 @@ class RunFolder:
         write_atomically(self.path / name, text.encode())
         if name == METRICS:
             boards.forget_after(self.path, iteration)
+
+
+def _read(path: Path) -> bytes:
+    """A file of a run's folder."""
+    try:
+        return read_regular(path, MOST_BYTES)
+    except UnfitFile as error:
+        raise InvalidCheckpoint(f"{path}: {error.strerror}; move it away") from None
+    except OSError as error:
+        raise InvalidCheckpoint(
+            f"{path}: cannot be read ({error.strerror}): no run's folder, or a damaged one; start "
+            "a new run with: articugen train"
+        ) from None
+
+
+def _parsed(model: type[Told], text: bytes, where: str) -> Told:
+    try:
+        return model.model_validate_json(text)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        what = f"{key}: {first['msg']}" if key else first["msg"]
+        raise InvalidCheckpoint(
+            f"{where}: damaged ({what}); restore it from a copy, or start a new run"
+        ) from None

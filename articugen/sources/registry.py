@@ -4,20 +4,36 @@ A source is a name under urdf_sources/ (or under the folder in $ARTICUGEN_SOURCE
 just hold the models of a named source), or a path to any folder of URDFs.
 """
 
+import hashlib
 import importlib
 import os
-from dataclasses import dataclass
+import re
+from collections.abc import Collection, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from articugen.errors import InvalidSource
+from articugen.errors import ArticugenError, InvalidSource, machine_fault, printable
 from articugen.geometry import rotation_about, transform
 from articugen.recipe_files import nearest
 from articugen.records import ArticulatedObject
-from articugen.sources.discovery import Found, any_models, layout, model_category, models_for
+from articugen.sources.categories import kinds_there, of_category, own_name, unknown
+from articugen.sources.discovery import (
+    Found,
+    any_models,
+    distinct,
+    layout,
+    mixed_models,
+    model_category,
+    sorted_models,
+)
+from articugen.sources.model_files import MAX_NAME_BYTES
 from articugen.sources.source_file import CategorySettings, SourceFile, read_source_file
 from articugen.sources.splits import assign_splits, split_sizes
+
+_UNWRITABLE = re.compile("[\x00-\x1f\x7f\ud800-\udfff]")
 
 SOURCE_FOLDER = Path(__file__).resolve().parent.parent.parent / "urdf_sources"
 
@@ -80,8 +96,36 @@ def source_names() -> list[SourceInfo]:
     return [_info(name) for name in sorted(_source_files())]
 
 
+def categories(source: str | Path, asked: Sequence[str]) -> tuple[str, ...]:
+    """The categories that `asked` means, in the source's own names: each once, "all" for all.
+
+    Args:
+        source: as in `object_refs`.
+        asked: names, each perhaps several joined by commas.
+
+    Raises:
+        InvalidSource: unknown source or category; "all" of a folder that does not tell categories.
+    """
+    names = [name.strip() for text in asked for name in text.split(",") if name.strip()]
+    if not names:
+        raise InvalidSource("no category is asked for; name one as articugen sources lists it")
+    named = _named(source)
+    there = _categories_there(source, named) if "all" in names else []
+    if "all" in names and not there:
+        raise InvalidSource(
+            f"{source}: does not tell of what categories its models are; name one instead of 'all'"
+        )
+    wanted = [own for n in names for own in (there if n == "all" else [_meant(source, named, n)])]
+    return tuple(dict.fromkeys(wanted))
+
+
 def object_refs(
-    source: str | Path, category: str, *, objects: int | None = None
+    source: str | Path,
+    category: str,
+    *,
+    objects: int | None = None,
+    ids: Collection[str] = (),
+    exclude: Collection[str] = (),
 ) -> tuple[ObjectRef, ...]:
     """The objects of one category, in a fixed order.
 
@@ -91,28 +135,81 @@ def object_refs(
         objects: so many objects (fewer where there are fewer), with the ratio of the splits kept
             and, from two objects on, at least one of each split. Procedural sources make any
             number.
+        ids: these objects alone, () means all.
+        exclude: but not these. Neither changes anything of the other objects.
 
     Raises:
-        InvalidSource: unknown source or category, or no object.
+        InvalidSource: unknown source, category or id, or no object.
     """
     if objects is not None and objects < 1:
         raise InvalidSource(f"{objects} objects asked for; ask for one at least")
-    named = _named(source)
-    if named is None:
-        refs = _folder_refs(Path(source), category)
-    else:
-        _category(named, category)
-        refs = _named_refs(named, category, objects)
-        if not refs:
-            raise InvalidSource(
-                f"no model of {category!r} under {named.folder}; {named.yaml.parent}/README.md says"
-                " how to get them"
-            )
+    refs = _chosen(_pool(source, category, objects, (*ids, *exclude)), category, ids, exclude)
     if objects is None or objects >= len(refs):
         return tuple(refs)
     tests = sum(ref.split == "test" for ref in refs)
     left = split_sizes(objects, len(refs) - tests, tests)
     return tuple(ref for ref in refs if _take(left, ref.split))
+
+
+def share_out(
+    source: str | Path, names: Sequence[str], ids: Collection[str], exclude: Collection[str]
+) -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
+    """Of each category the `ids` and `exclude` that are its own; with ids, none without any.
+
+    Raises:
+        InvalidSource: an id is of none of the categories.
+    """
+    wanted = (*ids, *exclude)
+    if len(names) == 1 or not wanted:
+        return {name: (tuple(ids), tuple(exclude)) for name in names}
+    known: dict[str, list[str]] = {}
+    for name in names:
+        with suppress(InvalidSource):  # said when its turn comes
+            known[name] = [ref.object_id for ref in _pool(source, name, None, wanted)]
+    everything = [each for own in known.values() for each in own]
+    _check_ids(wanted, everything, ", ".join(names))
+    shares = {
+        n: tuple(tuple(i for i in w if i in own) for w in (ids, exclude))
+        for n, own in known.items()
+    }
+    return {n: (share[0], share[1]) for n, share in shares.items() if share[0] or not ids}
+
+
+def _pool(
+    source: str | Path, category: str, objects: int | None, ids: Collection[str]
+) -> list[ObjectRef]:
+    """All objects of a category; of a procedural one, so many and those called `ids`."""
+    named = _named(source)
+    if named is None:
+        return _folder_refs(Path(source), category)
+    own = _category(named, category)
+    if named.file.reader == "procedural":
+        return _procedural_refs(named, own, objects, ids)
+    found = of_category(sorted_models(named.file.reader, named.folder), named.file, own)
+    refs = _refs(found, named.file.categories[own], named.name, own, named.folder)
+    if not refs:
+        raise InvalidSource(
+            f"no model of {own!r} under {named.folder}; {named.yaml.parent}/README.md says how to"
+            " get them"
+        )
+    return refs
+
+
+def _chosen(
+    refs: list[ObjectRef], category: str, ids: Collection[str], exclude: Collection[str]
+) -> list[ObjectRef]:
+    _check_ids((*ids, *exclude), [ref.object_id for ref in refs], category)
+    left = [r for r in refs if (not ids or r.object_id in ids) and r.object_id not in exclude]
+    if refs and not left:
+        raise InvalidSource(f"no object of {category!r} is left; exclude fewer")
+    return left
+
+
+def _check_ids(wanted: Collection[str], known: list[str], category: str) -> None:
+    for name in wanted:
+        if name not in known:
+            hint = nearest(name, known) or f"; there are: {', '.join(known[:5])}, ..."
+            raise InvalidSource(f"no object {name!r} of {category!r}{hint}")
 
 
 def _take(left: dict[str, int], split: str) -> bool:
@@ -124,15 +221,25 @@ def _take(left: dict[str, int], split: str) -> bool:
 def settings(ref: ObjectRef) -> CategorySettings:
     """What the source says about the object's category.
 
-    A folder whose models look like PartNet-Mobility's or Shape2Motion's gets that source's words.
+    A folder whose models look like PartNet-Mobility's or Shape2Motion's gets that source's words;
+    a model of another name those for what its meta.json calls it.
     """
     named = _named(ref.source)
     if named is not None:
-        return _category(named, ref.category)
+        return named.file.categories[_category(named, ref.category)]
     like = _source(layout(ref.location))
-    return (
-        like.file.categories.get(ref.category, CategorySettings()) if like else CategorySettings()
-    )
+    if like is None:
+        return CategorySettings()
+    names = (own_name(like.file, name) for name in (ref.category, model_category(ref.location)))
+    own = next(filter(None, names), None)
+    return like.file.categories[own] if own else CategorySettings()
+
+
+def clips_to_limits(source: str) -> bool:
+    """Whether joints stay inside the limits of the URDF where the recipe leaves it to the source:
+    those of models that others made do."""
+    named = _named(source)
+    return named is None or named.file.clip_to_limits
 
 
 def is_procedural(source: str) -> bool:
@@ -150,12 +257,45 @@ def licence(source: str) -> str:
 def load(ref: ObjectRef) -> ArticulatedObject:
     """Read one object; a procedural one is written first where it is not there yet.
 
+    Its digest covers what source.yaml says of how it stands and moves.
+
     Raises:
         InvalidSource: anything amiss with its files.
+        MachineFault, MemoryError: the disk does not answer, or the like.
     """
+    own = settings(ref)
+    obj = _read(ref, own) if is_procedural(ref.source) else _read_distrustfully(ref, own)
+    if own.said() == CategorySettings().said():
+        return obj
+    digest = hashlib.sha256(f"{obj.sha256} {own.said()}".encode()).hexdigest()
+    return replace(obj, sha256=digest)
+
+
+def _read_distrustfully(ref: ObjectRef, own: CategorySettings) -> ArticulatedObject:
+    """A stranger's model: whatever a reader meets that nobody thought of is the model's fault, so
+    that it takes no other object along."""
+    name = printable(str(ref.location))
+    if _UNWRITABLE.search(str(ref.location)):
+        raise InvalidSource(
+            f"{name}: its name has control characters or is not UTF-8; rename the file or folder"
+        )
+    if len(ref.object_id.encode()) > MAX_NAME_BYTES:
+        raise InvalidSource(f"{name}: its id has more than {MAX_NAME_BYTES} bytes; shorten names")
+    try:
+        obj = _read(ref, own)
+    except (ArticugenError, MemoryError):
+        raise
+    except Exception as error:
+        raise machine_fault(error) or InvalidSource(
+            f"{name}: cannot be read ({printable(f'{type(error).__name__}: {error}')[:200]}); leave"
+            " it out and report it, please"
+        ) from error
+    return replace(obj, notes=tuple(map(printable, obj.notes)))
+
+
+def _read(ref: ObjectRef, own: CategorySettings) -> ArticulatedObject:
     named = _named(ref.source)
     reader = named.file.reader if named else layout(ref.location)
-    own = settings(ref)
     if reader in ("partnet_mobility", "shape2motion"):
         module = importlib.import_module(f"articugen.sources.{reader}")
         return module.load(ref.location, ref, own)
@@ -225,7 +365,11 @@ def _source(name: str) -> _Named | None:
 def _named(source: str | Path) -> _Named | None:
     """The named source, or None for the path of something that exists."""
     named = _source(source) if isinstance(source, str) else None
-    if named is None and not Path(source).exists():
+    if named is None and _UNWRITABLE.search(str(source)):
+        raise InvalidSource(
+            f"{printable(str(source))}: its name has control characters or is not UTF-8; rename it"
+        )
+    if named is None and not os.path.exists(source):
         known = sorted(_source_files())
         raise InvalidSource(
             f"no source {str(source)!r}{nearest(str(source), known)}; there are: "
@@ -234,22 +378,46 @@ def _named(source: str | Path) -> _Named | None:
     return named
 
 
-def _category(named: _Named, category: str) -> CategorySettings:
-    known = named.file.categories
-    if category not in known:
-        raise InvalidSource(
-            f"source {named.name!r} has no category {category!r}{nearest(category, list(known))}; "
-            f"there are: {', '.join(known)}"
-        )
-    return known[category]
+def _category(named: _Named, category: str) -> str:
+    """The source's own name of a category."""
+    own = own_name(named.file, category)
+    if own is None:
+        raise unknown(f"source {named.name!r}", category, list(named.file.categories))
+    return own
+
+
+def _categories_there(source: str | Path, named: _Named | None) -> list[str]:
+    """The categories of which there are models, or can be made."""
+    if named is None:
+        return kinds_there(_mixed(Path(source)), _partnet())
+    return [c.name for c in _info(named.name).categories if c.train + c.test]
+
+
+def _meant(source: str | Path, named: _Named | None, name: str) -> str:
+    """The category that somebody calls `name`. A folder of the user's own takes any name; where its
+    models are PartNet-Mobility's, they are called as there."""
+    if named is not None:
+        return _category(named, name)
+    own = own_name(_partnet(), name)
+    path = Path(source)
+    sorted_out = own and path.is_dir() and any(f.kinds for f in _mixed(path))
+    return own if own and sorted_out else name
 
 
 def _info(name: str) -> SourceInfo:
     named = _source(name)
     assert named is not None
+    reader, models = named.file.reader, []
+    if reader != "procedural":
+        models = sorted_models(reader, named.folder)
     categories = []
-    for category in named.file.categories:
-        splits = [ref.split for ref in _named_refs(named, category, None)]
+    for category, own in named.file.categories.items():
+        if reader == "procedural":
+            refs = _procedural_refs(named, category, None, ())
+        else:
+            found = of_category(models, named.file, category)
+            refs = _refs(found, own, name, category, named.folder)
+        splits = [ref.split for ref in refs]
         categories.append(CategoryInfo(category, splits.count("train"), splits.count("test")))
     return SourceInfo(
         name,
@@ -261,32 +429,24 @@ def _info(name: str) -> SourceInfo:
     )
 
 
-def _named_refs(named: _Named, category: str, objects: int | None) -> list[ObjectRef]:
-    own = named.file.categories[category]
-    if named.file.reader == "procedural":
-        return _procedural_refs(named, category, objects)
-    sorted_out = (named.folder / category).is_dir()
-    base = named.folder / category if sorted_out else named.folder
-    found = models_for(named.file.reader, base)
-    if not sorted_out and named.file.reader == "partnet_mobility":
-        found = [f for f in found if model_category(f.location) in own.model_cat]
-    elif not sorted_out:
-        found = []
-    return _refs(found, own, named.name, category)
+def _procedural_refs(
+    named: _Named, category: str, objects: int | None, ids: Collection[str]
+) -> list[ObjectRef]:
+    """The first objects, as many as the source has or as are asked for, and those named by `ids`.
 
-
-def _procedural_refs(named: _Named, category: str, objects: int | None) -> list[ObjectRef]:
-    """Object i is always of the same split, however many are asked for."""
+    Object i is always of the same split, however many are asked for.
+    """
     own = named.file.categories[category]
     assert isinstance(own.train, int)
     assert isinstance(own.test, int)
     total = own.train + own.test
+    numbers = [int(name[-4:]) for name in ids if re.fullmatch(rf"{category}_[0-9]{{4}}", name)]
     left = split_sizes(objects or total, own.train, own.test)
     refs: list[ObjectRef] = []
     i = 0
-    while max(left.values()) > 0:
+    while max(left.values()) > 0 or i <= max(numbers, default=-1):
         split = "test" if (i + 1) * own.test // total > i * own.test // total else "train"
-        if _take(left, split):
+        if _take(left, split) or i in numbers:
             name = f"{category}_{i:04d}"
             refs.append(
                 ObjectRef(named.name, category, name, split, named.folder / category / name)
@@ -295,8 +455,12 @@ def _procedural_refs(named: _Named, category: str, objects: int | None) -> list[
     return refs
 
 
-def _refs(found: list[Found], own: CategorySettings, source: str, category: str) -> list[ObjectRef]:
+def _refs(
+    found: Sequence[Found], own: CategorySettings, source: str, category: str, base: Path
+) -> list[ObjectRef]:
     """Objects with their splits; those that the category's lists leave out are left out."""
+    found = [replace(f, object_id=_told(f.object_id)) for f in distinct(found, base)]
+    found.sort(key=lambda f: f.object_id)
     splits = assign_splits({f.object_id: f.group for f in found}, own.train, own.test)
     return [
         ObjectRef(source, category, f.object_id, splits[f.object_id], f.location, f.root)
@@ -305,9 +469,14 @@ def _refs(found: list[Found], own: CategorySettings, source: str, category: str)
     ]
 
 
+def _told(object_id: str) -> str:
+    """An id that can be written down; what is not UTF-8 in a file's name is spelt out."""
+    return object_id.encode("utf-8", "backslashreplace").decode()
+
+
 def _folder_refs(path: Path, category: str) -> list[ObjectRef]:
     if path.is_file():
-        if path.suffix != ".urdf":
+        if path.suffix.lower() != ".urdf":
             raise InvalidSource(f"{path}: is not a .urdf file; name one, or a folder of them")
         found = [Found(path.stem, path, path.stem)]
     elif layout(path) != "urdf":
@@ -315,30 +484,29 @@ def _folder_refs(path: Path, category: str) -> list[ObjectRef]:
     elif (path / category).is_dir():
         found = any_models(path / category)
     else:
-        found = _of_category(any_models(path), path, category)
+        found = _of_category(_mixed(path), path, category)
     if not found:
         raise InvalidSource(
             f"{path}: holds no URDF; put each model there as <id>.urdf or <id>/<any name>.urdf"
         )
-    return _refs(found, CategorySettings(), str(path), category)
+    return _refs(found, CategorySettings(), str(path), category, path)
+
+
+def _mixed(path: Path) -> list[Found]:
+    like = _partnet()
+    return mixed_models(path, lambda name: own_name(like, name) is not None)
+
+
+def _partnet() -> SourceFile | None:
+    """PartNet-Mobility's categories, whose names are those that folders of models have."""
+    like = _source("partnet_mobility")
+    return like.file if like else None
 
 
 def _of_category(found: list[Found], path: Path, category: str) -> list[Found]:
-    """Leave out PartNet-Mobility models of other categories, which SAPIEN ships side by side."""
-    like = _source("partnet_mobility")
-    mapped = like.file.categories.get(category, CategorySettings()).model_cat if like else ()
-    wanted = {_plain(name) for name in (category, *mapped)}
-    names = {
-        f: model_category(f.location) for f in found if layout(f.location) == "partnet_mobility"
-    }
-    kept = [f for f in found if f not in names or _plain(names[f]) in wanted]
-    if found and not kept:
-        raise InvalidSource(
-            f"{path}: its models are {', '.join(sorted(set(names.values())))}, none is a "
-            f"{category!r}; put the ones you mean into {path / category}"
-        )
-    return kept
-
-
-def _plain(name: str) -> str:
-    return "".join(filter(str.isalnum, name)).lower()
+    """Leave out models that are known to be of other categories; any name will do for others."""
+    kept = of_category(found, _partnet(), category)
+    told = [f for f in found if f.kinds]
+    if told and not kept:
+        raise unknown(str(path), category, sorted({f.kinds[0] for f in told}))
+    return kept + [f for f in found if not f.kinds]

@@ -1,12 +1,9 @@
 """The schema of `urdf_sources/<source>/source.yaml`, which describes one source."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-import yaml
 from pydantic import (
-    BaseModel,
-    ConfigDict,
     Field,
     NonNegativeInt,
     ValidationError,
@@ -15,28 +12,26 @@ from pydantic import (
 )
 
 from articugen.errors import InvalidSource
-from articugen.recipe_files import nearest
+from articugen.recipe_files import Section, nearest, read_yaml
 
 Reader = Literal["urdf", "procedural", "partnet_mobility", "shape2motion"]
-Share = NonNegativeInt | tuple[str, ...] | None
+Share = Annotated[NonNegativeInt, Field(le=1_000_000)] | tuple[str, ...] | None
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class CategorySettings(_Section):
+class CategorySettings(Section):
     """What a source says about one of its categories.
 
     Attributes:
         canonical: the joint value that is the canonical pose: 0, the lower or the upper limit.
         movable: which joints move, as patterns with * and ? on the joint's name or its child link's
-            semantic; () means all of them.
+            semantic, in the order in which parts are numbered; () means all of them, in the order
+            of the file.
         yaw_degrees: turns the model about the world's z so that its joints point as
             docs/conventions.md says.
         train, test: how many objects each split has, or their ids. Ids of one split alone leave the
             other objects to the other split; without either, a hash of the id decides, about 8 : 2.
         model_cat: the names of this category in PartNet-Mobility's meta.json.
+        aliases: what else people call it.
     """
 
     canonical: Literal["zero", "lower", "upper"] = "zero"
@@ -45,6 +40,11 @@ class CategorySettings(_Section):
     train: Share = None
     test: Share = None
     model_cat: tuple[str, ...] = ()
+    aliases: tuple[str, ...] = ()
+
+    def said(self) -> str:
+        """What of it decides how an object stands and moves, as text."""
+        return self.model_dump_json(include={"canonical", "movable", "yaw_degrees"})
 
     @field_validator("train", "test", mode="before")
     @classmethod
@@ -66,7 +66,7 @@ class CategorySettings(_Section):
         return self
 
 
-class SourceFile(_Section):
+class SourceFile(Section):
     """One source.yaml.
 
     Attributes:
@@ -74,6 +74,7 @@ class SourceFile(_Section):
         licence: under which terms.
         frame: the frame and unit of the models as they come, in words.
         reader: the module under articugen/sources that reads them.
+        clip_to_limits: whether recipes that leave it to the source stay inside the URDF's limits.
         messy: (procedural only) write the objects as real data come.
         path: the folder of the models, absolute or relative to source.yaml; by default
             $ARTICUGEN_SOURCES/<source> where that exists, else the folder of source.yaml.
@@ -84,6 +85,7 @@ class SourceFile(_Section):
     licence: str
     frame: str
     reader: Reader = "urdf"
+    clip_to_limits: bool = True
     messy: bool = False
     path: Path | None = None
     categories: dict[str, CategorySettings] = Field(min_length=1)
@@ -103,10 +105,7 @@ def read_source_file(path: Path) -> SourceFile:
     Raises:
         InvalidSource: unreadable, not YAML, an unknown key (with the nearest valid one), bad value.
     """
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise InvalidSource(f"{path}: cannot be read as YAML: {error}") from None
+    data = read_yaml(path, InvalidSource)
     try:
         return SourceFile.model_validate(data)
     except ValidationError as error:
@@ -116,4 +115,5 @@ def read_source_file(path: Path) -> SourceFile:
             section = CategorySettings if first["loc"][0] == "categories" else SourceFile
             hint = nearest(str(first["loc"][-1]), list(section.model_fields))
             raise InvalidSource(f"{path}: unknown key {where!r}{hint}") from None
-        raise InvalidSource(f"{path}: {where or 'the file'}: {first['msg']}") from None
+        message = first["msg"].removeprefix("Value error, ")
+        raise InvalidSource(f"{path}: {where or 'the file'}: {message}") from None

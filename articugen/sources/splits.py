@@ -1,6 +1,7 @@
 """Which objects are for training and which for testing; disjoint by object, never random."""
 
 import hashlib
+import os
 from collections.abc import Mapping
 
 from articugen.sources.source_file import Share
@@ -44,7 +45,7 @@ def split_sizes(objects: int, train: int, test: int) -> dict[str, int]:
 
 def _test_groups(groups: set[str], fraction: float) -> set[str]:
     """The groups whose hash, as a number in [0, 1), is below `fraction`."""
-    ranked = sorted((hashlib.sha256(name.encode()).digest(), name) for name in groups)
+    ranked = sorted((hashlib.sha256(os.fsencode(name)).digest(), name) for name in groups)
     count = sum(int.from_bytes(digest[:8], "big") < fraction * 2.0**64 for digest, _ in ranked)
     if 0.0 < fraction < 1.0 and len(groups) > 1:
         count = min(max(count, 1), len(groups) - 1)

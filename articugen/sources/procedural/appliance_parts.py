@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from articugen.geometry import Array, transform
+from articugen.portable import cos, norm, sin
 from articugen.sources.procedural.outlines import circle, rounded_rectangle
 from articugen.sources.procedural.solids import (
     Solid,
@@ -94,7 +95,7 @@ def lathe(inner: ArrayLike, outer: ArrayLike, sides: int = 32) -> Solid:
     k = len(profile)
     angle = np.arange(sides) * (2.0 * np.pi / sides)
     radius, height = profile[None, ..., 0], profile[None, ..., 1]
-    x, y = (radius * f(angle)[:, None, None] for f in (np.cos, np.sin))
+    x, y = (radius * f(angle)[:, None, None] for f in (cos, sin))
     vertices = np.stack([x, y, np.broadcast_to(height, x.shape)], axis=-1).reshape(-1, 3)
     cells = []
     for s in range(sides):
@@ -117,7 +118,7 @@ def rod(path: ArrayLike, radius: float, sides: int = 8, *, closed: bool = False)
     """A round bar along a polyline (n, 3); a closed one lies in a plane z = const."""
     points = np.asarray(path, dtype=np.float64)
     first = np.abs(points[1] - points[0])
-    up = (0.0, 0.0, 1.0) if first[2] < 0.9 * np.linalg.norm(first) else (1.0, 0.0, 0.0)
+    up = (0.0, 0.0, 1.0) if first[2] < 0.9 * norm(first) else (1.0, 0.0, 0.0)
     return sweep(points, circle(radius, sides), closed=closed, up=up)
 
 
@@ -174,7 +175,7 @@ def handle(
             solids.append(box((0, y, -r), (reach - r, y + thickness, r)))
     elif kind == "arch":
         s = np.linspace(-1.0, 1.0, 13)
-        bow = (reach - r) * (1.0 - np.abs(s) ** 3.0)
+        bow = (reach - r) * (1.0 - np.abs(s * s * s))
         solids = [rod(np.c_[bow, s * (half - r), np.zeros(13)], r, 8)]
     elif kind == "cup":
         solids = _cup(half, reach, thickness)
@@ -192,7 +193,7 @@ UPRIGHT = transform(np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]))
 def _cup(half: float, reach: float, wall: float) -> list[Solid]:
     """A bin pull: a quarter of a tube, open below, closed at both ends."""
     angles = np.linspace(0.0, np.pi / 2, 7)
-    arc = np.stack([np.cos(angles), np.sin(angles)], axis=1)  # (z, x), from the plane to the lip
+    arc = np.stack([cos(angles), sin(angles)], axis=1)  # (z, x), from the plane to the lip
     middle = np.array((reach / 2, 0.0))
     shell = np.concatenate([arc * reach, arc[::-1] * (reach - wall)]) - middle
     side = np.concatenate([arc * reach, [(0.0, 0.0)]]) - middle

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from articugen.geometry import Array
+from articugen.portable import cos, sin
 from articugen.sources.procedural.appliance_parts import (
     Rect,
     frame,
@@ -237,7 +238,7 @@ def _notched(rect: Rect) -> Array:
     """The outline (n, 2) in (y, z) of a plate with a grip cut out of its upper edge."""
     half, deep = min(0.07, 0.22 * rect.width), min(0.2 * rect.height, 0.035)
     angle = np.linspace(0.0, np.pi, 11)
-    arc = np.stack([half * np.cos(angle), -deep * np.sin(angle)], axis=1)
+    arc = np.stack([half * cos(angle), -deep * sin(angle)], axis=1)
     cut = arc + np.array((rect.center[0], rect.z1))
     right = [(rect.y0, rect.z0), (rect.y1, rect.z0), (rect.y1, rect.z1)]
     return np.concatenate([right, cut, [(rect.y0, rect.z1)]])

@@ -1,13 +1,14 @@
 """Eyeglasses: a front with two lenses and two temples that fold inwards.
 
 q = 0 is open: the wearer looks towards -x, z is up and the temples reach straight back along +x.
-The left temple (at -y, the wearer's left) folds by +90 degrees about +z, the right one by +90
-degrees about -z.
+The left temple (at -y, the wearer's left) folds by +90 degrees about an axis close to +z, the right
+one by +90 degrees about the opposite axis.
 
-Neither temple ever meets the front: a temple stays behind its hinge's axis in x at every q, and
-the front, knuckles and end pieces before it. The two temples do cross each other in part of the
-states in which both are folded, as they do in other data sets of eyeglasses: the paper samples both
-joints independently.
+No two parts meet at any two angles. Folded, a temple comes before its hinge by what it leans
+inwards when open and no more, and the hinge stands that far behind the front. From above the
+temples must cross in many states, since each is longer than half the face is wide. Therefore both
+hinges lean about x by the same few degrees, as opticians set them: the temples turn in two parallel
+planes, and `_lean` is the angle at which the left one, bent tip and all, passes over the right one.
 """
 
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from articugen.geometry import Array, rotation_about, transform
+from articugen.portable import cos, norm, power, product, sin, turned
 from articugen.sources.procedural.lenses import lens_outline, lens_shapes
 from articugen.sources.procedural.model import Model, ModelJoint, ModelLink
 from articugen.sources.procedural.outlines import circle, ellipse, rounded_rectangle
@@ -32,6 +34,10 @@ _SLEEVE, _SLEEVE_GROWTH = 0.62, 1.25
 """Half the thickness of a tip's sleeve over the temple's, and how much it grows to its end."""
 _SLIT = 0.35 * MM
 """Between the knuckles of a hinge and between a folding temple and the front."""
+_BETWEEN = 0.6 * MM
+"""Between the planes of the two temples."""
+_MOST_LEAN = float(np.deg2rad(13.0))
+"""Of the hinges; 5 to 11 degrees are usual."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +77,8 @@ class _Shape:
 
     def place(self, point: Array) -> Array:
         """(y, z) on the right lens's plane to where it stands (x, y, z)."""
-        turned = rotation_about((0, 0, 1), -self.wrap) @ np.array([0.0, *point])
-        return turned + np.array([0.0, self.lens_y, 0.0])
+        wrapped = turned(rotation_about((0, 0, 1), -self.wrap), (0.0, *point))
+        return wrapped + np.array([0.0, self.lens_y, 0.0])
 
 
 def build(rng: np.random.Generator) -> Model:
@@ -84,29 +90,45 @@ def build(rng: np.random.Generator) -> Model:
         right, outer = _eye(rng, shape), _outer_point(shape)
         middle = [*_bridge(rng, shape), *_nose_pads(rng, shape)]
         face = [*right, *(s.mirrored(1) for s in right), *middle]
-    hinge = _hinge_place(shape, face)
-    front_side = [_end_piece(shape, outer, hinge), *_knuckles(shape, hinge, of_temple=False)]
-    temple = [*_temple(rng, shape, hinge), *_knuckles(shape, hinge, of_temple=True)]
-    front = [*face, *front_side, *(s.mirrored(1) for s in front_side)]
-    lowest = min(float(s.vertices[:, 2].min()) for s in [*front, *temple])
-    links, joints = [ModelLink("front", "frame", tuple(s.shifted(z=-lowest) for s in front))], []
-    for side, sign in (("left", -1.0), ("right", 1.0)):
-        solids = temple if sign > 0 else [s.mirrored(1) for s in temple]
-        links.append(
-            ModelLink(f"{side}_temple", "leg", tuple(s.shifted(z=-lowest) for s in solids))
+    across = _hinge_across(shape, face)
+    bare_temple = _temple(rng, shape, across)
+    lean = _lean(bare_temple, across)
+    hinge = np.array([_hinge_depth(shape, face, bare_temple, lean), across, shape.hinge_z])
+    parts: dict[str, list[Solid]] = {"front": list(face)}
+    for side, sign in _SIDES.items():
+        # Drawn on the right; the mirror image of what leans one way leans the other way.
+        T_object_hinge = transform(rotation_about((1, 0, 0), sign * lean), hinge)
+        fixed = [_end_piece(shape, outer, hinge)]
+        fixed += [s.moved(T_object_hinge) for s in _knuckles(shape, of_temple=False)]
+        temple = [s.shifted(*hinge) for s in bare_temple]
+        temple += [s.moved(T_object_hinge) for s in _knuckles(shape, of_temple=True)]
+        parts["front"] += fixed if sign > 0 else [s.mirrored(1) for s in fixed]
+        parts[f"{side}_temple"] = temple if sign > 0 else [s.mirrored(1) for s in temple]
+    lowest = min(float(s.vertices[:, 2].min()) for solids in parts.values() for s in solids)
+    links = [
+        ModelLink(name, "frame" if name == "front" else "leg", _raised(solids, -lowest))
+        for name, solids in parts.items()
+    ]
+    joints = [
+        ModelJoint(
+            name=f"{side}_hinge",
+            kind="revolute",
+            parent="front",
+            child=f"{side}_temple",
+            origin=hinge * (1.0, sign, 1.0) - (0.0, 0.0, lowest),
+            axis=-sign * _normal(lean),
+            upper=np.deg2rad(90.0),
         )
-        joints.append(
-            ModelJoint(
-                name=f"{side}_hinge",
-                kind="revolute",
-                parent="front",
-                child=f"{side}_temple",
-                origin=hinge * (1.0, sign, 1.0) - (0.0, 0.0, lowest),
-                axis=(0.0, 0.0, -sign),
-                upper=np.deg2rad(90.0),
-            )
-        )
+        for side, sign in _SIDES.items()
+    ]
     return Model(tuple(links), tuple(joints))
+
+
+_SIDES = {"left": -1.0, "right": 1.0}
+
+
+def _raised(solids: list[Solid], z: float) -> tuple[Solid, ...]:
+    return tuple(s.shifted(z=z) for s in solids)
 
 
 _STYLES = {
@@ -173,16 +195,15 @@ def _eye(rng: np.random.Generator, s: _Shape) -> list[Solid]:
 def _shield(rng: np.random.Generator, s: _Shape) -> tuple[list[Solid], Array]:
     """One pane bent around the face, with a bar above, and where its right end is."""
     half, bend = rng.uniform(62, 72) * MM, np.deg2rad(rng.uniform(28, 48))
-    radius = half / np.sin(bend)
+    radius = half / sin(bend)
     turn = np.linspace(-bend, bend, 33)
-    path = np.stack([radius * (1 - np.cos(turn)), radius * np.sin(turn), 0 * turn], axis=1)
+    path = np.stack([radius * (1 - cos(turn)), radius * sin(turn), 0 * turn], axis=1)
     u = np.abs(turn) / bend
     top = rng.uniform(14, 20) * MM - rng.uniform(0, 4) * MM * u**2
     nose = np.clip(1.0 - u / 0.3, 0.0, 1.0)
     deep = rng.uniform(20, 34) * MM
-    bottom = -deep * (1.0 - u**4 * rng.uniform(0.3, 0.75)) + deep * nose**1.5 * rng.uniform(
-        0.5, 0.75
-    )
+    high = deep * power(nose, 1.5)
+    bottom = -deep * (1.0 - u**2 * u**2 * rng.uniform(0.3, 0.75)) + high * rng.uniform(0.5, 0.75)
     t = max(s.lens_thickness, 1.2 * MM) / 2
     corners = [np.stack([x + 0 * u, z], axis=1) for x, z in ((-t, bottom), (t, bottom))]
     corners += [np.stack([x + 0 * u, z], axis=1) for x, z in ((t, top), (-t, top))]
@@ -238,7 +259,7 @@ def _arch(s: _Shape, start: Array, rise: float, forward: float) -> Solid:
 def _inner_point(s: _Shape, z: float) -> Array:
     """The point (y, z) of the lens's edge that is nearest to the nose at height `z`."""
     inner = s.lens[s.lens[:, 0] < 0.0]
-    order = np.argsort(inner[:, 1])
+    order = np.argsort(inner[:, 1], kind="stable")
     depth = 1.5 * s.wire if s.style == "rimless" else 0.0
     return np.array([np.interp(z, inner[order, 1], inner[order, 0]) + depth, z])
 
@@ -259,7 +280,7 @@ def _nose_pads(rng: np.random.Generator, s: _Shape) -> list[Solid]:
     middle = (start + center) / 2 + np.array([1.0, 1.2, 1.0]) * MM
     pad = stack([ellipse(f * size[0], f * size[1], 14) for f in (0.7, 1, 0.7)], _pad_layers())
     # The pad's flat side looks to the nose and a little to the front.
-    turn = rotation_about((0, 0, 1), np.deg2rad(60.0)) @ np.eye(3)[[2, 0, 1]]
+    turn = product(rotation_about((0, 0, 1), np.deg2rad(60.0)), np.eye(3)[[2, 0, 1]])
     pad = pad.moved(transform(turn, center))
     solids = [sweep([start, middle, center], circle(arm, 6)), pad]
     return [*solids, *(solid.mirrored(1) for solid in solids)]
@@ -275,16 +296,47 @@ def _knuckle_radius(s: _Shape) -> float:
 
 def _clear(s: _Shape) -> float:
     """How far end piece and temple stay from the hinge's axis."""
-    return max(s.temple[0] / 2, _knuckle_radius(s)) + _SLIT
+    half = (s.temple[0] + s.temple[1] * sin(_MOST_LEAN)) / 2
+    return max(half, _knuckle_radius(s)) + _SLIT
 
 
-def _hinge_place(s: _Shape, face: list[Solid]) -> Array:
-    """The right hinge's axis: outside the lens and behind all that the folded temple passes."""
-    deepest = max(float(solid.vertices[:, 0].max()) for solid in face)
+def _hinge_across(s: _Shape, face: list[Solid]) -> float:
+    """From the middle of the face to the right hinge, which lies outside the lens."""
     outermost = max(float(solid.vertices[:, 1].max()) for solid in face)
-    half = s.temple[0] * _SLEEVE * _SLEEVE_GROWTH
-    x = max(deepest + half + s.hug + _SLIT, _clear(s) + 2 * MM)
-    return np.array([x, outermost + s.temple[0] / 2 + 0.5 * MM, s.hinge_z])
+    return outermost + s.temple[0] / 2 + 0.5 * MM
+
+
+def _normal(lean: float) -> Array:
+    """The normal of the planes in which both temples turn."""
+    return np.array([0.0, -sin(lean), cos(lean)])
+
+
+def _lean(temple: list[Solid], across: float) -> float:
+    """The least angle of the hinges at which the left temple's lowest point passes over the right
+    one's highest; the right temple (its hinge at the origin) and its mirror image are `across`
+    from the middle."""
+    points = np.concatenate([solid.vertices for solid in temple])
+
+    def room(lean: float) -> float:
+        y, z = points[:, 1] * sin(lean), points[:, 2] * cos(lean)
+        return float(2 * across * sin(lean) + (z + y).min() - (z - y).max())
+
+    low, high = 0.0, _MOST_LEAN
+    if room(high) < _BETWEEN:
+        raise ValueError("temples too tall to fold over each other")
+    while high - low > 1e-6:
+        middle = (low + high) / 2
+        low, high = (middle, high) if room(middle) < _BETWEEN else (low, middle)
+    return high
+
+
+def _hinge_depth(s: _Shape, face: list[Solid], temple: list[Solid], lean: float) -> float:
+    """The x of the hinges' axes: behind all that either folded temple passes."""
+    deepest = max(float(solid.vertices[:, 0].max()) for solid in face)
+    points = np.concatenate([solid.vertices for solid in temple])
+    y, z = points[:, 1] * cos(lean), points[:, 2] * sin(lean)
+    inward = float(np.maximum(-y - z, z - y).max())
+    return max(deepest + max(inward, _knuckle_radius(s)) + _SLIT, _clear(s) + 2 * MM)
 
 
 def _temple_section(s: _Shape, scale: float = 1.0) -> Array:
@@ -296,7 +348,7 @@ def _temple_section(s: _Shape, scale: float = 1.0) -> Array:
 def _outer_point(s: _Shape) -> Array:
     """Where the right end piece starts, on the rim or, without one, a little inside the lens."""
     outer = s.lens[s.lens[:, 0] > 0.0]
-    order = np.argsort(outer[:, 1])
+    order = np.argsort(outer[:, 1], kind="stable")
     y = float(np.interp(s.hinge_z, outer[order, 1], outer[order, 0]))
     return s.place(np.array([y - (4 * MM if s.style == "rimless" else 0.0), s.hinge_z]))
 
@@ -310,8 +362,8 @@ def _end_piece(s: _Shape, start: Array, hinge: Array) -> Solid:
     return sweep(path, _temple_section(s))
 
 
-def _knuckles(s: _Shape, hinge: Array, *, of_temple: bool) -> list[Solid]:
-    """The right hinge's barrel: the front's knuckles above and below that of the temple."""
+def _knuckles(s: _Shape, *, of_temple: bool) -> list[Solid]:
+    """The hinge's barrel around z: the front's knuckles above and below that of the temple."""
     height = max(s.temple[1], 5.0 * MM)
     third = height / 3
     runs = [(-third / 2, third / 2)]
@@ -323,35 +375,40 @@ def _knuckles(s: _Shape, hinge: Array, *, of_temple: bool) -> list[Solid]:
     solids = []
     for low, high in runs:
         z0, z1 = low + _SLIT / 2, high - _SLIT / 2
-        solids.append(cylinder(radius, z0, z1, sides=14).shifted(*hinge))
+        solids.append(cylinder(radius, z0, z1, sides=14))
         half = 0.7 * radius
         outline = np.array([(0, -half), (way * reach, -half), (way * reach, half), (0, half)])
         outline = outline if of_temple else outline[::-1]
-        solids.append(prism(outline, z0, z1).shifted(*hinge))
+        solids.append(prism(outline, z0, z1))
     return solids
 
 
-def _temple(rng: np.random.Generator, s: _Shape, hinge: Array) -> list[Solid]:
-    """The right temple: back along +x, then bent down behind the ear, sometimes with a sleeve."""
+def _temple(rng: np.random.Generator, s: _Shape, across: float) -> list[Solid]:
+    """The right temple, its hinge at the origin: back along +x, then bent down behind the ear,
+    sometimes with a sleeve. `across` is from the middle of the face to the hinge."""
     start = _clear(s)
     straight, tip = rng.uniform(92, 112) * MM, rng.uniform(26, 45) * MM
     bend = np.deg2rad(rng.choice([rng.uniform(8, 18), rng.uniform(28, 48), rng.uniform(60, 120)]))
     radius = rng.uniform(8, 16) * MM
-    way = np.array([np.cos(bend), -np.sin(bend)])
     tip = min(tip, 12 * MM) if bend > np.deg2rad(60) else tip
+    # The lower the tip, the more the hinges must lean for the temples to pass each other.
+    lowest = max(4 * MM, min(20 * MM, 0.4 * across - 1.3 * s.temple[1]))
+    while radius * (1 - cos(bend)) + tip * sin(bend) > lowest:
+        bend *= 0.95
+    way = np.array([cos(bend), -sin(bend)])
     # Folded, the tip must end before the other end piece.
-    slant = np.sin(min(bend, np.pi / 2))
+    slant = sin(min(bend, np.pi / 2))
     reach = radius * slant + tip * max(way[0], 0.0) + 0.85 * max(s.temple) * slant
-    straight = min(straight, 2 * hinge[1] - s.temple[0] / 2 - MM - reach)
+    straight = min(straight, 2 * across - start - MM - reach)
     turn = np.linspace(0.0, bend, max(3, round(np.rad2deg(bend) / 7)) + 1)
-    arc = np.stack([straight + radius * np.sin(turn), -radius * (1 - np.cos(turn))], axis=1)
+    arc = np.stack([straight + radius * sin(turn), -radius * (1 - cos(turn))], axis=1)
     line = np.linspace(start, straight, 8)[:-1]
     flat = np.concatenate([np.c_[line, 0 * line], arc, arc[-1:] + way * tip])
-    along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(flat, axis=0), axis=1))])
+    along = np.concatenate([[0], np.cumsum(norm(np.diff(flat, axis=0)))])
     along /= along[-1]
     # Bowed a little outwards in the middle and back inwards at the tip, as heads are.
-    bow = rng.uniform(0.0, 3.0) * MM * np.sin(np.pi * along) - s.hug * along**3
-    path = np.stack([flat[:, 0], bow, flat[:, 1]], axis=1) + hinge
+    bow = rng.uniform(0.0, 3.0) * MM * sin(np.pi * along) - s.hug * along * along * along
+    path = np.stack([flat[:, 0], bow, flat[:, 1]], axis=1)
     waist, end = rng.uniform(0.55, 1.0), rng.uniform(0.7, 1.3)
     scale = np.interp(along, [0.0, 0.5, 1.0], [1.0, waist, max(end, 0.6)])
     floor = 2.2 * s.wire / s.temple[1]

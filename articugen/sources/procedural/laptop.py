@@ -4,16 +4,20 @@ q = 0 is the closed lid; the lid opens about +y to 135 degrees. The front looks 
 hinge is at the rear. Everything is drawn in the user's frame (x to the right, y away, z up) with
 the origin on the hinge's axis and turned at the end.
 
-No two parts meet at any q: the base stays in the quadrant below and before the axis, the lid starts
-above and before it and turns away from the base; behind the axis there is only the rear block,
-which stays below what the lid's rear edge reaches.
+No two parts meet at any q. Before the axis the base lies below the lid, which turns away from it.
+Where the hinge lies between the two, the rear edge of the lid comes no nearer to the axis than
+`reach`, and what the base has behind the axis stays within that; the knuckles of the lid turn in
+notches of the base. Where the lid drops behind the base, the whole hinge lies below the closed lid,
+of which no point behind the axis is below 45 degrees: opened by 135 degrees it hangs straight down
+at most, and the base ends before the axis.
 """
 
 import numpy as np
 
-from articugen.geometry import transform
+from articugen.geometry import Array, transform
+from articugen.portable import cos, sin
 from articugen.sources.procedural.keyboard import Keyboard
-from articugen.sources.procedural.laptop_shape import MM, LaptopShape, draw_shape
+from articugen.sources.procedural.laptop_shape import MM, SLIT, LaptopShape, draw_shape
 from articugen.sources.procedural.model import Model, ModelJoint, ModelLink
 from articugen.sources.procedural.outlines import (
     circle,
@@ -45,7 +49,7 @@ def build(rng: np.random.Generator) -> Model:
     lid = [*_lid(rng, shape), *lid_knuckles]
     if shape.kind == "rugged":
         base += [*_bumpers(shape, shape.floor + 2 * MM, shape.deck), *_handle(rng, shape)]
-        lid += _bumpers(shape, shape.gap / 2, shape.gap / 2 + shape.lid + 2 * MM)
+        lid += _bumpers(shape, shape.under, shape.back + 2 * MM)
     T = _T_WORLD_USER @ transform(translation=(0.0, 0.0, -shape.floor))
     joint = ModelJoint(
         name="hinge",
@@ -66,6 +70,7 @@ def build(rng: np.random.Generator) -> Model:
 def _chassis(s: LaptopShape) -> list[Solid]:
     """The base's body up to the floor that the keys stand on; a wedge with a bevelled underside."""
     top = s.deck - s.well
+    bottom = s.bottom_rear + s.base_bevel
     layers = [(s.base_bevel * 1.5, 0.0), (0.0, s.base_bevel)]
     rings = []
     for inset, lift in layers:
@@ -73,17 +78,27 @@ def _chassis(s: LaptopShape) -> list[Solid]:
         rings.append(np.c_[outline, s.bottom(outline[:, 1]) + lift])
     rings.append(np.c_[s.outline(0.0), np.full(len(rings[0]), top)])
     body = [loft(rings)]
+    if not s.drops and s.shelf - bottom > MM:
+        body.append(prism(_behind(s, -s.width / 2, s.width / 2), bottom, s.shelf))
     if s.kind in ("gaming", "retro"):
-        body += _rear_block(s)
+        body += _rear_block(s, bottom)
     return body
 
 
-def _rear_block(s: LaptopShape) -> list[Solid]:
+def _behind(s: LaptopShape, left: float, right: float) -> Array:
+    """The outline of the base around and behind the hinge, from x = `left` to `right`."""
+    size = right - left, s.reach + s.barrel + 2 * MM
+    ends = (right > s.width / 2 - MM, left < MM - s.width / 2)
+    radii = [0.5 * MM, 0.5 * MM, *(s.rear_corner if end else 0.5 * MM for end in ends)]
+    middle = ((left + right) / 2, s.barrel - size[1] / 2)
+    return rounded_rectangle(*size, radii, middle)
+
+
+def _rear_block(s: LaptopShape, bottom: float) -> list[Solid]:
     """What juts out behind the hinge, below the lid's reach: an exhaust, or ports."""
     back = s.reach + (14 if s.kind == "gaming" else 6) * MM
-    top = -s.barrel - 1.5 * MM
-    bottom = s.bottom_rear + s.base_bevel
-    if top - bottom < 5 * MM:
+    top = min(s.shelf, s.lowest_lid - 1.5 * MM)
+    if top - bottom < 4.5 * MM:
         return []
     half = s.width / 2 - s.corner
     if s.kind == "retro":
@@ -167,7 +182,7 @@ def _trackpad(rng: np.random.Generator, s: LaptopShape, x: float, palm_rest: flo
     z = s.deck, s.deck + relief
     style = rng.choice(["plate", "plate", "buttons", "ball"], p=[0.4, 0.3, 0.25, 0.05])
     if style == "ball":
-        radii = 12 * MM * np.sin(np.linspace(np.pi / 2, 0.05, 4))
+        radii = 12 * MM * sin(np.linspace(np.pi / 2, 0.05, 4))
         heights = [s.deck + relief * h for h in (0.0, 0.5, 0.85, 1.0)]
         return [stack([circle(r, 20, (x, y)) for r in radii], heights)]
     corner = rng.uniform(0.5, 5) * MM
@@ -211,22 +226,22 @@ def _beside_keys(rng: np.random.Generator, s: LaptopShape, half: float, rear: fl
 
 def _lid(rng: np.random.Generator, s: LaptopShape) -> list[Solid]:
     """Bezel, screen and back, drawn closed: the screen looks down."""
-    under, back = s.gap / 2, s.gap / 2 + s.lid
+    under, back = s.under, s.back
     face = under + s.recess
     side, top, chin = s.bezel
     low = np.array([-s.width / 2 + side, s.front + top])
-    high = np.array([s.width / 2 - side, s.rear - chin])
+    high = np.array([s.width / 2 - side, s.lid_rear - chin])
     middle = (low + high) / 2
     size = high - low
     corner = rng.choice([0.2, 4.0]) * MM
     opening = rounded_rectangle(size[0], size[1], corner, middle, segments=2)
-    outer = s.outline(s.lid_inset)
+    outer = s.lid_outline(s.lid_inset)
     bezel = ring(*matched(outer, opening, middle), under, face)
     b = s.lid_bevel
     layers = [(0.0, face), (0.0, back - b), (b, back)]
     if rng.random() < 0.5:  # A softer back.
         layers = [(0.0, face), (0.0, back - b), (0.35 * b, back - 0.4 * b), (1.6 * b, back)]
-    shell = stack([s.outline(s.lid_inset + d) for d, _ in layers], [z for _, z in layers])
+    shell = stack([s.lid_outline(s.lid_inset + d) for d, _ in layers], [z for _, z in layers])
     screen = prism(opening, face - 0.4 * s.recess, face, panel=True, seen=-1)
     return [shell, bezel, screen, *_camera(rng, s, under, face), *_emblem(rng, s, back)]
 
@@ -278,37 +293,64 @@ def _emblem(rng: np.random.Generator, s: LaptopShape, back: float) -> list[Solid
 
 def _hinge(rng: np.random.Generator, s: LaptopShape) -> tuple[list[Solid], list[Solid]]:
     """The knuckles of the base and those of the lid, side by side on the axis."""
-    slit = 0.4 * MM
+    cuts = _cuts(rng, s)
+    knuckles: dict[str, list[Solid]] = {"base": [], "lid": []}
+    for left, right, owner in cuts:
+        a, b = left + SLIT / 2, right - SLIT / 2
+        bevel = min(0.25 * s.barrel, 0.2 * (b - a))
+        knuckles[owner].append(along_x(cylinder(s.barrel, a, b, sides=20, bevel=bevel)))
+        knuckles[owner] += _arm(s, owner, a + bevel, b - bevel)
+    if not s.drops:
+        knuckles["base"] += _between_notches(s, [cut[:2] for cut in cuts if cut[2] == "lid"])
+    return knuckles["base"], knuckles["lid"]
+
+
+def _cuts(rng: np.random.Generator, s: LaptopShape) -> list[tuple[float, float, str]]:
+    """Where along the axis the knuckles are, and whose."""
     corner = s.corner + 15 * MM if s.kind == "rugged" else max(s.corner, 6 * MM)
     end = s.width / 2 - corner  # Beyond it the outline is round, or padded.
     if s.hinge == "pair":
         x, half = s.width * rng.uniform(0.26, 0.38), s.width * rng.uniform(0.03, 0.07)
         x = min(x, end - half)
         cuts = [(-x - half, -x, "lid"), (-x, -x + half, "base")]
-        cuts += [(-b, -a, owner) for a, b, owner in cuts]
-    elif s.hinge == "center":
+        return cuts + [(-b, -a, owner) for a, b, owner in cuts]
+    if s.hinge == "center":
         x, side = s.width * rng.uniform(0.25, 0.36), s.width * rng.uniform(0.02, 0.05)
-        cuts = [(-x - side, -x, "base"), (-x, x, "lid"), (x, x + side, "base")]
-    else:
-        count = int(rng.choice([3, 5, 7]))
-        weight = np.where(np.arange(count) % 2 == 0, rng.uniform(0.3, 1.0), 1.0)
-        edges = np.concatenate([[0.0], np.cumsum(weight)]) / weight.sum() - 0.5
-        edges *= 2 * end
-        cuts = [(edges[i], edges[i + 1], ("base", "lid")[i % 2]) for i in range(count)]
-    knuckles: dict[str, list[Solid]] = {"base": [], "lid": []}
-    for left, right, owner in cuts:
-        a, b = left + slit / 2, right - slit / 2
-        bevel = min(0.25 * s.barrel, 0.2 * (b - a))
-        knuckles[owner].append(along_x(cylinder(s.barrel, a, b, sides=20, bevel=bevel)))
-        near, far = s.gap / 2, 0.85 * s.barrel
-        low, high = (-far, -near) if owner == "base" else (near, far)
-        knuckles[owner].append(box((a + bevel, s.rear - MM, low), (b - bevel, 0.0, high)))
-    return knuckles["base"], knuckles["lid"]
+        return [(-x - side, -x, "base"), (-x, x, "lid"), (x, x + side, "base")]
+    count = int(rng.choice([3, 5, 7]))
+    weight = np.where(np.arange(count) % 2 == 0, rng.uniform(0.3, 1.0), 1.0)
+    edges = np.concatenate([[0.0], np.cumsum(weight)]) / weight.sum() - 0.5
+    edges *= 2 * end
+    return [(edges[i], edges[i + 1], ("base", "lid")[i % 2]) for i in range(count)]
+
+
+def _arm(s: LaptopShape, owner: str, left: float, right: float) -> list[Solid]:
+    """What joins a knuckle to its base or lid."""
+    far, joined = 0.85 * s.barrel, s.rear - 2 * MM
+    if not s.drops:  # A base's knuckle lies in the base itself.
+        return [box((left, joined, 0.0), (right, 0.0, far))] if owner == "lid" else []
+    if owner == "base":
+        return [box((left, joined, -far), (right, 0.0, min(s.deck, far)))]
+    half = 0.8 * s.lid_rear
+    return [box((left, -half, 0.0), (right, half, s.under + 0.4 * s.lid))]
+
+
+def _between_notches(s: LaptopShape, notches: list[tuple[float, float]]) -> list[Solid]:
+    """The base's rear, up to the deck, wherever there is no knuckle of the lid."""
+    edges = [-s.width / 2, s.width / 2]
+    for a, b in notches:
+        edges += [a - SLIT / 2, b + SLIT / 2]
+    edges.sort()
+    low = min(s.shelf, s.deck - s.well) - 0.5 * MM
+    return [
+        prism(_behind(s, left, right), low, s.deck)
+        for left, right in zip(edges[::2], edges[1::2], strict=True)
+    ]
 
 
 def _bumpers(s: LaptopShape, z0: float, z1: float) -> list[Solid]:
     """Padding around the four corners; it reaches less far back than the hinge's axis."""
-    out, size = min(2.5 * MM, 0.4 * s.reach), s.corner + 14 * MM
+    out, size = min(2.5 * MM, 0.3 * s.reach), s.corner + 14 * MM
     bumpers = []
     for sx in (-1, 1):
         for sy in (-1, 1):
@@ -326,7 +368,7 @@ def _handle(rng: np.random.Generator, s: LaptopShape) -> list[Solid]:
     z = (s.deck + s.floor) / 2
     turn = np.linspace(0.0, np.pi / 2, 5)[:, None] * np.ones(2)
     bend = 14 * MM
-    arc = np.stack([-half + bend * (1 - np.cos(turn[:, 0])), -bend * np.sin(turn[:, 0])], 1)
+    arc = np.stack([-half + bend * (1 - cos(turn[:, 0])), -bend * sin(turn[:, 0])], 1)
     arc[:, 1] += s.front - out + bend
     left = np.concatenate([[(-half, s.front + 3 * MM)], arc])
     path = np.concatenate([left, left[::-1] * (-1, 1)])

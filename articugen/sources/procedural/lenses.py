@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from articugen.geometry import Array
+from articugen.portable import cos, norm, power, sin
 
 
 @dataclass(frozen=True)
@@ -47,19 +48,19 @@ def lens_outline(lens: Lens, width: float, slant: float) -> Array:
     """The outline (n, 2) of the right lens about its middle: x outward, y up."""
     # Vertices at equal steps of length: first many, then as many as wanted.
     angles = np.linspace(0.0, 2.0 * np.pi, 721)
-    cosine, sine = np.cos(angles), np.sin(angles)
-    x = np.sign(cosine) * np.abs(cosine) ** (2.0 / lens.power)
-    y = np.sign(sine) * np.abs(sine) ** (2.0 / lens.power)
+    cosine, sine = cos(angles), sin(angles)
+    x = np.sign(cosine) * power(np.abs(cosine), 2.0 / lens.power)
+    y = np.sign(sine) * power(np.abs(sine), 2.0 / lens.power)
     outward = np.clip((x + 1.0) / 2.0, 0.0, 1.0)
     warped_x = x * (1.0 + lens.taper * y)
     warped_y = y * lens.aspect
-    warped_y += 2.0 * lens.lift * outward**3 * np.clip(y, 0.0, 1.0)
+    warped_y += 2.0 * lens.lift * outward * outward * outward * np.clip(y, 0.0, 1.0)
     warped_y -= 2.0 * lens.droop * outward**2 * np.clip(-y, 0.0, 1.0)
     warped_y += slant * x
     dense = np.stack([warped_x, warped_y], axis=1) * width / 2
     if lens.sides < 20:
         steps = np.linspace(0.0, 720.0, lens.sides, endpoint=False) + 720.0 / lens.sides / 2
         return dense[steps.astype(int)]
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(dense, axis=0), axis=1))])
+    length = np.concatenate([[0.0], np.cumsum(norm(np.diff(dense, axis=0)))])
     at = (np.arange(lens.sides) + 0.5) * length[-1] / lens.sides
     return np.stack([np.interp(at, length, dense[:, k]) for k in range(2)], axis=1)

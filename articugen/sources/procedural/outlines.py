@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from articugen.geometry import Array
+from articugen.portable import arctan2, cos, norm, product, sin
 
 
 def rectangle(width: float, height: float, center: ArrayLike = (0.0, 0.0)) -> Array:
@@ -35,7 +36,7 @@ def rounded_rectangle(
     for k, (corner, r) in enumerate(zip(rectangle(width, height), radii, strict=True)):
         angles = arc + np.pi + k * np.pi / 2
         corners.append(
-            corner * (1.0 - r / np.abs(corner)) + r * np.stack([np.cos(angles), np.sin(angles)], 1)
+            corner * (1.0 - r / np.abs(corner)) + r * np.stack([cos(angles), sin(angles)], 1)
         )
     return np.concatenate(corners) + np.asarray(center, dtype=np.float64)
 
@@ -48,7 +49,7 @@ def circle(radius: float, sides: int = 32, center: ArrayLike = (0.0, 0.0)) -> Ar
 def ellipse(a: float, b: float, sides: int = 32, center: ArrayLike = (0.0, 0.0)) -> Array:
     """A polygon inscribed in the ellipse with half-axes `a` along x and `b` along y."""
     angles = (np.arange(sides) + 0.5) * (2.0 * np.pi / sides)
-    unit = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    unit = np.stack([cos(angles), sin(angles)], axis=1)
     return unit * (a, b) + np.asarray(center, dtype=np.float64)
 
 
@@ -61,7 +62,7 @@ def offset(outline: Array, distance: float) -> Array:
         ValueError: an edge is shorter than what the offset takes from it.
     """
     edge = np.roll(outline, -1, axis=0) - outline
-    edge /= np.linalg.norm(edge, axis=1, keepdims=True)
+    edge /= norm(edge)[:, None]
     normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
     before = np.roll(normal, 1, axis=0)
     moved = (
@@ -81,7 +82,7 @@ def matched(outer: Array, inner: Array, center: ArrayLike = (0.0, 0.0)) -> tuple
     """
     middle = np.asarray(center, dtype=np.float64)
     shapes = [outer - middle, inner - middle]
-    angles = np.concatenate([np.arctan2(s[:, 1], s[:, 0]) for s in shapes]) % (2.0 * np.pi)
+    angles = np.concatenate([arctan2(s[:, 1], s[:, 0]) for s in shapes]) % (2.0 * np.pi)
     angles = np.sort(angles)
     kept = angles[np.diff(angles, append=angles[0] + 2.0 * np.pi) > 1e-4]
     return _seen_from_origin(shapes[0], kept) + middle, _seen_from_origin(shapes[1], kept) + middle
@@ -89,13 +90,13 @@ def matched(outer: Array, inner: Array, center: ArrayLike = (0.0, 0.0)) -> tuple
 
 def _seen_from_origin(outline: Array, angles: Array) -> Array:
     """Where rays from the origin at `angles` meet a star-shaped outline."""
-    direction = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    direction = np.stack([cos(angles), sin(angles)], axis=1)
     start, end = outline, np.roll(outline, -1, axis=0)
     normal = np.stack([end[:, 1] - start[:, 1], start[:, 0] - end[:, 0]], axis=1)
     distance = np.sum(normal * start, axis=1)
     side_start = direction[:, :1] * start[:, 1] - direction[:, 1:] * start[:, 0]
     side_end = direction[:, :1] * end[:, 1] - direction[:, 1:] * end[:, 0]
-    facing = direction @ normal.T
+    facing = product(direction, normal.T)
     crosses = (side_start <= 1e-12) & (side_end >= -1e-12) & (facing > 0.0)
     reach = np.where(crosses, distance / np.where(crosses, facing, 1.0), np.inf).min(axis=1)
     if not np.all(np.isfinite(reach)):

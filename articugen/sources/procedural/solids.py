@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from articugen.geometry import Array, apply, cross, rotation_about, transform
+from articugen.portable import arctan2, dot, norm, product, turned
 from articugen.sources.procedural.outlines import circle, convex_pieces, rounded_rectangle
 
 Face = tuple[int, ...]
@@ -48,7 +49,7 @@ class Sheet:
         """(n, 3, 3) the triangles where messy models have them."""
         edges = self.triangles[0, 1:] - self.triangles[0, :1]
         normal = cross(edges[0], edges[1])
-        return self.triangles + self.seen * self.thickness / 2 * normal / np.linalg.norm(normal)
+        return self.triangles + self.seen * self.thickness / 2 * normal / norm(normal)
 
     def moved(self, T: Array) -> "Sheet":
         """The sheet after the rigid transform `T` (4, 4)."""
@@ -92,7 +93,7 @@ class Solid:
         by_cell = tuple(np.split(planes, ends))
         for cell, behind in zip(self.cells, by_cell, strict=True):
             corners = self.vertices[sorted({v for face in cell for v in face})]
-            over = np.max(corners @ behind[:, :3].T - behind[:, 3])
+            over = np.max(product(corners, behind[:, :3].T) - behind[:, 3])
             if over > FLAT:
                 raise ValueError(
                     f"a cell is not convex: a vertex stands {over:.2e} m beyond a face"
@@ -277,21 +278,21 @@ def sweep(
     n = len(points)
     sections = np.broadcast_to(section, (n, *section.shape[-2:]))
     way = np.roll(points, -1, axis=0) - points
-    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-300)
+    way /= np.maximum(norm(way), 1e-300)[:, None]
     if not closed:
         way[-1] = way[-2]
     v = np.asarray(up, dtype=np.float64)
-    v = v - way[0] * (v @ way[0])
-    v /= np.linalg.norm(v)
+    v = v - way[0] * dot(v, way[0])
+    v /= norm(v)
     rings = np.empty((n, sections.shape[1], 3))
     for i, (t, before) in enumerate(zip(way, np.roll(way, 1, axis=0), strict=True)):
         before = t if i == 0 and not closed else before  # noqa: PLW2901
         v = v if i == 0 else _carried(v, before, t)
         across = cross(v, t)
         cut = t + before
-        flat = sections[i] @ np.stack([across, v])
-        rings[i] = points[i] + flat - np.outer(flat @ cut / (t @ cut), t)
-    if closed and np.max(np.abs(way @ v)) > FLAT:
+        flat = product(sections[i], np.stack([across, v]))
+        rings[i] = points[i] + flat - (dot(flat, cut) / dot(t, cut))[:, None] * t
+    if closed and np.max(np.abs(dot(way, v))) > FLAT:
         raise ValueError("a closed path must lie in a plane across `up`")
     return loft(rings, closed=closed)
 
@@ -299,10 +300,10 @@ def sweep(
 def _carried(v: Array, before: Array, after: Array) -> Array:
     """`v` turned by the least rotation that takes `before` to `after`."""
     axis = cross(before, after)
-    sine = np.linalg.norm(axis)
+    sine = norm(axis)
     if sine < 1e-12:
         return v
-    return rotation_about(axis / sine, float(np.arctan2(sine, before @ after))) @ v
+    return turned(rotation_about(axis / sine, arctan2(sine, dot(before, after))), v)
 
 
 def _corners(width: float, depth: float, center: Array) -> Array:
@@ -319,7 +320,7 @@ def _side(vertices: Array, a: list[int], b: list[int], i: int) -> list[Face]:
     quad = (a[i], a[j], b[j], b[i])
     p, q, r, s = vertices[list(quad)]
     normal = cross(r - p, s - q)
-    height = normal @ (q - p) / np.linalg.norm(normal)
+    height = dot(normal, q - p) / norm(normal)
     if abs(height) < FLAT / 10:
         return [quad]
     if height > 0.0:
@@ -335,7 +336,7 @@ def _planes(vertices: Array, faces: list[Face]) -> Array:
     middle = vertices.mean(axis=0)
     points = vertices[index] - middle
     normals = cross(points, np.roll(points, -1, axis=1)).sum(axis=1)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals /= norm(normals)[:, None]
     lengths = np.array([len(face) for face in faces])[:, None]
     used = (np.arange(longest) < lengths)[:, :, None]
     centers = (points * used).sum(axis=1) / lengths
@@ -348,7 +349,7 @@ def _triangles(vertices: Array, faces: list[Face]) -> NDArray[np.int32]:
     others = [t for face in faces if len(face) != 4 for t in _clipped(vertices, face)]
     p = vertices[quads]
     before, after = np.roll(p, 1, axis=1), np.roll(p, -1, axis=1)
-    area = np.linalg.norm(cross(p - before, after - p), axis=2)
+    area = norm(cross(p - before, after - p))
     # The diagonal that leaves the larger of the two smaller triangles; rounding decides no draw.
     cut_02 = np.minimum(area[:, 1], area[:, 3]) >= _ALMOST * np.minimum(area[:, 0], area[:, 2])
     turned = np.where(cut_02[:, None], quads, np.roll(quads, -1, axis=1))
@@ -363,8 +364,8 @@ def _clipped(vertices: Array, face: Face) -> list[Face]:
     while len(left) > 3:
         p = vertices[left]
         before, after = np.roll(p, 1, axis=0), np.roll(p, -1, axis=0)
-        area = np.linalg.norm(cross(p - before, after - p), axis=1)
-        whole = np.linalg.norm(cross(p, after).sum(axis=0))
+        area = norm(cross(p - before, after - p))
+        whole = norm(cross(p, after).sum(axis=0))
         fatness = area / np.sum((after - before) ** 2, axis=1)
         # What stays must not be flat. Of equal ears the first is taken, whatever the rounding.
         fatness = np.where(area < whole * (1.0 - 1e-9), fatness, -1.0)

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from articugen.geometry import Array, rotation_about, transform
+from articugen.portable import arctan2
 from articugen.sources.procedural.appliance_parts import Rect, knob, plate, rod, row, tapered
 from articugen.sources.procedural.outlines import circle
 from articugen.sources.procedural.oven_styles import Oven
@@ -23,7 +24,7 @@ def control_panel(rng: np.random.Generator, oven: Oven, rect: Rect) -> list[Soli
     lean = 0.75 * t if oven.sloped else 0.0
     # (z, x), counter-clockwise; the front edge leans back towards the top.
     outline = np.array([(rect.z0, 0.0), (rect.z1, 0.0), (rect.z1, t - lean), (rect.z0, t)])
-    slope = float(np.arctan2(lean, rect.height))
+    slope = arctan2(lean, rect.height)
     T = transform(rotation_about((0, 1, 0), -slope), (t - lean / 2, *rect.center))
     return [along_y(prism(outline, rect.y0, rect.y1)), *_row_of_controls(rng, oven, rect, T)]
 
@@ -95,7 +96,7 @@ def back_guard(rng: np.random.Generator, oven: Oven) -> list[Solid]:
     board = along_y(prism(outline, body.y0, body.y1))
     if oven.guard < 0.1:
         return [board]
-    slope = float(np.arctan2(foot - head, z1 - z0))
+    slope = arctan2(foot - head, z1 - z0)
     middle = ((foot + head) / 2, *body.center[:1], (z0 + z1) / 2)
     T = transform(rotation_about((0, 1, 0), -slope), middle)
     face = Rect(body.y0, z0, body.y1, z1)

@@ -16,6 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from articugen.geometry import Array, cross
+from articugen.portable import norm, turned
 from articugen.sources.procedural.writer import TRUTH_NAME
 
 _Cells = tuple[Array, NDArray[np.int64], Array]
@@ -43,7 +44,7 @@ class Truth:
     def inside(self, points: Array, T_world_link: Mapping[str, Array]) -> NDArray[np.int64]:
         """What each world point (N, 3) lies in: 0 for free space, k + 1 for `links[k]`.
 
-        Where links cross, as the folded temples of eyeglasses do, the first one counts.
+        Where links cross, which those of the bundled objects never do, the first one counts.
 
         Args:
             T_world_link: the (4, 4) transform of every link, by its name.
@@ -79,10 +80,10 @@ class Truth:
     def _posed(self, T_world_link: Mapping[str, Array]) -> _Cells:
         """The cells in the world frame."""
         T = np.array([T_world_link[name] for name in self.links])[self.link_of_cell]
-        center = T[:, :3, 3] + np.einsum("cij,cj->ci", T[:, :3, :3], self.boxes.mean(axis=1))
-        half = np.einsum("cij,cj->ci", np.abs(T[:, :3, :3]), np.ptp(self.boxes, axis=1) / 2)
+        center = T[:, :3, 3] + turned(T[:, :3, :3], self.boxes.mean(axis=1))
+        half = turned(np.abs(T[:, :3, :3]), np.ptp(self.boxes, axis=1) / 2)
         per_plane = np.repeat(T, np.diff(self.first_plane), axis=0)
-        normals = np.einsum("mij,mj->mi", per_plane[:, :3, :3], self.planes[:, :3])
+        normals = turned(per_plane[:, :3, :3], self.planes[:, :3])
         offsets = self.planes[:, 3] + np.sum(normals * per_plane[:, :3, 3], axis=1)
         slack = 1e-12  # Metres: the box may not be smaller than its cell through rounding.
         boxes = np.stack([center - half - slack, center + half + slack], axis=1)
@@ -125,9 +126,9 @@ def _slab(triangle: Array, thickness: float) -> tuple[Array, Array]:
     """The prism of a triangle (3, 3) that reaches half of `thickness` to either side."""
     edges = np.roll(triangle, -1, axis=0) - triangle
     normal = cross(edges[0], edges[1])
-    normal /= np.linalg.norm(normal)
+    normal /= norm(normal)
     sides = cross(edges, normal)
-    sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+    sides /= norm(sides)[:, None]
     across = normal * thickness / 2
     normals = np.stack([normal, -normal, *sides])
     on_plane = np.stack([triangle[0] + across, triangle[0] - across, *triangle])

@@ -7,6 +7,7 @@ side; its bowl reaches through the opening and is so tapered that it swings out 
 import numpy as np
 
 from articugen.geometry import rotation_about, transform
+from articugen.portable import arctan2
 from articugen.sources.procedural.appliance_parts import (
     Rect,
     handle,
@@ -127,7 +128,7 @@ def _controls(rng: np.random.Generator, washer: Washer) -> list[Solid]:
         outline = np.array([(0.0, 0.0), (high, 0.0), (high, head), (0.0, foot)])
         board = along_y(prism(outline, rect.y0, rect.y1)).shifted(x=back, z=washer.body.z1)
         middle = (back + (foot + head) / 2, 0.0, washer.body.z1 + high / 2)
-        lean = float(np.arctan2(foot - head, high))
+        lean = arctan2(foot - head, high)
         T = transform(rotation_about((0, 1, 0), -lean), middle)
         placed = _panel(rng, rect.width, 0.8 * high, e, tray=False)
         return [board, *(s.moved(T) for s in placed)]
@@ -139,7 +140,7 @@ def _controls(rng: np.random.Generator, washer: Washer) -> list[Solid]:
     board = along_y(prism(outline, slab.y0, slab.y1))
     if lean == 0.0:
         board = plate(slab, 0.0, out, radius=0.3 * washer.radius, bevel=0.2 * out)
-    turn = rotation_about((0, 1, 0), -float(np.arctan2(lean, slab.height)))
+    turn = rotation_about((0, 1, 0), -arctan2(lean, slab.height))
     T = transform(turn, (out + lean / 2, y, z))
     placed = _panel(rng, slab.width, slab.height, e, tray=True)
     return [board, *(s.moved(T) for s in placed)]

@@ -29,7 +29,7 @@ class Washer:
         fascia: the strip above the door that holds the controls.
         console: controls stand on a board at the top's rear; the fascia is plain.
         pedestal: height of a base with a drawer, 0 for none.
-        legs: the body stands on high legs.
+        legs: the body stands on four short legs and has no kick plate.
         stacked: a dryer that does not open stands on top.
         sides: of everything round.
     """
@@ -75,7 +75,7 @@ def draw(rng: np.random.Generator) -> Washer:
     (w_low, w_high), (d_low, d_high), (h_low, h_high) = _SIZES[kind]
     w, depth, h = u(w_low, w_high), u(d_low, d_high), u(h_low, h_high)
     pedestal = u(0.22, 0.36) if kind == "large" and u() < 0.5 else 0.0
-    lift = u(0.1, 0.25) if kind == "mini" else u(0.015, 0.035) + pedestal
+    lift = u(0.02, 0.06) if kind == "mini" else u(0.015, 0.035) + pedestal
     body = Rect(-w / 2, lift, w / 2, lift + h)
     console = kind in ("standard", "large", "narrow") and pedestal == 0.0 and bool(u() < 0.3)
     strip = 0.03 if console else u(0.2, 0.26) if kind == "mini" else u(0.12, 0.2)

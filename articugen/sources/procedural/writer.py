@@ -1,10 +1,10 @@
 """A `Model` as files: `model.urdf`, OBJ meshes, `semantics.txt` and the exact `solids.json`.
 
-The same model gives the same bytes, and a folder appears under its name only when it is whole.
+The same model gives the same bytes; `cache` sees to it that a folder is whole.
 
 `solids.json` holds the truth, in the frame of each link of the URDF beside it:
 
-    {"version": GENERATOR_VERSION, "object_id": "laptop_0003", "category": "laptop", "messy": false,
+    {"object_id": "laptop_0003", "category": "laptop", "messy": false,
      "links": {"<link name>": {
          "cells":  [{"box": [[x, y, z], [x, y, z]], "half_spaces": [[nx, ny, nz, d], ...]}, ...],
          "sheets": [{"triangles": [[[x, y, z], [x, y, z], [x, y, z]], ...], "thickness": t,
@@ -17,9 +17,6 @@ middle, which has no thickness at all: `thickness` is then that of the panel it 
 """
 
 import json
-import os
-import shutil
-import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -27,11 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.geometry import Array, apply, cross, invert_rigid, rotation_from_rpy, transform
+from articugen.portable import norm, product, turned
 from articugen.sources.procedural.model import ROOT_NAME, Model, ModelLink
 from articugen.sources.procedural.solids import Solid
-
-GENERATOR_VERSION = 3
-"""Raised whenever any generator's output changes, so that folders written before are replaced."""
 
 URDF_NAME = "model.urdf"
 TRUTH_NAME = "solids.json"
@@ -43,59 +38,16 @@ _SHEET_LIMIT = 0.013
 """Panels thinner than this part of the object's longest side become sheets in messy models."""
 
 
-def is_complete(folder: Path, *, messy: bool) -> bool:
-    """Whether `folder` holds an object that this version of the generators wrote."""
-    try:
-        header = json.loads((folder / TRUTH_NAME).read_text())
-    except (OSError, ValueError):
-        return False
-    return header.get("version") == GENERATOR_VERSION and header.get("messy") is messy
-
-
 def write_model(
     model: Model, folder: Path, *, object_id: str, category: str, messy: bool = False
-) -> Path:
-    """Write `model` as the folder `folder` and return its URDF's path.
-
-    The files are made under a temporary name beside it and renamed, so two processes may write the
-    same object at once. A folder of another version is replaced.
+) -> None:
+    """Write the files of `model` into an empty folder.
 
     Args:
         messy: write the same object as real data come: triangles twice with both windings, one
             visual a solid, y-up meshes turned by a fixed joint, the body as the last link, hidden
             faces left open, thin panels as sheets.
     """
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    work = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-    try:
-        work.chmod(0o755)
-        _write_files(model, work, object_id, category, messy)
-        _replace(work, folder, messy)
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
-    return folder / URDF_NAME
-
-
-def _replace(work: Path, folder: Path, messy: bool) -> None:
-    """Give `work` the name `folder`, unless another process has already done so."""
-    for _ in range(10):
-        try:
-            work.rename(folder)
-            return
-        except OSError:
-            if is_complete(folder, messy=messy):
-                return
-        aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-        try:
-            folder.rename(aside / "old")
-        except FileNotFoundError:
-            pass
-        finally:
-            shutil.rmtree(aside, ignore_errors=True)
-    raise OSError(f"{folder}: other processes keep writing this folder; stop them")
-
-
-def _write_files(model: Model, work: Path, object_id: str, category: str, messy: bool) -> None:
     R = rotation_from_rpy(_YUP_RPY).round() if messy else np.eye(3)
     pivot = {joint.child: np.asarray(joint.origin, np.float64) for joint in model.joints}
     limit = _SHEET_LIMIT * float(np.max(model.bounds[1] - model.bounds[0]))
@@ -107,20 +59,11 @@ def _write_files(model: Model, work: Path, object_id: str, category: str, messy:
         truth[link.name] = _link_truth(link, sheets, T_link_object)
         # Messy meshes stay in the object's frame: each visual's origin takes the pivot away.
         T_mesh_object = transform(R.T) if messy else T_link_object
-        visuals[link.name] = _write_meshes(work, link, sheets, T_mesh_object, messy)
-    (work / URDF_NAME).write_text(_urdf(model, object_id, visuals, R, messy))
-    (work / "semantics.txt").write_text(_semantics(model))
-    header = {
-        "version": GENERATOR_VERSION,
-        "object_id": object_id,
-        "category": category,
-        "messy": messy,
-        "links": truth,
-    }
-    with (work / TRUTH_NAME).open("w") as file:
-        file.write(json.dumps(header, separators=(",", ":")) + "\n")
-        file.flush()
-        os.fsync(file.fileno())
+        visuals[link.name] = _write_meshes(folder, link, sheets, T_mesh_object, messy)
+    (folder / URDF_NAME).write_text(_urdf(model, object_id, visuals, R, messy))
+    (folder / "semantics.txt").write_text(_semantics(model))
+    header = {"object_id": object_id, "category": category, "messy": messy, "links": truth}
+    (folder / TRUTH_NAME).write_text(json.dumps(header, separators=(",", ":")) + "\n")
 
 
 def _link_truth(link: ModelLink, sheets: list[bool], T_link_object: Array) -> dict[str, list]:
@@ -143,12 +86,12 @@ def _rounded(array: Array) -> list:
 
 
 def _write_meshes(
-    work: Path, link: ModelLink, sheets: list[bool], T_mesh_object: Array, messy: bool
+    folder: Path, link: ModelLink, sheets: list[bool], T_mesh_object: Array, messy: bool
 ) -> list[str]:
     """The link's OBJ files: one of all solids, or one a solid where `messy`."""
     if not messy:
         name = f"{link.name}.obj"
-        _write_obj(work / name, [(s.moved(T_mesh_object).vertices, s.faces) for s in link.solids])
+        _write_obj(folder / name, [(s.moved(T_mesh_object).vertices, s.faces) for s in link.solids])
         return [name]
     names = []
     closed = [s for s, as_sheet in zip(link.solids, sheets, strict=True) if not as_sheet]
@@ -162,7 +105,7 @@ def _write_meshes(
             continue
         both = np.stack([faces, faces[:, ::-1]], axis=1).reshape(-1, 3)
         names.append(f"{link.name}-{k}.obj")
-        _write_obj(work / names[-1], [(apply(T_mesh_object, vertices), both)])
+        _write_obj(folder / names[-1], [(apply(T_mesh_object, vertices), both)])
     return names
 
 
@@ -175,7 +118,7 @@ def _seen_faces(solid: Solid, index: int, others: Iterable[Solid]) -> NDArray[np
         return solid.faces
     corners = solid.vertices[solid.faces]
     normals = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals /= norm(normals)[:, None]
     outside = corners + 1e-6 * normals[:, None]
     hidden = np.zeros(len(corners), bool)
     for other in others:
@@ -185,7 +128,7 @@ def _seen_faces(solid: Solid, index: int, others: Iterable[Solid]) -> NDArray[np
             near = np.all((outside >= low - 1e-7) & (outside <= high + 1e-7), axis=(1, 2))
             near &= ~hidden
             if near.any():
-                over = outside[near] @ planes[:, :3].T - planes[:, 3]
+                over = product(outside[near], planes[:, :3].T) - planes[:, 3]
                 hidden[np.flatnonzero(near)[np.all(over <= 1e-7, axis=(1, 2))]] = True
     return solid.faces[~hidden]
 
@@ -217,8 +160,8 @@ def _urdf(
         )
     for j in model.joints:
         pivot[j.child] = np.asarray(j.origin, np.float64)
-        shift = R.T @ (pivot[j.child] - pivot[j.parent])
-        axis = None if j.kind == "fixed" else R.T @ np.asarray(j.axis, np.float64)
+        shift = turned(R.T, pivot[j.child] - pivot[j.parent])
+        axis = None if j.kind == "fixed" else turned(R.T, j.axis)
         joints.append(
             _joint(
                 j.name,
@@ -231,7 +174,7 @@ def _urdf(
             )
         )
     links = [
-        _link(name, files, -(R.T @ pivot[name]) if messy else np.zeros(3))
+        _link(name, files, -turned(R.T, pivot[name]) if messy else np.zeros(3))
         for name, files in visuals.items()
     ]
     if messy:  # As PartNet-Mobility has it: an empty base first, the body last.

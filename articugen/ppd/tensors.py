@@ -1,0 +1,139 @@
+"""Tensors and plain data in files that are sealed: no pickled code, no flipped bit, no NaN.
+
+A file is what torch.save writes, a zip archive, with the SHA-256 of all that comes before it as the
+archive's comment: torch.load(path, weights_only=True) reads it as it is.
+"""
+
+import hashlib
+import io
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from articugen.errors import InvalidCheckpoint
+from articugen.files import UnfitFile, read_regular, write_atomically
+
+MOST_BYTES = 1 << 31
+"""That such a file may have; a checkpoint of PPD has 10 MB."""
+
+CURE = "restore it from a copy, or train again"
+
+_END_RECORD, _END_BYTES = b"PK\x05\x06", 22
+_LABEL = b"sha256:"
+_SEAL_BYTES = len(_LABEL) + 64
+
+
+def write_tensors(path: Path, data: dict[str, Any], form: str) -> None:
+    """Write tensors and plain data in one step, sealed.
+
+    Raises:
+        MachineFault: the disk is full, or the like.
+    """
+    buffer = io.BytesIO()
+    torch.save({"format": form, **data}, buffer)
+    write_atomically(path, sealed(buffer.getvalue()))
+
+
+def sealed(archive: bytes) -> bytes:
+    """A zip archive without a comment, given its digest as one."""
+    end = archive[-_END_BYTES:]  # its last two bytes are the comment's length
+    if not (end.startswith(_END_RECORD) and end.endswith(b"\0\0")):
+        raise ValueError("not a zip archive without a comment")
+    body = archive[:-2] + struct.pack("<H", _SEAL_BYTES)
+    return body + _LABEL + hashlib.sha256(body).hexdigest().encode()
+
+
+def read_tensors(path: Path, wanted: str) -> dict[str, Any]:
+    """What was written to `path` in the format `wanted`, all of it finite but plain infinities.
+
+    Raises:
+        InvalidCheckpoint: there is none, it is damaged, or not one of ours.
+    """
+    image = _unsealed(path)
+    try:
+        data = torch.load(io.BytesIO(image), map_location="cpu", weights_only=True)
+    except MemoryError:
+        raise
+    except Exception:  # torch's reader raises whatever it stumbles over
+        raise InvalidCheckpoint(f"{path}: not a checkpoint, or damaged; {CURE}") from None
+    if not isinstance(data, dict) or data.pop("format", None) != wanted:
+        raise InvalidCheckpoint(f"{path}: not a checkpoint of this version; {CURE}")
+    for value in _values(data):
+        if not _is_sound(value):
+            raise InvalidCheckpoint(f"{path}: holds numbers that are not finite; {CURE}")
+    return data
+
+
+def _unsealed(path: Path) -> bytes:
+    try:
+        image = read_regular(path, MOST_BYTES)
+    except UnfitFile as error:
+        raise InvalidCheckpoint(f"{path}: {error.strerror}; {CURE}") from None
+    except OSError as error:
+        raise InvalidCheckpoint(f"{path}: cannot be read ({error.strerror}); {CURE}") from None
+    body, seal = memoryview(image)[:-_SEAL_BYTES], image[-_SEAL_BYTES:]
+    if not seal.startswith(_LABEL):
+        raise InvalidCheckpoint(
+            f"{path}: not a checkpoint with a digest: damaged, or of an earlier version; {CURE}"
+        )
+    if seal != _LABEL + hashlib.sha256(body).hexdigest().encode():
+        raise InvalidCheckpoint(f"{path}: damaged, not the bytes that were written; {CURE}")
+    return image
+
+
+def _values(data: Any) -> Iterator[Any]:
+    """Every tensor and plain value, however deep; what holds itself is looked into once."""
+    waiting, seen = [data], set[int]()
+    while waiting:
+        value = waiting.pop()
+        if isinstance(value, dict | list | tuple | set):
+            if id(value) not in seen:
+                seen.add(id(value))
+                waiting += [*value, *value.values()] if isinstance(value, dict) else value
+        else:
+            yield value
+
+
+def _is_sound(value: Any) -> bool:
+    if not isinstance(value, Tensor):
+        return value == value or not isinstance(value, float)  # noqa: PLR0124 - NaN alone differs
+    if value.layout != torch.strided or value.is_quantized or value.device.type != "cpu":
+        return False
+    if value.numel() * value.element_size() > value.untyped_storage().nbytes():
+        return False  # a view of a few numbers that pretends to be many
+    return bool(value.isfinite().all())
+
+
+def check_weights(weights: Any, network: nn.Module, path: Path) -> None:
+    """Raise InvalidCheckpoint where they are not this network's."""
+    if not isinstance(weights, dict) or _shapes(weights) != _shapes(network.state_dict()):
+        raise InvalidCheckpoint(f"{path}: its weights are those of another recipe; train again")
+
+
+def _shapes(weights: dict[str, Any]) -> dict[str, Any]:
+    return {
+        name: (tuple(value.shape), value.dtype) if isinstance(value, Tensor) else None
+        for name, value in weights.items()
+    }
+
+
+def check_adam(state: Any, network: nn.Module, path: Path) -> None:
+    """Raise InvalidCheckpoint where it is not the state dict of an Adam for this network."""
+    parameters = list(network.parameters())
+    try:
+        (group,) = state["param_groups"]
+        fits = group["params"] == list(range(len(parameters)))
+        fits &= isinstance(group["lr"], float) and set(state) == {"state", "param_groups"}
+        for index, each in state["state"].items():
+            wanted = parameters[index]
+            moments = (each["exp_avg"], each["exp_avg_sq"])
+            fits &= all((m.shape, m.dtype) == (wanted.shape, wanted.dtype) for m in moments)
+            fits &= set(each) == {"step", "exp_avg", "exp_avg_sq"} and each["step"].numel() == 1
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError):
+        fits = False
+    if not fits:
+        raise InvalidCheckpoint(f"{path}: its optimizer is not that of its network; train again")

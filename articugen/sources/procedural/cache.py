@@ -1,0 +1,207 @@
+"""Folders of bundled models on disk: written whole, sealed, and looked at before each use.
+
+A model is made once and read many times, by several processes. Its folder holds a seal: what the
+model is, a digest of the code that made it and of each of its files. A folder whose seal does not
+fit is written again. A writer works in a hidden folder beside it, which it holds locked, so that
+what a killed writer left is told from what a living one still needs.
+"""
+
+import errno
+import fcntl
+import hashlib
+import json
+import os
+import re
+import shutil
+import stat
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+
+from articugen.errors import MachineFault
+from articugen.files import cannot_write, sync_folder
+
+SEAL_NAME = "seal.json"
+
+_PACKAGE = Path(__file__).resolve().parents[2]
+_CODE = ("sources/procedural", "geometry.py", "portable.py", "seeding.py")
+"""What makes models, below the package."""
+
+_WORK = re.compile(r"\.[a-z_]+_[0-9]{4,9}\.[a-z0-9_]{8}")
+"""The names of the folders in which writers of objects work."""
+
+_READ_ONLY = (errno.EROFS, errno.EACCES, errno.EPERM)
+
+
+def stored(folder: Path, identity: Mapping[str, str | bool], write: Callable[[Path], None]) -> Path:
+    """The folder in which `write` put a model's files: `folder`, as it is or written just now.
+
+    Where `folder` cannot be written to it is one of the user's own below the system's temporary
+    folder. Any number of processes may ask for the same folder at once.
+
+    Args:
+        identity: what the model is; it becomes part of the seal.
+        write: puts the model's files, no folders among them, into the empty folder it is given.
+
+    Raises:
+        MachineFault: no memory, a full or broken disk, or the like.
+    """
+    try:
+        if is_sealed(folder, identity):
+            return folder
+        try:
+            _write(folder, identity, write)
+        except OSError as error:
+            if error.errno not in _READ_ONLY:
+                raise
+            folder = _own_folder() / _digest(str(folder).encode())[:16] / folder.name
+            if not is_sealed(folder, identity):
+                _write(folder, identity, write)
+    except OSError as error:
+        raise MachineFault(cannot_write(folder, error)) from error
+    except MemoryError as error:
+        raise MachineFault(f"{folder}: not written: no memory is left; use fewer jobs") from error
+    return folder
+
+
+def is_sealed(folder: Path, identity: Mapping[str, str | bool]) -> bool:
+    """Whether the folder holds this model as this code made it, to the byte."""
+    try:
+        seal = json.loads(_bytes_of(folder / SEAL_NAME))
+        return seal == _seal(folder, identity, seal["files"])
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        return False
+
+
+def _seal(folder: Path, identity: Mapping[str, str | bool], names: Mapping | list[str]) -> dict:
+    """What the seal of a folder with these files must say."""
+    files = {name: _digest(_bytes_of(folder / _plain(name))) for name in sorted(names)}
+    return {**identity, "code": _code(), "files": files}
+
+
+def _plain(name: str) -> str:
+    if Path(name).name != name:
+        raise ValueError(f"{name!r} is not the name of a file")
+    return name
+
+
+def _bytes_of(path: Path) -> bytes:
+    """The content of a regular file; nothing else is opened."""
+    if not stat.S_ISREG(path.lstat().st_mode):
+        raise ValueError(f"{path} is not a file")
+    return path.read_bytes()
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+@cache
+def _code() -> str:
+    """The digest of the code that makes models: another version's models are made again."""
+    roots = [path for path in (_PACKAGE / name for name in _CODE) if path.exists()]
+    files = [f for root in roots for f in (root.glob("*.py") if root.is_dir() else (root,))]
+    named = sorted((f.relative_to(_PACKAGE).as_posix(), f.read_bytes()) for f in files)
+    return _digest(b"".join(name.encode() + b"\0" + data + b"\0" for name, data in named))
+
+
+def _write(folder: Path, identity: Mapping[str, str | bool], write: Callable[[Path], None]) -> None:
+    """Make the folder, or make it again."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    _remove_left_over(folder.parent)
+    with _work_folder(folder) as work:
+        write(work)
+        seal = _seal(work, identity, os.listdir(work))
+        (work / SEAL_NAME).write_text(json.dumps(seal, indent=1) + "\n")
+        for path in work.iterdir():
+            _sync_file(path)
+        sync_folder(work)
+        work.chmod(0o755)
+        _name(work, folder, identity)
+    sync_folder(folder.parent)
+
+
+def _sync_file(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _name(work: Path, folder: Path, identity: Mapping[str, str | bool]) -> None:
+    """Give `work` the name `folder`, unless another process has already done so."""
+    for _ in range(10):
+        try:
+            work.rename(folder)
+            return
+        except OSError as error:
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
+                raise
+        if is_sealed(folder, identity):
+            return
+        aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+        try:
+            folder.rename(aside / "old")
+        except FileNotFoundError:
+            pass  # Another process was faster.
+        finally:
+            shutil.rmtree(aside, ignore_errors=True)
+    raise OSError(errno.EBUSY, "other processes keep writing this folder; stop them")
+
+
+@contextmanager
+def _work_folder(folder: Path) -> Iterator[Path]:
+    """A new folder beside `folder`, locked by this process until it is done with it."""
+    while True:
+        work = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+        handle = _locked(work, wait=True)
+        if handle is not None and work.exists():
+            break
+        if handle is not None:  # Taken for left over before it was locked.
+            os.close(handle)
+    try:
+        yield work
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+        os.close(handle)
+
+
+def _locked(work: Path, *, wait: bool) -> int | None:
+    """A handle that holds the folder's lock; None if it is gone or, without `wait`, if locked."""
+    try:
+        handle = os.open(work, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    except FileNotFoundError:
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if not wait:
+            os.close(handle)
+            return None
+        if error.errno not in (errno.ENOLCK, errno.EOPNOTSUPP):  # Where there are no locks,
+            os.close(handle)  # nobody can take this for left over either.
+            raise
+    return handle
+
+
+def _remove_left_over(parent: Path) -> None:
+    """Remove the folders of writers that are no more."""
+    for entry in list(os.scandir(parent)):
+        if _WORK.fullmatch(entry.name) and entry.is_dir(follow_symlinks=False):
+            handle = _locked(Path(entry.path), wait=False)
+            if handle is not None:
+                shutil.rmtree(entry.path, ignore_errors=True)
+                os.close(handle)
+
+
+def _own_folder() -> Path:
+    """A folder for models below the system's temporary one; nobody else can write to it."""
+    folder = Path(tempfile.gettempdir()) / f"articugen-models-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+        raise MachineFault(f"{folder}: is not a folder of yours alone; remove it or set TMPDIR")
+    return folder

@@ -1,0 +1,391 @@
+"""Worker processes that are watched: they die with their parent, and none takes another along.
+
+A worker that is killed, or for which memory runs out, costs its task one more try, alone, when all
+others are done; one that exceeds the limit is killed, and that is the task's result.
+
+They are started by hand, not by `multiprocessing`: a script then needs no `if __name__ ==
+"__main__"`, and one that is lost breaks no pool.
+"""
+
+import ctypes
+import math
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, Pipe, wait
+from pathlib import Path
+from typing import Any, Generic, TypeVar, cast
+
+from articugen.errors import ArticugenError, MachineFault
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+TICK = 0.2
+"""Seconds between two looks at the workers' clocks and memory."""
+
+_READY, _DONE, _RAISED, _NO_MEMORY = "ready", "done", "raised", "no memory"
+_PR_SET_PDEATHSIG = 1  # of linux/prctl.h
+
+
+@dataclass(frozen=True)
+class Limit:
+    """What one task may take: seconds of the clock, and resident memory of its worker."""
+
+    seconds: float = math.inf
+    megabytes: float = math.inf
+
+
+@dataclass(frozen=True)
+class Ended(Generic[R]):
+    """How a task ended: with a value, over the limit, or with its worker lost twice.
+
+    Attributes:
+        number: the task's place among the tasks.
+        value: what the function returned; None where it did not.
+        over: "seconds" or "megabytes", the limit it exceeded; or None.
+        lost: what became of its worker, for instance "ran out of memory"; or None.
+    """
+
+    number: int
+    value: R | None = None
+    over: str | None = None
+    lost: str | None = None
+
+
+def _nothing(*_: object) -> None:
+    pass
+
+
+def each(
+    function: Callable[[T], R],
+    tasks: Sequence[T],
+    *,
+    workers: int,
+    limit: Limit = Limit(),
+    ready: Callable[[], None] = _nothing,
+    handles: Sequence[int] = (),
+    notice: Callable[[str], None] = _nothing,
+    name: Callable[[T], str] = str,
+) -> Generator[Ended[R], None, None]:
+    """`function` of each task, as they end; what it raises ends them all, as closing this does.
+
+    Args:
+        function, tasks: picklable, the function by its name in a module.
+        workers: processes at most; 0 does all of it in this process, without any limit.
+        ready: called once in each worker before its first task, off the clock.
+        handles: open files that every worker holds open as long as it lives, locks for instance.
+        notice: called with one sentence where a worker was lost.
+        name: what a task is called in it.
+
+    Raises:
+        MachineFault: no worker can be started, or none does anything before it is lost.
+    """
+    if workers == 0:
+        yield from _here(function, tasks)
+        return
+    crew = _Crew(lambda: _Worker(function, ready, handles), limit, min(workers, len(tasks)))
+    try:
+        yield from crew.work(tasks, notice, name)
+    finally:
+        crew.dismiss()
+
+
+def in_order(
+    function: Callable[[T], R], tasks: Sequence[T], *, workers: int, name: Callable[[T], str] = str
+) -> Generator[R, None, None]:
+    """`function` of each task, in the order of the tasks; see `each`.
+
+    Raises:
+        MachineFault: a worker was lost twice over the same task.
+    """
+    early: dict[int, R] = {}
+    following = 0
+    with closing(each(function, tasks, workers=workers, name=name)) as all_ended:
+        for ended in all_ended:
+            if ended.lost:
+                raise MachineFault(
+                    f"{name(tasks[ended.number])}: its worker {ended.lost} when it was tried alone "
+                    "as well; use fewer --jobs or end other programs"
+                )
+            early[ended.number] = cast("R", ended.value)
+            while following in early:
+                yield early.pop(following)
+                following += 1
+
+
+def die_with(parent: int) -> None:
+    """End this process as soon as the process `parent`, its parent, has ended; within a second.
+
+    Linux does it at once, whatever this process is doing. Elsewhere a thread looks, which our
+    kernels let run. The signal follows the parent's *thread* that started this process.
+    """
+    prctl = getattr(ctypes.CDLL(None), "prctl", None)
+    if prctl is not None:
+        prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    threading.Thread(target=_watch, args=(parent,), daemon=True).start()
+
+
+def _watch(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(0.5)
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+# --- in a worker
+
+
+def serve(handle: int, parent: int) -> None:
+    """What a worker does: the tasks that come through the pipe, until nobody is at its end."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which then ends us
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    die_with(parent)
+    with Connection(handle) as pipe:
+        try:
+            function, ready = pipe.recv()
+            kind, value = _answer(lambda _: ready(), None)
+            pipe.send((_READY if kind is _DONE else kind, value))
+            while True:
+                pipe.send(_answer(function, pipe.recv()))
+        except (EOFError, OSError, MemoryError):
+            os._exit(1)  # nobody is there to be told
+
+
+def _answer(function: Callable[[Any], Any], task: Any) -> tuple[str, Any]:
+    try:
+        return _DONE, function(task)
+    except MemoryError:
+        return _NO_MEMORY, None
+    except Exception as error:
+        return _RAISED, _picklable(error)
+
+
+def _picklable(error: Exception) -> Exception:
+    """Some exceptions cannot be made again from what they say."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        kind = ArticugenError if isinstance(error, ArticugenError) else RuntimeError
+        return kind(str(error))
+    return error
+
+
+# --- in the parent
+
+
+class _Worker:
+    """One process, its pipe, and the task it is at."""
+
+    def __init__(
+        self, function: Callable[[Any], Any], ready: Callable[[], None], handles: Sequence[int]
+    ) -> None:
+        self.number: int | None = None
+        self.alone = False
+        self.since: float | None = None  # when its clock started; None while it gets ready
+        self._ready = False
+        ours, theirs = Pipe()
+        code = (
+            f"import sys; sys.path[:] = {sys.path!r}; from articugen.workers import serve; "
+            f"serve({theirs.fileno()}, {os.getpid()})"
+        )
+        with theirs, _no_interrupts():
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", code],
+                stdin=subprocess.DEVNULL,
+                pass_fds=(theirs.fileno(), *handles),
+            )
+        self.pipe = ours
+        self.pid = self._process.pid
+        self._send((function, ready))
+
+    def begin(self, number: int, task: object, *, alone: bool) -> None:
+        self.number, self.alone = number, alone
+        self.since = time.monotonic() if self._ready else None
+        self._send(task)
+
+    def hear(self) -> tuple[str, Any]:
+        """What it says; `EOFError` where it is gone."""
+        try:
+            kind, value = self.pipe.recv()
+        except OSError:
+            raise EOFError from None
+        if kind == _READY:
+            self._ready, self.since = True, time.monotonic()
+        return kind, value
+
+    def end(self) -> int:
+        """Kill it where it still lives; its exit status."""
+        self._process.kill()
+        status = self._process.wait()
+        self.pipe.close()
+        return status
+
+    def _send(self, what: object) -> None:
+        with suppress(OSError):  # it is gone, as `hear` will find
+            self.pipe.send(what)
+
+
+@contextmanager
+def _no_interrupts() -> Iterator[None]:
+    """Ctrl-C waits, here and in what is started meanwhile: see `serve`."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class _Crew:
+    """The workers of one call of `each`."""
+
+    def __init__(self, hire: Callable[[], _Worker], limit: Limit, width: int) -> None:
+        self._hire = hire
+        self._limit = limit
+        self._width = width
+        self._hopeless = width + 3
+        self._deaths = 0
+        self._any_done = False
+        self._busy: list[_Worker] = []
+        self._idle: list[_Worker] = []
+        self._waiting: deque[int] = deque()
+        self._alone: deque[int] = deque()
+
+    def work(
+        self, tasks: Sequence[T], notice: Callable[[str], None], name: Callable[[T], str]
+    ) -> Iterator[Ended[Any]]:
+        self._waiting.extend(range(len(tasks)))
+        while self._waiting or self._alone or self._busy:
+            self._hand_out(tasks)
+            spoken = wait([worker.pipe for worker in self._busy], TICK)
+            for worker in [w for w in self._busy if w.pipe in spoken]:
+                ended, lost = self._heard(worker)
+                if ended:
+                    yield ended
+                if lost:
+                    notice(self._told(lost, name(tasks[worker.number or 0])))
+            for worker, over in self._over_limit():
+                self._dismiss(worker)
+                yield Ended(worker.number or 0, over=over)
+
+    def dismiss(self) -> None:
+        """End all workers, whatever they are doing."""
+        for worker in self._busy + self._idle:
+            worker.end()
+        self._busy, self._idle = [], []
+
+    def _hand_out(self, tasks: Sequence[Any]) -> None:
+        while self._waiting and len(self._busy) < self._width:
+            if not self._give(self._waiting, tasks, alone=False):
+                self._width = len(self._busy)
+        if self._alone and not self._busy:
+            self._give(self._alone, tasks, alone=True)
+
+    def _give(self, numbers: deque[int], tasks: Sequence[Any], *, alone: bool) -> bool:
+        """Hand the next task to a worker; whether there was one to be had."""
+        try:
+            worker = self._idle.pop() if self._idle else self._hire()
+        except OSError as error:
+            if self._busy:
+                return False
+            raise MachineFault(
+                f"no worker process can be started: {error.strerror or error}; end other programs, "
+                "raise the limits (ulimit) or use fewer --jobs"
+            ) from error
+        number = numbers.popleft()
+        worker.begin(number, tasks[number], alone=alone)
+        self._busy.append(worker)
+        return True
+
+    def _heard(self, worker: _Worker) -> tuple[Ended[Any] | None, str | None]:
+        """How its task ended, if it did; what became of the worker, where its task gets a try."""
+        try:
+            kind, value = worker.hear()
+        except EOFError:
+            return self._lost(worker, _fate(self._dismiss(worker)))
+        if kind == _RAISED:
+            raise value
+        if kind == _NO_MEMORY:
+            self._dismiss(worker)
+            return self._lost(worker, "ran out of memory")
+        if kind == _DONE:
+            self._any_done = True
+            self._busy.remove(worker)
+            self._idle.append(worker)
+            return Ended(worker.number or 0, value=value), None
+        return None, None
+
+    def _lost(self, worker: _Worker, fate: str) -> tuple[Ended[Any] | None, str | None]:
+        number = worker.number or 0
+        self._deaths += 1
+        if self._deaths == self._hopeless and not self._any_done:
+            raise MachineFault(
+                f"{self._deaths} workers were lost and no task was done, the last one {fate}; end "
+                "other programs or raise the limits (ulimit)"
+            )
+        if worker.alone:
+            return Ended(number, lost=fate), None
+        self._alone.append(number)
+        self._width = max(1, self._width - 1)
+        while self._idle:  # what they hold on to may be what was missing
+            self._idle.pop().end()
+        return None, fate
+
+    def _told(self, fate: str, task: str) -> str:
+        left = f"{self._width} worker{'s' if self._width > 1 else ''}"
+        return f"a worker {fate} at {task}, which is tried once more at the end; {left} from now on"
+
+    def _over_limit(self) -> list[tuple[_Worker, str]]:
+        now, most = time.monotonic(), 1e6 * self._limit.megabytes
+        clocks = [w for w in self._busy if w.since and now - w.since > self._limit.seconds]
+        others = [w for w in self._busy if w.since and w not in clocks]
+        held = resident_bytes([w.pid for w in others]) if math.isfinite(most) else {}
+        heavy = [w for w in others if held.get(w.pid, 0) > most]
+        return [(w, "seconds") for w in clocks] + [(w, "megabytes") for w in heavy]
+
+    def _dismiss(self, worker: _Worker) -> int:
+        self._busy.remove(worker)
+        return worker.end()
+
+
+def _fate(status: int) -> str:
+    """What an exit status tells of a worker that we did not end."""
+    if status == -signal.SIGKILL:
+        return "was killed (as systems do where memory runs out)"
+    if status < 0:
+        return f"was ended by {signal.Signals(-status).name}"
+    return f"ended by itself with status {status}"
+
+
+def resident_bytes(pids: Sequence[int]) -> dict[int, int]:
+    """The memory that processes hold, by their id; without those that are gone."""
+    if Path("/proc/self/statm").exists():
+        return dict(filter(None, map(_resident_on_linux, pids)))
+    command = ["ps", "-o", "pid=,rss=", "-p", ",".join(map(str, pids))]
+    listed = subprocess.run(command, capture_output=True, text=True, check=False).stdout.split()
+    numbers = list(map(int, listed))
+    return {pid: 1024 * held for pid, held in zip(numbers[::2], numbers[1::2], strict=True)}
+
+
+def _resident_on_linux(pid: int) -> tuple[int, int] | None:
+    try:
+        pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    except (OSError, IndexError):
+        return None
+    return pid, pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def _here(function: Callable[[T], R], tasks: Sequence[T]) -> Iterator[Ended[R]]:
+    for number, task in enumerate(tasks):
+        try:
+            ended = Ended(number, value=function(task))
+        except MemoryError:
+            ended = Ended(number, lost="ran out of memory")
+        yield ended

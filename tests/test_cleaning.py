@@ -1,0 +1,140 @@
+"""What killed runs left is removed, and nothing else."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from test_manifest import COMPLETE, keys, make, names_in, run
+from typer.testing import CliRunner
+
+from articugen.cleaning import clean
+from articugen.cli import app
+from articugen.errors import ArticugenError, CorruptShard
+from articugen.files import partial_name
+from articugen.journal import JOURNAL_NAME, data_sets
+from articugen.manifest import MANIFEST_NAME
+from articugen.verify import verify
+
+
+@pytest.fixture(scope="module")
+def complete(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("data") / "box"
+    run(folder, keys())
+    return folder
+
+
+@pytest.fixture
+def folder(complete, tmp_path):
+    return Path(shutil.copytree(complete, tmp_path / "box"))
+
+
+def removed(path: Path, **options) -> list[str]:
+    return [left.path.name for left in clean(path, **options)]
+
+
+def test_nothing_is_left_of_a_whole_run(complete):
+    before = {p.name: p.stat().st_mtime_ns for p in complete.iterdir()}
+    assert clean(complete) == []
+    assert {p.name: p.stat().st_mtime_ns for p in complete.iterdir()} == before
+
+
+def test_temporary_files_of_ours_go_and_others_stay(folder):
+    parts = [partial_name(n) for n in ("train-00001.h5", "gone.h5", MANIFEST_NAME, JOURNAL_NAME)]
+    others = ["notes.txt", "mine.h5", ".train-00000.h5.partial", partial_name("thesis.tex")]
+    for name in (*parts, *others):
+        (folder / name).write_bytes(b"half")
+    (folder / partial_name("train-00000.h5")).mkdir()  # no run of ours makes folders
+    left = clean(folder, dry_run=True)
+    assert sorted(item.path.name for item in left) == sorted(parts)
+    assert {(item.why, item.bytes) for item in left} == {("a temporary file", 4)}
+    assert set(parts) < set(names_in(folder))
+    assert sorted(removed(folder)) == sorted(parts)
+    assert set(names_in(folder)) > {*COMPLETE, *others}
+    assert removed(folder) == []
+
+
+def test_a_shard_that_was_not_recorded_goes_and_the_run_goes_on(tmp_path):
+    run(tmp_path, keys(), stop_after=1)
+    make(tmp_path, keys()[1], "train-00001.h5")
+    (tmp_path / "mine.h5").write_bytes(b"claimed by nobody")
+    assert removed(tmp_path) == ["train-00001.h5"]
+    assert names_in(tmp_path) == [JOURNAL_NAME, "mine.h5", "train-00000.h5"]
+    (tmp_path / "mine.h5").unlink()
+    assert run(tmp_path, keys()) == ["box-1", "box-2", "box-3"]
+    assert names_in(tmp_path) == COMPLETE
+
+
+def test_killed_between_manifest_and_journal(folder):
+    claims = {"claims": [*COMPLETE[1:], "train-00007.h5"]}
+    (folder / JOURNAL_NAME).write_text(json.dumps(claims) + "\n")
+    (folder / "train-00007.h5").write_bytes(b"of an earlier recipe")
+    assert removed(folder) == ["train-00007.h5", JOURNAL_NAME]
+    assert names_in(folder) == COMPLETE
+    assert verify(folder).ok
+
+
+def test_names_in_a_journal_are_not_believed(tmp_path):
+    folder = tmp_path / "box"
+    folder.mkdir()
+    (tmp_path / "x.h5").write_text("precious")
+    (folder / JOURNAL_NAME).write_text('{"claims": ["../x.h5"]}\n')
+    with pytest.raises(CorruptShard, match="line 1 is damaged"):
+        clean(folder)
+    assert (tmp_path / "x.h5").read_text() == "precious"
+
+
+def test_not_while_a_run_is_at_work(tmp_path):
+    code = "import sys, time; from pathlib import Path; from articugen.journal import Journal\n"
+    code += "j = Journal(Path(sys.argv[1])); print('held', flush=True); time.sleep(60)"
+    run(tmp_path, keys(), stop_after=1)
+    part = tmp_path / partial_name("train-00001.h5")
+    part.write_bytes(b"being written")
+    command = [sys.executable, "-c", code, str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"held\n"
+        with pytest.raises(ArticugenError, match="another run is writing here"):
+            clean(tmp_path)
+        process.send_signal(signal.SIGKILL)
+    assert part.exists()
+    assert removed(tmp_path) == [part.name]
+
+
+def test_all_data_sets_of_a_folder(folder):
+    other = folder.parent / "new"
+    other.mkdir()
+    (folder.parent / "empty").mkdir()
+    (other / partial_name(JOURNAL_NAME)).write_bytes(b"killed before anything was whole")
+    (folder / partial_name("test-00000.h5")).write_bytes(b"half")
+    assert len(removed(folder.parent)) == 2
+    assert names_in(other) == []
+    for nothing in (folder.parent / "empty", folder.parent / "nowhere"):
+        with pytest.raises(CorruptShard, match="holds no data set"):
+            clean(nothing)
+
+
+def test_a_folder_that_has_only_a_manifest_or_a_journal_is_verified_as_well(folder):
+    for path in folder.glob("*.h5"):
+        path.unlink()
+    other = folder.parent / "cut short"
+    run(other, keys(), stop_after=0)
+    assert data_sets(folder.parent) == [folder, other]
+    assert data_sets(other) == [other]
+
+
+def test_the_command_says_what_it_removed(folder):
+    name = partial_name("test-00000.h5")
+    (folder / name).write_bytes(b"half")
+
+    def said(*arguments: str) -> str:
+        done = CliRunner().invoke(app, ["clean", str(folder), *arguments])
+        assert done.exit_code == 0, done.output
+        return done.output
+
+    assert f"would remove {folder / name}: a temporary file, 4 B" in said("--dry-run")
+    assert f"removed {folder / name}: " in said()
+    assert "no killed run has left anything here" in said()

@@ -1,0 +1,100 @@
+"""Files: hostile ones are refused before they are read, ours are whole or not there."""
+
+import os
+import socket
+from pathlib import Path
+
+import pytest
+
+from articugen import files
+from articugen.errors import MachineFault
+from articugen.files import (
+    UnfitFile,
+    make_folder,
+    partial_name,
+    read_regular,
+    whole_name,
+    write_atomically,
+)
+
+
+def test_a_regular_file_is_read(tmp_path):
+    path = tmp_path / "file"
+    path.write_bytes(b"12345")
+    assert read_regular(path, 5) == b"12345"
+    link = tmp_path / "link"
+    link.symlink_to(path)
+    assert read_regular(link, 5) == b"12345"
+    with pytest.raises(UnfitFile, match="symbolic link"):
+        read_regular(link, 5, follow=False)
+    with pytest.raises(UnfitFile, match="5 bytes, more than the 4 that it may have"):
+        read_regular(path, 4)
+
+
+def test_what_is_no_regular_file_is_refused_unopened(tmp_path):
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "to_fifo").symlink_to("fifo")
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(tmp_path / "socket"))
+    kinds = {"fifo": "a FIFO", "to_fifo": "a FIFO", "socket": "a socket", "": "a folder"}
+    for name, kind in kinds.items():
+        with pytest.raises(UnfitFile, match=f"it is {kind}, not a regular file"):
+            read_regular(tmp_path / name, 100)
+    with pytest.raises(UnfitFile, match="a device"):
+        read_regular(Path("/dev/zero"), 100)
+
+
+def test_what_is_not_there_is_an_ordinary_error(tmp_path):
+    (tmp_path / "round").symlink_to("round")
+    for name in ("nothing", "round", "x" * 300):
+        with pytest.raises(OSError, match=r"No such file|levels of symbolic|name too long") as told:
+            read_regular(tmp_path / name, 100)
+        assert not isinstance(told.value, UnfitFile)
+    for name in ("a\0b", "\ud800"):
+        with pytest.raises(UnfitFile, match="no file can have that name"):
+            read_regular(Path(name), 100)
+
+
+@pytest.mark.skipif(not Path("/proc/kallsyms").is_file(), reason="Linux only")
+def test_a_file_that_is_larger_than_it_says(tmp_path):
+    with pytest.raises(UnfitFile, match="more than the 10 bytes"):
+        read_regular(Path("/proc/kallsyms"), 10)
+
+
+def test_each_write_has_a_temporary_name_of_its_own(tmp_path):
+    one, other = partial_name("a.h5"), partial_name("a.h5")
+    assert one != other
+    assert whole_name(one) == whole_name(other) == "a.h5"
+    for name in ("a.h5", ".a.h5.partial", ".a.h5.0123456.partial", "..01234567.partial"):
+        assert whole_name(name) is None
+
+    def look(temporary: Path) -> None:
+        assert whole_name(temporary.name) == "a.h5"
+        write_atomically(tmp_path / "a.h5", b"of another run")
+
+    write_atomically(tmp_path / "a.h5", b"mine", check=look)
+    assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("a.h5", b"mine")]
+
+
+def test_nothing_is_written_through_links(tmp_path, monkeypatch):
+    """Neither the temporary name nor the final one leads out of the folder."""
+    mine = tmp_path / "mine.txt"
+    mine.write_bytes(b"precious")
+    (tmp_path / "a.h5").symlink_to(mine)
+    write_atomically(tmp_path / "a.h5", b"new")
+    assert not (tmp_path / "a.h5").is_symlink()
+    monkeypatch.setattr(files.secrets, "token_hex", lambda _: "01234567")
+    (tmp_path / ".b.h5.01234567.partial").symlink_to(mine)
+    with pytest.raises(MachineFault, match="exists"):
+        write_atomically(tmp_path / "b.h5", b"new")
+    assert mine.read_bytes() == b"precious"
+
+
+def test_the_names_of_new_folders_are_synchronised(tmp_path, monkeypatch):
+    synced = []
+    monkeypatch.setattr(files, "sync_folder", synced.append)
+    make_folder(tmp_path / "a" / "b")
+    assert (tmp_path / "a" / "b").is_dir()
+    assert set(synced) == {tmp_path, tmp_path / "a"}
+    make_folder(tmp_path / "a" / "b")
+    assert len(synced) == 2
