@@ -15,6 +15,7 @@ from articugen import articulation, fusion, sampling, sheets
 from articugen.errors import RejectedInstance
 from articugen.geometry import apply, bounds, box_corners
 from articugen.hierarchy import Hierarchy, build
+from articugen.portable import norm
 from articugen.reachable import touched
 from articugen.recipe import Recipe
 from articugen.records import (
@@ -37,7 +38,7 @@ from articugen.rendering import rasterizer, render
 from articugen.rendering.overlay import Overlay
 from articugen.rendering.views import fusion_views, random_pinhole_views
 from articugen.seeding import generator
-from articugen.slender import Slender, slender_voxels
+from articugen.slender import Slender, slender_voxels, way_meets
 from articugen.winding import pieces
 
 MOST_PARTS = 254
@@ -278,7 +279,9 @@ def solid_part(soup: LabelledMesh, recipe: Recipe) -> SolidPart:
     alone = _own_solid(soup, closed := sheets.closed(soup), recipe)
     thickness = recipe.fusion.sheet_thickness
     where = sheets.probes(soup, max(thickness, 1e-3) / 3.0)
-    free = np.stack([~alone.holds(side) for side in where.points])
+    free = np.stack([~alone.holds(where.points[0]), np.zeros(len(where.face), np.bool_)])
+    asked = np.flatnonzero(~(closed[where.face] & _deep(soup, where, alone.field.hierarchy)))
+    free[1, asked] = ~alone.holds(where.points[1][asked])
     shown = sheets.shown_sides(soup, alone.field.maps)
     mesh, seen = sheets.solidified(soup, where, free, shown, thickness, closed)
     if not np.array_equal(mesh.faces, soup.faces):
@@ -291,6 +294,15 @@ def solid_part(soup: LabelledMesh, recipe: Recipe) -> SolidPart:
     slender = slender_voxels(mesh, width, alone.field.hierarchy)
     own = replace(alone, field=fusion.flooded(replace(alone.field, slender=slender), mesh))
     return SolidPart(mesh, seen, closed, own)
+
+
+def _deep(mesh: LabelledMesh, where: sheets.Probes, tree: Hierarchy) -> NDArray[np.bool_]:
+    """(n,) which probes have no other face between their face and the point behind it: of a closed
+    piece, such a point is inside, whatever the views make of it."""
+    outwards = sheets.face_normals(mesh.vertices, mesh.faces)[where.face]
+    way = 0.99 * 0.5 * norm(where.points[0] - where.points[1]).max(initial=0.0)
+    inner = where.points[1].astype(np.float32)
+    return ~way_meets(inner, outwards.astype(np.float32), np.float32(way), tree)
 
 
 def _own_solid(mesh: LabelledMesh, closed: NDArray[np.bool_], recipe: Recipe) -> fusion.OwnSolid:

@@ -61,7 +61,7 @@ def slender_voxels(mesh: LabelledMesh, width: float, hierarchy: Hierarchy) -> Sl
     """
     where = probes(mesh, min(_BENEATH, width / 8.0))
     inwards = -face_normals(mesh.vertices, mesh.faces)[where.face]
-    has_other_side = _meet(
+    has_other_side = way_meets(
         where.points[1].astype(np.float32), inwards.astype(np.float32), np.float32(width), hierarchy
     )
     thin = np.bincount(where.face, weights=has_other_side, minlength=len(mesh.faces)) > 0
@@ -80,7 +80,7 @@ def _touched(corners: NDArray[np.float64], width: float) -> Slender:
 
 
 @njit(cache=True, nogil=True)
-def _meet(points, ways, reach, hierarchy):
+def way_meets(points, ways, reach, hierarchy):
     """(n,) whether a face lies within `reach` of each point on its way."""
     unmoved = np.zeros((1, 3, 4), np.float32)
     for axis in range(3):
