@@ -29,7 +29,7 @@ MOST_AT_AN_EDGE = 8
 LONGEST_MITRE = 2.0
 """A corner of a bent sheet is lifted by at most so many times the sheet's thickness."""
 
-SMOOTH_COSINE = np.cos(np.radians(30.0))
+SMOOTH_COSINE = np.sqrt(0.75)
 """Sheets that meet at less than 30 degrees share their edge; steeper ones are walled on it."""
 
 
@@ -201,8 +201,8 @@ def _smooth_pairs(weld: NDArray[np.intp], normals: NDArray[np.float64]) -> NDArr
     order = np.argsort(key, kind="stable")
     found = [np.zeros((0, 2), np.intp)]
     for step in range(1, MOST_AT_AN_EDGE):  # each edge with the next ones that lie in its place
-        same = np.flatnonzero(key[order[step:]] == key[order[:-step]]) if step < len(key) else []
-        if not len(same):
+        same = np.flatnonzero(key[order[step:]] == key[order[: len(order[step:])]])
+        if len(same) == 0:
             break
         found.append(np.stack([order[same], order[same + step]], axis=1))
     one, other = np.concatenate(found).T

@@ -178,6 +178,8 @@ def _baked(scene: trimesh.Scene, path: Path) -> _Arrays:
     offset = total = 0
     for node in scene.graph.nodes_geometry:
         T, name = scene.graph[node]
+        # single precision, as these formats': trimesh's last bits depend on the processor
+        T = T.astype(np.float32).astype(np.float64)
         mesh = scene.geometry[name]
         if not isinstance(mesh, trimesh.Trimesh):
             continue

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from articugen.errors import InvalidSource
+from articugen.portable import cos, sin
 from articugen.records import Mesh
 from articugen.sources import mesh_formats
 from articugen.sources.mesh_formats import MAX_FACES, MAX_VERTICES
@@ -103,16 +104,16 @@ def cylinder(radius: float, length: float, sections: int = 64) -> Mesh:
 def sphere(radius: float, sections: int = 64) -> Mesh:
     """A closed sphere about the origin, `sections` meridians, half as many parallels."""
     polar = np.linspace(np.pi, 0.0, sections // 2 + 1)
-    around = np.sin(polar)
+    around = sin(polar)
     around[[0, -1]] = 0.0
-    return _lathe(radius * around, radius * np.cos(polar), sections)
+    return _lathe(radius * around, radius * cos(polar), sections)
 
 
 def capsule(radius: float, length: float, sections: int = 64) -> Mesh:
     """A closed cylinder about z of that length, centred on the origin, with a half sphere on each
     end; `sections` meridians, half as many parallels on the two halves together."""
     polar = np.linspace(np.pi, 0.5 * np.pi, sections // 4 + 1)
-    around, along = np.sin(polar), np.cos(polar)
+    around, along = sin(polar), cos(polar)
     around[0], along[-1] = 0.0, 0.0
     half = 0.5 * length
     return _lathe(
@@ -149,7 +150,7 @@ def fans(corners: NDArray[np.integer], counts: NDArray[np.integer]) -> NDArray[n
 def _lathe(radii: NDArray[np.float64], heights: NDArray[np.float64], sections: int) -> Mesh:
     """The closed surface of a profile turned about z: radius 0 at both ends, heights ascending."""
     turn = 2.0 * np.pi * np.arange(sections) / sections
-    ring = np.stack([np.cos(turn), np.sin(turn), np.zeros(sections)], axis=1)
+    ring = np.stack([cos(turn), sin(turn), np.zeros(sections)], axis=1)
     rings = [ring * r + [0.0, 0.0, z] for r, z in zip(radii[1:-1], heights[1:-1], strict=True)]
     poles = [[0.0, 0.0, heights[0]], [0.0, 0.0, heights[-1]]]
     here = np.arange(sections)

@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from articugen.errors import InvalidSource
 from articugen.geometry import rotation_about, transform
+from articugen.portable import dot, norm
 from articugen.records import ArticulatedObject, Joint
 from articugen.sources.model_files import MAX_TEXT_BYTES, ModelFiles, quoted
 from articugen.sources.registry import ObjectRef
@@ -192,7 +193,7 @@ def _words(part: _Annotated) -> str:
 def _same_motion(joint: Joint, part: _Annotated) -> bool:
     """Whether axis and limits agree: either sign of the axis, and for a hinge up to whole turns."""
     direction = np.array(part.data.axis.direction)
-    cosine = float(direction @ joint.axis) / max(float(np.linalg.norm(direction)), 1e-12)
+    cosine = float(dot(direction, joint.axis)) / max(float(norm(direction)), 1e-12)
     if abs(cosine) < 1.0 - _TOLERANCE:
         return False
     limits = np.array((joint.lower, joint.upper))

@@ -16,7 +16,7 @@ import yourdfpy
 from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
 from articugen.errors import InvalidSource
-from articugen.geometry import apply
+from articugen.geometry import apply, rotation_from_rpy, transform
 from articugen.portable import norm
 from articugen.records import ArticulatedObject, Floats, Joint, JointKind, Link, Mesh, Mimic
 from articugen.sources import meshes
@@ -64,7 +64,8 @@ def load_urdf(
     above = path.parent.parent if path.parent.name == "urdf" else path.parent
     files = ModelFiles(path.parent, root or above)
     checked, unseen = checked_robot(files.read(path, MAX_TEXT_BYTES), path)
-    visuals = _Visuals(path, files, missing_ok, _take_shapes(checked))
+    visuals = _Visuals(path, files, missing_ok, _take_visuals(checked))
+    origins = {j.get("name"): _take_origin(j) for j in checked.findall("joint")}
     robot = _parse(checked)
     joints = _topological(robot.joints)
     children = {joint.child for joint in joints}
@@ -74,7 +75,7 @@ def load_urdf(
         object_id=object_id,
         category=category,
         links=tuple(Link(k.name, visuals.mesh(k), semantics.get(k.name, "")) for k in links),
-        joints=tuple(_joint(joint) for joint in joints),
+        joints=tuple(_joint(joint, origins[joint.name]) for joint in joints),
         T_world_root=np.eye(4) if T_world_root is None else T_world_root,
         sha256=files.sha256(),
         source=source,
@@ -85,17 +86,29 @@ def load_urdf(
     return obj
 
 
-def _take_shapes(checked: Any) -> dict[str, list[Any]]:
-    """The shapes (lxml) of each link's visuals; yourdfpy, which knows no capsules and builds no
-    mesh here, gets a sphere in the place of each."""
-    taken: dict[str, list[Any]] = {}
+def _take_visuals(checked: Any) -> dict[str, list[tuple[Any, Floats]]]:
+    """The shape (lxml) of each of a link's visuals and T_link_visual; yourdfpy, which knows no
+    capsules and builds no mesh here, gets a sphere in the place of each."""
+    taken: dict[str, list[tuple[Any, Floats]]] = {}
     for link in checked.findall("link"):
-        geometries = link.findall("visual/geometry")
-        taken[link.get("name")] = [geometry[0] for geometry in geometries]
-        for geometry in geometries:
+        own = taken[link.get("name")] = []
+        for visual in link.findall("visual"):
+            geometry = visual.find("geometry")
+            own.append((geometry[0], _take_origin(visual)))
             geometry.remove(geometry[0])
             etree.SubElement(geometry, "sphere", radius="1")
     return taken
+
+
+def _take_origin(element: Any) -> Floats:
+    """(4, 4) where a joint or visual stands, by our arithmetic: yourdfpy's last bits depend on the
+    processor."""
+    origin = element.find("origin")
+    if origin is None:
+        return np.eye(4)
+    element.remove(origin)
+    xyz, rpy = ([float(word) for word in origin.get(n, "0 0 0").split()] for n in ("xyz", "rpy"))
+    return transform(rotation_from_rpy(rpy), xyz)
 
 
 def _parse(checked: Any) -> Any:
@@ -126,7 +139,7 @@ def _topological(joints: list[Any]) -> list[Any]:
     return ordered
 
 
-def _joint(joint: Any) -> Joint:
+def _joint(joint: Any, origin: Floats) -> Joint:
     kind: JointKind = joint.type
     lower, upper = _limits(joint)
     mimic = joint.mimic if kind != "fixed" else None
@@ -135,7 +148,7 @@ def _joint(joint: Any) -> Joint:
         kind=kind,
         parent=joint.parent,
         child=joint.child,
-        T_parent_joint=_matrix(joint.origin),
+        T_parent_joint=origin,
         axis=np.array([1.0, 0.0, 0.0]) if kind == "fixed" else _unit(joint.axis),
         lower=lower,
         upper=upper,
@@ -157,15 +170,15 @@ def _unit(axis: Floats) -> Floats:
     return axis / norm(axis)
 
 
-def _matrix(origin: Floats | None) -> Floats:
-    return np.eye(4) if origin is None else origin
-
-
 class _Visuals:
     """Builds the links' meshes; each mesh file is read once."""
 
     def __init__(
-        self, path: Path, files: ModelFiles, missing_ok: str, shapes: dict[str, list[Any]]
+        self,
+        path: Path,
+        files: ModelFiles,
+        missing_ok: str,
+        shapes: dict[str, list[tuple[Any, Floats]]],
     ) -> None:
         self.path = path
         self.files = files
@@ -174,7 +187,7 @@ class _Visuals:
         self.left_out: list[str] = []
         self._faces = self._vertices = 0
         self._cache: dict[Path, Mesh] = {}
-        tags = [shape.tag for of_link in shapes.values() for shape in of_link]
+        tags = [shape.tag for of_link in shapes.values() for shape, _ in of_link]
         self._check_size(sum(meshes.PRIMITIVE_FACES.get(tag, 0) for tag in tags), 0)
 
     def mesh(self, link: Any) -> Mesh:
@@ -182,7 +195,7 @@ class _Visuals:
         vertices: list[Any] = [np.zeros((0, 3))]
         faces: list[Any] = [np.zeros((0, 3), np.int32)]
         offset = 0
-        for visual, element in zip(link.visuals, self.shapes[link.name], strict=True):
+        for element, origin in self.shapes[link.name]:
             by = f"{self.path}: link {quoted(link.name)}"
             shape = self._shape(element, by)
             if shape is None:
@@ -190,7 +203,7 @@ class _Visuals:
             self._faces += len(shape.faces)
             self._vertices += len(shape.vertices)
             self._check_size(self._faces, self._vertices)
-            vertices.append(_placed(visual, element, shape.vertices, by))
+            vertices.append(_placed(origin, element, shape.vertices, by))
             faces.append(shape.faces + offset)
             offset += len(shape.vertices)
         return Mesh(np.concatenate(vertices), np.concatenate(faces))
@@ -244,9 +257,9 @@ class _Visuals:
         return None
 
 
-def _placed(visual: Any, element: Any, vertices: Floats, by: str) -> Floats:
+def _placed(origin: Floats, element: Any, vertices: Floats, by: str) -> Floats:
     """(V, 3) in the link's frame."""
-    placed = apply(_matrix(visual.origin), vertices)
+    placed = apply(origin, vertices)
     if not (np.abs(placed) <= MAX_NUMBER).all():
         raise InvalidSource(
             f"{by}: its <{element.tag}> reaches beyond {MAX_NUMBER:,.0f} m; correct its scale, or "
