@@ -5,7 +5,7 @@ ranges. Everything after it sees joints that are 0 in the canonical pose. All fu
 """
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Literal
@@ -22,6 +22,9 @@ Canonical = Literal["zero", "lower", "upper"]
 
 _TIE = 1e-6
 """Rooms (rad or m) on the two sides of the canonical pose that differ by less count as equal."""
+
+_FARTHEST = 1e6
+"""Rad or m: beyond it, joints lose the digits that a pose needs."""
 
 _LEVEL = 0.02
 """Parts whose middles differ by less than this share of the object's length are in one row."""
@@ -80,8 +83,9 @@ def resolve(
             for remark in plan.remarks:
                 remarks[remark].append(joint.name)
     followers = [j for j in obj.joints if j.kind != "fixed" and j.mimic is not None]
+    by_name = {joint.name: joint for joint in obj.joints}
     for joint in followers:
-        plans[joint.name] = _plan_follower(obj, joint, plans)
+        plans[joint.name] = _plan_follower(by_name, joint, plans)
         if not plans[joint.name].moves:
             remarks["locked, as the joints that drive them are"].append(joint.name)
     if not any(plan.moves for plan in plans.values()):
@@ -215,13 +219,13 @@ def _sampled_range(
         lower, upper = 0.0, max(room, 0.0)
     else:
         raise RejectedInstance(
-            f"{obj.object_id}: prismatic joint {joint.name!r} has no limit; "
-            "set articulation.prismatic_metres in the recipe"
+            f"prismatic joint {joint.name!r} has no <limit> in its URDF; add one, or set "
+            "articulation.prismatic_metres in the recipe"
         )
     if settings.clip_to_limits:
         if max(lower, -back) > min(upper, room):
             raise RejectedInstance(
-                f"{obj.object_id}: nothing of the recipe's range {lower:g} to {upper:g} lies in "
+                f"nothing of the recipe's range {lower:g} to {upper:g} lies in "
                 f"the limits of joint {joint.name!r}, {-back:g} to {room:g} from the canonical "
                 "pose; choose another articulation.canonical or clip_to_limits: false"
             )
@@ -229,11 +233,17 @@ def _sampled_range(
     return (-sign, -upper, -lower) if upper <= 0.0 and lower < 0.0 else (sign, lower, upper)
 
 
-def _plan_follower(obj: ArticulatedObject, joint: Joint, plans: dict[str, _Plan]) -> _Plan:
+def _plan_follower(by_name: Mapping[str, Joint], joint: Joint, plans: dict[str, _Plan]) -> _Plan:
     """With v = m v_driver + b and v_driver = c + s q: v = (m c + b) + m s q."""
-    driver, multiplier, offset = _driver(obj, joint)
+    driver, multiplier, offset = _driver(by_name, joint)
     plan = plans.get(driver, _Plan(0.0))
     value = multiplier * plan.value + offset
+    ends = [value, multiplier * plan.lower, multiplier * plan.upper]
+    if not np.all(np.abs(ends) <= _FARTHEST):
+        raise RejectedInstance(
+            f"joint {joint.name!r} follows {driver!r} beyond {_FARTHEST:,.0f} rad or m; correct "
+            "the multipliers and offsets of the <mimic> elements of its URDF"
+        )
     if not plan.moves or multiplier == 0.0:
         return _Plan(value)
     return _Plan(
@@ -246,28 +256,28 @@ def _plan_follower(obj: ArticulatedObject, joint: Joint, plans: dict[str, _Plan]
     )
 
 
-def _driver(obj: ArticulatedObject, joint: Joint) -> tuple[str, float, float]:
+def _driver(by_name: Mapping[str, Joint], joint: Joint) -> tuple[str, float, float]:
     """(name, multiplier, offset) of the joint that drives `joint` at the end of all mimics."""
-    by_name = {j.name: j for j in obj.joints}
-    multiplier, offset, seen = 1.0, 0.0, [joint.name]
+    multiplier, offset, seen = 1.0, 0.0, {joint.name: None}
     while joint.mimic is not None and joint.kind != "fixed":
         mimic = joint.mimic
         if mimic.joint in seen or mimic.joint not in by_name:
             raise RejectedInstance(
-                f"{obj.object_id}: the mimic joints {' -> '.join([*seen, mimic.joint])} end at no "
-                "joint that moves by itself; mend the <mimic> elements of its URDF"
+                f"the mimic joints {' -> '.join([*seen, mimic.joint])} end at no joint that moves "
+                "by itself; mend the <mimic> elements of its URDF"
             )
         multiplier, offset = multiplier * mimic.multiplier, multiplier * mimic.offset + offset
         joint = by_name[mimic.joint]
-        seen.append(joint.name)
+        seen[joint.name] = None
     return joint.name, multiplier, offset
 
 
 def _driven_state(obj: ArticulatedObject, drivers: dict[str, float]) -> JointState:
     """The state in which each driver has its value (0 where not given) and the others follow."""
     q = np.zeros(len(obj.moving_joints))
+    by_name = {joint.name: joint for joint in obj.joints}
     for k, joint in enumerate(obj.moving_joints):
-        driver, multiplier, offset = _driver(obj, joint)
+        driver, multiplier, offset = _driver(by_name, joint)
         q[k] = multiplier * drivers.get(driver, 0.0) + offset
     return JointState(q)
 
@@ -339,11 +349,20 @@ def _levels(values: Floats, gap: float) -> list[int]:
 def _nothing_moves(obj: ArticulatedObject, patterns: tuple[str, ...]) -> str:
     jointed = [joint for joint in obj.joints if joint.kind != "fixed"]
     if not jointed:
-        return f"{obj.object_id}: no joint moves; all joints of its URDF are fixed, leave it out"
-    index = obj.link_index
-    named = [f"{j.name} ({obj.links[index[j.child]].semantic or 'no name'})" for j in jointed]
-    wanted = f"articulation.movable {list(patterns)} picks none" if patterns else "no range"
+        return "no joint moves; all joints of its URDF are fixed, leave it out"
+
+    def told(joints: list[Joint]) -> str:
+        index = obj.link_index
+        names = [f"{j.name} ({obj.links[index[j.child]].semantic or 'no name'})" for j in joints]
+        return ", ".join(names[:12] + ["..."] * (len(names) > 12))
+
+    picked = [j for j in jointed if not patterns or _pattern_of(obj, j, patterns) < len(patterns)]
+    if picked:
+        return (
+            f"no joint moves: the limits leave no range to {told(picked)}; correct the <limit> "
+            "elements of its URDF"
+        )
     return (
-        f"{obj.object_id}: no joint moves: {wanted} of {', '.join(named)}; "
-        "name the joints or parts that move in articulation.movable"
+        f"no joint moves: articulation.movable {list(patterns)} picks none of {told(jointed)}; "
+        "name the joints or parts that move there"
     )

@@ -21,7 +21,7 @@ class RejectedInstance(ArticugenError):
 
 
 class NotOfCategory(ArticugenError):
-    """An object has nothing to articulate in the recipe's sense: skipped, which is no fault."""
+    """An object has nothing to articulate in the recipe's sense: it is skipped, no fault."""
 
 
 class MachineFault(ArticugenError):

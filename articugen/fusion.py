@@ -20,7 +20,7 @@ In all three, a point that no view sees, or only from further behind than the tr
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ from articugen.hierarchy import Hierarchy, build, triangle_table
 from articugen.reachable import Flood, flood, walls
 from articugen.recipe import Fusion
 from articugen.records import ENCLOSED, FREE, DepthMaps, LabelledMesh, Views
-from articugen.slender import NOTHING
+from articugen.slender import NOTHING, Slender
 from articugen.winding import surely_inside
 
 _NO_DEPTH = np.zeros((1, 0, 0), np.float32)
@@ -52,7 +52,7 @@ class Field:
         part_motion: (P, 4, 4) of each part from its canonical pose.
         settings: rule and truncation.
         flood: for the rule `reachable`.
-        slender: (n, n, n) where views are checked, see `slender.slender_voxels`.
+        slender: where views are checked.
     """
 
     maps: DepthMaps
@@ -61,7 +61,7 @@ class Field:
     part_motion: NDArray[np.float64]
     settings: Fusion
     flood: Flood | None = None
-    slender: NDArray[np.uint8] = field(default_factory=lambda: NOTHING)
+    slender: Slender = NOTHING
 
     def is_free(
         self, points: NDArray[np.floating], which: NDArray[np.intp] | None = None
@@ -277,7 +277,7 @@ def fuse(
     *,
     hierarchy: Hierarchy | None = None,
     part_motion: NDArray[np.float64] | None = None,
-    slender: NDArray[np.uint8] = NOTHING,
+    slender: Slender = NOTHING,
 ) -> Field:
     """The field of `maps`, which show the faces of `mesh`.
 

@@ -38,7 +38,7 @@ class Scene(NamedTuple):
         hierarchy: of each part in its canonical pose.
         to_part: (P, 3, 4) from the pose at hand to each part's canonical pose.
         pixel: the width of a pixel at the object, unit frame.
-        slender: (n, n, n) uint8, see `slender.slender_voxels`.
+        slender: see `slender.Slender`.
     """
 
     depth: Any
@@ -127,7 +127,11 @@ def _judge(x, y, z, around, camera, pinhole, triangles, hierarchy, to_part, slen
     of them and nothing slender is near; else the ray itself is followed. Only numbers are handed
     on: an array handed to a function costs numba two atomic counts, here at every look.
     """
-    n = slender.shape[0]
+    bits, n = slender.bits, slender.resolution
+    rows, columns, eighths = (
+        np.uintp(bits.shape[0]), np.uintp(bits.shape[1]), np.uintp(bits.shape[2])
+    )  # fmt: skip
+    first = (slender.first[0], slender.first[1], slender.first[2])
     for i in range(x.shape[0]):
         p = (x[i], y[i], z[i])
         f = around[i, 0]
@@ -153,17 +157,26 @@ def _judge(x, y, z, around, camera, pinhole, triangles, hierarchy, to_part, slen
                     break
         if crossed:
             verdict[i] = _HIDDEN
-        elif not doubt and (
-            n == 1 or slender[_voxel(p[0], n), _voxel(p[1], n), _voxel(p[2], n)] == 0
-        ):
+            continue
+        if not doubt:
+            a, b, c = (
+                _voxel(p[0], n, first[0]),
+                _voxel(p[1], n, first[1]),
+                _voxel(p[2], n, first[2]),
+            )
+            byte = c >> np.uintp(3)
+            if a < rows and b < columns and byte < eighths:
+                doubt = (bits[a, b, byte] >> (c & np.uintp(7))) & 1 == 1
+        if not doubt:
             verdict[i] = _FREE
         else:  # none of what shows is in the way: what shows at no pixel's centre may still be
             verdict[i] = _FREE if _leaves(p, w, hierarchy, to_part) else _HIDDEN
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _voxel(x, n):
-    return np.uintp(min(max(np.int64((x + np.float32(0.5)) * n), 0), n - 1))
+def _voxel(x, n, first):
+    """Along one axis, counted from `first`; before it the number is larger than any."""
+    return np.uintp(min(max(np.int64((x + np.float32(0.5)) * n), 0), n - 1) - first)
 
 
 @njit(cache=True, nogil=True)

@@ -37,7 +37,7 @@ from articugen.rendering import rasterizer, render
 from articugen.rendering.overlay import Overlay
 from articugen.rendering.views import fusion_views, random_pinhole_views
 from articugen.seeding import generator
-from articugen.slender import slender_voxels
+from articugen.slender import Slender, slender_voxels
 from articugen.winding import pieces
 
 MOST_PARTS = 254
@@ -104,7 +104,7 @@ class Prepared:
     static: DepthMaps
     overlay: Overlay | None
     own: tuple[fusion.OwnSolid, ...]
-    slender: NDArray[np.uint8]
+    slender: Slender
     grids: dict[int, Grid]
 
     def rng(self, *path: str | int) -> np.random.Generator:
@@ -152,7 +152,7 @@ def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
         seen=np.concatenate([part.seen for part in parts]),
         hierarchy=build(mesh.vertices[mesh.faces], mesh.part_of_face, obj.part_count),
         views=views,
-        closed=np.concatenate([sheets.closed(part.mesh) for part in parts]),
+        closed=np.concatenate([part.closed for part in parts]),
         static=static,
         overlay=Overlay(static) if draws else None,
         own=own,
@@ -263,36 +263,54 @@ def _normalization(box: Floats, padding: float) -> Normalization:
 
 @dataclass(frozen=True, eq=False)
 class SolidPart:
-    """One part alone in the canonical pose: its surface, which faces can be seen, its field."""
+    """One part alone in the canonical pose: its surface, which of its faces can be seen and which
+    are those of closed pieces, its field."""
 
     mesh: LabelledMesh
     seen: NDArray[np.bool_]
+    closed: NDArray[np.bool_]
     own: fusion.OwnSolid
 
 
 def solid_part(soup: LabelledMesh, recipe: Recipe) -> SolidPart:
     """Thicken the sheets of one part and turn its faces outwards, by how it is seen alone."""
     soup = sheets.without_repeats(soup).compact()
-    alone = _own_solid(soup, recipe)
+    alone = _own_solid(soup, closed := sheets.closed(soup), recipe)
     thickness = recipe.fusion.sheet_thickness
     where = sheets.probes(soup, max(thickness, 1e-3) / 3.0)
-    free = np.stack([alone.field.is_free(side) for side in where.points])
+    free = np.stack([~alone.holds(side) for side in where.points])
     shown = sheets.shown_sides(soup, alone.field.maps)
-    mesh, seen = sheets.solidified(soup, where, free, shown, thickness)
-    if len(mesh.faces) != len(soup.faces):  # sheets have become slabs
-        alone = _own_solid(mesh, recipe)
+    mesh, seen = sheets.solidified(soup, where, free, shown, thickness, closed)
+    if not np.array_equal(mesh.faces, soup.faces):
+        closed = sheets.closed(mesh)
+        if len(mesh.faces) != len(soup.faces):  # sheets have become slabs
+            alone = _own_solid(mesh, closed, recipe)
+        else:
+            alone = replace(alone, closed=_closed_pieces(mesh, closed, alone.field))
     width = fusion.pixel_width(alone.field.maps.views)
     slender = slender_voxels(mesh, width, alone.field.hierarchy)
     own = replace(alone, field=fusion.flooded(replace(alone.field, slender=slender), mesh))
-    if recipe.fusion.rule != "mean":
-        own = replace(own, closed=pieces(mesh, sheets.closed(mesh)))
-    return SolidPart(mesh, seen, own)
+    return SolidPart(mesh, seen, closed, own)
 
 
-def _own_solid(mesh: LabelledMesh, recipe: Recipe) -> fusion.OwnSolid:
+def _own_solid(mesh: LabelledMesh, closed: NDArray[np.bool_], recipe: Recipe) -> fusion.OwnSolid:
     box = bounds(mesh.vertices[mesh.faces].reshape(-1, 3)) if len(mesh.faces) else np.zeros((2, 3))
     views = fusion_views(recipe.views, box)
-    return fusion.OwnSolid(fusion.fuse(_render(mesh, views, recipe), mesh, recipe.fusion), box)
+    if recipe.views.backend == "rasterizer":
+        maps = rasterizer.render(mesh, views, keep_depth=False)
+    else:
+        maps = _render(mesh, views, recipe)
+    field = fusion.fuse(maps, mesh, recipe.fusion)
+    return fusion.OwnSolid(field, box, _closed_pieces(mesh, closed, field))
+
+
+def _closed_pieces(
+    mesh: LabelledMesh, closed: NDArray[np.bool_], field: fusion.Field
+) -> Hierarchy | None:
+    """What `OwnSolid.closed` holds; None where the recipe's rule takes the views' word alone."""
+    if field.settings.rule == "mean":
+        return None
+    return field.hierarchy if closed.all() else pieces(mesh, closed)
 
 
 def _render(mesh: LabelledMesh, views: Views, recipe: Recipe) -> DepthMaps:

@@ -51,7 +51,8 @@ def walls(mesh: LabelledMesh, opening: float) -> NDArray[np.uint8]:
 def touched(mesh: LabelledMesh, resolution: int) -> NDArray[np.uint8]:
     """(resolution,) * 3 uint8 over the unit cube: 1 in the voxels that a face touches."""
     state = np.zeros((resolution,) * 3, np.uint8)
-    _mark(state, (mesh.vertices[mesh.faces] + 0.5) * resolution)
+    first = np.zeros(3, np.int64)
+    mark(state, first, resolution, (mesh.vertices[mesh.faces] + 0.5) * resolution)
     return state
 
 
@@ -80,12 +81,15 @@ def flood(
 
 
 @njit(cache=True, nogil=True)
-def _mark(state, corners):
-    """Voxels that overlap a triangle: its box, its plane, and its three shadows along the axes.
+def mark(state, first, n, corners):
+    """Set the voxels that overlap a triangle: its box, its plane, its three shadows along the axes.
 
     The test of Schwarz and Seidel 2010, "Fast parallel surface and solid voxelization on GPUs".
+
+    Args:
+        state: (a, b, c) uint8: a box of a lattice of n^3 voxels that begins at voxel `first`.
+        corners: (F, 3, 3) in voxels of the lattice; what lies in the lattice lies in the box.
     """
-    n = state.shape[0]
     for f in range(corners.shape[0]):
         a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
         normal = np.cross(b - a, c - a)
@@ -100,14 +104,15 @@ def _mark(state, corners):
             for j in range(low[1], high[1] + 1):
                 for k in range(low[2], high[2] + 1):
                     at = normal[0] * (i + 0.5) + normal[1] * (j + 0.5) + normal[2] * (k + 0.5)
-                    if abs(at - offset) > half or state[i, j, k] == _WALL:
+                    voxel = (i - first[0], j - first[1], k - first[2])
+                    if abs(at - offset) > half or state[voxel] == _WALL:
                         continue
                     if (
                         _shadows_meet(a, b, c, normal[2], 0, 1, i, j)
                         and _shadows_meet(a, b, c, normal[0], 1, 2, j, k)
                         and _shadows_meet(a, b, c, normal[1], 2, 0, k, i)
                     ):
-                        state[i, j, k] = _WALL
+                        state[voxel] = _WALL
 
 
 @njit(cache=True, nogil=True)

@@ -6,21 +6,33 @@ keys are refused with the nearest valid name. The hash of the resolved recipe is
 
 import hashlib
 import json
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+import numpy as np
+from pydantic import Field, model_validator
 
+from articugen import schema
 from articugen.errors import InvalidRecipe, printable
 from articugen.recipe_files import RECIPE_FOLDER, find, resolved, validated
+from articugen.recipe_files import Section as _Section
 
 _CATEGORY = re.compile(r"\w(?:[\w .+-]{0,98}[\w+-])?")
 
+MAX_TEXT_BYTES = 32_000
+"""Of a resolved recipe: it is kept in an attribute of each shard, which can hold 60,000."""
+MAX_INSTANCE_BYTES = 1 << 27
+"""Of an instance in memory: some are held at once."""
+MAX_PIXELS = 1 << 28
+"""Of all views together, 4 bytes each."""
+MOST_PARTS = 255
 
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+_Pattern = Annotated[str, Field(min_length=1, max_length=255)]
+_Degrees = Annotated[float, Field(ge=-3600.0, le=3600.0)]
+_Metres = Annotated[float, Field(ge=-1000.0, le=1000.0)]
 
 
 class Articulation(_Section):
@@ -40,10 +52,10 @@ class Articulation(_Section):
 
     states: int = Field(default=100, ge=0, le=65_535)
     canonical: Literal["source", "zero", "lower", "upper"] = "source"
-    revolute_degrees: tuple[float, float] = (0.0, 135.0)
-    prismatic_metres: tuple[float, float] | None = None
+    revolute_degrees: tuple[_Degrees, _Degrees] = (0.0, 135.0)
+    prismatic_metres: tuple[_Metres, _Metres] | None = None
     clip_to_limits: bool | Literal["source"] = "source"
-    movable: tuple[str, ...] = ()
+    movable: tuple[_Pattern, ...] = ()
 
     @model_validator(mode="after")
     def _ranges_ascend(self) -> "Articulation":
@@ -61,6 +73,15 @@ class ViewSettings(_Section):
     projection: Literal["orthographic", "pinhole"] = "orthographic"
     resolution: int = Field(default=256, ge=16, le=4096)
     backend: Literal["rasterizer", "embree", "opengl", "sapien"] = "rasterizer"
+
+    @model_validator(mode="after")
+    def _fit_into_memory(self) -> "ViewSettings":
+        if self.count * self.resolution**2 > MAX_PIXELS:
+            raise ValueError(
+                f"{self.count:,} views of {self.resolution} x {self.resolution} pixels have more "
+                f"than {MAX_PIXELS:,}; lower count or resolution"
+            )
+        return self
 
 
 class Fusion(_Section):
@@ -114,6 +135,45 @@ class Sampling(_Section):
             raise ValueError("grids are different sizes from 1 to 256")
         return self
 
+    @model_validator(mode="after")
+    def _fits_a_shard(self) -> "Sampling":
+        sizes = self.instance_bytes()
+        name, most = max(sizes.items(), key=lambda item: item[1])
+        if most > schema.MAX_CHUNK_BYTES:
+            raise ValueError(
+                f"{name} would take {most / 2**20:,.0f} MiB an instance, more than the "
+                f"{schema.MAX_CHUNK_BYTES >> 20} that a shard can hold; ask for fewer points"
+            )
+        if sum(sizes.values()) > MAX_INSTANCE_BYTES:
+            raise ValueError(
+                f"an instance would take {sum(sizes.values()) / 2**20:,.0f} MiB, more than "
+                f"{MAX_INSTANCE_BYTES >> 20}; ask for fewer points or smaller grids"
+            )
+        return self
+
+    def instance_bytes(self) -> dict[str, int]:
+        """What each field of one instance takes before compression, for as many parts as a shard
+        can hold."""
+        numbers = {
+            "S": self.surface_points,
+            "U": self.uniform_points,
+            "K": self.near_points,
+            "C": self.partial_views,
+            "M": self.partial_points,
+        }
+        sizes: dict[str, int] = {}
+        for field in schema.FIELDS:
+            size = schema.MAX_TEXT if field.dtype == "S" else np.dtype(field.dtype).itemsize
+            if field.stem == "coverage" and not self.coverage:
+                continue
+            for resolution in self.grids if field.is_grid else (1,):
+                dims = [
+                    n if isinstance(n, int) else (numbers | {"R": resolution}).get(n, MOST_PARTS)
+                    for n in field.shape[1:]
+                ]
+                sizes[field.name.replace("<R>", str(resolution))] = size * math.prod(dims)
+        return sizes
+
 
 class Recipe(_Section):
     """One recipe, resolved. See the sections for the meaning of each key.
@@ -126,16 +186,26 @@ class Recipe(_Section):
         memory_per_object_mb: so is one for which a worker comes to hold more.
     """
 
-    name: str
+    name: Annotated[str, Field(min_length=1, max_length=255)]
     articulation: Articulation = Articulation()
     views: ViewSettings = ViewSettings()
     fusion: Fusion = Fusion()
     sampling: Sampling = Sampling()
     padding: float = Field(default=0.1, ge=0.0, lt=1.0)
-    objects: int | None = Field(default=None, ge=1)
+    objects: int | None = Field(default=None, ge=1, le=1_000_000)
     max_rejected_fraction: float = Field(default=0.1, ge=0.0, le=1.0)
     seconds_per_object: float | None = Field(default=None, gt=0.0, le=1e7)
     memory_per_object_mb: float = Field(default=4096.0, ge=256.0, le=1e7)
+
+    @model_validator(mode="after")
+    def _fits_an_attribute(self) -> "Recipe":
+        length = len(self.text())
+        if length > MAX_TEXT_BYTES:
+            raise ValueError(
+                f"the recipe takes {length:,} bytes when written out, more than {MAX_TEXT_BYTES:,};"
+                " use fewer or shorter patterns in articulation.movable"
+            )
+        return self
 
     def text(self) -> str:
         """The resolved recipe as canonical JSON; equal recipes have equal texts."""
@@ -159,7 +229,11 @@ class Recipe(_Section):
         max_rejected: float | None = None,
     ) -> "Recipe":
         """This recipe with other numbers of objects and of random states, or another
-        `max_rejected_fraction`; None keeps its own."""
+        `max_rejected_fraction`; None keeps its own.
+
+        Raises:
+            InvalidRecipe: there cannot be so many.
+        """
         data = self.model_dump()
         if max_rejected is not None:
             data["max_rejected_fraction"] = max_rejected
@@ -167,7 +241,7 @@ class Recipe(_Section):
             data["objects"] = objects
         if states is not None:
             data["articulation"]["states"] = states
-        return Recipe.model_validate(data)
+        return validated(Recipe, data, f"recipe {self.name!r}")
 
     def with_articulation(
         self, *, movable: Sequence[str] = (), canonical: str | None = None

@@ -1,19 +1,28 @@
-"""Recipe files of any kind: YAML that may extend another file, checked by a pydantic model."""
+"""YAML files of any kind, and recipes among them, which may extend another file and are checked by
+a pydantic model. What a file may hold is little: it may come from a stranger."""
 
 import difflib
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 import yaml
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 
-from articugen.errors import InvalidRecipe
+from articugen.errors import ArticugenError, InvalidRecipe, machine_fault
+from articugen.files import read_regular
 
 RECIPE_FOLDER = Path(__file__).resolve().parent.parent / "recipes"
 
 Model = TypeVar("Model", bound=BaseModel)
 
+
+MAX_YAML_BYTES = 2**18
+MAX_YAML_DEPTH = 16
+MAX_EXTENDED = 16
+"""Files that a recipe may extend, one the other."""
+_MAX_DIGITS = 40  # of a number
 
 LEARNER = "ppd_"
 """What the names of training recipes begin with; those of data recipes do not."""
@@ -32,7 +41,7 @@ def find(name: str, *, learner: bool) -> Path:
         InvalidRecipe: there is none.
     """
     for path in (RECIPE_FOLDER / f"{name}.yaml", Path(name)):
-        if path.is_file():
+        if os.path.exists(path) and not os.path.isdir(path):
             return path
     names = known(learner=learner)
     raise InvalidRecipe(f"no recipe {name!r}{nearest(name, names)}; there are: {', '.join(names)}")
@@ -46,20 +55,104 @@ def resolved(
     Raises:
         InvalidRecipe: it cannot be read, is not YAML, no mapping, or extends itself.
     """
-    if path in chain:
-        raise InvalidRecipe(f"{path}: extends itself")
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
-    except OSError as error:
-        raise InvalidRecipe(f"{path}: cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InvalidRecipe(f"{path}: not YAML: {' '.join(str(error).split())}") from None
+    if path in chain or len(chain) > MAX_EXTENDED:
+        raise InvalidRecipe(f"{path}: extends itself, or too many others; extend fewer")
+    data = read_yaml(path, InvalidRecipe) or {}
     if not isinstance(data, dict) or not all(isinstance(key, str) for key in data):
-        raise InvalidRecipe(f"{path}: a recipe is a mapping of keys to values")
+        raise InvalidRecipe(f"{path}: a recipe is a mapping of keys to values; write key: value")
     base = data.pop("extends", None)
     if base is None:
         return data
     return _merged(resolved(base_of(str(base)), base_of, (*chain, path)), data)
+
+
+def read_yaml(path: Path, refusal: type[ArticugenError]) -> Any:
+    """What a YAML file holds: mappings, lists, texts, numbers, true, false and null.
+
+    Each key is given once; there are no aliases, no tags of Python's, no dates.
+
+    Raises:
+        refusal: it cannot be read, or is anything else; the sentence says what and where.
+        MachineFault, MemoryError: the disk does not answer, or the like.
+    """
+    try:
+        text = read_regular(path, MAX_YAML_BYTES).decode()
+        return yaml.load(text, _Loader)
+    except OSError as error:
+        raise machine_fault(error) or refusal(
+            f"{path}: cannot be read: {error.strerror}; correct it or name another file"
+        ) from error
+    except (yaml.YAMLError, *_PYTHON_ERRORS) as error:
+        reason = " ".join(str(error).split())[:300]
+        raise refusal(f"{path}: not YAML that can be read: {reason}; correct it there") from None
+
+
+_PYTHON_ERRORS = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
+"""What the library raises over values that are not of their tag, such as !!int x."""
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML without what a settings file has no use for and that is harmful or surprising."""
+
+    yaml_implicit_resolvers = {  # noqa: RUF012 - declared so by the library
+        first: [
+            (tag, form) for tag, form in resolvers if not tag.endswith((":timestamp", ":merge"))
+        ]
+        for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+    depth = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            self._refuse(self.peek_event(), "aliases (*name) are not read; write it out")
+        if self.depth >= MAX_YAML_DEPTH:
+            self._refuse(self.peek_event(), "it is nested too deeply; make it flatter")
+        self.depth += 1
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        keys = [key for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        seen: set[str] = set()
+        for key in keys:
+            if key.value in seen:
+                self._refuse(key, f"the key {key.value[:100]!r} is given twice; remove one")
+            seen.add(key.value)
+
+    def construct_number(self, node: yaml.ScalarNode) -> int | float:
+        if len(node.value) > _MAX_DIGITS:
+            self._refuse(node, f"a number has {len(node.value):,} digits; write a shorter one")
+        if node.tag.endswith(":int"):
+            return self.construct_yaml_int(node)
+        return self.construct_yaml_float(node)
+
+    def _refuse(self, where: Any, problem: str) -> None:
+        raise yaml.MarkedYAMLError(problem=problem, problem_mark=where.start_mark)
+
+
+for kind in ("int", "float"):
+    _Loader.add_constructor(f"tag:yaml.org,2002:{kind}", _Loader.construct_number)
+
+
+class Section(BaseModel):
+    """A section of a settings file: unknown keys are refused, numbers are finite, and true and
+    false are no numbers."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _bool_is_no_number(cls, value: Any, info: ValidationInfo) -> Any:
+        annotation = cls.model_fields[info.field_name or ""].annotation
+        if bool in (annotation, *get_args(annotation)):
+            return value
+        inside = value if isinstance(value, list | tuple) else (value,)
+        if any(isinstance(item, bool) for item in inside):
+            raise ValueError(
+                "true and false (yes, no, on, off) are no value for it; put text in quotes"
+            )
+        return value
 
 
 def validated(model: type[Model], data: dict[str, Any], where: str) -> Model:
@@ -76,9 +169,11 @@ def validated(model: type[Model], data: dict[str, Any], where: str) -> Model:
         key = ".".join(map(str, first["loc"]))
         if first["type"] == "extra_forbidden":
             hint = nearest(str(first["loc"][-1]), _keys_at(model, first["loc"][:-1]))
-            raise InvalidRecipe(f"{where}: unknown key {key!r}{hint}") from None
+            raise InvalidRecipe(f"{where}: unknown key {key[:100]!r}{hint}") from None
         message = first["msg"].removeprefix("Value error, ")
-        raise InvalidRecipe(f"{where}: {key}: {message}") from None
+        raise InvalidRecipe(f"{where}: {key or 'the recipe'}: {message}") from None
+    except OverflowError:  # pydantic's, of an integer that no float can hold
+        raise InvalidRecipe(f"{where}: a number is too large; write a smaller one") from None
 
 
 def nearest(name: str, known: list[str]) -> str:

@@ -7,41 +7,76 @@ whatever the direction.) Here the voxels that such features touch are marked, on
 view's word is checked there by following the ray itself.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from articugen.geometry import bounds
 from articugen.hierarchy import Hierarchy, meets
-from articugen.reachable import walls
+from articugen.reachable import mark
 from articugen.records import LabelledMesh
 from articugen.sheets import face_normals, probes
 
 _BENEATH = 1e-4
-"""How deep behind a face the search for its other side begins, unit frame."""
+"""How deep behind a face the search for its other side begins, unit frame; but no deeper than an
+eighth of a pixel, which of a small part seen alone is less."""
 
-NOTHING = np.zeros((1, 1, 1), np.uint8)
+_MOST_EDGE = 320
+"""Voxels along an edge of a part's box: a few megabytes as bits, 33 while they are marked. Views
+of up to 300 pixels, which show the whole box, never need more; finer ones get wider voxels, which
+only means that more rays are followed."""
 
 
-def slender_voxels(mesh: LabelledMesh, width: float, hierarchy: Hierarchy) -> NDArray[np.uint8]:
-    """(n, n, n) uint8 over the unit cube: 1 where a face that has another within `width` behind it
-    touches the voxel, which is `width` wide; `NOTHING` if there is none.
+class Slender(NamedTuple):
+    """Marked voxels of a lattice over the unit cube; kept is the box around them.
+
+    Attributes:
+        bits: (a, b, c) uint8: bit m of bits[i, j, k] is the voxel (i, j, 8 k + m) of the box.
+        first: (3,) int64: the lattice's number of the box's first voxel.
+        resolution: of the lattice: voxels along an edge of the unit cube.
+    """
+
+    bits: Any
+    first: Any
+    resolution: int
+
+    def voxels(self) -> NDArray[np.intp]:
+        """(n, 3) the lattice's numbers of those that are marked."""
+        return np.argwhere(np.unpackbits(self.bits, axis=2, bitorder="little")) + self.first
+
+
+NOTHING = Slender(np.zeros((0, 0, 0), np.uint8), np.zeros(3, np.int64), 1)
+
+
+def slender_voxels(mesh: LabelledMesh, width: float, hierarchy: Hierarchy) -> Slender:
+    """The voxels that are touched by a face which has another within `width` behind it; `NOTHING`
+    if there is none. A voxel is `width` wide, or so that the part's box has `_MOST_EDGE`.
 
     Args:
         mesh: faces outwards.
         width: of a pixel, unit frame.
         hierarchy: of the mesh as one part, where it is.
     """
-    where = probes(mesh, _BENEATH)
+    where = probes(mesh, min(_BENEATH, width / 8.0))
     inwards = -face_normals(mesh.vertices, mesh.faces)[where.face]
     has_other_side = _meet(
         where.points[1].astype(np.float32), inwards.astype(np.float32), np.float32(width), hierarchy
     )
     thin = np.bincount(where.face, weights=has_other_side, minlength=len(mesh.faces)) > 0
-    if not thin.any():
-        return NOTHING
-    return walls(
-        LabelledMesh(mesh.vertices, mesh.faces[thin], mesh.part_of_face[thin]), 2.0 * width
-    )
+    return _touched(mesh.vertices[mesh.faces[thin]], width) if thin.any() else NOTHING
+
+
+def _touched(corners: NDArray[np.float64], width: float) -> Slender:
+    """The voxels that faces (n, 3, 3) touch."""
+    box = bounds(corners.reshape(-1, 3))
+    edge = float(np.max(box[1] - box[0]))
+    resolution = max(4, round(1.0 / max(width, edge / (_MOST_EDGE - 2))))
+    first, last = np.clip(np.floor((box + 0.5) * resolution), 0, resolution - 1).astype(np.int64)
+    state = np.zeros(last - first + 1, np.uint8)
+    mark(state, first, resolution, (corners + 0.5) * resolution)
+    return Slender(np.packbits(state, axis=2, bitorder="little"), first, resolution)
 
 
 @njit(cache=True, nogil=True)

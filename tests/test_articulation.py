@@ -2,6 +2,7 @@
 
 import importlib.util
 import math
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -162,7 +163,7 @@ def test_a_slider_from_its_lower_limit_has_the_whole_way():
 
 def test_the_recipe_sets_the_way_of_a_slider_without_limits():
     free = tree(joint("box", "prismatic", limits=(-math.inf, math.inf)))
-    with pytest.raises(RejectedInstance, match=r"'box' has no limit; set .*prismatic_metres"):
+    with pytest.raises(RejectedInstance, match=r"'box' has no <limit> .*; add one, or .*metres"):
         resolve(free, Articulation())
     moving = only(free, Articulation(prismatic_metres=(0.0, 0.3)))
     assert (moving.lower, moving.upper) == (0.0, 0.3)
@@ -260,11 +261,11 @@ def test_locked_joints_ride_on_what_they_hang_on():
 
 def test_an_object_in_which_nothing_moves_is_not_of_the_category():
     lid = tree(joint("lid"), semantics={"lid": "screen"})
-    with pytest.raises(NotOfCategory, match=r"tree: no joint moves: .*'handle'.*lid \(screen\)"):
+    with pytest.raises(NotOfCategory, match=r"^no joint moves: .*'handle'.*lid \(screen\)"):
         resolve(lid, Articulation(movable=("handle",)))
     with pytest.raises(NotOfCategory, match="all joints of its URDF are fixed"):
         resolve(tree(joint("lid", "fixed")), Articulation())
-    with pytest.raises(NotOfCategory, match="no joint moves"):
+    with pytest.raises(NotOfCategory, match=r"leave no range to box .*correct the <limit>"):
         resolve(tree(joint("box", "prismatic", limits=(0.0, 0.0))), Articulation())
 
 
@@ -435,6 +436,21 @@ def test_mimics_in_a_circle_and_mimics_of_nothing_are_rejected():
         resolve(circle, Articulation())
     with pytest.raises(RejectedInstance, match="a -> ghost end at no joint"):
         resolve(tree(joint("a", mimic=Mimic("ghost")), joint("lid")), Articulation())
+
+
+def test_a_follower_that_is_driven_too_far_is_rejected():
+    far = tree(joint("a"), joint("b", mimic=Mimic("a", 1e4)), joint("c", mimic=Mimic("b", 1e4)))
+    with pytest.raises(RejectedInstance, match="'c' follows 'a' beyond 1,000,000 rad"):
+        resolve(far, Articulation())
+
+
+def test_a_long_chain_of_mimics_takes_no_time():
+    """Each joint is led to its driver; with all of them looked up at each step, that took 22 s."""
+    joints = [joint(f"j{i}", mimic=Mimic(f"j{i - 1}") if i else None) for i in range(500)]
+    chain = tree(*joints)
+    began = time.process_time()
+    assert len(resolve(chain, Articulation()).moving_joints) == 500
+    assert time.process_time() - began < 1.0
 
 
 # ------------------------------------------------------------------ sampling

@@ -12,9 +12,7 @@ import articugen
 
 PACKAGE = Path(articugen.__file__).parent
 
-BASE = {
-    "errors", "files", "portable", "geometry", "records", "seeding", "recipe", "recipe_files"
-}  # fmt: skip
+BASE = {"errors", "files", "portable", "geometry", "records", "seeding", "recipe", "recipe_files"}
 STAGES = {
     "articulation": set(),
     "rendering": set(),
@@ -44,7 +42,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "seeding": set(),
     "records": {"geometry", "portable"},
     "recipe_files": {"errors", "files"},
-    "recipe": {"errors", "recipe_files"},
+    "recipe": {"errors", "recipe_files", "schema"},
     **{stage: BASE | own for stage, own in STAGES.items()},
     "instance": BASE | set(STAGES),
     "files": {"errors"},

@@ -7,6 +7,7 @@ any of the fused views gets free (`Truth.enclosed`): what nobody can see is insi
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -332,6 +333,17 @@ def test_surface_points_lie_on_the_exact_solids(make: Maker, category: str) -> N
         assert np.mean(outwards.any(axis=1)) <= 0.005  # next to an inner edge it is not far
 
 
+@pytest.mark.parametrize(("category", "k"), [("laptop", 6), ("drawer", 4)])
+def test_closed_solids_are_left_as_they_are(category: str, k: int, tmp_path: Path) -> None:
+    """Plugs hide between pixels, so that their insides look free; a bevelled handle is thin at its
+    very edge: neither is a sheet, so that no vertex moves."""
+    raw, _ = written(category, object_id(category, k), tmp_path)
+    obj = articulation.resolve(raw, recipe_for(category).articulation)
+    prepared = prepare(obj, recipe_for(category), seed=0)
+    assert len(prepared.mesh.faces) == sum(len(link.mesh.faces) for link in obj.links)
+    assert prepared.closed.all()
+
+
 @pytest.mark.parametrize("category", CATEGORIES)
 def test_surface_points_of_messy_objects_lie_within_half_a_voxel(
     make: Maker, category: str
@@ -360,7 +372,7 @@ def test_surface_points_go_back_to_the_canonical_surface_of_their_part(
             assert own.sum() > 50
             at, out = apply(T, points[own]), normals[own] @ T[:3, :3].T
             assert np.mean(made.holds(0, at - BEHIND * out)[:, k]) >= 0.999
-            assert np.mean(made.holds(0, at + BEFORE * out)[:, k]) <= 0.005
+            assert np.mean(made.holds(0, at + BEFORE * out)[:, k]) <= 0.01  # inner edges
 
 
 @pytest.mark.parametrize("category", CATEGORIES)
@@ -382,7 +394,8 @@ def test_partial_clouds_are_what_a_camera_sees(make: Maker, category: str) -> No
             behind = made.holds(s, points + BEHIND * away)
             part = instance.partial_part[c]
             assert np.mean(behind[np.arange(len(part)), part]) >= 0.98  # silhouettes graze
-            assert np.mean(made.holds(s, points - BEHIND * away).any(axis=1)) <= 0.02
+            before = made.holds(s, points - 2 * BEHIND * away)  # rounding counts more where grazed
+            assert np.mean(before.any(axis=1)) <= 0.02
 
 
 # --- motion and frame

@@ -14,7 +14,18 @@ from hypothesis import strategies as st
 
 from articugen.errors import InvalidSource
 from articugen.records import Mesh
-from articugen.sources.meshes import EmptyMesh, box, cylinder, fans, read_mesh, scaled, sphere
+from articugen.sources import mesh_formats, meshes
+from articugen.sources.meshes import (
+    PRIMITIVE_FACES,
+    EmptyMesh,
+    box,
+    capsule,
+    cylinder,
+    fans,
+    read_mesh,
+    scaled,
+    sphere,
+)
 from articugen.sources.model_files import ModelFiles
 
 SQUARE_OBJ = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
@@ -125,6 +136,8 @@ def test_obj_in_every_odd_form(tmp_path):
         ("v nan 0 0\nf 1 2 3\n", "not finite"),
         ("v inf 0 0\nf 1 2 3\n", "not finite"),
         ("v 1e10 0 0\nf 1 2 3\n", "not finite, or beyond"),
+        ("f 1 2 99999999999999999999\n", "'f 1 2 99999999999999999999' is not OBJ"),
+        ("v\nf 1 2 3\n", "'v' is not OBJ"),
     ],
 )
 def test_broken_obj_is_refused(tmp_path, faces, problem):
@@ -324,6 +337,25 @@ def test_gltf_buffers_stay_in_the_folder_and_count_in_the_hash(tmp_path):
         read_mesh(path)
 
 
+@pytest.mark.parametrize(
+    ("uri", "problem"),
+    [
+        (5, "the uri of a buffer is 5, not a text"),
+        (None, "the uri of a buffer is None, not a text"),
+        ("%00", "is no name of a file"),
+        ("\ud800", "is no name of a file"),
+        ("a" * 300, "has a name of more than 255 bytes"),
+        ("../secret.bin", "leads out of"),
+        ("/etc/passwd", "leads out of"),
+    ],
+)
+def test_a_gltf_buffer_of_a_strange_name_is_refused(tmp_path, uri, problem):
+    path = write(tmp_path / "m.gltf", json.dumps({"buffers": [{"uri": uri}]}))
+    with pytest.raises(InvalidSource, match=problem) as caught:
+        read_mesh(path)
+    assert str(caught.value).startswith(str(path))
+
+
 def test_unknown_format_names_the_known_ones(tmp_path):
     with pytest.raises(InvalidSource, match=r"convert it to one of \.obj, \.stl"):
         read_mesh(write(tmp_path / "m.3ds", b""))
@@ -360,6 +392,75 @@ def test_a_damaged_file_is_read_or_refused_and_nothing_else(tmp_path, suffix):
     assert 50 < refused < 200
 
 
+# --- sizes
+
+
+def test_too_many_triangles_are_refused_before_any_is_made(tmp_path, monkeypatch):
+    monkeypatch.setattr(mesh_formats, "MAX_FACES", 10)
+    monkeypatch.setattr(meshes, "MAX_FACES", 10)
+    for suffix in ("obj", "stl", "ply", "dae", "glb"):
+        path = write(tmp_path / f"m.{suffix}", trimesh.creation.box().export(file_type=suffix))
+        with pytest.raises(InvalidSource, match=r"more than 10 triangles .*; simplify it"):
+            read_mesh(path)
+    ascii_stl = trimesh.creation.box().export(file_type="stl_ascii")
+    with pytest.raises(InvalidSource, match="more than 10 triangles"):
+        read_mesh(write(tmp_path / "m.stl", ascii_stl))
+    with pytest.raises(InvalidSource, match="more than 10 triangles"):
+        read_mesh(write(tmp_path / "m.obj", SQUARE_OBJ + " f" + " 1 2 3 4" * 5))
+
+
+def test_comments_and_long_lines_of_an_obj_cost_nothing(tmp_path):
+    text = "#\n" * 1_000_000 + SQUARE_OBJ + "f 1 2 3\n"
+    assert len(read_mesh(write(tmp_path / "m.obj", text)).faces) == 1
+    with pytest.raises(InvalidSource, match=r"a line has 1,2.* bytes"):
+        read_mesh(write(tmp_path / "m.obj", SQUARE_OBJ + "f" + " 1" * 600_000))
+
+
+def test_nodes_of_a_dae_that_double_are_counted_not_built(tmp_path):
+    """Thirty nodes, each with the next one twice: a thousand million boxes."""
+    good = trimesh.creation.box().export(file_type="dae").decode()
+    start, end = good.index("<node "), good.index("</visual_scene>")
+    start = good.index("<instance_geometry", start)
+    geometry = good[start : good.index("</instance_geometry>", start)] + "</instance_geometry>"
+    twice = "".join(
+        f'<node id="n{i}">' + f'<instance_node url="#n{i + 1}"/>' * 2 + "</node>" for i in range(30)
+    )
+    library = f'<library_nodes>{twice}<node id="n30">{geometry}</node></library_nodes>'
+    scene_start = good.index("<visual_scene")
+    inside = good.index(">", scene_start) + 1
+    before = good.index("<library_visual_scenes")
+    bomb = good[:before] + library + good[before:inside] + '<node><instance_node url="#n0"/></node>'
+    with pytest.raises(InvalidSource, match="more than 1,000,000 triangles"):
+        read_mesh(write(tmp_path / "m.dae", bomb + good[end:]))
+    chain = "".join(f'<node id="n{i}"><instance_node url="#n{i + 1}"/></node>' for i in range(5000))
+    deep = bomb.replace(twice, chain + '<node id="n5000"/>')
+    with pytest.raises(InvalidSource, match="nested more than 100 deep"):
+        read_mesh(write(tmp_path / "m.dae", deep + good[end:]))
+    loop = bomb.replace('<instance_node url="#n2"/>', '<instance_node url="#n1"/>')
+    with pytest.raises(InvalidSource, match="node 'n1' holds itself"):
+        read_mesh(write(tmp_path / "m.dae", loop + good[end:]))
+
+
+def test_a_dae_with_textures_that_are_not_there_says_nothing(tmp_path, capfd, caplog):
+    good = trimesh.creation.box().export(file_type="dae").decode()
+    image = (
+        '<newparam sid="f"><surface type="2D"><init_from>i</init_from></surface></newparam>'
+        '<newparam sid="s"><sampler2D><source>f</source></sampler2D></newparam>'
+    )
+    images = '<library_images><image id="i"><init_from>no.png</init_from></image></library_images>'
+    text = good.replace("<library_effects>", f"{images}<library_effects>")
+    text = text.replace("<technique sid", f"{image}<technique sid")
+    looks = '<emission><texture texture="s" texcoord="u"/></emission>'
+    text = text.replace("<phong>", f"<phong>{looks}").replace("<lambert>", f"<lambert>{looks}")
+    assert looks in text
+    mesh = read_mesh(write(tmp_path / "m.dae", text))
+    plain = read_mesh(write(tmp_path / "g.dae", good))
+    np.testing.assert_array_equal(mesh.vertices, plain.vertices)
+    assert len(mesh.faces) == 12
+    assert capfd.readouterr() == ("", "")
+    assert not caplog.records
+
+
 # --- primitives
 
 
@@ -370,8 +471,13 @@ def test_primitives_are_closed_with_the_right_volume_and_area():
     assert area(cylinder(0.5, 2.0)) == pytest.approx(2.5 * np.pi, rel=2e-3)
     assert volume(sphere(0.5)) == pytest.approx(np.pi / 6, rel=5e-3)
     assert area(sphere(0.5)) == pytest.approx(np.pi, rel=5e-3)
-    for mesh in (box((1, 2, 3)), cylinder(0.5, 2.0), sphere(0.5)):
+    assert volume(capsule(0.5, 2.0)) == pytest.approx(np.pi * (0.5 + 1 / 6), rel=3e-3)
+    assert area(capsule(0.5, 2.0)) == pytest.approx(3 * np.pi, rel=2e-3)
+    all_four = (box((1, 2, 3)), cylinder(0.5, 2.0), sphere(0.5), capsule(0.5, 2.0))
+    for mesh in all_four:
         assert is_closed(mesh)
+    names = ("box", "cylinder", "sphere", "capsule")
+    assert {n: len(m.faces) for n, m in zip(names, all_four, strict=True)} == PRIMITIVE_FACES
     np.testing.assert_allclose(np.linalg.norm(sphere(0.5).vertices, axis=1), 0.5)
     np.testing.assert_allclose(np.abs(cylinder(0.5, 2.0).vertices[:, 2]), 1.0)
 

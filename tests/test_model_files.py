@@ -1,12 +1,13 @@
 """Names in a model's files lead to its own files alone; hash and limits of them."""
 
+import errno
 import os
 
 import pytest
 from test_meshes import SQUARE_OBJ, write
 
-from articugen.errors import InvalidSource
-from articugen.sources import meshes, model_files
+from articugen.errors import InvalidSource, MachineFault
+from articugen.sources import model_files
 from articugen.sources.meshes import read_mesh
 from articugen.sources.model_files import ModelFiles
 
@@ -88,9 +89,89 @@ def test_hash_depends_on_names_and_bytes_alone(model, tmp_path):
 
 def test_limits_on_size(tmp_path, monkeypatch):
     path = write(tmp_path / "m.obj", SQUARE_OBJ + "f 1 2 3\n" * 9)
-    monkeypatch.setattr(meshes, "MAX_COUNT", 8)
-    with pytest.raises(InvalidSource, match="more than 8 vertices or faces"):
-        read_mesh(path)
+    other = write(tmp_path / "n.obj", SQUARE_OBJ + "f 1 2 3\n")
+    files = ModelFiles(tmp_path)
+    monkeypatch.setattr(model_files, "MAX_MODEL_BYTES", 140)
+    files.read(path), files.read(path)
+    with pytest.raises(InvalidSource, match=r"n\.obj: with it the model's files have more than"):
+        files.read(other)
     monkeypatch.setattr(model_files, "MAX_FILE_BYTES", 50)
-    with pytest.raises(InvalidSource, match="larger than"):
+    with pytest.raises(InvalidSource, match="more than the 50 that it may have; simplify it"):
         read_mesh(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [
+        ("a" * 256 + ".obj", "more than 255 bytes; shorten it"),
+        ("\u00e4" * 200, "more than 255 bytes"),
+        ("package://" + "a" * 300 + "/a.obj", "more than 255 bytes"),
+        ("meshes/\0.obj", "is no name of a file"),
+        ("meshes/\udcff.obj", "is no name of a file"),
+        ("", "is no name of a file"),
+        ("https://example.org/a.obj", "is on the network, and nothing is fetched; save it in"),
+        ("model://arm/a.obj", "unknown kind, 'model'; use a relative path"),
+        ("../../a.obj", "leads out of .*; copy the file into that folder"),
+        ("package://nowhere/a.obj", "no folder above has a package.xml of the name 'nowhere'"),
+        ("package:///a.obj", "has no name of a package"),
+        ("../" * 3000 + "a.obj", "leads out of"),
+    ],
+)
+def test_a_refused_name_tells_who_uses_it_and_the_cure(model, name, problem):
+    with pytest.raises(InvalidSource, match=problem) as caught:
+        model.find(name, "m.urdf: link 'a'")
+    message = str(caught.value)
+    assert message.startswith("m.urdf: link 'a': file ")
+    assert ";" in message
+    assert len(message) < 700
+    assert message.isprintable()
+
+
+def test_only_regular_files_are_read(model):
+    """And none is waited for: a FIFO has no writer, /dev/zero no end."""
+    os.mkfifo(model.folder / "fifo.obj")
+    (model.folder / "loop.obj").symlink_to("loop.obj")
+    (model.folder / "closed.obj").symlink_to("b.obj")
+    found = model.find("fifo.obj")
+    assert found is not None
+    with pytest.raises(InvalidSource, match="it is a FIFO, not a regular file; put a regular file"):
+        model.read(found)
+    with pytest.raises(InvalidSource, match=r"loop\.obj: cannot be read: Too many levels"):
+        model.find("loop.obj")
+    assert model.find("closed.obj") == model.folder / "b.obj"
+    (model.folder / "out.obj").symlink_to(model.root.parent / "secret.obj")
+    with pytest.raises(InvalidSource, match="is a symbolic link out of the model's folder"):
+        model.read(model.folder / "out.obj")
+
+
+@pytest.mark.parametrize("target", ["fifo", "/dev/zero", "loop"])
+def test_a_package_xml_that_is_no_file_is_none(model, target):
+    (model.root / "package.xml").unlink()
+    if target == "fifo":
+        os.mkfifo(model.root / "package.xml")
+    else:
+        (model.root / "package.xml").symlink_to("package.xml" if target == "loop" else target)
+    with pytest.raises(InvalidSource, match="no folder above has a package"):
+        model.find("package://arm/meshes/a.obj")
+    assert model.find("package://pkg/meshes/a.obj") is not None
+
+
+@pytest.mark.parametrize(
+    ("number", "kind"),
+    [
+        (errno.EIO, MachineFault),
+        (errno.EMFILE, MachineFault),
+        (errno.ENOMEM, MemoryError),
+        (errno.EACCES, InvalidSource),
+        (errno.ENOENT, InvalidSource),
+    ],
+)
+def test_a_fault_of_the_machine_is_not_the_models(model, monkeypatch, number, kind):
+    path = model.find("b.obj")
+
+    def fails(*_args, **_kinds):
+        raise OSError(number, os.strerror(number), str(path))
+
+    monkeypatch.setattr(model_files, "read_regular", fails)
+    with pytest.raises(kind):
+        model.read(path)

@@ -1,12 +1,16 @@
+import errno
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from articugen.errors import InvalidRecipe
-from articugen.recipe import Recipe, load_recipe
+from articugen import recipe as recipe_module
+from articugen import schema, shards
+from articugen.errors import InvalidRecipe, MachineFault
+from articugen.recipe import Recipe, Sampling, load_recipe
 from articugen.recipe_files import known
 
 CATEGORIES = ("drawer", "eyeglasses", "laptop", "oven", "washing_machine")
@@ -59,6 +63,35 @@ def test_extends_merges_sections_key_by_key(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
+        ("states: 1\nstates: 2", "the key 'states' is given twice"),
+        ("articulation: {states: 1, states: 2}", "the key 'states' is given twice"),
+        ("articulation: {states: true}", "articulation.states: true and false .* are no value"),
+        ("sampling: {grids: [true]}", "sampling.grids: true and false"),
+        ("articulation: {states: 2001-99-99}", "articulation.states: .*integer"),
+        ("a: !!timestamp 2001-99-99", "not YAML"),
+        ("a: !!int x", "not YAML"),
+        (f"articulation: {{states: {'9' * 5000}}}", "a number has 5,000 digits"),
+        ("objects: " + ":".join("1" * 3000), "a number has 5,999 digits"),
+        ("padding: 1" + "0" * 35, "padding: .*less than 1"),
+        ("a: " + "[" * 3000 + "]" * 3000, "it is nested too deeply"),
+        ("a: &x [1]\nb: *x", "aliases .* are not read"),
+        ("a: {<<: {b: 1}}", "unknown key 'a'"),
+        ("objects: 2000000", "objects: .*less than or equal to 1000000"),
+        ("articulation: {revolute_degrees: [0, 1e9]}", "revolute_degrees.*3600"),
+        ("views: {count: 10000, resolution: 4096}", "views: 10,000 views of 4096 x 4096 pixels"),
+        (
+            "sampling: {partial_views: 16, partial_points: 1000000}",
+            "sampling: partial_points would take 92 MiB an instance, more than the 64",
+        ),
+        (
+            f"sampling: {{grids: {list(range(2, 257))}}}",
+            "sampling: an instance would take .* MiB, more than 128",
+        ),
+        (
+            f"articulation: {{movable: {[f'link_{i}*' for i in range(4000)]}}}",
+            "takes .* bytes when written out, more than 32,000; use fewer",
+        ),
+        ("# " + "x" * 300_000, "more than the 262,144 that it may have"),
         ("samplng: {}", r"unknown key 'samplng'; did you mean 'sampling'\?"),
         ("sampling: {near_point: 3}", r"'sampling.near_point'; did you mean 'near_points'\?"),
         ("articulation: {zzz: 3}", r"unknown key 'articulation.zzz'$"),
@@ -79,6 +112,47 @@ def test_a_bad_recipe_is_refused_in_one_sentence(tmp_path: Path, text: str, sent
     with pytest.raises(InvalidRecipe, match=sentence) as caught:
         load_recipe(written(tmp_path, text), "laptop")
     assert "\n" not in str(caught.value)
+
+
+def test_whatever_recipe_is_read_a_shard_can_hold_it() -> None:
+    """The largest of each field that is accepted, against the limits of the writer."""
+    assert recipe_module.MAX_TEXT_BYTES <= shards._MAX_ATTRIBUTE_BYTES
+    most = Sampling(
+        grids=(256,),
+        surface_points=1_000_000,
+        uniform_points=1_000_000,
+        near_points=1_000_000,
+        partial_views=11,
+        partial_points=1_000_000,
+    )
+    sizes = most.instance_bytes()
+    assert sizes["occupancy_256"] == 2**24
+    assert sizes["partial_points"] == 66_000_000 <= schema.MAX_CHUNK_BYTES
+    assert set(sizes) >= {f.name for f in schema.FIELDS if not f.is_grid}
+    both = Sampling(grids=(64,), coverage=True).instance_bytes()
+    assert both["coverage_64"] == both["occupancy_64"] == 2**18
+
+
+@pytest.mark.parametrize("kind", ["fifo", "/dev/zero", "folder", "loop"])
+def test_a_recipe_is_a_regular_file(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "mine.yaml"
+    if kind == "fifo":
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    else:
+        path.symlink_to(path if kind == "loop" else kind)
+    with pytest.raises(InvalidRecipe):
+        load_recipe(path, "laptop")
+
+
+def test_a_disk_that_does_not_answer_is_no_fault_of_the_recipe(tmp_path, monkeypatch) -> None:
+    def fails(*_args):
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr("articugen.recipe_files.read_regular", fails)
+    with pytest.raises(MachineFault):
+        load_recipe(written(tmp_path, "objects: 1"), "laptop")
 
 
 def test_an_unknown_name_gets_the_nearest_one() -> None:
@@ -132,7 +206,7 @@ def test_with_counts_replaces_what_is_given_and_checks_it() -> None:
     assert recipe.with_counts(objects=3).objects == 3
     changed = recipe.with_counts(states=2)
     assert (changed.articulation.states, changed.objects) == (2, recipe.objects)
-    with pytest.raises(ValueError, match="greater than or equal to 1"):
+    with pytest.raises(InvalidRecipe, match="greater than or equal to 1"):
         recipe.with_counts(objects=0)
 
 

@@ -1,5 +1,6 @@
 """Which objects a source has, their splits, and that each is read by the right reader."""
 
+import errno
 import os
 import pickle
 from collections import Counter
@@ -10,8 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from articugen.errors import InvalidSource
+from articugen.errors import InvalidSource, MachineFault
 from articugen.sources import procedural, registry
+from articugen.sources.discovery import model_category
 from articugen.sources.registry import ObjectRef, load, object_refs, source_names
 from articugen.sources.source_file import CategorySettings, read_source_file
 from articugen.sources.splits import assign_splits, split_sizes
@@ -322,6 +324,79 @@ def test_models_of_others_stay_inside_their_limits(tmp_path):
     assert not registry.clips_to_limits("procedural_messy")
 
 
+# --- hostile objects
+
+
+def test_one_bad_object_stops_no_other(tmp_path):
+    """Each is found, and its own reading tells what is wrong with it."""
+    add(tmp_path / "good.URDF")
+    os.mkfifo(tmp_path / "fifo.urdf")
+    (tmp_path / "gone.urdf").symlink_to("nowhere")
+    os.makedirs(os.fsencode(tmp_path) + b"/caf\xe9")
+    add(Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9/m.urdf")))
+    add(tmp_path / "a\nb.urdf")
+    deep = tmp_path / ("x" * 200)
+    add(deep / "one.urdf")
+    add(deep / ("y" * 200) / "two.urdf")
+    (tmp_path / "closed").mkdir(mode=0)
+    told = {}
+    for ref in object_refs(tmp_path, "thing"):
+        try:
+            told[ref.object_id] = load(ref).object_id
+        except InvalidSource as error:
+            told[ref.object_id] = str(error)
+    assert all(map(str.isprintable, told.values()))
+    assert told["good"] == "good"
+    assert "it is a FIFO, not a regular file" in told["fifo"]
+    assert "put the file there" in told["gone"]
+    assert "is not UTF-8; rename" in told["caf\\udce9"]
+    assert "control characters" in told["a\nb"]
+    assert "its id has more than 255 bytes" in told[f"{'x' * 200}.{'y' * 200}.two"]
+    assert told[f"{'x' * 200}.one"] == f"{'x' * 200}.one"
+
+
+def test_what_a_reader_did_not_expect_is_the_objects_fault(tmp_path, monkeypatch):
+    ref = object_refs(add(tmp_path / "a.urdf"), "thing")[0]
+
+    def raising(error):
+        def read(*_args, **_kinds):
+            raise error
+
+        return read
+
+    for error, kind in (
+        (ValueError("odd\nthing"), InvalidSource),
+        (RecursionError(), InvalidSource),
+        (MemoryError(), MemoryError),
+        (OSError(errno.EIO, "Input/output error"), MachineFault),
+        (OSError(errno.EMFILE, "Too many open files"), MachineFault),
+    ):
+        monkeypatch.setattr("articugen.sources.urdf.load_urdf", raising(error))
+        with pytest.raises(kind) as caught:
+            load(ref)
+        assert "\n" not in str(caught.value)
+
+
+def test_names_stay_distinct_however_contrived(tmp_path):
+    for name in ("a.urdf", "a/x.urdf", "a.x.urdf.urdf", "b/a.urdf", "a.URDF"):
+        add(tmp_path / name)
+    found = ids(object_refs(tmp_path, "thing"))
+    assert len(set(found)) == 5
+    assert {"a.urdf", "a.URDF", "b", "a.x.urdf", "a.x.urdf~"} == set(found)
+
+
+def test_a_source_that_cannot_be_written_down_is_refused(tmp_path):
+    with pytest.raises(InvalidSource, match="is not UTF-8; rename it"):
+        object_refs(tmp_path / "caf\udce9", "thing")
+    with pytest.raises(InvalidSource, match="no source"):
+        object_refs("a" * 5000, "thing")
+
+
+def test_a_meta_json_that_never_ends_is_not_read(tmp_path):
+    (tmp_path / "meta.json").symlink_to("/dev/zero")
+    assert model_category(tmp_path) == ""
+
+
 # --- refusals
 
 
@@ -383,7 +458,7 @@ def test_objects_of_one_name_are_called_by_their_path(tmp_path):
         ("categories: {}", "categories"),
         ("reader: procedural", "a procedural category needs counts"),
         ("reader: pickle", "reader"),
-        ("[", "cannot be read as YAML"),
+        ("[", "not YAML that can be read"),
     ],
 )
 def test_wrong_source_file(tmp_path, yaml, problem):

@@ -177,6 +177,14 @@ def spoil(change):
             r"children\.0\.motion_type",
         ),
         (spoil(lambda a: a["children"][1].update(direction=[0, 0, 0])), "zero direction"),
+        (spoil(lambda a: a["children"][1].update(direction=[1e308, 0, 1e308])), "or equal to 1e?"),
+        (spoil(lambda a: a["children"][1].update(center=[0, 0, 1e9])), "less than or equal to"),
+        (spoil(lambda a: a["children"][1].update(dof_name="a\0b")), "no control characters"),
+        (spoil(lambda a: a["children"][1].update(dof_name="a" * 256)), "a name has 1 to 255"),
+        (
+            spoil(lambda a: a["children"][1].update(dof_name="a" * 253)),
+            "part 'a.*has a name of more than 255 bytes; shorten it",
+        ),
         (spoil(lambda a: a["children"][1].update(dof_name="dof_rootd_Aa001_r")), "two parts"),
         (
             spoil(lambda a: a["children"][1].update(dof_name="gone")),

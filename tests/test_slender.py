@@ -1,12 +1,16 @@
 """Features thinner than a pixel: the field is that of exact rays, not of pixel centres."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 import trimesh
 
 from articugen.hierarchy import build
 from articugen.instance import solid_part
+from articugen.reachable import walls
 from articugen.recipe import Recipe
+from articugen.records import LabelledMesh
 from articugen.slender import NOTHING, slender_voxels
 from tests.shapes import Convex, box, labelled, rotated, towards_cameras
 
@@ -51,7 +55,41 @@ def test_only_what_is_slender_is_marked() -> None:
         build(m.vertices[m.faces], np.zeros(len(m.faces), np.uint8), 1) for m in (thick, plate)
     ]
     assert slender_voxels(thick, 1 / 128, trees[0]) is NOTHING
-    marked = np.argwhere(slender_voxels(plate, 1 / 128, trees[1])) / 128 - 0.5
+    marked = slender_voxels(plate, 1 / 128, trees[1]).voxels() / 128 - 0.5
     assert len(marked) > 1000
     assert np.all(np.abs(marked[:, 2] - 0.2) < 2 / 128)
     assert np.all(np.abs(marked[:, :2]) < 0.16)
+
+
+@pytest.mark.parametrize("size", [1.0, 1 / 200, 1 / 2000])
+def test_marks_take_little_memory_however_small_the_part(size: float) -> None:
+    """A button 1/200 of the object wide: a lattice over the whole cube would take 134 GB."""
+    key = [box((0.5, 0.4, 0.002)), box((0.3, 0.3, 0.2), (0, 0, -0.101))]
+    for piece in key:
+        piece.apply_scale(size)
+        piece.apply_translation((0.3, -0.4, 0.2))
+    mesh = labelled(trimesh.util.concatenate(key))
+    tree = build(mesh.vertices[mesh.faces], mesh.part_of_face, 1)
+    tracemalloc.start()
+    found = slender_voxels(mesh, size / 256, tree)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(found.voxels()) > 1000
+    assert peak < 20e6
+    assert found.bits.nbytes < 5e6
+
+
+def test_marks_are_those_of_a_lattice_over_the_whole_cube() -> None:
+    """However few of its voxels are kept; and finer views than memory allows get wider voxels."""
+    plate = labelled(rotated(box((0.5, 0.3, 0.001), (0.1, 0.1, 0.2)), 0.4, (1, 2, 3)))
+    tree = build(plate.vertices[plate.faces], plate.part_of_face, 1)
+    areas = trimesh.triangles.area(plate.vertices[plate.faces])
+    broad = LabelledMesh(
+        plate.vertices, plate.faces[areas > 0.05], plate.part_of_face[areas > 0.05]
+    )
+    assert len(broad.faces) == 4
+    assert np.array_equal(
+        slender_voxels(plate, 1 / 96, tree).voxels(), np.argwhere(walls(broad, 2 / 96))
+    )
+    fine = slender_voxels(plate, 1 / 900, tree)
+    assert 300 < np.ptp(fine.voxels(), axis=0).max() < 320

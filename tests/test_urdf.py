@@ -9,6 +9,7 @@ import pytest
 import yourdfpy
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from test_meshes import damaged
 
 from articugen.errors import InvalidSource
 from articugen.geometry import apply
@@ -215,7 +216,7 @@ REFUSED = {
     "floating": (two_links("", "floating"), "joint 'j': type 'floating' .* is not read"),
     "spherical": (two_links("", "spherical"), "joint 'j': type 'spherical' .* is not read"),
     "unknown type": (two_links("", "hinge"), "unknown type 'hinge'; make it fixed, revolute"),
-    "no type": (two_links("").replace('type="revolute"', ""), "unknown type None"),
+    "no type": (two_links("").replace('type="revolute"', ""), "unknown type ''"),
     "no parent": (two_links("").replace('<parent link="a"/>', ""), "'j': has no <parent>"),
     "no child": (two_links("").replace('<child link="b"/>', ""), "'j': has no <child>"),
     "two children": (two_links('<child link="b"/>'), "'j': has 2 <child>"),
@@ -242,7 +243,7 @@ REFUSED = {
     "limit nan": (two_links('<limit lower="nan"/>'), "<limit> lower='nan' is not 1 number"),
     "limits crossed": (two_links('<limit lower="2" upper="1"/>'), "lower limit 2 is above"),
     "mimic of nobody": (two_links('<mimic joint="x"/>'), "mimics the unknown joint 'x'"),
-    "mimic of no name": (two_links("<mimic/>"), "mimics the unknown joint None"),
+    "mimic of no name": (two_links("<mimic/>"), "mimics the unknown joint ''"),
     "mimic of itself": (two_links('<mimic joint="j"/>'), "its <mimic> leads back to 'j'"),
     "mimic nan": (two_links('<mimic joint="j" offset="nan"/>'), "<mimic> offset='nan'"),
     "mimic of fixed": (
@@ -267,6 +268,30 @@ REFUSED = {
     "no radius": (VISUAL.format("<geometry><sphere/></geometry>"), "<sphere> has no radius"),
     "flat box": (VISUAL.format('<geometry><box size="1 0 1"/></geometry>'), "size is not positive"),
     "mesh without file": (VISUAL.format("<geometry><mesh/></geometry>"), "<mesh> has no filename"),
+    "huge scale": (
+        VISUAL.format('<geometry><mesh filename="t.obj" scale="1e308"/></geometry>'),
+        "<mesh> scale='1e308' is beyond 1,000,000",
+    ),
+    "no place": (two_links('<limit lower="inf" upper="inf"/>'), "leave no place"),
+    "far away": (two_links('<origin xyz="0 0 1e7"/>'), "<origin> xyz='0 0 1e7' is beyond"),
+    "many digits": (two_links(f'<origin xyz="0 0 {"0" * 2000}"/>'), "is not 3 numbers"),
+    "long name": (links("a" * 256), "has a name of more than 255 bytes; shorten it"),
+    "long mesh": (
+        VISUAL.format(f'<geometry><mesh filename="{"a" * 300}.obj"/></geometry>'),
+        "link 'a': file .* has a name of more than 255 bytes; shorten it",
+    ),
+    "https": (
+        VISUAL.format('<geometry><mesh filename="https://x.org/a.obj"/></geometry>'),
+        "link 'a': file 'https://x.org/a.obj' is on the network",
+    ),
+    "out of the folder": (
+        VISUAL.format('<geometry><mesh filename="../meshes/a.obj"/></geometry>'),
+        "link 'a': file '../meshes/a.obj' leads out of .*; copy the file",
+    ),
+    "no package": (
+        VISUAL.format('<geometry><mesh filename="package://arm/a.obj"/></geometry>'),
+        "link 'a': file 'package://arm/a.obj' is of a package that is not found: .*; put the pack",
+    ),
     "zero scale": (
         VISUAL.format('<geometry><mesh filename="t.obj" scale="1 0 1"/></geometry>'),
         "zero scale",
@@ -293,6 +318,28 @@ def test_refused_with_file_element_and_reason(tmp_path, case):
     assert "\n" not in message
 
 
+def test_a_damaged_urdf_is_read_or_refused_and_nothing_else(tmp_path):
+    (tmp_path / "t.obj").write_text(TRIANGLE)
+    shapes = ('<mesh filename="t.obj" scale="2"/>', '<capsule radius="1" length="2"/>')
+    visuals = "".join(f"<visual><geometry>{shape}</geometry></visual>" for shape in shapes)
+    body = two_links('<axis xyz="0 0 1"/><limit lower="0" upper="1" effort="3"/>')
+    body += f'<link name="c">{visuals}</link>'
+    body += joint("k", "b", "c", '<mimic joint="j" multiplier="2"/>', "prismatic")
+    read(tmp_path, body)
+    path = tmp_path / "model.urdf"
+    good = path.read_bytes()
+    rng = np.random.default_rng(0)
+    refused = 0
+    for _ in range(150):
+        path.write_bytes(damaged(good, rng))
+        try:
+            load_urdf(path, object_id="1", category="c")
+        except InvalidSource as error:
+            refused += 1
+            assert "\n" not in str(error)  # noqa: PT017
+    assert 75 < refused < 150
+
+
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
@@ -313,15 +360,79 @@ def test_xml_from_strangers(tmp_path, text, problem):
         load_urdf(path, object_id="1", category="c")
 
 
+def test_what_says_nothing_of_where_a_joint_ends_is_not_read(tmp_path):
+    wrong = '<limit effort="" velocity="fast" {}/>'
+    (j,) = read(tmp_path, two_links(wrong.format('lower="0" upper="1"'))).joints
+    assert (j.lower, j.upper) == (0, 1)
+    (j,) = read(tmp_path, two_links(wrong.format('lower="x"') * 2, "continuous")).joints
+    assert (j.lower, j.upper) == (-np.inf, np.inf)
+
+
+def test_limits_that_simulators_write_for_none_are_none(tmp_path):
+    (j,) = read(tmp_path, two_links('<limit lower="-1e16" upper="3.4e38"/>')).joints
+    assert (j.lower, j.upper) == (-np.inf, np.inf)
+
+
+@pytest.mark.parametrize("declared", ['xmlns="http://drake.mit.edu"', 'xmlns:x="y" xmlns="z"'])
+def test_a_default_namespace_changes_nothing(tmp_path, declared):
+    """TinyXML, with which ROS reads URDFs, knows no namespaces."""
+    plain = read(tmp_path, two_links(""))
+    path = tmp_path / "model.urdf"
+    path.write_text(path.read_text().replace("<robot", f"<robot {declared}"))
+    obj = load_urdf(path, object_id="1", category="thing")
+    assert [link.name for link in obj.links] == [link.name for link in plain.links]
+    np.testing.assert_array_equal(obj.links[0].mesh.vertices, plain.links[0].mesh.vertices)
+    path.write_text(f'<u:robot xmlns:u="z">{links("a")}</u:robot>')
+    with pytest.raises(InvalidSource, match="<u:robot> has a prefix; write the elements without"):
+        load_urdf(path, object_id="1", category="thing")
+
+
+def test_a_capsule_is_as_long_as_its_cylinder_and_two_radii(tmp_path):
+    shape = '<capsule radius="0.5" length="2"/>'
+    body = f'<link name="a"><visual><geometry>{shape}</geometry></visual></link>'
+    mesh = read(tmp_path, body).links[0].mesh
+    np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0), [1, 1, 3])
+
+
+def test_a_urdf_that_is_a_link_out_of_its_folder_is_refused(tmp_path):
+    read(tmp_path, links("a"))
+    (tmp_path / "other").mkdir()
+    link = tmp_path / "other" / "m.urdf"
+    link.symlink_to(tmp_path / "model.urdf")
+    with pytest.raises(InvalidSource, match=r"m\.urdf: is a symbolic link out of the model's fol"):
+        load_urdf(link, object_id="1", category="c")
+    (tmp_path / "linked").symlink_to(tmp_path, target_is_directory=True)
+    whole = load_urdf(tmp_path / "linked" / "model.urdf", object_id="1", category="c")
+    assert whole.sha256 == read(tmp_path, links("a")).sha256
+
+
+def test_many_shapes_are_counted_before_any_is_made(tmp_path, monkeypatch):
+    """5,000 spheres took 99 s and 4.8 GB."""
+    monkeypatch.setattr("articugen.sources.meshes.sphere", lambda radius: pytest.fail("made"))
+    sphere = '<visual><geometry><sphere radius="1"/></geometry></visual>'
+    with pytest.raises(InvalidSource, match=r"more than 1,000,000 triangles .*use fewer shapes"):
+        read(tmp_path, f'<link name="a">{sphere * 300}</link>')
+    with pytest.raises(InvalidSource, match="5,001 visuals, at most 5,000 are read"):
+        read(tmp_path, f'<link name="a">{sphere * 5001}</link>')
+
+
+def test_a_mesh_that_many_visuals_show_counts_each_time(tmp_path, monkeypatch):
+    (tmp_path / "t.obj").write_text("v 0 0 0\n" * 500 + TRIANGLE)
+    visual = '<visual><geometry><mesh filename="t.obj"/></geometry></visual>'
+    monkeypatch.setattr("articugen.sources.urdf.MAX_OBJECT_VERTICES", 1000)
+    with pytest.raises(InvalidSource, match="or 1,000 vertices; simplify"):
+        read(tmp_path, f'<link name="a">{visual * 2}</link>')
+
+
 def test_limits_on_size(tmp_path, monkeypatch):
     monkeypatch.setattr(urdf_check, "MAX_LINKS", 2)
-    with pytest.raises(InvalidSource, match="more than 2 links"):
+    with pytest.raises(InvalidSource, match="at most 2 are read"):
         read(tmp_path, links("a", "b", "c"))
     monkeypatch.setattr("articugen.sources.urdf.MAX_OBJECT_FACES", 20)
     with pytest.raises(InvalidSource, match="more than 20 triangles"):
         read(tmp_path, links("a", "b") + joint("j", "a", "b"))
-    monkeypatch.setattr(urdf_check, "MAX_URDF_BYTES", 99)
-    with pytest.raises(InvalidSource, match="not a URDF"):
+    monkeypatch.setattr("articugen.sources.urdf.MAX_TEXT_BYTES", 99)
+    with pytest.raises(InvalidSource, match="more than the 99 that it may have; simplify it"):
         read(tmp_path, links("a"))
     with pytest.raises(InvalidSource, match="cannot be read"):
         load_urdf(tmp_path / "none.urdf", object_id="1", category="c")

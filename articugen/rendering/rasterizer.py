@@ -19,7 +19,11 @@ LARGEST_PIXEL = 1 << 15
 
 
 def render(
-    mesh: LabelledMesh, views: Views, *, closed: NDArray[np.bool_] | None = None
+    mesh: LabelledMesh,
+    views: Views,
+    *,
+    closed: NDArray[np.bool_] | None = None,
+    keep_depth: bool = True,
 ) -> DepthMaps:
     """The depth maps of `mesh` from `views`, with the face seen at each pixel.
 
@@ -27,12 +31,14 @@ def render(
         mesh: unit frame.
         views: the cameras; every vertex must lie in front of every pinhole camera.
         closed: (F,) which faces bound closed solids, outwards: their backs cannot be seen.
+        keep_depth: or only the faces are kept, at half of the memory.
 
     Raises:
         ValueError: a vertex lies behind a pinhole camera or far outside the image.
     """
     shape = (len(views), views.height, views.width)
-    depth, face = np.full(shape, np.inf, np.float32), np.full(shape, -1, np.int32)
+    face = np.full(shape, -1, np.int32)
+    depth = np.empty(shape if keep_depth else (1, *shape[1:]), np.float32)
     if closed is None:
         closed = np.zeros(len(mesh.faces), np.bool_)
     intrinsics, pinhole = cameras(mesh, views)
@@ -40,7 +46,7 @@ def render(
         mesh.vertices, mesh.faces, closed, views.T_camera_world, intrinsics, pinhole, depth, face
     )
     check_inside(inside)
-    return DepthMaps(depth, face, views)
+    return DepthMaps(depth if keep_depth else None, face, views)
 
 
 def cameras(mesh: LabelledMesh, views: Views) -> tuple[NDArray[np.float64], bool]:
@@ -69,11 +75,11 @@ def _draw(vertices, faces, closed, T, intrinsics, pinhole, depth, face):
     for k in range(T.shape[0]):
         if not project(vertices, T[k], intrinsics[k], pinhole, snapped, image):
             return False
+        view = depth[k % depth.shape[0]]  # one for all views, or each its own
+        view[:] = 0.0 if pinhole else np.inf
+        draw_view(faces, closed, snapped, image, view, face[k], 0)
         if pinhole:
-            depth[k] = 0.0
-        draw_view(faces, closed, snapped, image, depth[k], face[k], 0)
-        if pinhole:
-            _from_key(depth[k])
+            _from_key(view)
     return True
 
 
@@ -144,6 +150,8 @@ def draw_view(faces, closed, snapped, image, depth, face, first_face):
             continue
         if area < 0:  # the same triangle the other way round
             b, c = c, b
+        if last - first < 2 and right - left < 2 and not _covers(a, b, c, first, last, left, right):
+            continue
         pa = (image[ia, 0], image[ia, 1], image[ia, 2])
         pb = (image[ib, 0], image[ib, 1], image[ib, 2])
         pc = (image[ic, 0], image[ic, 1], image[ic, 2])
@@ -175,6 +183,26 @@ def _pixels(a, b, c, size):
     first = (min(a, b, c) - half + SUBPIXELS - 1) >> SUBPIXEL_BITS
     last = (max(a, b, c) - half) >> SUBPIXEL_BITS
     return max(first, 0), min(last, size - 1)
+
+
+@njit(cache=True, nogil=True)
+def _covers(a, b, c, first, last, left, right):
+    """Whether a triangle covers the centre of one of a few pixels: most small ones cover none."""
+    for i in range(first, last + 1):
+        y = i * SUBPIXELS + SUBPIXELS // 2
+        for j in range(left, right + 1):
+            x = j * SUBPIXELS + SUBPIXELS // 2
+            if _left_of(a, b, x, y) and _left_of(b, c, x, y) and _left_of(c, a, x, y):
+                return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _left_of(a, b, x, y):
+    """Whether an edge's function, see `_edge`, is not negative."""
+    A, B = a[1] - b[1], b[0] - a[0]
+    value = A * (x - a[0]) + B * (y - a[1])
+    return value > 0 or (value == 0 and (A > 0 or (A == 0 and B > 0)))
 
 
 @njit(cache=True, nogil=True)

@@ -1,11 +1,15 @@
 """Which models lie in a folder, in whatever layout people keep them."""
 
 import json
+import os
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from os.path import isdir, isfile
 from pathlib import Path
 
+from articugen.errors import InvalidSource
+from articugen.sources.model_files import MAX_TEXT_BYTES, read_source, unreadable
 from articugen.sources.source_file import Reader
 
 
@@ -29,9 +33,9 @@ class Found:
 
 def layout(location: Path) -> Reader:
     """Which reader a folder or file on the disk is for."""
-    if (location / "mobility.urdf").is_file() and (location / "meta.json").is_file():
+    if isfile(location / "mobility.urdf") and isfile(location / "meta.json"):
         return "partnet_mobility"
-    if (location / "motion_attributes.json").is_file() and (location / "part_objs").is_dir():
+    if isfile(location / "motion_attributes.json") and isdir(location / "part_objs"):
         return "shape2motion"
     return "urdf"
 
@@ -42,7 +46,7 @@ def sorted_models(reader: Reader, base: Path) -> list[Found]:
     own = {f.location for f in flat}
     found = list(map(_told, flat))
     for folder in _visible(base):
-        if folder.is_dir() and folder not in own:
+        if isdir(folder) and folder not in own:
             found += [_told(f, folder.name) for f in models_for(reader, folder)]
     return found
 
@@ -56,7 +60,7 @@ def mixed_models(base: Path, is_category: Callable[[str], bool]) -> list[Found]:
     found: list[Found] = []
     folders: set[Path] = set()
     for folder in _visible(base):
-        if folder.is_dir() and layout(folder) == "urdf":
+        if isdir(folder) and layout(folder) == "urdf":
             inside = any_models(folder)
             known = any(layout(f.location) != "urdf" for f in inside)
             if known or (len(inside) > 1 and is_category(folder.name)):
@@ -81,7 +85,7 @@ def models_for(reader: Reader, base: Path) -> list[Found]:
     return [
         Found(folder.name, folder, folder.name)
         for folder in _visible(base)
-        if any(found.is_file() for mark in marks for found in folder.glob(mark))
+        if any(isfile(found) for mark in marks for found in folder.glob(mark))
     ]
 
 
@@ -99,7 +103,7 @@ def urdf_models(base: Path, skip: Collection[Path] = ()) -> list[Found]:
     for child in _visible(base):
         if _is_urdf(child):
             found.append(Found(child.stem, child, child.stem))
-        elif child.is_dir() and child not in skip:
+        elif isdir(child) and child not in skip:
             deep = [p for d in ("*", "*/*", "*/*/*") for p in sorted(child.glob(d)) if _is_urdf(p)]
             for urdf in deep:
                 inside = urdf.relative_to(child).with_suffix("").parts
@@ -109,29 +113,38 @@ def urdf_models(base: Path, skip: Collection[Path] = ()) -> list[Found]:
 
 
 def distinct(found: Sequence[Found], base: Path) -> list[Found]:
-    """The same objects; those that share a name are called by their whole path below `base`."""
+    """The same objects; those that share a name are called by their whole path below `base`, with
+    a ~ for each time that this, too, is taken."""
     count = Counter(f.object_id for f in found)
-    return [
-        f
-        if count[f.object_id] == 1
-        else replace(f, object_id=".".join(f.location.relative_to(base).parts))
-        for f in found
-    ]
+    renamed = [f for f in found if count[f.object_id] > 1]
+    taken = {f.object_id for f in found if count[f.object_id] == 1}
+    names: dict[Path, str] = {}
+    for f in sorted(renamed, key=lambda f: f.location):
+        name = ".".join(f.location.relative_to(base).parts)
+        while name in taken:
+            name += "~"
+        taken.add(name)
+        names[f.location] = name
+    return [replace(f, object_id=names.get(f.location, f.object_id)) for f in found]
 
 
 def _is_urdf(path: Path) -> bool:
-    return path.suffix.lower() == ".urdf" and path.is_file()
+    """Whether it is called like one; what is no regular file is refused when it is read."""
+    return path.suffix.lower() == ".urdf" and not isdir(path)
 
 
 def _visible(base: Path) -> list[Path]:
-    if not base.is_dir():
+    if not isdir(base):
         return []
-    return sorted(path for path in base.iterdir() if not path.name.startswith("."))
+    try:
+        return sorted(base / name for name in os.listdir(base) if not name.startswith("."))
+    except OSError as error:
+        raise unreadable(base, error) from error
 
 
 def model_category(folder: Path) -> str:
     """The category that a PartNet-Mobility model's meta.json gives; "" where it gives none."""
     try:
-        return str(json.loads((folder / "meta.json").read_bytes())["model_cat"])
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return str(json.loads(read_source(folder / "meta.json", MAX_TEXT_BYTES))["model_cat"])
+    except (InvalidSource, ValueError, KeyError, TypeError, RecursionError):
         return ""

@@ -6,7 +6,8 @@ trimesh accepts headers that lie. Whatever reads a file, `checked` sees the resu
 
 import codecs
 import re
-from collections.abc import Callable
+from array import array
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 from articugen.errors import InvalidSource
 from articugen.records import Mesh
 from articugen.sources import mesh_formats
-from articugen.sources.model_files import ModelFiles
+from articugen.sources.mesh_formats import MAX_FACES, MAX_VERTICES
+from articugen.sources.model_files import ModelFiles, quoted
 
-MAX_COUNT = 10_000_000
-"""Most vertices or faces in one mesh file."""
+MAX_LINE_BYTES = 2**20
+"""Of an OBJ: a face with so many corners is none."""
 MAX_COORDINATE = 1e9
 """Largest absolute coordinate; beyond it differences lose everything smaller than 0.1 um."""
 
@@ -48,7 +50,8 @@ def read_mesh(path: Path, files: ModelFiles | None = None) -> Mesh:
     read = _READERS.get(path.suffix.lower())
     if read is None:
         raise InvalidSource(
-            f"{path}: not a known mesh format; convert it to one of {', '.join(_READERS)}"
+            f"{path}: {quoted(path.suffix)} is no known mesh format; convert it to one of "
+            f"{', '.join(_READERS)}"
         )
     vertices, faces = read(files.read(path), path, files)
     return checked(vertices, faces, path)
@@ -62,8 +65,7 @@ def checked(vertices: NDArray[np.floating], faces: NDArray[np.integer], path: Pa
     """
     vertices = np.asarray(vertices, np.float64).reshape(-1, 3)
     faces = np.asarray(faces, np.int64).reshape(-1, 3)
-    if max(len(vertices), len(faces)) > MAX_COUNT:
-        raise InvalidSource(f"{path}: more than {MAX_COUNT:,} vertices or faces; simplify it")
+    mesh_formats.check_size(path, faces=len(faces), vertices=len(vertices))
     if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
         raise InvalidSource(
             f"{path}: a face names a vertex that is not there ({len(vertices)} vertices); export it"
@@ -106,6 +108,24 @@ def sphere(radius: float, sections: int = 64) -> Mesh:
     return _lathe(radius * around, radius * np.cos(polar), sections)
 
 
+def capsule(radius: float, length: float, sections: int = 64) -> Mesh:
+    """A closed cylinder about z of that length, centred on the origin, with a half sphere on each
+    end; `sections` meridians, half as many parallels on the two halves together."""
+    polar = np.linspace(np.pi, 0.5 * np.pi, sections // 4 + 1)
+    around, along = np.sin(polar), np.cos(polar)
+    around[0], along[-1] = 0.0, 0.0
+    half = 0.5 * length
+    return _lathe(
+        radius * np.concatenate([around, around[::-1]]),
+        np.concatenate([radius * along - half, half - radius * along[::-1]]),
+        sections,
+    )
+
+
+PRIMITIVE_FACES = {"box": 12, "cylinder": 4 * 64, "sphere": 62 * 64, "capsule": 64 * 64}
+"""Triangles of each, to be counted before any is made."""
+
+
 def scaled(mesh: Mesh, scale: ArrayLike) -> Mesh:
     """`mesh` scaled along x, y, z; a mirrored one is turned outside out again."""
     mirrored = np.prod(np.sign(scale)) < 0
@@ -145,37 +165,55 @@ def _lathe(radii: NDArray[np.float64], heights: NDArray[np.float64], sections: i
     return Mesh(np.concatenate([*rings, poles]), np.concatenate(faces).astype(np.int32))
 
 
+_OBJ_LINE = re.compile(rb"^[ \t\v\f]*[vf](?:[ \t\v\f].*)?$", re.MULTILINE)
+
+
 def _read_obj(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
     """Wavefront OBJ: `v` and `f` lines, also with texture and normal indices, polygons, negative
     (relative) indices, continued lines and comments. Everything else is ignored."""
-    coordinates: list[float] = []
-    corners: list[int] = []
-    counts: list[int] = []
-    data = data.removeprefix(codecs.BOM_UTF8)
-    if b"\\" in data:
-        data = re.sub(rb"\\\r?\n", b" ", data)
+    coordinates, corners, counts = array("d"), array("q"), array("q")
+    faces = 0
     line = b""
     try:
-        for line in data.splitlines():
+        for line in _obj_lines(data, path):
             words = line.split()
-            if not words:
-                continue
             if words[0] == b"v":
                 x, y, z = words[1:4]
-                coordinates += (float(x), float(y), float(z))
-            elif words[0] == b"f":
-                if b"#" in line:
-                    words = line.partition(b"#")[0].split()
-                known = len(coordinates) // 3
-                polygon = [int(word.partition(b"/")[0]) for word in words[1:]]
-                corners += [i - 1 if i > 0 else known + i if i else -1 for i in polygon]
-                counts.append(len(polygon))
-    except ValueError:
-        text = line[:60].decode(errors="replace")
-        raise InvalidSource(f"{path}: the line {text!r} is not OBJ; export it again") from None
+                coordinates.extend((float(x), float(y), float(z)))
+                continue
+            if b"#" in line:
+                words = line.partition(b"#")[0].split()
+            known = len(coordinates) // 3
+            polygon = [int(word.partition(b"/")[0]) for word in words[1:]]
+            corners.extend([i - 1 if i > 0 else known + i if i else -1 for i in polygon])
+            counts.append(len(polygon))
+            faces += max(len(polygon) - 2, 0)
+            if faces > MAX_FACES:
+                break
+    except (ValueError, OverflowError):
+        text = quoted(line[:60].decode(errors="replace"))
+        raise InvalidSource(f"{path}: the line {text} is not OBJ; export it again") from None
+    mesh_formats.check_size(path, faces=faces, vertices=len(coordinates) // 3)
     return np.array(coordinates, np.float64).reshape(-1, 3), fans(
         np.array(corners, np.int64), np.array(counts, np.int64)
     )
+
+
+def _obj_lines(data: bytes, path: Path) -> Iterator[bytes]:
+    """The `v` and `f` lines; no more than a mesh may have, and none too long."""
+    data = data.removeprefix(codecs.BOM_UTF8)
+    if b"\\" in data:
+        data = re.sub(rb"\\\r?\n", b" ", data)
+    if b"\r" in data:
+        data = data.replace(b"\r", b"\n")
+    mesh_formats.check_size(path, faces=data.count(b"\nf "), vertices=data.count(b"\nv "))
+    for number, match in enumerate(_OBJ_LINE.finditer(data)):
+        line = match.group()
+        if len(line) > MAX_LINE_BYTES:
+            raise InvalidSource(f"{path}: a line has {len(line):,} bytes; export it again")
+        if number > MAX_FACES + MAX_VERTICES:
+            mesh_formats.check_size(path, faces=number)
+        yield line
 
 
 _STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -186,8 +224,10 @@ def _read_stl(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
     """STL, binary where the size fits the count in the header, else ASCII."""
     count = int.from_bytes(data[80:84], "little")
     if len(data) == 84 + count * _STL_TRIANGLE.itemsize:
+        mesh_formats.check_size(path, faces=count)
         corners = np.frombuffer(data, _STL_TRIANGLE, offset=84)["corners"]
     elif data.lstrip()[:5].lower() == b"solid" and b"\0" not in data:
+        mesh_formats.check_size(path, faces=data.count(b"endfacet"), vertices=data.count(b"vertex"))
         found = _STL_VERTEX.findall(data)
         try:
             corners = np.array([[float(x) for x in vertex] for vertex in found], np.float64)

@@ -10,7 +10,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,11 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from articugen.errors import InvalidSource
 from articugen.geometry import rotation_about, transform
 from articugen.records import ArticulatedObject, Joint
-from articugen.sources.model_files import ModelFiles
+from articugen.sources.model_files import MAX_TEXT_BYTES, ModelFiles, quoted
 from articugen.sources.registry import ObjectRef
 from articugen.sources.source_file import CategorySettings
 from articugen.sources.urdf import load_urdf
+from articugen.sources.urdf_check import MAX_NUMBER
 
 KNOWN_MISSING = "new-*.obj"
 """Meshes that URDFs of the data set name though they are empty and were never published."""
@@ -68,7 +69,7 @@ def _text(files: ModelFiles, name: str) -> str | None:
     if path is None:
         return None
     try:
-        return files.read(path).decode()
+        return files.read(path, MAX_TEXT_BYTES).decode()
     except UnicodeDecodeError:
         raise InvalidSource(f"{path}: is not UTF-8 text; get the model again") from None
 
@@ -94,14 +95,17 @@ def _category_note(files: ModelFiles, category: str, settings: CategorySettings)
     name = meta.get("model_cat") if isinstance(meta, dict) else None
     if name is None or not settings.model_cat or name in settings.model_cat:
         return ()
-    return (f"meta.json calls it {name!r}, it is read as {category}",)
+    return (f"meta.json calls it {quoted(str(name))}, it is read as {category}",)
+
+
+_Number = Annotated[float, Field(ge=-MAX_NUMBER, le=MAX_NUMBER)]
 
 
 class _Limit(BaseModel):
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
-    a: float = 0.0
-    b: float = 0.0
+    a: _Number = 0.0
+    b: _Number = 0.0
     no_limit: bool = Field(default=False, alias="noLimit")
     rotates: bool = False
 
@@ -109,7 +113,7 @@ class _Limit(BaseModel):
 class _Axis(BaseModel):
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
-    direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    direction: tuple[_Number, _Number, _Number] = (0.0, 0.0, 1.0)
 
 
 class _JointData(BaseModel):

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from articugen.errors import InvalidSource
+from articugen.errors import ArticugenError, InvalidSource, machine_fault, printable
 from articugen.geometry import rotation_about, transform
 from articugen.recipe_files import nearest
 from articugen.records import ArticulatedObject
@@ -29,8 +29,11 @@ from articugen.sources.discovery import (
     model_category,
     sorted_models,
 )
+from articugen.sources.model_files import MAX_NAME_BYTES
 from articugen.sources.source_file import CategorySettings, SourceFile, read_source_file
 from articugen.sources.splits import assign_splits, split_sizes
+
+_UNWRITABLE = re.compile("[\x00-\x1f\x7f\ud800-\udfff]")
 
 SOURCE_FOLDER = Path(__file__).resolve().parent.parent.parent / "urdf_sources"
 
@@ -258,13 +261,36 @@ def load(ref: ObjectRef) -> ArticulatedObject:
 
     Raises:
         InvalidSource: anything amiss with its files.
+        MachineFault, MemoryError: the disk does not answer, or the like.
     """
     own = settings(ref)
-    obj = _read(ref, own)
+    obj = _read(ref, own) if is_procedural(ref.source) else _read_distrustfully(ref, own)
     if own.said() == CategorySettings().said():
         return obj
     digest = hashlib.sha256(f"{obj.sha256} {own.said()}".encode()).hexdigest()
     return replace(obj, sha256=digest)
+
+
+def _read_distrustfully(ref: ObjectRef, own: CategorySettings) -> ArticulatedObject:
+    """A stranger's model: whatever a reader meets that nobody thought of is the model's fault, so
+    that it takes no other object along."""
+    name = printable(str(ref.location))
+    if _UNWRITABLE.search(str(ref.location)):
+        raise InvalidSource(
+            f"{name}: its name has control characters or is not UTF-8; rename the file or folder"
+        )
+    if len(ref.object_id.encode()) > MAX_NAME_BYTES:
+        raise InvalidSource(f"{name}: its id has more than {MAX_NAME_BYTES} bytes; shorten names")
+    try:
+        obj = _read(ref, own)
+    except (ArticugenError, MemoryError):
+        raise
+    except Exception as error:
+        raise machine_fault(error) or InvalidSource(
+            f"{name}: cannot be read ({printable(f'{type(error).__name__}: {error}')[:200]}); leave"
+            " it out and report it, please"
+        ) from error
+    return replace(obj, notes=tuple(map(printable, obj.notes)))
 
 
 def _read(ref: ObjectRef, own: CategorySettings) -> ArticulatedObject:
@@ -339,7 +365,11 @@ def _source(name: str) -> _Named | None:
 def _named(source: str | Path) -> _Named | None:
     """The named source, or None for the path of something that exists."""
     named = _source(source) if isinstance(source, str) else None
-    if named is None and not Path(source).exists():
+    if named is None and _UNWRITABLE.search(str(source)):
+        raise InvalidSource(
+            f"{printable(str(source))}: its name has control characters or is not UTF-8; rename it"
+        )
+    if named is None and not os.path.exists(source):
         known = sorted(_source_files())
         raise InvalidSource(
             f"no source {str(source)!r}{nearest(str(source), known)}; there are: "
@@ -429,13 +459,19 @@ def _refs(
     found: Sequence[Found], own: CategorySettings, source: str, category: str, base: Path
 ) -> list[ObjectRef]:
     """Objects with their splits; those that the category's lists leave out are left out."""
-    found = sorted(distinct(found, base), key=lambda f: f.object_id)
+    found = [replace(f, object_id=_told(f.object_id)) for f in distinct(found, base)]
+    found.sort(key=lambda f: f.object_id)
     splits = assign_splits({f.object_id: f.group for f in found}, own.train, own.test)
     return [
         ObjectRef(source, category, f.object_id, splits[f.object_id], f.location, f.root)
         for f in found
         if f.object_id in splits
     ]
+
+
+def _told(object_id: str) -> str:
+    """An id that can be written down; what is not UTF-8 in a file's name is spelt out."""
+    return object_id.encode("utf-8", "backslashreplace").decode()
 
 
 def _folder_refs(path: Path, category: str) -> list[ObjectRef]:

@@ -9,19 +9,22 @@ data has no limit.
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from articugen.errors import InvalidSource
 from articugen.geometry import rotation_about, transform
+from articugen.portable import norm
 from articugen.records import ArticulatedObject, Floats, Joint, JointKind, Link, Mesh
+from articugen.sources.mesh_formats import check_size
 from articugen.sources.meshes import read_mesh
-from articugen.sources.model_files import ModelFiles
+from articugen.sources.model_files import MAX_NAME_BYTES, MAX_TEXT_BYTES, ModelFiles, quoted
 from articugen.sources.registry import ObjectRef
 from articugen.sources.source_file import CategorySettings
 from articugen.sources.urdf import load_urdf
+from articugen.sources.urdf_check import MAX_LINKS, MAX_NUMBER
 
 _ATTRIBUTES = "motion_attributes.json"
 _NO_LIMIT = 3.1415
@@ -30,15 +33,25 @@ _NO_LIMIT = 3.1415
 _KINDS: dict[str, JointKind] = {"none": "fixed", "rotation": "revolute", "translation": "prismatic"}
 
 
+def _is_a_name(text: str) -> str:
+    if not text.isprintable() or not 1 <= len(text.encode()) <= MAX_NAME_BYTES:
+        raise ValueError(f"a name has 1 to {MAX_NAME_BYTES} bytes and no control characters")
+    return text
+
+
+_Number = Annotated[float, Field(ge=-MAX_NUMBER, le=MAX_NUMBER)]
+_Vector = tuple[_Number, _Number, _Number]
+
+
 class _Dof(BaseModel):
     """One node of motion_attributes.json; the root is the part that does not move."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
-    dof_name: str
+    dof_name: Annotated[str, AfterValidator(_is_a_name)]
     motion_type: Literal["none", "rotation", "translation", "spiral"]
-    center: tuple[float, float, float]
-    direction: tuple[float, float, float]
+    center: _Vector
+    direction: _Vector
     children: tuple["_Dof", ...] | None = ()
 
 
@@ -60,7 +73,7 @@ def load(folder: Path, ref: ObjectRef, settings: CategorySettings) -> Articulate
 
 
 def _load_urdf_form(folder: Path, ref: ObjectRef, turn: Floats) -> ArticulatedObject:
-    variants = sorted(folder.glob("*.urdf"), key=lambda path: (len(path.name), path.name))
+    variants = sorted(_named_like(folder, "urdf"), key=lambda path: (len(path.name), path.name))
     if not variants:
         raise InvalidSource(f"{folder}: has neither {_ATTRIBUTES} nor a .urdf file; add one")
     obj = load_urdf(
@@ -92,19 +105,29 @@ def _load_raw(folder: Path, ref: ObjectRef, turn: Floats) -> ArticulatedObject:
     files = ModelFiles(folder)
     path = folder / _ATTRIBUTES
     try:
-        root = _Dof.model_validate_json(files.read(path))
+        root = _Dof.model_validate_json(files.read(path, MAX_TEXT_BYTES))
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise InvalidSource(f"{path}: {where}: {first['msg']}; correct it there") from None
+        problem = first["msg"].removeprefix("Value error, ")
+        raise InvalidSource(f"{path}: {quoted(where)}: {problem}; correct it there") from None
+    dofs = list(_walk(root))
+    if len(dofs) >= MAX_LINKS:
+        raise InvalidSource(f"{path}: more than {MAX_LINKS:,} parts; split the model")
+    names = {root.dof_name}
+    for dof, _, _ in dofs:
+        if dof.dof_name in names:
+            raise InvalidSource(f"{path}: two parts are called {dof.dof_name!r}; rename one")
+        names.add(dof.dof_name)
     links = [Link(root.dof_name, _part(files, "none_motion", np.zeros(3)))]
     joints: list[Joint] = []
-    for dof, parent, parent_center in _walk(root):
+    faces = len(links[0].mesh.faces)
+    for dof, parent, parent_center in dofs:
         center = np.array(dof.center)
-        if dof.dof_name in [link.name for link in links]:
-            raise InvalidSource(f"{path}: two parts are called {dof.dof_name!r}; rename one")
         links.append(Link(dof.dof_name, _part(files, dof.dof_name, center)))
         joints.append(_joint(dof, parent, center - parent_center, path))
+        faces += len(links[-1].mesh.faces)
+        check_size(folder, faces=faces)
     return ArticulatedObject(
         object_id=ref.object_id,
         category=ref.category,
@@ -130,12 +153,10 @@ def _walk(dof: _Dof, center: Floats | None = None) -> Iterator[tuple[_Dof, str, 
 
 def _part(files: ModelFiles, name: str, center: Floats) -> Mesh:
     """The mesh of one part, in a frame that is the model's moved to `center`."""
-    wanted = f"part_objs/{name}.obj"
-    path = files.find(wanted)
+    by = f"{files.folder / _ATTRIBUTES}: part {quoted(name)}"
+    path = files.find(f"part_objs/{name}.obj", by) or files.find(f"part_objs/{name}.OBJ", by)
     if path is None:
-        raise InvalidSource(
-            f"{files.folder}: {wanted} is missing, but {_ATTRIBUTES} names the part; add the file"
-        )
+        raise InvalidSource(f"{by}: part_objs/{name}.obj is missing; add the file")
     mesh = read_mesh(path, files)
     return Mesh(mesh.vertices - center, mesh.faces)
 
@@ -147,8 +168,8 @@ def _joint(dof: _Dof, parent: str, offset: Floats, path: Path) -> Joint:
             "this object out, or make it a rotation or a translation"
         )
     kind = _KINDS[dof.motion_type]
-    length = np.linalg.norm(dof.direction)
-    if kind != "fixed" and not length > 0.0:
+    length = norm(dof.direction)
+    if kind != "fixed" and not length > 1e-12:
         raise InvalidSource(f"{path}: {dof.dof_name!r} has a zero direction; give it one")
     limit = 0.0 if kind == "fixed" else np.inf
     return Joint(
@@ -157,7 +178,7 @@ def _joint(dof: _Dof, parent: str, offset: Floats, path: Path) -> Joint:
         parent=parent,
         child=dof.dof_name,
         T_parent_joint=transform(translation=offset),
-        axis=np.array(dof.direction) / length if length > 0.0 else np.array([1.0, 0.0, 0.0]),
+        axis=np.array(dof.direction) / length if length > 1e-12 else np.array([1.0, 0.0, 0.0]),
         lower=-limit,
         upper=limit,
     )
@@ -165,5 +186,10 @@ def _joint(dof: _Dof, parent: str, offset: Floats, path: Path) -> Joint:
 
 def _unused_parts(folder: Path, links: list[Link]) -> tuple[str, ...]:
     used = {"none_motion", *(link.name for link in links)}
-    unused = sorted(p.name for p in (folder / "part_objs").glob("*.obj") if p.stem not in used)
+    unused = sorted(p.name for p in _named_like(folder / "part_objs", "obj") if p.stem not in used)
     return (f"meshes without a joint, left out: {', '.join(unused)}",) if unused else ()
+
+
+def _named_like(folder: Path, kind: str) -> Iterator[Path]:
+    """The files of a folder that end in .kind, in letters of either case."""
+    return (path for path in folder.glob("*") if path.suffix.lower() == f".{kind}")

@@ -1,12 +1,9 @@
 """The schema of `urdf_sources/<source>/source.yaml`, which describes one source."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-import yaml
 from pydantic import (
-    BaseModel,
-    ConfigDict,
     Field,
     NonNegativeInt,
     ValidationError,
@@ -15,17 +12,13 @@ from pydantic import (
 )
 
 from articugen.errors import InvalidSource
-from articugen.recipe_files import nearest
+from articugen.recipe_files import Section, nearest, read_yaml
 
 Reader = Literal["urdf", "procedural", "partnet_mobility", "shape2motion"]
-Share = NonNegativeInt | tuple[str, ...] | None
+Share = Annotated[NonNegativeInt, Field(le=1_000_000)] | tuple[str, ...] | None
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class CategorySettings(_Section):
+class CategorySettings(Section):
     """What a source says about one of its categories.
 
     Attributes:
@@ -73,7 +66,7 @@ class CategorySettings(_Section):
         return self
 
 
-class SourceFile(_Section):
+class SourceFile(Section):
     """One source.yaml.
 
     Attributes:
@@ -112,10 +105,7 @@ def read_source_file(path: Path) -> SourceFile:
     Raises:
         InvalidSource: unreadable, not YAML, an unknown key (with the nearest valid one), bad value.
     """
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise InvalidSource(f"{path}: cannot be read as YAML: {error}") from None
+    data = read_yaml(path, InvalidSource)
     try:
         return SourceFile.model_validate(data)
     except ValidationError as error:
@@ -125,4 +115,5 @@ def read_source_file(path: Path) -> SourceFile:
             section = CategorySettings if first["loc"][0] == "categories" else SourceFile
             hint = nearest(str(first["loc"][-1]), list(section.model_fields))
             raise InvalidSource(f"{path}: unknown key {where!r}{hint}") from None
-        raise InvalidSource(f"{path}: {where or 'the file'}: {first['msg']}") from None
+        message = first["msg"].removeprefix("Value error, ")
+        raise InvalidSource(f"{path}: {where or 'the file'}: {message}") from None

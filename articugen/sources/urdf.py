@@ -1,6 +1,6 @@
 """Any URDF to an `ArticulatedObject`. The only user of yourdfpy.
 
-yourdfpy parses the tree that `urdf_check` found sound; meshes, paths, topological order, limits and
+yourdfpy parses the tree that `urdf_check` found sound; shapes, paths, topological order, limits and
 unit axes are ours, because there it is wrong or silent.
 """
 
@@ -17,13 +17,15 @@ from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
 from articugen.errors import InvalidSource
 from articugen.geometry import apply
+from articugen.portable import norm
 from articugen.records import ArticulatedObject, Floats, Joint, JointKind, Link, Mesh, Mimic
 from articugen.sources import meshes
-from articugen.sources.model_files import ModelFiles
-from articugen.sources.urdf_check import checked_robot
+from articugen.sources.model_files import MAX_TEXT_BYTES, ModelFiles, quoted
+from articugen.sources.urdf_check import MAX_NUMBER, checked_robot
 
-MAX_OBJECT_FACES = 20_000_000
-"""Most triangles of one object: a small URDF can name one large mesh many times."""
+MAX_OBJECT_FACES = meshes.MAX_FACES
+MAX_OBJECT_VERTICES = meshes.MAX_VERTICES
+"""Of all visuals of an object: a small URDF can name one large mesh many times."""
 
 
 def load_urdf(
@@ -61,9 +63,9 @@ def load_urdf(
     path = Path(path)
     above = path.parent.parent if path.parent.name == "urdf" else path.parent
     files = ModelFiles(path.parent, root or above)
-    checked, unseen = checked_robot(files.read(path), path)
+    checked, unseen = checked_robot(files.read(path, MAX_TEXT_BYTES), path)
+    visuals = _Visuals(path, files, missing_ok, _take_shapes(checked))
     robot = _parse(checked)
-    visuals = _Visuals(path, files, missing_ok)
     joints = _topological(robot.joints)
     children = {joint.child for joint in joints}
     links = sorted(robot.links, key=lambda link: link.name in children)
@@ -81,6 +83,19 @@ def load_urdf(
     if not any(len(link.mesh.faces) for link in obj.links):
         raise InvalidSource(f"{path}: no link has a <visual> with a shape; add one")
     return obj
+
+
+def _take_shapes(checked: Any) -> dict[str, list[Any]]:
+    """The shapes (lxml) of each link's visuals; yourdfpy, which knows no capsules and builds no
+    mesh here, gets a sphere in the place of each."""
+    taken: dict[str, list[Any]] = {}
+    for link in checked.findall("link"):
+        geometries = link.findall("visual/geometry")
+        taken[link.get("name")] = [geometry[0] for geometry in geometries]
+        for geometry in geometries:
+            geometry.remove(geometry[0])
+            etree.SubElement(geometry, "sphere", radius="1")
+    return taken
 
 
 def _parse(checked: Any) -> Any:
@@ -139,7 +154,7 @@ def _limits(joint: Any) -> tuple[float, float]:
 
 def _unit(axis: Floats) -> Floats:
     axis = axis / np.abs(axis).max()
-    return axis / np.linalg.norm(axis)
+    return axis / norm(axis)
 
 
 def _matrix(origin: Floats | None) -> Floats:
@@ -149,31 +164,35 @@ def _matrix(origin: Floats | None) -> Floats:
 class _Visuals:
     """Builds the links' meshes; each mesh file is read once."""
 
-    def __init__(self, path: Path, files: ModelFiles, missing_ok: str) -> None:
+    def __init__(
+        self, path: Path, files: ModelFiles, missing_ok: str, shapes: dict[str, list[Any]]
+    ) -> None:
         self.path = path
         self.files = files
         self.missing_ok = missing_ok
-        self.faces = 0
+        self.shapes = shapes
         self.left_out: list[str] = []
+        self._faces = self._vertices = 0
         self._cache: dict[Path, Mesh] = {}
+        tags = [shape.tag for of_link in shapes.values() for shape in of_link]
+        self._check_size(sum(meshes.PRIMITIVE_FACES.get(tag, 0) for tag in tags), 0)
 
     def mesh(self, link: Any) -> Mesh:
         """All visuals of a link as one mesh in the link's frame, in the order of the file."""
         vertices: list[Any] = [np.zeros((0, 3))]
         faces: list[Any] = [np.zeros((0, 3), np.int32)]
         offset = 0
-        for visual in link.visuals:
-            shape = self._shape(visual.geometry, link.name)
+        for visual, element in zip(link.visuals, self.shapes[link.name], strict=True):
+            by = f"{self.path}: link {quoted(link.name)}"
+            shape = self._shape(element, by)
             if shape is None:
                 continue
-            vertices.append(apply(_matrix(visual.origin), shape.vertices))
+            self._faces += len(shape.faces)
+            self._vertices += len(shape.vertices)
+            self._check_size(self._faces, self._vertices)
+            vertices.append(_placed(visual, element, shape.vertices, by))
             faces.append(shape.faces + offset)
             offset += len(shape.vertices)
-            self.faces += len(shape.faces)
-            if self.faces > MAX_OBJECT_FACES:
-                raise InvalidSource(
-                    f"{self.path}: more than {MAX_OBJECT_FACES:,} triangles; simplify its meshes"
-                )
         return Mesh(np.concatenate(vertices), np.concatenate(faces))
 
     def notes(self) -> tuple[str, ...]:
@@ -181,29 +200,41 @@ class _Visuals:
             return ()
         return (f"meshes missing or empty, left out: {', '.join(self.left_out)}",)
 
-    def _shape(self, geometry: Any, link: str) -> Mesh | None:
-        if geometry.box is not None:
-            return meshes.box(geometry.box.size)
-        if geometry.cylinder is not None:
-            return meshes.cylinder(geometry.cylinder.radius, geometry.cylinder.length)
-        if geometry.sphere is not None:
-            return meshes.sphere(geometry.sphere.radius)
-        mesh = self._file(geometry.mesh.filename, link)
-        scale = geometry.mesh.scale
-        if mesh is None or scale is None:
-            return mesh
-        return meshes.scaled(mesh, np.broadcast_to(scale, 3))
+    def _check_size(self, faces: int, vertices: int) -> None:
+        if faces > MAX_OBJECT_FACES or vertices > MAX_OBJECT_VERTICES:
+            raise InvalidSource(
+                f"{self.path}: its visuals have more than {MAX_OBJECT_FACES:,} triangles or "
+                f"{MAX_OBJECT_VERTICES:,} vertices; simplify its meshes or use fewer shapes"
+            )
 
-    def _file(self, name: str, link: str) -> Mesh | None:
+    def _shape(self, element: Any, by: str) -> Mesh | None:
+        """The mesh of one shape, in the frame of its visual; None where it may be missing."""
+
+        def numbers(attribute: str) -> list[float]:
+            return [float(word) for word in element.get(attribute).split()]
+
+        if element.tag == "box":
+            return meshes.box(numbers("size"))
+        if element.tag == "sphere":
+            return meshes.sphere(numbers("radius")[0])
+        if element.tag in ("cylinder", "capsule"):
+            make = meshes.cylinder if element.tag == "cylinder" else meshes.capsule
+            return make(numbers("radius")[0], numbers("length")[0])
+        mesh = self._file(element.get("filename"), by)
+        if mesh is None or element.get("scale") is None:
+            return mesh
+        return meshes.scaled(mesh, np.broadcast_to(numbers("scale"), 3))
+
+    def _file(self, name: str, by: str) -> Mesh | None:
         try:
-            found = self.files.find(name)
+            found = self.files.find(name, by)
             if found is not None:
                 if found not in self._cache:
                     self._cache[found] = meshes.read_mesh(found, self.files)
                 return self._cache[found]
             problem = InvalidSource(
-                f"{self.path}: link {link!r}: mesh {name!r} does not exist; put the file there or "
-                "remove the <visual>"
+                f"{by}: mesh {quoted(name)} does not exist; put the file there or remove the "
+                "<visual>"
             )
         except meshes.EmptyMesh as empty:
             problem = empty
@@ -211,3 +242,14 @@ class _Visuals:
             raise problem
         self.left_out.append(name)
         return None
+
+
+def _placed(visual: Any, element: Any, vertices: Floats, by: str) -> Floats:
+    """(V, 3) in the link's frame."""
+    placed = apply(_matrix(visual.origin), vertices)
+    if not (np.abs(placed) <= MAX_NUMBER).all():
+        raise InvalidSource(
+            f"{by}: its <{element.tag}> reaches beyond {MAX_NUMBER:,.0f} m; correct its scale, or "
+            "the unit of its file"
+        )
+    return placed

@@ -10,10 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from articugen.errors import InvalidSource
-from articugen.sources.xml_strict import parse_xml
+from articugen.sources.model_files import MAX_NAME_BYTES, quoted
+from articugen.sources.xml_strict import drop_default_namespaces, parse_xml
 
-MAX_URDF_BYTES = 16 * 2**20
 MAX_LINKS = 2_000
+MAX_VISUALS = 5_000
+MAX_NUMBER = 1e6
+"""Largest length (m), angle (rad), scale or multiplier."""
+MIN_SIZE = 1e-9
+"""Smallest size (m) of a shape, and scale of a mesh."""
+
+_MAX_LETTERS = 1_000  # of an attribute with numbers
 
 _READ = ("fixed", "revolute", "continuous", "prismatic")
 _REFUSED = ("planar", "floating", "spherical")
@@ -32,11 +39,9 @@ def checked_robot(data: bytes, path: Path) -> tuple[Any, list[str]]:
     Raises:
         InvalidSource: the first fault found.
     """
-    if len(data) > MAX_URDF_BYTES:
-        raise InvalidSource(f"{path}: larger than {MAX_URDF_BYTES // 2**20} MiB; not a URDF")
     robot = parse_xml(data, path)
-    if robot.tag != "robot":
-        raise InvalidSource(f"{path}: the root element is <{robot.tag}>, not <robot>; not a URDF")
+    drop_default_namespaces(robot)
+    _check_root(robot, path)
     if any("www.ros.org/wiki/xacro" in str(element.tag) for element in robot.iter()):
         raise InvalidSource(f"{path}: is xacro source; expand it first: xacro in.xacro > out.urdf")
     unseen = [
@@ -48,11 +53,12 @@ def checked_robot(data: bytes, path: Path) -> tuple[Any, list[str]]:
         element.getparent().remove(element)
     robot.set("name", robot.get("name", ""))
     check = _Check(path)
+    check.count(robot.findall("link"), "links", MAX_LINKS)
+    check.count(robot.findall("joint"), "joints", MAX_LINKS)
+    check.count(robot.findall("link/visual"), "visuals", MAX_VISUALS)
     links = check.named(robot, "link")
     if not links:
-        raise InvalidSource(f"{path}: <robot> has no <link>; a model needs at least one")
-    if len(links) > MAX_LINKS:
-        raise InvalidSource(f"{path}: more than {MAX_LINKS:,} links; split the model")
+        raise InvalidSource(f"{path}: <robot> has no <link>; add at least one")
     joints = check.named(robot, "joint")
     for link in links.values():
         check.link(link)
@@ -61,6 +67,20 @@ def checked_robot(data: bytes, path: Path) -> tuple[Any, list[str]]:
     _check_tree(check, list(links), joints)
     _check_mimics(check, joints)
     return robot, unseen
+
+
+def _check_root(robot: Any, path: Path) -> None:
+    if robot.tag == "robot":
+        return
+    if robot.tag.rpartition("}")[2] == "robot":
+        raise InvalidSource(
+            f"{path}: the root element <{robot.prefix}:robot> has a prefix; write the elements "
+            "without it"
+        )
+    raise InvalidSource(
+        f"{path}: the root element is <{robot.tag}>, not <robot>, so it is not a URDF; convert it "
+        "or leave it out"
+    )
 
 
 class _Check:
@@ -75,8 +95,17 @@ class _Check:
         while owner.tag not in ("link", "joint") and owner.getparent() is not None:
             owner = owner.getparent()
         name = owner.get("name")
-        where = f"{owner.tag} {name!r}" if name else f"<{owner.tag}> at line {owner.sourceline}"
+        where = (
+            f"{owner.tag} {quoted(name)}" if name else f"<{owner.tag}> at line {owner.sourceline}"
+        )
         return InvalidSource(f"{self.path}: {where}: {problem}")
+
+    def count(self, elements: list[Any], what: str, most: int) -> None:
+        if len(elements) > most:
+            raise InvalidSource(
+                f"{self.path}: {len(elements):,} {what}, at most {most:,} are read; split the model"
+                " or join some"
+            )
 
     def named(self, robot: Any, tag: str) -> dict[str, Any]:
         """Every `<tag>` by its name."""
@@ -85,6 +114,10 @@ class _Check:
             name = element.get("name")
             if not name:
                 raise self.refuse(element, "has no name; give it one")
+            if len(name.encode()) > MAX_NAME_BYTES:
+                raise self.refuse(
+                    element, f"has a name of more than {MAX_NAME_BYTES} bytes; shorten it"
+                )
             if name in found:
                 raise self.refuse(
                     element,
@@ -106,20 +139,22 @@ class _Check:
             if not shape.get("filename"):
                 raise self.refuse(shape, "<mesh> has no filename; name the file")
             scale = self.numbers(shape, "scale", (1, 3), "1")
-            if 0.0 in scale:
-                raise self.refuse(shape, "<mesh> has a zero scale; give it one")
+            if any(abs(x) < MIN_SIZE for x in scale):
+                raise self.refuse(shape, "<mesh> has a zero scale, or nearly; give it another")
             return
         sizes = {
             "box": {"size": (3,)},
             "cylinder": {"radius": (1,), "length": (1,)},
+            "capsule": {"radius": (1,), "length": (1,)},
             "sphere": {"radius": (1,)},
         }.get(shape.tag)
         if sizes is None:
             raise self.refuse(
-                shape, f"<{shape.tag}> is not a shape of URDF; use box, cylinder, sphere or mesh"
+                shape,
+                f"<{shape.tag}> is not a shape of URDF; use box, cylinder, capsule, sphere or mesh",
             )
         for attribute, counts in sizes.items():
-            if not all(x > 0.0 for x in self.numbers(shape, attribute, counts)):
+            if not all(x >= MIN_SIZE for x in self.numbers(shape, attribute, counts)):
                 raise self.refuse(shape, f"<{shape.tag}> {attribute} is not positive; make it so")
 
     def joint(self, joint: Any) -> None:
@@ -127,17 +162,19 @@ class _Check:
         if kind in _REFUSED:
             raise self.refuse(
                 joint,
-                f"type {kind!r} has more than one degree of freedom and is not read; make it "
+                f"type {quoted(kind)} has more than one degree of freedom and is not read; make it "
                 f"{_either(_READ)}",
             )
         if kind not in _READ:
-            raise self.refuse(joint, f"unknown type {kind!r}; make it {_either(_READ)}")
+            raise self.refuse(joint, f"unknown type {quoted(kind or '')}; make it {_either(_READ)}")
         for tag in ("parent", "child"):
             if not self.child(joint, tag, required=True).get("link"):
                 raise self.refuse(joint, f"<{tag}> names no link; add link=")
         self.origin(joint)
         axis = self.child(joint, "axis")
-        direction = [1.0] if axis is None else self.numbers(axis, "xyz", (3,), "1 0 0")
+        direction = [1.0]
+        if axis is not None:
+            direction = self.numbers(axis, "xyz", (3,), "1 0 0", most=math.inf)
         if kind != "fixed" and not math.hypot(*direction) > 1e-12:
             raise self.refuse(joint, "<axis> is zero; give it a direction")
         self.limit(joint, kind)
@@ -147,14 +184,28 @@ class _Check:
             self.numbers(mimic, "offset", (1,), "0")
 
     def limit(self, joint: Any, kind: str) -> None:
-        limit = self.child(joint, "limit")
-        if limit is None or kind not in ("revolute", "prismatic"):
+        """Where the joint ends; what says nothing of that (force, speed) is not looked at.
+
+        Ends beyond MAX_NUMBER are how simulators say that there is none.
+        """
+        if kind not in ("revolute", "prismatic"):
+            for limit in joint.findall("limit"):
+                joint.remove(limit)
             return
+        limit = self.child(joint, "limit")
+        if limit is None:
+            return
+        for attribute in set(limit.attrib) - {"lower", "upper"}:
+            del limit.attrib[attribute]
         (lower,) = self.numbers(limit, "lower", (1,), "0", infinite=True)
         (upper,) = self.numbers(limit, "upper", (1,), "0", infinite=True)
         if lower > upper:
             raise self.refuse(
                 joint, f"lower limit {lower:g} is above the upper limit {upper:g}; swap them"
+            )
+        if lower == math.inf or upper == -math.inf:
+            raise self.refuse(
+                joint, f"its limits {lower:g} and {upper:g} leave no place; correct them"
             )
 
     def origin(self, element: Any) -> None:
@@ -178,8 +229,10 @@ class _Check:
         default: str | None = None,
         *,
         infinite: bool = False,
+        most: float = MAX_NUMBER,
     ) -> list[float]:
-        """The numbers of an attribute, as many as one of `counts`, finite unless `infinite`.
+        """The numbers of an attribute, as many as one of `counts`, none beyond `most`; where they
+        may be `infinite`, what lies beyond is.
 
         They are written back in one plain form, so that yourdfpy reads what was checked.
         """
@@ -188,13 +241,21 @@ class _Check:
             raise self.refuse(element, f"<{element.tag}> has no {attribute}; add it")
         wanted = " or ".join(map(str, counts)) + " number" + ("s" if counts[-1] > 1 else "")
         try:
-            values = [float(word) for word in text.replace(",", " ").split()]
+            values = [float(word) for word in text[:_MAX_LETTERS].replace(",", " ").split()]
         except ValueError:
             values = []
         fine = len(values) in counts and not any(map(math.isnan, values))
+        fine = fine and len(text) <= _MAX_LETTERS
+        if infinite:
+            values = [x if abs(x) <= most else math.copysign(math.inf, x) for x in values]
         if not fine or not (infinite or all(map(math.isfinite, values))):
             raise self.refuse(
-                element, f"<{element.tag}> {attribute}={text!r} is not {wanted}; correct it"
+                element, f"<{element.tag}> {attribute}={quoted(text)} is not {wanted}; correct it"
+            )
+        if not infinite and any(abs(x) > most for x in values):
+            raise self.refuse(
+                element,
+                f"<{element.tag}> {attribute}={quoted(text)} is beyond {most:,.0f}; correct it",
             )
         if attribute in element.attrib:
             element.set(attribute, " ".join(map(repr, values)))
@@ -214,7 +275,9 @@ def _check_tree(check: _Check, links: list[str], joints: dict[str, Any]) -> None
         parent, child = (joint.find(tag).get("link") for tag in ("parent", "child"))
         for link in (parent, child):
             if link not in known:
-                raise check.refuse(joint, f"unknown link {link!r}; add the link or correct it")
+                raise check.refuse(
+                    joint, f"unknown link {quoted(link)}; add the link or correct it"
+                )
         if child in parent_of:
             raise check.refuse(
                 joint,
@@ -245,20 +308,25 @@ def _check_tree(check: _Check, links: list[str], joints: dict[str, Any]) -> None
 
 def _check_mimics(check: _Check, joints: dict[str, Any]) -> None:
     """Each mimic leads, over any number of others, to a joint that moves by itself."""
-    for name, joint in joints.items():
-        seen = [name]
-        mimic = joint.find("mimic")
-        while mimic is not None:
-            target = mimic.get("joint")
+    sound: set[str] = set()
+    for start, joint in joints.items():
+        trail: dict[str, None] = {}
+        name = start
+        while name not in sound:
+            trail[name] = None
+            mimic = joints[name].find("mimic")
+            if mimic is None:
+                break
+            target = mimic.get("joint") or ""
             if target not in joints:
                 raise check.refuse(
-                    joints[seen[-1]], f"mimics the unknown joint {target!r}; correct its name"
+                    joints[name], f"mimics the unknown joint {quoted(target)}; correct its name"
                 )
             if joints[target].get("type") == "fixed":
                 raise check.refuse(
-                    joints[seen[-1]], f"mimics {target!r}, which is fixed; remove the <mimic>"
+                    joints[name], f"mimics {quoted(target)}, which is fixed; remove the <mimic>"
                 )
-            if target in seen:
-                raise check.refuse(joint, f"its <mimic> leads back to {target!r}; remove one")
-            seen.append(target)
-            mimic = joints[target].find("mimic")
+            if target in trail:
+                raise check.refuse(joint, f"its <mimic> leads back to {quoted(target)}; remove one")
+            name = target
+        sound.update(trail)

@@ -19,6 +19,7 @@ def parse_xml(data: bytes, path: Path) -> Any:
 
     Raises:
         InvalidSource: not well-formed, too deep, too large, or with a DOCTYPE.
+        MemoryError: libxml2 gets no memory.
     """
     parser = etree.XMLParser(
         resolve_entities=False,
@@ -31,10 +32,29 @@ def parse_xml(data: bytes, path: Path) -> Any:
     )
     try:
         root = etree.fromstring(data, parser)
-    except (etree.XMLSyntaxError, ValueError) as error:
+    except (etree.XMLSyntaxError, ValueError, LookupError) as error:
+        if getattr(error, "code", None) == etree.ErrorTypes.ERR_NO_MEMORY:
+            raise MemoryError(f"{path}: no memory to read it") from None
+        reason = " ".join(str(error).split())[:200]
         raise InvalidSource(
-            f"{path}: not well-formed XML ({error}); correct it there, nothing is guessed"
+            f"{path}: not well-formed XML ({reason}); correct it there, nothing is guessed"
         ) from None
     if root.getroottree().docinfo.doctype:
         raise InvalidSource(f"{path}: has a DOCTYPE, which is refused; remove it from the file")
     return root
+
+
+def drop_default_namespaces(root: Any) -> None:
+    """Have elements without a prefix belong to no namespace, whatever `xmlns=` says.
+
+    That is how readers that know no namespaces (urdfdom's TinyXML) see them.
+    """
+    for element in root.iter("*"):
+        if element.prefix is None and element.tag.startswith("{"):
+            element.tag = element.tag.rpartition("}")[2]
+    etree.cleanup_namespaces(root)
+
+
+def tostring(root: Any) -> bytes:
+    """The document of a root element."""
+    return etree.tostring(root)
