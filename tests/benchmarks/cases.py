@@ -101,8 +101,8 @@ class Scene:
     def material(self, points: Floats, motion: Floats) -> Bools:
         """(n,) inside a solid, or sealed inside one part alone.
 
-        A cavity is sealed where no flood gets to from outside of the part, through openings of a
-        voxel of 1/256 or wider, and none of `SIGHTS` lines of sight leads out of the part.
+        A cavity is sealed where no straight line leads to what a flood from outside of the part
+        gets to over voxels of 1/256, and none of `SIGHTS` lines of sight leads out of the part.
 
         Args:
             motion: (P, 4, 4) of the parts from the canonical pose, unit frame.
@@ -113,7 +113,7 @@ class Scene:
             mesh = self.prepared.mesh.part(part)
             walls = reachable.touched(mesh, 256)
             open_to = reachable.flood(walls, mesh, self.prepared.hierarchy, np.eye(4)[None])
-            rest = rest[~open_to.fills(apply(T, points[rest]))]
+            rest = rest[~open_to.reaches(apply(T, points[rest]))]
             alone = self._of_part(part)
             world = self._world(points[rest])
             held[rest] = alone.enclosed(world, fibonacci_sphere(SIGHTS), self.T_world_link)
