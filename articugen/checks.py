@@ -85,8 +85,11 @@ def _counts(row: Instance, recipe: Recipe) -> Iterator[str]:
         have = getattr(row, name).shape[:-1]
         if have != shape:
             yield f"{name} has {have} points where the recipe asks for {shape}"
-    if sorted(row.occupancy) != sorted(ask.grids):
-        yield f"occupancy has grids {sorted(row.occupancy)}, not {sorted(ask.grids)}"
+    grids = {"occupancy": ask.grids, "coverage": ask.grids if ask.coverage else ()}
+    for name, resolutions in grids.items():
+        have = sorted(getattr(row, name))
+        if have != sorted(resolutions):
+            yield f"{name} has grids {have}, not {sorted(resolutions)}"
 
 
 def _labels(row: Instance, recipe: Recipe) -> Iterator[str]:
@@ -213,6 +216,22 @@ def _grids_filled(row: Instance, _: Recipe) -> Iterator[str]:
         least = 0.1 * expected if resolution == max(row.occupancy) else 0.0
         if expected >= 0.02 and not least <= share <= 0.1 + 3.0 * expected:
             yield f"occupancy_{resolution} is {share:.0%} full, uniform_label {expected:.0%}"
+
+
+def _covered(row: Instance, _: Recipe) -> Iterator[str]:
+    """The centre of a cell that is all inside is inside, and of one that is all free it is free.
+
+    But for films finer than the sub-samples that pass just through the centre.
+    """
+    for resolution, coverage in sorted(row.coverage.items()):
+        inside = row.occupancy[resolution] > 0
+        for value, wanted in ((255, True), (0, False)):
+            judged = inside[coverage == value]
+            if len(judged) >= 20 and (share := (judged == wanted).mean()) < 0.9:
+                yield (
+                    f"occupancy_{resolution} agrees at {share:.0%} of the cells of which "
+                    f"coverage_{resolution} is {value}"
+                )
 
 
 def _near(row: Instance, recipe: Recipe) -> Iterator[str]:
@@ -366,6 +385,7 @@ GEOMETRY_CHECKS: dict[str, InstanceCheck] = {
     "box": _inside_box,
     "grids": _grids_agree,
     "filling": _grids_filled,
+    "coverage": _covered,
     "near": _near,
     "zero level": _zero_level,
     "cameras": _cameras,

@@ -231,9 +231,10 @@ def generate(
             )
             for name, (own, out_of) in shares.items()
         ]
-    if len(todo) == 1:
-        _exit_with(_made(todo[0], dry_run=dry_run, replace=replace))
-    _exit_with(_made_each(todo, dry_run=dry_run, replace=replace))
+    make = _made if len(todo) == 1 else _made_each
+    status = make(*todo, dry_run=dry_run, replace=replace)
+    if status:
+        raise typer.Exit(status)
 
 
 _KEPT = "finished work is kept; run the same command to resume"
@@ -242,11 +243,6 @@ _KEPT = "finished work is kept; run the same command to resume"
 def _listed(texts: list[str] | None) -> list[str]:
     """What an option names that may be given several times, with several names each."""
     return [name.strip() for text in texts or () for name in text.split(",") if name.strip()]
-
-
-def _exit_with(status: int) -> None:
-    if status:
-        raise typer.Exit(status)
 
 
 def _made(job: "Job", *, dry_run: bool, replace: bool) -> int:
@@ -271,8 +267,8 @@ def _made(job: "Job", *, dry_run: bool, replace: bool) -> int:
     return REJECTED if manifest.rejected else 0
 
 
-def _made_each(todo: list["Job"], *, dry_run: bool, replace: bool) -> int:
-    """Make several data sets: one that fails does not stop the others. The worst exit status."""
+def _made_each(*todo: "Job", dry_run: bool, replace: bool) -> int:
+    """Make several data sets: one that fails does not stop the others; the worst exit status."""
     ended: dict[str, int] = {}
     for job in todo:
         try:

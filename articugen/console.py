@@ -25,10 +25,11 @@ def sources_table(sources: Iterable[SourceInfo]) -> RenderableType:
     for source in sources:
         table = facts()
         for category in source.categories:
-            there = (
-                f"{category.train} train, {category.test} test" if source.present else "none yet"
-            )
-            table.add_row(category.name, there)
+            if category.train + category.test:
+                table.add_row(category.name, f"{category.train} train, {category.test} test")
+        missing = [c.name for c in source.categories if not c.train + c.test]
+        if missing:
+            table.add_row("none yet", ", ".join(missing))
         lines += [
             Text(source.name, "bold"),
             _indented(Text(f"{source.origin} ({source.licence})")),

@@ -15,8 +15,8 @@ Rules (`recipe.Fusion.rule`):
     mean: the value is the plain mean over the views that see the point free or close behind, as in
         Occupancy Networks' preparation; outside where that is positive.
 In all three, a point that no view sees, or only from further behind than the truncation, is inside.
-    rigid: a point is inside where the own solid of some part holds it: what no view of that part
-        alone, in its canonical pose, sees free. The posed object is not looked at.
+    rigid: a point is inside where the own solid of some part holds it, see `OwnSolid`. The posed
+        object is not looked at.
 """
 
 from collections.abc import Sequence
@@ -36,6 +36,9 @@ from articugen.winding import surely_inside
 
 _NO_DEPTH = np.zeros((1, 0, 0), np.float32)
 _NO_FACES = np.zeros((1, 0, 0), np.int32)
+
+GLANCES = 5
+"""So many views see most of what is free: they look from all around, see `views.spread_order`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,12 +84,18 @@ class Field:
         return free
 
     def is_seen_free(
-        self, points: NDArray[np.floating], which: NDArray[np.intp] | None = None
+        self,
+        points: NDArray[np.floating],
+        which: NDArray[np.intp] | None = None,
+        *,
+        views: int | None = None,
     ) -> NDArray[np.bool_]:
-        """Which of `points` (n, 3), or of points[which], at least one view sees free."""
+        """Which of `points` (n, 3), or of points[which], at least one of the first `views` views,
+        or of all, sees free."""
         which = np.arange(len(points)) if which is None else which
         flat = np.ascontiguousarray(points, np.float32)
-        return fusion_kernels.is_free(flat, which, self._scene())
+        every = len(self.maps.views)
+        return fusion_kernels.is_free(flat, which, self._scene(), 0, min(views or every, every))
 
     def value(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
         """The field at `points` (n, 3): (n,) in [-truncation, truncation], negative inside.
@@ -130,10 +139,11 @@ def pixel_width(views: Views) -> float:
 
 @dataclass(frozen=True, eq=False)
 class OwnSolid:
-    """A part seen alone, in its canonical pose.
+    """A part seen alone, in its canonical pose: its material.
 
     Attributes:
-        field: of its own views.
+        field: of its own views, and what lies open to them: the dark corners of a deep shelf are no
+            material, whatever the rule.
         box: (2, 3) that holds it.
         closed: its closed pieces: what they wind around no view can see.
     """
@@ -142,12 +152,24 @@ class OwnSolid:
     box: NDArray[np.float64]
     closed: Hierarchy | None = None
 
-    def holds(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """(n,) which of `points` (n, 3), unit frame, in the canonical pose, it holds."""
+    def holds(self, points: NDArray[np.floating], *, glance: bool = False) -> NDArray[np.bool_]:
+        """(n,) which of `points` (n, 3), unit frame, in the canonical pose, it holds.
+
+        Args:
+            glance: take the word of a few views for what they see free, before anything else:
+                cheaper where that is most.
+        """
         if self.closed is None:
             return ~self.field.is_free(points)
-        held = surely_inside(points, self.closed)
-        rest = np.flatnonzero(~held)
+        left = np.arange(len(points))
+        if self.field.flood is not None:
+            left = np.flatnonzero(~self.field.flood.fills(points))
+        if glance:
+            left = left[~self.field.is_seen_free(points, left, views=GLANCES)]
+        sure = surely_inside(points[left], self.closed)
+        rest = left[~sure]
+        held = np.zeros(len(points), np.bool_)
+        held[left[sure]] = True
         held[rest] = ~self.field.is_free(points, rest)
         return held
 
@@ -175,12 +197,17 @@ class PosedSolids:
     settings: Fusion
 
     def holds(
-        self, part: int, points: NDArray[np.float32], which: NDArray[np.intp]
+        self,
+        part: int,
+        points: NDArray[np.float32],
+        which: NDArray[np.intp],
+        *,
+        glance: bool = False,
     ) -> NDArray[np.intp]:
         """Those of `which`, indices into `points` (n, 3), that the part's own solid holds."""
         own, to_canonical = self.own[part], invert_rigid(self.part_motion[part])
         near = fusion_kernels.in_box(points, which, to_canonical, own.box)
-        return near[own.holds(apply(to_canonical, points[near]))]
+        return near[own.holds(apply(to_canonical, points[near]), glance=glance)]
 
     def labels(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
         """(n,) k + 1 in the material of part k, else FREE, for `points` (n, 3).
@@ -197,7 +224,11 @@ class PosedSolids:
         self, points: NDArray[np.floating], which: NDArray[np.intp] | None = None
     ) -> NDArray[np.bool_]:
         """Which of `points` (n, 3), or of points[which], no part's own solid holds."""
-        return self.labels(points if which is None else points[which]) == FREE
+        asked = np.ascontiguousarray(points if which is None else points[which], np.float32)
+        free = np.ones(len(asked), np.bool_)
+        for part in range(len(self.own)):
+            free[self.holds(part, asked, np.flatnonzero(free), glance=True)] = False
+        return free
 
     def value(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
         """(n,) the least of the parts' own values at `points` (n, 3), see `Field.value`."""
@@ -261,8 +292,14 @@ def fuse(
     if hierarchy is None or part_motion is None:
         part_motion = np.eye(4)[None]
         hierarchy = build(corners, np.zeros(len(corners), np.uint8), 1)
-    water = None
-    if settings.rule == "reachable":
-        water = flood(walls(mesh, settings.opening), mesh, hierarchy, part_motion)
     table = triangle_table(corners)
-    return Field(maps, table, hierarchy, part_motion, settings, water, slender)
+    field = Field(maps, table, hierarchy, part_motion, settings, None, slender)
+    return flooded(field, mesh) if settings.rule == "reachable" else field
+
+
+def flooded(field: Field, mesh: LabelledMesh) -> Field:
+    """The field of `mesh` by the rule `reachable`; with the rule `mean` as it is."""
+    if field.settings.rule == "mean" or field.flood is not None:
+        return field
+    state = walls(mesh, field.settings.opening)
+    return replace(field, flood=flood(state, mesh, field.hierarchy, field.part_motion))

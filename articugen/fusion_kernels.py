@@ -55,8 +55,9 @@ class Scene(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def is_free(points, which, scene):
-    """(m,) which of points[which] at least one view sees free; a point is done with at the first.
+def is_free(points, which, scene, first_view, end_view):
+    """(m,) which of points[which] at least one view from `first_view` on, and before `end_view`,
+    sees free; a point is done with at the first.
 
     View by view over the points that are left, which stay packed: a view's map stays in the cache.
     A block is projected, then the faces around its points are read, then judged: three short loops,
@@ -80,7 +81,7 @@ def is_free(points, which, scene):
     triangles, hierarchy, to_part = scene.triangles, scene.hierarchy, scene.to_part
     slender = scene.slender
     pinhole, pixel, by_depth = scene.pinhole, scene.pixel, scene.face.shape[1] == 0
-    for k in range(scene.cameras.shape[0]):
+    for k in range(first_view, end_view):
         camera = _camera(k, scene)
         face_map, depth_map = _maps(k, scene)
         kept = 0

@@ -16,8 +16,10 @@ from articugen.errors import RejectedInstance
 from articugen.geometry import apply, bounds, box_corners
 from articugen.hierarchy import Hierarchy, build
 from articugen.portable import norm
+from articugen.reachable import touched
 from articugen.recipe import Recipe
 from articugen.records import (
+    FREE,
     JOINT_KINDS,
     ArticulatedObject,
     DepthMaps,
@@ -137,7 +139,7 @@ def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
     tree = parts[0].own.field.hierarchy
     slender = slender_voxels(parts[0].mesh, fusion.pixel_width(views), tree)
     static_field = fusion.fuse(static, parts[0].mesh, recipe.fusion, slender=slender)
-    fixed = replace(parts[0].own, field=static_field)
+    fixed = replace(parts[0].own, field=replace(static_field, flood=parts[0].own.field.flood))
     own = (fixed, *(part.own for part in parts[1:]))
     draws = recipe.views.backend == "rasterizer" and recipe.fusion.rule != "rigid"
     return Prepared(
@@ -169,6 +171,7 @@ def make_instance(p: Prepared, state_index: int) -> Instance:
     mesh, fields = pose(p, state_index, overlay=p.overlay)
     surface = _surface(p, state_index, mesh, fields)
     joint_name, part_name, part_semantic = _names(p.obj)
+    occupancy = {r: _labelled_grid(grid, fields, r) for r, grid in p.grids.items()}
     return Instance(
         object_id=p.obj.object_id,
         state_index=state_index,
@@ -179,8 +182,8 @@ def make_instance(p: Prepared, state_index: int) -> Instance:
         part_name=part_name,
         part_semantic=part_semantic,
         part_motion=fields.part_motion,
-        occupancy={r: _labelled_grid(grid, fields, r) for r, grid in p.grids.items()},
-        coverage={},
+        occupancy=occupancy,
+        coverage=_coverage(p, state_index, mesh, fields, occupancy),
         **_surface_fields(p, surface),
         **_query_fields(p, state_index, surface, fields),
         **_partial_fields(p, state_index, mesh),
@@ -289,7 +292,7 @@ def solid_part(soup: LabelledMesh, recipe: Recipe) -> SolidPart:
             alone = replace(alone, closed=_closed_pieces(mesh, closed, alone.field))
     width = fusion.pixel_width(alone.field.maps.views)
     slender = slender_voxels(mesh, width, alone.field.hierarchy)
-    own = replace(alone, field=replace(alone.field, slender=slender))
+    own = replace(alone, field=fusion.flooded(replace(alone.field, slender=slender), mesh))
     return SolidPart(mesh, seen, closed, own)
 
 
@@ -348,6 +351,37 @@ def _labelled_grid(grid: Grid, fields: fusion.PosedFields, resolution: int) -> N
         label[held] = part + 1
     label = fields.with_enclosed(grid.points, label)
     return label.reshape(resolution, resolution, resolution)
+
+
+def _coverage(
+    p: Prepared,
+    state_index: int,
+    mesh: LabelledMesh,
+    fields: fusion.PosedFields,
+    occupancy: dict[int, NDArray[np.uint8]],
+) -> dict[int, NDArray[np.uint8]]:
+    """The share of each cell that is inside, x 255, for each grid; none unless the recipe asks.
+
+    Sub-samples of the finest grid serve every coarser one that divides it.
+    """
+    if not p.recipe.sampling.coverage:
+        return {}
+    coverage, counted = {}, {}
+    finest = max(occupancy, default=1)
+    for r in sorted(occupancy, reverse=True):
+        base = finest if finest % r == 0 else r
+        if base not in counted:
+            counted[base] = sampling.solid_counts(
+                occupancy[base] != FREE,
+                touched(mesh, base) > 0,
+                lambda points: fields.labels(points) != FREE,
+                rng=p.rng(state_index, "coverage", base),
+            )
+        counts, most = counted[base]
+        k = base // r
+        inside = counts.reshape(r, k, r, k, r, k).sum(axis=(1, 3, 5))
+        coverage[r] = ((2 * 255 * inside + most * k**3) // (2 * most * k**3)).astype(np.uint8)
+    return coverage
 
 
 def _joint_fields(p: Prepared, state_index: int) -> dict[str, NDArray]:

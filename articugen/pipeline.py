@@ -209,7 +209,7 @@ class Run:
     ) -> Manifest:
         """Make what is missing; see `generate`, but a `shortfall` is not raised."""
         began = time.perf_counter()
-        outcomes = list(self.plan.done)
+        outcomes, instances = list(self.plan.done), 0
         for outcome in outcomes:
             on_object(_report(outcome, reused=True))
         if not self.plan.tasks and self.journal.is_complete(self.plan.keys):
@@ -221,6 +221,7 @@ class Run:
             for outcome in made:
                 self.journal.record(outcome)
                 outcomes.append(outcome)
+                instances += outcome.made.instances if outcome.made else 0
                 on_object(_report(outcome, reused=False))
         manifest = Manifest.of(
             outcomes,
@@ -229,7 +230,7 @@ class Run:
             licence=registry.licence(self.job.source),
             recipe=self.job.recipe.text(),
             seed=self.job.seed,
-            timings=_timings(self.plan, time.perf_counter() - began, self.job.jobs),
+            timings=_timings(instances, time.perf_counter() - began, self.job.jobs),
             shortfall=_shortfall(outcomes, self.job.recipe),
         )
         self.journal.finish(manifest)
@@ -292,7 +293,7 @@ class _OverLimit(RejectedInstance):
     """An object takes more than the recipe allows: `over` is the recipe's key and value."""
 
     def __init__(self, takes: str, key: str, value: float) -> None:
-        super().__init__(f"it {takes}; raise the recipe's {key} ({value:,.0f}) if it may")
+        super().__init__(f"it {takes}; raise the recipe's {key} ({value:,g}) if it may")
         self.over = (key, value)
 
 
@@ -354,9 +355,14 @@ def _instances(job: Job, task: Task) -> tuple[ArticulatedObject, Iterator[Instan
 
 
 def _import_stages() -> None:
-    """What takes a worker seconds once, and is no object's fault."""
+    """What takes a worker seconds once, and is no object's fault; before its clock starts."""
     import articugen.articulation  # noqa: PLC0415
     import articugen.instance  # noqa: PLC0415, F401
+
+
+def _import_readers() -> None:
+    """The same, for planning alone."""
+    import articugen.sources.urdf  # noqa: PLC0415, F401
 
 
 def _not_made(key: Key, ended: workers.Ended, limit: workers.Limit) -> Outcome:
@@ -391,11 +397,11 @@ def _plan(job: Job, journal: Journal) -> Plan:
     for ref, read in zip(refs, _read(job, refs, limit), strict=True):
         key = _key(job, ref, read.value or "unreadable")
         keys.append(key)
-        if read.value is None:
-            known[key] = _not_made(key, read, limit)
-        elif key.object_id != ref.object_id:
+        if key.object_id != ref.object_id:
             reason = f"{printable(str(ref.location))}: its name is no plain text; rename it"
             known[key] = Outcome(rejected=Rejection(key=key, reason=reason))
+        elif read.value is None:
+            known[key] = _not_made(key, read, limit)
     names = journal.shard_names(keys)
     done, tasks = [], []
     for ref, key in zip(refs, keys, strict=True):
@@ -456,6 +462,7 @@ def _read(
         refs,
         workers=job.jobs,
         limit=limit,
+        ready=_import_readers,
         name=lambda ref: _plain_name(ref.object_id),
     )
     return sorted(read, key=lambda ended: ended.number)
@@ -537,7 +544,7 @@ def _shortfall(outcomes: list[Outcome], recipe: Recipe) -> str | None:
     return "; ".join(sentences) or None
 
 
-def _timings(todo: Plan, seconds: float, jobs: int) -> Timings:
+def _timings(instances: int, seconds: float, jobs: int) -> Timings:
     unit = 1 if sys.platform == "darwin" else 1024
     peak = max(
         resource.getrusage(who).ru_maxrss
@@ -545,7 +552,7 @@ def _timings(todo: Plan, seconds: float, jobs: int) -> Timings:
     )
     return Timings(
         seconds=seconds,
-        instances_per_second=todo.instances / seconds if seconds > 0 else 0.0,
+        instances_per_second=instances / seconds if seconds > 0 else 0.0,
         peak_memory_bytes=peak * unit,
         workers=max(1, jobs),
     )

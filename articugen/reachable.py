@@ -45,7 +45,11 @@ class Flood:
 
 def walls(mesh: LabelledMesh, opening: float) -> NDArray[np.uint8]:
     """(n, n, n) uint8: 1 in the voxels that a face touches; n so that `opening` is two voxels."""
-    resolution = max(4, round(2.0 / opening))
+    return touched(mesh, max(4, round(2.0 / opening)))
+
+
+def touched(mesh: LabelledMesh, resolution: int) -> NDArray[np.uint8]:
+    """(resolution,) * 3 uint8 over the unit cube: 1 in the voxels that a face touches."""
     state = np.zeros((resolution,) * 3, np.uint8)
     first = np.zeros(3, np.int64)
     mark(state, first, resolution, (mesh.vertices[mesh.faces] + 0.5) * resolution)

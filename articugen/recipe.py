@@ -105,9 +105,21 @@ class Fusion(_Section):
 
 
 class Sampling(_Section):
-    """How many samples an instance gets. Lengths are in the unit frame."""
+    """How many samples an instance gets. Lengths are in the unit frame.
+
+    Attributes:
+        grids: resolutions of the grids of labels.
+        coverage: whether each grid comes with the share of every cell that is inside, which keeps
+            the thin parts that lie between the centres of a coarse grid.
+        surface_points, uniform_points, near_points: how many.
+        near_sigma: how far from the surface `near_points` are.
+        partial_views, partial_points, partial_resolution: how many depth cameras, points of each,
+            pixels along the edge of its image.
+        depth_noise: standard deviation of what they measure.
+    """
 
     grids: tuple[int, ...] = (16, 32, 64)
+    coverage: bool = False
     surface_points: int = Field(default=8192, ge=0, le=1_000_000)
     uniform_points: int = Field(default=8192, ge=0, le=1_000_000)
     near_points: int = Field(default=8192, ge=0, le=1_000_000)
@@ -152,7 +164,9 @@ class Sampling(_Section):
         sizes: dict[str, int] = {}
         for field in schema.FIELDS:
             size = schema.MAX_TEXT if field.dtype == "S" else np.dtype(field.dtype).itemsize
-            for resolution in self.grids if "<R>" in field.name else (1,):
+            if field.stem == "coverage" and not self.coverage:
+                continue
+            for resolution in self.grids if field.is_grid else (1,):
                 dims = [
                     n if isinstance(n, int) else (numbers | {"R": resolution}).get(n, MOST_PARTS)
                     for n in field.shape[1:]

@@ -202,7 +202,8 @@ FIELDS = (
         ("N", "R", "R", "R"),
         "1/255",
         _UNIT,
-        "Solid fraction of each cell x 255, at voxel (i..i+1)/R - 0.5, indexed [x, y, z].",
+        "Share of each cell that is inside (label > 0) x 255; the cell reaches from i / R - 0.5 to "
+        "(i + 1) / R - 0.5, indexed [x, y, z].",
         True,
         optional=True,
     ),

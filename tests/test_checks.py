@@ -25,6 +25,7 @@ RICH = SMALL.model_copy(
     }
 )
 RICH_ROWS = hinged_box(recipe=RICH)
+COVERED = RICH.model_copy(update={"sampling": RICH.sampling.model_copy(update={"coverage": True})})
 CHECKS = {**checks.VALUE_CHECKS, **checks.GEOMETRY_CHECKS, **checks.OBJECT_CHECKS}
 
 
@@ -72,6 +73,13 @@ def put(index, value):
 
 def grids(row: Instance, edit) -> Instance:
     return changed(row, occupancy={r: edit(r, grid) for r, grid in row.occupancy.items()})
+
+
+def covered(row: Instance) -> dict[int, np.ndarray]:
+    """Coverage by the labels of the finest grid."""
+    fine = row.occupancy[64] > 0
+    blocks = {r: fine.reshape(r, 64 // r, r, 64 // r, r, 64 // r) for r in row.occupancy}
+    return {r: np.round(255 * b.mean(axis=(1, 3, 5))).astype("u1") for r, b in blocks.items()}
 
 
 def moved_camera(row: Instance) -> Instance:
@@ -166,6 +174,7 @@ FAULTS = {
             uniform_label=RICH_ROWS[3].uniform_label,
         ),
     ),
+    "coverage of another state": ("coverage", lambda r: changed(r, coverage=covered(RICH_ROWS[3]))),
     "near points of another state": (
         "near",
         lambda r: changed(
@@ -230,9 +239,11 @@ FAULTS = {
 @pytest.mark.parametrize("what", FAULTS)
 def test_fault_is_found(what):
     check, harm = FAULTS[what]
-    rows = list(RICH_ROWS)
+    recipe, rows = RICH, list(RICH_ROWS)
+    if check == "coverage":
+        recipe, rows = COVERED, [changed(row, coverage=covered(row)) for row in rows]
     rows[2] = harm(rows[2])
-    found = list(checks.faults(rows, RICH))
+    found = list(checks.faults(rows, recipe))
     assert check in {fault.check for fault in found if fault.state_index == 2}, found
     assert {fault.state_index for fault in found} <= {2}
     assert all("\n" not in fault.sentence for fault in found)
@@ -291,6 +302,13 @@ def test_fault_of_an_object_is_found(what):
     check, harm = OBJECT_FAULTS[what]
     found = list(checks.faults(harm(list(RICH_ROWS)), RICH))
     assert check in {fault.check for fault in found}, found
+
+
+def test_coverage_is_asked_for_and_agrees():
+    rows = [changed(row, coverage=covered(row)) for row in RICH_ROWS]
+    assert list(checks.faults(rows, COVERED)) == []
+    assert {fault.check for fault in checks.faults(RICH_ROWS, COVERED)} == {"counts"}
+    assert {fault.check for fault in checks.faults(rows, RICH)} == {"counts"}
 
 
 def _with_enclosed(row: Instance) -> Instance:

@@ -319,11 +319,12 @@ def test_a_reader_that_goes_away_is_no_error(made: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", "a/b", "-x", "a\nb"])
-def test_a_category_is_a_name(name: str, tmp_path: Path) -> None:
-    for command in (("generate", "-o"), ("train", "-d", tmp_path, "--runs")):
+def test_a_category_is_a_name(name: str, boxes: Path, tmp_path: Path) -> None:
+    for command in (("generate", "-s", boxes, "-o"), ("train", "-d", tmp_path, "--runs")):
         refused = run(*command, tmp_path / "out", "-c", name)
         assert refused.exit_code == 1
-        assert "cannot be a category's name" in refused.stderr
+        told = "no category is asked for" if command[0] == "generate" and not name else "category's"
+        assert told in refused.stderr
     assert not list(tmp_path.iterdir())
 
 

@@ -296,13 +296,15 @@ def test_plain_urdfs_are_made_and_a_broken_one_is_told_of(boxes: Path, tmp_path:
     manifest, reports = made(ours)
     assert {o.key.object_id for o in manifest.objects} == {"box0", "box1", "box2"}
     assert {o.key.split for o in manifest.objects} == {"train", "test"}
-    reasons = {r.key.object_id: r.reason for r in manifest.rejected}
-    assert set(reasons) == {"box3", "still"}
-    assert str(boxes / "box3.urdf") in reasons["box3"]
-    assert "'x'" in reasons["box3"]
-    assert "no joint moves" in reasons["still"]
-    told = {r.object_id: (r.rejected, r.shard, r.instances) for r in reports if r.rejected}
-    assert told == {name: (reason, "", 0) for name, reason in reasons.items()}
+    ((box3, reason),) = [(r.key.object_id, r.reason) for r in manifest.rejected]
+    assert box3 == "box3"
+    assert str(boxes / "box3.urdf") in reason
+    assert "'x'" in reason
+    ((still, why),) = [(s.key.object_id, s.reason) for s in manifest.skipped]
+    assert still == "still"
+    assert "no joint moves" in why
+    told = {r.object_id: (r.rejected, r.skipped) for r in reports if not r.shard}
+    assert told == {"box3": (reason, None), "still": (None, why)}
     assert verify(ours.out).findings == ()
 
     before = (ours.out / MANIFEST_NAME).stat().st_mtime_ns
@@ -310,7 +312,8 @@ def test_plain_urdfs_are_made_and_a_broken_one_is_told_of(boxes: Path, tmp_path:
     assert (ours.out / MANIFEST_NAME).stat().st_mtime_ns == before
     (boxes / "box3.urdf").write_text(BOX.format(size=1.3))
     assert [task.ref.object_id for task in plan(ours).tasks] == ["box3"]
-    assert [r.key.object_id for r in made(ours)[0].rejected] == ["still"]
+    manifest, _ = made(ours)
+    assert (len(manifest.objects), len(manifest.rejected), len(manifest.skipped)) == (4, 0, 1)
 
 
 def test_too_many_rejects_fail_the_run_and_keep_what_was_made(boxes: Path, tmp_path: Path) -> None:
@@ -557,20 +560,20 @@ def test_a_full_disk_stops_the_run_and_rejects_nothing(whole: Path, tmp_path: Pa
 # --- limits
 
 
-def test_an_object_over_its_time_is_rejected_until_it_may_take_more(
-    boxes: Path, tmp_path: Path
-) -> None:
-    recipe = TINY.model_copy(update={"max_rejected_fraction": 1.0, "objects": 2})
-    hasty = recipe.model_copy(update={"seconds_per_object": 1e-3})
-    ours = job(tmp_path / "out", source=str(boxes), category="box", jobs=1)
-    with pytest.raises(ArticugenError, match="no object is left: 0 skipped, 2 rejected"):
-        made(replace(ours, recipe=hasty))
-    manifest = Manifest.read(ours.out)
-    assert [r.over for r in manifest.rejected] == [("seconds_per_object", 1e-3)] * 2
-    assert [t.why for t in plan(replace(ours, recipe=recipe, jobs=0)).tasks] == [
-        "its source has changed"  # it could not even be read
-    ] * 2
-    assert len(made(replace(ours, recipe=recipe, jobs=0))[0].objects) == 2
+def test_an_object_over_its_time_is_rejected_until_it_may_take_more(tmp_path: Path) -> None:
+    long = TINY.with_counts(objects=1, states=60).model_copy(update={"max_rejected_fraction": 1.0})
+    hasty = job(
+        tmp_path / "out", recipe=long.model_copy(update={"seconds_per_object": 1e-3}), jobs=1
+    )
+    with pytest.raises(ArticugenError, match="no object is left: 0 skipped, 1 rejected"):
+        made(hasty)
+    (rejected,) = Manifest.read(hasty.out).rejected
+    assert rejected.over == ("seconds_per_object", 1e-3)
+    assert "it takes too many seconds; raise the recipe's seconds_per_object" in rejected.reason
+    assert plan(hasty).tasks == ()
+    patient = replace(hasty, recipe=long, jobs=0)
+    assert [task.why for task in plan(patient).tasks] == ["the recipe now allows it more"]
+    assert len(made(patient)[0].objects) == 1
 
 
 # --- what is skipped, and what cannot even be planned

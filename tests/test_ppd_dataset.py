@@ -184,6 +184,63 @@ def test_shards_that_do_not_fit_together_are_refused(tmp_path):
         load_split(folder, "train", ASK, [8])
 
 
+def with_enclosed(label):
+    label = np.array(label)
+    label.ravel()[::7] = np.where(label.ravel()[::7] == 0, 255, label.ravel()[::7])
+    return label
+
+
+def test_enclosed_space_is_occupied_or_free_as_the_recipe_says(tmp_path):
+    """No label reaches a batch as a part's number: 255 names none."""
+    write_boxes(tmp_path, train=1, test=0, states=1)
+    path = tmp_path / "train-00000.h5"
+    with open_shard(path) as shard:
+        rows, about = [shard.instance(i) for i in range(len(shard))], dict(shard.attributes)
+    changed = [
+        dataclasses.replace(
+            row,
+            near_label=with_enclosed(row.near_label),
+            uniform_label=with_enclosed(row.uniform_label),
+            occupancy={r: with_enclosed(grid) for r, grid in row.occupancy.items()},
+        )
+        for row in rows
+    ]
+    write_shard(path, changed, about)
+    assert (changed[1].occupancy[8] == 255).any()
+    for occupancy in ("visible", "material"):
+        ask = ASK.model_copy(update={"occupancy": occupancy})
+        packed = load_split(tmp_path, "train", ask, [8])
+        want = changed if occupancy == "visible" else rows
+        for i, row in enumerate(want):
+            for have, label in (
+                (packed.grids[8][i], row.occupancy[8].ravel()),
+                (packed.near[1][i], row.near_label),
+                (packed.uniform[1][i], row.uniform_label),
+            ):
+                np.testing.assert_array_equal(have.numpy() > 0, label > 0)
+
+
+def test_a_grid_that_holds_no_voxel_is_learnt_by_its_surface(tmp_path):
+    """A plate between the centres of a coarse grid: each voxel that its surface passes through."""
+    write_boxes(tmp_path, train=1, test=0, states=1)
+    path = tmp_path / "train-00000.h5"
+    with open_shard(path) as shard:
+        rows, about = [shard.instance(i) for i in range(len(shard))], dict(shard.attributes)
+    empty = dict(rows[1].occupancy) | {8: np.zeros((8, 8, 8), np.uint8)}
+    write_shard(path, [rows[0], dataclasses.replace(rows[1], occupancy=empty)], about)
+    packed = load_split(tmp_path, "train", ASK, [8, 16])
+    np.testing.assert_array_equal(packed.grids[8][0].numpy(), rows[0].occupancy[8].ravel())
+    np.testing.assert_array_equal(packed.grids[16][1].numpy(), rows[1].occupancy[16].ravel())
+    cell = np.floor((dequantize(rows[1].surface_points) + 0.5) * 8).astype(int).clip(0, 7)
+    expected = np.zeros((8, 8, 8), bool)
+    expected[tuple(cell.T)] = True
+    filled = packed.grids[8][1].numpy().reshape(8, 8, 8) > 0
+    np.testing.assert_array_equal(filled, expected)
+    assert 0 < filled.sum() < 256
+    whole = ASK.model_copy(update={"grid_points": 512})
+    assert packed.batch([1], whole, 8, rng()).occupied[0, :512].sum() == filled.sum()
+
+
 def test_partial_clouds_come_as_stored(folder):
     packed = load_split(folder, "test", ASK, [8], partial=True)
     with open_shard(folder / "test-00004.h5") as shard:

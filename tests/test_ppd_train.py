@@ -2,7 +2,9 @@
 
 import json
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from ppd_data import write_boxes
 
@@ -17,6 +19,7 @@ from articugen.ppd.settings import (
     load_train_recipe,
 )
 from articugen.recipe_files import known
+from articugen.shards import open_shard, write_shard
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
@@ -64,6 +67,26 @@ def whole(boxes, tmp_path_factory):
 
 def curve(run: RunFolder) -> list:
     return [(r["iteration"], r.get("terms"), r.get("validation")) for r in run.metrics()]
+
+
+def test_an_object_whose_coarse_grids_are_empty_is_trained_on(tmp_path):
+    """Plates between all centres of the first stages' grids: the model still learns that they are
+    there, and no term is starved of occupied points."""
+    folder = write_boxes(tmp_path / "thin", train=3, test=1, states=2)
+    for path in sorted(folder.glob("*.h5")):
+        with open_shard(path) as shard:
+            rows, about = [shard.instance(i) for i in range(len(shard))], dict(shard.attributes)
+        none = {r: np.zeros((r,) * 3, np.uint8) for r in (8, 16)}
+        thin = [replace(row, occupancy=dict(row.occupancy) | none) for row in rows]
+        write_shard(path, thin, about)
+    packed = load_split(folder, "train", TINY.data, [8, 16])
+    for resolution in (8, 16):
+        batch = packed.batch([0, 4, 8], TINY.data, resolution, torch.Generator().manual_seed(0))
+        assert (batch.occupied[:, : batch.spread].sum(1) > 2).all()
+    run = start(folder, tmp_path / "runs")
+    told = [record["terms"] for record in run.metrics() if record.get("terms")]
+    assert told
+    assert all(math.isfinite(value) for terms in told for value in terms.values())
 
 
 def test_the_paper_s_recipe_has_the_paper_s_numbers():

@@ -21,6 +21,7 @@ from articugen.geometry import apply, invert_rigid
 from articugen.instance import Prepared, make_instance, prepare
 from articugen.recipe import Recipe, Sampling, load_recipe
 from articugen.records import ArticulatedObject, Floats, Instance, dequantize
+from articugen.sheets import LONGEST_MITRE
 from articugen.sources import registry
 
 pytestmark = needs_real_models
@@ -34,6 +35,9 @@ SAMPLES = Sampling(
     partial_points=100,
     partial_resolution=64,
 )
+MOST_FLAT = 0.95
+"""Of the surface points of a part, so many lie where no sheet bends: as near as flat ones do."""
+
 STATES = 2
 BUTTONS_ALONE = "103127"
 """A coffee machine; buttons are no part of what a category's articulation is."""
@@ -108,7 +112,9 @@ def assert_moves_rigidly(prepared: Prepared, instances: list[Instance]) -> None:
             motion = instance.part_motion[k]
             own = dequantize(instance.surface_points[instance.surface_part == k])
             back = apply(invert_rigid(motion), own)
-            assert (distance_to(mesh, back, enough=sheet + 2e-5) < sheet + 2e-5).all()
+            away = distance_to(mesh, back, enough=sheet + 2e-5)
+            assert (away < LONGEST_MITRE * sheet + 2e-5).all()  # where a sheet bends
+            assert np.mean(away < sheet + 2e-5) >= MOST_FLAT
             farthest = np.linalg.norm(back - own, axis=1).max(initial=0.0)
             if k == 0 or s == 0:
                 assert farthest < 1e-12

@@ -128,7 +128,9 @@ def test_whatever_recipe_is_read_a_shard_can_hold_it() -> None:
     sizes = most.instance_bytes()
     assert sizes["occupancy_256"] == 2**24
     assert sizes["partial_points"] == 66_000_000 <= schema.MAX_CHUNK_BYTES
-    assert set(sizes) >= {f.name for f in schema.FIELDS if "<R>" not in f.name}
+    assert set(sizes) >= {f.name for f in schema.FIELDS if not f.is_grid}
+    both = Sampling(grids=(64,), coverage=True).instance_bytes()
+    assert both["coverage_64"] == both["occupancy_64"] == 2**18
 
 
 @pytest.mark.parametrize("kind", ["fifo", "/dev/zero", "folder", "loop"])

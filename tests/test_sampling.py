@@ -5,6 +5,7 @@ import trimesh
 from articugen import sampling
 from articugen.errors import RejectedInstance
 from articugen.fusion import fuse
+from articugen.reachable import touched
 from articugen.recipe import Fusion
 from articugen.rendering.rasterizer import render
 from articugen.rendering.views import random_pinhole_views
@@ -64,6 +65,51 @@ def test_nothing_to_see_is_a_rejection():
         sampling.surface_points(mesh, np.zeros(12, bool), lambda p: p[:, 0] > 9, 10, rng=rng)
     with pytest.raises(RejectedInstance, match="can be seen"):
         sampling.surface_points(mesh, np.ones(12, bool), lambda p: p[:, 0] > 9, 10, rng=rng)
+
+
+def covered_share(low, high, resolution, seed=0):
+    """The share of each cell that a box holds: by sub-samples, and exactly (closed form)."""
+    low, high = np.array(low, float), np.array(high, float)
+
+    def is_inside(points):
+        return ((points > low) & (points < high)).all(axis=1)
+
+    centres = sampling.grid_points(resolution)
+    inside = is_inside(centres).reshape((resolution,) * 3)
+    mesh = labelled(box(high - low, (low + high) / 2))
+    counts, most = sampling.solid_counts(
+        inside, touched(mesh, resolution) > 0, is_inside, rng=np.random.default_rng(seed)
+    )
+    edges = np.arange(resolution + 1) / resolution - 0.5
+    along = [
+        np.clip(np.minimum(edges[1:], b) - np.maximum(edges[:-1], a), 0, None) * resolution
+        for a, b in zip(low, high, strict=True)
+    ]
+    exact = along[0][:, None, None] * along[1][:, None] * along[2]
+    return counts / most, exact
+
+
+def test_cells_that_a_face_halves_are_half_covered():
+    cells = 1 / 16
+    share, exact = covered_share((-0.25, -0.25, -0.25), (0.25, 0.25, 0.25 - cells / 2), 16)
+    top = exact == 0.5
+    assert top.sum() == 64
+    assert (share[top] == 0.5).all()  # the face lies between sub-cells
+    assert ((share == 1.0) == (exact == 1.0)).all()
+    assert ((share == 0.0) == (exact == 0.0)).all()
+
+
+@pytest.mark.parametrize("resolution", [8, 16, 64])
+def test_coverage_is_the_share_of_the_cell_without_bias(resolution):
+    """A plate thinner than a voxel that no voxel's centre lies in, along the axes."""
+    h = 1 / resolution
+    low, high = (-0.31, -0.3, 0.15 * h), (0.29, 0.33, 0.45 * h)
+    share, exact = covered_share(low, high, resolution)
+    assert abs(share.mean() / exact.mean() - 1.0) < 0.02
+    full = exact == exact.max()
+    assert exact.max() == pytest.approx(0.3)
+    assert abs(share[full].mean() - 0.3) < 0.01
+    assert np.abs(share - exact).max() <= (0.5 if resolution == 64 else 0.2)  # 2^3 samples, or more
 
 
 def test_near_points_are_a_gaussian_around_the_surface():

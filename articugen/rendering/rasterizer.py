@@ -57,9 +57,8 @@ def cameras(mesh: LabelledMesh, views: Views) -> tuple[NDArray[np.float64], bool
     """
     pinhole = views.projection == "pinhole"
     if pinhole:
-        T = views.T_camera_world
-        z = np.stack([apply(t, mesh.vertices)[:, 2] for t in T])
-        if z.min(initial=np.inf) <= 1e-6:
+        nearest = (apply(T, mesh.vertices)[:, 2].min(initial=np.inf) for T in views.T_camera_world)
+        if any(z <= 1e-6 for z in nearest):
             raise ValueError("a vertex lies behind a pinhole camera: move the camera back")
     return np.stack([views.fx, views.fy, views.cx, views.cy], axis=1), pinhole
 

@@ -1,7 +1,8 @@
 """How exact articugen is, in one table: python -m tests.benchmarks.accuracy [--quick]
 
 Prints tables and saves accuracy.json and accuracy.md in the folder --out. Every number is against
-exact solids: see exactness.py (instances), forms.py (shapes), open_space.py (the rule `reachable`).
+exact solids: see exactness.py (instances, with and without unseen space; the rule `rigid`),
+forms.py (shapes), open_space.py (the rule `reachable`).
 """
 
 import argparse
@@ -10,7 +11,7 @@ import os
 import statistics
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import partial
@@ -21,6 +22,8 @@ import numpy as np
 from rich.console import Console
 
 from articugen import instance
+from articugen.instance import Prepared
+from articugen.recipe import Recipe
 from articugen.records import dequantize
 from articugen.sources.procedural import CATEGORIES
 from tests.benchmarks import accuracy_tables, cases, exactness, forms
@@ -35,7 +38,7 @@ TIMED = 3
 
 @dataclass(frozen=True)
 class Size:
-    """How much is measured: `objects` of each category, `hollow` ones for `reachable`."""
+    """How much is measured: `objects` of each category, `hollow` of them for the other rules."""
 
     objects: int
     states: int
@@ -74,13 +77,18 @@ def _measured(size: Size, jobs: int, folder: Path, console: Console) -> Row:
     for source in ("procedural", "procedural_messy"):
         (folder / source).mkdir()
     os.environ["ARTICUGEN_SOURCES"] = str(folder)  # children make their objects there, too
-    report: Row = {"objects": [], "reachable": [], "shapes": []}
+    report: Row = {"objects": [], "reachable": [], "rigid": [], "shapes": []}
     started = time.perf_counter()
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         waiting = {pool.submit(_shapes, size): "shapes"}
         waiting |= {
             pool.submit(_open, category, index, size): "reachable"
             for category in HOLLOW
+            for index in range(size.hollow)
+        }
+        waiting |= {
+            pool.submit(_rigid, category, index, size): "rigid"
+            for category in CATEGORIES
             for index in range(size.hollow)
         }
         waiting |= {
@@ -95,7 +103,8 @@ def _measured(size: Size, jobs: int, folder: Path, console: Console) -> Row:
                 console.print(f"{time.perf_counter() - started:6.1f} s  {n} of {len(waiting)}")
     # workers finish in any order
     report["objects"].sort(key=lambda row: (row["category"], row["messy"], row["name"]))
-    report["reachable"].sort(key=lambda row: (row["category"], row["name"], row["state"]))
+    for rule in ("reachable", "rigid"):
+        report[rule].sort(key=lambda row: (row["category"], row["name"], row["state"]))
     return report
 
 
@@ -122,11 +131,7 @@ def _open(category: str, index: int, size: Size) -> list[Row]:
     of `seen`."""
     model = cases.bundled(category, index, messy=False)
     recipe = model.recipe.with_counts(states=size.states)
-    rules = {
-        rule: recipe.model_copy(update={"fusion": recipe.fusion.model_copy(update={"rule": rule})})
-        for rule in ("seen", "reachable")
-    }
-    prepared = {rule: instance.prepare(model.obj, r, SEED) for rule, r in rules.items()}
+    prepared = _prepared(model, recipe, ("seen", "reachable"))
     rows = []
     for state in range(1, size.states + 1):
         made = cases.sampled(prepared["reachable"], state, size.points)
@@ -144,13 +149,40 @@ def _open(category: str, index: int, size: Size) -> list[Row]:
             row[kind] = counts(label[known] > 0, verdict[known] == INSIDE)
             row["undecided"] += int(np.sum(~known))
             row["asked"] += len(points)
-        seconds: dict[str, list[float]] = {rule: [] for rule in rules}
-        for _ in range(TIMED):
-            for rule in rules:
-                work = partial(instance.make_instance, prepared[rule], state)
-                seconds[rule].append(_cpu(work))
-        rows.append(row | {rule: statistics.median(spent) for rule, spent in seconds.items()})
+        rows.append(row | _seconds(prepared, state))
     return rows
+
+
+def _rigid(category: str, index: int, size: Size) -> list[Row]:
+    """The rule `rigid`: IoU with the exact solids, CPU time beside that of `seen`."""
+    model = cases.bundled(category, index, messy=False)
+    prepared = _prepared(model, model.recipe.with_counts(states=size.states), ("seen", "rigid"))
+    rows = []
+    for state in range(1, size.states + 1):
+        made = cases.sampled(prepared["rigid"], state, size.points)
+        scene = cases.scene(model, prepared["rigid"], state)
+        fields = instance.pose(prepared["rigid"], state)[1]
+        row: Row = {"category": category, "name": model.name, "state": state}
+        rows.append(row | exactness.material(made, scene, fields) | _seconds(prepared, state))
+    return rows
+
+
+def _prepared(model: cases.Model, recipe: Recipe, rules: Sequence[str]) -> dict[str, Prepared]:
+    """The object by each rule."""
+    by_rule = {
+        rule: recipe.model_copy(update={"fusion": recipe.fusion.model_copy(update={"rule": rule})})
+        for rule in rules
+    }
+    return {rule: instance.prepare(model.obj, r, SEED) for rule, r in by_rule.items()}
+
+
+def _seconds(prepared: dict[str, Prepared], state: int) -> dict[str, float]:
+    """The median CPU time of an instance by each rule, taken in turns."""
+    seconds: dict[str, list[float]] = {rule: [] for rule in prepared}
+    for _ in range(TIMED):
+        for rule, p in prepared.items():
+            seconds[rule].append(_cpu(partial(instance.make_instance, p, state)))
+    return {rule: statistics.median(spent) for rule, spent in seconds.items()}
 
 
 def _cpu(work: Callable[[], object]) -> float:

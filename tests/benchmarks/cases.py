@@ -12,8 +12,8 @@ import trimesh
 from numba import njit
 from numpy.typing import NDArray
 
-from articugen import articulation, instance
-from articugen.geometry import apply, invert_rigid, rotation_about, transform
+from articugen import articulation, instance, reachable
+from articugen.geometry import apply, fibonacci_sphere, invert_rigid, rotation_about, transform
 from articugen.instance import Prepared
 from articugen.recipe import Recipe, load_recipe
 from articugen.records import (
@@ -33,6 +33,9 @@ Inside = Callable[[Floats], Bools]
 """Which of the points (n, 3) are inside: (n,)."""
 
 VOXEL = 1.0 / 256.0
+
+SIGHTS = 2000
+"""Lines of sight that are tried out of a cavity."""
 
 GENERIC = rotation_about(np.array([0.36, 0.48, 0.8]), 0.7)
 """A rotation that is in line with nothing."""
@@ -94,6 +97,42 @@ class Scene:
     def solid(self, points: Floats) -> Bools:
         """(n,) inside a solid."""
         return np.any(self.holds(points), axis=1)
+
+    def material(self, points: Floats, motion: Floats) -> Bools:
+        """(n,) inside a solid, or sealed inside one part alone.
+
+        A cavity is sealed where no flood gets to from outside of the part, through openings of a
+        voxel of 1/256 or wider, and none of `SIGHTS` lines of sight leads out of the part.
+
+        Args:
+            motion: (P, 4, 4) of the parts from the canonical pose, unit frame.
+        """
+        held = self.solid(points)
+        for part, T in enumerate(invert_rigid(motion)):
+            rest = np.flatnonzero(~held)
+            mesh = self.prepared.mesh.part(part)
+            walls = reachable.touched(mesh, 256)
+            open_to = reachable.flood(walls, mesh, self.prepared.hierarchy, np.eye(4)[None])
+            rest = rest[~open_to.fills(apply(T, points[rest]))]
+            alone = self._of_part(part)
+            world = self._world(points[rest])
+            held[rest] = alone.enclosed(world, fibonacci_sphere(SIGHTS), self.T_world_link)
+        return held
+
+    def _of_part(self, part: int) -> Truth:
+        """The truth of one part alone."""
+        truth, obj = self.truth, self.prepared.obj
+        mine = [obj.part_of_link[obj.link_index[name]] == part for name in truth.links]
+        cells = np.flatnonzero(np.array(mine)[truth.link_of_cell])
+        first = truth.first_plane
+        planes = [truth.planes[first[c] : first[c + 1]] for c in cells]
+        return replace(
+            truth,
+            link_of_cell=truth.link_of_cell[cells],
+            first_plane=np.cumsum([0, *map(len, planes)]),
+            planes=np.concatenate([np.zeros((0, 4)), *planes]),
+            boxes=truth.boxes[cells],
+        )
 
     def unseen(self, points: Floats, views: Views) -> Bools:
         """(n,) inside a solid, or behind solids from all `views` by exact ray casting."""

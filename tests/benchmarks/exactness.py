@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen import fusion, instance
+from articugen import fusion, instance, sampling
 from articugen.recipe import Recipe
-from articugen.records import Floats, Instance, Views, dequantize
+from articugen.records import Floats, Instance, Views, dequantize, is_material
 from tests.benchmarks import cases
 from tests.benchmarks.cases import VOXEL, Bools, Model, Scene
 
@@ -16,6 +16,8 @@ Row = dict[str, Any]
 
 PROBES = (0.03, 0.06, 0.125, 0.25, 0.5, 1.0, 2.0)
 """Voxels of 1/256 to both sides of a surface point, where the field is asked for its sign."""
+
+MATERIAL = ("material uniform", "material near", "material grid")
 
 BEHIND = 1e-4
 """From a surface point to what is certainly inside, ten times the rounding of what is stored."""
@@ -28,12 +30,13 @@ def object_rows(model: Model, recipe: Recipe, states: int, points: int, seed: in
     for state in range(1, states + 1):
         made = cases.sampled(prepared, state, points)
         exact = cases.scene(model, prepared, state)
-        whole = instance.pose(prepared, state)[1].whole
+        fields = instance.pose(prepared, state)[1]
         rows.append(
             {"category": model.ref.category, "messy": model.messy, "name": model.name,
              "state": state}
             | _occupancy(made, exact, prepared.views)
-            | _surface(made, exact, whole)
+            | material(made, exact, fields)
+            | _surface(made, exact, fields.whole)
         )  # fmt: skip
     return rows
 
@@ -54,7 +57,23 @@ def _occupancy(made: Instance, exact: Scene, views: Views) -> Row:
     return row
 
 
-def _surface(made: Instance, exact: Scene, whole: fusion.Field) -> Row:
+def material(made: Instance, exact: Scene, fields: fusion.PosedFields) -> Row:
+    """IoU counts (both, either) of what is labelled as material with the solids, enclosed space
+    left out: of uniform and near points, and at the centres of a grid of 64."""
+    grid = sampling.grid_points(64)
+    row: Row = {}
+    for kind, points, label in (
+        ("uniform", dequantize(made.uniform_points), made.uniform_label),
+        ("near", dequantize(made.near_points), made.near_label),
+        ("grid", grid, fields.labels(grid)),
+    ):
+        row[f"material {kind}"] = counts(
+            is_material(label), exact.material(points, fields.part_motion)
+        )
+    return row
+
+
+def _surface(made: Instance, exact: Scene, whole: fusion.Field | fusion.PosedSolids) -> Row:
     """How many surface points there are, how many have their part's exact solid behind them, how
     far they are at most from where the field changes its sign."""
     points, normals = dequantize(made.surface_points), made.surface_normals / 127.0
@@ -69,7 +88,7 @@ def _surface(made: Instance, exact: Scene, whole: fusion.Field) -> Row:
     }
 
 
-def off_level(field: fusion.Field, points: Floats, normals: Floats) -> Floats:
+def off_level(field: fusion.Field | fusion.PosedSolids, points: Floats, normals: Floats) -> Floats:
     """(n,) no more than so far, in voxels, is each point from a change of the field's sign.
 
     The sign is asked at the point and at `PROBES` to both sides; two that differ have a change
@@ -96,7 +115,7 @@ def total(rows: Iterable[Row]) -> Row:
     """The figures of many rows: IoU of all points together and of the worst row, shares."""
     rows = list(rows)
     figures: Row = {"instances": len(rows)}
-    for kind in ("uniform", "near"):
+    for kind in ("uniform", "near", *MATERIAL):
         both, either = np.sum([row[kind] for row in rows], axis=0)
         figures[kind] = float(both / either)
         figures[f"worst {kind}"] = float(min(row[kind][0] / row[kind][1] for row in rows))

@@ -92,7 +92,11 @@ def uniformity(recipe: Recipe, drawer: Model, points: int) -> list[Row]:
 
 
 def _uniform(
-    mesh: LabelledMesh, seen: NDArray, field: fusion.Field, points: int, visible: Any
+    mesh: LabelledMesh,
+    seen: NDArray,
+    field: fusion.Field | fusion.PosedSolids,
+    points: int,
+    visible: Any,
 ) -> Row:
     rng = np.random.default_rng(0)
     ours = sampling.surface_points(mesh, seen, field.is_free, points, rng=rng)

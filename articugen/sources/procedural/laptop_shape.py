@@ -9,7 +9,7 @@ from articugen.portable import norm
 from articugen.sources.procedural.outlines import rounded_rectangle
 
 MM = 1e-3
-SLIT = 0.4 * MM
+SLIT = 0.7 * MM
 """Between the knuckles of a hinge, and what must stay free around it."""
 
 
@@ -234,14 +234,14 @@ def draw_shape(rng: np.random.Generator) -> LaptopShape:
     girth = rng.uniform(0.2, 0.3)
     if drops:
         barrel = max(0.75 * girth * tall, 1.5 * MM)
-        deck = barrel + 0.5 * MM - gap
+        deck = barrel + SLIT - gap
         highest = deck + _PROUD
     else:
         barrel = min(max(girth * tall, 1.6 * MM), 0.8 * (lid + gap / 2))
         deck = -gap / 2
         highest = barrel
     bottom_rear = highest - tall
-    reach = barrel + 0.5 * MM
+    reach = barrel + SLIT
     # The lid behind the axis: closed it is above 45 degrees, opened it ends above the floor.
     over = min(rng.uniform(0.75, 1.0) * barrel, -1.2 * bottom_rear - deck - gap - lid)
     over = max(over, 0.5 * barrel)
