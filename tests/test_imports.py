@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import articugen
+from articugen.pipeline import GENERATING_CODE
 
 PACKAGE = Path(articugen.__file__).parent
 
@@ -167,3 +168,9 @@ def test_the_core_needs_no_optional_library() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_all_code_that_decides_numbers_counts_in_the_generators_version() -> None:
+    """What an instance is made by, as far as it is ours and no mere reader of files or errors."""
+    needed = set(STAGES) | (BASE - {"errors", "files"}) | {"instance", "schema"}
+    assert {Path(name).stem for name in GENERATING_CODE} == needed
