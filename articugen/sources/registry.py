@@ -459,19 +459,13 @@ def _refs(
     found: Sequence[Found], own: CategorySettings, source: str, category: str, base: Path
 ) -> list[ObjectRef]:
     """Objects with their splits; those that the category's lists leave out are left out."""
-    found = [replace(f, object_id=_told(f.object_id)) for f in distinct(found, base)]
-    found.sort(key=lambda f: f.object_id)
+    found = sorted(distinct(found, base), key=lambda f: f.object_id)
     splits = assign_splits({f.object_id: f.group for f in found}, own.train, own.test)
     return [
         ObjectRef(source, category, f.object_id, splits[f.object_id], f.location, f.root)
         for f in found
         if f.object_id in splits
     ]
-
-
-def _told(object_id: str) -> str:
-    """An id that can be written down; what is not UTF-8 in a file's name is spelt out."""
-    return object_id.encode("utf-8", "backslashreplace").decode()
 
 
 def _folder_refs(path: Path, category: str) -> list[ObjectRef]:
