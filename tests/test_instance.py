@@ -271,7 +271,7 @@ def test_material_is_rigid(make: Maker, category: str, rule: str) -> None:
         assert (is_material(fixed[0]) | (one != 1)).all()
     rng = np.random.default_rng(0)
     for part, own in enumerate(prepared.own):
-        points = rng.uniform(*own.box, (3000, 3))
+        points = rng.uniform(own.box[0], own.box[1], (3000, 3))
         held = [
             f.material.holds(part, at32(apply(f.part_motion[part], points)), EVERY) for f in poses
         ]
