@@ -95,6 +95,7 @@ MAY_IMPORT: dict[str, set[str]] = {
 
 FOREIGN: dict[str, set[str]] = {
     "h5py": {"shards"},
+    "platformdirs": {"bundled"},
     "yourdfpy": {"sources.urdf"},
     "lxml": {"sources.urdf", "sources.xml_strict"},
     "trimesh": {"sources.mesh_formats", "replay", "ppd.clouds"},
