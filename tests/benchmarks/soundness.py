@@ -126,7 +126,7 @@ def _real() -> Iterator[registry.ObjectRef]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.soundness")
-    parser.add_argument("--sets", type=int, default=220, help="so many objects")
+    parser.add_argument("--sets", type=int, default=230, help="so many objects")
     asked = parser.parse_args()
     least: dict[str, tuple[float, str]] = {}
     refused = made = 0
