@@ -32,8 +32,8 @@ CLOSE = 0.02
 
 
 LEAST_EXTENT = 0.75
-"""Of the box, that the surface points of all instances reach; 0.96 at least in sound sets, 0.5 in an
-object of half the size."""
+"""Of the box, that the surface points of all instances reach; 0.96 at least in sound sets, 0.5 in
+an object of half the size."""
 
 
 @dataclass(frozen=True)
