@@ -16,9 +16,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from articugen import schema
+from articugen.bundled import RECIPES
 from articugen.errors import InvalidRecipe, printable
-from articugen.recipe_files import RECIPE_FOLDER, find, resolved, validated
 from articugen.recipe_files import Section as _Section
+from articugen.recipe_files import find, resolved, validated
 
 _CATEGORY = re.compile(r"\w(?:[\w .+-]{0,98}[\w+-])?")
 
@@ -299,5 +300,5 @@ def load_recipe(name: str | Path | None, category: str) -> Recipe:
 
 
 def _category_recipe(category: str) -> Path:
-    own = RECIPE_FOLDER / f"{category}.yaml"
-    return own if own.is_file() else RECIPE_FOLDER / "default.yaml"
+    own = RECIPES / f"{category}.yaml"
+    return own if own.is_file() else RECIPES / "default.yaml"

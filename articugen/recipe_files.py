@@ -10,10 +10,9 @@ from typing import Any, TypeVar, get_args
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 
+from articugen.bundled import RECIPES
 from articugen.errors import ArticugenError, InvalidRecipe, machine_fault
 from articugen.files import read_regular
-
-RECIPE_FOLDER = Path(__file__).resolve().parent.parent / "recipes"
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -30,7 +29,7 @@ LEARNER = "ppd_"
 
 def known(*, learner: bool) -> list[str]:
     """The names of the recipes under recipes/, of data or of the learner."""
-    names = sorted(path.stem for path in RECIPE_FOLDER.glob("*.yaml"))
+    names = sorted(path.stem for path in RECIPES.glob("*.yaml"))
     return [name for name in names if name.startswith(LEARNER) == learner]
 
 
@@ -40,7 +39,7 @@ def find(name: str, *, learner: bool) -> Path:
     Raises:
         InvalidRecipe: there is none.
     """
-    for path in (RECIPE_FOLDER / f"{name}.yaml", Path(name)):
+    for path in (RECIPES / f"{name}.yaml", Path(name)):
         if os.path.exists(path) and not os.path.isdir(path):
             return path
     names = known(learner=learner)

@@ -9,10 +9,21 @@ from pathlib import Path
 import pytest
 
 import articugen
+from articugen.pipeline import GENERATING_CODE
 
 PACKAGE = Path(articugen.__file__).parent
 
-BASE = {"errors", "files", "portable", "geometry", "records", "seeding", "recipe", "recipe_files"}
+BASE = {
+    "bundled",
+    "errors",
+    "files",
+    "portable",
+    "geometry",
+    "records",
+    "seeding",
+    "recipe",
+    "recipe_files",
+}
 STAGES = {
     "articulation": set(),
     "rendering": set(),
@@ -37,12 +48,13 @@ PPD_WITH_TORCH = {
 
 MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
+    "bundled": set(),
     "portable": set(),
     "geometry": {"portable"},
     "seeding": set(),
     "records": {"geometry", "portable"},
-    "recipe_files": {"errors", "files"},
-    "recipe": {"errors", "recipe_files", "schema"},
+    "recipe_files": {"bundled", "errors", "files"},
+    "recipe": {"bundled", "errors", "recipe_files", "schema"},
     **{stage: BASE | own for stage, own in STAGES.items()},
     "instance": BASE | set(STAGES),
     "files": {"errors"},
@@ -167,3 +179,9 @@ def test_the_core_needs_no_optional_library() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_all_code_that_decides_numbers_counts_in_the_generators_version() -> None:
+    """What an instance is made by, as far as it is ours and no mere reader of files or errors."""
+    needed = set(STAGES) | (BASE - {"bundled", "errors", "files"}) | {"instance", "schema"}
+    assert {Path(name).stem for name in GENERATING_CODE} == needed

@@ -616,7 +616,7 @@ def nothing_to_articulate() -> None:
         "\ud800".encode,
         OSError(errno.ENAMETOOLONG, "File name too long"),
     ],
-    ids=str,
+    ids=["bad value", "overflow", "recursion", "encoding", "long name"],
 )
 def test_whatever_reading_one_object_raises_the_others_are_made(
     boxes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from articugen.sources.registry import SOURCE_FOLDER
+from articugen.bundled import SOURCES
 
 CATEGORIES = ("drawer", "eyeglasses", "laptop", "oven", "washing_machine")
 
@@ -44,7 +44,7 @@ def made_under(folder: Path, **settings: str) -> dict[str, str]:
     """The content hash of a tiny set of each category; the models are written anew as well."""
     for source in ("procedural", "procedural_messy"):
         (folder / "sources" / source).mkdir(parents=True)
-        shutil.copy(SOURCE_FOLDER / source / "source.yaml", folder / "sources" / source)
+        shutil.copy(SOURCES / source / "source.yaml", folder / "sources" / source)
     (folder / "tiny.yaml").write_text(RECIPE)
     own = {"ARTICUGEN_SOURCES": str(folder / "sources"), "PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run(  # noqa: PLW1510

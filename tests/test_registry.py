@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from articugen.bundled import SOURCES
 from articugen.errors import InvalidSource, MachineFault
 from articugen.sources import procedural, registry
 from articugen.sources.discovery import model_category
@@ -150,7 +151,7 @@ def test_folders_are_read_by_the_reader_they_look_like(tmp_path, monkeypatch):
     assert digests[0] != digests[1], "what source.yaml says of laptops counts in the digest"
     assert load(refs[2]).object_id == "400"
     assert [found[:2] for found in seen] == [("100", "100"), ("300", "300")]
-    partnet = read_source_file(registry.SOURCE_FOLDER / "partnet_mobility" / "source.yaml")
+    partnet = read_source_file(SOURCES / "partnet_mobility" / "source.yaml")
     assert seen[0][2] == partnet.categories["laptop"]
     assert ids(object_refs(tmp_path / "200", "anything")) == ["200"]
 
@@ -349,7 +350,7 @@ def test_one_bad_object_stops_no_other(tmp_path):
     assert told["good"] == "good"
     assert "it is a FIFO, not a regular file" in told["fifo"]
     assert "put the file there" in told["gone"]
-    assert "is not UTF-8; rename" in told["caf\\udce9"]
+    assert "is not UTF-8; rename" in told["caf\udce9"]
     assert "control characters" in told["a\nb"]
     assert "its id has more than 255 bytes" in told[f"{'x' * 200}.{'y' * 200}.two"]
     assert told[f"{'x' * 200}.one"] == f"{'x' * 200}.one"
@@ -412,7 +413,7 @@ def test_a_meta_json_that_never_ends_is_not_read(tmp_path):
     ],
 )
 def test_what_is_not_there(source, category, objects, problem, monkeypatch):
-    monkeypatch.chdir(registry.SOURCE_FOLDER.parent)
+    monkeypatch.chdir(SOURCES.parent)
     with pytest.raises(InvalidSource, match=problem):
         object_refs(source, category, objects=objects)
 

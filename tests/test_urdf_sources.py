@@ -5,12 +5,13 @@ from pathlib import Path
 
 import pytest
 
+from articugen.bundled import SOURCES
 from articugen.recipe import load_recipe
 from articugen.sources import procedural
-from articugen.sources.registry import SOURCE_FOLDER, source_names
+from articugen.sources.registry import source_names
 from articugen.sources.source_file import read_source_file
 
-FOLDERS = sorted(path.parent for path in SOURCE_FOLDER.glob("*/source.yaml"))
+FOLDERS = sorted(path.parent for path in SOURCES.glob("*/source.yaml"))
 
 
 def test_the_four_sources_are_there():
@@ -38,7 +39,7 @@ def test_source_is_described(folder: Path):
 
 def test_messy_objects_are_the_clean_ones():
     clean, messy = (
-        read_source_file(SOURCE_FOLDER / name / "source.yaml")
+        read_source_file(SOURCES / name / "source.yaml")
         for name in ("procedural", "procedural_messy")
     )
     assert clean.categories == messy.categories
@@ -49,7 +50,7 @@ def test_messy_objects_are_the_clean_ones():
 def test_no_model_is_committed():
     listing = subprocess.run(
         ["git", "ls-files", "--", "urdf_sources"],
-        cwd=SOURCE_FOLDER.parent,
+        cwd=SOURCES.parent,
         capture_output=True,
         text=True,
         check=False,

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from articugen.bundled import SOURCES, model_folder
 from articugen.errors import ArticugenError, InvalidSource, machine_fault, printable
 from articugen.geometry import rotation_about, transform
 from articugen.recipe_files import nearest
@@ -34,8 +35,6 @@ from articugen.sources.source_file import CategorySettings, SourceFile, read_sou
 from articugen.sources.splits import assign_splits, split_sizes
 
 _UNWRITABLE = re.compile("[\x00-\x1f\x7f\ud800-\udfff]")
-
-SOURCE_FOLDER = Path(__file__).resolve().parent.parent.parent / "urdf_sources"
 
 
 @dataclass(frozen=True)
@@ -331,7 +330,7 @@ class _Named:
 def _source_files() -> dict[str, Path]:
     """Every source.yaml by the source's name; $ARTICUGEN_SOURCES goes first."""
     found: dict[str, Path] = {}
-    for root in filter(None, (_own_sources(), SOURCE_FOLDER)):
+    for root in filter(None, (_own_sources(), SOURCES)):
         for path in sorted(root.glob("*/source.yaml")):
             found.setdefault(path.parent.name, path)
     return found
@@ -357,6 +356,8 @@ def _source(name: str) -> _Named | None:
         folder = path.parent / file.path
     elif own and (own / name).is_dir():
         folder = own / name
+    elif file.reader == "procedural" and path.is_relative_to(SOURCES):
+        folder = model_folder(name)
     else:
         folder = path.parent
     return _Named(name, path, file, folder)
@@ -459,19 +460,13 @@ def _refs(
     found: Sequence[Found], own: CategorySettings, source: str, category: str, base: Path
 ) -> list[ObjectRef]:
     """Objects with their splits; those that the category's lists leave out are left out."""
-    found = [replace(f, object_id=_told(f.object_id)) for f in distinct(found, base)]
-    found.sort(key=lambda f: f.object_id)
+    found = sorted(distinct(found, base), key=lambda f: f.object_id)
     splits = assign_splits({f.object_id: f.group for f in found}, own.train, own.test)
     return [
         ObjectRef(source, category, f.object_id, splits[f.object_id], f.location, f.root)
         for f in found
         if f.object_id in splits
     ]
-
-
-def _told(object_id: str) -> str:
-    """An id that can be written down; what is not UTF-8 in a file's name is spelt out."""
-    return object_id.encode("utf-8", "backslashreplace").decode()
 
 
 def _folder_refs(path: Path, category: str) -> list[ObjectRef]:

@@ -1,0 +1,69 @@
+"""The wheel holds all that the package needs: it works from an empty folder, by itself."""
+
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+CHECKOUT = Path(__file__).resolve().parent.parent
+MAIN = "from articugen.cli import main; main()"
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder into which the wheel is unpacked; its libraries are those of this environment."""
+    work = tmp_path_factory.mktemp("wheel")
+    source = work / "source"
+    source.mkdir()
+    for name in ("articugen", "recipes", "urdf_sources", "pyproject.toml", "setup.py", "README.md"):
+        (source / name).symlink_to(CHECKOUT / name)
+    build = (sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation")
+    subprocess.run([*build, "--wheel-dir", str(work), str(source)], check=True, timeout=120)
+    (wheel,) = work.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(work / "site")
+    return work / "site"
+
+
+def run(installed: Path, folder: Path, *arguments: str) -> str:
+    """What the command prints, in an empty folder and with a home of its own."""
+    own = {"PYTHONPATH": str(installed), "HOME": str(folder), "XDG_CACHE_HOME": str(folder / "c")}
+    done = subprocess.run(
+        [sys.executable, "-c", MAIN, *arguments],
+        cwd=folder,
+        env={**os.environ, **own},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=400,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_wheel_holds_recipes_and_sources_and_no_model(installed: Path) -> None:
+    bundled = installed / "articugen" / "_bundled"
+    for folder, pattern in (("recipes", "*.yaml"), ("urdf_sources", "*/source.yaml")):
+        ours = {path.relative_to(CHECKOUT / folder) for path in (CHECKOUT / folder).glob(pattern)}
+        assert ours == {p.relative_to(bundled / folder) for p in (bundled / folder).glob(pattern)}
+    assert (installed / "articugen" / "py.typed").is_file()
+    assert {path.suffix for path in bundled.rglob("*.*")} == {".yaml", ".md"}
+    assert not list(installed.rglob("tests"))
+
+
+@pytest.mark.slow  # the unpacked package has no compiled kernels yet
+def test_an_installed_package_makes_data_and_writes_nothing_into_itself(
+    installed: Path, tmp_path: Path
+) -> None:
+    assert "eyeglasses" in run(installed, tmp_path, "sources")
+    before = {path for path in installed.rglob("*") if "__pycache__" not in path.parts}
+    tiny = tmp_path / "tiny.yaml"
+    tiny.write_text("extends: quick\nviews: {count: 8, resolution: 32}\n")
+    options = ("-c", "drawer", "-n", "1", "--states", "1", "-j", "0", "-r", str(tiny))
+    run(installed, tmp_path, "generate", *options)
+    assert len(list((tmp_path / "data" / "drawer").glob("*.h5"))) == 1
+    assert list((tmp_path / "c" / "articugen" / "models").rglob("*.urdf"))
+    assert before == {path for path in installed.rglob("*") if "__pycache__" not in path.parts}
