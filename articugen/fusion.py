@@ -230,6 +230,18 @@ class PosedSolids:
             free[self.holds(part, asked, np.flatnonzero(free), glance=True)] = False
         return free
 
+    def surely_holds(
+        self, points: NDArray[np.floating], part: NDArray[np.uint8]
+    ) -> NDArray[np.bool_]:
+        """(n,) whether closed pieces of the part (n,) of each of `points` (n, 3) wind around it."""
+        held = np.zeros(len(points), np.bool_)
+        for k, T in enumerate(invert_rigid(self.part_motion)):
+            closed = self.own[k].closed
+            if closed is not None:
+                mine = np.flatnonzero(part == k)
+                held[mine] = surely_inside(apply(T, points[mine]), closed)
+        return held
+
     def value(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
         """(n,) the least of the parts' own values at `points` (n, 3), see `Field.value`."""
         value = np.full(len(points), self.settings.truncation)
@@ -259,6 +271,20 @@ class PosedFields:
         part's own solid holds; for `points` (n, 3)."""
         points = np.ascontiguousarray(points, np.float32)
         return self.with_enclosed(points, self.material.labels(points))
+
+    def is_free_before(
+        self, points: NDArray[np.floating], part: NDArray[np.uint8]
+    ) -> NDArray[np.bool_]:
+        """(n,) which of `points` (n, 3), each right in front of a face of its `part` (n,), are
+        free. Other pieces of the part often cover it: at what they wind around no view need look,
+        and none may read past their corners between its pixels."""
+        points = np.ascontiguousarray(points, np.float32)
+        if isinstance(self.whole, PosedSolids):
+            return self.whole.is_free(points)
+        free = ~self.material.surely_holds(points, part)
+        asked = np.flatnonzero(free)
+        free[asked] = self.whole.is_free(points, asked)
+        return free
 
     def with_enclosed(
         self, points: NDArray[np.float32], label: NDArray[np.uint8]

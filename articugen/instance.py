@@ -419,7 +419,11 @@ def _surface(
     """Surface points: those that are stored, and enough to draw near points around."""
     count = max(p.recipe.sampling.surface_points, FEWEST_SURFACE_POINTS)
     rng = p.rng(state_index, "surface")
-    return sampling.surface_points(mesh, p.seen, fields.whole.is_free, count, rng=rng)
+
+    def is_free(points: Floats, face: NDArray[np.intp]) -> NDArray[np.bool_]:
+        return fields.is_free_before(points, mesh.part_of_face[face])
+
+    return sampling.surface_points(mesh, p.seen, is_free, count, rng=rng)
 
 
 def _surface_fields(p: Prepared, surface: sampling.SurfacePoints) -> dict[str, NDArray]:

@@ -14,7 +14,8 @@ from articugen.errors import RejectedInstance
 from articugen.geometry import apply, cross, invert_rigid
 from articugen.records import DepthMaps, Floats, LabelledMesh
 
-IsFree = Callable[[Floats], NDArray[np.bool_]]
+IsFree = Callable[[Floats, NDArray[np.intp]], NDArray[np.bool_]]
+"""Whether points (n, 3), right in front of the faces (n,), are free: (n,)."""
 
 SURFACE_OFFSET = 1e-4
 """A surface point is visible where the point this far in front of it is seen free."""
@@ -125,7 +126,7 @@ def surface_points(
         face = np.searchsorted(cumulative, rng.random(draw) * cumulative[-1], side="right")
         face = np.minimum(face, len(cumulative) - 1)
         points = _in_triangles(corners[face], rng)
-        visible = is_free(points + SURFACE_OFFSET * normals[face])
+        visible = is_free(points + SURFACE_OFFSET * normals[face], face)
         kept.append((points[visible], face[visible]))
         drawn, have = drawn + draw, have + int(visible.sum())
         if have >= count:

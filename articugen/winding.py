@@ -3,7 +3,8 @@
 Whatever way a ray leaves a point around which a closed surface winds, it meets a face, so that no
 view can see the point free. One ray's signed crossings tell the winding number, where a hundred
 views would have to be asked; and a corner that hides between the pixels of a view is not missed.
-Where the ray passes an edge or starts at a face within rounding, nothing is said.
+Where a ray passes an edge within rounding another is sent; where all do, or where the point is as
+close to a face, nothing is said.
 """
 
 import numpy as np
@@ -14,12 +15,14 @@ from articugen.hierarchy import Hierarchy, _enters, _inverse, build
 from articugen.records import LabelledMesh
 
 _AHEAD, _ASIDE = 0.9837, (0.1371, 0.0913, 0.1159)
-"""The ray goes along the axis that leaves the pieces' box soonest, and so much along the others:
-it is in line with nothing that models are built along."""
+"""A ray goes along one axis, the one that leaves the pieces' box soonest before the next two, and
+so much along the others: it is in line with nothing that models are built along."""
 
 _CLEAR = 2e-6
 """Unit frame: how far from edges and from its start a crossing must be to count; corners closer
 than half of that are one in `sheets.welded`."""
+
+_DOUBT = 2
 
 
 def pieces(mesh: LabelledMesh, closed: NDArray[np.bool_]) -> Hierarchy:
@@ -46,12 +49,20 @@ def _surely_inside(points, closed):
         y = _outwards(p[1], low[1], high[1])
         z = _outwards(p[2], low[2], high[2])
         least = min(abs(x), abs(y), abs(z))
-        w = (
-            np.copysign(_AHEAD if abs(x) == least else _ASIDE[0], x),
-            np.copysign(_AHEAD if abs(y) == least else _ASIDE[1], y),
-            np.copysign(_AHEAD if abs(z) == least else _ASIDE[2], z),
-        )
-        inside[i] = least > 0.0 and _winds(p, w, box, skip, leaf, triangles)
+        if least == 0.0:
+            continue
+        soonest = 0 if abs(x) == least else (1 if abs(y) == least else 2)
+        for more in range(3):
+            axis = (soonest + more) % 3
+            w = (
+                np.copysign(_AHEAD if axis == 0 else _ASIDE[0], x),
+                np.copysign(_AHEAD if axis == 1 else _ASIDE[1], y),
+                np.copysign(_AHEAD if axis == 2 else _ASIDE[2], z),
+            )
+            winds = _winds(p, w, box, skip, leaf, triangles)
+            if winds != _DOUBT:
+                inside[i] = winds == 1
+                break
     return inside
 
 
@@ -65,7 +76,7 @@ def _outwards(x, low, high):
 
 @njit(cache=True, nogil=True)
 def _winds(p, w, box, skip, leaf, triangles):
-    """Whether the crossings of the ray from `p` along `w` do not cancel, and none is in doubt."""
+    """1 where the crossings of the ray from `p` along `w` do not cancel, 0, or `_DOUBT`."""
     start = (np.float32(p[0]), np.float32(p[1]), np.float32(p[2]))
     inverse = (
         _inverse(np.float32(w[0])), _inverse(np.float32(w[1])), _inverse(np.float32(w[2]))
@@ -87,16 +98,16 @@ def _winds(p, w, box, skip, leaf, triangles):
                 (triangles[t, 7], triangles[t, 8], triangles[t, 9]),
                 (triangles[t, 10], triangles[t, 11], triangles[t, 12]),
             )  # fmt: skip
-            if crossing > 1:
-                return False
+            if crossing == _DOUBT:
+                return _DOUBT
             turns += crossing
         node += 1
-    return turns != 0
+    return 1 if turns != 0 else 0
 
 
 @njit(cache=True, nogil=True)
 def _crossing(p, w, plane, a, b, c):
-    """1 where the ray leaves through the front of a face, -1 where it enters, 0; 2 for doubt.
+    """1 where the ray leaves through the front of a face, -1 where it enters, 0; or `_DOUBT`.
 
     The volumes that the ray spans with each edge, in double precision, over the edge's length are
     how far it passes from the edge, or less.
@@ -116,5 +127,5 @@ def _crossing(p, w, plane, a, b, c):
     if abs(gap) > _CLEAR and gap * slope < 0.0:
         return 0  # behind the start
     if abs(gap) <= _CLEAR or min(abs(ab), abs(bc), abs(ca)) <= clear:
-        return 2
+        return _DOUBT
     return 1 if slope > 0.0 else -1

@@ -84,6 +84,21 @@ def crossings(
     return pairs
 
 
+def heights(
+    obj: ArticulatedObject, truth: Truth, points: Floats, T_world_link: dict[str, Floats]
+) -> Floats:
+    """(n, P) how high each world point stands over the solids of each part, or less; negative
+    inside, where it is how deep it lies in the one cell that it lies deepest in, or less."""
+    planes, first, _ = truth._posed(T_world_link)
+    over = np.concatenate([
+        np.maximum.reduceat(some @ planes[:, :3].T - planes[:, 3], first[:-1], axis=1)
+        for some in np.array_split(points, len(points) // 1000 + 1)
+    ])  # fmt: skip
+    part = np.array([obj.part_of_link[obj.link_index[name]] for name in truth.links])
+    part = part[truth.link_of_cell]
+    return np.stack([over[:, part == k].min(axis=1) for k in range(obj.part_count)], axis=1)
+
+
 def truth_of(*solids: Solid) -> Truth:
     """A truth whose link k is solid k."""
     planes = [p for s in solids for p in s.half_spaces]

@@ -155,7 +155,7 @@ def test_solids_neither_grow_nor_shrink():
 
 def test_agrees_with_open3d_on_a_thick_shape():
     """open3d's VoxelBlockGrid fuses pinhole depth at voxel centres; a thick shape suits it."""
-    o3d = pytest.importorskip("open3d", reason="the extra open3d is not installed")
+    o3d = pytest.importorskip("open3d", reason="it cannot be loaded here", exc_type=ImportError)
     mesh = labelled(trimesh.creation.icosphere(subdivisions=5, radius=0.4))
     views = views_of(mesh, count=40, resolution=256, projection="pinhole")
     maps = render(mesh, views)

@@ -31,7 +31,7 @@ from articugen.sampling import grid_points
 from articugen.sources import registry
 from articugen.sources.procedural import CATEGORIES, object_id
 from articugen.sources.procedural.truth import Truth, load_truth
-from tests.procedural_truth import written
+from tests.procedural_truth import heights, written
 from tests.shapes import iou, towards_cameras
 
 Bools = NDArray[np.bool_]
@@ -48,9 +48,9 @@ SAMPLES = Sampling(
     partial_resolution=128,
 )
 
-BEHIND, BEFORE = 1e-4, 0.25 / 256
-"""From a surface point to what is certainly inside, ten times the rounding of the stored points,
-and to what is outside: a view that grazes a layer finer than this sees what the layer covers."""
+BESIDE = 1e-4
+"""From a surface point to what is certainly inside, and outside: ten times the rounding of the
+stored points."""
 
 
 def recipe_for(category: str) -> Recipe:
@@ -92,6 +92,11 @@ class Made:
         by_link = self.truth.holds(self.world(points), self.frames(state))
         parts = range(self.obj.part_count)
         return np.stack([by_link[:, self.part_of_true_link == k].any(axis=1) for k in parts], 1)
+
+    def heights(self, state: int, points: Floats) -> Floats:
+        """(n, P) as `procedural_truth.heights`, unit frame."""
+        over = heights(self.obj, self.truth, self.world(points), self.frames(state))
+        return over / self.prepared.unit.scale
 
     def inside(self, state: int, points: Floats) -> Bools:
         """(n,) inside a solid, or seen by none of the views."""
@@ -266,7 +271,7 @@ def test_material_is_rigid(make: Maker, category: str, rule: str) -> None:
         assert (is_material(fixed[0]) | (one != 1)).all()
     rng = np.random.default_rng(0)
     for part, own in enumerate(prepared.own):
-        points = rng.uniform(*own.box, (3000, 3))
+        points = rng.uniform(own.box[0], own.box[1], (3000, 3))
         held = [
             f.material.holds(part, at32(apply(f.part_motion[part], points)), EVERY) for f in poses
         ]
@@ -307,11 +312,11 @@ def test_surface_points_of_the_rule_rigid_bound_the_exact_solids(
     for s in range(STATES + 1):
         instance = make_instance(prepared, s)
         points, normals = dequantize(instance.surface_points), unit_normals(instance)
-        inwards = made.holds(s, points - BEHIND * normals)
-        outwards = made.holds(s, points + BEHIND * normals)
+        inwards = made.holds(s, points - BESIDE * normals)
+        outwards = made.holds(s, points + BESIDE * normals)
         part = instance.surface_part
         assert np.mean(inwards[np.arange(len(part)), part]) >= 0.999
-        assert np.mean(outwards.any(axis=1)) <= 0.002
+        assert np.mean(outwards.any(axis=1)) <= 0.0005
         fields = pose(prepared, s)[1]
         assert np.median(np.abs(fields.whole.value(points))) < 0.002
         some = query_points(made, s)[:4000]
@@ -326,11 +331,54 @@ def test_surface_points_lie_on_the_exact_solids(make: Maker, category: str) -> N
     made = make(category, 0)
     for s, instance in enumerate(made.instances):
         points, normals = dequantize(instance.surface_points), unit_normals(instance)
-        inwards = made.holds(s, points - BEHIND * normals)
-        outwards = made.holds(s, points + BEFORE * normals)
+        inwards = made.holds(s, points - BESIDE * normals)
+        outwards = made.holds(s, points + BESIDE * normals)
         part = instance.surface_part
         assert np.mean(inwards[np.arange(len(part)), part]) >= 0.999
-        assert np.mean(outwards.any(axis=1)) <= 0.005  # next to an inner edge it is not far
+        assert np.mean(outwards.any(axis=1)) <= 0.0005  # next to an inner edge rounding counts
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_no_face_of_a_closed_solid_is_swollen_and_none_shows_through(
+    make: Maker, category: str, tmp_path: Path
+) -> None:
+    """Six objects: no surface point stands over the exact solids by more than its rounding, and
+    none lies in them but right at an inner edge, as far as the look from in front of it reaches."""
+    for k in range(6):
+        made = make(category, k) if k in (0, 2) else with_surface_only(category, k, tmp_path)
+        assert made.prepared.closed.all()
+        instance = made.instances[-1]
+        points = dequantize(instance.surface_points[:1500])
+        s = instance.state_index
+        height = made.heights(s, points)
+        assert height[np.arange(len(points)), instance.surface_part[:1500]].max() <= 2e-5
+        assert np.sum(height.min(axis=1) < -BESIDE) <= 1
+
+
+def with_surface_only(category: str, k: int, folder: Path) -> Made:
+    """One random pose, nothing but surface points."""
+    nothing = dict.fromkeys(("uniform_points", "near_points", "partial_views"), 0)
+    only = SAMPLES.model_copy(update={"grids": (), "surface_points": 1500, **nothing})
+    recipe = recipe_for(category).with_counts(states=1).model_copy(update={"sampling": only})
+    raw, truth = written(category, object_id(category, k), folder / str(k))
+    obj = articulation.resolve(raw, recipe.articulation)
+    prepared = prepare(obj, recipe, seed=0)
+    return Made(obj, truth, prepared, (make_instance(prepared, 1),))
+
+
+@pytest.mark.parametrize("k", [0, 2])
+def test_nothing_right_below_the_surface_of_eyeglasses_is_free(make: Maker, k: int) -> None:
+    """The rims' edges, seen end-on, are narrower than a pixel: views look past them."""
+    made, rng = make("eyeglasses", k), np.random.default_rng(0)
+    for s, instance in enumerate(made.instances):
+        surface, normals = dequantize(instance.surface_points), unit_normals(instance)
+        below = np.concatenate([
+            surface - rng.uniform(0.0, 0.003, (len(surface), 1)) * normals for _ in range(5)
+        ])  # fmt: skip
+        solid = made.heights(s, below).min(axis=1) < -1e-5
+        label = pose(made.prepared, s)[1].labels(below[solid])
+        assert solid.mean() > 0.9
+        assert is_material(label).all()
 
 
 @pytest.mark.parametrize(("category", "k"), [("laptop", 6), ("drawer", 4)])
@@ -371,8 +419,9 @@ def test_surface_points_go_back_to_the_canonical_surface_of_their_part(
             own = instance.surface_part == k
             assert own.sum() > 50
             at, out = apply(T, points[own]), normals[own] @ T[:3, :3].T
-            assert np.mean(made.holds(0, at - BEHIND * out)[:, k]) >= 0.999
-            assert np.mean(made.holds(0, at + BEFORE * out)[:, k]) <= 0.01  # inner edges
+            assert np.mean(made.holds(0, at - BESIDE * out)[:, k]) >= 0.999
+            buried = made.holds(0, at + BESIDE * out)[:, k].sum()
+            assert buried <= 1 + 0.0005 * own.sum()  # next to an inner edge rounding counts
 
 
 @pytest.mark.parametrize("category", CATEGORIES)
@@ -391,10 +440,10 @@ def test_partial_clouds_are_what_a_camera_sees(make: Maker, category: str) -> No
             assert np.abs(pixel % 1.0 - 0.5).max() < 0.01
             eye = invert_rigid(T)[:3, 3]
             away = (points - eye) / np.linalg.norm(points - eye, axis=1, keepdims=True)
-            behind = made.holds(s, points + BEHIND * away)
+            behind = made.holds(s, points + BESIDE * away)
             part = instance.partial_part[c]
             assert np.mean(behind[np.arange(len(part)), part]) >= 0.98  # silhouettes graze
-            before = made.holds(s, points - 2 * BEHIND * away)  # rounding counts more where grazed
+            before = made.holds(s, points - 2 * BESIDE * away)  # rounding counts more where grazed
             assert np.mean(before.any(axis=1)) <= 0.02
 
 
@@ -513,7 +562,7 @@ def assert_same(a: Instance, b: Instance) -> None:
 
 @pytest.mark.parametrize("category", ["laptop", "oven"])
 def test_embree_gives_the_same_labels(make: Maker, category: str) -> None:
-    pytest.importorskip("open3d")
+    pytest.importorskip("open3d", reason="it cannot be loaded here", exc_type=ImportError)
     ours = make(category, 0)
     theirs = seen_otherwise(ours, backend="embree")
     for s in range(STATES + 1):

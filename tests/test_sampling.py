@@ -16,7 +16,7 @@ def seen_surface(mesh, count, seed=0):
     field = fuse(render(mesh, views_of(mesh)), mesh, Fusion())
     every = np.ones(len(mesh.faces), bool)
     rng = np.random.default_rng(seed)
-    return sampling.surface_points(mesh, every, field.is_free, count, rng=rng)
+    return sampling.surface_points(mesh, every, lambda p, _: field.is_free(p), count, rng=rng)
 
 
 def chi_square(counts, expected):
@@ -59,12 +59,15 @@ def test_only_what_is_seen_is_sampled():
 
 
 def test_nothing_to_see_is_a_rejection():
+    def far_away(points, face):
+        return points[:, 0] > 9
+
     mesh = labelled(box((0.5, 0.5, 0.5)))
     rng = np.random.default_rng(0)
     with pytest.raises(RejectedInstance, match="can be seen"):
-        sampling.surface_points(mesh, np.zeros(12, bool), lambda p: p[:, 0] > 9, 10, rng=rng)
+        sampling.surface_points(mesh, np.zeros(12, bool), far_away, 10, rng=rng)
     with pytest.raises(RejectedInstance, match="can be seen"):
-        sampling.surface_points(mesh, np.ones(12, bool), lambda p: p[:, 0] > 9, 10, rng=rng)
+        sampling.surface_points(mesh, np.ones(12, bool), far_away, 10, rng=rng)
 
 
 def covered_share(low, high, resolution, seed=0):

@@ -43,7 +43,7 @@ def test_inside_is_what_the_shapes_hold(name):
     on_faces = slice(-2000, None)  # of a lattice that runs along faces: little is sure there
     missed = exact & ~sure
     missed[on_faces] = False
-    assert missed.sum() <= 1e-3 * exact.sum()
+    assert not missed.any()
 
 
 def test_a_sphere_of_many_faces():
@@ -51,7 +51,7 @@ def test_a_sphere_of_many_faces():
     asked = points()
     sure = surely_inside(asked, of(labelled(sphere)))
     radius = np.linalg.norm(asked, axis=1)
-    assert np.mean(sure[radius < 0.398]) >= 0.998  # the rest: rays along edges
+    assert sure[radius < 0.398].all()  # rays along edges included: another is sent
     assert not sure[radius > 0.4].any()
 
 

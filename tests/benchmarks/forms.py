@@ -99,7 +99,7 @@ def _uniform(
     visible: Any,
 ) -> Row:
     rng = np.random.default_rng(0)
-    ours = sampling.surface_points(mesh, seen, field.is_free, points, rng=rng)
+    ours = sampling.surface_points(mesh, seen, lambda p, _: field.is_free(p), points, rng=rng)
     soup = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     drawn = trimesh.sample.sample_surface(soup, 20 * points, seed=1)
     even, normals = np.asarray(drawn[0]), soup.face_normals[drawn[1]]
