@@ -1,10 +1,12 @@
 """What must hold within one object's instances, judged from the stored numbers alone.
 
-Bounds on exact things are tight. Bounds on sampled things are fractions that a sound object, thin
-sheets and narrow gaps included, keeps by a wide margin, and that a real fault (swapped instances,
-mirrored grids, inverted motions, a surface beside the field's zero level) does not.
+Bounds on exact things are tight. Of sampled things a share must agree, see `BOUNDS`: one that a
+sound object, thin sheets and narrow gaps included, keeps by a wide margin, and that a real fault
+(swapped instances, mirrored grids, inverted motions, a surface beside the field's zero level) does
+not. A share is refused only where chance can hardly explain it, so a few samples never are.
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -16,13 +18,22 @@ from numpy.typing import NDArray
 
 from articugen.geometry import apply, invert_rigid, rotation_about, transform
 from articugen.recipe import Recipe
-from articugen.records import ENCLOSED, Floats, Instance, dequantize, is_material
+from articugen.records import ENCLOSED, FREE, Floats, Instance, dequantize, is_material
 
 ROUNDING = 1e-9
 """What rounding may do to rigid motions and unit vectors in float64."""
 
 NEAR = 0.004
 """A query point so close to a surface point is judged by that point's tangent plane."""
+
+
+CLOSE = 0.02
+"""A voxel so close to a sample in the material has one of its own part within three times that."""
+
+
+LEAST_EXTENT = 0.75
+"""Of the box, that the surface points of all instances reach; 0.96 at least in sound sets, 0.5 in
+an object of half the size."""
 
 
 @dataclass(frozen=True)
@@ -34,14 +45,120 @@ class Fault:
     sentence: str
 
 
+CHANCE = 1e-9
+"""That a share is refused though the true one is what it must be. An instance has some hundred
+shares: one that is sound is refused with a chance below 1e-6."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """What the share of places that agree must be.
+
+    Attributes:
+        least: the true share of any sound object is at least that.
+        sound: the least share measured in sound instances, of those that could be refused;
+            `python -m tests.benchmarks.soundness` measures it again.
+        faulty: the greatest share that gives away one of the faults of tests/test_checks.py.
+        per: so many places tell no more than one. Points are drawn each for itself; voxels beside
+            each other lie in the same plate, or in the same gap.
+    """
+
+    least: float
+    sound: float
+    faulty: float
+    per: int = 1
+
+    def refuses(self, agree: int, judged: int) -> bool:
+        """Whether a true share of `least` would hardly show as `agree` of `judged` places or less.
+
+        By Chernoff's bound of the binomial distribution: of n draws, each of probability p, a share
+        of q or less agrees with a chance of exp(-n D) at most, D the divergence of q from p.
+        """
+        share = agree / max(judged, 1)
+        if judged == 0 or share >= self.least:
+            return False
+        divergence = (1.0 - share) * math.log((1.0 - share) / (1.0 - self.least))
+        if share > 0.0:
+            divergence += share * math.log(share / self.least)
+        return judged / self.per * divergence > -math.log(CHANCE)
+
+
+BOUNDS = {
+    "free": Bound(least=0.9, sound=0.99, faulty=0.01),
+    "occupied": Bound(least=0.8, sound=0.91, faulty=0.4),
+    "filling": Bound(least=0.8, sound=0.87, faulty=0.4, per=4),
+    "parts": Bound(least=0.6, sound=0.73, faulty=0.1, per=4),
+    "coverage": Bound(least=0.8, sound=0.92, faulty=0.65, per=4),
+    "near": Bound(least=0.9, sound=0.99, faulty=0.75),
+    "zero level": Bound(least=0.8, sound=0.88, faulty=0.45),
+    "inner part": Bound(least=0.7, sound=0.96, faulty=0.1),
+    "partial parts": Bound(least=0.7, sound=0.91, faulty=0.1),
+    "seen": Bound(least=0.6, sound=0.85, faulty=0.25),
+    "flow": Bound(least=0.8, sound=0.92, faulty=0.6),
+}
+"""For each kind of share; `sound` by 230 sets of three instances each."""
+
+
+@dataclass(frozen=True)
+class Share:
+    """`agree` of `judged` places agree; `sentence` says with what, {share} in it how many."""
+
+    bound: str
+    sentence: str
+    agree: int
+    judged: int
+
+    @property
+    def is_refused(self) -> bool:
+        return BOUNDS[self.bound].refuses(self.agree, self.judged)
+
+    @property
+    def could_be_refused(self) -> bool:
+        """Whether so many places were judged that it would be refused if none agreed."""
+        return BOUNDS[self.bound].refuses(0, self.judged)
+
+    def told(self) -> str:
+        return self.sentence.format(share=f"{self.agree / self.judged:.0%}")
+
+
 def faults(rows: Sequence[Instance], recipe: Recipe) -> Iterator[Fault]:
     """Everything wrong with `rows`, all instances of one object made by `recipe`."""
+    sensible = []
     for row in rows:
         wrong = list(_of(row, recipe, VALUE_CHECKS))
         # Geometry computed from senseless values would only repeat, or hide, what is wrong.
         yield from wrong or _of(row, recipe, GEOMETRY_CHECKS)
+        sensible += [] if wrong else [row]
+    yield from _refused(shares(sensible, recipe))
     for check, judge in OBJECT_CHECKS.items():
         yield from (Fault(state, check, sentence) for state, sentence in judge(rows, recipe))
+
+
+def shares(rows: Sequence[Instance], recipe: Recipe) -> Iterator[tuple[int, str, Share]]:
+    """(state_index, check, share) of everything sampled in all instances of one object."""
+    canonical = next((row for row in rows if row.state_index == 0), None)
+    for row in rows:
+        for check, judge in SHARE_CHECKS.items():
+            yield from ((row.state_index, check, share) for share in judge(row, recipe))
+        if canonical is not None:
+            yield from ((row.state_index, "flow", share) for share in _flow(row, canonical))
+
+
+def _refused(found: Iterator[tuple[int, str, Share]]) -> Iterator[Fault]:
+    """The instances whose shares are refused, and the object where only all of them together
+    tell."""
+    alike: dict[tuple[str, str], list[tuple[int, Share]]] = {}
+    for state, check, share in found:
+        alike.setdefault((check, share.sentence), []).append((state, share))
+    for (check, sentence), several in alike.items():
+        alone = [Fault(state, check, s.told()) for state, s in several if s.is_refused]
+        agree, judged = (sum(getattr(s, n) for _, s in several) for n in ("agree", "judged"))
+        pooled = Share(several[0][1].bound, sentence, agree, judged)
+        yield from alone or ([Fault(None, check, pooled.told())] if pooled.is_refused else [])
+
+
+def _share(bound: str, sentence: str, agree: NDArray[np.bool_]) -> Share:
+    return Share(bound, sentence, int(agree.sum()), agree.size)
 
 
 def _of(row: Instance, recipe: Recipe, checks: dict[str, "InstanceCheck"]) -> Iterator[Fault]:
@@ -172,96 +289,6 @@ def _inside_box(row: Instance, recipe: Recipe) -> Iterator[str]:
             yield f"{out.sum()} {name} lie outside of the box of half edge {half:.4f}"
 
 
-def _grids_agree(row: Instance, _: Recipe) -> Iterator[str]:
-    """Where the 8 finest voxels about a point agree, its own label is mostly theirs."""
-    *coarser, finest = sorted(row.occupancy) or [0]
-    if finest == 0:
-        return
-    labelled = {f"occupancy_{r}": (_centres(r), row.occupancy[r].ravel()) for r in coarser}
-    labelled["uniform_label"] = dequantize(row.uniform_points), row.uniform_label
-    for name, (points, label) in labelled.items():
-        about = _about(row.occupancy[finest], points)
-        clear = (about == about[:, :1]).all(axis=1)
-        for wanted in (*range(len(row.part_motion) + 1), ENCLOSED):
-            judged = label[clear & (about[:, 0] == wanted)]
-            if len(judged) >= 20 and (share := (judged == wanted).mean()) < 0.6:
-                yield (
-                    f"{name} agrees with occupancy_{finest} at {share:.0%} of the places that are "
-                    f"clearly of label {wanted}"
-                )
-
-
-def _grids_filled(row: Instance, _: Recipe) -> Iterator[str]:
-    """Voxels of a part lie where other samples are occupied, and are about as many.
-
-    The other way about proves nothing: a thin panel may lie between all voxels' centres.
-    """
-    if len(row.uniform_points) < 4000:  # too sparse to reach every place deep inside
-        return
-    points, label = _queries(row)
-    occupied = np.concatenate([points[label > 0], dequantize(row.surface_points)])
-    for resolution, grid in sorted(row.occupancy.items()):
-        for part in range(len(row.part_motion)):
-            voxels = np.argwhere(grid == part + 1)
-            if len(voxels) < 20:
-                continue
-            centres = (_some(voxels) + 0.5) / resolution - 0.5
-            if (share := (_nearest(occupied, centres, 0.05) >= 0).mean()) < 0.8:
-                yield (
-                    f"only {share:.0%} of the voxels of part {part} in occupancy_{resolution} are "
-                    "where the points show anything"
-                )
-        share, expected = (grid > 0).mean(), (row.uniform_label > 0).mean()
-        # the plates of a shut laptop, 3 % of the cube, can miss every centre of a coarse grid
-        least = 0.1 * expected if resolution == max(row.occupancy) else 0.0
-        if expected >= 0.02 and not least <= share <= 0.1 + 3.0 * expected:
-            yield f"occupancy_{resolution} is {share:.0%} full, uniform_label {expected:.0%}"
-
-
-def _covered(row: Instance, _: Recipe) -> Iterator[str]:
-    """The centre of a cell that is all inside is inside, and of one that is all free it is free.
-
-    But for films finer than the sub-samples that pass just through the centre.
-    """
-    for resolution, coverage in sorted(row.coverage.items()):
-        inside = row.occupancy[resolution] > 0
-        for value, wanted in ((255, True), (0, False)):
-            judged = inside[coverage == value]
-            if len(judged) >= 20 and (share := (judged == wanted).mean()) < 0.9:
-                yield (
-                    f"occupancy_{resolution} agrees at {share:.0%} of the cells of which "
-                    f"coverage_{resolution} is {value}"
-                )
-
-
-def _near(row: Instance, recipe: Recipe) -> Iterator[str]:
-    """Points near the surface are near the surface points."""
-    if len(row.surface_points) < 1000 or not len(row.near_points):
-        return
-    reach = 0.05 + 4.0 * recipe.sampling.near_sigma
-    near = dequantize(_some(row.near_points))
-    met = _nearest(dequantize(row.surface_points), near, reach) >= 0
-    if met.mean() < 0.9:
-        yield f"only {met.mean():.0%} of near_points are near surface_points"
-
-
-def _zero_level(row: Instance, _: Recipe) -> Iterator[str]:
-    """Just in front of a surface point is free, just behind it occupied."""
-    points, label = _queries(row)
-    surface = dequantize(row.surface_points)
-    nearest = _nearest(surface, points, NEAR)
-    points, label, nearest = points[nearest >= 0], label[nearest >= 0], nearest[nearest >= 0]
-    ahead = np.einsum("ni,ni->n", points - surface[nearest], row.surface_normals[nearest] / 127.0)
-    beside = np.linalg.norm(points - surface[nearest], axis=1)
-    clear = (np.abs(ahead) > 0.001) & (np.abs(ahead) > 0.5 * beside)
-    if clear.sum() >= 30 and (share := ((label == 0) == (ahead > 0.0))[clear].mean()) < 0.75:
-        yield f"surface_points bound what is occupied at {share:.0%} of the places one can tell"
-    inside = clear & is_material(label) & (ahead < 0.0)  # thin walls enclose space close by
-    same = label == row.surface_part[nearest] + 1
-    if inside.sum() >= 20 and (share := same[inside].mean()) < 0.6:
-        yield f"surface_part agrees with the labels just inside at {share:.0%} of the places"
-
-
 def _cameras(row: Instance, recipe: Recipe) -> Iterator[str]:
     size = recipe.sampling.partial_resolution
     for c, (fx, fy, cx, cy) in enumerate(row.partial_intrinsics):
@@ -281,18 +308,168 @@ def _cameras(row: Instance, recipe: Recipe) -> Iterator[str]:
             yield f"camera {c} has points that are not on the ray of a pixel's centre"
 
 
-def _partial_parts(row: Instance, recipe: Recipe) -> Iterator[str]:
-    if recipe.sampling.depth_noise > 0.003:
+# Shares.
+
+
+def _grids_agree(row: Instance, _: Recipe) -> Iterator[Share]:
+    """A query point far from the surface is in a cell whose centre is on its side of it.
+
+    Nothing else is sure: a gap or a panel may lie between all centres of a grid, and enclosed space
+    may end without a surface.
+    """
+    surface = dequantize(row.surface_points)
+    points, label = (_some(each, 8000) for each in _queries(row))
+    for resolution, grid in sorted(row.occupancy.items()):
+        reach = math.hypot(0.5 * math.sqrt(3.0) / resolution, _spacing(len(surface)))
+        away = _nearest(surface, points, reach) < 0
+        for what, judged in (("free", label == FREE), ("occupied", is_material(label))):
+            yield _share(
+                what,
+                f"occupancy_{resolution} agrees at {{share}} of the query points far from the "
+                f"surface that are {what}",
+                (_cells(grid, points[away & judged]) == FREE) == (what == "free"),
+            )
+
+
+def _grids_filled(row: Instance, _: Recipe) -> Iterator[Share]:
+    """Voxels of a part lie where other samples are occupied, close by by the same part.
+
+    The other way about proves nothing: a thin panel may lie between all voxels' centres.
+    """
+    points, label = _queries(row)
+    surface = dequantize(row.surface_points)
+    occupied = np.concatenate([points[label > 0], surface])
+    held = is_material(label)
+    solid = np.concatenate([points[held], surface])
+    own = np.concatenate([label[held], row.surface_part + np.uint8(1)])
+    for resolution, grid in sorted(row.occupancy.items()):
+        for part in range(len(row.part_motion)):
+            voxels = np.unravel_index(_some(np.flatnonzero(grid == part + 1), 400), grid.shape)
+            centres = (np.stack(voxels, axis=1) + 0.5) / resolution - 0.5
+            yield _share(
+                "filling",
+                f"only {{share}} of the voxels of part {part} in occupancy_{resolution} are where "
+                "the points show anything",
+                _nearest(occupied, centres, _ball(len(row.uniform_points))) >= 0,
+            )
+            met = centres[_nearest(solid, centres, CLOSE) >= 0]
+            yield _share(
+                "parts",
+                f"only {{share}} of the voxels of part {part} in occupancy_{resolution} are "
+                "close to other samples of that part",
+                _nearest(solid[own == part + 1], met, 3.0 * CLOSE) >= 0,
+            )
+
+
+def _covered(row: Instance, _: Recipe) -> Iterator[Share]:
+    """The centre of a cell that is all inside is inside, and of one that is all free it is free.
+
+    But for films finer than the sub-samples that pass just through the centre.
+    """
+    for resolution, coverage in sorted(row.coverage.items()):
+        inside = row.occupancy[resolution] > 0
+        for value, wanted in ((255, True), (0, False)):
+            yield _share(
+                "coverage",
+                f"occupancy_{resolution} agrees at {{share}} of the cells of which "
+                f"coverage_{resolution} is {value}",
+                inside[coverage == value] == wanted,
+            )
+
+
+def _near(row: Instance, recipe: Recipe) -> Iterator[Share]:
+    """Points near the surface are near the surface points."""
+    if not len(row.surface_points):
         return
-    nearest = _nearest(
-        dequantize(row.surface_points), dequantize(row.partial_points).reshape(-1, 3), 0.01
+    surface, near = dequantize(row.surface_points), dequantize(_some(row.near_points))
+    reach = max(0.05, _spacing(len(surface))) + 4.0 * recipe.sampling.near_sigma
+    yield _share(
+        "near",
+        "only {share} of near_points are near surface_points",
+        _nearest(surface, near, reach) >= 0,
     )
+
+
+def _zero_level(row: Instance, _: Recipe) -> Iterator[Share]:
+    """Just in front of a surface point is free, just behind it occupied.
+
+    Unless another part lies in front, whose own surface no view sees: a shut laptop's.
+    """
+    points, label = _queries(row)
+    surface = dequantize(row.surface_points)
+    nearest = _nearest(surface, points, NEAR)
+    points, label, nearest = points[nearest >= 0], label[nearest >= 0], nearest[nearest >= 0]
+    ahead = np.einsum("ni,ni->n", points - surface[nearest], row.surface_normals[nearest] / 127.0)
+    beside = np.linalg.norm(points - surface[nearest], axis=1)
+    clear = (np.abs(ahead) > 0.001) & (np.abs(ahead) > 0.5 * beside)
+    own = row.surface_part[nearest] + 1
+    shown = (ahead < 0.0) | (label == FREE) | (label == own)
+    yield _share(
+        "zero level",
+        "surface_points bound what is occupied at {share} of the places one can tell",
+        ((label == FREE) == (ahead > 0.0))[clear & shown],
+    )
+    inside = clear & is_material(label) & (ahead < 0.0)  # thin walls enclose space close by
+    yield _share(
+        "inner part",
+        "surface_part agrees with the labels just inside at {share} of the places",
+        (label == own)[inside],
+    )
+
+
+def _partial_parts(row: Instance, recipe: Recipe) -> Iterator[Share]:
+    if recipe.sampling.depth_noise > 0.003 or not len(row.surface_points):
+        return
+    surface, seen = dequantize(row.surface_points), dequantize(row.partial_points).reshape(-1, 3)
+    nearest = _nearest(surface, seen, 0.01)
     found = nearest >= 0
-    same = row.partial_part.ravel()[found] == row.surface_part[nearest[found]]
-    if found.sum() >= 30 and (share := same.mean()) < 0.6:
-        yield f"partial_part agrees with surface_part at {share:.0%} of the places"
-    if row.surface_points.shape[0] >= 1000 and found.size >= 100 and found.mean() < 0.02:
-        yield "partial_points are nowhere near surface_points"
+    yield _share(
+        "partial parts",
+        "partial_part agrees with surface_part at {share} of the places",
+        row.partial_part.ravel()[found] == row.surface_part[nearest[found]],
+    )
+    yield _share(
+        "seen",
+        "only {share} of partial_points are near surface_points",
+        _nearest(surface, seen, max(0.05, _spacing(len(surface)))) >= 0,
+    )
+
+
+def _flow(row: Instance, canonical: Instance) -> Iterator[Share]:
+    """`part_motion` brings each part's surface back to where the canonical pose has something."""
+    if not canonical.occupancy or not len(canonical.surface_points):
+        return
+    surface, points = dequantize(canonical.surface_points), dequantize(row.surface_points)
+    grid = canonical.occupancy[max(canonical.occupancy)]
+    back = invert_rigid(row.part_motion)
+    for part in range(1, len(back)):
+        moved = apply(back[part], _some(points[row.surface_part == part]))
+        met = _nearest(surface, moved, max(0.05, _spacing(len(surface)))) >= 0
+        met[~met] = (_about(grid, moved[~met]) > 0).any(axis=1)
+        yield _share(
+            "flow",
+            f"part_motion[{part}] brings {{share}} of the part's surface back to the canonical "
+            "pose",
+            met,
+        )
+
+
+def _spacing(count: int) -> float:
+    """Within that of a place on a surface of area 3, the unit cube's in the middle of what objects
+    have, lies one of `count` surface points, but for a chance of exp(-6)."""
+    return math.sqrt(6.0 * 3.0 / (math.pi * max(count, 1)))
+
+
+def _ball(count: int) -> float:
+    """The radius of a ball in which one of `count` uniform points lies, but for exp(-6)."""
+    return max(0.05, (6.0 * 3.0 / (4.0 * math.pi * max(count, 1))) ** (1 / 3))
+
+
+def _cells(grid: NDArray[np.uint8], points: Floats) -> NDArray[np.uint8]:
+    """(n,) the label of the cell of the grid (R, R, R) that each point (n, 3) lies in."""
+    size = len(grid)
+    x, y, z = np.clip(((points + 0.5) * size).astype(int), 0, size - 1).T
+    return grid[x, y, z]
 
 
 # The instances of one object.
@@ -328,30 +505,8 @@ def _fills_box(rows: Sequence[Instance], recipe: Recipe) -> Iterator[tuple[int |
     if len(points) < 1000:
         return
     extent = np.ptp(points, axis=0).max()
-    if extent < 0.75 * (1.0 - recipe.padding):
+    if extent < LEAST_EXTENT * (1.0 - recipe.padding):
         yield None, f"all instances together extend over {extent:.3f}, not {1 - recipe.padding:.3f}"
-
-
-def _flow(rows: Sequence[Instance], _: Recipe) -> Iterator[tuple[int | None, str]]:
-    """`part_motion` brings each part's surface back to where the canonical pose has something."""
-    canonical = next((row for row in rows if row.state_index == 0), None)
-    if canonical is None or len(canonical.surface_points) < 1000 or not canonical.occupancy:
-        return
-    surface = dequantize(canonical.surface_points)
-    grid = canonical.occupancy[max(canonical.occupancy)]
-    for row in rows:
-        points = dequantize(row.surface_points)
-        back = invert_rigid(row.part_motion)
-        for part in range(1, len(back)):
-            moved = apply(back[part], _some(points[row.surface_part == part]))
-            met = _nearest(surface, moved, 0.05) >= 0
-            met[~met] = (_about(grid, moved[~met]) > 0).any(axis=1)
-            if len(met) >= 50 and met.mean() < 0.8:
-                yield (
-                    row.state_index,
-                    f"part_motion[{part}] brings {met.mean():.0%} of the part's surface back to "
-                    "the canonical pose",
-                )
 
 
 def _fixed_part(rows: Sequence[Instance], _: Recipe) -> Iterator[tuple[int | None, str]]:
@@ -370,6 +525,7 @@ def _fixed_part(rows: Sequence[Instance], _: Recipe) -> Iterator[tuple[int | Non
 
 
 InstanceCheck = Callable[[Instance, Recipe], Iterator[str]]
+ShareCheck = Callable[[Instance, Recipe], Iterator[Share]]
 ObjectCheck = Callable[[Sequence[Instance], Recipe], Iterator[tuple[int | None, str]]]
 
 VALUE_CHECKS: dict[str, InstanceCheck] = {
@@ -383,19 +539,20 @@ GEOMETRY_CHECKS: dict[str, InstanceCheck] = {
     "rigid": _rigid,
     "motion": _motion,
     "box": _inside_box,
+    "cameras": _cameras,
+}
+SHARE_CHECKS: dict[str, ShareCheck] = {
     "grids": _grids_agree,
     "filling": _grids_filled,
     "coverage": _covered,
     "near": _near,
     "zero level": _zero_level,
-    "cameras": _cameras,
     "partial parts": _partial_parts,
 }
 OBJECT_CHECKS: dict[str, ObjectCheck] = {
     "states": _states,
     "shared": _shared,
     "fills box": _fills_box,
-    "flow": _flow,
     "fixed part": _fixed_part,
 }
 
@@ -406,9 +563,9 @@ def _queries(row: Instance) -> tuple[Floats, NDArray[np.uint8]]:
     return dequantize(points), np.concatenate([row.uniform_label, row.near_label])
 
 
-def _some(rows: NDArray[Any]) -> NDArray[Any]:
-    """At most 200 of the rows, spread evenly: enough for a share."""
-    return rows[:: len(rows) // 200 + 1]
+def _some(rows: NDArray[Any], most: int = 1000) -> NDArray[Any]:
+    """At most so many of the rows, spread evenly: enough for a share."""
+    return rows[:: len(rows) // most + 1]
 
 
 @cache

@@ -1,5 +1,8 @@
 """Every check of an instance or object passes on sound data and is tripped by its one fault."""
 
+import math
+from itertools import islice
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,6 +13,7 @@ from test_manifest import STATES
 from articugen import checks
 from articugen.recipe import Recipe, Sampling
 from articugen.records import Instance, dequantize, quantize
+from tests.benchmarks.soundness import made_sets
 
 ROWS = hinged_box()
 RICH = SMALL.model_copy(
@@ -26,7 +30,13 @@ RICH = SMALL.model_copy(
 )
 RICH_ROWS = hinged_box(recipe=RICH)
 COVERED = RICH.model_copy(update={"sampling": RICH.sampling.model_copy(update={"coverage": True})})
-CHECKS = {**checks.VALUE_CHECKS, **checks.GEOMETRY_CHECKS, **checks.OBJECT_CHECKS}
+CHECKS = {
+    "flow",
+    *checks.VALUE_CHECKS,
+    *checks.GEOMETRY_CHECKS,
+    *checks.SHARE_CHECKS,
+    *checks.OBJECT_CHECKS,
+}
 
 
 # What is sound is left in peace.
@@ -158,13 +168,13 @@ FAULTS = {
         lambda r: grids(r, lambda n, g: g[:, :, ::-1].copy() if n == 32 else g),
     ),
     "coarse grid of other labels": (
-        "grids",
+        "filling",
         lambda r: grids(r, lambda n, g: g + (g > 0) * (g < 3) if n == 16 else g),
     ),
     "coarse grid full": ("grids", lambda r: grids(r, lambda n, g: g * 0 + 1 if n == 16 else g)),
     "grids of another state": ("filling", lambda r: changed(r, occupancy=RICH_ROWS[3].occupancy)),
     "grids indexed z y x": ("filling", lambda r: grids(r, lambda _, g: g.T.copy())),
-    "grids empty": ("filling", lambda r: grids(r, lambda _, g: g * 0)),
+    "grids empty": ("grids", lambda r: grids(r, lambda _, g: g * 0)),
     "grids full": ("filling", lambda r: grids(r, lambda _, g: g * 0 + 1)),
     "uniform points of another state": (
         "grids",
@@ -182,7 +192,7 @@ FAULTS = {
         ),
     ),
     "points without their labels": (
-        "zero level",
+        "near",
         lambda r: changed(
             r, near_points=RICH_ROWS[3].near_points, uniform_points=RICH_ROWS[3].uniform_points
         ),
@@ -195,7 +205,7 @@ FAULTS = {
         ),
     ),
     "surface of another state": (
-        "zero level",
+        "near",
         lambda r: changed(
             r, surface_points=RICH_ROWS[3].surface_points, surface_part=RICH_ROWS[3].surface_part
         ),
@@ -236,13 +246,18 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("what", FAULTS)
-def test_fault_is_found(what):
+def harmed(what) -> tuple[Recipe, list[Instance]]:
     check, harm = FAULTS[what]
     recipe, rows = RICH, list(RICH_ROWS)
     if check == "coverage":
         recipe, rows = COVERED, [changed(row, coverage=covered(row)) for row in rows]
     rows[2] = harm(rows[2])
+    return recipe, rows
+
+
+@pytest.mark.parametrize("what", FAULTS)
+def test_fault_is_found(what):
+    check, (recipe, rows) = FAULTS[what][0], harmed(what)
     found = list(checks.faults(rows, recipe))
     assert check in {fault.check for fault in found if fault.state_index == 2}, found
     assert {fault.state_index for fault in found} <= {2}
@@ -341,7 +356,70 @@ def test_enclosed_space_is_a_label_but_where_the_rule_knows_none():
 
 
 def test_every_check_has_a_fault():
-    assert {check for check, _ in (*FAULTS.values(), *OBJECT_FAULTS.values())} == set(CHECKS)
+    assert {check for check, _ in (*FAULTS.values(), *OBJECT_FAULTS.values())} == CHECKS
+
+
+# How sure a share must be.
+
+
+def test_bounds_lie_between_what_is_sound_and_what_is_not():
+    for bound in checks.BOUNDS.values():
+        assert bound.faulty < bound.least < bound.sound
+    used = set()
+    for what, (check, _) in FAULTS.items():
+        if check in checks.SHARE_CHECKS or check == "flow":
+            recipe, rows = harmed(what)
+            tell = [
+                share
+                for state, c, share in checks.shares([rows[0], rows[2]], recipe)
+                if (state, c) == (2, check) and share.is_refused
+            ]
+            used |= {s.bound for s in tell}
+            assert any(s.agree / s.judged <= checks.BOUNDS[s.bound].faulty for s in tell), what
+    assert used == set(checks.BOUNDS)
+
+
+@pytest.mark.parametrize("name", checks.BOUNDS)
+def test_chance_alone_refuses_no_sound_share(name):
+    """The exact binomial distribution, of as many draws as count as independent ones."""
+    bound = checks.BOUNDS[name]
+    for draws in (1, 5, 10, 20, 50, 200, 1000):
+        refused = [k for k in range(draws) if bound.refuses(k * bound.per, draws * bound.per)]
+        assert refused == list(range(len(refused)))  # the fewer agree, the surer
+        p = bound.least
+        tail = sum(math.comb(draws, k) * p**k * (1.0 - p) ** (draws - k) for k in refused)
+        assert tail <= checks.CHANCE
+        assert refused or draws <= 20
+
+
+@pytest.mark.parametrize("name", checks.BOUNDS)
+def test_enough_places_tell_a_fault_but_few_do_not(name):
+    bound = checks.BOUNDS[name]
+    few, enough = 8 * bound.per, 1000 * bound.per
+    assert not bound.refuses(0, few)
+    assert not bound.refuses(0, 0)
+    assert bound.refuses(int(bound.faulty * enough), enough)
+    assert not bound.refuses(int(bound.least * enough) + 1, enough)
+
+
+def test_a_fault_too_small_to_tell_in_one_instance_tells_in_all():
+    few = {"surface_points": 600, "uniform_points": 600, "near_points": 600}
+    recipe = RICH.model_copy(update={"sampling": RICH.sampling.model_copy(update=few)})
+    states = [(0.0, 0.0), (0.4, 0.1), (0.8, 0.1), (1.2, 0.25), (1.6, 0.02), (1.7, 0.1)]
+    rows = [
+        edited(row, "surface_normals", np.negative) for row in hinged_box(states, recipe=recipe)
+    ]
+    for row in rows:
+        assert "zero level" not in {fault.check for fault in checks.faults([row], recipe)}
+    every = [fault for fault in checks.faults(rows, recipe) if fault.check == "zero level"]
+    assert [fault.state_index for fault in every] == [None]
+
+
+@pytest.mark.slow
+def test_sound_objects_of_all_kinds_are_left_in_peace():
+    """Two laps of rules, views and samples; `python -m tests.benchmarks.soundness` takes 230."""
+    for made in islice(made_sets(), 12):
+        assert made.refused() == [], made.name
 
 
 @settings(max_examples=20, deadline=None)

@@ -72,7 +72,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "meshing": BASE | {"fusion"},
     "replay": BASE
     | STORE
-    | {"sources", "articulation", "instance", "meshing", "pipeline", "verify"},
+    | {"sources", "articulation", "fusion", "instance", "meshing", "pipeline", "checks", "verify"},
     "inspection": BASE | STORE | {"rendering"},
     "ppd": BASE | STORE | {"inspection", "workers"},
     "console": {"inspection", "manifest", "pipeline", "sources"},

@@ -1,16 +1,22 @@
 """A small data set made again from its source."""
 
+from dataclasses import replace
+
 import h5py
 import numpy as np
 import pytest
 import trimesh
 
+from articugen import articulation
 from articugen import replay as replaying
 from articugen.errors import ArticugenError, InvalidSource
+from articugen.instance import make_instance, prepare
 from articugen.manifest import Manifest
 from articugen.pipeline import Job, generate
 from articugen.recipe import Recipe
+from articugen.records import dequantize, quantize
 from articugen.replay import prepared_again, replay, write_mesh
+from articugen.sources import registry
 
 RECIPE = Recipe.model_validate(
     {
@@ -73,3 +79,30 @@ def test_a_mesh_of_an_instance_is_closed(made, tmp_path):
         write_mesh(made, name, 3, 48, tmp_path / "oven.ply")
     with pytest.raises(ArticugenError, match=r"choose one of \.ply"):
         write_mesh(made, name, 1, 48, tmp_path / "oven.doc")
+
+
+COARSE = Recipe.model_validate(
+    RECIPE.model_dump()
+    | {"views": {"count": 30, "resolution": 48}, "fusion": {"rule": "reachable"}, "objects": 1}
+)
+
+
+@pytest.fixture(scope="module")
+def coarse():
+    """Eyeglasses with pixels wider than the frame: 5 % of the surface is off its level."""
+    (ref,) = registry.object_refs("procedural_messy", "eyeglasses", ids=["eyeglasses_0000"])
+    obj = articulation.resolve(registry.load(ref), COARSE.articulation)
+    prepared = prepare(obj, COARSE, seed=6)
+    return prepared, make_instance(prepared, 1)
+
+
+def test_coarse_views_are_no_fault(coarse):
+    assert list(replaying.beside_level(*coarse)) == []
+
+
+@pytest.mark.parametrize("beside", [1 / 256, -1 / 256])
+def test_a_surface_a_voxel_beside_the_level_is_found(coarse, beside):
+    prepared, row = coarse
+    moved = dequantize(row.surface_points) + beside * row.surface_normals / 127
+    other = replace(row, surface_points=quantize(moved))
+    assert "lie off the field's zero level" in next(replaying.beside_level(prepared, other))

@@ -1,0 +1,148 @@
+"""Whether `verify` leaves sound data in peace: python -m tests.benchmarks.soundness [--sets N]
+
+Makes N objects of three instances each, with recipes as different as people write them: every rule,
+fine and coarse views, many samples and few. They are the bundled ones, clean and messy, and, where
+ARTICUGEN_REAL_MODELS names a folder, what lies in its collections. All are judged as `verify` and
+`verify --replay` would. Prints what was refused, and the least share that each bound of checks.py
+met where there was enough to refuse it. Exit status 1 if anything was refused.
+"""
+
+import argparse
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice, zip_longest
+from pathlib import Path
+from typing import Any
+
+from articugen import articulation, checks, replay
+from articugen.errors import InvalidSource, NotOfCategory
+from articugen.instance import Prepared, make_instance, prepare
+from articugen.recipe import Recipe, load_recipe
+from articugen.records import Instance
+from articugen.sources import registry
+
+CATEGORIES = ("drawer", "eyeglasses", "laptop", "oven", "washing_machine")
+
+STATES = 2
+
+RULES = ("seen", "rigid", "reachable", "mean")
+VIEWS: tuple[dict[str, Any], ...] = (
+    {},
+    {"count": 30, "resolution": 48},
+    {"count": 60, "resolution": 128},
+    {"count": 12, "resolution": 64, "projection": "pinhole"},
+)
+SAMPLES: tuple[dict[str, Any], ...] = (
+    {},
+    {"grids": (8,), "surface_points": 512, "uniform_points": 512, "near_points": 512},
+    {"grids": (16, 32), "surface_points": 2048, "partial_views": 1, "partial_points": 64},
+    {"grids": (8, 32), "coverage": True, "uniform_points": 4096, "near_sigma": 0.002},
+    {"grids": (12, 40), "surface_points": 1000, "uniform_points": 20000, "near_sigma": 0.03},
+)
+FEWER = {"grids": (16, 32), "surface_points": 4096, "near_points": 4096, "uniform_points": 4096}
+"""What the recipe's own numbers are taken to be: enough, and quicker."""
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """An object made with a recipe, as a data set would hold it."""
+
+    name: str
+    recipe: Recipe
+    prepared: Prepared
+    rows: list[Instance]
+
+    def refused(self) -> list[str]:
+        """What `verify` and `verify --replay` would say of it."""
+        found = [str(fault) for fault in checks.faults(self.rows, self.recipe)]
+        return found + [s for row in self.rows for s in replay.beside_level(self.prepared, row)]
+
+    def least_shares(self) -> dict[str, float]:
+        """By bound, of the shares that could have been refused."""
+        least: dict[str, float] = {}
+        for _, _, share in checks.shares(self.rows, self.recipe):
+            if share.could_be_refused:
+                agree = share.agree / share.judged
+                least[share.bound] = min(agree, least.get(share.bound, 1.0))
+        return least
+
+
+def made_sets(first: int = 0) -> Iterator[Made]:
+    """Sets without end, no two alike; the n-th is always the same."""
+    refs = list(_refs())
+    for n in range(first, sys.maxsize):
+        lap, ref = n // len(refs), refs[n % len(refs)]
+        seed = n
+        rule = RULES[(n + lap) % 4]
+        views = VIEWS[(n // 4 + lap) % 4]
+        samples = SAMPLES[(n + n // 5 + lap) % 5] or FEWER
+        recipe = load_recipe(None, ref.category).with_counts(states=STATES)
+        recipe = Recipe.model_validate(
+            recipe.model_dump()
+            | {"fusion": recipe.fusion.model_dump() | {"rule": rule}}
+            | {"views": recipe.views.model_dump() | views}
+            | {"sampling": recipe.sampling.model_dump() | FEWER | samples}
+        )
+        name = f"{n}: {ref.source} {ref.category} {ref.object_id} {rule} {views} {samples}"
+        try:
+            yield _made(name, ref, recipe, seed)
+        except NotOfCategory:
+            continue
+
+
+def _made(name: str, ref: registry.ObjectRef, recipe: Recipe, seed: int) -> Made:
+    settings = registry.settings(ref)
+    obj = articulation.resolve(
+        registry.load(ref),
+        recipe.articulation,
+        canonical=settings.canonical,
+        movable=settings.movable,
+    )
+    prepared = prepare(obj, recipe, seed)
+    return Made(name, recipe, prepared, [make_instance(prepared, s) for s in range(STATES + 1)])
+
+
+def _refs() -> Iterator[registry.ObjectRef]:
+    """All there are, bundled and real ones in turn."""
+    bundled = [
+        list(registry.object_refs(source, category))[::stride]
+        for source, stride in (("procedural", 7), ("procedural_messy", 9))
+        for category in CATEGORIES
+    ]
+    for turn in zip_longest(*bundled, list(_real())):
+        yield from (ref for ref in turn if ref is not None)
+
+
+def _real() -> Iterator[registry.ObjectRef]:
+    root = Path(os.environ.get("ARTICUGEN_REAL_MODELS", "/nonexistent"))
+    for folder in sorted(root.glob("*/*/")):
+        try:
+            yield from registry.object_refs(folder.parent, folder.name)
+        except InvalidSource:
+            continue
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.soundness")
+    parser.add_argument("--sets", type=int, default=230, help="so many objects")
+    asked = parser.parse_args()
+    least: dict[str, tuple[float, str]] = {}
+    refused = made = 0
+    for one in islice(made_sets(), asked.sets):
+        made += 1
+        found = one.refused()
+        refused += bool(found)
+        for sentence in found:
+            print(f"REFUSED {one.name}: {sentence}")  # noqa: T201
+        for bound, lowest in one.least_shares().items():
+            least[bound] = min(least.get(bound, (1.0, "")), (lowest, one.name))
+    print(f"{made} sets, {refused} refused; the least share by bound:")  # noqa: T201
+    for bound, (lowest, name) in sorted(least.items()):
+        print(f"  {bound:14} {lowest:.3f} in {name}")  # noqa: T201
+    return min(refused, 1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
