@@ -39,6 +39,7 @@ from articugen.rendering.overlay import Overlay
 from articugen.rendering.views import fusion_views, random_pinhole_views
 from articugen.seeding import generator
 from articugen.slender import Slender, slender_voxels, way_meets
+from articugen.swept import swept_box
 from articugen.winding import pieces
 
 MOST_PARTS = 254
@@ -127,14 +128,14 @@ def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
     posed = [articulation.forward_kinematics(obj, state) for state in states]
     motions = np.stack([articulation.part_motions(p, posed[0]) for p in posed])
     world = _canonical_mesh(obj, posed[0])
-    unit = _normalization(_swept_box(world, motions), recipe.padding)
+    unit = _normalization(swept_box(world, motions), recipe.padding)
     soup = LabelledMesh(unit.to_unit(world.vertices), world.faces, world.part_of_face)
 
     parts = [solid_part(soup.part(k), recipe) for k in range(obj.part_count)]
     mesh = LabelledMesh.joined([part.mesh for part in parts])
     if not len(mesh.faces):
         raise RejectedInstance("the object has no faces: those of its links have no area")
-    views = fusion_views(recipe.views, _swept_box(mesh, unit.rigid_to_unit(motions)))
+    views = fusion_views(recipe.views, swept_box(mesh, unit.rigid_to_unit(motions)))
     static = _render(parts[0].mesh, views, recipe)
     tree = parts[0].own.field.hierarchy
     slender = slender_voxels(parts[0].mesh, fusion.pixel_width(views), tree)
@@ -242,16 +243,6 @@ def _canonical_mesh(obj: ArticulatedObject, posed: PosedObject) -> LabelledMesh:
     if not len(joined.faces):
         raise RejectedInstance("the object has no faces: its links carry no visual geometry")
     return joined
-
-
-def _swept_box(mesh: LabelledMesh, motions: Floats) -> Floats:
-    """The box (2, 3) of the mesh's faces in all poses; `motions` (N, P, 4, 4)."""
-    boxes = []
-    for part in np.unique(mesh.part_of_face):
-        used = np.unique(mesh.faces[mesh.part_of_face == part])
-        boxes += [bounds(apply(T, mesh.vertices[used])) for T in motions[:, part]]
-    lower, upper = np.moveaxis(np.array(boxes), 1, 0)
-    return np.stack([lower.min(axis=0), upper.max(axis=0)])
 
 
 def _normalization(box: Floats, padding: float) -> Normalization:
