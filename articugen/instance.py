@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from articugen import articulation, fusion, sampling, sheets
 from articugen.errors import RejectedInstance
 from articugen.geometry import apply, bounds, box_corners
-from articugen.hierarchy import Hierarchy, build
+from articugen.hierarchy import Hierarchy, build, joined
 from articugen.portable import norm
 from articugen.reachable import touched
 from articugen.recipe import Recipe
@@ -137,9 +137,15 @@ def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
         raise RejectedInstance("the object has no faces: those of its links have no area")
     views = fusion_views(recipe.views, swept_box(mesh, unit.rigid_to_unit(motions)))
     static = _render(parts[0].mesh, views, recipe)
-    tree = parts[0].own.field.hierarchy
-    slender = slender_voxels(parts[0].mesh, fusion.pixel_width(views), tree)
-    static_field = fusion.fuse(static, parts[0].mesh, recipe.fusion, slender=slender)
+    slender = slender_voxels(parts[0].mesh, fusion.pixel_width(views), parts[0].tree)
+    static_field = fusion.fuse(
+        static,
+        parts[0].mesh,
+        recipe.fusion,
+        hierarchy=parts[0].tree,
+        part_motion=np.eye(4)[None],
+        slender=slender,
+    )
     fixed = replace(parts[0].own, field=replace(static_field, flood=parts[0].own.field.flood))
     own = (fixed, *(part.own for part in parts[1:]))
     draws = recipe.views.backend == "rasterizer" and recipe.fusion.rule != "rigid"
@@ -152,7 +158,7 @@ def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
         unit=unit,
         mesh=mesh,
         seen=np.concatenate([part.seen for part in parts]),
-        hierarchy=build(mesh.vertices[mesh.faces], mesh.part_of_face, obj.part_count),
+        hierarchy=joined([part.tree for part in parts]),
         views=views,
         closed=np.concatenate([part.closed for part in parts]),
         static=static,
@@ -256,11 +262,12 @@ def _normalization(box: Floats, padding: float) -> Normalization:
 @dataclass(frozen=True, eq=False)
 class SolidPart:
     """One part alone in the canonical pose: its surface, which of its faces can be seen and which
-    are those of closed pieces, its field."""
+    are those of closed pieces, the tree of its faces, its field."""
 
     mesh: LabelledMesh
     seen: NDArray[np.bool_]
     closed: NDArray[np.bool_]
+    tree: Hierarchy
     own: fusion.OwnSolid
 
 
@@ -275,16 +282,19 @@ def solid_part(soup: LabelledMesh, recipe: Recipe) -> SolidPart:
     free[1, asked] = ~alone.holds(where.points[1][asked])
     shown = sheets.shown_sides(soup, alone.field.maps)
     mesh, seen = sheets.solidified(soup, where, free, shown, thickness, closed)
+    tree = alone.field.hierarchy
     if not np.array_equal(mesh.faces, soup.faces):
         closed = sheets.closed(mesh)
         if len(mesh.faces) != len(soup.faces):  # sheets have become slabs
             alone = _own_solid(mesh, closed, recipe)
+            tree = alone.field.hierarchy
         else:
             alone = replace(alone, closed=_closed_pieces(mesh, closed, alone.field))
+            tree = build(mesh.vertices[mesh.faces], np.zeros(len(mesh.faces), np.uint8), 1)
     width = fusion.pixel_width(alone.field.maps.views)
     slender = slender_voxels(mesh, width, alone.field.hierarchy)
     own = replace(alone, field=fusion.flooded(replace(alone.field, slender=slender), mesh))
-    return SolidPart(mesh, seen, closed, own)
+    return SolidPart(mesh, seen, closed, tree, own)
 
 
 def _deep(mesh: LabelledMesh, where: sheets.Probes, tree: Hierarchy) -> NDArray[np.bool_]:

@@ -73,20 +73,32 @@ def probes(mesh: LabelledMesh, distance: float) -> Probes:
     One point for each 0.02 x 0.02 of area, 1 to 16 a face, spread by the R2 sequence (Roberts
     2018); the first is the centroid.
     """
-    corners = mesh.vertices[mesh.faces]
     areas = _areas(mesh.vertices, mesh.faces)
     counts = np.clip(np.ceil(areas / SAMPLE_AREA), 1, MOST_SAMPLES).astype(np.intp)
     face = np.repeat(np.arange(len(counts)), counts)
-    rank = np.arange(len(face)) - np.repeat(np.cumsum(counts) - counts, counts)
-    a = (0.5 + rank * 0.7548776662466927) % 1.0
-    b = (0.5 + rank * 0.5698402909980532) % 1.0
-    folded = a + b > 1.0
-    a, b = np.where(folded, 1.0 - a, a), np.where(folded, 1.0 - b, b)
-    a, b = np.where(rank == 0, 1 / 3, a), np.where(rank == 0, 1 / 3, b)
-    weights = np.stack([1.0 - a - b, a, b], axis=1)
-    on_face = np.einsum("nc,nci->ni", weights, corners[face])
-    offset = distance * face_normals(mesh.vertices, mesh.faces)[face]
-    return Probes(np.stack([on_face + offset, on_face - offset]), face)
+    normals = face_normals(mesh.vertices, mesh.faces)
+    return Probes(_spread(mesh.vertices, mesh.faces, counts, normals, distance, len(face)), face)
+
+
+@njit(cache=True, nogil=True)
+def _spread(vertices, faces, counts, normals, distance, total):
+    points = np.empty((2, total, 3))
+    n = 0
+    for f in range(faces.shape[0]):
+        for rank in range(counts[f]):
+            a = (0.5 + rank * 0.7548776662466927) % 1.0
+            b = (0.5 + rank * 0.5698402909980532) % 1.0
+            if a + b > 1.0:
+                a, b = 1.0 - a, 1.0 - b
+            if rank == 0:
+                a = b = 1 / 3
+            for axis in range(3):
+                at = (1.0 - a - b) * vertices[faces[f, 0], axis] + a * vertices[faces[f, 1], axis]
+                at += b * vertices[faces[f, 2], axis]
+                offset = distance * normals[f, axis]
+                points[0, n, axis], points[1, n, axis] = at + offset, at - offset
+            n += 1
+    return points
 
 
 def shown_sides(mesh: LabelledMesh, maps: DepthMaps) -> NDArray[np.intp]:
@@ -330,11 +342,24 @@ def _root(parent, i):
 
 def face_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
     """(F, 3) unit normals by the right-hand rule of each face's winding."""
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    normals = cross(b - a, c - a)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    normals = _crosses(vertices, faces)
+    return normals / np.maximum(norm(normals), 1e-30)[:, None]
 
 
 def _areas(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    return 0.5 * np.linalg.norm(cross(b - a, c - a), axis=1)
+    return 0.5 * norm(_crosses(vertices, faces))
+
+
+@njit(cache=True, nogil=True)
+def _crosses(vertices, faces):
+    """(F, 3) the cross products of two sides of each face."""
+    out = np.empty((faces.shape[0], 3))
+    for f in range(faces.shape[0]):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        x, y, z = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+        ux, uy, uz = vertices[b, 0] - x, vertices[b, 1] - y, vertices[b, 2] - z
+        vx, vy, vz = vertices[c, 0] - x, vertices[c, 1] - y, vertices[c, 2] - z
+        out[f, 0] = uy * vz - uz * vy
+        out[f, 1] = uz * vx - ux * vz
+        out[f, 2] = ux * vy - uy * vx
+    return out

@@ -179,9 +179,7 @@ def _read_obj(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
     if len(data) >= _LONG_OBJ:
         from articugen.sources.obj_kernel import read_plain  # noqa: PLC0415 - imports numba
 
-        plain = read_plain(
-            data, vertices=MAX_VERTICES, faces=MAX_FACES, line=MAX_LINE_BYTES
-        )
+        plain = read_plain(data, vertices=MAX_VERTICES, faces=MAX_FACES, line=MAX_LINE_BYTES)
         if plain is not None:
             faces = int(np.maximum(plain[2] - 2, 0).sum())
             mesh_formats.check_size(path, faces=faces, vertices=len(plain[0]))
