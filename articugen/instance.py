@@ -276,7 +276,7 @@ def solid_part(soup: LabelledMesh, recipe: Recipe) -> SolidPart:
     soup = sheets.without_repeats(soup).compact()
     alone = _own_solid(soup, closed := sheets.closed(soup), recipe)
     thickness = recipe.fusion.sheet_thickness
-    where = sheets.probes(soup, max(thickness, 1e-3) / 3.0)
+    where = sheets.probes(soup, max(thickness, 1e-3) / 3.0, together=True)
     free = np.stack([~alone.holds(where.points[0]), np.zeros(len(where.face), np.bool_)])
     asked = np.flatnonzero(~(closed[where.face] & _deep(soup, where, alone.field.hierarchy)))
     free[1, asked] = ~alone.holds(where.points[1][asked])

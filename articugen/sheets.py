@@ -23,6 +23,12 @@ SHEET_SHARE = 1.0 / 3.0
 """A face is a sheet where at least this share of its samples is seen free on both sides; one of a
 closed piece only where none of its samples has depth behind it."""
 
+FINE_FACES = 20_000
+"""From so many faces of a part on, its small ones are asked together, see `_alike`."""
+
+SMALL_AREA, TOGETHER = SAMPLE_AREA / 8.0, 0.01
+"""The largest of the small faces, and how far those reach that are asked together; unit frame."""
+
 MOST_AT_AN_EDGE = 8
 """Of more faces than these at one edge, only neighbours in their order are looked at."""
 
@@ -35,10 +41,14 @@ SMOOTH_COSINE = np.sqrt(0.75)
 
 @dataclass(frozen=True, eq=False)
 class Probes:
-    """Sample points on faces, one offset to each side: `points` (2, n, 3), `face` (n,)."""
+    """Sample points on faces, one offset to each side: `points` (2, n, 3), `face` (n,).
+
+    `speaker` (F,): the face whose samples speak for each one; mostly itself.
+    """
 
     points: NDArray[np.float64]
     face: NDArray[np.intp]
+    speaker: NDArray[np.intp]
 
 
 def welded(vertices: NDArray[np.float64]) -> NDArray[np.intp]:
@@ -67,17 +77,41 @@ def without_repeats(mesh: LabelledMesh) -> LabelledMesh:
     return LabelledMesh(mesh.vertices, mesh.faces[keep], mesh.part_of_face[keep])
 
 
-def probes(mesh: LabelledMesh, distance: float) -> Probes:
+def probes(mesh: LabelledMesh, distance: float, *, together: bool = False) -> Probes:
     """Points at `distance` from both sides of every face: side 0 along its normal, side 1 against.
+
+    With `together` one face speaks for small ones that lie around it, where there are very many.
 
     One point for each 0.02 x 0.02 of area, 1 to 16 a face, spread by the R2 sequence (Roberts
     2018); the first is the centroid.
     """
     areas = _areas(mesh.vertices, mesh.faces)
     counts = np.clip(np.ceil(areas / SAMPLE_AREA), 1, MOST_SAMPLES).astype(np.intp)
-    face = np.repeat(np.arange(len(counts)), counts)
     normals = face_normals(mesh.vertices, mesh.faces)
-    return Probes(_spread(mesh.vertices, mesh.faces, counts, normals, distance, len(face)), face)
+    speaker = np.arange(len(counts))
+    if together and len(counts) >= FINE_FACES:
+        small = np.flatnonzero(areas < SMALL_AREA)
+        speaker[small] = small[_alike(mesh.vertices[mesh.faces[small]].mean(axis=1), normals[small])]
+        counts[speaker != np.arange(len(counts))] = 0
+    face = np.repeat(np.arange(len(counts)), counts)
+    points = _spread(mesh.vertices, mesh.faces, counts, normals, distance, len(face))
+    return Probes(points, face, speaker)
+
+
+def _alike(centers: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.intp]:
+    """(n,) for each small face the first that lies in the same cell, a fifth of it as deep along
+    the normal, and looks the same way within some 15 degrees."""
+    columns = [
+        *np.floor(centers / TOGETHER).T,
+        *np.round(4.0 * normals).T,
+        np.floor(dot(centers, normals) / (0.2 * TOGETHER)),
+    ]
+    key = np.zeros(len(centers), np.int64)
+    for column in columns:  # few values each: the product of their numbers fits
+        from_0 = (column - column.min(initial=0.0)).astype(np.int64)
+        key = key * (int(from_0.max(initial=0)) + 1) + from_0
+    first, which = np.unique(key, return_index=True, return_inverse=True)[1:]
+    return first[which.reshape(-1)]
 
 
 @njit(cache=True, nogil=True)
@@ -147,8 +181,9 @@ def solidified(
         The mesh, and for each of its faces whether it can be seen at all.
     """
     count = np.bincount(where.face, minlength=len(mesh.faces))
-    share = [np.bincount(where.face, weights=w, minlength=len(mesh.faces)) / count
+    share = [np.bincount(where.face, weights=w, minlength=len(mesh.faces)) / np.maximum(count, 1)
              for w in (free[0], free[1], free[0] & free[1])]  # fmt: skip
+    share = [of_face[where.speaker] for of_face in share]
     # a closed piece's winding can be trusted, nobody sees its backs, and what has depth is no sheet
     solid = closed(mesh) if solid is None else solid
     sheet = (share[2] >= SHEET_SHARE) & ~(solid & (share[1] < 1.0))

@@ -65,8 +65,8 @@ def _parse(text, coordinates, hard, corners, counts, longest):
         follows = text[at + 1] if at + 1 < n else np.uint8(_NEWLINE)
         if kind < _SPACE and kind != _NEWLINE:
             return False, 0, 0, 0
-        if (kind == _V or kind == _F) and follows <= _SPACE:
-            if follows != _SPACE and follows != _TAB:
+        if kind in (_V, _F) and follows <= _SPACE:
+            if follows not in (_SPACE, _TAB):
                 return False, 0, 0, 0
             begin = at
             at += 1
