@@ -91,7 +91,9 @@ def probes(mesh: LabelledMesh, distance: float, *, together: bool = False) -> Pr
     speaker = np.arange(len(counts))
     if together and len(counts) >= FINE_FACES:
         small = np.flatnonzero(areas < SMALL_AREA)
-        speaker[small] = small[_alike(mesh.vertices[mesh.faces[small]].mean(axis=1), normals[small])]
+        speaker[small] = small[
+            _alike(mesh.vertices[mesh.faces[small]].mean(axis=1), normals[small])
+        ]
         counts[speaker != np.arange(len(counts))] = 0
     face = np.repeat(np.arange(len(counts)), counts)
     points = _spread(mesh.vertices, mesh.faces, counts, normals, distance, len(face))

@@ -130,7 +130,9 @@ def _from_key(depth):
 
 
 @njit(cache=True, nogil=True)
-def draw_view(faces, closed, snapped, image, depth, face, first_face):
+def draw_view(  # noqa: PLR0912, PLR0915 - one loop: a call for each face would cost as much as it
+    faces, closed, snapped, image, depth, face, first_face
+):
     """Draw triangles over one view's map of depth keys, naming face f `first_face + f`.
 
     Helpers get numbers, not arrays, each of which would cost two atomic counts at every face.

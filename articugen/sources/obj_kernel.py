@@ -51,7 +51,9 @@ def read_plain(
 
 
 @njit(cache=True, nogil=True)
-def _parse(text, coordinates, hard, corners, counts, longest):
+def _parse(  # noqa: PLR0911, PLR0912 - one pass
+    text, coordinates, hard, corners, counts, longest
+):
     """Whether all is plain, and how many coordinates, corners and polygons were found; a coordinate
     that is left to `float` is nan, and `hard` says where it stands."""
     n = text.shape[0]
