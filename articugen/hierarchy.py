@@ -5,13 +5,12 @@ the ray, so that no pose needs a new tree. Nodes lie in depth-first order with s
 (Smits 1998, "Efficiency issues for ray tracing"): the walk needs no stack.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-
-from articugen.geometry import cross
 
 LEAF_FACES = 4
 
@@ -34,32 +33,55 @@ class Hierarchy(NamedTuple):
     roots: Any
 
 
-def triangle_table(corners: NDArray[np.float64]) -> NDArray[np.float32]:
-    """(F, 16), one cache line a face: unit normal, offset, three corners; from (F, 3, 3)."""
-    normals = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    table = np.zeros((len(corners), 16), np.float32)
-    table[:, :3] = normals
-    table[:, 3] = np.einsum("fi,fi->f", normals, corners.mean(axis=1))
-    table[:, 4:13] = corners.reshape(-1, 9)
+@njit(cache=True, nogil=True)
+def triangle_table(corners):
+    """(F, 16) float32, one cache line a face: unit normal, offset, three corners; (F, 3, 3)."""
+    table = np.zeros((corners.shape[0], 16), np.float32)
+    for f in range(corners.shape[0]):
+        ax, ay, az = corners[f, 0, 0], corners[f, 0, 1], corners[f, 0, 2]
+        bx, by, bz = corners[f, 1, 0], corners[f, 1, 1], corners[f, 1, 2]
+        cx, cy, cz = corners[f, 2, 0], corners[f, 2, 1], corners[f, 2, 2]
+        x = (by - ay) * (cz - az) - (bz - az) * (cy - ay)
+        y = (bz - az) * (cx - ax) - (bx - ax) * (cz - az)
+        z = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        length = max(np.sqrt(x * x + y * y + z * z), 1e-30)
+        x, y, z = x / length, y / length, z / length
+        at = ((ax + bx + cx) / 3.0, (ay + by + cy) / 3.0, (az + bz + cz) / 3.0)
+        table[f, 0], table[f, 1], table[f, 2] = x, y, z
+        table[f, 3] = x * at[0] + y * at[1] + z * at[2]
+        for corner in range(3):
+            for axis in range(3):
+                table[f, 4 + 3 * corner + axis] = corners[f, corner, axis]
     return table
 
 
 def build(corners: NDArray[np.float64], part_of_face: NDArray[np.uint8], parts: int) -> Hierarchy:
     """The trees of `parts` parts over the faces' corners (F, 3, 3), each in its canonical pose."""
-    trees, tables = [], []
-    roots, first_face = [0], 0
-    for part in range(parts):
-        own = np.ascontiguousarray(corners[part_of_face == part])
-        order, box, skip, leaf = _build(own)
-        leaf[:, 0] += np.where(leaf[:, 1] > 0, first_face, 0).astype(np.int32)
-        trees.append((box, skip + roots[-1], leaf))
-        tables.append(triangle_table(own[order]))
-        roots.append(roots[-1] + len(skip))
-        first_face += len(own)
-    box, skip, leaf = (np.concatenate(arrays) for arrays in zip(*trees, strict=True))
+    return joined([_tree(corners[part_of_face == part]) for part in range(parts)])
+
+
+def _tree(corners: NDArray[np.float64]) -> Hierarchy:
+    """Of one part."""
+    own = np.ascontiguousarray(corners)
+    order, box, skip, leaf = _build(own)
+    roots = np.array([0, len(skip)], np.int32)
+    return Hierarchy(box, skip.astype(np.int32), leaf, triangle_table(own[order]), roots)
+
+
+def joined(trees: Sequence[Hierarchy]) -> Hierarchy:
+    """The trees of several parts, one after the other."""
+    first_node = np.cumsum([0, *(len(tree.skip) for tree in trees)])
+    first_face = np.cumsum([0, *(len(tree.triangles) for tree in trees)])
+    leaves = [np.array(tree.leaf) for tree in trees]
+    for leaf, first in zip(leaves, first_face, strict=False):
+        leaf[:, 0] += np.where(leaf[:, 1] > 0, first, 0).astype(np.int32)
+    skips = [tree.skip + np.int32(n) for tree, n in zip(trees, first_node, strict=False)]
     return Hierarchy(
-        box, skip.astype(np.int32), leaf, np.concatenate(tables), np.array(roots, np.int32)
+        np.concatenate([tree.box for tree in trees]),
+        np.concatenate(skips),
+        np.concatenate(leaves),
+        np.concatenate([tree.triangles for tree in trees]),
+        first_node.astype(np.int32),
     )
 
 

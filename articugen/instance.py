@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from articugen import articulation, fusion, sampling, sheets
 from articugen.errors import RejectedInstance
 from articugen.geometry import apply, bounds, box_corners
-from articugen.hierarchy import Hierarchy, build
+from articugen.hierarchy import Hierarchy, build, joined
 from articugen.portable import norm
 from articugen.reachable import touched
 from articugen.recipe import Recipe
@@ -39,6 +39,7 @@ from articugen.rendering.overlay import Overlay
 from articugen.rendering.views import fusion_views, random_pinhole_views
 from articugen.seeding import generator
 from articugen.slender import Slender, slender_voxels, way_meets
+from articugen.swept import swept_box
 from articugen.winding import pieces
 
 MOST_PARTS = 254
@@ -127,18 +128,24 @@ def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
     posed = [articulation.forward_kinematics(obj, state) for state in states]
     motions = np.stack([articulation.part_motions(p, posed[0]) for p in posed])
     world = _canonical_mesh(obj, posed[0])
-    unit = _normalization(_swept_box(world, motions), recipe.padding)
+    unit = _normalization(swept_box(world, motions), recipe.padding)
     soup = LabelledMesh(unit.to_unit(world.vertices), world.faces, world.part_of_face)
 
     parts = [solid_part(soup.part(k), recipe) for k in range(obj.part_count)]
     mesh = LabelledMesh.joined([part.mesh for part in parts])
     if not len(mesh.faces):
         raise RejectedInstance("the object has no faces: those of its links have no area")
-    views = fusion_views(recipe.views, _swept_box(mesh, unit.rigid_to_unit(motions)))
+    views = fusion_views(recipe.views, swept_box(mesh, unit.rigid_to_unit(motions)))
     static = _render(parts[0].mesh, views, recipe)
-    tree = parts[0].own.field.hierarchy
-    slender = slender_voxels(parts[0].mesh, fusion.pixel_width(views), tree)
-    static_field = fusion.fuse(static, parts[0].mesh, recipe.fusion, slender=slender)
+    slender = slender_voxels(parts[0].mesh, fusion.pixel_width(views), parts[0].tree)
+    static_field = fusion.fuse(
+        static,
+        parts[0].mesh,
+        recipe.fusion,
+        hierarchy=parts[0].tree,
+        part_motion=np.eye(4)[None],
+        slender=slender,
+    )
     fixed = replace(parts[0].own, field=replace(static_field, flood=parts[0].own.field.flood))
     own = (fixed, *(part.own for part in parts[1:]))
     draws = recipe.views.backend == "rasterizer" and recipe.fusion.rule != "rigid"
@@ -151,7 +158,7 @@ def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
         unit=unit,
         mesh=mesh,
         seen=np.concatenate([part.seen for part in parts]),
-        hierarchy=build(mesh.vertices[mesh.faces], mesh.part_of_face, obj.part_count),
+        hierarchy=joined([part.tree for part in parts]),
         views=views,
         closed=np.concatenate([part.closed for part in parts]),
         static=static,
@@ -244,16 +251,6 @@ def _canonical_mesh(obj: ArticulatedObject, posed: PosedObject) -> LabelledMesh:
     return joined
 
 
-def _swept_box(mesh: LabelledMesh, motions: Floats) -> Floats:
-    """The box (2, 3) of the mesh's faces in all poses; `motions` (N, P, 4, 4)."""
-    boxes = []
-    for part in np.unique(mesh.part_of_face):
-        used = np.unique(mesh.faces[mesh.part_of_face == part])
-        boxes += [bounds(apply(T, mesh.vertices[used])) for T in motions[:, part]]
-    lower, upper = np.moveaxis(np.array(boxes), 1, 0)
-    return np.stack([lower.min(axis=0), upper.max(axis=0)])
-
-
 def _normalization(box: Floats, padding: float) -> Normalization:
     """One frame for all instances: the longest edge of their common box becomes 1 - padding."""
     extent = float(np.max(box[1] - box[0]))
@@ -265,11 +262,12 @@ def _normalization(box: Floats, padding: float) -> Normalization:
 @dataclass(frozen=True, eq=False)
 class SolidPart:
     """One part alone in the canonical pose: its surface, which of its faces can be seen and which
-    are those of closed pieces, its field."""
+    are those of closed pieces, the tree of its faces, its field."""
 
     mesh: LabelledMesh
     seen: NDArray[np.bool_]
     closed: NDArray[np.bool_]
+    tree: Hierarchy
     own: fusion.OwnSolid
 
 
@@ -278,22 +276,25 @@ def solid_part(soup: LabelledMesh, recipe: Recipe) -> SolidPart:
     soup = sheets.without_repeats(soup).compact()
     alone = _own_solid(soup, closed := sheets.closed(soup), recipe)
     thickness = recipe.fusion.sheet_thickness
-    where = sheets.probes(soup, max(thickness, 1e-3) / 3.0)
+    where = sheets.probes(soup, max(thickness, 1e-3) / 3.0, together=True)
     free = np.stack([~alone.holds(where.points[0]), np.zeros(len(where.face), np.bool_)])
     asked = np.flatnonzero(~(closed[where.face] & _deep(soup, where, alone.field.hierarchy)))
     free[1, asked] = ~alone.holds(where.points[1][asked])
     shown = sheets.shown_sides(soup, alone.field.maps)
     mesh, seen = sheets.solidified(soup, where, free, shown, thickness, closed)
+    tree = alone.field.hierarchy
     if not np.array_equal(mesh.faces, soup.faces):
         closed = sheets.closed(mesh)
         if len(mesh.faces) != len(soup.faces):  # sheets have become slabs
             alone = _own_solid(mesh, closed, recipe)
+            tree = alone.field.hierarchy
         else:
             alone = replace(alone, closed=_closed_pieces(mesh, closed, alone.field))
+            tree = build(mesh.vertices[mesh.faces], np.zeros(len(mesh.faces), np.uint8), 1)
     width = fusion.pixel_width(alone.field.maps.views)
     slender = slender_voxels(mesh, width, alone.field.hierarchy)
     own = replace(alone, field=fusion.flooded(replace(alone.field, slender=slender), mesh))
-    return SolidPart(mesh, seen, closed, own)
+    return SolidPart(mesh, seen, closed, tree, own)
 
 
 def _deep(mesh: LabelledMesh, where: sheets.Probes, tree: Hierarchy) -> NDArray[np.bool_]:

@@ -271,10 +271,10 @@ class LabelledMesh:
 
     def compact(self) -> "LabelledMesh":
         """The same faces without the vertices that none of them uses."""
-        used, faces = np.unique(self.faces, return_inverse=True)
-        return LabelledMesh(
-            self.vertices[used], faces.reshape(-1, 3).astype(np.int32), self.part_of_face
-        )
+        used = np.zeros(len(self.vertices), np.bool_)
+        used[self.faces] = True
+        number = np.cumsum(used, dtype=np.int32) - np.int32(1)
+        return LabelledMesh(self.vertices[used], number[self.faces], self.part_of_face)
 
     def moved(self, T_part: Floats) -> "LabelledMesh":
         """The mesh with each part moved by its own transform; `T_part` (P, 4, 4).

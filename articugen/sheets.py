@@ -23,6 +23,12 @@ SHEET_SHARE = 1.0 / 3.0
 """A face is a sheet where at least this share of its samples is seen free on both sides; one of a
 closed piece only where none of its samples has depth behind it."""
 
+FINE_FACES = 20_000
+"""From so many faces of a part on, its small ones are asked together, see `_alike`."""
+
+SMALL_AREA, TOGETHER = SAMPLE_AREA / 8.0, 0.01
+"""The largest of the small faces, and how far those reach that are asked together; unit frame."""
+
 MOST_AT_AN_EDGE = 8
 """Of more faces than these at one edge, only neighbours in their order are looked at."""
 
@@ -35,10 +41,14 @@ SMOOTH_COSINE = np.sqrt(0.75)
 
 @dataclass(frozen=True, eq=False)
 class Probes:
-    """Sample points on faces, one offset to each side: `points` (2, n, 3), `face` (n,)."""
+    """Sample points on faces, one offset to each side: `points` (2, n, 3), `face` (n,).
+
+    `speaker` (F,): the face whose samples speak for each one; mostly itself.
+    """
 
     points: NDArray[np.float64]
     face: NDArray[np.intp]
+    speaker: NDArray[np.intp]
 
 
 def welded(vertices: NDArray[np.float64]) -> NDArray[np.intp]:
@@ -67,26 +77,64 @@ def without_repeats(mesh: LabelledMesh) -> LabelledMesh:
     return LabelledMesh(mesh.vertices, mesh.faces[keep], mesh.part_of_face[keep])
 
 
-def probes(mesh: LabelledMesh, distance: float) -> Probes:
+def probes(mesh: LabelledMesh, distance: float, *, together: bool = False) -> Probes:
     """Points at `distance` from both sides of every face: side 0 along its normal, side 1 against.
+
+    With `together` one face speaks for small ones that lie around it, where there are very many.
 
     One point for each 0.02 x 0.02 of area, 1 to 16 a face, spread by the R2 sequence (Roberts
     2018); the first is the centroid.
     """
-    corners = mesh.vertices[mesh.faces]
     areas = _areas(mesh.vertices, mesh.faces)
     counts = np.clip(np.ceil(areas / SAMPLE_AREA), 1, MOST_SAMPLES).astype(np.intp)
+    normals = face_normals(mesh.vertices, mesh.faces)
+    speaker = np.arange(len(counts))
+    if together and len(counts) >= FINE_FACES:
+        small = np.flatnonzero(areas < SMALL_AREA)
+        speaker[small] = small[
+            _alike(mesh.vertices[mesh.faces[small]].mean(axis=1), normals[small])
+        ]
+        counts[speaker != np.arange(len(counts))] = 0
     face = np.repeat(np.arange(len(counts)), counts)
-    rank = np.arange(len(face)) - np.repeat(np.cumsum(counts) - counts, counts)
-    a = (0.5 + rank * 0.7548776662466927) % 1.0
-    b = (0.5 + rank * 0.5698402909980532) % 1.0
-    folded = a + b > 1.0
-    a, b = np.where(folded, 1.0 - a, a), np.where(folded, 1.0 - b, b)
-    a, b = np.where(rank == 0, 1 / 3, a), np.where(rank == 0, 1 / 3, b)
-    weights = np.stack([1.0 - a - b, a, b], axis=1)
-    on_face = np.einsum("nc,nci->ni", weights, corners[face])
-    offset = distance * face_normals(mesh.vertices, mesh.faces)[face]
-    return Probes(np.stack([on_face + offset, on_face - offset]), face)
+    points = _spread(mesh.vertices, mesh.faces, counts, normals, distance, len(face))
+    return Probes(points, face, speaker)
+
+
+def _alike(centers: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.intp]:
+    """(n,) for each small face the first that lies in the same cell, a fifth of it as deep along
+    the normal, and looks the same way within some 15 degrees."""
+    columns = [
+        *np.floor(centers / TOGETHER).T,
+        *np.round(4.0 * normals).T,
+        np.floor(dot(centers, normals) / (0.2 * TOGETHER)),
+    ]
+    key = np.zeros(len(centers), np.int64)
+    for column in columns:  # few values each: the product of their numbers fits
+        from_0 = (column - column.min(initial=0.0)).astype(np.int64)
+        key = key * (int(from_0.max(initial=0)) + 1) + from_0
+    first, which = np.unique(key, return_index=True, return_inverse=True)[1:]
+    return first[which.reshape(-1)]
+
+
+@njit(cache=True, nogil=True)
+def _spread(vertices, faces, counts, normals, distance, total):
+    points = np.empty((2, total, 3))
+    n = 0
+    for f in range(faces.shape[0]):
+        for rank in range(counts[f]):
+            a = (0.5 + rank * 0.7548776662466927) % 1.0
+            b = (0.5 + rank * 0.5698402909980532) % 1.0
+            if a + b > 1.0:
+                a, b = 1.0 - a, 1.0 - b
+            if rank == 0:
+                a = b = 1 / 3
+            for axis in range(3):
+                at = (1.0 - a - b) * vertices[faces[f, 0], axis] + a * vertices[faces[f, 1], axis]
+                at += b * vertices[faces[f, 2], axis]
+                offset = distance * normals[f, axis]
+                points[0, n, axis], points[1, n, axis] = at + offset, at - offset
+            n += 1
+    return points
 
 
 def shown_sides(mesh: LabelledMesh, maps: DepthMaps) -> NDArray[np.intp]:
@@ -135,8 +183,9 @@ def solidified(
         The mesh, and for each of its faces whether it can be seen at all.
     """
     count = np.bincount(where.face, minlength=len(mesh.faces))
-    share = [np.bincount(where.face, weights=w, minlength=len(mesh.faces)) / count
+    share = [np.bincount(where.face, weights=w, minlength=len(mesh.faces)) / np.maximum(count, 1)
              for w in (free[0], free[1], free[0] & free[1])]  # fmt: skip
+    share = [of_face[where.speaker] for of_face in share]
     # a closed piece's winding can be trusted, nobody sees its backs, and what has depth is no sheet
     solid = closed(mesh) if solid is None else solid
     sheet = (share[2] >= SHEET_SHARE) & ~(solid & (share[1] < 1.0))
@@ -330,11 +379,24 @@ def _root(parent, i):
 
 def face_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
     """(F, 3) unit normals by the right-hand rule of each face's winding."""
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    normals = cross(b - a, c - a)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    normals = _crosses(vertices, faces)
+    return normals / np.maximum(norm(normals), 1e-30)[:, None]
 
 
 def _areas(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    return 0.5 * np.linalg.norm(cross(b - a, c - a), axis=1)
+    return 0.5 * norm(_crosses(vertices, faces))
+
+
+@njit(cache=True, nogil=True)
+def _crosses(vertices, faces):
+    """(F, 3) the cross products of two sides of each face."""
+    out = np.empty((faces.shape[0], 3))
+    for f in range(faces.shape[0]):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        x, y, z = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+        ux, uy, uz = vertices[b, 0] - x, vertices[b, 1] - y, vertices[b, 2] - z
+        vx, vy, vz = vertices[c, 0] - x, vertices[c, 1] - y, vertices[c, 2] - z
+        out[f, 0] = uy * vz - uz * vy
+        out[f, 1] = uz * vx - ux * vz
+        out[f, 2] = ux * vy - uy * vx
+    return out

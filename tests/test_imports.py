@@ -33,6 +33,7 @@ STAGES = {
     "reachable": {"hierarchy", "fusion_kernels"},
     "sheets": set(),
     "slender": {"hierarchy", "reachable", "sheets"},
+    "swept": set(),
     "winding": {"hierarchy"},
     "sampling": set(),
     "sources": {"files"},

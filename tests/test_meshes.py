@@ -146,6 +146,49 @@ def test_broken_obj_is_refused(tmp_path, faces, problem):
     assert str(tmp_path / "m.obj") in str(caught.value)
 
 
+_ODD = b"v 0.5 -1e-3 3\nvt 1 2\nv 1.25e2 +.5 5.\nv -0 1234567890123456789 0.12345678901234567 9\n" \
+    b"f 1/2/3 2//3 3\n f -1 -2 1 # hi\nf 1 2 3\n\tv 1 2 3\no vf\n"  # fmt: skip
+
+
+@settings(deadline=None, max_examples=300)
+@given(
+    st.lists(
+        st.tuples(
+            st.integers(0, len(_ODD) - 1),
+            st.sampled_from(b"vf 0123456789.-+e/#\n\t\x0b\x0c\r\\_xn"),
+            st.booleans(),
+        ),
+        max_size=3,
+    )
+)
+def test_the_compiled_obj_reader_says_what_the_loop_over_lines_says(edits):
+    text = bytearray(_ODD)
+    for at, byte, insert in edits:
+        text[at : at + (not insert)] = bytes([byte])
+    found = []
+    for shortest in (0, 10**9):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(meshes, "_LONG_OBJ", shortest)
+            try:
+                vertices, faces = meshes._read_obj(bytes(text), Path("m.obj"), None)  # type: ignore[arg-type]
+                found.append((vertices.tobytes(), vertices.shape, faces.tolist()))
+            except InvalidSource as error:
+                found.append(str(error))
+    assert found[0] == found[1]
+
+
+def test_coordinates_of_long_objs_are_the_nearest_doubles():
+    rng = np.random.default_rng(0)
+    numbers = rng.normal(size=(2000, 3)) * 10.0 ** rng.integers(-12, 6, (2000, 1))
+    forms = ("%r %r %r", "%.7f %.9g %.3e")
+    for form in forms:
+        lines = [form % tuple(row) for row in numbers.tolist()]
+        text = "".join(f"v {line}\n" for line in lines).encode()
+        assert len(text) > meshes._LONG_OBJ
+        vertices, _ = meshes._read_obj(text, Path("m.obj"), None)  # type: ignore[arg-type]
+        assert vertices.tolist() == [[float(word) for word in line.split()] for line in lines]
+
+
 @pytest.mark.parametrize("text", ["", SQUARE_OBJ, SQUARE_OBJ + "l 1 2\nf 1 1 2\n"])
 def test_mesh_without_triangles_is_refused(tmp_path, text):
     with pytest.raises(EmptyMesh, match="no triangle"):

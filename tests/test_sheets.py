@@ -137,6 +137,23 @@ def test_a_face_that_shows_between_its_probes_is_seen():
     assert np.all(sheets.face_normals(part.mesh.vertices, part.mesh.faces)[on_top, 2] > 0.99)
 
 
+def test_small_faces_of_very_fine_parts_are_judged_together_and_as_alone(monkeypatch):
+    """A finely cut block with a fin without thickness: the fin becomes a slab, the block stays."""
+    block = box((0.4, 0.4, 0.4)).subdivide_to_size(0.007)
+    fin = rotated(sheet(0.3), np.pi / 2, (1, 0, 0)).subdivide_to_size(0.007)
+    fin.apply_translation((0, 0, 0.36))
+    mesh = labelled(trimesh.util.concatenate([block, two_sided(fin)]))
+    assert len(mesh.faces) >= sheets.FINE_FACES
+    together, apart = (sheets.probes(mesh, 1e-3, together=t) for t in (True, False))
+    assert len(together.face) < 0.6 * len(apart.face)
+    fast = solid_part(mesh, RECIPE)
+    monkeypatch.setattr(sheets, "FINE_FACES", 10**9)
+    exact = solid_part(mesh, RECIPE)
+    assert len(exact.mesh.faces) > len(mesh.faces)
+    assert len(fast.mesh.faces) == pytest.approx(len(exact.mesh.faces), rel=0.005)
+    assert fast.seen.mean() == pytest.approx(exact.seen.mean(), abs=0.02)
+
+
 def bent_sheet(turns: int = 12, bend: float = np.radians(150.0), radius: float = 0.3):
     """A strip bent round an arc, facet by facet, wound at random; and its facets' length."""
     angle = np.linspace(0.0, bend, turns + 1)

@@ -46,7 +46,7 @@ def _draw_over(
     vertices, faces, closed, T, intrinsics, pinhole, below, face_below, face, drawn, first_face
 ):
     """Draw all views over `face`, a copy of `face_below` but for the rectangles `drawn`."""
-    snapped = np.empty((vertices.shape[0], 2), np.int64)
+    snapped = np.empty((vertices.shape[0], 2), np.int32)
     image = np.empty((vertices.shape[0], 3), np.float64)
     depth = np.empty(below.shape[1:], np.float32)  # of one view: only its rectangle is ever set
     for k in range(T.shape[0]):

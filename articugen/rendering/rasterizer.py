@@ -14,6 +14,8 @@ from articugen.records import DepthMaps, LabelledMesh, Views
 
 SUBPIXEL_BITS = 12
 SUBPIXELS = 1 << SUBPIXEL_BITS
+FEW_PIXELS = 32
+"""In the box around a triangle: each centre is asked, which is cheaper than the ends of rows."""
 LARGEST_PIXEL = 1 << 15
 """Vertices may project this far outside the image; products then still fit in 63 bits."""
 
@@ -70,7 +72,7 @@ def check_inside(inside: bool) -> None:
 
 @njit(cache=True, nogil=True)
 def _draw(vertices, faces, closed, T, intrinsics, pinhole, depth, face):
-    snapped = np.empty((vertices.shape[0], 2), np.int64)
+    snapped = np.empty((vertices.shape[0], 2), np.int32)
     image = np.empty((vertices.shape[0], 3), np.float64)
     for k in range(T.shape[0]):
         if not project(vertices, T[k], intrinsics[k], pinhole, snapped, image):
@@ -92,6 +94,7 @@ def project(vertices, T, intrinsics, pinhole, snapped, image):
     """
     fx, fy, cx, cy = intrinsics
     limit = LARGEST_PIXEL
+    inside = True
     for i in range(vertices.shape[0]):
         px, py, pz = vertices[i, 0], vertices[i, 1], vertices[i, 2]
         x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
@@ -100,14 +103,13 @@ def project(vertices, T, intrinsics, pinhole, snapped, image):
         w = 1.0 / z if pinhole else 1.0
         u = fx * x * w + cx
         v = fy * y * w + cy
-        if not (abs(u) < limit and abs(v) < limit):
-            return False
+        inside &= (abs(u) < limit) & (abs(v) < limit)
         image[i, 0] = u
         image[i, 1] = v
         image[i, 2] = -w if pinhole else z
-        snapped[i, 0] = np.int64(np.floor(u * SUBPIXELS + 0.5))
-        snapped[i, 1] = np.int64(np.floor(v * SUBPIXELS + 0.5))
-    return True
+        snapped[i, 0] = np.int32(np.floor(u * SUBPIXELS + 0.5))
+        snapped[i, 1] = np.int32(np.floor(v * SUBPIXELS + 0.5))
+    return inside
 
 
 @njit(cache=True, nogil=True)
@@ -128,7 +130,9 @@ def _from_key(depth):
 
 
 @njit(cache=True, nogil=True)
-def draw_view(faces, closed, snapped, image, depth, face, first_face):
+def draw_view(  # noqa: PLR0912, PLR0915 - one loop: a call for each face would cost as much as it
+    faces, closed, snapped, image, depth, face, first_face
+):
     """Draw triangles over one view's map of depth keys, naming face f `first_face + f`.
 
     Helpers get numbers, not arrays, each of which would cost two atomic counts at every face.
@@ -138,9 +142,9 @@ def draw_view(faces, closed, snapped, image, depth, face, first_face):
     half = SUBPIXELS // 2
     for f in range(faces.shape[0]):
         ia, ib, ic = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
-        a = (snapped[ia, 0], snapped[ia, 1])
-        b = (snapped[ib, 0], snapped[ib, 1])
-        c = (snapped[ic, 0], snapped[ic, 1])
+        a = (np.int64(snapped[ia, 0]), np.int64(snapped[ia, 1]))
+        b = (np.int64(snapped[ib, 0]), np.int64(snapped[ib, 1]))
+        c = (np.int64(snapped[ic, 0]), np.int64(snapped[ic, 1]))
         area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])
         if area == 0 or (area > 0 and closed[f]):  # positive: seen from behind, as v points down
             continue
@@ -150,18 +154,42 @@ def draw_view(faces, closed, snapped, image, depth, face, first_face):
             continue
         if area < 0:  # the same triangle the other way round
             b, c = c, b
-        if last - first < 2 and right - left < 2 and not _covers(a, b, c, first, last, left, right):
-            continue
         pa = (image[ia, 0], image[ia, 1], image[ia, 2])
         pb = (image[ib, 0], image[ib, 1], image[ib, 2])
         pc = (image[ic, 0], image[ic, 1], image[ic, 2])
+        k_low, k_high = min(pa[2], pb[2], pc[2]), max(pa[2], pb[2], pc[2])
+        A0, B0, C0 = _edge(a, b)
+        A1, B1, C1 = _edge(b, c)
+        A2, B2, C2 = _edge(c, a)
+        if (last - first + 1) * (right - left + 1) <= FEW_PIXELS:
+            nearest, known = np.float32(k_low), False
+            det = ku = kv = 0.0
+            x, y = left * SUBPIXELS + half, first * SUBPIXELS + half
+            e0, e1, e2 = A0 * x + B0 * y + C0, A1 * x + B1 * y + C1, A2 * x + B2 * y + C2
+            for i in range(first, last + 1):
+                f0, f1, f2 = e0, e1, e2
+                for j in range(left, right + 1):
+                    at = np.uintp(i * width + j)
+                    if (f0 | f1 | f2) >= 0 and nearest < flat_depth[at]:
+                        if not known:  # few of the small ones need it
+                            det, ku, kv = _slopes(pa, pb, pc)
+                            known = True
+                        base = pa[2] + kv * (i + 0.5 - pa[1]) + ku * (0.5 - pa[0])
+                        key = np.float32(min(max(base + ku * j, k_low), k_high))
+                        if key < flat_depth[at] and det != 0.0:
+                            flat_depth[at] = key
+                            flat_face[at] = first_face + f
+                    f0 += A0 * SUBPIXELS
+                    f1 += A1 * SUBPIXELS
+                    f2 += A2 * SUBPIXELS
+                e0 += B0 * SUBPIXELS
+                e1 += B1 * SUBPIXELS
+                e2 += B2 * SUBPIXELS
+            continue
         det, ku, kv = _slopes(pa, pb, pc)
         if det == 0.0:
             continue
-        k_low, k_high = min(pa[2], pb[2], pc[2]), max(pa[2], pb[2], pc[2])
-        A0, B0, C0, r0 = _edge(a, b)
-        A1, B1, C1, r1 = _edge(b, c)
-        A2, B2, C2, r2 = _edge(c, a)
+        r0, r1, r2 = _per_step(A0), _per_step(A1), _per_step(A2)
         for i in range(first, last + 1):
             y = i * SUBPIXELS + half
             j0, j1 = _span(A0, B0 * y + C0, r0, left, right)
@@ -186,26 +214,6 @@ def _pixels(a, b, c, size):
 
 
 @njit(cache=True, nogil=True)
-def _covers(a, b, c, first, last, left, right):
-    """Whether a triangle covers the centre of one of a few pixels: most small ones cover none."""
-    for i in range(first, last + 1):
-        y = i * SUBPIXELS + SUBPIXELS // 2
-        for j in range(left, right + 1):
-            x = j * SUBPIXELS + SUBPIXELS // 2
-            if _left_of(a, b, x, y) and _left_of(b, c, x, y) and _left_of(c, a, x, y):
-                return True
-    return False
-
-
-@njit(cache=True, nogil=True)
-def _left_of(a, b, x, y):
-    """Whether an edge's function, see `_edge`, is not negative."""
-    A, B = a[1] - b[1], b[0] - a[0]
-    value = A * (x - a[0]) + B * (y - a[1])
-    return value > 0 or (value == 0 and (A > 0 or (A == 0 and B > 0)))
-
-
-@njit(cache=True, nogil=True)
 def _slopes(a, b, c):
     """How the depth key changes with u and v, from the exact vertices; and 0 if it has no say."""
     u1, v1, k1 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -218,7 +226,7 @@ def _slopes(a, b, c):
 
 @njit(cache=True, nogil=True)
 def _edge(a, b):
-    """An edge's function A x + B y + C, not negative inside, and 1 / (A * SUBPIXELS).
+    """An edge's function A x + B y + C, not negative inside.
 
     Of two triangles at an edge the one that has it on top or left owns the pixels on it: for the
     other one C is less by one unit.
@@ -228,7 +236,12 @@ def _edge(a, b):
     C = a[0] * b[1] - b[0] * a[1]
     if not (A > 0 or (A == 0 and B > 0)):
         C -= 1
-    return A, B, C, 1.0 / (A * SUBPIXELS) if A != 0 else 0.0
+    return A, B, C
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _per_step(A):
+    return 1.0 / (A * SUBPIXELS) if A != 0 else 0.0
 
 
 @njit(cache=True, nogil=True)

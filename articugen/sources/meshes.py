@@ -166,12 +166,24 @@ def _lathe(radii: NDArray[np.float64], heights: NDArray[np.float64], sections: i
     return Mesh(np.concatenate([*rings, poles]), np.concatenate(faces).astype(np.int32))
 
 
+_LONG_OBJ = 2**14
+"""Bytes: shorter ones are not worth the import of a compiled reader."""
+
 _OBJ_LINE = re.compile(rb"^[ \t\v\f]*[vf](?:[ \t\v\f].*)?$", re.MULTILINE)
 
 
 def _read_obj(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
     """Wavefront OBJ: `v` and `f` lines, also with texture and normal indices, polygons, negative
     (relative) indices, continued lines and comments. Everything else is ignored."""
+    data = _obj_text(data, path)
+    if len(data) >= _LONG_OBJ:
+        from articugen.sources.obj_kernel import read_plain  # noqa: PLC0415 - imports numba
+
+        plain = read_plain(data, vertices=MAX_VERTICES, faces=MAX_FACES, line=MAX_LINE_BYTES)
+        if plain is not None:
+            faces = int(np.maximum(plain[2] - 2, 0).sum())
+            mesh_formats.check_size(path, faces=faces, vertices=len(plain[0]))
+            return plain[0], fans(*plain[1:])
     coordinates, corners, counts = array("d"), array("q"), array("q")
     faces = 0
     line = b""
@@ -200,14 +212,19 @@ def _read_obj(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
     )
 
 
-def _obj_lines(data: bytes, path: Path) -> Iterator[bytes]:
-    """The `v` and `f` lines; no more than a mesh may have, and none too long."""
+def _obj_text(data: bytes, path: Path) -> bytes:
+    """Lines that end with a newline, none continued; of no more than a mesh may have."""
     data = data.removeprefix(codecs.BOM_UTF8)
     if b"\\" in data:
         data = re.sub(rb"\\\r?\n", b" ", data)
     if b"\r" in data:
         data = data.replace(b"\r", b"\n")
     mesh_formats.check_size(path, faces=data.count(b"\nf "), vertices=data.count(b"\nv "))
+    return data
+
+
+def _obj_lines(data: bytes, path: Path) -> Iterator[bytes]:
+    """The `v` and `f` lines; no more than a mesh may have, and none too long."""
     for number, match in enumerate(_OBJ_LINE.finditer(data)):
         line = match.group()
         if len(line) > MAX_LINE_BYTES:
