@@ -62,6 +62,7 @@ GENERATING_CODE = (
     "sheets.py",
     "slender.py",
     "sources",
+    "swept.py",
     "winding.py",
 )
 
