@@ -93,7 +93,7 @@ BOUNDS = {
     "zero level": Bound(least=0.8, sound=0.88, faulty=0.45),
     "inner part": Bound(least=0.7, sound=0.96, faulty=0.1),
     "partial parts": Bound(least=0.7, sound=0.91, faulty=0.1),
-    "seen": Bound(least=0.6, sound=0.85, faulty=0.25),
+    "seen": Bound(least=0.6, sound=0.78, faulty=0.25),
     "flow": Bound(least=0.8, sound=0.92, faulty=0.6),
 }
 """For each kind of share; `sound` by 230 sets of three instances each."""
