@@ -27,7 +27,7 @@ MAKE = """
 import sys
 from articugen.cli import app
 for category in sys.argv[2:]:
-    app(["generate", "-c", category, "-n", "1", "-j", "1", "-r", sys.argv[1], "-o", "data"],
+    app(["generate", "-c", category, "-n", "1", "-j", "0", "-r", sys.argv[1], "-o", "data"],
         standalone_mode=False)
 """
 
