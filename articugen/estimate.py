@@ -1,7 +1,7 @@
 """What a run will take: rough figures for `--dry-run`, corrected by what the folder tells.
 
-Measured in CPU seconds on both threads of one busy core, over the five bundled categories; a core
-that is left alone takes about two thirds. What decides most is how many instances there are.
+Fitted by eye to CPU seconds of a few bundled objects; once a folder has objects made by the recipe,
+their own times decide. What decides most is how many instances there are.
 """
 
 from collections.abc import Sequence
