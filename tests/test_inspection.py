@@ -325,6 +325,10 @@ def test_tables_keep_their_numbers_on_one_line_on_a_narrow_terminal(tmp_path: Pa
     console.print(summary([shard(tmp_path)]))
     text = console.export_text()
     assert " on disk " in text
+    assert "…" not in text
+    heads = next(line.split() for line in text.splitlines() if line.split()[:1] == ["part"])
+    assert heads[1:5] == ["surface", "partial", "uniform", "near"]
+    assert heads[5].removeprefix("occupancy_").isdigit()
     assert max(map(len, text.splitlines())) <= 80
     assert len(text.splitlines()) < 80
 

@@ -142,7 +142,8 @@ def _parts(paths: Sequence[Path]) -> Table:
             for row in np.linspace(0, len(shard) - 1, some).astype(int):
                 total += np.bincount(shard.read(name, int(row)).ravel(), minlength=256)
     shares = {name: _shares(name, total) for name, total in counts.items()}
-    table = quiet_table(">part", *(f">{name}" for name in shares))
+    titles = (name.removesuffix("_part").removesuffix("_label") for name in shares)
+    table = quiet_table(">part", *(f">{title}" for title in titles))
     for part in range(max(map(len, shares.values()), default=0)):
         table.add_row(
             str(part), *(f"{s[part]:.2%}" if part < len(s) else "" for s in shares.values())
