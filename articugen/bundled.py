@@ -15,8 +15,11 @@ RECIPES = _ROOT / "recipes"
 SOURCES = _ROOT / "urdf_sources"
 
 
+CACHE = user_cache_path("articugen", appauthor=False) / "models"
+
+
 def model_folder(source: str) -> Path:
     """The folder for the models of a source that are written on demand; it need not exist yet."""
     if _ROOT == _INSTALLED:
-        return user_cache_path("articugen", appauthor=False) / "models" / source
+        return CACHE / source
     return SOURCES / source

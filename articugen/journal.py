@@ -23,7 +23,7 @@ from articugen.files import (
     make_folder,
     read_regular,
     sha256_of,
-    sync_folder,
+    sync,
     whole_name,
     write_atomically,
 )
@@ -239,7 +239,7 @@ class Journal:
         try:
             for name in names:
                 (self.folder / name).unlink(missing_ok=True)
-            sync_folder(self.folder)
+            sync(self.folder)
         except OSError as error:
             raise MachineFault(cannot_write(self.folder, error)) from None
 

@@ -2,13 +2,11 @@
 
 import json
 import shutil
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from test_manifest import COMPLETE, keys, make, names_in, run
+from trouble import held_by_another_run
 from typer.testing import CliRunner
 
 from articugen.cleaning import clean
@@ -88,18 +86,14 @@ def test_names_in_a_journal_are_not_believed(tmp_path):
 
 
 def test_not_while_a_run_is_at_work(tmp_path):
-    code = "import sys, time; from pathlib import Path; from articugen.journal import Journal\n"
-    code += "j = Journal(Path(sys.argv[1])); print('held', flush=True); time.sleep(60)"
     run(tmp_path, keys(), stop_after=1)
     part = tmp_path / partial_name("train-00001.h5")
     part.write_bytes(b"being written")
-    command = [sys.executable, "-c", code, str(tmp_path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == b"held\n"
-        with pytest.raises(ArticugenError, match="another run is writing here"):
-            clean(tmp_path)
-        process.send_signal(signal.SIGKILL)
+    with (
+        held_by_another_run(tmp_path),
+        pytest.raises(ArticugenError, match="another run is writing here"),
+    ):
+        clean(tmp_path)
     assert part.exists()
     assert removed(tmp_path) == [part.name]
 

@@ -92,7 +92,7 @@ def test_nothing_is_written_through_links(tmp_path, monkeypatch):
 
 def test_the_names_of_new_folders_are_synchronised(tmp_path, monkeypatch):
     synced = []
-    monkeypatch.setattr(files, "sync_folder", synced.append)
+    monkeypatch.setattr(files, "sync", synced.append)
     make_folder(tmp_path / "a" / "b")
     assert (tmp_path / "a" / "b").is_dir()
     assert set(synced) == {tmp_path, tmp_path / "a"}

@@ -3,13 +3,12 @@
 import errno
 import json
 import os
-import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from instances import SMALL, hinged_box
+from trouble import held_by_another_run, unfit
 
 from articugen import __version__
 from articugen.errors import ArticugenError, CorruptShard, MachineFault
@@ -330,15 +329,8 @@ def test_one_run_at_a_time(tmp_path):
 
 
 def test_dead_run_does_not_keep_the_folder(tmp_path):
-    code = "import sys, time; from pathlib import Path; from articugen.journal import Journal\n"
-    code += "j = Journal(Path(sys.argv[1])); print('held', flush=True); time.sleep(60)"
-    command = [sys.executable, "-c", code, str(tmp_path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == b"held\n"
-        with pytest.raises(ArticugenError, match="another run"):
-            Journal(tmp_path)
-        process.send_signal(signal.SIGKILL)
+    with held_by_another_run(tmp_path), pytest.raises(ArticugenError, match="another run"):
+        Journal(tmp_path)
     Journal(tmp_path).close()
 
 
@@ -397,17 +389,11 @@ def test_a_line_of_a_journal_may_hold_anything(tmp_path, line, number):
 def test_kind_and_size_are_looked_at_before_reading(tmp_path, name, kind):
     path = tmp_path / "box" / name
     path.parent.mkdir()
-    if kind == "FIFO":
-        os.mkfifo(path)
-    elif kind == "folder":
-        path.mkdir()
-    elif kind == "too large":
-        path.touch()
-        os.truncate(path, MOST_BYTES + 1)
-    else:
-        targets = {"device": "/dev/zero", "link": tmp_path / "elsewhere", "round link": path}
+    if kind == "link":
         (tmp_path / "elsewhere").write_text('{"claims": ["train-00000.h5"]}\n')
-        path.symlink_to(targets[kind])
+        path.symlink_to(tmp_path / "elsewhere")
+    else:
+        unfit(path, kind, MOST_BYTES)
     with pytest.raises(CorruptShard, match=f"{name}: ") as caught:
         Journal(path.parent)
     assert "\n" not in str(caught.value)

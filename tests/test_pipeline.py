@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from test_workers import alive, children
+from trouble import small_disk
 
 from articugen import articulation
 from articugen.errors import (
@@ -538,14 +539,8 @@ def test_too_little_memory_rejects_nothing(whole: Path, tmp_path: Path) -> None:
     assert contents(tmp_path / "out") == contents(whole)
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="mounts a tmpfs")
 def test_a_full_disk_stops_the_run_and_rejects_nothing(whole: Path, tmp_path: Path) -> None:
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=200k", "none", str(disk)]
-    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("only root may mount")
-    try:
+    with small_disk(tmp_path / "disk", "200k") as disk:
         (disk / "procedural").mkdir()
         out = tmp_path / "out"
         said = made_under("", out, 0, ARTICUGEN_SOURCES=str(disk))  # models do not fit
@@ -553,8 +548,6 @@ def test_a_full_disk_stops_the_run_and_rejects_nothing(whole: Path, tmp_path: Pa
         assert "No space left" in said or "the disk is full" in said
         assert made_under("", out, 0) == ""
         assert contents(out) == contents(whole)
-    finally:
-        subprocess.run(["umount", str(disk)], check=True)
 
 
 # --- limits

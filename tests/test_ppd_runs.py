@@ -3,7 +3,6 @@
 import dataclasses
 import io
 import json
-import os
 import shutil
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import pytest
 import yaml
 from ppd_data import write_boxes
 from test_ppd_report import result
+from trouble import unfit
 from typer.testing import CliRunner
 
 from articugen.cli import app
@@ -217,13 +217,7 @@ def test_the_encoder_for_depth_is_checked_as_well(run):
 @pytest.mark.parametrize("kind", ["FIFO", "folder", "too large", "absent"])
 def test_kind_and_size_of_a_checkpoint_are_looked_at_first(tmp_path, kind, monkeypatch):
     path = tmp_path / LATEST
-    if kind == "FIFO":
-        os.mkfifo(path)
-    elif kind == "folder":
-        path.mkdir()
-    elif kind == "too large":
-        path.touch()
-        os.truncate(path, tensors.MOST_BYTES + 1)
+    unfit(path, kind, tensors.MOST_BYTES)
     assert f"{path}: " in refused(read_checkpoint, path)
 
 

@@ -21,6 +21,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from instances import SMALL, changed, hinged_box
+from trouble import small_disk
 
 from articugen import schema
 from articugen.errors import ArticugenError, CorruptShard, MachineFault, RejectedInstance
@@ -675,17 +676,10 @@ def test_file_size_limit_is_one_sentence(tmp_path):
 
 
 def test_full_disk_is_one_sentence(tmp_path):
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(disk)]
-    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("only root can mount a small disk to fill")
-    try:
+    with small_disk(tmp_path / "disk", "64k") as disk:
         with pytest.raises(ArticugenError, match="the disk is full; free 1 MB"):
             write_shard(disk / "train-00000.h5", ROWS, ABOUT)
         assert _leftovers(disk) == []
-    finally:
-        subprocess.run(["umount", str(disk)], check=True)
 
 
 def test_killed_while_writing(written, tmp_path):

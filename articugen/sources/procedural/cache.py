@@ -13,15 +13,15 @@ import json
 import os
 import re
 import shutil
-import stat
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
+from articugen.bundled import CACHE
 from articugen.errors import MachineFault
-from articugen.files import cannot_write, sync_folder
+from articugen.files import cannot_write, make_folder, read_regular, sync
 
 SEAL_NAME = "seal.json"
 
@@ -32,14 +32,17 @@ _CODE = ("sources/procedural", "geometry.py", "portable.py", "seeding.py")
 _WORK = re.compile(r"\.[a-z_]+_[0-9]{4,9}\.[a-z0-9_]{8}")
 """The names of the folders in which writers of objects work."""
 
+_MOST_BYTES = 256 << 20
+"""Of one of a model's files; ours have a hundredth of that."""
+
 _READ_ONLY = (errno.EROFS, errno.EACCES, errno.EPERM)
 
 
 def stored(folder: Path, identity: Mapping[str, str | bool], write: Callable[[Path], None]) -> Path:
     """The folder in which `write` put a model's files: `folder`, as it is or written just now.
 
-    Where `folder` cannot be written to it is one of the user's own below the system's temporary
-    folder. Any number of processes may ask for the same folder at once.
+    Where `folder` cannot be written to it is one in the user's cache. Any number of processes may
+    ask for the same folder at once.
 
     Args:
         identity: what the model is; it becomes part of the seal.
@@ -56,7 +59,7 @@ def stored(folder: Path, identity: Mapping[str, str | bool], write: Callable[[Pa
         except OSError as error:
             if error.errno not in _READ_ONLY:
                 raise
-            folder = _own_folder() / _digest(str(folder).encode())[:16] / folder.name
+            folder = CACHE / _digest(str(folder).encode())[:16] / folder.name
             if not is_sealed(folder, identity):
                 _write(folder, identity, write)
     except OSError as error:
@@ -88,10 +91,7 @@ def _plain(name: str) -> str:
 
 
 def _bytes_of(path: Path) -> bytes:
-    """The content of a regular file; nothing else is opened."""
-    if not stat.S_ISREG(path.lstat().st_mode):
-        raise ValueError(f"{path} is not a file")
-    return path.read_bytes()
+    return read_regular(path, _MOST_BYTES, follow=False)
 
 
 def _digest(data: bytes) -> str:
@@ -109,26 +109,18 @@ def _code() -> str:
 
 def _write(folder: Path, identity: Mapping[str, str | bool], write: Callable[[Path], None]) -> None:
     """Make the folder, or make it again."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(folder.parent)
     _remove_left_over(folder.parent)
     with _work_folder(folder) as work:
         write(work)
         seal = _seal(work, identity, os.listdir(work))
         (work / SEAL_NAME).write_text(json.dumps(seal, indent=1) + "\n")
         for path in work.iterdir():
-            _sync_file(path)
-        sync_folder(work)
+            sync(path)
+        sync(work)
         work.chmod(0o755)
         _name(work, folder, identity)
-    sync_folder(folder.parent)
-
-
-def _sync_file(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+    sync(folder.parent)
 
 
 def _name(work: Path, folder: Path, identity: Mapping[str, str | bool]) -> None:
@@ -195,13 +187,3 @@ def _remove_left_over(parent: Path) -> None:
             if handle is not None:
                 shutil.rmtree(entry.path, ignore_errors=True)
                 os.close(handle)
-
-
-def _own_folder() -> Path:
-    """A folder for models below the system's temporary one; nobody else can write to it."""
-    folder = Path(tempfile.gettempdir()) / f"articugen-models-{os.getuid()}"
-    folder.mkdir(mode=0o700, exist_ok=True)
-    found = folder.lstat()
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
-        raise MachineFault(f"{folder}: is not a folder of yours alone; remove it or set TMPDIR")
-    return folder
