@@ -6,8 +6,8 @@ their own times decide. What decides most is how many instances there are.
 
 from collections.abc import Sequence
 
-from articugen.manifest import ObjectEntry
 from articugen.recipe import Recipe, Sampling
+from articugen.store.manifest import ObjectEntry
 
 STARTUP = 3.0
 """Seconds until a worker has imported what it needs; once a run."""

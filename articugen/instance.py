@@ -11,12 +11,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen import articulation, fusion, sampling, sheets
+from articugen import articulation, fusion, sampling
 from articugen.errors import RejectedInstance
+from articugen.fusion import solidify
+from articugen.fusion.bvh import Bvh, build, joined
+from articugen.fusion.reachable import touched
+from articugen.fusion.thin import ThinVoxels, thin_voxels, way_meets
+from articugen.fusion.winding import pieces
 from articugen.geometry import apply, bounds, box_corners
-from articugen.hierarchy import Hierarchy, build, joined
 from articugen.portable import norm
-from articugen.reachable import touched
 from articugen.recipe import Recipe
 from articugen.records import (
     FREE,
@@ -38,9 +41,7 @@ from articugen.rendering import rasterizer, render
 from articugen.rendering.overlay import Overlay
 from articugen.rendering.views import fusion_views, random_pinhole_views
 from articugen.seeding import generator
-from articugen.slender import Slender, slender_voxels, way_meets
 from articugen.swept import swept_box
-from articugen.winding import pieces
 
 MOST_PARTS = 254
 """Labels are uint8: 0 free, k + 1 material of part k, 255 enclosed."""
@@ -81,14 +82,14 @@ class Prepared:
         unit: the object's own unit frame.
         mesh: all parts in the canonical pose, sheets thickened, faces outwards; part 0's first.
         seen: (F,) whether a face can be seen at all.
-        hierarchy: of all parts.
+        bvh: of all parts.
         views: the views that are fused.
         closed: (F,) whether a face belongs to a closed solid, whose inner side nobody sees.
         static: the depth maps of part 0 alone, which every instance shares.
         overlay: what the moving parts of one instance after the other are drawn over part 0 in;
             None where the backend is another, or the posed object is not looked at.
         own: each part alone, part 0 first.
-        slender: where what the views say of part 0 is checked.
+        thin: where what the views say of part 0 is checked.
         grids: by resolution.
     """
 
@@ -100,13 +101,13 @@ class Prepared:
     unit: Normalization
     mesh: LabelledMesh
     seen: NDArray[np.bool_]
-    hierarchy: Hierarchy
+    bvh: Bvh
     views: Views
     closed: NDArray[np.bool_]
     static: DepthMaps
     overlay: Overlay | None
     own: tuple[fusion.OwnSolid, ...]
-    slender: Slender
+    thin: ThinVoxels
     grids: dict[int, Grid]
 
     def rng(self, *path: str | int) -> np.random.Generator:
@@ -137,14 +138,14 @@ def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
         raise RejectedInstance("the object has no faces: those of its links have no area")
     views = fusion_views(recipe.views, swept_box(mesh, unit.rigid_to_unit(motions)))
     static = _render(parts[0].mesh, views, recipe)
-    slender = slender_voxels(parts[0].mesh, fusion.pixel_width(views), parts[0].tree)
+    thin = thin_voxels(parts[0].mesh, fusion.pixel_width(views), parts[0].tree)
     static_field = fusion.fuse(
         static,
         parts[0].mesh,
         recipe.fusion,
-        hierarchy=parts[0].tree,
+        bvh=parts[0].tree,
         part_motion=np.eye(4)[None],
-        slender=slender,
+        thin=thin,
     )
     fixed = replace(parts[0].own, field=replace(static_field, flood=parts[0].own.field.flood))
     own = (fixed, *(part.own for part in parts[1:]))
@@ -158,13 +159,13 @@ def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
         unit=unit,
         mesh=mesh,
         seen=np.concatenate([part.seen for part in parts]),
-        hierarchy=joined([part.tree for part in parts]),
+        bvh=joined([part.tree for part in parts]),
         views=views,
         closed=np.concatenate([part.closed for part in parts]),
         static=static,
         overlay=Overlay(static) if draws else None,
         own=own,
-        slender=slender,
+        thin=thin,
         grids={r: _grid(r, own, recipe) for r in recipe.sampling.grids},
     )
 
@@ -218,9 +219,9 @@ def pose(
         maps,
         mesh,
         p.recipe.fusion,
-        hierarchy=p.hierarchy,
+        bvh=p.bvh,
         part_motion=motion,
-        slender=p.slender,
+        thin=p.thin,
     )
     return mesh, fusion.PosedFields(field, material)
 
@@ -267,40 +268,40 @@ class SolidPart:
     mesh: LabelledMesh
     seen: NDArray[np.bool_]
     closed: NDArray[np.bool_]
-    tree: Hierarchy
+    tree: Bvh
     own: fusion.OwnSolid
 
 
 def solid_part(soup: LabelledMesh, recipe: Recipe) -> SolidPart:
     """Thicken the sheets of one part and turn its faces outwards, by how it is seen alone."""
-    soup = sheets.without_repeats(soup).compact()
-    alone = _own_solid(soup, closed := sheets.closed(soup), recipe)
+    soup = solidify.without_repeats(soup).compact()
+    alone = _own_solid(soup, closed := solidify.closed(soup), recipe)
     thickness = recipe.fusion.sheet_thickness
-    where = sheets.probes(soup, max(thickness, 1e-3) / 3.0, together=True)
+    where = solidify.probes(soup, max(thickness, 1e-3) / 3.0, together=True)
     free = np.stack([~alone.holds(where.points[0]), np.zeros(len(where.face), np.bool_)])
-    asked = np.flatnonzero(~(closed[where.face] & _deep(soup, where, alone.field.hierarchy)))
+    asked = np.flatnonzero(~(closed[where.face] & _deep(soup, where, alone.field.bvh)))
     free[1, asked] = ~alone.holds(where.points[1][asked])
-    shown = sheets.shown_sides(soup, alone.field.maps)
-    mesh, seen = sheets.solidified(soup, where, free, shown, thickness, closed)
-    tree = alone.field.hierarchy
+    shown = solidify.shown_sides(soup, alone.field.maps)
+    mesh, seen = solidify.solidified(soup, where, free, shown, thickness, closed)
+    tree = alone.field.bvh
     if not np.array_equal(mesh.faces, soup.faces):
-        closed = sheets.closed(mesh)
+        closed = solidify.closed(mesh)
         if len(mesh.faces) != len(soup.faces):  # sheets have become slabs
             alone = _own_solid(mesh, closed, recipe)
-            tree = alone.field.hierarchy
+            tree = alone.field.bvh
         else:
             alone = replace(alone, closed=_closed_pieces(mesh, closed, alone.field))
             tree = build(mesh.vertices[mesh.faces], np.zeros(len(mesh.faces), np.uint8), 1)
     width = fusion.pixel_width(alone.field.maps.views)
-    slender = slender_voxels(mesh, width, alone.field.hierarchy)
-    own = replace(alone, field=fusion.flooded(replace(alone.field, slender=slender), mesh))
+    thin = thin_voxels(mesh, width, alone.field.bvh)
+    own = replace(alone, field=fusion.flooded(replace(alone.field, thin=thin), mesh))
     return SolidPart(mesh, seen, closed, tree, own)
 
 
-def _deep(mesh: LabelledMesh, where: sheets.Probes, tree: Hierarchy) -> NDArray[np.bool_]:
+def _deep(mesh: LabelledMesh, where: solidify.Probes, tree: Bvh) -> NDArray[np.bool_]:
     """(n,) which probes have no other face between their face and the point behind it: of a closed
     piece, such a point is inside, whatever the views make of it."""
-    outwards = sheets.face_normals(mesh.vertices, mesh.faces)[where.face]
+    outwards = solidify.face_normals(mesh.vertices, mesh.faces)[where.face]
     way = 0.99 * 0.5 * norm(where.points[0] - where.points[1]).max(initial=0.0)
     inner = where.points[1].astype(np.float32)
     return ~way_meets(inner, outwards.astype(np.float32), np.float32(way), tree)
@@ -319,11 +320,11 @@ def _own_solid(mesh: LabelledMesh, closed: NDArray[np.bool_], recipe: Recipe) ->
 
 def _closed_pieces(
     mesh: LabelledMesh, closed: NDArray[np.bool_], field: fusion.Field
-) -> Hierarchy | None:
+) -> Bvh | None:
     """What `OwnSolid.closed` holds; None where the recipe's rule takes the views' word alone."""
     if field.settings.rule == "mean":
         return None
-    return field.hierarchy if closed.all() else pieces(mesh, closed)
+    return field.bvh if closed.all() else pieces(mesh, closed)
 
 
 def _render(mesh: LabelledMesh, views: Views, recipe: Recipe) -> DepthMaps:

@@ -28,13 +28,13 @@ from articugen.errors import (
     printable,
 )
 from articugen.estimate import instance_bytes, run_seconds
-from articugen.journal import Journal
-from articugen.manifest import Key, Manifest, Outcome, Rejection, Timings
 from articugen.recipe import Recipe, check_category
 from articugen.records import ArticulatedObject, Instance
-from articugen.shards import write_shard
 from articugen.sources import registry
 from articugen.sources.registry import ObjectRef
+from articugen.store.journal import Journal
+from articugen.store.manifest import Key, Manifest, Outcome, Rejection, Timings
+from articugen.store.shards import write_shard
 
 SECONDS_FOR_ANY_OBJECT = 600.0
 SECONDS_FOR_ANY_INSTANCE = 5.0
@@ -45,25 +45,19 @@ _LARGE_BLOCK = 8 << 20
 
 GENERATING_CODE = (
     "articulation.py",
-    "fusion.py",
-    "fusion_kernels.py",
+    "fusion",
     "geometry.py",
-    "hierarchy.py",
     "instance.py",
     "portable.py",
-    "reachable.py",
     "recipe.py",
     "recipe_files.py",
     "records.py",
     "rendering",
     "sampling.py",
-    "schema.py",
     "seeding.py",
-    "sheets.py",
-    "slender.py",
     "sources",
+    "store/schema.py",
     "swept.py",
-    "winding.py",
 )
 
 

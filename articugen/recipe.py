@@ -15,11 +15,11 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from articugen import schema
 from articugen.bundled import RECIPES
 from articugen.errors import InvalidRecipe, printable
 from articugen.recipe_files import Section as _Section
 from articugen.recipe_files import find, resolved, validated
+from articugen.store import schema
 
 _CATEGORY = re.compile(r"\w(?:[\w .+-]{0,98}[\w+-])?")
 

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, fie
 
 from articugen.bundled import RECIPES
 from articugen.errors import ArticugenError, InvalidRecipe, machine_fault
-from articugen.files import read_regular
+from articugen.store.files import read_regular
 
 Model = TypeVar("Model", bound=BaseModel)
 

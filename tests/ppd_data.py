@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 from instances import SMALL, hinged_box
 
-from articugen.manifest import Key, Manifest, Outcome, Timings
 from articugen.recipe import Recipe
-from articugen.shards import write_shard
+from articugen.store.manifest import Key, Manifest, Outcome, Timings
+from articugen.store.shards import write_shard
 
 RECIPE_SHA256 = SMALL.for_one_object().sha256()
 

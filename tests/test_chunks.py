@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from articugen import chunks
+from articugen.store import chunks
 
 
 def naive_fletcher32(data: bytes) -> int:

@@ -9,13 +9,13 @@ from test_manifest import COMPLETE, keys, make, names_in, run
 from trouble import held_by_another_run
 from typer.testing import CliRunner
 
-from articugen.cleaning import clean
 from articugen.cli import app
 from articugen.errors import ArticugenError, CorruptShard
-from articugen.files import partial_name
-from articugen.journal import JOURNAL_NAME, data_sets
-from articugen.manifest import MANIFEST_NAME
-from articugen.verify import verify
+from articugen.store.cleaning import clean
+from articugen.store.files import partial_name
+from articugen.store.journal import JOURNAL_NAME, data_sets
+from articugen.store.manifest import MANIFEST_NAME
+from articugen.verify.dataset import verify
 
 
 @pytest.fixture(scope="module")

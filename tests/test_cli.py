@@ -234,7 +234,8 @@ def test_inspect_prints_the_schema_and_draws(made: Path, tmp_path: Path) -> None
 
 INTERRUPTED = """
 import os, signal
-from articugen import cli, pipeline
+from articugen import pipeline
+from articugen.cli import data
 make, begun = pipeline.make_object, []
 def make_object(*given):
     begun.append(given)
@@ -274,7 +275,8 @@ def test_ctrl_c_keeps_finished_work_and_the_next_run_goes_on(
 
 TWICE = """
 import os, signal
-from articugen import cli, journal
+from articugen.cli import data
+from articugen.store import journal
 close = journal.Journal.close
 def closed(self):
     for _ in range(3):

@@ -3,8 +3,8 @@
 import pytest
 
 from articugen.estimate import STARTUP, instance_bytes, object_seconds, run_seconds
-from articugen.manifest import Key, ObjectEntry
 from articugen.recipe import Articulation, Recipe, Sampling, ViewSettings
+from articugen.store.manifest import Key, ObjectEntry
 
 PAPER = Recipe(name="paper")
 

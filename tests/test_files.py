@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from articugen import files
 from articugen.errors import MachineFault
-from articugen.files import (
+from articugen.store import files
+from articugen.store.files import (
     UnfitFile,
     make_folder,
     partial_name,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from articugen.fusion import Field, fuse
+from articugen.fusion.field import Field, fuse
 from articugen.geometry import rotation_about, transform
 from articugen.recipe import Fusion
 from articugen.records import DepthMaps, Views

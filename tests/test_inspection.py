@@ -27,7 +27,7 @@ from articugen.inspection.surfels import Sample, draw, surfels
 from articugen.inspection.tables import duration, size
 from articugen.recipe import Recipe
 from articugen.records import Instance
-from articugen.shards import write_shard
+from articugen.store.shards import write_shard
 
 
 def one_part(points: np.ndarray, normals: np.ndarray) -> Sample:

@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from articugen import articulation
-from articugen.fusion import OwnSolid, PosedSolids
+from articugen.fusion.field import OwnSolid, PosedSolids
 from articugen.geometry import apply, bounds, invert_rigid, rotation_about, transform
 from articugen.instance import Prepared, make_instance, pose, prepare
 from articugen.recipe import Recipe, Sampling, load_recipe

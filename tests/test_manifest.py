@@ -12,9 +12,9 @@ from trouble import held_by_another_run, unfit
 
 from articugen import __version__
 from articugen.errors import ArticugenError, CorruptShard, MachineFault
-from articugen.files import partial_name, sha256_of
-from articugen.journal import JOURNAL_NAME, Journal
-from articugen.manifest import (
+from articugen.store.files import partial_name, sha256_of
+from articugen.store.journal import JOURNAL_NAME, Journal
+from articugen.store.manifest import (
     MANIFEST_NAME,
     MOST_BYTES,
     Key,
@@ -27,7 +27,7 @@ from articugen.manifest import (
     this_commit,
     this_machine,
 )
-from articugen.shards import write_shard
+from articugen.store.shards import write_shard
 
 TIMINGS = Timings(seconds=1.7, instances_per_second=3 / 1.7, peak_memory_bytes=10, workers=1)
 STATES = ((0.0, 0.0), (0.9, 0.1))

@@ -24,13 +24,13 @@ from articugen.errors import (
     NotOfCategory,
 )
 from articugen.instance import make_instance, prepare
-from articugen.journal import JOURNAL_NAME
-from articugen.manifest import MANIFEST_NAME, Manifest, Rejection, content_of
 from articugen.pipeline import Job, ObjectReport, generate, plan
 from articugen.recipe import Articulation, Recipe, Sampling, ViewSettings, load_recipe
-from articugen.shards import open_shard
 from articugen.sources import registry
-from articugen.verify import verify
+from articugen.store.journal import JOURNAL_NAME
+from articugen.store.manifest import MANIFEST_NAME, Manifest, Rejection, content_of
+from articugen.store.shards import open_shard
+from articugen.verify.dataset import verify
 
 TINY = Recipe(
     name="tiny",

@@ -8,7 +8,7 @@ from ppd_data import write_boxes
 from articugen.errors import CorruptShard, InvalidSource
 from articugen.ppd.clouds import LONGEST_EDGE, cloud_of_file, cloud_of_shard
 from articugen.records import dequantize
-from articugen.shards import open_shard
+from articugen.store.shards import open_shard
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from ppd_data import write_boxes
 
-from articugen import schema
 from articugen.errors import CorruptShard
 from articugen.records import dequantize
-from articugen.shards import open_shard, write_shard
+from articugen.store import schema
+from articugen.store.shards import open_shard, write_shard
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 

@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 
 from articugen.cli import app
 from articugen.errors import InvalidCheckpoint, MachineFault
-from articugen.files import partial_name
 from articugen.ppd.report import read_result
+from articugen.store.files import partial_name
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 

@@ -19,7 +19,7 @@ from articugen.ppd.settings import (
     load_train_recipe,
 )
 from articugen.recipe_files import known
-from articugen.shards import open_shard, write_shard
+from articugen.store.shards import open_shard, write_shard
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 

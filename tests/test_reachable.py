@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from articugen import articulation
-from articugen.fusion import fuse
+from articugen.fusion.field import fuse
+from articugen.fusion.reachable import walls
 from articugen.geometry import apply, bounds, rotation_about, transform
 from articugen.instance import Prepared, pose, prepare
-from articugen.reachable import walls
 from articugen.recipe import Fusion, load_recipe
 from articugen.rendering.rasterizer import render
 from articugen.sources.procedural.truth import Truth

@@ -17,11 +17,11 @@ from scipy.spatial import KDTree
 
 from articugen import articulation
 from articugen.errors import ArticugenError, InvalidSource, NotOfCategory
+from articugen.fusion.solidify import LONGEST_MITRE
 from articugen.geometry import apply, invert_rigid
 from articugen.instance import Prepared, make_instance, prepare
 from articugen.recipe import Recipe, Sampling, load_recipe
 from articugen.records import ArticulatedObject, Floats, Instance, dequantize
-from articugen.sheets import LONGEST_MITRE
 from articugen.sources import registry
 
 pytestmark = needs_real_models
@@ -204,7 +204,7 @@ def test_small_moving_parts_take_no_more_memory_than_others(category: str, model
     prepared = prepare(articulation.resolve(registry.load(ref), every), recipe, seed=0)
     rng = np.random.default_rng(0)
     for own in prepared.own:
-        assert own.field.slender.bits.nbytes < 5e6
+        assert own.field.thin.bits.nbytes < 5e6
         assert own.holds(rng.uniform(*own.box, (4000, 3))).any()
 
 

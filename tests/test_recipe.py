@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from articugen import recipe as recipe_module
-from articugen import schema, shards
 from articugen.errors import InvalidRecipe, MachineFault
 from articugen.recipe import Recipe, Sampling, load_recipe
 from articugen.recipe_files import known
+from articugen.store import schema, shards
 
 CATEGORIES = ("drawer", "eyeglasses", "laptop", "oven", "washing_machine")
 

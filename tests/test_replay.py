@@ -8,15 +8,15 @@ import pytest
 import trimesh
 
 from articugen import articulation
-from articugen import replay as replaying
 from articugen.errors import ArticugenError, InvalidSource
 from articugen.instance import make_instance, prepare
-from articugen.manifest import Manifest
 from articugen.pipeline import Job, generate
 from articugen.recipe import Recipe
 from articugen.records import dequantize, quantize
-from articugen.replay import prepared_again, replay, write_mesh
 from articugen.sources import registry
+from articugen.store.manifest import Manifest
+from articugen.verify import replay as replaying
+from articugen.verify.replay import prepared_again, replay, write_mesh
 
 RECIPE = Recipe.model_validate(
     {

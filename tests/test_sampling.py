@@ -4,8 +4,8 @@ import trimesh
 
 from articugen import sampling
 from articugen.errors import RejectedInstance
-from articugen.fusion import fuse
-from articugen.reachable import touched
+from articugen.fusion.field import fuse
+from articugen.fusion.reachable import touched
 from articugen.recipe import Fusion
 from articugen.rendering.rasterizer import render
 from articugen.rendering.views import random_pinhole_views

@@ -23,11 +23,11 @@ from hypothesis import strategies as st
 from instances import SMALL, changed, hinged_box
 from trouble import small_disk
 
-from articugen import schema
 from articugen.errors import ArticugenError, CorruptShard, MachineFault, RejectedInstance
-from articugen.files import whole_name
 from articugen.records import Instance, stored_name
-from articugen.shards import content_sha256, instance_sha256, open_shard, write_shard
+from articugen.store import schema
+from articugen.store.files import whole_name
+from articugen.store.shards import content_sha256, instance_sha256, open_shard, write_shard
 
 VERSION_1 = Path(__file__).parent / "data" / "shard_version_1.h5"
 ROWS = hinged_box()
@@ -648,7 +648,7 @@ import sys
 sys.path.insert(0, {tests!r})
 from test_shards import ABOUT, ROWS
 from articugen.errors import ArticugenError
-from articugen.shards import write_shard
+from articugen.store.shards import write_shard
 from pathlib import Path
 """
 

@@ -15,12 +15,12 @@ import pytest
 from instances import SMALL, changed, edited, hinged_box
 from test_manifest import STATES, TIMINGS, attributes, key, keys, make, manifest_of, run
 
-from articugen import verify as verification
-from articugen.files import partial_name
-from articugen.journal import Journal
-from articugen.manifest import MANIFEST_NAME, Manifest, Outcome, Rejection
-from articugen.shards import write_shard
-from articugen.verify import Report, verify
+from articugen.store.files import partial_name
+from articugen.store.journal import Journal
+from articugen.store.manifest import MANIFEST_NAME, Manifest, Outcome, Rejection
+from articugen.store.shards import write_shard
+from articugen.verify import dataset as verification
+from articugen.verify.dataset import Report, verify
 
 
 @pytest.fixture(scope="module")

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from articugen import sheets
+from articugen.fusion import solidify
+from articugen.fusion.winding import pieces, surely_inside
 from articugen.records import LabelledMesh
-from articugen.winding import pieces, surely_inside
 from tests.shapes import Convex, box, labelled, rotated
 
 
 def of(mesh: LabelledMesh):
-    return pieces(mesh, sheets.closed(mesh))
+    return pieces(mesh, solidify.closed(mesh))
 
 
 def points(count: int = 20_000) -> np.ndarray:

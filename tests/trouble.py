@@ -13,7 +13,7 @@ import pytest
 _HOLD = """
 import sys, time
 from pathlib import Path
-from articugen.journal import Journal
+from articugen.store.journal import Journal
 journal = Journal(Path(sys.argv[1]))
 print("held", flush=True)
 time.sleep(60)

@@ -23,7 +23,7 @@ from articugen.inspection.layout import Caption, Row, save, sheet
 from articugen.inspection.portrait import best_azimuth, colour_of, pooled, portrait, tile_camera
 from articugen.inspection.surfels import Surfels
 from articugen.records import Instance, dequantize
-from articugen.shards import Shard, open_shard
+from articugen.store.shards import Shard, open_shard
 
 Array = NDArray[np.float64]
 T = TypeVar("T")

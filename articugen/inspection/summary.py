@@ -10,11 +10,11 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from articugen import schema
 from articugen.errors import CorruptShard
 from articugen.inspection.tables import DIM, quiet_table, size
 from articugen.records import ENCLOSED
-from articugen.shards import Shard, open_shard
+from articugen.store import schema
+from articugen.store.shards import Shard, open_shard
 
 LOOKED_AT = 256
 """Points and grids of so many instances, spread evenly, stand for all of them."""

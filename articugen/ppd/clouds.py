@@ -14,7 +14,7 @@ from articugen.errors import InvalidSource
 from articugen.ppd.meshing import Floats, sample
 from articugen.records import Normalization, dequantize
 from articugen.seeding import generator
-from articugen.shards import Shard, open_shard
+from articugen.store.shards import Shard, open_shard
 
 FEWEST_POINTS = 64
 LONGEST_EDGE = 0.9

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from articugen.errors import CorruptShard
-from articugen.manifest import Manifest
 from articugen.ppd import processes
 from articugen.ppd.settings import DataSettings
 from articugen.records import FREE, is_material
-from articugen.shards import Shard, open_shard
+from articugen.store.manifest import Manifest
+from articugen.store.shards import Shard, open_shard
 
 
 @dataclass(frozen=True)

@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.errors import CorruptShard
-from articugen.manifest import Manifest
 from articugen.ppd import metrics
 from articugen.ppd.meshing import Floats, distance, sample
 from articugen.ppd.metrics import NO_LABEL, Ints
 from articugen.ppd.reconstruct import PRISMATIC, REVOLUTE, Reconstruction
 from articugen.records import Instance, dequantize, is_material
 from articugen.seeding import generator
-from articugen.shards import open_shard
+from articugen.store.manifest import Manifest
+from articugen.store.shards import open_shard
 
 Reconstruct = Callable[[Instance], Reconstruction]
 _Rows = list[dict[str, Any]]

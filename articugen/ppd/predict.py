@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from articugen.errors import ArticugenError
-from articugen.files import write_atomically
 from articugen.inspection.portrait import colour_of
 from articugen.ppd.clouds import UNIT
 from articugen.ppd.meshing import Floats
 from articugen.ppd.reconstruct import FIXED, REVOLUTE, Reconstruction
 from articugen.records import Normalization
+from articugen.store.files import write_atomically
 
 
 def write_rig(

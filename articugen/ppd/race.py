@@ -23,10 +23,10 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from articugen.errors import InvalidCheckpoint, TrainingDiverged
-from articugen.files import write_atomically
 from articugen.ppd.runs import BEST, LATEST, METRICS, RunFolder, read_checkpoint
 from articugen.ppd.settings import TrainRecipe
 from articugen.ppd.train import Progress, new_run, train
+from articugen.store.files import write_atomically
 from articugen.workers import die_with
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from articugen.errors import InvalidCheckpoint
-from articugen.files import UnfitFile, read_regular
 from articugen.ppd import paper
+from articugen.store.files import UnfitFile, read_regular
 
 Result = dict[str, Any]
 

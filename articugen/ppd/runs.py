@@ -21,15 +21,6 @@ from torch import Tensor
 
 from articugen import __version__
 from articugen.errors import ArticugenError, InvalidCheckpoint, InvalidRecipe, MachineFault
-from articugen.files import (
-    UnfitFile,
-    cannot_write,
-    make_folder,
-    read_regular,
-    whole_name,
-    write_atomically,
-)
-from articugen.manifest import this_commit, this_machine
 from articugen.ppd import boards, processes
 from articugen.ppd.discriminator import Discriminator
 from articugen.ppd.learner import Learner
@@ -38,6 +29,15 @@ from articugen.ppd.paper import variant
 from articugen.ppd.settings import TrainRecipe, parse_train_recipe
 from articugen.ppd.tensors import CURE, check_adam, check_weights, read_tensors, write_tensors
 from articugen.recipe_files import resolved
+from articugen.store.files import (
+    UnfitFile,
+    cannot_write,
+    make_folder,
+    read_regular,
+    whole_name,
+    write_atomically,
+)
+from articugen.store.manifest import this_commit, this_machine
 
 FORMAT = "articugen ppd checkpoint 2"
 LATEST, BEST, METRICS = "latest.pt", "best.pt", "metrics.jsonl"

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from articugen.errors import InvalidCheckpoint
-from articugen.files import UnfitFile, read_regular, write_atomically
+from articugen.store.files import UnfitFile, read_regular, write_atomically
 
 MOST_BYTES = 1 << 31
 """That such a file may have; a checkpoint of PPD has 10 MB."""

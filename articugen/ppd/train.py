@@ -15,7 +15,6 @@ import torch
 from torch import nn
 
 from articugen.errors import InvalidCheckpoint
-from articugen.manifest import Manifest
 from articugen.ppd import processes
 from articugen.ppd.dataset import PackedSplit, load_split, unpacked, voxel_centres
 from articugen.ppd.learner import Learner
@@ -24,6 +23,7 @@ from articugen.ppd.objective import Terms
 from articugen.ppd.runs import BEST, LATEST, Checkpoint, RunFolder, read_checkpoint
 from articugen.ppd.settings import DataSettings, TrainRecipe
 from articugen.seeding import generator as seeded
+from articugen.store.manifest import Manifest
 
 VALIDATION_GRID = 32
 VALIDATION_INSTANCES = 64

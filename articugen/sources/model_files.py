@@ -13,8 +13,8 @@ import stat
 from pathlib import Path
 
 from articugen.errors import InvalidSource, machine_fault
-from articugen.files import read_regular
 from articugen.sources.xml_strict import parse_xml
+from articugen.store.files import read_regular
 
 MAX_FILE_BYTES = 128 * 2**20
 """No file of a model is larger; the largest real ones are a few MiB."""

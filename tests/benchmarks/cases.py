@@ -12,7 +12,8 @@ import trimesh
 from numba import njit
 from numpy.typing import NDArray
 
-from articugen import articulation, instance, reachable
+from articugen import articulation, instance
+from articugen.fusion import reachable
 from articugen.geometry import apply, fibonacci_sphere, invert_rigid, rotation_about, transform
 from articugen.instance import Prepared
 from articugen.recipe import Recipe, load_recipe
@@ -112,7 +113,7 @@ class Scene:
             rest = np.flatnonzero(~held)
             mesh = self.prepared.mesh.part(part)
             walls = reachable.touched(mesh, 256)
-            open_to = reachable.flood(walls, mesh, self.prepared.hierarchy, np.eye(4)[None])
+            open_to = reachable.flood(walls, mesh, self.prepared.bvh, np.eye(4)[None])
             rest = rest[~open_to.reaches(apply(T, points[rest]))]
             alone = self._of_part(part)
             world = self._world(points[rest])

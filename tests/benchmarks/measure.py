@@ -15,7 +15,7 @@ import numpy as np
 from articugen import instance, pipeline
 from articugen.instance import Prepared
 from articugen.records import Views
-from articugen.shards import write_shard
+from articugen.store.shards import write_shard
 from tests.benchmarks import cases, ours
 from tests.benchmarks.cases import VOXEL, Bools, Case, Inside, Model, iou
 from tests.benchmarks.peers import Answer, Peer

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from articugen.errors import MissingDriver, MissingExtra
+from articugen.fusion.solidify import without_repeats
 from articugen.geometry import bounds
 from articugen.recipe import ViewSettings
 from articugen.records import Floats, LabelledMesh, Views
 from articugen.rendering import render
 from articugen.rendering.views import fusion_views
-from articugen.sheets import without_repeats
 from tests.benchmarks.cases import VOXEL, Bools, Inside
 from tests.benchmarks.dense import Dense, containment
 

@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 
 from articugen.recipe import Sampling
-from articugen.shards import Shard, open_shard, write_shard
+from articugen.store.shards import Shard, open_shard, write_shard
 from tests.instances import SMALL, hinged_box
 
 BATCH = 18

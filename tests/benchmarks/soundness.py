@@ -3,7 +3,7 @@
 Makes N objects of three instances each, with recipes as different as people write them: every rule,
 fine and coarse views, many samples and few. They are the bundled ones, clean and messy, and, where
 ARTICUGEN_REAL_MODELS names a folder, what lies in its collections. All are judged as `verify` and
-`verify --replay` would. Prints what was refused, and the least share that each bound of checks.py
+`verify --replay` would. Prints what was refused, and the least share that each bound there
 met where there was enough to refuse it. Exit status 1 if anything was refused.
 """
 
@@ -16,12 +16,13 @@ from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Any
 
-from articugen import articulation, checks, replay
+from articugen import articulation
 from articugen.errors import InvalidSource, NotOfCategory
 from articugen.instance import Prepared, make_instance, prepare
 from articugen.recipe import Recipe, load_recipe
 from articugen.records import Instance
 from articugen.sources import registry
+from articugen.verify import invariants, replay
 
 CATEGORIES = ("drawer", "eyeglasses", "laptop", "oven", "washing_machine")
 
@@ -56,13 +57,13 @@ class Made:
 
     def refused(self) -> list[str]:
         """What `verify` and `verify --replay` would say of it."""
-        found = [str(fault) for fault in checks.faults(self.rows, self.recipe)]
+        found = [str(fault) for fault in invariants.faults(self.rows, self.recipe)]
         return found + [s for row in self.rows for s in replay.beside_level(self.prepared, row)]
 
     def least_shares(self) -> dict[str, float]:
         """By bound, of the shares that could have been refused."""
         least: dict[str, float] = {}
-        for _, _, share in checks.shares(self.rows, self.recipe):
+        for _, _, share in invariants.shares(self.rows, self.recipe):
             if share.could_be_refused:
                 agree = share.agree / share.judged
                 least[share.bound] = min(agree, least.get(share.bound, 1.0))

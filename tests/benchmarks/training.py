@@ -26,11 +26,11 @@ from unittest.mock import patch
 
 import torch
 
-from articugen.manifest import this_commit, this_machine
 from articugen.ppd import objective, settings, train
 from articugen.ppd.dataset import PackedSplit
 from articugen.ppd.descent import Descent
 from articugen.ppd.model import PPD
+from articugen.store.manifest import this_commit, this_machine
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 from instances import SMALL

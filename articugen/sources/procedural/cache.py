@@ -21,7 +21,7 @@ from pathlib import Path
 
 from articugen.bundled import CACHE
 from articugen.errors import MachineFault
-from articugen.files import cannot_write, make_folder, read_regular, sync
+from articugen.store.files import cannot_write, make_folder, read_regular, sync
 
 SEAL_NAME = "seal.json"
 

@@ -25,14 +25,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen import fusion_kernels
+from articugen.fusion import kernels
+from articugen.fusion.bvh import Bvh, build, triangle_table
+from articugen.fusion.reachable import Flood, flood, walls
+from articugen.fusion.thin import NOTHING, ThinVoxels
+from articugen.fusion.winding import surely_inside
 from articugen.geometry import apply, invert_rigid
-from articugen.hierarchy import Hierarchy, build, triangle_table
-from articugen.reachable import Flood, flood, walls
 from articugen.recipe import Fusion
 from articugen.records import ENCLOSED, FREE, DepthMaps, LabelledMesh, Views
-from articugen.slender import NOTHING, Slender
-from articugen.winding import surely_inside
 
 _NO_DEPTH = np.zeros((1, 0, 0), np.float32)
 _NO_FACES = np.zeros((1, 0, 0), np.int32)
@@ -47,21 +47,21 @@ class Field:
 
     Attributes:
         maps: the face seen at each pixel; from backends that cannot tell, the depth.
-        triangles: (F, 16) float32 of the faces as posed, see `hierarchy.triangle_table`.
-        hierarchy: of each part in its canonical pose.
+        triangles: (F, 16) float32 of the faces as posed, see `bvh.triangle_table`.
+        bvh: of each part in its canonical pose.
         part_motion: (P, 4, 4) of each part from its canonical pose.
         settings: rule and truncation.
         flood: for the rule `reachable`.
-        slender: where views are checked.
+        thin: where views are checked.
     """
 
     maps: DepthMaps
     triangles: NDArray[np.float32]
-    hierarchy: Hierarchy
+    bvh: Bvh
     part_motion: NDArray[np.float64]
     settings: Fusion
     flood: Flood | None = None
-    slender: Slender = NOTHING
+    thin: ThinVoxels = NOTHING
 
     def is_free(
         self, points: NDArray[np.floating], which: NDArray[np.intp] | None = None
@@ -95,7 +95,7 @@ class Field:
         which = np.arange(len(points)) if which is None else which
         flat = np.ascontiguousarray(points, np.float32)
         every = len(self.maps.views)
-        return fusion_kernels.is_free(flat, which, self._scene(), 0, min(views or every, every))
+        return kernels.is_free(flat, which, self._scene(), 0, min(views or every, every))
 
     def value(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
         """The field at `points` (n, 3): (n,) in [-truncation, truncation], negative inside.
@@ -104,19 +104,19 @@ class Field:
         """
         flat = np.ascontiguousarray(points, np.float32)
         mean = self.settings.rule == "mean"
-        value = fusion_kernels.value(flat, self._scene(), self.settings.truncation, mean)
+        value = kernels.value(flat, self._scene(), self.settings.truncation, mean)
         if self.flood is not None:
             unseen = np.flatnonzero(value <= 0.0)
             reached = unseen[self.flood.reaches(flat[unseen])]
             value[reached] = np.maximum(-value[reached], 1e-9)
         return value
 
-    def _scene(self) -> fusion_kernels.Scene:
+    def _scene(self) -> kernels.Scene:
         views = self.maps.views
         T, pinhole = views.T_camera_world, views.projection == "pinhole"
         intrinsics = np.stack([views.fx, views.fy, views.cx, views.cy], axis=1)
         eyes = -np.einsum("kji,kj->ki", T[:, :3, :3], T[:, :3, 3]) if pinhole else -T[:, 2, :3]
-        return fusion_kernels.Scene(
+        return kernels.Scene(
             depth=_NO_DEPTH if self.maps.depth is None else self.maps.depth,
             face=_NO_FACES if self.maps.face is None else self.maps.face,
             cameras=np.ascontiguousarray(T[:, :3], np.float32),
@@ -124,10 +124,10 @@ class Field:
             eyes=np.ascontiguousarray(eyes, np.float32),
             pinhole=pinhole,
             triangles=self.triangles,
-            hierarchy=self.hierarchy,
+            bvh=self.bvh,
             to_part=np.ascontiguousarray(invert_rigid(self.part_motion)[:, :3], np.float32),
             pixel=np.float32(pixel_width(views)),
-            slender=self.slender,
+            thin=self.thin,
         )
 
 
@@ -150,7 +150,7 @@ class OwnSolid:
 
     field: Field
     box: NDArray[np.float64]
-    closed: Hierarchy | None = None
+    closed: Bvh | None = None
 
     def holds(self, points: NDArray[np.floating], *, glance: bool = False) -> NDArray[np.bool_]:
         """(n,) which of `points` (n, 3), unit frame, in the canonical pose, it holds.
@@ -206,7 +206,7 @@ class PosedSolids:
     ) -> NDArray[np.intp]:
         """Those of `which`, indices into `points` (n, 3), that the part's own solid holds."""
         own, to_canonical = self.own[part], invert_rigid(self.part_motion[part])
-        near = fusion_kernels.in_box(points, which, to_canonical, own.box)
+        near = kernels.in_box(points, which, to_canonical, own.box)
         return near[own.holds(apply(to_canonical, points[near]), glance=glance)]
 
     def labels(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
@@ -301,25 +301,25 @@ def fuse(
     mesh: LabelledMesh,
     settings: Fusion,
     *,
-    hierarchy: Hierarchy | None = None,
+    bvh: Bvh | None = None,
     part_motion: NDArray[np.float64] | None = None,
-    slender: Slender = NOTHING,
+    thin: ThinVoxels = NOTHING,
 ) -> Field:
     """The field of `maps`, which show the faces of `mesh`.
 
     Args:
-        hierarchy, part_motion: of the mesh's parts in the canonical pose, and how they moved from
+        bvh, part_motion: of the mesh's parts in the canonical pose, and how they moved from
             there; without them the mesh is taken as it is.
-        slender: see `slender.slender_voxels`.
+        thin: see `thin.thin_voxels`.
     """
     if maps.face is not None:
         maps = replace(maps, depth=None)  # the faces' planes say more, and depths take much room
     corners = mesh.vertices[mesh.faces]
-    if hierarchy is None or part_motion is None:
+    if bvh is None or part_motion is None:
         part_motion = np.eye(4)[None]
-        hierarchy = build(corners, np.zeros(len(corners), np.uint8), 1)
+        bvh = build(corners, np.zeros(len(corners), np.uint8), 1)
     table = triangle_table(corners)
-    field = Field(maps, table, hierarchy, part_motion, settings, None, slender)
+    field = Field(maps, table, bvh, part_motion, settings, None, thin)
     return flooded(field, mesh) if settings.rule == "reachable" else field
 
 
@@ -328,4 +328,4 @@ def flooded(field: Field, mesh: LabelledMesh) -> Field:
     if field.settings.rule == "mean" or field.flood is not None:
         return field
     state = walls(mesh, field.settings.opening)
-    return replace(field, flood=flood(state, mesh, field.hierarchy, field.part_motion))
+    return replace(field, flood=flood(state, mesh, field.bvh, field.part_motion))

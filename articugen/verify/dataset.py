@@ -1,8 +1,8 @@
 """Whether a data set is what its manifest says and what its makers promise.
 
 The manifest first, against its digest and itself; then files (names, sizes, digests, schema), what
-the shards say of themselves, content digests, and what checks.py knows of the numbers. Nothing is
-changed and nothing is believed.
+the shards say of themselves, content digests, and what `invariants` knows of the numbers. Nothing
+is changed and nothing is believed.
 
 Pictures and pages are welcome in a data set's folder: our commands put them there. Whatever else
 the manifest does not tell of is named.
@@ -19,13 +19,13 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from articugen import workers
-from articugen.checks import faults
 from articugen.errors import CorruptShard
-from articugen.files import sha256_of
-from articugen.journal import JOURNAL_NAME, is_temporary
-from articugen.manifest import MANIFEST_NAME, Manifest, ObjectEntry, ShardEntry
 from articugen.recipe import Recipe
-from articugen.shards import Shard, content_sha256, open_shard
+from articugen.store.files import sha256_of
+from articugen.store.journal import JOURNAL_NAME, is_temporary
+from articugen.store.manifest import MANIFEST_NAME, Manifest, ObjectEntry, ShardEntry
+from articugen.store.shards import Shard, content_sha256, open_shard
+from articugen.verify.invariants import faults
 
 WELCOME = (".png", ".html")
 """Endings of files that may lie beside the shards."""

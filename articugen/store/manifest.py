@@ -18,9 +18,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from articugen import __version__
 from articugen.errors import CorruptShard, printable
-from articugen.files import UnfitFile, read_regular, write_atomically
-from articugen.schema import SCHEMA_VERSION
-from articugen.shards import ShardRecord, content_sha256
+from articugen.store.files import UnfitFile, read_regular, write_atomically
+from articugen.store.schema import SCHEMA_VERSION
+from articugen.store.shards import ShardRecord, content_sha256
 
 MANIFEST_NAME = "manifest.json"
 
@@ -415,7 +415,7 @@ def this_machine() -> dict[str, str | int]:
 
 def this_commit() -> str | None:
     """The git commit of the checkout that this package is tracked in; None for an installed one."""
-    package = Path(__file__).resolve().parent
+    package = Path(__file__).resolve().parents[1]
 
     def git(*arguments: str) -> str:
         command = ["git", "-C", str(package), *arguments]

@@ -22,11 +22,11 @@ import h5py.h5o
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen import chunks, schema
 from articugen.errors import ArticugenError, CorruptShard
-from articugen.files import UnfitFile, check_regular, sha256_of, written_atomically
 from articugen.records import Instance
-from articugen.schema import Field
+from articugen.store import chunks, schema
+from articugen.store.files import UnfitFile, check_regular, sha256_of, written_atomically
+from articugen.store.schema import Field
 
 _GZIP, _FLETCHER32 = 1, 3
 _MAX_ATTRIBUTES = 64

@@ -4,7 +4,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from articugen.journal import Journal, data_sets
+from articugen.store.journal import Journal, data_sets
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from articugen import sheets
-from articugen.fusion import fuse
+from articugen.fusion import solidify
+from articugen.fusion.field import fuse
 from articugen.instance import solid_part
 from articugen.recipe import Recipe
 from articugen.rendering.rasterizer import render
@@ -49,7 +49,7 @@ def test_faces_turn_outwards_whatever_their_winding():
     flip = rng.random(len(solid.faces)) < 0.5
     solid.faces[flip] = solid.faces[flip, ::-1]
     part = solid_part(labelled(solid), RECIPE)
-    normals = sheets.face_normals(part.mesh.vertices, part.mesh.faces)
+    normals = solidify.face_normals(part.mesh.vertices, part.mesh.faces)
     centers = part.mesh.vertices[part.mesh.faces].mean(axis=1)
     assert np.all(np.sum(normals * centers, axis=1) > 0)
 
@@ -63,10 +63,10 @@ def test_only_closed_pieces_that_look_outwards_are_closed():
     touching = [box((0.1, 0.1, 0.1), (x, 0.3, 0)) for x in (0.0, 0.1)]  # a wall and four edges
     pieces = [ball, inside_out, holed, *touching]
     mesh = labelled(*pieces)
-    closed = [bool(sheets.closed(mesh.part(k)).all()) for k in range(len(pieces))]
+    closed = [bool(solidify.closed(mesh.part(k)).all()) for k in range(len(pieces))]
     assert closed == [True, False, False, True, True]
     wanted = np.repeat(closed, [len(piece.faces) for piece in pieces])
-    assert np.array_equal(sheets.closed(mesh), wanted)
+    assert np.array_equal(solidify.closed(mesh), wanted)
 
 
 def test_a_plate_thinner_than_the_probes_keeps_its_winding():
@@ -75,7 +75,7 @@ def test_a_plate_thinner_than_the_probes_keeps_its_winding():
     part = solid_part(labelled(trimesh.util.concatenate([base, key])), RECIPE)
     assert len(part.mesh.faces) == 24
     centers = part.mesh.vertices[part.mesh.faces].mean(axis=1)
-    normals = sheets.face_normals(part.mesh.vertices, part.mesh.faces)
+    normals = solidify.face_normals(part.mesh.vertices, part.mesh.faces)
     under = (np.arange(24) >= 12) & (centers[:, 2] < 0.05 + 1e-6)
     assert under.sum() == 2
     assert np.all(normals[under, 2] < -0.99)
@@ -103,19 +103,19 @@ def test_what_nobody_sees_is_known():
 
 def test_repeated_and_empty_faces_go_once():
     mesh = labelled(two_sided(box((0.5, 0.5, 0.5))))
-    assert len(sheets.without_repeats(mesh).faces) == 12
+    assert len(solidify.without_repeats(mesh).faces) == 12
     flat = trimesh.Trimesh(
         [(0, 0, 0), (1, 0, 0), (2, 0, 0), (0, 1, 0)], [(0, 1, 2), (0, 1, 3)], process=False
     )
-    assert len(sheets.without_repeats(labelled(flat)).faces) == 1
+    assert len(solidify.without_repeats(labelled(flat)).faces) == 1
 
 
 def test_a_wall_closes_the_rim_and_no_inner_edge():
     """A square of two triangles: two caps of two, and four rim edges of two walls each."""
     mesh = labelled(sheet())
-    where = sheets.probes(mesh, 1e-3)
+    where = solidify.probes(mesh, 1e-3)
     free, shown = np.ones((2, len(where.face)), bool), np.ones((2, len(mesh.faces)), int)
-    solid, seen = sheets.solidified(mesh, where, free, shown, 0.01)
+    solid, seen = solidify.solidified(mesh, where, free, shown, 0.01)
     assert len(solid.faces) == 2 * 2 + 4 * 2
     assert seen.all()
     closed = trimesh.Trimesh(solid.vertices, solid.faces)
@@ -134,7 +134,7 @@ def test_a_face_that_shows_between_its_probes_is_seen():
     on_top = np.all(np.abs(corners[:, :, 2] - 0.025) < 1e-9, axis=1)
     assert on_top.sum() == 2
     assert part.seen[on_top].all()
-    assert np.all(sheets.face_normals(part.mesh.vertices, part.mesh.faces)[on_top, 2] > 0.99)
+    assert np.all(solidify.face_normals(part.mesh.vertices, part.mesh.faces)[on_top, 2] > 0.99)
 
 
 def test_small_faces_of_very_fine_parts_are_judged_together_and_as_alone(monkeypatch):
@@ -143,11 +143,11 @@ def test_small_faces_of_very_fine_parts_are_judged_together_and_as_alone(monkeyp
     fin = rotated(sheet(0.3), np.pi / 2, (1, 0, 0)).subdivide_to_size(0.007)
     fin.apply_translation((0, 0, 0.36))
     mesh = labelled(trimesh.util.concatenate([block, two_sided(fin)]))
-    assert len(mesh.faces) >= sheets.FINE_FACES
-    together, apart = (sheets.probes(mesh, 1e-3, together=t) for t in (True, False))
+    assert len(mesh.faces) >= solidify.FINE_FACES
+    together, apart = (solidify.probes(mesh, 1e-3, together=t) for t in (True, False))
     assert len(together.face) < 0.6 * len(apart.face)
     fast = solid_part(mesh, RECIPE)
-    monkeypatch.setattr(sheets, "FINE_FACES", 10**9)
+    monkeypatch.setattr(solidify, "FINE_FACES", 10**9)
     exact = solid_part(mesh, RECIPE)
     assert len(exact.mesh.faces) > len(mesh.faces)
     assert len(fast.mesh.faces) == pytest.approx(len(exact.mesh.faces), rel=0.005)
@@ -172,9 +172,9 @@ def bent_sheet(turns: int = 12, bend: float = np.radians(150.0), radius: float =
 def test_a_bent_sheet_becomes_one_watertight_solid_of_its_thickness():
     strip, facet = bent_sheet()
     mesh = labelled(strip)
-    where = sheets.probes(mesh, 1e-3)
+    where = solidify.probes(mesh, 1e-3)
     free, shown = np.ones((2, len(where.face)), bool), np.ones((2, len(mesh.faces)), int)
-    solid, _ = sheets.solidified(mesh, where, free, shown, 0.01)
+    solid, _ = solidify.solidified(mesh, where, free, shown, 0.01)
     together = trimesh.Trimesh(solid.vertices, solid.faces)
     together.merge_vertices(digits_vertex=9)
     trimesh.repair.fix_winding(together)

@@ -12,8 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from articugen.fusion.bvh import Bvh, meets
 from articugen.geometry import bounds, invert_rigid
-from articugen.hierarchy import Hierarchy, meets
 from articugen.records import LabelledMesh
 
 _WALL, _DRY, _WET = 1, 0, 2
@@ -25,11 +25,11 @@ class Flood:
 
     Attributes:
         state: (n, n, n) uint8 over the unit cube: 0 not reached, 1 touched by a face, 2 reached.
-        hierarchy, to_part: of the posed mesh, as in `fusion.Field`.
+        bvh, to_part: of the posed mesh, as in `fusion.Field`.
     """
 
     state: NDArray[np.uint8]
-    hierarchy: Hierarchy
+    bvh: Bvh
     to_part: NDArray[np.float32]
 
     def fills(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
@@ -40,7 +40,7 @@ class Flood:
     def reaches(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
         """(n,) which of the unseen `points` (n, 3) the flood gets to."""
         flat = np.ascontiguousarray(points, np.float32)
-        return _reaches(flat, self.state, self.to_part, self.hierarchy)
+        return _reaches(flat, self.state, self.to_part, self.bvh)
 
 
 def walls(mesh: LabelledMesh, opening: float) -> NDArray[np.uint8]:
@@ -59,7 +59,7 @@ def touched(mesh: LabelledMesh, resolution: int) -> NDArray[np.uint8]:
 def flood(
     state: NDArray[np.uint8],
     mesh: LabelledMesh,
-    hierarchy: Hierarchy,
+    bvh: Bvh,
     part_motion: NDArray[np.float64],
 ) -> Flood:
     """Flood the voxels that are not walls from the faces of the cube.
@@ -67,7 +67,7 @@ def flood(
     Args:
         state: as `walls` makes it.
         mesh: the faces that made it.
-        hierarchy, part_motion: of the posed mesh.
+        bvh, part_motion: of the posed mesh.
     """
     corners = mesh.vertices[mesh.faces].reshape(-1, 3)
     low, high = (bounds(corners) + 0.5) * len(state) if len(corners) else np.zeros((2, 3))
@@ -77,7 +77,7 @@ def flood(
     flooded = np.full(state.shape, _WET, np.uint8)  # nothing is outside the mesh's box
     flooded[box] = _filled(state[box])
     to_part = np.ascontiguousarray(invert_rigid(part_motion)[:, :3], np.float32)
-    return Flood(flooded, hierarchy, to_part)
+    return Flood(flooded, bvh, to_part)
 
 
 @njit(cache=True, nogil=True)
@@ -172,10 +172,10 @@ def _fills(points, state):
 
 
 @njit(cache=True, nogil=True)
-def _reaches(points, state, to_part, hierarchy):
+def _reaches(points, state, to_part, bvh):
     n = state.shape[0]
     reached = np.zeros(points.shape[0], np.bool_)
-    h = hierarchy
+    h = bvh
     for index in range(points.shape[0]):
         p = (points[index, 0], points[index, 1], points[index, 2])
         i = min(max(int((p[0] + 0.5) * n), 0), n - 1)

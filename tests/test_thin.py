@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from articugen.hierarchy import build
+from articugen.fusion.bvh import build
+from articugen.fusion.reachable import walls
+from articugen.fusion.thin import NOTHING, thin_voxels
 from articugen.instance import solid_part
-from articugen.reachable import walls
 from articugen.recipe import Recipe
 from articugen.records import LabelledMesh
-from articugen.slender import NOTHING, slender_voxels
 from tests.shapes import Convex, box, labelled, rotated, towards_cameras
 
 RECIPE = Recipe(name="test")
@@ -54,8 +54,8 @@ def test_only_what_is_slender_is_marked() -> None:
     trees = [
         build(m.vertices[m.faces], np.zeros(len(m.faces), np.uint8), 1) for m in (thick, plate)
     ]
-    assert slender_voxels(thick, 1 / 128, trees[0]) is NOTHING
-    marked = slender_voxels(plate, 1 / 128, trees[1]).voxels() / 128 - 0.5
+    assert thin_voxels(thick, 1 / 128, trees[0]) is NOTHING
+    marked = thin_voxels(plate, 1 / 128, trees[1]).voxels() / 128 - 0.5
     assert len(marked) > 1000
     assert np.all(np.abs(marked[:, 2] - 0.2) < 2 / 128)
     assert np.all(np.abs(marked[:, :2]) < 0.16)
@@ -71,7 +71,7 @@ def test_marks_take_little_memory_however_small_the_part(size: float) -> None:
     mesh = labelled(trimesh.util.concatenate(key))
     tree = build(mesh.vertices[mesh.faces], mesh.part_of_face, 1)
     tracemalloc.start()
-    found = slender_voxels(mesh, size / 256, tree)
+    found = thin_voxels(mesh, size / 256, tree)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert len(found.voxels()) > 1000
@@ -89,7 +89,7 @@ def test_marks_are_those_of_a_lattice_over_the_whole_cube() -> None:
     )
     assert len(broad.faces) == 4
     assert np.array_equal(
-        slender_voxels(plate, 1 / 96, tree).voxels(), np.argwhere(walls(broad, 2 / 96))
+        thin_voxels(plate, 1 / 96, tree).voxels(), np.argwhere(walls(broad, 2 / 96))
     )
-    fine = slender_voxels(plate, 1 / 900, tree)
+    fine = thin_voxels(plate, 1 / 900, tree)
     assert 300 < np.ptp(fine.voxels(), axis=0).max() < 320

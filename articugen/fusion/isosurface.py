@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.errors import MissingExtra, RejectedInstance
-from articugen.fusion import Field, PosedSolids
+from articugen.fusion.field import Field, PosedSolids
 from articugen.records import Mesh
 
 _SLAB = 1 << 20

@@ -1,4 +1,4 @@
-"""PPD's commands: a thin face, each calls one function. articugen/cli.py registers them."""
+"""PPD's commands: a thin face, each calls one function. articugen/cli/data.py registers them."""
 
 # Everything heavy is imported where it is used: --help should not wait for torch.
 # ruff: noqa: PLC0415
@@ -176,7 +176,6 @@ def evaluate(
     """Evaluate a run's last checkpoint on the test objects, as the paper does."""
     with _said():
         _prepare("cpu", threads)
-        from articugen.files import write_atomically
         from articugen.ppd import release
         from articugen.ppd.depth import DEPTH, read_depth_model, seen_by_a_camera
         from articugen.ppd.evaluate import Protocol
@@ -185,6 +184,7 @@ def evaluate(
         from articugen.ppd.report import markdown
         from articugen.ppd.runs import LATEST, RunFolder, about, read_checkpoint
         from articugen.records import dequantize
+        from articugen.store.files import write_atomically
 
         if label_poses not in ("canonical", "all"):
             raise ArticugenError(f"--label-poses {label_poses}: canonical or all")
@@ -306,7 +306,7 @@ def _prepare(device: str = "cpu", threads: int = 0) -> None:
 
 def _hint_of_few(data: Path) -> None:
     """Tell where a data set is too small for a model to carry over to other objects."""
-    from articugen.manifest import Manifest
+    from articugen.store.manifest import Manifest
 
     count = sum(o.key.split == "train" for o in Manifest.read(data).objects)
     if count < FEW_OBJECTS:

@@ -14,9 +14,9 @@ from rich.table import Table
 from rich.text import Text
 
 from articugen.inspection.tables import duration, facts, size
-from articugen.manifest import MANIFEST_NAME, Manifest
 from articugen.pipeline import Job, ObjectReport, Plan
 from articugen.sources.registry import SourceInfo
+from articugen.store.manifest import MANIFEST_NAME, Manifest
 
 
 def sources_table(sources: Iterable[SourceInfo]) -> RenderableType:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 LEAF_FACES = 4
 
 
-class Hierarchy(NamedTuple):
+class Bvh(NamedTuple):
     """The trees of all parts, one after the other. N nodes, F faces.
 
     Attributes:
@@ -55,20 +55,20 @@ def triangle_table(corners):
     return table
 
 
-def build(corners: NDArray[np.float64], part_of_face: NDArray[np.uint8], parts: int) -> Hierarchy:
+def build(corners: NDArray[np.float64], part_of_face: NDArray[np.uint8], parts: int) -> Bvh:
     """The trees of `parts` parts over the faces' corners (F, 3, 3), each in its canonical pose."""
     return joined([_tree(corners[part_of_face == part]) for part in range(parts)])
 
 
-def _tree(corners: NDArray[np.float64]) -> Hierarchy:
+def _tree(corners: NDArray[np.float64]) -> Bvh:
     """Of one part."""
     own = np.ascontiguousarray(corners)
     order, box, skip, leaf = _build(own)
     roots = np.array([0, len(skip)], np.int32)
-    return Hierarchy(box, skip.astype(np.int32), leaf, triangle_table(own[order]), roots)
+    return Bvh(box, skip.astype(np.int32), leaf, triangle_table(own[order]), roots)
 
 
-def joined(trees: Sequence[Hierarchy]) -> Hierarchy:
+def joined(trees: Sequence[Bvh]) -> Bvh:
     """The trees of several parts, one after the other."""
     first_node = np.cumsum([0, *(len(tree.skip) for tree in trees)])
     first_face = np.cumsum([0, *(len(tree.triangles) for tree in trees)])
@@ -76,7 +76,7 @@ def joined(trees: Sequence[Hierarchy]) -> Hierarchy:
     for leaf, first in zip(leaves, first_face, strict=False):
         leaf[:, 0] += np.where(leaf[:, 1] > 0, first, 0).astype(np.int32)
     skips = [tree.skip + np.int32(n) for tree, n in zip(trees, first_node, strict=False)]
-    return Hierarchy(
+    return Bvh(
         np.concatenate([tree.box for tree in trees]),
         np.concatenate(skips),
         np.concatenate(leaves),
@@ -157,7 +157,7 @@ def meets(p, w, reach, to_part, box, skip, leaf, triangles, roots):
         p, w: tuples of three float32.
         reach: float32; inf for a ray without end.
         to_part: (P, 3, 4) float32: from the pose at hand to each part's canonical pose.
-        box, skip, leaf, triangles, roots: the `Hierarchy`.
+        box, skip, leaf, triangles, roots: the `Bvh`.
     """
     for part in range(roots.shape[0] - 1):
         T = to_part[part]

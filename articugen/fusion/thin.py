@@ -13,11 +13,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from articugen.fusion.bvh import Bvh, meets
+from articugen.fusion.reachable import mark
+from articugen.fusion.solidify import face_normals, probes
 from articugen.geometry import bounds
-from articugen.hierarchy import Hierarchy, meets
-from articugen.reachable import mark
 from articugen.records import LabelledMesh
-from articugen.sheets import face_normals, probes
 
 _BENEATH = 1e-4
 """How deep behind a face the search for its other side begins, unit frame; but no deeper than an
@@ -29,7 +29,7 @@ of up to 300 pixels, which show the whole box, never need more; finer ones get w
 only means that more rays are followed."""
 
 
-class Slender(NamedTuple):
+class ThinVoxels(NamedTuple):
     """Marked voxels of a lattice over the unit cube; kept is the box around them.
 
     Attributes:
@@ -47,28 +47,28 @@ class Slender(NamedTuple):
         return np.argwhere(np.unpackbits(self.bits, axis=2, bitorder="little")) + self.first
 
 
-NOTHING = Slender(np.zeros((0, 0, 0), np.uint8), np.zeros(3, np.int64), 1)
+NOTHING = ThinVoxels(np.zeros((0, 0, 0), np.uint8), np.zeros(3, np.int64), 1)
 
 
-def slender_voxels(mesh: LabelledMesh, width: float, hierarchy: Hierarchy) -> Slender:
+def thin_voxels(mesh: LabelledMesh, width: float, bvh: Bvh) -> ThinVoxels:
     """The voxels that are touched by a face which has another within `width` behind it; `NOTHING`
     if there is none. A voxel is `width` wide, or so that the part's box has `_MOST_EDGE`.
 
     Args:
         mesh: faces outwards.
         width: of a pixel, unit frame.
-        hierarchy: of the mesh as one part, where it is.
+        bvh: of the mesh as one part, where it is.
     """
     where = probes(mesh, min(_BENEATH, width / 8.0))
     inwards = -face_normals(mesh.vertices, mesh.faces)[where.face]
     has_other_side = way_meets(
-        where.points[1].astype(np.float32), inwards.astype(np.float32), np.float32(width), hierarchy
+        where.points[1].astype(np.float32), inwards.astype(np.float32), np.float32(width), bvh
     )
     thin = np.bincount(where.face, weights=has_other_side, minlength=len(mesh.faces)) > 0
     return _touched(mesh.vertices[mesh.faces[thin]], width) if thin.any() else NOTHING
 
 
-def _touched(corners: NDArray[np.float64], width: float) -> Slender:
+def _touched(corners: NDArray[np.float64], width: float) -> ThinVoxels:
     """The voxels that faces (n, 3, 3) touch."""
     box = bounds(corners.reshape(-1, 3))
     edge = float(np.max(box[1] - box[0]))
@@ -76,16 +76,16 @@ def _touched(corners: NDArray[np.float64], width: float) -> Slender:
     first, last = np.clip(np.floor((box + 0.5) * resolution), 0, resolution - 1).astype(np.int64)
     state = np.zeros(last - first + 1, np.uint8)
     mark(state, first, resolution, (corners + 0.5) * resolution)
-    return Slender(np.packbits(state, axis=2, bitorder="little"), first, resolution)
+    return ThinVoxels(np.packbits(state, axis=2, bitorder="little"), first, resolution)
 
 
 @njit(cache=True, nogil=True)
-def way_meets(points, ways, reach, hierarchy):
+def way_meets(points, ways, reach, bvh):
     """(n,) whether a face lies within `reach` of each point on its way."""
     unmoved = np.zeros((1, 3, 4), np.float32)
     for axis in range(3):
         unmoved[0, axis, axis] = 1.0
-    h = hierarchy
+    h = bvh
     met = np.zeros(points.shape[0], np.bool_)
     for i in range(points.shape[0]):
         p = (points[i, 0], points[i, 1], points[i, 2])

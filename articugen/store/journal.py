@@ -17,7 +17,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from articugen.errors import ArticugenError, CorruptShard, MachineFault
-from articugen.files import (
+from articugen.store.files import (
     UnfitFile,
     cannot_write,
     make_folder,
@@ -27,7 +27,7 @@ from articugen.files import (
     whole_name,
     write_atomically,
 )
-from articugen.manifest import (
+from articugen.store.manifest import (
     MANIFEST_NAME,
     MOST_BYTES,
     Claims,

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from articugen.hierarchy import behind, in_front, line_meets, meets
+from articugen.fusion.bvh import behind, in_front, line_meets, meets
 
 UNSEEN = np.float32(1e9)
 """Signed distance where a view sees nothing behind the point."""
@@ -34,11 +34,11 @@ class Scene(NamedTuple):
         intrinsics: (K, 4) fx, fy, cx, cy.
         eyes: (K, 3) the eye (pinhole), or the unit direction to the camera (orthographic).
         pinhole: whether the cameras are pinholes.
-        triangles: (F, 16) as posed, see `hierarchy.triangle_table`.
-        hierarchy: of each part in its canonical pose.
+        triangles: (F, 16) as posed, see `bvh.triangle_table`.
+        bvh: of each part in its canonical pose.
         to_part: (P, 3, 4) from the pose at hand to each part's canonical pose.
         pixel: the width of a pixel at the object, unit frame.
-        slender: see `slender.Slender`.
+        thin: see `thin.ThinVoxels`.
     """
 
     depth: Any
@@ -48,10 +48,10 @@ class Scene(NamedTuple):
     eyes: Any
     pinhole: Any
     triangles: Any
-    hierarchy: Any
+    bvh: Any
     to_part: Any
     pixel: Any
-    slender: Any
+    thin: Any
 
 
 @njit(cache=True, nogil=True)
@@ -78,8 +78,8 @@ def is_free(points, which, scene, first_view, end_view):
     verdict = np.empty(BLOCK, np.uint8)
     left = n
     # arrays out of the tuple once, not at every point: each time counts its references
-    triangles, hierarchy, to_part = scene.triangles, scene.hierarchy, scene.to_part
-    slender = scene.slender
+    triangles, bvh, to_part = scene.triangles, scene.bvh, scene.to_part
+    thin = scene.thin
     pinhole, pixel, by_depth = scene.pinhole, scene.pixel, scene.face.shape[1] == 0
     for k in range(first_view, end_view):
         camera = _camera(k, scene)
@@ -103,9 +103,9 @@ def is_free(points, which, scene, first_view, end_view):
                     camera,
                     pinhole,
                     triangles,
-                    hierarchy,
+                    bvh,
                     to_part,
-                    slender,
+                    thin,
                     verdict,
                 )
             for i in range(bx.shape[0]):
@@ -120,18 +120,18 @@ def is_free(points, which, scene, first_view, end_view):
 
 
 @njit(cache=True, nogil=True)
-def _judge(x, y, z, around, camera, pinhole, triangles, hierarchy, to_part, slender, verdict):
+def _judge(x, y, z, around, camera, pinhole, triangles, bvh, to_part, thin, verdict):
     """What a view says of points, given the faces at the four pixels around each.
 
     _HIDDEN where all four show one face and the point is behind it; _FREE where it is behind none
-    of them and nothing slender is near; else the ray itself is followed. Only numbers are handed
+    of them and nothing thin is near; else the ray itself is followed. Only numbers are handed
     on: an array handed to a function costs numba two atomic counts, here at every look.
     """
-    bits, n = slender.bits, slender.resolution
+    bits, n = thin.bits, thin.resolution
     rows, columns, eighths = (
         np.uintp(bits.shape[0]), np.uintp(bits.shape[1]), np.uintp(bits.shape[2])
     )  # fmt: skip
-    first = (slender.first[0], slender.first[1], slender.first[2])
+    first = (thin.first[0], thin.first[1], thin.first[2])
     for i in range(x.shape[0]):
         p = (x[i], y[i], z[i])
         f = around[i, 0]
@@ -170,7 +170,7 @@ def _judge(x, y, z, around, camera, pinhole, triangles, hierarchy, to_part, slen
         if not doubt:
             verdict[i] = _FREE
         else:  # none of what shows is in the way: what shows at no pixel's centre may still be
-            verdict[i] = _FREE if _leaves(p, w, hierarchy, to_part) else _HIDDEN
+            verdict[i] = _FREE if _leaves(p, w, bvh, to_part) else _HIDDEN
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -207,8 +207,8 @@ def value(points, scene, truncation, mean):
     verdict = np.empty(n, np.uint8)
     total = np.zeros((n, 2))  # of the views that see the point free, and that it lies close behind
     views = np.zeros((n, 2))
-    triangles, hierarchy, to_part = scene.triangles, scene.hierarchy, scene.to_part
-    slender = scene.slender
+    triangles, bvh, to_part = scene.triangles, scene.bvh, scene.to_part
+    thin = scene.thin
     pinhole, pixel, by_depth = scene.pinhole, scene.pixel, scene.face.shape[1] == 0
     for k in range(scene.cameras.shape[0]):
         camera = _camera(k, scene)
@@ -216,9 +216,7 @@ def value(points, scene, truncation, mean):
         _project(x, y, z, camera, pinhole, u, v, depth)
         if not by_depth:
             _read_around(u, v, n, face_map, at, around)
-            _judge(
-                x, y, z, around, camera, pinhole, triangles, hierarchy, to_part, slender, verdict
-            )
+            _judge(x, y, z, around, camera, pinhole, triangles, bvh, to_part, thin, verdict)
         for i in range(n):
             if by_depth:
                 s = _gap_by_depth(u[i], v[i], depth[i], depth_map, pixel)
@@ -307,9 +305,9 @@ def _read_around(u, v, count, face_map, at, around):
 
 
 @njit(cache=True, nogil=True)
-def _leaves(p, w, hierarchy, to_part):
+def _leaves(p, w, bvh, to_part):
     """Whether the ray from `p` towards the camera, `w`, meets nothing on its way."""
-    h = hierarchy
+    h = bvh
     return not meets(p, w, ENDLESS, to_part, h.box, h.skip, h.leaf, h.triangles, h.roots)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from articugen.hierarchy import Hierarchy, _enters, _inverse, build
+from articugen.fusion.bvh import Bvh, _enters, _inverse, build
 from articugen.records import LabelledMesh
 
 _AHEAD, _ASIDE = 0.9837, (0.1371, 0.0913, 0.1159)
@@ -20,18 +20,18 @@ so much along the others: it is in line with nothing that models are built along
 
 _CLEAR = 2e-6
 """Unit frame: how far from edges and from its start a crossing must be to count; corners closer
-than half of that are one in `sheets.welded`."""
+than half of that are one in `solidify.welded`."""
 
 _DOUBT = 2
 
 
-def pieces(mesh: LabelledMesh, closed: NDArray[np.bool_]) -> Hierarchy:
-    """The faces of closed pieces alone, for `surely_inside`; see `sheets.closed`."""
+def pieces(mesh: LabelledMesh, closed: NDArray[np.bool_]) -> Bvh:
+    """The faces of closed pieces alone, for `surely_inside`; see `solidify.closed`."""
     corners = mesh.vertices[mesh.faces[closed]]
     return build(corners, np.zeros(len(corners), np.uint8), 1)
 
 
-def surely_inside(points: NDArray[np.floating], closed: Hierarchy) -> NDArray[np.bool_]:
+def surely_inside(points: NDArray[np.floating], closed: Bvh) -> NDArray[np.bool_]:
     """(n,) which of `points` (n, 3) closed pieces surely wind around."""
     if not len(closed.triangles):
         return np.zeros(len(points), np.bool_)

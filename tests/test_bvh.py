@@ -1,8 +1,8 @@
 import numpy as np
 from numba import njit
 
+from articugen.fusion.bvh import build, meets
 from articugen.geometry import invert_rigid, rotation_about, transform
-from articugen.hierarchy import build, meets
 from tests.shapes import Convex, box, labelled, rotated
 
 
@@ -26,7 +26,7 @@ def test_rays_meet_what_the_exact_solids_say():
     ]
     mesh = labelled(*solids)
     two_parts = (mesh.part_of_face >= 20).astype(np.uint8)
-    hierarchy = build(mesh.vertices[mesh.faces], two_parts, 2)
+    bvh = build(mesh.vertices[mesh.faces], two_parts, 2)
     T = transform(rotation_about((0, 0.6, 0.8), 0.5), (0.1, 0.05, -0.1))
     motion = np.stack([np.eye(4), T])
     for k in range(20, 40):
@@ -41,7 +41,7 @@ def test_rays_meet_what_the_exact_solids_say():
         points.astype(np.float32),
         np.repeat(direction[None], len(points), axis=0).astype(np.float32),
         np.ascontiguousarray(invert_rigid(motion)[:, :3], np.float32),
-        hierarchy,
+        bvh,
     )
     assert 0.2 < seen.mean() < 0.8
     assert np.mean(met == ~seen) > 0.9995  # single precision, at the very edges

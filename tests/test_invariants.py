@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from instances import SMALL, changed, edited, hinged_box, voxel_centres
 from test_manifest import STATES
 
-from articugen import checks
 from articugen.recipe import Recipe, Sampling
 from articugen.records import Instance, dequantize, quantize
+from articugen.verify import invariants
 from tests.benchmarks.soundness import made_sets
 
 ROWS = hinged_box()
@@ -32,10 +32,10 @@ RICH_ROWS = hinged_box(recipe=RICH)
 COVERED = RICH.model_copy(update={"sampling": RICH.sampling.model_copy(update={"coverage": True})})
 CHECKS = {
     "flow",
-    *checks.VALUE_CHECKS,
-    *checks.GEOMETRY_CHECKS,
-    *checks.SHARE_CHECKS,
-    *checks.OBJECT_CHECKS,
+    *invariants.VALUE_CHECKS,
+    *invariants.GEOMETRY_CHECKS,
+    *invariants.SHARE_CHECKS,
+    *invariants.OBJECT_CHECKS,
 }
 
 
@@ -44,31 +44,31 @@ CHECKS = {
 
 @pytest.mark.parametrize("rows", [ROWS, RICH_ROWS, ROWS[:1]], ids=["small", "rich", "canonical"])
 def test_sound_instances(rows):
-    assert list(checks.faults(rows, RICH if rows is RICH_ROWS else SMALL)) == []
+    assert list(invariants.faults(rows, RICH if rows is RICH_ROWS else SMALL)) == []
 
 
 def test_part_without_surface_points_has_no_flow_to_judge():
     rows = [edited(row, "surface_part", lambda part: np.minimum(part, 1)) for row in RICH_ROWS]
-    checked = [f for f in checks.faults(rows, RICH) if f.check == "flow"]
+    checked = [f for f in invariants.faults(rows, RICH) if f.check == "flow"]
     assert checked == []
 
 
 def test_default_recipe_and_an_empty_one_are_sound():
     full = Recipe(name="full")
-    assert list(checks.faults(hinged_box(STATES, recipe=full), full)) == []
+    assert list(invariants.faults(hinged_box(STATES, recipe=full), full)) == []
     nothing = Sampling(
         grids=(), surface_points=0, uniform_points=0, near_points=0, partial_views=1,
         partial_points=0,
     )  # fmt: skip
     none = Recipe(name="none", sampling=nothing)
-    assert list(checks.faults(hinged_box(STATES, recipe=none), none)) == []
+    assert list(invariants.faults(hinged_box(STATES, recipe=none), none)) == []
 
 
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.tuples(st.floats(0, 1.74), st.floats(0, 0.3)), max_size=3), st.integers(0, 99))
 def test_any_joint_states_are_sound(states, seed):
     rows = hinged_box([(0.0, 0.0), *states], seed=seed)
-    assert list(checks.faults(rows, SMALL)) == []
+    assert list(invariants.faults(rows, SMALL)) == []
 
 
 # Each fault trips its check.
@@ -258,7 +258,7 @@ def harmed(what) -> tuple[Recipe, list[Instance]]:
 @pytest.mark.parametrize("what", FAULTS)
 def test_fault_is_found(what):
     check, (recipe, rows) = FAULTS[what][0], harmed(what)
-    found = list(checks.faults(rows, recipe))
+    found = list(invariants.faults(rows, recipe))
     assert check in {fault.check for fault in found if fault.state_index == 2}, found
     assert {fault.state_index for fault in found} <= {2}
     assert all("\n" not in fault.sentence for fault in found)
@@ -315,15 +315,15 @@ OBJECT_FAULTS = {
 @pytest.mark.parametrize("what", OBJECT_FAULTS)
 def test_fault_of_an_object_is_found(what):
     check, harm = OBJECT_FAULTS[what]
-    found = list(checks.faults(harm(list(RICH_ROWS)), RICH))
+    found = list(invariants.faults(harm(list(RICH_ROWS)), RICH))
     assert check in {fault.check for fault in found}, found
 
 
 def test_coverage_is_asked_for_and_agrees():
     rows = [changed(row, coverage=covered(row)) for row in RICH_ROWS]
-    assert list(checks.faults(rows, COVERED)) == []
-    assert {fault.check for fault in checks.faults(RICH_ROWS, COVERED)} == {"counts"}
-    assert {fault.check for fault in checks.faults(rows, RICH)} == {"counts"}
+    assert list(invariants.faults(rows, COVERED)) == []
+    assert {fault.check for fault in invariants.faults(RICH_ROWS, COVERED)} == {"counts"}
+    assert {fault.check for fault in invariants.faults(rows, RICH)} == {"counts"}
 
 
 def _with_enclosed(row: Instance) -> Instance:
@@ -332,7 +332,7 @@ def _with_enclosed(row: Instance) -> Instance:
 
     def relabelled(points, label):
         flat = points.reshape(-1, 3)
-        far = (checks._nearest(surface, flat, 0.03) < 0) & (np.abs(flat) < 0.4).all(axis=1)
+        far = (invariants._nearest(surface, flat, 0.03) < 0) & (np.abs(flat) < 0.4).all(axis=1)
         return np.where((label == 0) & far.reshape(label.shape), 255, label).astype(np.uint8)
 
     queries = {
@@ -348,11 +348,11 @@ def _with_enclosed(row: Instance) -> Instance:
 def test_enclosed_space_is_a_label_but_where_the_rule_knows_none():
     rows = [_with_enclosed(row) for row in RICH_ROWS]
     assert (rows[0].occupancy[64] == 255).any()
-    found = {fault.check for fault in checks.faults(rows, RICH)}
+    found = {fault.check for fault in invariants.faults(rows, RICH)}
     assert not found - {"filling"}  # so much of it is not made by any object
     rigid = RICH.model_copy(update={"fusion": RICH.fusion.model_copy(update={"rule": "rigid"})})
-    assert "labels" in {fault.check for fault in checks.faults(rows, rigid)}
-    assert "labels" not in {fault.check for fault in checks.faults(RICH_ROWS, rigid)}
+    assert "labels" in {fault.check for fault in invariants.faults(rows, rigid)}
+    assert "labels" not in {fault.check for fault in invariants.faults(RICH_ROWS, rigid)}
 
 
 def test_every_check_has_a_fault():
@@ -363,38 +363,38 @@ def test_every_check_has_a_fault():
 
 
 def test_bounds_lie_between_what_is_sound_and_what_is_not():
-    for bound in checks.BOUNDS.values():
+    for bound in invariants.BOUNDS.values():
         assert bound.faulty < bound.least < bound.sound
     used = set()
     for what, (check, _) in FAULTS.items():
-        if check in checks.SHARE_CHECKS or check == "flow":
+        if check in invariants.SHARE_CHECKS or check == "flow":
             recipe, rows = harmed(what)
             tell = [
                 share
-                for state, c, share in checks.shares([rows[0], rows[2]], recipe)
+                for state, c, share in invariants.shares([rows[0], rows[2]], recipe)
                 if (state, c) == (2, check) and share.is_refused
             ]
             used |= {s.bound for s in tell}
-            assert any(s.agree / s.judged <= checks.BOUNDS[s.bound].faulty for s in tell), what
-    assert used == set(checks.BOUNDS)
+            assert any(s.agree / s.judged <= invariants.BOUNDS[s.bound].faulty for s in tell), what
+    assert used == set(invariants.BOUNDS)
 
 
-@pytest.mark.parametrize("name", checks.BOUNDS)
+@pytest.mark.parametrize("name", invariants.BOUNDS)
 def test_chance_alone_refuses_no_sound_share(name):
     """The exact binomial distribution, of as many draws as count as independent ones."""
-    bound = checks.BOUNDS[name]
+    bound = invariants.BOUNDS[name]
     for draws in (1, 5, 10, 20, 50, 200, 1000):
         refused = [k for k in range(draws) if bound.refuses(k * bound.per, draws * bound.per)]
         assert refused == list(range(len(refused)))  # the fewer agree, the surer
         p = bound.least
         tail = sum(math.comb(draws, k) * p**k * (1.0 - p) ** (draws - k) for k in refused)
-        assert tail <= checks.CHANCE
+        assert tail <= invariants.CHANCE
         assert refused or draws <= 20
 
 
-@pytest.mark.parametrize("name", checks.BOUNDS)
+@pytest.mark.parametrize("name", invariants.BOUNDS)
 def test_enough_places_tell_a_fault_but_few_do_not(name):
-    bound = checks.BOUNDS[name]
+    bound = invariants.BOUNDS[name]
     few, enough = 8 * bound.per, 1000 * bound.per
     assert not bound.refuses(0, few)
     assert not bound.refuses(0, 0)
@@ -410,8 +410,8 @@ def test_a_fault_too_small_to_tell_in_one_instance_tells_in_all():
         edited(row, "surface_normals", np.negative) for row in hinged_box(states, recipe=recipe)
     ]
     for row in rows:
-        assert "zero level" not in {fault.check for fault in checks.faults([row], recipe)}
-    every = [fault for fault in checks.faults(rows, recipe) if fault.check == "zero level"]
+        assert "zero level" not in {fault.check for fault in invariants.faults([row], recipe)}
+    every = [fault for fault in invariants.faults(rows, recipe) if fault.check == "zero level"]
     assert [fault.state_index for fault in every] == [None]
 
 
@@ -432,7 +432,7 @@ def test_nearest_is_the_nearest(seed, many, few, radius):
     if many:
         found = distance.min(axis=1) <= radius
         expected[found] = distance.argmin(axis=1)[found]
-    np.testing.assert_array_equal(checks._nearest(points, queries, radius), expected)
+    np.testing.assert_array_equal(invariants._nearest(points, queries, radius), expected)
 
 
 def test_labels_about_a_point_are_those_of_the_eight_nearest_voxels():
@@ -440,7 +440,7 @@ def test_labels_about_a_point_are_those_of_the_eight_nearest_voxels():
     grid = rng.integers(0, 5, (7, 7, 7)).astype(np.uint8)
     points = rng.random((50, 3)) - 0.5
     at = (np.arange(7) + 0.5) / 7 - 0.5
-    for point, labels in zip(points, checks._about(grid, points), strict=True):
+    for point, labels in zip(points, invariants._about(grid, points), strict=True):
         if (np.abs(point) > at[-1]).any():
             continue
         near = [np.argsort(np.abs(at - p))[:2] for p in point]

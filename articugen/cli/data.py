@@ -20,8 +20,8 @@ from rich.console import Console
 from rich.markup import escape
 
 from articugen import __version__
+from articugen.cli.learn import register as register_ppd
 from articugen.errors import ArticugenError, printable
-from articugen.ppd.cli import register as register_ppd
 
 if TYPE_CHECKING:
     from articugen.pipeline import Job
@@ -107,7 +107,7 @@ def _common(
 def sources() -> None:
     """List the sources of models, their categories and how many objects there are."""
     with _said_in_one_sentence():
-        from articugen.console import sources_table
+        from articugen.cli.console import sources_table
         from articugen.sources.registry import source_names
 
         out.print(sources_table(source_names()))
@@ -248,7 +248,8 @@ def _listed(texts: list[str] | None) -> list[str]:
 def _made(job: "Job", *, dry_run: bool, replace: bool) -> int:
     """Make one data set and tell of it; the exit status."""
     with _said_in_one_sentence(_KEPT):
-        from articugen import console, pipeline
+        from articugen import pipeline
+        from articugen.cli import console
 
         with pipeline.started(job) as run:
             if dry_run:
@@ -301,7 +302,7 @@ def inspect(
 ) -> None:
     """Print what a shard or a data set holds, and draw it."""
     with _said_in_one_sentence():
-        from articugen.console import left_out
+        from articugen.cli.console import left_out
         from articugen.inspection.summary import shards_of, summary
 
         shards = shards_of(path)
@@ -337,15 +338,15 @@ def verify(
     """Check checksums, schema, value ranges and geometry of data sets."""
     sound = True
     with _said_in_one_sentence():
-        from articugen.journal import data_sets
         from articugen.pipeline import default_jobs
-        from articugen.verify import verify as verify_folder
+        from articugen.store.journal import data_sets
+        from articugen.verify.dataset import verify as verify_folder
 
         for folder in data_sets(path):
             report = verify_folder(folder, jobs=jobs or default_jobs())
             findings = list(report.findings)
             if again and report.ok:
-                from articugen.replay import replay
+                from articugen.verify.replay import replay
 
                 findings += [finding for finding in replay(folder, again) if finding]
             for finding in findings:
@@ -371,8 +372,8 @@ def clean(
 ) -> None:
     """Remove what killed runs left; what is finished or can be resumed stays."""
     with _said_in_one_sentence():
-        from articugen.cleaning import clean as tidy
         from articugen.inspection.tables import size
+        from articugen.store.cleaning import clean as tidy
 
         leftovers = tidy(path, dry_run=dry_run)
         for left in leftovers:
@@ -396,7 +397,7 @@ def mesh(
 ) -> None:
     """Write a watertight mesh of one instance's field, made again from its source."""
     with _said_in_one_sentence():
-        from articugen.replay import write_mesh
+        from articugen.verify.replay import write_mesh
 
         with err.status("fusing ..."):
             faces = write_mesh(folder, object_id, state, resolution, output)

@@ -58,7 +58,7 @@ class Bound:
         least: the true share of any sound object is at least that.
         sound: the least share measured in sound instances, of those that could be refused;
             `python -m tests.benchmarks.soundness` measures it again.
-        faulty: the greatest share that gives away one of the faults of tests/test_checks.py.
+        faulty: the greatest share that gives away one of the faults of tests/test_invariants.py.
         per: so many places tell no more than one. Points are drawn each for itself; voxels beside
             each other lie in the same plate, or in the same gap.
     """

@@ -3,13 +3,13 @@ import pytest
 import trimesh
 
 from articugen.errors import RejectedInstance
-from articugen.fusion import fuse
+from articugen.fusion.field import fuse
 from articugen.recipe import Fusion
 from articugen.rendering.rasterizer import render
 from tests.shapes import box, labelled, rotated, views_of
 
 pytest.importorskip("skimage", reason="the extra mesh (scikit-image) is not installed")
-from articugen.meshing import extract_mesh
+from articugen.fusion.isosurface import extract_mesh
 
 
 def field_of(*meshes):

@@ -8,19 +8,19 @@ import numpy as np
 import trimesh
 
 from articugen import articulation
-from articugen.checks import Bound
 from articugen.errors import ArticugenError, InvalidSource
-from articugen.fusion import pixel_width
+from articugen.fusion.field import pixel_width
+from articugen.fusion.isosurface import extract_mesh
 from articugen.instance import Prepared, make_instance, pose, prepare
-from articugen.manifest import Manifest, ObjectEntry
-from articugen.meshing import extract_mesh
 from articugen.pipeline import generator_version
 from articugen.recipe import Recipe
 from articugen.records import Instance, dequantize
 from articugen.seeding import generator
-from articugen.shards import open_shard
 from articugen.sources import registry
-from articugen.verify import Finding
+from articugen.store.manifest import Manifest, ObjectEntry
+from articugen.store.shards import open_shard
+from articugen.verify.dataset import Finding
+from articugen.verify.invariants import Bound
 
 IN_FRONT, BEHIND = 0.1 / 256, 0.5 / 256
 """The zero level passes between a surface point moved out by the one and in by the other: within
