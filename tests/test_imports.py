@@ -21,12 +21,16 @@ VOCABULARY = {
 
 STAGES = {"articulation", "swept", "rendering", "fusion", "sampling", "sources"}
 
-PPD_WITH_TORCH = {
-    "dataset", "depth", "descent", "discriminator", "evaluate", "kinematics", "learner", "losses",
-    "model", "objective", "predict", "processes", "race", "reconstruct", "release", "runs",
-    "shape", "tensors", "train", "figures.draw", "figures.shapes",
+WITH_TORCH = {
+    f"learning.{name}"
+    for name in (
+        "dataset", "loop", "predict", "processes", "race", "runs", "tensors",
+        "evaluation.evaluate", "evaluation.figures.draw", "evaluation.figures.shapes",
+        "ppd.depth", "ppd.descent", "ppd.discriminator", "ppd.kinematics", "ppd.learner",
+        "ppd.losses", "ppd.model", "ppd.objective", "ppd.reconstruct", "ppd.release", "ppd.shape",
+    )
 }  # fmt: skip
-"""The modules of ppd that cannot be imported without torch."""
+"""The modules that cannot be imported without torch."""
 
 MAY_IMPORT: dict[str, set[str]] = {
     # the vocabulary
@@ -68,7 +72,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "verify.replay": VOCABULARY
     | {"store", "sources", "articulation", "fusion", "instance", "pipeline", "verify"},
     "inspection": VOCABULARY | {"store", "rendering"},
-    "ppd": VOCABULARY | {"store", "inspection", "workers"},
+    "learning": VOCABULARY | {"store", "inspection", "workers"},
     "cli": {
         "errors",
         "records",
@@ -78,7 +82,7 @@ MAY_IMPORT: dict[str, set[str]] = {
         "pipeline",
         "verify",
         "inspection",
-        "ppd",
+        "learning",
     },
     "__main__": {"cli"},
 }
@@ -90,17 +94,17 @@ FOREIGN: dict[str, set[str]] = {
     "platformdirs": {"bundled"},
     "yourdfpy": {"sources.urdf"},
     "lxml": {"sources.urdf", "sources.xml_strict"},
-    "trimesh": {"sources.mesh_formats", "verify.replay", "ppd.clouds"},
+    "trimesh": {"sources.mesh_formats", "verify.replay", "learning.clouds"},
     "PIL": {"inspection.layout", "inspection.shading"},
-    "matplotlib": {"ppd.figures.plots"},
+    "matplotlib": {"learning.evaluation.figures.plots"},
     "typer": {"cli.data", "cli.learn"},
     "rich": {"cli.data", "cli.console", "cli.learn", "inspection.summary", "inspection.tables"},
     "open3d": {"rendering.embree"},
     "pyrender": {"rendering.opengl"},
     "OpenGL": {"rendering.opengl"},
     "sapien": {"rendering.sapien"},
-    "tensorboard": {"ppd.boards"},
-    "torch": {f"ppd.{name}" for name in PPD_WITH_TORCH} | {"cli.learn"},
+    "tensorboard": {"learning.tensorboard"},
+    "torch": WITH_TORCH | {"cli.learn"},
 }
 """The modules that wrap a library; nobody else imports it."""
 
@@ -172,8 +176,7 @@ def test_the_core_needs_no_optional_library() -> None:
     optional = (
         "open3d", "pyrender", "OpenGL", "sapien", "tensorboard", "torch", "scipy", "matplotlib"
     )  # fmt: skip
-    with_extras = PPD_WITH_TORCH | {"figures.plots"}
-    without = {"__init__", "__main__"} | {f"ppd.{name}" for name in with_extras}
+    without = WITH_TORCH | {"__init__", "__main__", "learning.evaluation.figures.plots"}
     names = [m for m in modules() if m not in without]
     code = (
         f"import sys, importlib\nfor name in {optional}: sys.modules[name] = None\n"

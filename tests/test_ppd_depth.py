@@ -7,7 +7,7 @@ import pytest
 from ppd_data import write_boxes
 
 from articugen.errors import CorruptShard, InvalidCheckpoint
-from articugen.ppd.settings import (
+from articugen.learning.ppd.settings import (
     DataSettings,
     DepthSettings,
     LossSettings,
@@ -20,8 +20,9 @@ torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from instances import hinged_box  # noqa: E402
 
-from articugen.ppd.dataset import load_split, unpacked  # noqa: E402
-from articugen.ppd.depth import (  # noqa: E402
+from articugen.learning.dataset import load_split, unpacked  # noqa: E402
+from articugen.learning.loop import train  # noqa: E402
+from articugen.learning.ppd.depth import (  # noqa: E402
     DEPTH,
     DEPTH_METRICS,
     latents,
@@ -29,8 +30,7 @@ from articugen.ppd.depth import (  # noqa: E402
     seen_by_a_camera,
     train_depth,
 )
-from articugen.ppd.runs import LATEST, RunFolder, read_checkpoint  # noqa: E402
-from articugen.ppd.train import train  # noqa: E402
+from articugen.learning.runs import LATEST, RunFolder, read_checkpoint  # noqa: E402
 from articugen.records import dequantize  # noqa: E402
 
 torch.set_num_threads(1)

@@ -6,7 +6,7 @@ from articugen.errors import TrainingDiverged
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from articugen.ppd.descent import Descent  # noqa: E402
+from articugen.learning.ppd.descent import Descent  # noqa: E402
 
 NAN = float("nan")
 

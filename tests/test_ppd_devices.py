@@ -7,15 +7,15 @@ and to read a number from it, as `float` or a boolean index would, raises.
 import pytest
 from ppd_data import write_boxes
 
-from articugen.ppd.settings import DataSettings, load_train_recipe
+from articugen.learning.ppd.settings import DataSettings, load_train_recipe
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
 from torch.utils._pytree import tree_leaves  # noqa: E402
 
-from articugen.ppd.dataset import load_split  # noqa: E402
-from articugen.ppd.learner import Learner  # noqa: E402
+from articugen.learning.dataset import load_split  # noqa: E402
+from articugen.learning.ppd.learner import Learner  # noqa: E402
 
 META = torch.device("meta")
 SENDS = {"aten::lift_fresh", "aten::_to_copy", "aten::copy_"}

@@ -11,11 +11,11 @@ from articugen.geometry import rotation_about
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from articugen.ppd.discriminator import Discriminator  # noqa: E402
-from articugen.ppd.kinematics import inverse_motion, joint_frames, rotation_from_z  # noqa: E402
-from articugen.ppd.model import PPD  # noqa: E402
-from articugen.ppd.settings import ModelSettings  # noqa: E402
-from articugen.ppd.shape import Encoder, Quantizer, argmax_of_points, distinct  # noqa: E402
+from articugen.learning.ppd.discriminator import Discriminator  # noqa: E402
+from articugen.learning.ppd.kinematics import inverse_motion, joint_frames, rotation_from_z  # noqa: E402
+from articugen.learning.ppd.model import PPD  # noqa: E402
+from articugen.learning.ppd.settings import ModelSettings  # noqa: E402
+from articugen.learning.ppd.shape import Encoder, Quantizer, argmax_of_points, distinct  # noqa: E402
 
 torch.set_num_threads(1)
 PAPER = ModelSettings()

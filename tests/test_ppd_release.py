@@ -10,9 +10,9 @@ from articugen.errors import CorruptShard
 
 pytest.importorskip("torch", reason="PPD needs torch")
 
-from articugen.ppd.evaluate import Protocol
-from articugen.ppd.reconstruct import Reconstruction, truth
-from articugen.ppd.release import as_points, evaluate_as_release, release_meshes
+from articugen.learning.evaluation.evaluate import Protocol
+from articugen.learning.ppd.reconstruct import Reconstruction, truth
+from articugen.learning.ppd.release import as_points, evaluate_as_release, release_meshes
 
 SOME = Protocol(points=300)
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from articugen.ppd import processes
-from articugen.ppd.dataset import Batch, load_split
-from articugen.ppd.learner import Learner
-from articugen.ppd.settings import TrainRecipe, load_train_recipe
-from articugen.ppd.train import train
+from articugen.learning import processes
+from articugen.learning.dataset import Batch, load_split
+from articugen.learning.loop import train
+from articugen.learning.ppd.learner import Learner
+from articugen.learning.ppd.settings import TrainRecipe, load_train_recipe
 
 
 def slopes(recipe: TrainRecipe, data: Path) -> dict[str, Tensor]:

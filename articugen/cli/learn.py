@@ -18,7 +18,7 @@ from articugen.errors import ArticugenError, InvalidCheckpoint, MissingExtra
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
-    from articugen.ppd.train import Progress
+    from articugen.learning.loop import Progress
 
 Said = Callable[..., AbstractContextManager[None]]
 
@@ -86,11 +86,11 @@ def train(
 
         check_category(category)
         _prepare(device, threads)
-        from articugen.ppd import boards, processes
-        from articugen.ppd.race import race
-        from articugen.ppd.runs import RunFolder
-        from articugen.ppd.settings import load_train_recipe
-        from articugen.ppd.train import train as run_training
+        from articugen.learning import processes, tensorboard
+        from articugen.learning.loop import train as run_training
+        from articugen.learning.ppd.settings import load_train_recipe
+        from articugen.learning.race import race
+        from articugen.learning.runs import RunFolder
 
         settings = load_train_recipe(recipe or "ppd_quick")
         if seeds is not None:
@@ -113,8 +113,8 @@ def train(
         with processes.joined(device) as own_device, _ProgressBar() as on_progress:
             if processes.is_first():
                 _hint_of_few(data)
-                if not boards.is_installed():
-                    _err.print(boards.MISSING, soft_wrap=True, markup=False)
+                if not tensorboard.is_installed():
+                    _err.print(tensorboard.MISSING, soft_wrap=True, markup=False)
             run = run_training(
                 settings,
                 category=category,
@@ -140,9 +140,9 @@ def train_depth(
     """Train a run's encoder for depth input, or go on with it: what one camera sees, not all."""
     with _said("interrupted; what was last saved is kept, the same command goes on"):
         _prepare(device, threads)
-        from articugen.ppd import processes
-        from articugen.ppd.depth import train_depth as run_training
-        from articugen.ppd.runs import RunFolder
+        from articugen.learning import processes
+        from articugen.learning.ppd.depth import train_depth as run_training
+        from articugen.learning.runs import RunFolder
 
         if processes.started() > 1:
             raise ArticugenError("train-depth runs in one process; leave out torchrun")
@@ -176,13 +176,13 @@ def evaluate(
     """Evaluate a run's last checkpoint on the test objects, as the paper does."""
     with _said():
         _prepare("cpu", threads)
-        from articugen.ppd import release
-        from articugen.ppd.depth import DEPTH, read_depth_model, seen_by_a_camera
-        from articugen.ppd.evaluate import Protocol
-        from articugen.ppd.evaluate import evaluate as run_evaluation
-        from articugen.ppd.reconstruct import reconstruction_from
-        from articugen.ppd.report import markdown
-        from articugen.ppd.runs import LATEST, RunFolder, about, read_checkpoint
+        from articugen.learning.evaluation.evaluate import Protocol
+        from articugen.learning.evaluation.evaluate import evaluate as run_evaluation
+        from articugen.learning.evaluation.report import markdown
+        from articugen.learning.ppd import release
+        from articugen.learning.ppd.depth import DEPTH, read_depth_model, seen_by_a_camera
+        from articugen.learning.ppd.reconstruct import reconstruction_from
+        from articugen.learning.runs import LATEST, RunFolder, about, read_checkpoint
         from articugen.records import dequantize
         from articugen.store.files import write_atomically
 
@@ -225,7 +225,7 @@ def evaluate(
         _out.print(table, soft_wrap=True, markup=False)
         _out.print(f"written: {out}/evaluation.json, evaluation.md", soft_wrap=True)
         if figures and protocol == "paper":
-            from articugen.ppd.figures.draw import draw_figures
+            from articugen.learning.evaluation.figures.draw import draw_figures
 
             fine = min(4 * (resolution or 32), 128)
             drawn = draw_figures(out, RunFolder(folder), data, checkpoint, result, resolution=fine)
@@ -239,8 +239,8 @@ def tables(
 ) -> None:
     """Print the paper's tables over several evaluated runs: categories, ablations, inputs."""
     with _said():
-        from articugen.ppd.report import read_result
-        from articugen.ppd.report import tables as written
+        from articugen.learning.evaluation.report import read_result
+        from articugen.learning.evaluation.report import tables as written
 
         results = [read_result(_newest(run)) for run in runs]
         _out.print(written(results), soft_wrap=True, markup=False)
@@ -263,11 +263,11 @@ def predict(
     """Segment and rig a shape: a mesh for each part, and a URDF with the predicted joints."""
     with _said():
         _prepare()
-        from articugen.ppd.clouds import cloud_of_file, cloud_of_shard
-        from articugen.ppd.depth import read_depth_model
-        from articugen.ppd.predict import write_rig
-        from articugen.ppd.reconstruct import reconstruction_from
-        from articugen.ppd.runs import LATEST, read_checkpoint
+        from articugen.learning.clouds import cloud_of_file, cloud_of_shard
+        from articugen.learning.ppd.depth import read_depth_model
+        from articugen.learning.ppd.reconstruct import reconstruction_from
+        from articugen.learning.predict import write_rig
+        from articugen.learning.runs import LATEST, read_checkpoint
 
         folder = _newest(run)
         checkpoint = read_checkpoint(folder / LATEST)
@@ -334,7 +334,7 @@ class _ProgressBar:
         from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as Bar
 
-        from articugen.ppd.processes import is_first
+        from articugen.learning.processes import is_first
 
         self.bar = Bar(
             BarColumn(),

@@ -26,10 +26,10 @@ from unittest.mock import patch
 
 import torch
 
-from articugen.ppd import objective, settings, train
-from articugen.ppd.dataset import PackedSplit
-from articugen.ppd.descent import Descent
-from articugen.ppd.model import PPD
+from articugen.learning.dataset import PackedSplit
+from articugen.learning.ppd import objective, settings
+from articugen.learning.ppd.descent import Descent
+from articugen.learning.ppd.model import PPD
 from articugen.store.manifest import this_commit, this_machine
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
@@ -127,14 +127,14 @@ def _clocked(
     """Seconds, and CPU seconds of this process, of all iterations but the first ones."""
     begun: list[float] = []
 
-    def on_progress(progress: train.Progress) -> None:
+    def on_progress(progress: loop.Progress) -> None:
         if progress.iteration == WARM_UP:
             wait()
             at_start()
             begun.extend((time.perf_counter(), time.process_time()))
 
     with tempfile.TemporaryDirectory() as runs:
-        train.train(
+        loop.train(
             recipe, category="box", data=Path(folder), runs=Path(runs), device=device,
             on_progress=on_progress,
         )  # fmt: skip

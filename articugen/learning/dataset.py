@@ -1,0 +1,313 @@
+"""Shards as training data: a whole split packed in memory, batches unpacked from it by index.
+
+Coordinates stay 16-bit and labels 8-bit until a batch is made, on whatever device they lie; no
+worker process is needed, and a batch depends on nothing but its generator and indices.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from articugen.errors import CorruptShard
+from articugen.learning import processes
+from articugen.learning.ppd.settings import DataSettings
+from articugen.records import FREE, is_material
+from articugen.store.manifest import Manifest
+from articugen.store.shards import Shard, open_shard
+
+
+@dataclass(frozen=True)
+class Batch:
+    """B samples in the unit frame.
+
+    Attributes:
+        cloud: (B, n, 3) surface points, the encoder's input.
+        points: (B, m, 3) query points.
+        occupied: (B, m) bool, their indicator values.
+        spread: the first so many query points are spread evenly over the cube, the others lie near
+            the surface.
+    """
+
+    cloud: Tensor
+    points: Tensor
+    occupied: Tensor
+    spread: int
+
+    def share(self) -> "Batch":
+        """What this process takes of it; all of it where there is one."""
+        of = processes.share
+        return Batch(of(self.cloud), of(self.points), of(self.occupied), self.spread)
+
+
+@dataclass(frozen=True, eq=False)
+class PackedSplit:
+    """Instances of some objects, as they are stored. I instances; 16-bit patterns lie in int16.
+
+    Attributes:
+        object_id: (I,) names.
+        state_index: (I,) 0 is the canonical pose.
+        surface: (I, S, 3).
+        grids: (I, R^3) labels by resolution, above 0 where the recipe calls it occupied.
+        uniform, near: ((I, K, 3) coordinates, (I, K) such labels).
+        partial: (I, C, M, 3) what each of C depth cameras sees; C = 0 unless asked for.
+    """
+
+    object_id: NDArray[Any]
+    state_index: NDArray[np.uint32]
+    surface: Tensor
+    grids: dict[int, Tensor]
+    uniform: tuple[Tensor, Tensor]
+    near: tuple[Tensor, Tensor]
+    partial: Tensor
+
+    def __len__(self) -> int:
+        return len(self.object_id)
+
+    @property
+    def bytes(self) -> int:
+        """What the tensors take."""
+        tensors = (self.surface, *self.grids.values(), *self.uniform, *self.near, self.partial)
+        return sum(t.numel() * t.element_size() for t in tensors)
+
+    def of(self, objects: Iterable[str]) -> "PackedSplit":
+        """The instances of these objects alone."""
+        rows = np.flatnonzero(np.isin(self.object_id, list(objects)))
+        at = torch.from_numpy(rows)
+        return PackedSplit(
+            self.object_id[rows],
+            self.state_index[rows],
+            self.surface[at],
+            {resolution: grid[at] for resolution, grid in self.grids.items()},
+            (self.uniform[0][at], self.uniform[1][at]),
+            (self.near[0][at], self.near[1][at]),
+            self.partial[at],
+        )
+
+    def to(self, device: torch.device) -> "PackedSplit":
+        """The same in the memory of a device."""
+        return PackedSplit(
+            self.object_id,
+            self.state_index,
+            self.surface.to(device),
+            {resolution: grid.to(device) for resolution, grid in self.grids.items()},
+            (self.uniform[0].to(device), self.uniform[1].to(device)),
+            (self.near[0].to(device), self.near[1].to(device)),
+            self.partial.to(device),
+        )
+
+    def batch(
+        self, rows: Sequence[int], ask: DataSettings, resolution: int, rng: torch.Generator | None
+    ) -> Batch:
+        """A batch of the instances `rows`; points are drawn without replacement.
+
+        Args:
+            rng: of the device that the split lies on; None for torch's own.
+        """
+        at = index_on(self.surface.device, rows)
+        cloud = unpacked(_some(self.surface[at], ask.surface_points, rng)[0])
+        points: list[Tensor] = []
+        labels: list[Tensor] = []
+        if ask.grid_points:
+            grid, where = _some(self.grids[resolution][at], ask.grid_points, rng)
+            points.append(voxel_centres(where, resolution))
+            labels.append(grid)
+        for wanted, (stored, label) in (
+            (ask.uniform_points, self.uniform),
+            (ask.near_points, self.near),
+        ):
+            if wanted:
+                some, where = _some(stored[at], wanted, rng)
+                points.append(unpacked(some))
+                labels.append(label[at].gather(1, where))
+        spread = ask.grid_points + ask.uniform_points
+        return Batch(cloud, torch.cat(points, 1), torch.cat(labels, 1) > 0, spread)
+
+
+def index_on(device: torch.device, rows: Sequence[int]) -> Tensor:
+    """The numbers of rows as a tensor; no GPU is waited for."""
+    at = torch.tensor(rows)
+    return at.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else at.to(device)
+
+
+def _some(rows: Tensor, count: int, rng: torch.Generator | None) -> tuple[Tensor, Tensor]:
+    """`count` entries along axis 1 of (B, n, ...), drawn anew for each row, and their places.
+
+    All n of them stay in order: nothing that uses a batch depends on the order of its points.
+    """
+    B, n = rows.shape[:2]
+    if count == n:
+        return rows, torch.arange(n, device=rows.device).expand(B, n)
+    order = torch.rand(B, n, generator=rng, device=rows.device)
+    where = order.topk(count, dim=1, sorted=False).indices
+    each = torch.arange(B, device=rows.device)[:, None]
+    return rows[each, where], where
+
+
+def unpacked(stored: Tensor) -> Tensor:
+    """16-bit fixed point to the unit frame: x = stored / 65535 - 0.5."""
+    return (stored.int() & 0xFFFF).float() / 65535.0 - 0.5
+
+
+def voxel_centres(index: Tensor, resolution: int) -> Tensor:
+    """(..., 3) the centres of voxels from flat indices (...) of a grid [x, y, z]."""
+    x = index // (resolution * resolution)
+    at = torch.stack([x, index // resolution % resolution, index % resolution], -1)
+    return (at + 0.5) / resolution - 0.5
+
+
+def load_split(
+    folder: Path,
+    split: str,
+    ask: DataSettings,
+    resolutions: Iterable[int],
+    *,
+    category: str | None = None,
+    joints: tuple[int, int] | None = None,
+    partial: bool = False,
+) -> PackedSplit:
+    """Pack a split of a data set.
+
+    Args:
+        folder: of the data set, with its manifest.
+        ask: what batches will want; more is not read.
+        resolutions: of the grids wanted.
+        category: what the data set must be of.
+        joints: (revolute, prismatic) parts of the model that must be able to hold an object's.
+        partial: whether the clouds of depth cameras are wanted.
+
+    Raises:
+        CorruptShard: no such data set or split, another category, too few points, no such grid, no
+            clouds of depth cameras, no joint, more joints than the model has parts.
+    """
+    manifest = Manifest.read(folder)
+    if category is not None and manifest.category != category:
+        raise CorruptShard(f"{folder}: holds {manifest.category}, not {category}")
+    names = sorted({o.shard for o in manifest.objects if o.key.split == split})
+    if not names:
+        have = sorted({o.key.split for o in manifest.objects})
+        raise CorruptShard(
+            f"{folder}: has no object in split {split!r}, only in: {', '.join(have)}"
+        )
+    wanted = {
+        "surface_points": ask.surface_points,
+        "uniform_points": ask.uniform_points,
+        "near_points": ask.near_points,
+        "partial_points": int(partial),
+    }
+    shards = [
+        _read(
+            folder / name, split, manifest.category, wanted, sorted(set(resolutions)), joints, ask
+        )
+        for name in names
+    ]
+    try:
+        joined = {name: np.concatenate([shard[name] for shard in shards]) for name in shards[0]}
+    except ValueError:
+        raise CorruptShard(f"{folder}: shards of different shapes; make them again") from None
+    grids = {int(n.rpartition("_")[2]): n for n in joined if n.startswith("occupancy_")}
+    for resolution, name in grids.items():
+        _fill_empty(joined[name], joined["surface_points"], resolution)
+    return PackedSplit(
+        joined["object_id"],
+        joined["state_index"],
+        _tensor(joined["surface_points"]),
+        {r: _tensor(joined[name]).flatten(1) for r, name in grids.items()},
+        (_tensor(joined["uniform_points"]), _tensor(joined["uniform_label"])),
+        (_tensor(joined["near_points"]), _tensor(joined["near_label"])),
+        _tensor(joined["partial_points"]),
+    )
+
+
+def _read(
+    path: Path,
+    split: str,
+    category: str,
+    wanted: dict[str, int],
+    resolutions: list[int],
+    joints: tuple[int, int] | None,
+    ask: DataSettings,
+) -> dict[str, NDArray[Any]]:
+    with open_shard(path) as shard:
+        for name, should in (("split", split), ("category", category)):
+            if shard.attributes[name] != should:
+                raise CorruptShard(
+                    f"{path}: is of {name} {shard.attributes[name]!r}, the manifest says {should!r}"
+                )
+        _check_joints(shard, joints)
+        if wanted["partial_points"] and 0 in shard.fields["partial_points"]:
+            raise CorruptShard(
+                f"{path}: has no partial clouds; set sampling.partial_views and make the data set "
+                "again"
+            )
+        fields = ["state_index", *wanted, "uniform_label", "near_label"]
+        for name, count in wanted.items():
+            have = shard.fields[name][1]
+            if have < count:
+                raise CorruptShard(
+                    f"{path}: has {have} {name} an instance, the recipe asks for {count}; "
+                    "make the data set with more, or lower data in the training recipe"
+                )
+        for resolution in resolutions:
+            name = f"occupancy_{resolution}"
+            if name not in shard.fields:
+                raise CorruptShard(
+                    f"{path}: has no {name}; add {resolution} to sampling.grids and make the data "
+                    "set again"
+                )
+            fields.append(name)
+        row = {name: _kept(shard, name, wanted) for name in fields}
+        if ask.occupancy == "material":
+            for name, array in row.items():
+                if name.endswith("_label") or name.startswith("occupancy_"):
+                    row[name] = np.where(is_material(array), array, FREE)
+        return {"object_id": np.array(shard.object_ids()), **row}
+
+
+def _fill_empty(grid: NDArray[np.uint8], surface: NDArray[np.uint16], resolution: int) -> None:
+    """Where no voxel's centre is occupied, those are that the surface passes through.
+
+    Thin parts can lie between all centres of a coarse grid, and a grid that says "nothing is here"
+    would teach just that.
+
+    Args:
+        grid: (I, R, R, R) labels, changed in place.
+        surface: (I, S, 3) in fixed point.
+    """
+    for row in np.flatnonzero(~grid.any(axis=(1, 2, 3))):
+        x, y, z = (surface[row].astype(np.int64) * resolution // 65536).T
+        grid[row, x, y, z] = 1
+
+
+def _kept(shard: Shard, name: str, wanted: dict[str, int]) -> NDArray[Any]:
+    """A field, or none of its points where the recipe wants none of them."""
+    points = f"{name.removesuffix('_label')}_points" if name.endswith("_label") else name
+    if wanted.get(points) == 0:
+        shape = shard.fields[name]
+        dtype = np.uint8 if name.endswith("_label") else np.uint16
+        return np.zeros((shape[0], 0, *shape[2:]), dtype)
+    return shard.read(name)
+
+
+def _check_joints(shard: Shard, joints: tuple[int, int] | None) -> None:
+    if joints is None:
+        return
+    kind = shard.read("joint_kind")
+    if not kind.size:
+        raise CorruptShard(f"{shard.path}: has no joint; what never moves teaches no parts")
+    have = (int((kind == 1).sum(1).max()), int((kind == 2).sum(1).max()))
+    if have[0] > joints[0] or have[1] > joints[1]:
+        raise CorruptShard(
+            f"{shard.path}: an object has {have[0]} revolute and {have[1]} prismatic joints, the "
+            f"recipe's model {joints[0]} and {joints[1]} such parts; add directions to model"
+        )
+
+
+def _tensor(array: NDArray[Any]) -> Tensor:
+    """Torch has few functions for uint16: their bits as int16."""
+    return torch.from_numpy(array.view(np.int16) if array.dtype == np.uint16 else array)

@@ -1,0 +1,244 @@
+"""Pictures of what a model reconstructs: beside the truth, and between two shapes or states."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from articugen.inspection.layout import Caption, Row, sheet
+from articugen.inspection.portrait import (
+    colour_of,
+    pooled,
+    portrait,
+    solid_portrait,
+    tile_camera,
+)
+from articugen.inspection.shading import Picture
+from articugen.inspection.solids import Solid, arrow
+from articugen.learning.evaluation.figures.colours import part_colours, shaded
+from articugen.learning.evaluation.surfaces import Floats
+from articugen.learning.ppd.model import PPD, Prediction
+from articugen.learning.ppd.reconstruct import PRISMATIC, REVOLUTE, Reconstruction
+from articugen.records import Instance, dequantize
+
+Reconstruct = Callable[[Instance], Reconstruction]
+
+STEPS = 5
+POOLED = 16
+_CUBE = np.array([[-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]])
+
+
+@dataclass(frozen=True)
+class Names:
+    """Which true part each predicted one stands for, -1 for none: by votes, and by most votes."""
+
+    labels: Sequence[int]
+    dominant: Sequence[int]
+
+    @property
+    def colours(self) -> list[str]:
+        return part_colours(self.labels, self.dominant)
+
+    def part_of(self, joint: int) -> int | None:
+        """The dominant predicted part of what a true joint moves."""
+        return list(self.dominant).index(joint + 1) if joint + 1 in self.dominant else None
+
+
+def by_opening(instances: Sequence[Instance]) -> list[Instance]:
+    """The canonical instance, then the others by how far their joints have moved."""
+
+    def moved(i: Instance) -> float:
+        limits = np.where(i.joint_upper == 0.0, 1.0, i.joint_upper)
+        return -1.0 if i.state_index == 0 else float(np.abs(i.joint_state / limits).sum())
+
+    return sorted(instances, key=moved)
+
+
+def evenly(items: Sequence, count: int) -> list:
+    """`count` of the items from the first to the last, or all of them."""
+    return [items[round(i)] for i in np.linspace(0, len(items) - 1, min(count, len(items)))]
+
+
+def reconstructions(
+    objects: Sequence[Sequence[Instance]],
+    see: Reconstruct,
+    names: Names,
+    azimuth: float,
+    *,
+    states: int = 4,
+) -> Picture:
+    """For each object a row of its true instances and one of their reconstructions.
+
+    Arrows are joint axes; captions tell how far joints have moved since the canonical pose.
+
+    Args:
+        objects: the instances of each, `by_opening`.
+    """
+    rows: list[Row] = []
+    for instances in objects:
+        drawn = evenly(instances, states)
+        found = [see(instance) for instance in drawn]
+        discs = pooled(evenly(instances, POOLED))
+        axes = [_true_axes(instance) for instance in drawn]
+        points = np.concatenate(
+            [dequantize(i.surface_points) for i in drawn]
+            + [solid.triangles.reshape(-1, 3) for solid in (*axes, *found)]
+        )
+        camera = tile_camera(points, azimuth)
+        floor = float(min(dequantize(i.surface_points)[:, 2].min() for i in drawn))
+        rows.append(Row(
+            f"{drawn[0].object_id}: ground truth",
+            [
+                portrait(discs, i, camera, floor, beside=solid)
+                for i, solid in zip(drawn, axes, strict=True)
+            ],
+            [_caption(i, i.joint_state - drawn[0].joint_state) for i in drawn],
+        ))  # fmt: skip
+        rows.append(Row(
+            f"{drawn[0].object_id}: reconstruction",
+            [
+                solid_portrait(
+                    Solid(f.triangles, f.part, names.colours), camera, floor,
+                    beside=_predicted_axes(i, f, names),
+                )
+                for i, f in zip(drawn, found, strict=True)
+            ],
+            [
+                _caption(i, _changes(i, found[0], f, names))
+                for i, f in zip(drawn, found, strict=True)
+            ],
+        ))  # fmt: skip
+    return sheet(rows)
+
+
+def _changes(
+    instance: Instance, first: Reconstruction, found: Reconstruction, names: Names
+) -> list[float | None]:
+    """How far each joint has moved by the prediction, positive about the true axis."""
+    changes: list[float | None] = []
+    for j, kind in enumerate(instance.joint_kind.tolist()):
+        i = names.part_of(j)
+        if i is None or found.kind[i] != kind:
+            changes.append(None)
+            continue
+        same_way = np.dot(found.direction[i], instance.joint_axis[j]) >= 0
+        changes.append(float(found.state[i] - first.state[i]) * (1.0 if same_way else -1.0))
+    return changes
+
+
+def _caption(instance: Instance, changes: Sequence[float | None] | Floats) -> Caption:
+    """Each change after a dot in the colour of its part; a question mark where there is none."""
+    texts = []
+    for j, change in enumerate(changes):
+        if change is None:
+            text = "?"
+        elif instance.joint_kind[j] == REVOLUTE:
+            text = f"{round(np.degrees(change))}°"
+        else:
+            text = f"{round(100.0 * change * instance.scale)} cm"
+        texts.append((text, colour_of(j + 1)))
+    return texts
+
+
+def _true_axes(instance: Instance) -> Solid:
+    points, part = dequantize(instance.surface_points), instance.surface_part
+    return Solid.joined([
+        _axis(kind, pivot, axis, points, points[part == j + 1], colour_of(j + 1))
+        for j, (kind, pivot, axis) in enumerate(
+            zip(instance.joint_kind, instance.joint_pivot, instance.joint_axis, strict=True)
+        )
+    ])  # fmt: skip
+
+
+def _predicted_axes(instance: Instance, found: Reconstruction, names: Names) -> Solid:
+    """The axes of the dominant parts, as long as the true ones would be there."""
+    points, part = dequantize(instance.surface_points), instance.surface_part
+    axes = []
+    for j in range(len(instance.joint_kind)):
+        i = names.part_of(j)
+        if i is not None and found.kind[i] in (REVOLUTE, PRISMATIC):
+            colour = colour_of(j + 1)
+            of_part = points[part == j + 1]
+            axes.append(
+                _axis(found.kind[i], found.pivot[i], found.direction[i], points, of_part, colour)
+            )
+    return Solid.joined(axes)
+
+
+def _axis(
+    kind: int, pivot: Floats, axis: Floats, points: Floats, of_part: Floats, colour: str
+) -> Solid:
+    """Through the pivot and all of the part, or out of a sliding part."""
+    mine = of_part if len(of_part) else points
+    through = pivot if kind == REVOLUTE else mine.mean(0)
+    along = (mine - through) @ axis
+    low = along.min() - 0.1 if kind == REVOLUTE else 0.0
+    return arrow(
+        through + low * axis, through + (along.max() + 0.14) * axis, 0.006, shaded(colour, -0.4)
+    )
+
+
+def between(
+    model: PPD,
+    clouds: tuple[Floats, Floats],
+    opening: tuple[Floats, Floats],
+    residual_direction: bool,
+) -> tuple[list[Prediction], list[Prediction]]:
+    """Predictions between two shapes in the pose of the first, and between two joint states.
+
+    The latent of the shape goes straight from one cloud's to the other's, and the states likewise.
+
+    Args:
+        clouds: (n, 3) each, one object and another.
+        opening: of the first object, closed and wide open.
+    """
+    device = next(model.parameters()).device
+    shares = torch.linspace(0.0, 1.0, STEPS).tolist()
+
+    def encoded(cloud: Floats) -> torch.Tensor:
+        return model.encoder(torch.as_tensor(cloud, dtype=torch.float32, device=device)[None])
+
+    def decoded(latent: torch.Tensor) -> Prediction:
+        return model.decode(latent, residual_direction=residual_direction)
+
+    with torch.no_grad():
+        first, other = (encoded(cloud) for cloud in clouds)
+        low, high = (decoded(encoded(cloud)).pose.state for cloud in opening)
+        held = decoded(first)
+        shapes = [
+            replace(held, shape=decoded(torch.lerp(first, other, share)).shape) for share in shares
+        ]
+        states = [
+            replace(held, pose=replace(held.pose, state=torch.lerp(low, high, share)))
+            for share in shares
+        ]
+    return shapes, states
+
+
+def interpolations(
+    shapes: Sequence[Reconstruction],
+    states: Sequence[Reconstruction],
+    names: Names,
+    instance: Instance,
+    azimuth: float,
+) -> Picture:
+    """Two rows: the shape between two objects, and the joint states of one.
+
+    Args:
+        instance: the first object: its kinds of joints and its scale are told.
+    """
+    middle = [f"{100 * share:.0f} %" for share in np.linspace(0.0, 1.0, len(shapes))[1:-1]]
+    captions: list[list[Caption]] = [
+        [[(text, "")] for text in ("one object", *middle, "another")],
+        [_caption(instance, _changes(instance, states[0], f, names)) for f in states],
+    ]
+    titles = ("shape interpolated, pose held", "joint state interpolated, shape held")
+    points = np.concatenate([f.triangles.reshape(-1, 3) for f in (*shapes, *states)])
+    points = points if len(points) else _CUBE
+    camera, floor = tile_camera(points, azimuth), float(points[:, 2].min())
+    rows = []
+    for title, row, told in zip(titles, (shapes, states), captions, strict=True):
+        solids = [Solid(f.triangles, f.part, names.colours) for f in row]
+        rows.append(Row(title, [solid_portrait(s, camera, floor) for s in solids], told))
+    return sheet(rows)

@@ -1,0 +1,119 @@
+"""The paper's numbers, from plain arrays (Section 4, Appendices C and E).
+
+K ground-truth parts (0 is the fixed one), P predicted parts. Lengths are in the unit frame.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.geometry import apply
+from articugen.learning.evaluation.surfaces import distance
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+NO_LABEL = -1
+"""Of a predicted part that nothing voted for."""
+
+
+def nearest_part(points: Floats, triangles: Floats, part: Ints, parts: int) -> Ints:
+    """(n,) the predicted part whose surface is nearest to each point; NO_LABEL where none has any.
+
+    Args:
+        triangles: (F, 3, 3) of all parts; `part` (F,) whose each is.
+    """
+    far = np.stack([distance(points, triangles[part == i]) for i in range(parts)])
+    return np.where(np.isfinite(far.min(0)), far.argmin(0), NO_LABEL)
+
+
+def votes(nearest: Ints, true_part: Ints, parts: int, true_parts: int) -> Floats:
+    """(P, K) the share of each true part's points that are nearest to each predicted part.
+
+    A true part counts the same however large it is.
+    """
+    table = np.zeros((parts, true_parts))
+    seen = nearest != NO_LABEL
+    np.add.at(table, (nearest[seen], true_part[seen]), 1.0)
+    count = np.bincount(true_part, minlength=true_parts)
+    return table / np.maximum(count, 1)
+
+
+def labels_from(table: Floats) -> Ints:
+    """(P,) the true part that each predicted part gets most votes from; NO_LABEL without any."""
+    return np.where(table.sum(1) > 0, table.argmax(1), NO_LABEL)
+
+
+def dominant_labels(table: Floats) -> Ints:
+    """(P,) the same, but each label only for the part with the most votes for it."""
+    label = labels_from(table)
+    kept = np.full(len(label), NO_LABEL)
+    for k in set(label.tolist()) - {NO_LABEL}:
+        best = np.where(label == k, table[:, k], -1.0).argmax()
+        kept[best] = k
+    return kept
+
+
+def label_iou(predicted: Ints, true: Ints) -> float:
+    """The mean over the true parts present of |predicted and true| / |predicted or true|."""
+    each = [
+        np.sum((predicted == k) & (true == k)) / np.sum((predicted == k) | (true == k))
+        for k in np.unique(true)
+    ]
+    return float(np.mean(each))
+
+
+def occupancy_iou(predicted: NDArray[np.bool_], true: NDArray[np.bool_]) -> float:
+    """|predicted and true| / |predicted or true| of two grids; 1 where both are empty."""
+    either = np.count_nonzero(predicted | true)
+    return np.count_nonzero(predicted & true) / either if either else 1.0
+
+
+def line_through(true: Floats, predicted: Floats) -> tuple[float, float, float] | None:
+    """(slope, offset, residual): least squares, root mean square; None if `true` does not vary."""
+    if len(true) < 2 or np.ptp(true) < 1e-9:
+        return None
+    slope, offset = np.polyfit(true, predicted, 1)
+    residual = np.sqrt(np.mean((predicted - slope * true - offset) ** 2))
+    return float(slope), float(offset), float(residual)
+
+
+def endpoint_error(points: Floats, true: Ints, T_true: Floats, T_predicted: Floats) -> float:
+    """EPE: the mean over true parts of the mean distance between where points end up.
+
+    Args:
+        points: (n, 3) in the canonical pose; `true` (n,) their parts.
+        T_true: (K, 4, 4) each part's motion.
+        T_predicted: (n, 4, 4) what moves each point.
+    """
+    moved = np.einsum("nij,nj->ni", T_predicted[:, :3, :3], points) + T_predicted[:, :3, 3]
+    each = []
+    for k in np.unique(true):
+        mine = true == k
+        each.append(np.linalg.norm(moved[mine] - apply(T_true[k], points[mine]), axis=1).mean())
+    return float(np.mean(each))
+
+
+def chamfer_l1(to_true: Floats, to_predicted: Floats) -> float:
+    """Half the sum of the mean distances, prediction to truth and truth to prediction."""
+    return float(0.5 * (to_true.mean() + to_predicted.mean()))
+
+
+def f_score(to_true: Floats, to_predicted: Floats, threshold: float) -> float:
+    """The harmonic mean of precision and recall: shares of points nearer than the threshold."""
+    precision, recall = np.mean(to_true < threshold), np.mean(to_predicted < threshold)
+    return float(2.0 * precision * recall / max(precision + recall, 1e-12))
+
+
+def angle_between_lines(u: Floats, v: Floats) -> float:
+    """Radians in [0, pi / 2] between two directions, whatever their signs."""
+    return float(np.arctan2(np.linalg.norm(np.cross(u, v)), abs(np.dot(u, v))))
+
+
+def line_distance(p: Floats, u: Floats, q: Floats, v: Floats) -> float:
+    """The least distance between the lines p + t u and q + t v; u and v of unit length."""
+    normal = np.cross(u, v)
+    size = np.linalg.norm(normal)
+    if size < 1e-9:
+        between = q - p
+        return float(np.linalg.norm(between - np.dot(between, u) * u))
+    return float(abs(np.dot(q - p, normal)) / size)

@@ -1,0 +1,93 @@
+"""The numbers printed in the paper, and which of its rows a run belongs to.
+
+They were measured on the paper's data, so they are a yardstick, not a target to equal.
+"""
+
+from articugen.learning.ppd.settings import TrainRecipe
+
+CATEGORIES = ("drawer", "eyeglasses", "oven", "laptop", "washing_machine")
+"""The columns of Tables 2 to 4, followed there by their mean."""
+
+METHODS = ("PPD", "BAE", "BSP-Net", "NSD", "NPCS")
+"""NPCS is supervised."""
+
+Row = tuple[str, str, str, str, str, str]
+
+LABEL_IOU: dict[str, Row] = {
+    "PPD": ("74.73", "66.18", "82.07", "86.81", "95.15", "80.99"),
+    "BAE": ("6.25*", "11.11*", "73.06", "25.11*", "80.30", "39.17"),
+    "BSP-Net": ("66.31", "70.69", "81.65", "76.68", "87.92", "76.65"),
+    "NSD": ("38.39", "42.11", "74.67", "74.44", "89.11", "63.75"),
+}
+"""Table 2, %: labels by canonical poses. A star: one part stands for the whole shape."""
+
+LABEL_IOU_ALL_POSES: dict[str, Row] = {
+    "PPD": ("74.83", "66.25", "82.06", "86.80", "95.18", "81.02"),
+    "BAE": ("6.25", "11.11", "73.01", "25.11", "80.32", "39.16"),
+    "BSP-Net": ("70.29", "74.96", "89.40", "86.21", "95.28", "83.23"),
+    "NSD": ("38.56", "44.06", "74.63", "74.40", "89.01", "64.13"),
+}
+"""Table 8, %: labels by all poses."""
+
+EPE: dict[str, Row] = {
+    "PPD": ("3.452", "2.631", "3.360", "2.546", "2.529", "2.903"),
+    "NPCS": ("1.598", "1.087", "2.702", "0.751", "1.594", "1.546"),
+}
+"""Table 3, x 100."""
+
+F_SCORE: dict[str, Row] = {
+    "PPD": ("60.12", "33.61", "28.36", "39.27", "25.06", "37.28"),
+    "BAE": ("25.74", "25.77", "20.08", "30.97", "24.68", "25.45"),
+    "BSP-Net": ("42.22", "49.08", "46.01", "65.90", "57.39", "52.12"),
+    "NSD": ("53.35", "48.63", "39.58", "83.71", "44.26", "53.91"),
+}
+CHAMFER_L1: dict[str, Row] = {
+    "PPD": ("1.998", "2.375", "3.135", "1.481", "2.930", "2.384"),
+    "BAE": ("2.360", "3.918", "4.314", "1.867", "3.595", "3.211"),
+    "BSP-Net": ("1.637", "1.431", "1.931", "1.015", "1.338", "1.471"),
+    "NSD": ("1.594", "1.642", "2.819", "0.649", "2.128", "1.766"),
+}
+"""Table 4; Chamfer-L1 x 100."""
+
+ASSIGNED_PARTS: dict[str, Row] = {"PPD": ("1.0", "1.0", "1.0", "1.0", "1.0", "1.0")}
+TYPE_ACCURACY: dict[str, Row] = {
+    "PPD": ("89.50", "83.25", "100.0", "92.14", "100.0", "91.46"),
+}
+"""Table 9; the accuracy in %."""
+
+COMPLETE = "w/ all"
+
+ABLATION = {
+    "w/o L_vol": ("72.20", "4.362"),
+    "w/o L_dev": ("73.21", "6.628"),
+    "w/o L_loc": ("74.27", "9.250"),
+    "w/o L_var": ("65.29", "6.676"),
+    "w/o L_adv_g": ("70.14", "7.276"),
+    "w/o CS": ("55.67", "8.827"),
+    "w/o CP": ("71.35", "7.219"),
+    COMPLETE: ("80.99", "2.988"),
+}
+"""Table 5: label IoU and EPE, means of the five categories."""
+
+INPUTS = {"complete": ("31.42", "80.99", "2.903"), "depth": ("28.99", "80.65", "3.203")}
+"""Table 6: F-score, label IoU and EPE, means of the five categories, as printed (Tables 4 and 5
+have another F-score and another EPE)."""
+
+
+def variant(recipe: TrainRecipe) -> str:
+    """What Table 5 calls a model trained by this recipe; "w/o A, B" where it has no such row."""
+    losses, model = recipe.losses, recipe.model
+    off = [
+        name
+        for name, is_on in (
+            ("L_vol", losses.vol),
+            ("L_dev", losses.dev),
+            ("L_loc", losses.loc),
+            ("L_var", losses.var_state or losses.var_pivot),
+            ("L_adv_g", losses.adv_g),
+            ("CS", model.common_shape),
+            ("CP", model.common_pose),
+        )
+        if not is_on
+    ]
+    return f"w/o {', '.join(off)}" if off else COMPLETE

@@ -1,0 +1,98 @@
+"""Steps down the sum of some terms, none of them with a number that is not finite."""
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor, nn
+
+from articugen.errors import TrainingDiverged
+from articugen.learning import processes
+from articugen.learning.ppd.objective import Terms
+
+
+class Descent:
+    """Adam for one network.
+
+    On a CPU a step that would spoil the weights is refused and the term to blame is named. To ask a
+    GPU is to wait for it, so there it is noted on the device which terms were not finite first, and
+    `check` asks where something is told or kept anyway.
+
+    Args:
+        patient: note instead of asking; what a GPU gets if not given.
+    """
+
+    def __init__(self, network: nn.Module, patient: bool | None = None) -> None:
+        self.network = network
+        device = next(network.parameters()).device.type
+        # One call for all parameters; the other devices have no such kernel.
+        self.adam = torch.optim.Adam(network.parameters(), fused=device in ("cpu", "cuda"))
+        self.patient = device != "cpu" if patient is None else patient
+        self._names: tuple[str, ...] = ()
+        self._noted: Tensor | None = None
+
+    def step(self, terms: Terms, again: Callable[[], Terms], iteration: int, rate: float) -> None:
+        """One step of the learning rate `rate`.
+
+        Args:
+            again: evaluates the same terms once more, to find the one to blame.
+
+        Raises:
+            TrainingDiverged: a term or its gradient is not finite; no step is made.
+        """
+        self.adam.zero_grad()
+        torch.stack(list(terms.values())).sum().backward()
+        gradients = [p.grad for p in self.network.parameters() if p.grad is not None]
+        processes.average(gradients)
+        size = torch.nn.utils.get_total_norm(gradients)
+        values = torch.stack([*(value.detach() for value in terms.values()), size])
+        if self.patient:
+            self._note(iteration, tuple(terms), values)
+        elif not bool(values.isfinite().all()):
+            raise _diverged(iteration, _blame(self.network, again()))
+        for group in self.adam.param_groups:
+            group["lr"] = rate
+        self.adam.step()
+
+    def check(self) -> None:
+        """Raise TrainingDiverged where a step since the last check was not finite."""
+        if self._noted is None:
+            return
+        iteration, *bad = self._noted.tolist()
+        self._noted = None
+        if any(bad):
+            named = [name for name, is_bad in zip(self._names, bad, strict=False) if is_bad]
+            what = f"the loss {' and '.join(named)}" if named else "the gradient of some term"
+            raise _diverged(int(iteration), what)
+
+    def _note(self, iteration: int, names: tuple[str, ...], values: Tensor) -> None:
+        """Keep (iteration, which values are not finite) of the first that has any."""
+        now = torch.cat([values.new_full((1,), iteration), (~values.isfinite()).to(values.dtype)])
+        before = self._noted
+        self._names = names
+        self._noted = now if before is None else torch.where(before[1:].any(), before, now)
+
+
+def _diverged(iteration: int, what: str) -> TrainingDiverged:
+    return TrainingDiverged(
+        f"iteration {iteration + 1}: {what} is not a finite number; lower schedule.learning_rate "
+        "or that term's weight, and resume from the last checkpoint"
+    )
+
+
+def _blame(network: nn.Module, terms: Terms) -> str:
+    """The terms that are not finite in any process, or else those whose gradient is not."""
+    values = [value.detach().clone() for value in terms.values()]
+    processes.average(values)
+    bad = [name for name, value in zip(terms, values, strict=True) if not bool(value.isfinite())]
+    if bad:
+        return f"the loss {' and '.join(bad)}"
+    parameters = list(network.parameters())
+    for name, value in terms.items():
+        if value.requires_grad:
+            gradients = torch.autograd.grad(value, parameters, retain_graph=True, allow_unused=True)
+            fine = torch.stack([g.isfinite().all() for g in gradients if g is not None]).all()
+            share = fine.to(value.dtype)
+            processes.average([share])
+            if float(share) < 1.0:
+                bad.append(name)
+    return f"the gradient of {' and '.join(bad or terms)}"

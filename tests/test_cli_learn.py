@@ -1,0 +1,166 @@
+"""PPD's commands, one after the other, on a small data set."""
+
+import json
+import re
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+from ppd_data import write_boxes
+from typer.testing import CliRunner
+
+from articugen.cli import app
+
+torch = pytest.importorskip("torch", reason="PPD needs torch")
+torch.set_num_threads(1)
+
+RECIPE = """
+extends: ppd_quick
+data: {surface_points: 256, uniform_points: 128, near_points: 128, validation_objects: 1}
+schedule: {batch: 3, stages: [{resolution: 16, iterations: 3}], validate_every: 3}
+seeds: {count: 1, halve_at: []}
+depth: {iterations: 2, batch: 2}
+"""
+
+
+def articugen(*arguments: object):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A data set, a recipe and a run."""
+    folder = tmp_path_factory.mktemp("ppd")
+    write_boxes(folder / "data", train=2, test=1, states=1)
+    (folder / "tiny.yaml").write_text(RECIPE)
+    arguments = ("-c", "box", "-d", folder / "data", "-r", folder / "tiny.yaml")
+    done = articugen("train", *arguments, "--runs", folder / "runs")
+    assert done.exit_code == 0, done.output
+    assert "3/3 held-out objects: rec 0." in done.output
+    assert "next: articugen evaluate" in done.output
+    assert "data: 2 training objects show that all works" in done.output.replace("\n", " ")
+    return folder
+
+
+def test_evaluate_predict(folder, monkeypatch):
+    monkeypatch.setattr("articugen.learning.evaluation.figures.shapes.STEPS", 2)
+    data, runs = folder / "data", folder / "runs"
+    done = articugen("evaluate", runs / "box", "-d", data, "--resolution", 8)
+    assert done.exit_code == 0, done.output
+    assert "| label IoU, % |" in done.output
+    result = json.loads((runs / "box" / "000" / "evaluation" / "evaluation.json").read_text())
+    assert (result["objects"], result["instances"]) == (1, 2)
+    for name in ("curves", "joints", "fields", "reconstructions", "interpolations"):
+        with Image.open(runs / "box" / "000" / "evaluation" / f"{name}.png") as picture:
+            assert min(picture.size) > 200
+    done = articugen("tables", runs / "box")
+    assert done.exit_code == 0, done.output
+    assert re.search(r"\| 2 \| label IoU, % \| box \| \*\*\d+\.\d\d\*\* \|  \|", done.output)
+    shard = data / "test-00002.h5"
+    done = articugen("predict", runs / "box", shard, "--out", folder / "rig", "--resolution", 16)
+    assert done.exit_code in (0, 1), done.output
+    assert (done.exit_code == 0) == (folder / "rig" / "predicted.urdf").is_file()
+
+
+def test_seeds_race_and_a_race_resumes(folder):
+    data, runs = folder / "data", folder / "race"
+    base = ("train", "-c", "box", "-d", data, "-r", folder / "tiny.yaml", "--runs", runs, "-j", 1)
+    done = articugen(*base, "--seeds", 2, "--seed", 3)
+    assert done.exit_code == 0, done.output
+    assert "seed 3: 3/3 held-out objects: rec 0." in done.output
+    told = json.loads((runs / "box" / "000" / "race.json").read_text())
+    assert told["winner"] in (3, 4)
+    done = articugen(*base, "--resume", runs / "box" / "000")
+    assert done.exit_code == 0, done.output
+    assert json.loads((runs / "box" / "000" / "race.json").read_text()) == told
+
+
+def test_depth_input_and_the_release_s_protocol(folder):
+    data, run = folder / "data", folder / "copy" / "000"
+    shutil.copytree(folder / "runs" / "box" / "000", run)
+    done = articugen("predict", run, data / "test-00002.h5", "--depth")
+    assert done.exit_code == 1
+    assert "make one with: articugen train-depth" in done.output
+    done = articugen("train-depth", folder / "copy", "-d", data)
+    assert done.exit_code == 0, done.output
+    assert "2/2 held-out objects: latent" in done.output
+    rough = ("--resolution", 8, "--states", 1)
+    done = articugen("evaluate", run, "-d", data, *rough, "--protocol", "release")
+    assert done.exit_code == 0, done.output
+    assert "as the authors' release does; left out" in done.output
+    assert "| depth (here: box by tiny) |" in done.output
+    result = json.loads((run / "evaluation-release" / "evaluation.json").read_text())
+    assert set(result["depth_input"]["left_out"]) == set(result["left_out"])
+    rig = ("--depth", "--camera", 1, "--out", folder / "rig-depth", "--resolution", 16)
+    done = articugen("predict", run, data / "test-00002.h5", *rig)
+    assert (done.exit_code, "sees no surface" in done.output) in ((0, False), (1, True))
+
+
+@pytest.fixture(scope="module")
+def bad(tmp_path_factory):
+    """Clouds and data sets that something is wrong with."""
+    bad = tmp_path_factory.mktemp("bad")
+    cloud = np.random.default_rng(0).uniform(-0.4, 0.4, (100, 3))
+    np.savetxt(bad / "ten.xyz", cloud[:10])
+    np.savetxt(bad / "far.xyz", 100 * cloud)
+    cloud[4, 2] = np.nan
+    np.savetxt(bad / "nan.xyz", cloud)
+    write_boxes(bad / "trained", train=1, test=0, states=1)
+    write_boxes(bad / "other", train=1, test=1, states=1, category="jar")
+    return bad
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("train", "-c", "oven", "-d", "{data}"), "holds box, not oven"),
+        (("train", "-c", "box", "-d", "{data}", "-r", "ppd_papre"), "did you mean 'ppd_paper'"),
+        (("train", "-c", "box", "-d", "{data}", "--device", "cuda:9"), "torch sees no such device"),
+        (("train", "-c", "box", "-d", "{bad}/none"), "none/manifest.json"),
+        (("evaluate", "{data}", "-d", "{data}"), "holds no run"),
+        (("evaluate", "{run}", "-d", "{data}", "--protocol", "mine"), "paper or release"),
+        (("evaluate", "{run}", "-d", "{bad}/trained"), "has no object in split 'test'"),
+        (("evaluate", "{run}", "-d", "{bad}/other"), "holds jar, the model is of box"),
+        (
+            ("train", "-c", "box", "-d", "{data}", "--resume", "{run}", "-r", "ppd_paper"),
+            "was started with another recipe than ppd_paper",
+        ),
+        (
+            ("train", "-c", "box", "-d", "{bad}/trained", "--resume", "{run}"),
+            "was started on other data",
+        ),
+        (("predict", "{run}", "{bad}/ten.xyz"), "has 10 points, too few"),
+        (("predict", "{run}", "{bad}/nan.xyz"), "1 points are not finite"),
+        (("predict", "{run}", "{bad}/far.xyz"), "--fit brings it there"),
+        (("predict", "{run}", "{bad}/none.ply"), "cannot be read"),
+        (("predict", "{run}", "{data}/test-00002.h5", "--row", "9"), "there is no 9"),
+        (("predict", "{run}", "{data}/manifest.json"), "neither a shard"),
+        (("train-depth", "{run}", "-d", "{bad}/other"), "holds jar, not box"),
+    ],
+)
+def test_mistakes_are_said_in_one_sentence(folder, bad, arguments, said):
+    where = {"data": folder / "data", "run": folder / "runs" / "box", "bad": bad}
+    if "--resume" in arguments:
+        where["run"] /= "000"
+    filled = [a.format(**where) for a in arguments]
+    done = articugen(*filled, *(("--runs", folder / "none") if filled[0] == "train" else ()))
+    assert done.exit_code == 1
+    assert said in " ".join(done.output.split())
+    assert "Traceback" not in done.output
+
+
+def test_what_several_processes_cannot_do_is_said(folder, monkeypatch):
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    data, run = folder / "data", folder / "runs" / "box"
+    recipe = ("-r", folder / "tiny.yaml", "--seeds", 2, "--runs", folder / "none")
+    for arguments, said in (
+        (("train-depth", run, "-d", data), "runs in one process; leave out torchrun"),
+        (
+            ("train", "-c", "box", "-d", data, *recipe),
+            "torchrun: seeds race in processes of their own",
+        ),
+    ):
+        done = articugen(*arguments)
+        assert done.exit_code == 1
+        assert said in " ".join(done.output.split())

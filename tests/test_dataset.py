@@ -1,0 +1,250 @@
+"""PPD's data: what a batch holds is what the shards hold."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from ppd_data import write_boxes
+
+from articugen.errors import CorruptShard
+from articugen.records import dequantize
+from articugen.store import schema
+from articugen.store.shards import open_shard, write_shard
+
+torch = pytest.importorskip("torch", reason="PPD needs torch")
+
+from articugen.learning.dataset import load_split, unpacked, voxel_centres  # noqa: E402
+from articugen.learning.ppd.settings import DataSettings  # noqa: E402
+
+ASK = DataSettings(surface_points=300, grid_points=200, uniform_points=100, near_points=50)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return write_boxes(tmp_path_factory.mktemp("boxes"))
+
+
+@pytest.fixture(scope="module")
+def packed(folder):
+    return load_split(folder, "train", ASK, [8], category="box", joints=(3, 4))
+
+
+def rng(seed=0):
+    return torch.Generator().manual_seed(seed)
+
+
+def rows_of(array):
+    """Points as they are stored."""
+    return {tuple(row) for row in stored(array).tolist()}
+
+
+def stored(points):
+    return np.round((np.asarray(points, np.float64) + 0.5) * 65535).astype(int)
+
+
+def test_everything_of_the_split_is_there(packed):
+    assert len(packed) == 16
+    assert sorted(set(packed.object_id)) == [f"box-{i}" for i in range(4)]
+    assert packed.state_index.tolist() == [0, 1, 2, 3] * 4
+    assert packed.bytes == 16 * (2048 * 6 + 512 + 1024 * 7 + 2048 * 7)
+
+
+def test_fixed_point_is_unpacked_exactly():
+    stored = np.arange(65536, dtype=np.uint16)
+    wanted = dequantize(stored)
+    have = unpacked(torch.from_numpy(stored.view(np.int16)))
+    np.testing.assert_allclose(have.numpy(), wanted, atol=6e-8)
+
+
+def test_a_batch_holds_points_of_the_instances_it_was_asked_for(folder, packed):
+    batch = packed.batch([5, 2, 5], ASK, 8, rng())
+    assert batch.cloud.shape == (3, 300, 3)
+    assert batch.points.shape == (3, 350, 3)
+    assert batch.spread == 300
+    for b, row in enumerate((5, 2, 5)):
+        with open_shard(folder / f"train-{row // 4:05d}.h5") as shard:
+            instance = shard.instance(row % 4)
+        cloud = batch.cloud[b].numpy()
+        assert rows_of(cloud) <= rows_of(dequantize(instance.surface_points))
+        assert len(rows_of(cloud)) == 300  # without replacement
+        labels = {}
+        for points, label in (
+            (instance.uniform_points, instance.uniform_label),
+            (instance.near_points, instance.near_label),
+        ):
+            labels |= {tuple(p): m > 0 for p, m in zip(points.tolist(), label, strict=True)}
+        for point, occupied in zip(batch.points[b, 200:], batch.occupied[b, 200:], strict=True):
+            assert labels[tuple(stored(point).tolist())] == occupied
+        cell = np.floor((batch.points[b, :200].numpy() + 0.5) * 8).astype(int)
+        occupied = instance.occupancy[8][cell[:, 0], cell[:, 1], cell[:, 2]] > 0
+        np.testing.assert_array_equal(occupied, batch.occupied[b, :200].numpy())
+    assert not torch.equal(batch.cloud[0], batch.cloud[2])
+
+
+def test_a_batch_depends_on_its_generator_alone(packed):
+    one, two = (packed.batch([1, 2], ASK, 8, rng(7)) for _ in range(2))
+    other = packed.batch([1, 2], ASK, 8, rng(8))
+    assert torch.equal(one.cloud, two.cloud)
+    assert torch.equal(one.points, two.points)
+    assert not torch.equal(one.cloud, other.cloud)
+
+
+def test_a_whole_grid_is_taken_as_it_is(packed):
+    ask = DataSettings(surface_points=10, grid_points=512)
+    batch = packed.batch([0], ask, 8, rng())
+    assert torch.equal(batch.points[0], voxel_centres(torch.arange(512), 8))
+    assert torch.equal(batch.occupied[0], packed.grids[8][0] > 0)
+
+
+def test_voxel_centres_are_those_of_the_conventions():
+    centres = voxel_centres(torch.arange(27), 3).view(3, 3, 3, 3)
+    np.testing.assert_allclose(centres[2, 0, 1].numpy(), [1 / 3, -1 / 3, 0.0], atol=1e-7)
+
+
+def test_some_objects_alone(packed):
+    some = packed.of(["box-2"])
+    assert set(some.object_id) == {"box-2"}
+    assert torch.equal(some.surface, packed.surface[8:12])
+    assert torch.equal(some.near[1], packed.near[1][8:12])
+
+
+def test_what_is_not_asked_for_is_not_kept(folder):
+    packed = load_split(folder, "test", DataSettings(surface_points=10, grid_points=10), [16])
+    assert packed.near[0].shape == (8, 0, 3)
+    assert packed.uniform[1].shape == (8, 0)
+    assert list(packed.grids) == [16]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"split": "val"}, "has no object in split 'val', only in: test, train"),
+        ({"category": "laptop"}, "holds box, not laptop"),
+        ({"resolutions": [64]}, "has no occupancy_64; add 64 to sampling.grids"),
+        ({"joints": (3, 0)}, "1 revolute and 1 prismatic joints, the recipe's model 3 and 0"),
+        ({"ask": DataSettings(surface_points=5000)}, "has 2048 surface_points an instance"),
+    ],
+)
+def test_unfit_data_are_refused_in_one_sentence(folder, change, said):
+    wanted = {"split": "train", "ask": ASK, "resolutions": [8], "category": "box"} | change
+    split, ask, resolutions = wanted.pop("split"), wanted.pop("ask"), wanted.pop("resolutions")
+    with pytest.raises(CorruptShard, match=said.replace("(", r"\(")):
+        load_split(folder, split, ask, resolutions, **wanted)
+
+
+def test_a_folder_without_a_manifest_is_refused(tmp_path):
+    with pytest.raises(CorruptShard, match="cannot be read"):
+        load_split(tmp_path, "train", ASK, [8])
+
+
+def rewritten(folder, change, **about):
+    """A data set of one training object, whose shard is written again from changed instances."""
+    write_boxes(folder, train=1, test=0, states=1)
+    path = folder / "train-00000.h5"
+    with open_shard(path) as shard:
+        rows = [dataclasses.replace(shard.instance(i), **change) for i in range(len(shard))]
+        attributes = dict(shard.attributes) | about
+    write_shard(path, rows, attributes)
+    return folder
+
+
+def test_shards_that_cannot_be_learnt_from_are_refused(tmp_path):
+    none = np.zeros(0)
+    still = dict.fromkeys(("joint_kind", "joint_parent", "joint_state"), none)
+    still |= {"joint_lower": none, "joint_upper": none, "part_motion": np.eye(4)[None]}
+    still |= {"joint_axis": np.zeros((0, 3)), "joint_pivot": np.zeros((0, 3))}
+    blind = {"partial_points": np.zeros((0, 0, 3)), "partial_part": np.zeros((0, 0))}
+    blind |= {"partial_T_camera_world": np.zeros((0, 4, 4)), "partial_intrinsics": np.zeros((0, 4))}
+    for name, change, about, said in (
+        ("still", still, {}, "has no joint; what never moves teaches no parts"),
+        ("blind", blind, {}, "has no partial clouds; set sampling.partial_views"),
+        ("oven", {}, {"category": "oven"}, "is of category 'oven', the manifest says 'box'"),
+        ("test", {}, {"split": "test"}, "is of split 'test', the manifest says 'train'"),
+    ):
+        folder = rewritten(tmp_path / name, change, **about)
+        with pytest.raises(CorruptShard, match=f"train-00000.h5: {said}"):
+            load_split(folder, "train", ASK, [8], joints=(3, 4), partial=True)
+
+
+def test_shards_of_another_version_are_refused(tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(schema, "SCHEMA_VERSION", 7)
+        folder = write_boxes(tmp_path / "new", train=1, test=0, states=1)
+    with pytest.raises(CorruptShard, match=r"h5: schema version 7, this articugen reads 1 to 2"):
+        load_split(folder, "train", ASK, [8])
+
+
+def test_shards_that_do_not_fit_together_are_refused(tmp_path):
+    folder = write_boxes(tmp_path, train=2, test=0, states=1)
+    with open_shard(folder / "train-00001.h5") as shard:
+        row, about = shard.instance(0), dict(shard.attributes)
+    less = {n: getattr(row, n)[:500] for n in ("surface_points", "surface_normals", "surface_part")}
+    write_shard(folder / "train-00001.h5", [dataclasses.replace(row, **less)], about)
+    with pytest.raises(CorruptShard, match="shards of different shapes"):
+        load_split(folder, "train", ASK, [8])
+
+
+def with_enclosed(label):
+    label = np.array(label)
+    label.ravel()[::7] = np.where(label.ravel()[::7] == 0, 255, label.ravel()[::7])
+    return label
+
+
+def test_enclosed_space_is_occupied_or_free_as_the_recipe_says(tmp_path):
+    """No label reaches a batch as a part's number: 255 names none."""
+    write_boxes(tmp_path, train=1, test=0, states=1)
+    path = tmp_path / "train-00000.h5"
+    with open_shard(path) as shard:
+        rows, about = [shard.instance(i) for i in range(len(shard))], dict(shard.attributes)
+    changed = [
+        dataclasses.replace(
+            row,
+            near_label=with_enclosed(row.near_label),
+            uniform_label=with_enclosed(row.uniform_label),
+            occupancy={r: with_enclosed(grid) for r, grid in row.occupancy.items()},
+        )
+        for row in rows
+    ]
+    write_shard(path, changed, about)
+    assert (changed[1].occupancy[8] == 255).any()
+    for occupancy in ("visible", "material"):
+        ask = ASK.model_copy(update={"occupancy": occupancy})
+        packed = load_split(tmp_path, "train", ask, [8])
+        want = changed if occupancy == "visible" else rows
+        for i, row in enumerate(want):
+            for have, label in (
+                (packed.grids[8][i], row.occupancy[8].ravel()),
+                (packed.near[1][i], row.near_label),
+                (packed.uniform[1][i], row.uniform_label),
+            ):
+                np.testing.assert_array_equal(have.numpy() > 0, label > 0)
+
+
+def test_a_grid_that_holds_no_voxel_is_learnt_by_its_surface(tmp_path):
+    """A plate between the centres of a coarse grid: each voxel that its surface passes through."""
+    write_boxes(tmp_path, train=1, test=0, states=1)
+    path = tmp_path / "train-00000.h5"
+    with open_shard(path) as shard:
+        rows, about = [shard.instance(i) for i in range(len(shard))], dict(shard.attributes)
+    empty = dict(rows[1].occupancy) | {8: np.zeros((8, 8, 8), np.uint8)}
+    write_shard(path, [rows[0], dataclasses.replace(rows[1], occupancy=empty)], about)
+    packed = load_split(tmp_path, "train", ASK, [8, 16])
+    np.testing.assert_array_equal(packed.grids[8][0].numpy(), rows[0].occupancy[8].ravel())
+    np.testing.assert_array_equal(packed.grids[16][1].numpy(), rows[1].occupancy[16].ravel())
+    cell = np.floor((dequantize(rows[1].surface_points) + 0.5) * 8).astype(int).clip(0, 7)
+    expected = np.zeros((8, 8, 8), bool)
+    expected[tuple(cell.T)] = True
+    filled = packed.grids[8][1].numpy().reshape(8, 8, 8) > 0
+    np.testing.assert_array_equal(filled, expected)
+    assert 0 < filled.sum() < 256
+    whole = ASK.model_copy(update={"grid_points": 512})
+    assert packed.batch([1], whole, 8, rng()).occupied[0, :512].sum() == filled.sum()
+
+
+def test_partial_clouds_come_as_stored(folder):
+    packed = load_split(folder, "test", ASK, [8], partial=True)
+    with open_shard(folder / "test-00004.h5") as shard:
+        seen = shard.instance(1).partial_points
+    np.testing.assert_array_equal(packed.partial[1].numpy().view(np.uint16), seen)
+    assert packed.of(["box-5"]).partial.shape == (4, 2, 256, 3)
+    assert load_split(folder, "test", ASK, [8]).partial.shape[1] == 0

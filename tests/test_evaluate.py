@@ -1,0 +1,180 @@
+"""The evaluation: the truth scores full marks, and each fault costs what it should."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from instances import hinged_box
+from ppd_data import write_boxes
+
+from articugen.errors import CorruptShard
+from articugen.geometry import apply, transform
+from articugen.records import dequantize
+
+torch = pytest.importorskip("torch", reason="PPD needs torch")
+
+from articugen.learning.evaluation.evaluate import Protocol, evaluate, label_votes  # noqa: E402
+from articugen.learning.evaluation.surfaces import distance  # noqa: E402
+from articugen.learning.ppd.model import PPD  # noqa: E402
+from articugen.learning.ppd.reconstruct import part_logits, predict, reconstruct, truth  # noqa: E402
+from articugen.learning.ppd.settings import ModelSettings  # noqa: E402
+
+torch.set_num_threads(1)
+FEW = Protocol(points=100, surface_samples=200)
+
+
+@pytest.fixture(scope="module")
+def boxes(tmp_path_factory):
+    return write_boxes(tmp_path_factory.mktemp("boxes"), train=2, test=2, states=2)
+
+
+def exactly(instance):
+    return truth(instance, min(instance.occupancy))
+
+
+def test_the_truth_scores_full_marks(boxes):
+    seen = []
+    result = evaluate(boxes, exactly, FEW, on_object=seen.append)
+    means = result["means"]
+    assert means["label_iou"] == 1.0
+    assert means["epe_transform_all"] == pytest.approx(0.0, abs=1e-15)
+    assert means["epe_transform_dominant"] == pytest.approx(0.0, abs=1e-15)
+    assert means["epe_nothing_moves"] > 0.05
+    assert means["chamfer_l1"] == 0.0
+    assert means["f_score"] == 100.0
+    assert means["assigned_parts"] == 1.0
+    assert means["type_accuracy"] == 100.0
+    assert means["reconstruction_iou"] == 1.0
+    assert [(line["joint"], line["kind"]) for line in result["joint_lines"]] == [
+        (0, "revolute"),
+        (1, "prismatic"),
+    ]
+    for line in result["joint_lines"]:
+        assert line["slope"] == pytest.approx(1.0)
+        assert line["residual"] == pytest.approx(0.0, abs=1e-12)
+        assert line["predicted"] == line["states"] == 6
+    limits = {name: value for name, value in means.items() if "_below_" in name}
+    assert len(limits) == 5 + 4 + 5 + 4 + 5
+    assert set(limits.values()) == {100.0}
+    assert result["labels"] == result["dominant"] == [0, 1, 2]
+    assert (result["objects"], result["instances"]) == (2, 6)
+    assert seen == ["box-0", "box-1", "box-2", "box-3"]
+
+
+def test_nothing_predicted_counts_as_failed(boxes):
+    def nothing(instance):
+        empty, found = np.zeros((0, 3, 3)), exactly(instance)
+        nowhere = np.zeros_like(found.occupied)
+        return dataclasses.replace(
+            found, triangles=empty, part=np.zeros(0, int), whole=empty, occupied=nowhere
+        )
+
+    result = evaluate(boxes, nothing, FEW)
+    means = result["means"]
+    assert means["reconstruction_iou"] == 0.0
+    assert {line["slope"] for line in result["joint_lines"]} == {None}
+    assert means["label_iou"] == means["f_score"] == means["type_accuracy"] == 0.0
+    assert means["no_surface"] == 1.0
+    assert means["epe_joint_all"] == means["epe_transform_all"] == means["epe_nothing_moves"]
+    assert means["chamfer_l1"] == pytest.approx(math.sqrt(3))
+
+
+def test_an_axis_that_points_the_other_way_is_as_good(boxes):
+    def flipped(instance):
+        found = truth(instance)
+        return dataclasses.replace(found, state=-found.state, direction=-found.direction)
+
+    result = evaluate(boxes, flipped, FEW)
+    means = result["means"]
+    assert [line["slope"] for line in result["joint_lines"]] == pytest.approx([-1.0, -1.0])
+    assert means["revolute_state_below_5"] == means["prismatic_state_below_0.025"] == 100.0
+    assert means["revolute_direction_below_5"] == 100.0
+
+
+def test_an_axis_beside_the_true_one_costs_its_distance(boxes):
+    def beside(instance):
+        found = truth(instance)
+        across = np.cross(found.direction, [0.0, 0.0, 1.0])
+        return dataclasses.replace(found, pivot=found.pivot + 0.07 * across)
+
+    means = evaluate(boxes, beside, FEW)["means"]
+    assert means["revolute_axis_below_0.05"] == 0.0
+    assert means["revolute_axis_below_0.1"] == 100.0
+    assert means["revolute_state_below_5"] == 100.0
+
+
+def test_two_parts_for_one_label_are_not_one(boxes):
+    """The lid in two halves: the segmentation is right, the joint is not counted right."""
+
+    def halved(instance):
+        found = truth(instance)
+        second = (found.part == 1) & (np.arange(len(found.part)) % 3 == 0)
+
+        def more(values):
+            return np.concatenate([values, values[1:2]])
+
+        return dataclasses.replace(
+            found,
+            part=np.where(second, 3, found.part),
+            kind=more(found.kind),
+            state=more(found.state),
+            pivot=more(found.pivot),
+            direction=more(found.direction),
+            T_part=more(found.T_part),
+        )
+
+    result = evaluate(boxes, halved, FEW)
+    assert result["labels"] == [0, 1, 2, 1]
+    assert sorted(result["dominant"]) == [-1, 0, 1, 2]
+    assert result["means"]["label_iou"] == 1.0
+    assert result["means"]["assigned_parts"] == 1.5
+    assert result["means"]["revolute_state_below_5"] == 0.0
+    assert result["means"]["epe_transform_all"] == pytest.approx(0.0, abs=1e-15)
+
+
+def test_all_poses_can_vote(boxes):
+    canonical = label_votes(boxes, truth, FEW, lambda _: None)
+    everything = label_votes(boxes, truth, Protocol(points=100, label_poses="all"), lambda _: None)
+    np.testing.assert_allclose(canonical, 2 * np.eye(3))
+    np.testing.assert_allclose(everything, 6 * np.eye(3))
+
+
+def test_the_joint_aware_reading_turns_about_the_axis():
+    first, _, turned, _ = hinged_box()
+    motion = truth(first).joint_motion_to(truth(turned))
+    np.testing.assert_allclose(motion[1], turned.part_motion[1], atol=1e-9)
+    slide = transform(translation=turned.joint_state[1] * first.joint_axis[1])
+    np.testing.assert_allclose(motion[2], slide, atol=1e-12)
+
+
+def test_a_data_set_without_test_objects_is_refused(tmp_path):
+    data = write_boxes(tmp_path / "boxes", train=1, test=0, states=1)
+    with pytest.raises(CorruptShard, match="has no object in split 'test'"):
+        evaluate(data, truth, FEW)
+
+
+@pytest.mark.parametrize("part_frame", ["world", "joint"])
+def test_a_model_s_surfaces_lie_where_its_field_is_zero(part_frame):
+    torch.manual_seed(1)
+    model = PPD(ModelSettings(part_frame=part_frame, coordinate_bound=1 / 3)).eval()
+    (instance,) = hinged_box([(0.3, 0.1)])
+    cloud = dequantize(instance.surface_points)
+    middling = np.median(part_logits(model, predict(model, cloud), 16).max(0))
+    with torch.no_grad():  # F^{s,z} is halved by the common field, so half of the cube gets free
+        model.shape.head_2.bias[8:] -= 2.0 * middling
+    found = reconstruct(model, cloud, 16)
+    assert len(found.whole)
+    assert len(set(found.part.tolist())) > 1
+    # A surface of the whole is the surface of some part, to within the grid's error.
+    middle = found.whole.mean(1)[::20]
+    assert distance(middle, found.triangles).max() < 1 / 16
+    # A voxel is occupied where the field of any part is above 0 at its centre.
+    logits = part_logits(model, predict(model, cloud), 16)
+    assert 0.1 < found.occupied.mean() < 0.9
+    np.testing.assert_array_equal(found.occupied, (logits > 0).any(0))
+    # T_part is what `fields` undoes.
+    pose = model(torch.as_tensor(cloud, dtype=torch.float32)[None]).pose
+    local = model.motion(pose).apply(torch.tensor([[[0.1, 0.2, 0.3]]]))[0, :, 0].detach().numpy()
+    for i in range(8):
+        np.testing.assert_allclose(apply(found.T_part[i], local[i]), [0.1, 0.2, 0.3], atol=1e-5)

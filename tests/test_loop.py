@@ -1,0 +1,321 @@
+"""PPD's training: recipes, the loop, stop and resume, terms that are not finite."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ppd_data import write_boxes
+
+from articugen.errors import InvalidCheckpoint, InvalidRecipe, TrainingDiverged
+from articugen.learning.ppd.settings import (
+    DataSettings,
+    LossSettings,
+    ModelSettings,
+    Schedule,
+    Stage,
+    TrainRecipe,
+    load_train_recipe,
+)
+from articugen.recipe_files import known
+from articugen.store.shards import open_shard, write_shard
+
+torch = pytest.importorskip("torch", reason="PPD needs torch")
+
+from articugen.learning.dataset import load_split  # noqa: E402
+from articugen.learning.loop import batch_rows, split_objects, train  # noqa: E402
+from articugen.learning.ppd import losses, objective  # noqa: E402
+from articugen.learning.ppd.discriminator import Discriminator  # noqa: E402
+from articugen.learning.ppd.model import PPD  # noqa: E402
+from articugen.learning.runs import BEST, LATEST, METRICS, RunFolder, read_checkpoint  # noqa: E402
+
+torch.set_num_threads(1)
+
+TINY = TrainRecipe(
+    name="tiny",
+    data=DataSettings(surface_points=400, grid_points=150, near_points=50, validation_objects=1),
+    schedule=Schedule(
+        batch=3,
+        learning_rate=1e-3,
+        final_learning_rate=1e-4,
+        stages=(
+            Stage(resolution=8, iterations=3),
+            Stage(resolution=16, iterations=2, residual_direction=True),
+        ),
+        log_every=1,
+        validate_every=3,
+        save_every=100,
+    ),
+)
+
+
+@pytest.fixture(scope="module")
+def boxes(tmp_path_factory):
+    return write_boxes(tmp_path_factory.mktemp("boxes"))
+
+
+def start(boxes, runs, recipe=TINY, **options):
+    return train(recipe, category="box", data=boxes, runs=runs, **options)
+
+
+@pytest.fixture(scope="module")
+def whole(boxes, tmp_path_factory):
+    """A run that nothing interrupted."""
+    return start(boxes, tmp_path_factory.mktemp("whole"))
+
+
+def curve(run: RunFolder) -> list:
+    return [(r["iteration"], r.get("terms"), r.get("validation")) for r in run.metrics()]
+
+
+def test_an_object_whose_coarse_grids_are_empty_is_trained_on(tmp_path):
+    """Plates between all centres of the first stages' grids: the model still learns that they are
+    there, and no term is starved of occupied points."""
+    folder = write_boxes(tmp_path / "thin", train=3, test=1, states=2)
+    for path in sorted(folder.glob("*.h5")):
+        with open_shard(path) as shard:
+            rows, about = [shard.instance(i) for i in range(len(shard))], dict(shard.attributes)
+        none = {r: np.zeros((r,) * 3, np.uint8) for r in (8, 16)}
+        thin = [replace(row, occupancy=dict(row.occupancy) | none) for row in rows]
+        write_shard(path, thin, about)
+    packed = load_split(folder, "train", TINY.data, [8, 16])
+    for resolution in (8, 16):
+        batch = packed.batch([0, 4, 8], TINY.data, resolution, torch.Generator().manual_seed(0))
+        assert (batch.occupied[:, : batch.spread].sum(1) > 2).all()
+    run = start(folder, tmp_path / "runs")
+    told = [record["terms"] for record in run.metrics() if record.get("terms")]
+    assert told
+    assert all(math.isfinite(value) for terms in told for value in terms.values())
+
+
+def test_the_paper_s_recipe_has_the_paper_s_numbers():
+    recipe = load_train_recipe("ppd_paper")
+    weigh, plan = recipe.losses, recipe.schedule
+    assert (weigh.rec, weigh.rec_common, weigh.dev, weigh.var_state) == (0.01, 0.001, 0.1, 0.1)
+    assert (weigh.loc, weigh.var_pivot, weigh.vol) == (100, 0.01, 1000)
+    assert (weigh.adv_g, weigh.adv_d, weigh.gradient_penalty) == (0.65, 0.35, 1.0)
+    assert (weigh.var_width, recipe.model.codes, plan.batch) == (0.01, 4, 18)
+    assert (weigh.most_revolute, weigh.most_prismatic) == (math.pi / 2, 0.4)
+    assert (recipe.data.surface_points, recipe.data.grid_points) == (4096, 4096)
+    assert (plan.learning_rate, plan.final_learning_rate) == (1e-4, None)
+    assert [stage.resolution for stage in plan.stages] == [16, 32]
+    assert [stage.residual_direction for stage in plan.stages] == [False, True]
+    assert recipe.model.revolute == ((0, 0, 1), (0, 0, -1), (0, 1, 0))
+    assert recipe.model.prismatic == ((1, 0, 0),) * 4
+
+
+def test_the_paper_s_text_is_the_default():
+    paper = load_train_recipe("ppd_paper")
+    assert paper.sha256() == TrainRecipe(name="default").sha256()
+
+
+@pytest.mark.parametrize("name", known(learner=True))
+def test_every_recipe_is_a_valid_one(name):
+    recipe = load_train_recipe(name)
+    assert recipe.name == name
+    assert recipe.seeds.count == 1 or recipe.data.validation_objects
+
+
+def test_recipes_extend_one_another():
+    quick, release = load_train_recipe("ppd_quick"), load_train_recipe("ppd_release")
+    assert quick.losses.loc_form == release.losses.loc_form == "release"
+    assert quick.losses.adv_g == 0.0
+    assert release.losses.adv_d == 3.25
+    assert quick.model.latent_start == "he"
+    assert quick.model.part_frame == release.model.part_frame == "joint"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("losses: {rek: 1}", "unknown key 'losses.rek'; did you mean 'rec'"),
+        ("schedule: {stages: [{resolutoin: 16, iterations: 1}]}", "did you mean 'resolution'"),
+        ("model: {revolute: [[1, 1, 0]]}", "not of unit length"),
+        ("data: {grid_points: 0}", "must be more than 0"),
+        ("losses: {vol: -1}", "losses.vol"),
+        ("extends: ppd_papre", "did you mean 'ppd_paper'"),
+        ("[1, 2]", "a recipe is a mapping"),
+    ],
+)
+def test_bad_recipes_are_refused_in_one_sentence(tmp_path, text, said):
+    path = tmp_path / "mine.yaml"
+    path.write_text(text)
+    with pytest.raises(InvalidRecipe, match=said):
+        load_train_recipe(path)
+
+
+def test_a_run_leaves_what_one_needs_to_trust_it(whole):
+    assert whole.path.name == "000"
+    assert whole.recipe() == TINY
+    about = json.loads((whole.path / "run.json").read_text())
+    assert about["recipe_sha256"] == TINY.sha256()
+    assert len(about["data"]["content_sha256"]) == 64
+    terms = whole.metrics()[0]["terms"]
+    assert set(terms) == {
+        "rec", "rec_common", "vol", "vq", "dev", "loc", "var_state", "var_pivot", "adv_g",
+        "critic", "gradient_penalty",
+    }  # fmt: skip
+    last = read_checkpoint(whole.path / LATEST)
+    assert last.iteration == 5
+    assert read_checkpoint(whole.path / BEST).best == last.best < math.inf
+    assert not last.generator().training
+
+
+def test_runs_are_numbered_and_told_of(boxes, tmp_path):
+    seen = []
+    for _ in range(2):
+        run = start(boxes, tmp_path, stop_after=1, on_progress=lambda p: seen.append(p.iteration))
+    assert run.path.name == "001"
+    assert seen == [1, 1]
+
+
+@pytest.mark.parametrize("stop", [2, 3, 4])
+def test_stop_and_resume_gives_the_same_curve_and_weights(boxes, tmp_path, whole, stop):
+    """Also where the stop is at the end of a stage."""
+    part = start(boxes, tmp_path / "part", stop_after=stop)
+    assert read_checkpoint(part.path / LATEST).iteration == stop
+    part.log({"iteration": stop + 1, "terms": {"rec": 0.0}})  # written, but lost with the weights
+    resumed = start(boxes, tmp_path / "part", resume=part.path)
+    assert curve(resumed) == curve(whole)
+    one, two = (read_checkpoint(run.path / LATEST) for run in (whole, resumed))
+    for name, value in one.model.items():
+        assert torch.equal(value, two.model[name]), name
+    for name, value in one.critic.items():
+        assert torch.equal(value, two.critic[name]), name
+
+
+def test_the_seed_decides(boxes, tmp_path):
+    one, two, other = (start(boxes, tmp_path, seed=s, stop_after=1) for s in (0, 0, 1))
+    assert curve(one) == curve(two)
+    assert curve(one) != curve(other)
+
+
+def test_another_recipe_or_seed_cannot_resume(boxes, tmp_path):
+    run = start(boxes, tmp_path, stop_after=1)
+    other = TINY.model_copy(update={"losses": LossSettings(vol=1.0)})
+    for options in ({"recipe": other}, {"seed": 3}):
+        with pytest.raises(InvalidCheckpoint, match="another recipe"):
+            start(boxes, tmp_path, resume=run.path, **options)
+    with pytest.raises(InvalidCheckpoint, match=r"has no latest\.pt"):
+        start(boxes, tmp_path, resume=tmp_path / "nothing")
+
+
+@pytest.mark.parametrize("name", ["vol", "dev"])
+def test_a_term_that_is_not_finite_is_named(boxes, tmp_path, name, monkeypatch):
+    bad = {"vol": "volume", "dev": "deviation"}[name]
+    monkeypatch.setattr(losses, bad, lambda *args: args[0].sum() * float("nan"))
+    with pytest.raises(TrainingDiverged, match=f"iteration 1: the loss {name} is not a finite"):
+        start(boxes, tmp_path)
+
+
+def test_a_gradient_that_is_not_finite_is_named_and_not_stepped(boxes, tmp_path, monkeypatch):
+    def steep(before, code):
+        return (before - before.detach()).square().sum(1).sqrt().sum()
+
+    monkeypatch.setattr(losses, "quantization", steep)
+    with pytest.raises(TrainingDiverged, match="iteration 1: the gradient of vq is not a finite"):
+        start(boxes, tmp_path)
+
+
+def test_validation_holds_objects_out_of_training():
+    kept, out = split_objects([f"o{i}" for i in range(8)] * 3, 2)
+    assert len(out) == 2
+    assert sorted([*kept, *out]) == [f"o{i}" for i in range(8)]
+    assert len(split_objects([f"o{i}" for i in range(7)], 4)[1]) == 1
+    assert len(split_objects(["a", "b"], 4)[1]) == 1
+    assert split_objects(["a"], 4) == (["a"], [])
+
+
+def test_an_epoch_visits_each_instance_once():
+    rows = [row for iteration in range(10) for row in batch_rows(iteration, 4, 10, seed=0)]
+    for epoch in range(4):
+        assert sorted(rows[10 * epoch : 10 * epoch + 10]) == list(range(10))
+    assert rows[:10] != rows[10:20]
+
+
+def test_each_loss_can_be_switched_off(boxes):
+    data = load_split(boxes, "train", TINY.data, [8])
+    batch = data.batch([0, 1, 2], TINY.data, 8, torch.Generator().manual_seed(0))
+    names = {
+        "rec_common": "rec_common", "vol": "vol", "vq": "vq", "dev": "dev", "loc": "loc",
+        "var_state": "var_state", "var_pivot": "var_pivot", "adv_g": "adv_g",
+    }  # fmt: skip
+    model, critic = PPD(ModelSettings()), Discriminator()
+    for setting, term in names.items():
+        for weight in (1.0, 0.0):
+            weigh = LossSettings(**{setting: weight})
+            predicted = model(batch.cloud)
+            rng = torch.Generator().manual_seed(0)
+            posed = objective.random_pose(model, predicted, batch, weigh, rng)
+            terms = objective.generator_terms(model, predicted, batch, weigh, critic, posed)
+            assert (term in terms) == (weight > 0)
+
+
+@pytest.mark.parametrize("of", ["instance", "product"])
+def test_the_unmoved_volume_s_shortcut_is_exact(boxes, of):
+    torch.manual_seed(0)
+    model = PPD(ModelSettings()).double()
+    with torch.no_grad():
+        model.shape.head_2.bias[8:] -= 0.05  # so that only some points are inside
+    data = load_split(boxes, "train", TINY.data, [8])
+    batch = data.batch([0, 1, 2], TINY.data, 8, torch.Generator().manual_seed(0))
+    points = batch.points.double()
+    batch = objective.Batch(batch.cloud.double(), points, batch.occupied, batch.spread)
+    predicted = model(batch.cloud)
+    fields = model.fields(predicted.shape, model.motion(predicted.pose), points)
+    weigh = LossSettings(vol_logit=of)
+    short = objective._volume(model, predicted.shape, fields, batch, weigh)
+    spread = points[:, : batch.spread]
+    still = losses.relu_volume(getattr(model.still(predicted.shape, spread), of))
+    moved = losses.relu_volume(getattr(fields, of)[..., : batch.spread])
+    plain = losses.volume(moved, still)
+    assert float(still.detach()) > 0
+    torch.testing.assert_close(short, plain)
+    left, right = (
+        torch.autograd.grad(v, model.shape.parameters(), retain_graph=True, allow_unused=True)
+        for v in (short, plain)
+    )
+    for a, b in zip(left, right, strict=True):
+        torch.testing.assert_close(a, b)
+
+
+def test_the_adversary_s_shortcut_is_exact(boxes):
+    torch.manual_seed(0)
+    model, critic = PPD(ModelSettings()).double(), Discriminator().double().eval()
+    data = load_split(boxes, "train", TINY.data, [8])
+    batch = data.batch([0, 1, 2], TINY.data, 8, torch.Generator().manual_seed(0))
+    batch = objective.Batch(
+        batch.cloud.double(), batch.points.double(), batch.occupied, batch.spread
+    )
+    predicted = model(batch.cloud)
+    rng = torch.Generator().manual_seed(0)
+    posed = objective.random_pose(model, predicted, batch, LossSettings(), rng)
+    short = objective._adversarial(model, critic, predicted, batch, posed)
+    whole = objective._composed(model, predicted, posed.state, batch.points)
+    plain = -critic(torch.cat([batch.points, whole[..., None]], 2)).mean()
+    torch.testing.assert_close(short, plain)
+    left, right = (
+        torch.autograd.grad(v, model.parameters(), retain_graph=True, allow_unused=True)
+        for v in (short, plain)
+    )
+    for a, b in zip(left, right, strict=True):
+        torch.testing.assert_close(a, b)
+
+
+def test_training_learns(boxes, tmp_path):
+    recipe = load_train_recipe("ppd_quick")
+    plan = {"batch": 4, "learning_rate": 3e-3, "log_every": 1, "validate_every": 100}
+    plan |= {"stages": (Stage(resolution=16, iterations=40),)}
+    points = {"surface_points": 300, "uniform_points": 300, "near_points": 300}
+    recipe = recipe.model_copy(
+        update={
+            "schedule": recipe.schedule.model_copy(update=plan),
+            "data": DataSettings(grid_points=0, validation_objects=0, **points),
+        }
+    )
+    run = start(boxes, tmp_path, recipe)
+    rec = [record["terms"]["rec"] for record in run.metrics()]
+    assert rec[-1] < 0.7 * rec[0]
+    assert (run.path / METRICS).is_file()
+    assert not (run.path / BEST).exists()

@@ -1,0 +1,151 @@
+"""Surfaces against spheres and boxes, distances against a fine sampling, metrics by hand."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from articugen.geometry import rotation_about, transform
+from articugen.learning.evaluation import metrics
+from articugen.learning.evaluation.surfaces import distance, sample, surface
+
+
+def sphere(resolution, radius=0.3, centre=(0.0, 0.0, 0.0)):
+    at = (np.arange(resolution) + 0.5) / resolution - 0.5
+    grid = np.stack(np.meshgrid(at, at, at, indexing="ij"), -1) - centre
+    return radius - np.linalg.norm(grid, axis=-1)
+
+
+@pytest.mark.parametrize("resolution", [16, 32])
+def test_a_sphere_is_where_it_is_not_a_voxel_beside(resolution):
+    mesh = surface(sphere(resolution, centre=(0.05, -0.02, 0.01)))
+    off = np.linalg.norm(mesh.vertices - [0.05, -0.02, 0.01], axis=1) - 0.3
+    assert np.abs(off).max() < 0.5 / resolution**2 / 0.3
+    np.testing.assert_allclose(mesh.vertices.mean(0), [0.05, -0.02, 0.01], atol=2e-3)
+    a, b, c = np.moveaxis(mesh.corners, 1, 0)
+    volume = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6
+    assert volume == pytest.approx(4 / 3 * math.pi * 0.027, rel=0.05 if resolution == 16 else 0.02)
+
+
+@pytest.mark.parametrize("shape", ["sphere", "full", "noise"])
+def test_surfaces_are_closed_and_turned_one_way(shape):
+    rng = np.random.default_rng(0)
+    field = {"sphere": sphere(12), "full": np.ones((4, 4, 4)), "noise": rng.normal(size=(6, 6, 6))}
+    mesh = surface(field[shape])
+    edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
+    there = {tuple(e) for e in edges.tolist()}
+    assert len(there) == len(edges)  # no edge is walked twice in one direction ...
+    assert all((b, a) in there for a, b in there)  # ... and each once in both
+    assert np.abs(mesh.vertices).max() <= 0.5 + 0.5 / len(field[shape])
+
+
+def test_nothing_has_no_surface():
+    assert surface(-np.ones((4, 4, 4))).faces.shape == (0, 3)
+    assert np.isinf(distance(np.zeros((2, 3)), np.zeros((0, 3, 3)))).all()
+
+
+@settings(deadline=None, max_examples=60)
+@given(seed=st.integers(0, 10**6), flat=st.booleans())
+def test_distance_to_triangles(seed, flat):
+    """Against the best of many points of each triangle, which can only be a little farther."""
+    rng = np.random.default_rng(seed)
+    triangles = rng.normal(size=(5, 3, 3))
+    if flat:
+        triangles[:, 2] = triangles[:, 1]  # a segment
+        triangles[0] = triangles[0, 0]  # a point
+    points = rng.normal(size=(4, 3)) * 2
+    steps = np.array([(i, j) for i in range(41) for j in range(41 - i)]) / 40
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    u, v = steps[:, :1, None], steps[:, 1:, None]
+    tried = (a + u * (b - a) + v * (c - a)).reshape(-1, 3)
+    brute = np.linalg.norm(points[:, None] - tried, axis=2).min(1)
+    exact = distance(points, triangles)
+    assert (exact <= brute + 1e-9).all()
+    size = np.linalg.norm(triangles - triangles.mean(1, keepdims=True), axis=2).max()
+    assert (exact >= brute - 2 * size / 40).all()
+
+
+def test_samples_are_uniform_by_area():
+    triangles = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[5, 0, 0], [8, 0, 0], [5, 3, 0]]])
+    points = sample(triangles.astype(float), 20_000, np.random.default_rng(0))
+    assert np.mean(points[:, 0] > 4) == pytest.approx(0.9, abs=0.01)
+    assert distance(points, triangles.astype(float)).max() < 1e-12
+    small = points[points[:, 0] < 4]
+    np.testing.assert_allclose(small.mean(0), [1 / 3, 1 / 3, 0], atol=0.02)
+
+
+def test_the_nearest_part_is_by_surface_not_by_sample():
+    """A point over the middle of a large triangle, beside the corner of a small one."""
+    large = [[-10.0, -10, 0], [10, -10, 0], [0, 10, 0]]
+    small = [[0.0, 0, 0.5], [0.1, 0, 0.5], [0, 0.1, 0.5]]
+    near = metrics.nearest_part(
+        np.array([[0.0, 0.0, 0.2]]), np.array([small, large]), np.array([2, 5]), 8
+    )
+    assert near.tolist() == [5]
+
+
+def test_votes_count_parts_not_points():
+    nearest = np.array([3, 3, 3, 3, 1, 3, 1, metrics.NO_LABEL])
+    true = np.array([0, 0, 0, 0, 0, 1, 1, 1])
+    table = metrics.votes(nearest, true, 4, 2)
+    np.testing.assert_allclose(table[3], [4 / 5, 1 / 3])
+    np.testing.assert_allclose(table[1], [1 / 5, 1 / 3])
+    assert metrics.labels_from(table).tolist() == [-1, 1, -1, 0]
+
+
+def test_one_dominant_part_a_label():
+    table = np.array([[0.5, 0.1], [0.0, 0.4], [0.0, 0.3], [0.0, 0.0]])
+    assert metrics.labels_from(table).tolist() == [0, 1, 1, -1]
+    assert metrics.dominant_labels(table).tolist() == [0, 1, -1, -1]
+
+
+def test_label_iou_by_hand():
+    true, predicted = np.array([0, 0, 0, 1, 1]), np.array([0, 0, 1, 1, -1])
+    assert metrics.label_iou(predicted, true) == pytest.approx((2 / 3 + 1 / 3) / 2)
+    assert metrics.label_iou(true, true) == 1.0
+
+
+def test_occupancy_iou_by_hand():
+    a, b = np.array([True, True, False, False]), np.array([True, False, True, False])
+    assert metrics.occupancy_iou(a, b) == pytest.approx(1 / 3)
+    assert metrics.occupancy_iou(a, a) == metrics.occupancy_iou(a & ~a, a & ~a) == 1.0
+    assert metrics.occupancy_iou(a, ~a) == 0.0
+
+
+def test_a_line_through_states():
+    true = np.linspace(0.0, 2.0, 50)
+    line = metrics.line_through(true, 0.3 - 0.9 * true)
+    assert line == pytest.approx((-0.9, 0.3, 0.0), abs=1e-9)
+    slope, _, residual = metrics.line_through(np.array([0.0, 1, 2, 3]), np.array([0.0, 1, 1, 0]))
+    assert (slope, residual) == pytest.approx((0.0, 0.5))
+    assert metrics.line_through(np.zeros(4), np.arange(4.0)) is None
+
+
+def test_endpoint_error_by_hand():
+    points = np.array([[1.0, 0, 0], [2.0, 0, 0], [0, 1.0, 0]])
+    true = np.array([1, 1, 0])
+    quarter = transform(rotation_about((0, 0, 1), math.pi / 2))
+    still = np.tile(np.eye(4), (3, 1, 1))
+    T_true = np.stack([np.eye(4), quarter])
+    error = metrics.endpoint_error(points, true, T_true, still)
+    assert error == pytest.approx((0 + 1.5 * math.sqrt(2)) / 2)
+    assert metrics.endpoint_error(points, true, T_true, T_true[true]) == 0.0
+
+
+def test_reconstruction_scores_by_hand():
+    to_true, to_predicted = np.array([0.0, 0.1, 0.2]), np.array([0.0, 0.4])
+    assert metrics.chamfer_l1(to_true, to_predicted) == pytest.approx(0.15)
+    assert metrics.f_score(to_true, to_predicted, 0.15) == pytest.approx(
+        2 * (2 / 3) * 0.5 / (7 / 6)
+    )
+    assert metrics.f_score(to_true + 1, to_predicted + 1, 0.1) == 0.0
+
+
+def test_lines():
+    x, y, z = np.eye(3)
+    assert metrics.angle_between_lines(x, -x) == 0.0
+    assert metrics.angle_between_lines(x, (x + y) / math.sqrt(2)) == pytest.approx(math.pi / 4)
+    assert metrics.line_distance(0 * x, x, 2 * z, y) == pytest.approx(2.0)
+    assert metrics.line_distance(0 * x, x, 3 * x + y, -x) == pytest.approx(1.0)

@@ -1,0 +1,84 @@
+"""Rigged predictions: what is written is read back by yourdfpy and moves as predicted."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from instances import hinged_box
+from yourdfpy import URDF
+
+from articugen.errors import ArticugenError
+from articugen.geometry import apply
+from articugen.records import Normalization
+
+pytest.importorskip("torch", reason="PPD needs torch")
+
+from articugen.learning.evaluation.surfaces import distance, surface
+from articugen.learning.ppd.reconstruct import Reconstruction, truth
+from articugen.learning.predict import write_rig
+
+
+def three_balls() -> Reconstruction:
+    """The hinged box's joints with a ball for each part: base, lid, knob (all on part 0)."""
+    (instance,) = hinged_box([(0.4, 0.1)])
+    found = truth(instance)
+    at = (np.arange(16) + 0.5) / 16 - 0.5
+    grid = np.stack(np.meshgrid(at, at, at, indexing="ij"), -1)
+    balls = [
+        surface(0.1 - np.linalg.norm(grid - centre, axis=-1)).corners
+        for centre in ([0, 0, -0.3], [0.1, 0, 0.1], [-0.2, 0.2, 0.2])
+    ]
+    return dataclasses.replace(
+        found, triangles=np.concatenate(balls), part=np.repeat([0, 1, 2], [len(b) for b in balls])
+    )
+
+
+def test_a_rig_moves_as_predicted(tmp_path):
+    found = three_balls()
+    robot = URDF.load(str(write_rig(found, tmp_path)))
+    assert robot.actuated_joint_names == ["joint_1", "joint_2"]
+    blue = robot.link_map["part_1"].visuals[0].material.color.rgba
+    np.testing.assert_allclose(blue, [0x44 / 255, 0x77 / 255, 0xAA / 255, 1.0], atol=1e-3)
+    more = np.array([0.0, 0.5, -0.05])
+    moved = dataclasses.replace(found, state=found.state + more)
+    motion = found.joint_motion_to(moved)
+    for value, T in ((0 * more, np.tile(np.eye(4), (3, 1, 1))), (more, motion)):
+        robot.update_cfg({f"joint_{i}": value[i] for i in (1, 2)})
+        for i in range(3):
+            T_world = robot.get_transform(f"part_{i}", "part_0")
+            (mesh,) = [
+                robot.scene.geometry[name] for name in robot.scene.geometry if f"part_{i}" in name
+            ]
+            posed = apply(T_world, mesh.vertices)
+            wanted = apply(T[i], found.triangles[found.part == i].reshape(-1, 3)).reshape(-1, 3, 3)
+            assert distance(posed, wanted).max() < 1e-6
+    limit = robot.joint_map["joint_1"].limit
+    assert limit.lower == pytest.approx(-0.4)
+    assert limit.upper == pytest.approx(np.pi - 0.4)
+
+
+def test_no_surface_is_said(tmp_path):
+    found = three_balls()
+    empty = dataclasses.replace(found, triangles=np.zeros((0, 3, 3)), part=np.zeros(0, int))
+    with pytest.raises(ArticugenError, match="sees no surface"):
+        write_rig(empty, tmp_path)
+
+
+def test_a_rig_stands_where_its_cloud_stood(tmp_path):
+    """In a frame twice as large: lengths double, angles stay."""
+    found = three_balls()
+    frame = Normalization(np.array([1.0, 2.0, 3.0]), 2.0)
+    small = URDF.load(str(write_rig(found, tmp_path / "small")))
+    large = URDF.load(str(write_rig(found, tmp_path / "large", frame=frame)))
+    for robot in (small, large):
+        robot.update_cfg({"joint_1": 0.3, "joint_2": 0.05 if robot is small else 0.1})
+    for i in range(3):
+        one, two = (
+            apply(robot.get_transform(name, "part_0"), robot.scene.geometry[name].vertices)
+            for robot in (small, large)
+            for name in [next(n for n in robot.scene.geometry if f"part_{i}" in n)]
+        )
+        where = np.lexsort(np.round(one.T, 6))
+        order = np.lexsort(np.round(frame.to_unit(two).T, 6))
+        np.testing.assert_allclose(frame.to_unit(two)[order], one[where], atol=1e-5)
+    assert large.joint_map["joint_2"].limit.upper == pytest.approx(2.0 * (1.0 - found.state[2]))

@@ -1,0 +1,154 @@
+"""Races of seeds: who goes on, and that neither processes nor interruptions decide it."""
+
+import json
+
+import pytest
+from ppd_data import write_boxes
+
+from articugen.errors import InvalidCheckpoint, InvalidRecipe, TrainingDiverged
+from articugen.learning.ppd.settings import (
+    DataSettings,
+    LossSettings,
+    Schedule,
+    Seeds,
+    Stage,
+    TrainRecipe,
+)
+
+torch = pytest.importorskip("torch", reason="PPD needs torch")
+
+from articugen.learning import race as race_module  # noqa: E402
+from articugen.learning.loop import train  # noqa: E402
+from articugen.learning.race import RACE, best_half, race  # noqa: E402
+from articugen.learning.runs import BEST, LATEST, METRICS, read_checkpoint  # noqa: E402
+
+torch.set_num_threads(1)
+
+TINY = TrainRecipe(
+    name="tiny",
+    data=DataSettings(surface_points=100, grid_points=100, validation_objects=1),
+    losses=LossSettings(adv_g=0.0),
+    schedule=Schedule(
+        batch=3,
+        learning_rate=1e-3,
+        stages=(Stage(resolution=8, iterations=6),),
+        log_every=1,
+        validate_every=2,
+        save_every=100,
+    ),
+    seeds=Seeds(count=3, halve_at=(2, 4)),
+)
+
+
+@pytest.fixture(scope="module")
+def boxes(tmp_path_factory):
+    return write_boxes(tmp_path_factory.mktemp("boxes"), train=3, test=1, states=2)
+
+
+@pytest.fixture(scope="module")
+def whole(boxes, tmp_path_factory):
+    """A race that nothing interrupted, in this process."""
+    return race(TINY, category="box", data=boxes, runs=tmp_path_factory.mktemp("race"), seed=1)
+
+
+def told(run) -> dict:
+    return json.loads((run.path / RACE).read_text())
+
+
+def same_weights(left, right) -> bool:
+    one, two = read_checkpoint(left).model, read_checkpoint(right).model
+    return all(torch.equal(value, two[name]) for name, value in one.items())
+
+
+def test_the_worse_half_drops_out_and_the_best_is_kept(whole):
+    rounds = told(whole)["rounds"]
+    assert [r["iteration"] for r in rounds] == [2, 4, 6]
+    assert [len(r["validation"]) for r in rounds] == [3, 2, 1]
+    assert set(rounds[0]["validation"]) == {"1", "2", "3"}
+    for r in rounds:
+        by_loss = sorted(r["validation"], key=lambda seed: r["validation"][seed]["rec"])
+        assert r["go_on"] == [int(seed) for seed in by_loss[: len(r["go_on"])]]
+    winner = told(whole)["winner"]
+    assert [winner] == rounds[-1]["go_on"]
+    for name in (LATEST, BEST, METRICS):
+        own = whole.path / "seeds" / str(winner) / name
+        assert (whole.path / name).read_bytes() == own.read_bytes()
+    assert read_checkpoint(whole.path / LATEST).seed == winner
+    assert read_checkpoint(whole.path / LATEST).iteration == 6
+
+
+def test_the_winner_is_what_its_seed_alone_would_be(boxes, whole, tmp_path):
+    winner = told(whole)["winner"]
+    alone = train(TINY, category="box", data=boxes, runs=tmp_path, seed=winner)
+    assert same_weights(alone.path / LATEST, whole.path / LATEST)
+
+
+def test_processes_change_nothing(boxes, whole, tmp_path):
+    seen = []
+    run = race(
+        TINY, category="box", data=boxes, runs=tmp_path, seed=1, jobs=2, on_progress=seen.append
+    )
+    assert told(run) == told(whole)
+    assert same_weights(run.path / LATEST, whole.path / LATEST)
+    assert {p.seed for p in seen} == {1, 2, 3}
+
+
+def test_an_interrupted_race_goes_on(boxes, whole, tmp_path):
+    def interrupt(progress):
+        if (progress.seed, progress.iteration) == (2, 1):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        race(TINY, category="box", data=boxes, runs=tmp_path, seed=1, on_progress=interrupt)
+    seen = []
+    path = tmp_path / "000"
+    run = race(
+        TINY, category="box", data=boxes, runs=tmp_path, seed=1, resume=path,
+        on_progress=lambda p: seen.append((p.seed, p.iteration)),
+    )  # fmt: skip
+    assert told(run) == told(whole)
+    assert same_weights(run.path / LATEST, whole.path / LATEST)
+    assert (1, 1) not in seen  # the first seed's first heat was done
+    other = TINY.with_seeds(2)
+    with pytest.raises(InvalidCheckpoint, match="another recipe"):
+        race(other, category="box", data=boxes, runs=tmp_path, seed=1, resume=path)
+
+
+def test_a_seed_that_diverges_loses(boxes, tmp_path, monkeypatch):
+    def train_or_diverge(recipe, *, seed, **options):
+        if seed in bad:
+            raise TrainingDiverged("no number")
+        return train(recipe, seed=seed, **options)
+
+    monkeypatch.setattr(race_module, "train", train_or_diverge)
+    bad = {0, 1}
+    run = race(TINY, category="box", data=boxes, runs=tmp_path)
+    assert told(run)["rounds"][0]["validation"]["0"] is None
+    assert told(run)["winner"] == 2
+    bad = {0, 1, 2}
+    with pytest.raises(TrainingDiverged, match="all seeds diverged before iteration 2"):
+        race(TINY, category="box", data=boxes, runs=tmp_path)
+
+
+def test_half_goes_on():
+    score = {s: {"rec": float(r)} for s, r in enumerate((5, 1, 4, 1, 3))}
+    assert best_half(score, last=False) == [1, 3, 4]
+    assert best_half(score, last=True) == [1]
+    assert best_half(score | {1: None, 3: None, 0: None, 4: None}, last=False) == [2]
+    assert best_half(score | {1: {"rec": float("nan")}}, last=True) == [3]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"data": DataSettings(validation_objects=0)}, "validation_objects"),
+        ({"seeds": Seeds(count=2, halve_at=(3,))}, "multiples of schedule.validate_every"),
+        ({"seeds": Seeds(count=2, halve_at=(4, 2))}, "ascending"),
+        ({"seeds": Seeds(count=2, halve_at=(6,))}, "before the last iteration"),
+    ],
+)
+def test_seeds_that_cannot_be_compared_are_refused(change, said):
+    bad = TINY.model_copy(update=change)
+    with pytest.raises(InvalidRecipe, match=said):
+        bad.with_seeds(2)
+    assert bad.with_seeds(1).seeds.count == 1

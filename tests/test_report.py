@@ -1,0 +1,109 @@
+"""The tables beside the paper's: the right numbers in the right cells, and none made up."""
+
+import pytest
+
+pytest.importorskip("torch", reason="PPD needs torch")
+
+from articugen.errors import InvalidCheckpoint
+from articugen.learning.evaluation import paper
+from articugen.learning.evaluation.report import markdown, read_result, tables
+from articugen.learning.ppd.settings import load_train_recipe, parse_train_recipe
+
+
+def result(category="laptop", variant=paper.COMPLETE, poses="canonical", **means):
+    known = {"label_iou": 0.5, "epe_joint_all": 0.03, "f_score": 12.0, "no_surface": 0.25} | means
+    run = {
+        "category": category, "variant": variant, "label_poses": poses, "recipe": "r", "seed": 3,
+        "iterations": 9, "resolution": 32,
+    }  # fmt: skip
+    return {"run": run, "objects": 2, "instances": 8, "means": known}
+
+
+def rows(text):
+    """The cells of every row, by the row's first two."""
+    split = [[c.strip() for c in line.strip("|").split("|")] for line in text.splitlines()]
+    return {tuple(cells[:3]): cells[3:] for cells in split if len(cells) > 3}
+
+
+def test_the_paper_s_numbers_stand_beside_ours():
+    told = rows(tables([result()]))
+    assert told["2", "label IoU, %", "laptop"] == [
+        "**50.00**",
+        "86.81",
+        "25.11*",
+        "76.68",
+        "74.44",
+        "",
+    ]
+    assert told["3", "EPE x 100, joint-aware", "laptop"] == [
+        "**3.000**",
+        "2.546",
+        "",
+        "",
+        "",
+        "0.751",
+    ]
+    assert told["4", "F-score", "laptop"] == ["**12.00**", "39.27", "30.97", "65.90", "83.71", ""]
+    assert not any(name[1] == "Chamfer-L1 x 100" for name in told)  # not measured, not shown
+
+
+def test_labels_by_all_poses_have_their_own_table():
+    told = rows(tables([result(poses="all")]))
+    assert told["8", "label IoU, %", "laptop"][1] == "86.80"
+
+
+def test_the_mean_needs_all_five_categories():
+    four = [result(c, label_iou=0.1 * i) for i, c in enumerate(paper.CATEGORIES[:4])]
+    assert ("2", "label IoU, %", "mean") not in rows(tables(four))
+    told = rows(tables([*four, result("washing_machine", label_iou=0.4)]))
+    assert told["2", "label IoU, %", "mean"][:2] == ["**20.00**", "80.99"]
+    for table in (paper.LABEL_IOU, paper.EPE, paper.F_SCORE, paper.CHAMFER_L1):
+        for numbers in table.values():
+            *each, mean = (float(n.rstrip("*")) for n in numbers)
+            assert sum(each) / 5 == pytest.approx(mean, abs=0.006)  # nothing was mistyped
+
+
+def test_a_run_is_counted_in_its_own_row_of_the_ablation():
+    told = tables([result(), result("oven", "w/o L_adv_g"), result("oven", "w/o L_vol, CS")])
+    assert "| w/o L_adv_g (here: oven by r) | **50.00** | 70.14 | **3.000** | 7.276 |" in told
+    assert "| w/ all (here: laptop by r) | **50.00** | 80.99 | **3.000** | 2.988 |" in told
+    assert "| w/o L_vol, CS (here: oven by r) | **50.00** |  | **3.000** |  |" in told
+    assert "| w/o CS |  | 55.67 |  | 8.827 |" in told
+
+
+def test_lines_through_joint_states_are_told():
+    line = {"joint": 0, "kind": "revolute", "states": 9, "predicted": 8, "slope": -0.98765,
+            "offset": 3.0, "residual": 0.0123}  # fmt: skip
+    lost = {**line, "joint": 1, "kind": "prismatic", "predicted": 0, "slope": None}
+    told = markdown(result(reconstruction_iou=0.61) | {"joint_lines": [line, lost]})
+    assert "| joint 0, revolute | -0.988 | 0.012 rad | 8 of 9 |" in told
+    assert "| joint 1, prismatic |   |   | 0 of 9 |" in told
+    assert "| reconstruction IoU on the meshes' grid, % | 61.000 |" in told
+
+
+def test_what_failed_is_told():
+    text = markdown(result())
+    assert "| instances without any surface, % | 25.000 |" in text
+    assert "other data" in text
+    assert "8 instances" in text
+
+
+def test_depth_input_has_its_row():
+    both = result() | {"depth_input": {"means": {"f_score": 7.0}}}
+    text = tables([both])
+    assert "| depth (here: laptop by r) | **7.00** | 28.99 |  | 80.65 |  | 3.203 |" in text
+    assert "| complete (here: laptop by r) | **12.00** | 31.42 |" in text
+
+
+def test_recipes_know_their_row():
+    assert paper.variant(load_train_recipe("ppd_paper")) == paper.COMPLETE
+    assert paper.variant(load_train_recipe("ppd_quick")) == "w/o L_adv_g"
+    changed = load_train_recipe("ppd_paper").model_dump(mode="json")
+    changed["losses"]["vol"] = 0.0
+    changed["model"]["common_pose"] = False
+    assert paper.variant(parse_train_recipe(changed, "changed")) == "w/o L_vol, CP"
+
+
+def test_a_run_without_evaluation_is_refused(tmp_path):
+    with pytest.raises(InvalidCheckpoint, match="articugen evaluate"):
+        read_result(tmp_path)

@@ -1,0 +1,374 @@
+"""Run folders are believed only as they were written: each kind of damage is one sentence."""
+
+import dataclasses
+import io
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from ppd_data import write_boxes
+from test_ppd_report import result
+from trouble import unfit
+from typer.testing import CliRunner
+
+from articugen.cli import app
+from articugen.errors import InvalidCheckpoint, MachineFault
+from articugen.learning.evaluation.report import read_result
+from articugen.store.files import partial_name
+
+torch = pytest.importorskip("torch", reason="PPD needs torch")
+
+from articugen.learning import tensors  # noqa: E402
+from articugen.learning.loop import train  # noqa: E402
+from articugen.learning.ppd.depth import DEPTH, read_depth_model, train_depth  # noqa: E402
+from articugen.learning.ppd.settings import DataSettings, DepthSettings, Schedule, TrainRecipe  # noqa: E402
+from articugen.learning.ppd.settings import Stage as StageSettings  # noqa: E402
+from articugen.learning.runs import (  # noqa: E402
+    FORMAT,
+    LATEST,
+    METRICS,
+    RunFolder,
+    read_checkpoint,
+)
+from articugen.learning.tensors import read_tensors, sealed, write_tensors  # noqa: E402
+
+torch.set_num_threads(1)
+
+TINY = TrainRecipe(
+    name="tiny",
+    data=DataSettings(surface_points=100, grid_points=50, validation_objects=1),
+    schedule=Schedule(
+        batch=2,
+        stages=(StageSettings(resolution=8, iterations=3),),
+        log_every=1,
+        validate_every=1,
+        save_every=1,
+    ),
+    depth=DepthSettings(iterations=2, batch=2),
+)
+
+
+@pytest.fixture(scope="module")
+def boxes(tmp_path_factory):
+    return write_boxes(tmp_path_factory.mktemp("boxes"), train=2, test=1, states=1)
+
+
+@pytest.fixture(scope="module")
+def sound(boxes, tmp_path_factory):
+    """A run that was stopped after two iterations. Look, do not touch."""
+    runs = tmp_path_factory.mktemp("runs")
+    run = train(TINY, category="box", data=boxes, runs=runs, stop_after=2)
+    train_depth(run, boxes, stop_after=1)
+    return run.path
+
+
+@pytest.fixture
+def run(sound, tmp_path):
+    """A copy of it to do harm to."""
+    return RunFolder(Path(shutil.copytree(sound, tmp_path / "run")))
+
+
+def refused(read, *arguments) -> str:
+    """The one sentence."""
+    with pytest.raises(InvalidCheckpoint) as caught:
+        read(*arguments)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+# Checkpoints.
+
+
+def test_a_sealed_file_is_an_ordinary_checkpoint(sound):
+    """torch reads it without us."""
+    for name, form in ((LATEST, FORMAT), (DEPTH, "articugen ppd depth encoder 2")):
+        assert torch.load(sound / name, weights_only=True)["format"] == form
+    assert read_checkpoint(sound / LATEST).iteration == 2
+
+
+@pytest.mark.parametrize("name", [LATEST, DEPTH])
+def test_every_flipped_bit_is_found(run, name):
+    path, rng = run.path / name, np.random.default_rng(5)
+    size = path.stat().st_size
+    places = {*rng.integers(size, size=60).tolist(), 0, 30, size - 1, size - 72, size - 73}
+    form = torch.load(path, weights_only=True)["format"]
+    with path.open("r+b") as file:
+        for place in sorted(places):
+            file.seek(place)
+            (before,) = file.read(1)
+            for byte in (before ^ 1 << int(rng.integers(8)), before):
+                if byte == before:
+                    assert str(path) in refused(read_tensors, path, form), place
+                file.seek(place)
+                file.write(bytes([byte]))
+                file.flush()
+    assert read_tensors(path, form)
+
+
+@pytest.mark.parametrize("kept", [0, 1, 21, 100, 5_000, -1, -71, -1_000])
+def test_checkpoints_that_are_cut_short(run, kept):
+    path = run.path / LATEST
+    path.write_bytes(path.read_bytes()[:kept])
+    assert f"{path}: " in refused(read_checkpoint, path)
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf")])
+@pytest.mark.parametrize("part", ["model", "critic", "optimizer"])
+def test_weights_that_are_not_finite(run, part, number):
+    point = read_checkpoint(run.path / LATEST)
+    values = getattr(point, part)
+    tensor = values["state"][0]["exp_avg"] if part == "optimizer" else next(iter(values.values()))
+    tensor.view(-1)[0] = number
+    point.write(run.path / LATEST)
+    assert "not finite" in refused(read_checkpoint, run.path / LATEST)
+
+
+def test_a_loss_that_is_no_number(run):
+    point = read_checkpoint(run.path / LATEST)
+    dataclasses.replace(point, best=float("inf")).write(run.path / LATEST)  # none was measured
+    assert read_checkpoint(run.path / LATEST).best == float("inf")
+    dataclasses.replace(point, best=float("nan")).write(run.path / LATEST)
+    assert "not finite" in refused(read_checkpoint, run.path / LATEST)
+
+
+def test_a_checkpoint_without_a_digest_is_refused(run):
+    """As earlier versions wrote them."""
+    path = run.path / LATEST
+    torch.save({"format": "articugen ppd checkpoint 1"}, path)
+    assert "not a checkpoint with a digest: damaged, or of an earlier version" in refused(
+        read_checkpoint, path
+    )
+
+
+def endless() -> list:
+    value: list = []
+    value.append(value)
+    return value
+
+
+def nested(depth: int) -> list:
+    value: list = []
+    for _ in range(depth):
+        value = [value]
+    return value
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda d: print,  # a pickle that names a function
+        lambda d: [1, 2],
+        lambda d: None,
+        lambda d: {},
+        lambda d: d | {"format": "other"},
+        lambda d: {k: v for k, v in d.items() if k != "recipe"},
+        lambda d: {k: v for k, v in d.items() if k != "critic"},
+        lambda d: d | {"more": 1},
+        lambda d: d | {"recipe": None},
+        lambda d: d | {"recipe": {"name": "x", "colour": "red"}},
+        lambda d: d | {"recipe": {"name": "x", "model": {"codes": 10**12}}},  # 16 TB of weights
+        lambda d: d | {"iteration": "2"},
+        lambda d: d | {"iteration": True},
+        lambda d: d | {"iteration": -1},
+        lambda d: d | {"iteration": 4},
+        lambda d: d | {"seed": 0.5},
+        lambda d: d | {"category": None},
+        lambda d: d | {"best": None},
+        lambda d: d | {"model": None},
+        lambda d: d | {"model": {}},
+        lambda d: d | {"model": dict.fromkeys(d["model"])},
+        lambda d: d | {"model": {k: v.double() for k, v in d["model"].items()}},
+        lambda d: d | {"critic": d["model"]},
+        lambda d: d | {"optimizer": {}},
+        lambda d: d | {"optimizer": {"state": {}, "param_groups": [{}]}},
+        lambda d: d | {"optimizer": d["critic_optimizer"]},
+        lambda d: d | {"optimizer": d["optimizer"] | {"state": {99: {}}}},
+        lambda d: d | {"best": torch.zeros(1).expand(1 << 40)},  # a terabyte that takes 4 bytes
+        lambda d: d | {"best": torch.zeros(3, device="meta")},
+        lambda d: d | {"best": torch.eye(3).to_sparse()},
+        lambda d: d | {"best": endless()},
+        lambda d: d | {"best": nested(150)},
+    ],
+)
+def test_sealed_nonsense_is_one_sentence(run, change):
+    """Whoever can compute a digest can write anything: it is checked all the same."""
+    path = run.path / LATEST
+    data = torch.load(path, weights_only=True)
+    buffer = io.BytesIO()
+    torch.save(change(data), buffer)
+    path.write_bytes(sealed(buffer.getvalue()))
+    assert f"{path}: " in refused(read_checkpoint, path)
+
+
+def test_the_encoder_for_depth_is_checked_as_well(run):
+    path = run.path / DEPTH
+    point, data = read_checkpoint(run.path / LATEST), torch.load(path, weights_only=True)
+    form = data.pop("format")
+    for change in ({"of": 1}, {"iteration": "x"}, {"encoder": {}}, {"optimizer": {}}, {"x": 1}):
+        write_tensors(path, data | change, form)
+        assert f"{path}: " in refused(read_depth_model, run.path, point)
+    write_tensors(path, data, form)
+    read_depth_model(run.path, point)
+
+
+@pytest.mark.parametrize("kind", ["FIFO", "folder", "too large", "absent"])
+def test_kind_and_size_of_a_checkpoint_are_looked_at_first(tmp_path, kind, monkeypatch):
+    path = tmp_path / LATEST
+    unfit(path, kind, tensors.MOST_BYTES)
+    assert f"{path}: " in refused(read_checkpoint, path)
+
+
+# The other files.
+
+NESTED = "[" * 100_000
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{", "null", "5", "[]", "{}", "NaN", NESTED, '{"a":' * 10_000, "9" * 5_000, "\0",
+     {"seed": "0"}, {"seed": 0.5}, {"seed": None}, {"seed": True}, {"category": 1}, {"more": 1},
+     {"recipe_sha256": "x"}, {"data": None}, {"data": {}}, {"machine": {"cores": float("nan")}},
+     {"data": {"folder": "x", "content_sha256": 5}}],
+)  # fmt: skip
+def test_run_json_may_hold_anything(run, text):
+    path = run.path / "run.json"
+    about = json.loads(path.read_text())
+    path.write_text(json.dumps(about | text) if isinstance(text, dict) else text)
+    assert f"{path}: damaged (" in refused(run.about)
+    assert f"{path}: " in refused(run.recipe)
+    path.write_bytes(b"\xff\xfe")
+    assert f"{path}: " in refused(run.about)
+    path.unlink()
+    assert "cannot be read" in refused(run.about)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "- 1", "5", "a: [", NESTED[:500], "a: " * 3_000, "\0", "name: x", "extends: ppd_quick",
+     "schedule: {batch: .nan}", "name: 2001-99-99", "seed: " + "9" * 5_000],
+)  # fmt: skip
+def test_recipe_yaml_may_hold_anything(run, text):
+    path = run.path / "recipe.yaml"
+    path.write_text(text)
+    assert f"{path}: " in refused(run.recipe)
+
+
+def test_a_recipe_that_was_edited_is_refused(run):
+    path = run.path / "recipe.yaml"
+    recipe = yaml.safe_load(path.read_text())
+    recipe["losses"]["vol"] = 7.0
+    path.write_text(yaml.safe_dump(recipe))
+    assert "not the recipe that the run was started with" in refused(run.recipe)
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["", "null", "5", "[]", "{}", "NaN", NESTED, "\0", '{"iteration": "1"}', '{"iteration": NaN}',
+     '{"iteration": -1}', '{"iteration": 1.5}', '{"iteration": 1, "terms": 5}',
+     '{"iteration": 1, "validation": {"rec": "x"}}', '{"iteration": 1, "more": 1}',
+     '{"iteration": ' + "9" * 5_000 + "}", '{"iteration": 1'],
+)  # fmt: skip
+def test_metrics_may_hold_anything(run, line):
+    path = run.path / METRICS
+    path.write_text('{"iteration": 1, "terms": {"rec": 0.5}}\n' + line + '\n{"iteration": 2}\n')
+    assert f"{path}: line 2: damaged (" in refused(run.metrics)
+
+
+def test_a_last_line_that_was_cut_short_is_none(run, boxes):
+    """And the run goes on after it with whole lines."""
+    path = run.path / METRICS
+    before = run.metrics()
+    for cut in (1, 10):
+        path.write_bytes(path.read_bytes()[:-cut])
+        assert run.metrics() == before[:-1]
+    again = train(TINY, category="box", data=boxes, runs=run.path.parent, resume=run.path)
+    lines = path.read_text().splitlines()
+    assert all(json.loads(line)["iteration"] for line in lines)
+    assert again.metrics()[-1]["iteration"] == 3
+
+
+def test_what_was_measured_may_be_no_number(run):
+    run.log({"iteration": 3, "validation": {"rec": float("nan")}})
+    assert np.isnan(run.metrics()[-1]["validation"]["rec"])
+
+
+def test_a_full_disk_is_a_fault_of_the_machine(run, monkeypatch):
+    (run.path / METRICS).unlink()
+    (run.path / METRICS).symlink_to("/dev/full")
+    with pytest.raises(MachineFault, match="the disk is full"):
+        run.log({"iteration": 3})
+
+
+def test_what_a_killed_process_left_is_removed(run):
+    left = [partial_name(LATEST), partial_name("run.json"), partial_name(DEPTH)]
+    for name in [*left, partial_name("mine.txt"), ".latest.pt.partial"]:
+        (run.path / name).write_bytes(b"half")
+    RunFolder.existing(run.path)
+    rest = {p.name for p in run.path.iterdir()}
+    assert not rest & set(left)
+    assert ".latest.pt.partial" in rest
+    assert sum(name.startswith(".mine.txt.") for name in rest) == 1
+
+
+def test_runs_with_other_names_are_no_numbers(boxes, tmp_path):
+    (tmp_path / "²").mkdir()  # a digit, says Python, but no number
+    made = train(TINY, category="box", data=boxes, runs=tmp_path, stop_after=1)
+    assert made.path.name == "000"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda r: [],
+        lambda r: None,
+        lambda r: {},
+        lambda r: r | {"run": None},
+        lambda r: r | {"run": r["run"] | {"label_poses": "some"}},
+        lambda r: r | {"run": {k: v for k, v in r["run"].items() if k != "variant"}},
+        lambda r: r | {"means": {"label_iou": "x"}},
+        lambda r: r | {"means": {"label_iou": float("nan")}},
+        lambda r: r | {"means": None},
+        lambda r: r | {"depth_input": 5},
+        lambda r: NESTED,
+    ],
+)
+def test_evaluations_may_hold_anything(tmp_path, change):
+    path = tmp_path / "evaluation" / "evaluation.json"
+    path.parent.mkdir()
+    path.write_text(json.dumps(result()))
+    assert read_result(tmp_path)["means"] == result()["means"]
+    changed = change(result())
+    path.write_text(changed if isinstance(changed, str) else json.dumps(changed))
+    told = refused(read_result, tmp_path)
+    assert f"{path}: not an evaluation (" in told
+    assert f"make it with: articugen evaluate {tmp_path}" in told
+
+
+@pytest.mark.parametrize("name", [LATEST, "run.json", "recipe.yaml", METRICS, DEPTH])
+def test_commands_refuse_a_damaged_run_in_one_sentence(run, boxes, name):
+    path = run.path / name
+    data = path.read_bytes()
+    place = len(data) // 2
+    harm = b"\0" if data[place] else b"\1"
+    path.write_bytes(data[:place] + harm + data[place + 1 :])
+    commands = {
+        "train": ("-c", "box", "-d", boxes, "--resume", run.path),
+        "train-depth": (run.path, "-d", boxes),
+        "predict": (run.path, boxes / "test-00002.h5", "--depth"),
+        "evaluate": (run.path, "-d", boxes, "--no-figures", "--resolution", 8),
+    }
+    reads = {
+        LATEST: set(commands),
+        "run.json": {"train"},
+        "recipe.yaml": {"train"},
+        METRICS: {"train"},
+        DEPTH: {"train-depth", "predict"},
+    }
+    for command in sorted(reads[name]):
+        done = CliRunner().invoke(app, [command, *map(str, commands[command])])
+        assert done.exit_code == 1, (command, done.output)
+        assert f"{path}: " in done.stderr.replace("\n", "")
+        assert "Traceback" not in done.output

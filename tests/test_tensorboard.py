@@ -1,0 +1,51 @@
+"""What TensorBoard reads is what the JSON lines say, also after a resume."""
+
+import pytest
+
+pytest.importorskip("torch", reason="PPD needs torch")
+pytest.importorskip("tensorboard", reason="an extra")
+
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from articugen.learning import tensorboard
+from articugen.learning.runs import METRICS, RunFolder
+
+
+def records(first: int, last: int, shift: float = 0.0) -> list[dict]:
+    return [
+        {
+            "iteration": i,
+            "stage": 0,
+            "terms": {"rec": 1.0 / i + shift, "vol": 2.0 * i},
+            "learning_rate": 0.5,
+        }
+        for i in range(first, last + 1)
+    ] + [{"iteration": last, "validation": {"iou": 0.25 + shift}}]
+
+
+def test_tensorboard_shows_the_json_lines(tmp_path):
+    run = RunFolder(tmp_path)
+    for record in records(1, 4, shift=9.0):
+        run.log(record)
+    run.forget_after(2)
+    for record in records(3, 5):
+        run.log(record)
+    shown = EventAccumulator(str(tmp_path)).Reload()
+    wanted: dict[str, list] = {}
+    for record in run.metrics():
+        for group in ("terms", "validation"):
+            for name, value in record.get(group, {}).items():
+                wanted.setdefault(f"{group}/{name}", []).append((record["iteration"], value))
+    wanted["learning_rate"] = [(i, 0.5) for i in range(1, 6)]
+    assert set(shown.Tags()["scalars"]) == set(wanted)
+    for tag, points in wanted.items():
+        told = [(event.step, event.value) for event in shown.Scalars(tag)]
+        assert told == [(step, pytest.approx(value)) for step, value in points], tag
+
+
+def test_without_it_the_json_lines_are_all(tmp_path, monkeypatch):
+    monkeypatch.setattr(tensorboard, "find_spec", lambda _: None)
+    run = RunFolder(tmp_path)
+    run.log(records(1, 1)[0])
+    run.forget_after(0)
+    assert [path.name for path in tmp_path.iterdir()] == [METRICS]
