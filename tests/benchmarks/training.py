@@ -27,6 +27,7 @@ from unittest.mock import patch
 import torch
 
 from articugen.learning.dataset import PackedSplit
+from articugen.learning import loop
 from articugen.learning.ppd import objective, settings
 from articugen.learning.ppd.descent import Descent
 from articugen.learning.ppd.model import PPD
