@@ -26,8 +26,8 @@ from unittest.mock import patch
 
 import torch
 
-from articugen.learning.dataset import PackedSplit
 from articugen.learning import loop
+from articugen.learning.dataset import PackedSplit
 from articugen.learning.ppd import objective, settings
 from articugen.learning.ppd.descent import Descent
 from articugen.learning.ppd.model import PPD
