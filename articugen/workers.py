@@ -32,7 +32,7 @@ R = TypeVar("R")
 TICK = 0.2
 """Seconds between two looks at the workers' clocks and memory."""
 
-_READY, _DONE, _RAISED, _NO_MEMORY = "ready", "done", "raised", "no memory"
+_READY, _SAID, _DONE, _RAISED, _NO_MEMORY = "ready", "said", "done", "raised", "no memory"
 _PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 
 
@@ -73,6 +73,7 @@ def each(
     limit: Limit = Limit(),
     ready: Callable[[], None] = _nothing,
     handles: Sequence[int] = (),
+    on_report: Callable[[Any], None] = _nothing,
     notice: Callable[[str], None] = _nothing,
     name: Callable[[T], str] = str,
 ) -> Generator[Ended[R], None, None]:
@@ -83,6 +84,7 @@ def each(
         workers: processes at most; 0 does all of it in this process, without any limit.
         ready: called once in each worker before its first task, off the clock.
         handles: open files that every worker holds open as long as it lives, locks for instance.
+        on_report: called here with each message that a task gives to `report`, in their order.
         notice: called with one sentence where a worker was lost.
         name: what a task is called in it.
 
@@ -90,9 +92,10 @@ def each(
         MachineFault: no worker can be started, or none does anything before it is lost.
     """
     if workers == 0:
-        yield from _here(function, tasks)
+        yield from _here(function, tasks, on_report)
         return
-    crew = _Crew(lambda: _Worker(function, ready, handles), limit, min(workers, len(tasks)))
+    width = min(workers, len(tasks))
+    crew = _Crew(lambda: _Worker(function, ready, handles), limit, width, on_report)
     try:
         yield from crew.work(tasks, notice, name)
     finally:
@@ -100,7 +103,13 @@ def each(
 
 
 def in_order(
-    function: Callable[[T], R], tasks: Sequence[T], *, workers: int, name: Callable[[T], str] = str
+    function: Callable[[T], R],
+    tasks: Sequence[T],
+    *,
+    workers: int,
+    ready: Callable[[], None] = _nothing,
+    on_report: Callable[[Any], None] = _nothing,
+    name: Callable[[T], str] = str,
 ) -> Generator[R, None, None]:
     """`function` of each task, in the order of the tasks; see `each`.
 
@@ -109,8 +118,9 @@ def in_order(
     """
     early: dict[int, R] = {}
     following = 0
-    with closing(each(function, tasks, workers=workers, name=name)) as all_ended:
-        for ended in all_ended:
+    results = each(function, tasks, workers=workers, ready=ready, on_report=on_report, name=name)
+    with closing(results):
+        for ended in results:
             if ended.lost:
                 raise MachineFault(
                     f"{name(tasks[ended.number])}: its worker {ended.lost} when it was tried alone "
@@ -120,6 +130,15 @@ def in_order(
             while following in early:
                 yield early.pop(following)
                 following += 1
+
+
+def report(message: object) -> None:
+    """Hand a picklable message to the `on_report` of the `each` whose task is calling this."""
+    _report(message)
+
+
+_report: Callable[[object], None] = _nothing
+"""What `report` does in this process: set in each worker, and here while `_here` is at a task."""
 
 
 def die_with(parent: int) -> None:
@@ -145,10 +164,12 @@ def _watch(parent: int) -> None:
 
 def serve(handle: int, parent: int) -> None:
     """What a worker does: the tasks that come through the pipe, until nobody is at its end."""
+    global _report  # noqa: PLW0603
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which then ends us
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     die_with(parent)
     with Connection(handle) as pipe:
+        _report = lambda message: pipe.send((_SAID, message))  # noqa: E731
         try:
             function, ready = pipe.recv()
             kind, value = _answer(lambda _: ready(), None)
@@ -246,10 +267,17 @@ def _no_interrupts() -> Iterator[None]:
 class _Crew:
     """The workers of one call of `each`."""
 
-    def __init__(self, hire: Callable[[], _Worker], limit: Limit, width: int) -> None:
+    def __init__(
+        self,
+        hire: Callable[[], _Worker],
+        limit: Limit,
+        width: int,
+        on_report: Callable[[Any], None],
+    ) -> None:
         self._hire = hire
         self._limit = limit
         self._width = width
+        self._on_report = on_report
         self._hopeless = width + 3
         self._deaths = 0
         self._any_done = False
@@ -270,7 +298,7 @@ class _Crew:
                 if ended:
                     yield ended
                 if lost:
-                    notice(self._told(lost, name(tasks[worker.number or 0])))
+                    notice(self._notice(lost, name(tasks[worker.number or 0])))
             for worker, over in self._over_limit():
                 self._dismiss(worker)
                 yield Ended(worker.number or 0, over=over)
@@ -310,6 +338,8 @@ class _Crew:
             kind, value = worker.hear()
         except EOFError:
             return self._lost(worker, _fate(self._dismiss(worker)))
+        if kind == _SAID:
+            self._on_report(value)
         if kind == _RAISED:
             raise value
         if kind == _NO_MEMORY:
@@ -338,7 +368,7 @@ class _Crew:
             self._idle.pop().end()
         return None, fate
 
-    def _told(self, fate: str, task: str) -> str:
+    def _notice(self, fate: str, task: str) -> str:
         left = f"{self._width} worker{'s' if self._width > 1 else ''}"
         return f"a worker {fate} at {task}, which is tried once more at the end; {left} from now on"
 
@@ -382,10 +412,16 @@ def _resident_on_linux(pid: int) -> tuple[int, int] | None:
     return pid, pages * os.sysconf("SC_PAGE_SIZE")
 
 
-def _here(function: Callable[[T], R], tasks: Sequence[T]) -> Iterator[Ended[R]]:
+def _here(
+    function: Callable[[T], R], tasks: Sequence[T], on_report: Callable[[Any], None]
+) -> Iterator[Ended[R]]:
+    global _report  # noqa: PLW0603
     for number, task in enumerate(tasks):
+        before, _report = _report, on_report
         try:
             ended = Ended(number, value=function(task))
         except MemoryError:
             ended = Ended(number, lost="ran out of memory")
+        finally:
+            _report = before
         yield ended

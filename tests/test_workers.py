@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from articugen.errors import MachineFault, MissingExtra
-from articugen.workers import Ended, Limit, each, in_order, resident_bytes
+from articugen.workers import Ended, Limit, each, in_order, report, resident_bytes
 
 Task = tuple[str, Any]
 """What to do, and with what: see `do`."""
@@ -38,6 +38,9 @@ def do(task: Task) -> Any:
         raise value
     elif kind == "hold":
         return 10**10**9  # with the interpreter's lock, for hours
+    elif kind == "report":
+        for message in value:
+            report(message)
     elif kind == "library":
         raise MissingExtra("open3d", "open3d")  # cannot be pickled
     return value
@@ -52,6 +55,31 @@ def test_tasks_end_in_any_order_or_in_theirs() -> None:
     assert {n: e.value for n, e in ended(tasks).items()} == dict(enumerate([0.5, 0, 1, 2, 3, 4]))
     for workers in (0, 2):
         assert list(in_order(do, tasks, workers=workers)) == [0.5, 0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("processes", [0, 2])
+def test_a_task_reports_before_it_ends(processes: int) -> None:
+    heard: list[str] = []
+    tasks: list[Task] = [("report", ["a1", "a2"]), ("report", ["b1", "b2", "b3"]), ("say", 4)]
+    before_end: dict[int, list[str]] = {}
+    for end in each(do, tasks, workers=processes, on_report=heard.append):
+        before_end[end.number] = list(heard)
+        report("from outside of any task, which nobody hears")
+    assert [m for m in before_end[0] if m[0] == "a"] == ["a1", "a2"]
+    assert [m for m in before_end[1] if m[0] == "b"] == ["b1", "b2", "b3"]
+    assert sorted(heard) == ["a1", "a2", "b1", "b2", "b3"]
+    assert list(in_order(do, tasks, workers=processes, on_report=heard.append))[2] == 4
+    assert len(heard) == 10
+
+
+def test_what_hears_a_report_may_end_all_tasks() -> None:
+    def stop(message: str) -> None:
+        raise KeyboardInterrupt(message)
+
+    started = time.monotonic()
+    with pytest.raises(KeyboardInterrupt, match="enough"):
+        list(in_order(do, [("sleep", 60), ("report", ["enough"])], workers=2, on_report=stop))
+    assert time.monotonic() - started < 30
 
 
 def test_a_task_whose_worker_is_killed_is_tried_once_more_alone(tmp_path: Path) -> None:
