@@ -18,11 +18,11 @@ from articugen.geometry import apply, bounds, box_corners
 from articugen.recipe import Recipe
 from articugen.records import (
     FREE,
-    JOINT_KINDS,
     ArticulatedObject,
     DepthMaps,
     Floats,
     Instance,
+    JointKind,
     JointState,
     LabelledMesh,
     Normalization,
@@ -320,9 +320,9 @@ def _joint_fields(p: Prepared, state_index: int) -> dict[str, NDArray]:
     posed = articulation.forward_kinematics(p.obj, state)
     joints = p.obj.moving_joints
     part_of_link = dict(zip((link.name for link in p.obj.links), p.obj.part_of_link, strict=True))
-    length = np.array([p.unit.scale if j.kind == "prismatic" else 1.0 for j in joints])
+    length = np.array([p.unit.scale if j.kind == JointKind.PRISMATIC else 1.0 for j in joints])
     return {
-        "joint_kind": np.array([JOINT_KINDS[j.kind] for j in joints], np.uint8),
+        "joint_kind": np.array([j.kind.stored for j in joints], np.uint8),
         "joint_parent": np.array([part_of_link[j.parent] for j in joints], np.uint8),
         "joint_state": state.q / length,
         "joint_lower": np.array([j.lower for j in joints]) / length,

@@ -23,6 +23,7 @@ from articugen.records import (
     ArticulatedObject,
     Floats,
     Instance,
+    JointKind,
     Normalization,
     dequantize,
     is_material,
@@ -458,7 +459,7 @@ def test_joint_fields_say_how_the_parts_move(make: Maker, category: str) -> None
         for j, axis in enumerate(instance.joint_axis):
             q, pivot = instance.joint_state[j], instance.joint_pivot[j]
             assert np.linalg.norm(axis) == pytest.approx(1.0, abs=1e-12)
-            if instance.joint_kind[j] == 2:
+            if instance.joint_kind[j] == JointKind.PRISMATIC:
                 own = transform(translation=q * axis)
             else:
                 own = transform(translation=pivot)

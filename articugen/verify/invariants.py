@@ -18,7 +18,16 @@ from numpy.typing import NDArray
 
 from articugen.geometry import apply, invert_rigid, rotation_about, transform
 from articugen.recipe import Recipe
-from articugen.records import ENCLOSED, FREE, Floats, Instance, dequantize, is_material
+from articugen.records import (
+    ENCLOSED,
+    FREE,
+    STORED_KINDS,
+    Floats,
+    Instance,
+    JointKind,
+    dequantize,
+    is_material,
+)
 
 ROUNDING = 1e-9
 """What rounding may do to rigid motions and unit vectors in float64."""
@@ -183,8 +192,8 @@ def _numbers(row: Instance, _: Recipe) -> Iterator[str]:
         yield "joint_lower and joint_upper are not ranges"
     if not row.scale > 0.0:
         yield f"scale is {row.scale}"
-    if not np.isin(row.joint_kind, (1, 2)).all():
-        yield "joint_kind is neither 1 nor 2"
+    if not np.isin(row.joint_kind, STORED_KINDS).all():
+        yield f"joint_kind is none of {', '.join(f'{k:d} {k}' for k in STORED_KINDS)}"
     own = np.arange(1, len(row.joint_kind) + 1)
     if (row.joint_parent > len(own)).any() or (row.joint_parent == own).any():
         yield "joint_parent names a part that is not there, or the joint's own"
@@ -271,7 +280,7 @@ def _motion(row: Instance, _: Recipe) -> Iterator[str]:
 def _joint_motion(row: Instance, j: int) -> Floats:
     """(4, 4) what joint j at its state does to what hangs on it, unit frame."""
     axis, pivot, q = row.joint_axis[j], row.joint_pivot[j], row.joint_state[j]
-    if row.joint_kind[j] == 2:
+    if row.joint_kind[j] == JointKind.PRISMATIC:
         return transform(translation=q * axis)
     R = rotation_about(axis, q)
     return transform(R, pivot - R @ pivot)
