@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from articugen import articulation, fusion, sampling
 from articugen.errors import RejectedInstance
-from articugen.geometry import apply, bounds, box_corners
+from articugen.geometry import apply, bounds, box_corners, voxel_centres
 from articugen.recipe import Recipe
 from articugen.records import (
     FREE,
@@ -266,7 +266,7 @@ def _draw_moving(p: Prepared, mesh: LabelledMesh, overlay: Overlay) -> DepthMaps
 
 
 def _grid(resolution: int, own: Sequence[fusion.OwnSolid], recipe: Recipe) -> Grid:
-    points = sampling.grid_points(resolution).astype(np.float32)
+    points = voxel_centres(resolution).astype(np.float32)
     fixed = fusion.PosedSolids(own[:1], np.eye(4)[None], recipe.fusion)
     return Grid(points, fixed.labels(points))
 

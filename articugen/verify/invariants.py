@@ -9,14 +9,13 @@ not. A share is refused only where chance can hardly explain it, so a few sample
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.geometry import apply, invert_rigid, rotation_about, transform
+from articugen.geometry import apply, invert_rigid, rotation_about, transform, voxel_centres
 from articugen.recipe import Recipe
 from articugen.records import (
     ENCLOSED,
@@ -353,8 +352,8 @@ def _grids_filled(row: Instance, _: Recipe) -> Iterator[Share]:
     own = np.concatenate([label[held], row.surface_part + np.uint8(1)])
     for resolution, grid in sorted(row.occupancy.items()):
         for part in range(len(row.part_motion)):
-            voxels = np.unravel_index(_some(np.flatnonzero(grid == part + 1), 400), grid.shape)
-            centres = (np.stack(voxels, axis=1) + 0.5) / resolution - 0.5
+            voxels = _some(np.flatnonzero(grid == part + 1), 400)
+            centres = voxel_centres(resolution, voxels)
             yield _share(
                 "filling",
                 f"only {{share}} of the voxels of part {part} in occupancy_{resolution} are where "
@@ -575,13 +574,6 @@ def _queries(row: Instance) -> tuple[Floats, NDArray[np.uint8]]:
 def _some(rows: NDArray[Any], most: int = 1000) -> NDArray[Any]:
     """At most so many of the rows, spread evenly: enough for a share."""
     return rows[:: len(rows) // most + 1]
-
-
-@cache
-def _centres(resolution: int) -> Floats:
-    """Voxel centres (R^3, 3), x slowest."""
-    at = (np.arange(resolution) + 0.5) / resolution - 0.5
-    return np.stack(np.meshgrid(at, at, at, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 @numba.njit(cache=True, nogil=True)
