@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.articulation import forward_kinematics
-from articugen.geometry import apply
+from articugen.geometry import apply, points_on_triangles
 from articugen.records import ArticulatedObject, Floats, JointState
 from articugen.sources.procedural import write_object
 from articugen.sources.procedural.model import Model
@@ -64,11 +64,7 @@ def surface_points(
 ) -> Floats:
     """Points on a link's mesh, uniform by area, and all its vertices; in the link's frame."""
     mesh = obj.links[obj.link_index[link]].mesh
-    a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    face = rng.choice(len(area), count, p=area / area.sum())
-    w = rng.dirichlet([1.0, 1.0, 1.0], count)
-    on_faces = a[face] * w[:, :1] + b[face] * w[:, 1:2] + c[face] * w[:, 2:]
+    on_faces, _ = points_on_triangles(mesh.vertices[mesh.faces], count, rng=rng)
     return np.concatenate([on_faces, mesh.vertices])
 
 
