@@ -9,8 +9,8 @@ from articugen.articulation import canonical_state, resolve, sample_joint_state
 from articugen.recipe import load_recipe
 from articugen.records import ArticulatedObject, Floats
 from articugen.seeding import generator
-from articugen.sources.procedural import CATEGORIES, object_id
-from tests.procedural_truth import crossings, written
+from articugen.sources.procedural import CATEGORIES
+from tests.procedural_truth import crossings, object_id, written
 
 SAMPLE = [(c, object_id(c, k)) for c in CATEGORIES for k in (5, 10, 17)]
 

@@ -12,9 +12,10 @@ from articugen.errors import InvalidSource
 from articugen.geometry import apply
 from articugen.records import Floats
 from articugen.seeding import generator
-from articugen.sources.procedural import build_model, object_id, write_object, writer
-from articugen.sources.procedural.model import Model, ModelJoint, ModelLink
-from articugen.sources.procedural.solids import (
+from articugen.sources.procedural import build_model, write_object
+from articugen.sources.procedural.kit import writer
+from articugen.sources.procedural.kit.model import Model, ModelJoint, ModelLink
+from articugen.sources.procedural.kit.solids import (
     box,
     prism,
 )
@@ -23,6 +24,7 @@ from tests.procedural_truth import (
     assert_sound,
     is_closed,
     link_frames,
+    object_id,
     random_state,
     truth_of,
     written,

@@ -11,15 +11,10 @@ from pathlib import Path
 from articugen.errors import InvalidSource
 from articugen.seeding import generator
 from articugen.sources.procedural.cache import stored
-from articugen.sources.procedural.model import Model
-from articugen.sources.procedural.writer import URDF_NAME, write_model
+from articugen.sources.procedural.kit.model import Model
+from articugen.sources.procedural.kit.writer import URDF_NAME, write_model
 
 CATEGORIES = ("drawer", "eyeglasses", "laptop", "oven", "washing_machine")
-
-
-def object_id(category: str, index: int) -> str:
-    """The id of a category's object number `index`, for instance "laptop_0003"."""
-    return f"{category}_{index:04d}"
 
 
 def build_model(category: str, object_id: str) -> Model:

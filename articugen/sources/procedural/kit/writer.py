@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from articugen.geometry import Array, apply, cross, invert_rigid, rotation_from_rpy, transform
 from articugen.portable import norm, product, turned
-from articugen.sources.procedural.model import ROOT_NAME, Model, ModelLink
-from articugen.sources.procedural.solids import Solid
+from articugen.sources.procedural.kit.model import ROOT_NAME, Model, ModelLink
+from articugen.sources.procedural.kit.solids import Solid
 
 URDF_NAME = "model.urdf"
 TRUTH_NAME = "solids.json"

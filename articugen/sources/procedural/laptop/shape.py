@@ -6,9 +6,9 @@ import numpy as np
 
 from articugen.geometry import Array
 from articugen.portable import norm
-from articugen.sources.procedural.outlines import rounded_rectangle
+from articugen.sources.procedural.kit import MM
+from articugen.sources.procedural.kit.outlines import rounded_rectangle
 
-MM = 1e-3
 SLIT = 0.7 * MM
 """Between the knuckles of a hinge, and what must stay free around it."""
 
