@@ -18,7 +18,7 @@ from articugen.sources.procedural.drawer.furniture import (
     support,
     top,
 )
-from articugen.sources.procedural.drawer.layouts import LAYOUTS
+from articugen.sources.procedural.drawer.layouts import draw_layout
 from articugen.sources.procedural.kit import GAP
 from articugen.sources.procedural.kit.model import Model, ModelJoint, ModelLink
 from articugen.sources.procedural.kit.parts import (
@@ -67,7 +67,7 @@ class Style:
 
 def build(rng: np.random.Generator) -> Model:
     """One object: links body and drawer_0 to drawer_2."""
-    layout = LAYOUTS[rng.integers(len(LAYOUTS))](rng)
+    layout = draw_layout(rng)
     width, depth, height = layout.size
     extent = max(width, height, 1.9 * depth)
     board = rng.uniform(0.017, 0.025) * extent

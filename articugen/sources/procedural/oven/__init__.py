@@ -22,7 +22,7 @@ from articugen.sources.procedural.kit.parts import (
     tapered,
 )
 from articugen.sources.procedural.kit.solids import Solid, along_x, box, prism, ring
-from articugen.sources.procedural.oven.plans import STYLES, Oven
+from articugen.sources.procedural.oven.plans import Oven, draw_plan
 from articugen.sources.procedural.oven.stovetop import back_guard, control_panel, cooktop
 
 _CORNER = 0.06
@@ -31,7 +31,7 @@ _CORNER = 0.06
 
 def build(rng: np.random.Generator) -> Model:
     """One object: links body and door."""
-    oven = STYLES[rng.integers(len(STYLES))](rng)
+    oven = draw_plan(rng)
     opening, back = _cavity(rng, oven)
     pull = _pull(rng, oven)
     body = [*_casing(oven, opening, back), *_furnishings(rng, oven, opening, back), *_feet(oven)]
