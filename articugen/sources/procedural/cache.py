@@ -26,7 +26,7 @@ from articugen.store.files import cannot_write, make_folder, read_regular, sync
 SEAL_NAME = "seal.json"
 
 _PACKAGE = Path(__file__).resolve().parents[2]
-_CODE = ("sources/procedural", "geometry.py", "portable.py", "seeding.py")
+_CODE = ("sources/procedural", "geometry.py", "model_text.py", "portable.py", "seeding.py")
 """What makes models, below the package."""
 
 _WORK = re.compile(r"\.[a-z_]+_[0-9]{4,9}\.[a-z0-9_]{8}")
