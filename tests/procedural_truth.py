@@ -10,12 +10,17 @@ from articugen.articulation import forward_kinematics
 from articugen.geometry import apply, points_on_triangles
 from articugen.records import ArticulatedObject, Floats, JointState
 from articugen.sources.procedural import write_object
-from articugen.sources.procedural.model import Model
-from articugen.sources.procedural.solids import Solid
+from articugen.sources.procedural.kit.model import Model
+from articugen.sources.procedural.kit.solids import Solid
 from articugen.sources.procedural.truth import Truth, load_truth
 from articugen.sources.urdf import load_urdf
 
 L_SHAPE = np.array([(0, 0), (3, 0), (3, 1), (1, 1), (1, 3), (0, 3)], dtype=float)
+
+
+def object_id(category: str, index: int) -> str:
+    """The id of a category's object number `index`, for instance "laptop_0003"."""
+    return f"{category}_{index:04d}"
 
 
 def written(

@@ -29,9 +29,9 @@ from articugen.records import (
     is_material,
 )
 from articugen.sources import registry
-from articugen.sources.procedural import CATEGORIES, object_id
+from articugen.sources.procedural import CATEGORIES
 from articugen.sources.procedural.truth import Truth, load_truth
-from tests.procedural_truth import heights, written
+from tests.procedural_truth import heights, object_id, written
 from tests.shapes import iou, towards_cameras
 
 Bools = NDArray[np.bool_]

@@ -26,7 +26,7 @@ from articugen.store.files import cannot_write, make_folder, read_regular, sync
 SEAL_NAME = "seal.json"
 
 _PACKAGE = Path(__file__).resolve().parents[2]
-_CODE = ("sources/procedural", "geometry.py", "portable.py", "seeding.py")
+_CODE = ("sources/procedural", "geometry.py", "model_text.py", "portable.py", "seeding.py")
 """What makes models, below the package."""
 
 _WORK = re.compile(r"\.[a-z_]+_[0-9]{4,9}\.[a-z0-9_]{8}")
@@ -102,7 +102,7 @@ def _digest(data: bytes) -> str:
 def _code() -> str:
     """The digest of the code that makes models: another version's models are made again."""
     roots = [path for path in (_PACKAGE / name for name in _CODE) if path.exists()]
-    files = [f for root in roots for f in (root.glob("*.py") if root.is_dir() else (root,))]
+    files = [f for root in roots for f in (root.rglob("*.py") if root.is_dir() else (root,))]
     named = sorted((f.relative_to(_PACKAGE).as_posix(), f.read_bytes()) for f in files)
     return _digest(b"".join(name.encode() + b"\0" + data + b"\0" for name, data in named))
 
