@@ -180,7 +180,7 @@ def with_settings(recipe: Model, texts: Sequence[str]) -> Model:
         for name in reversed(sections):
             setting = {name: setting}
         data = _merged(data, setting)
-    return validated(type(recipe), data, f"--set {' '.join(texts)}"[:200])
+    return validated(type(recipe), data, " ".join(f"--set {text}" for text in texts)[:200])
 
 
 def validated(model: type[Model], data: dict[str, Any], where: str) -> Model:
