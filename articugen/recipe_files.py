@@ -199,7 +199,7 @@ def validated(model: type[Model], data: dict[str, Any], where: str) -> Model:
             hint = _nearest_key(model, first["loc"])
             raise InvalidRecipe(f"{where}: unknown key {key[:100]!r}{hint}") from None
         message = first["msg"].removeprefix("Value error, ")
-        raise InvalidRecipe(f"{where}: {key or 'the recipe'}: {message}") from None
+        raise InvalidRecipe(": ".join(filter(None, (where, key, message)))) from None
     except OverflowError:  # pydantic's, of an integer that no float can hold
         raise InvalidRecipe(f"{where}: a number is too large; write a smaller one") from None
 

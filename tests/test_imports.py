@@ -64,7 +64,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "store.chunks": set(),
     "store.shards": {"errors", "records", "store.files", "store.schema", "store.chunks"},
     "store.manifest": {"errors", "store.files", "store.schema", "store.shards"},
-    "store.journal": {"errors", "store.files", "store.manifest"},
+    "store.journal": {"errors", "store.files", "store.manifest", "store.shards"},
     "store.cleaning": {"store.journal"},
     # what reads it
     "verify": set(),
@@ -78,6 +78,7 @@ MAY_IMPORT: dict[str, set[str]] = {
         "errors",
         "records",
         "recipe",
+        "recipe_files",
         "store",
         "sources",
         "pipeline",

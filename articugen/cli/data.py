@@ -364,9 +364,11 @@ def verify(
                 out.print(f"[red]✗[/] {folder}: {escape(str(finding))}", soft_wrap=True)
             if not findings:
                 replayed = f"; {again} came out the same, made again" if again else ""
+                more = len(report.extended)
+                theirs = f"; {more} with a group 'user', which was not looked at" if more else ""
                 out.print(
                     f"[green]✓[/] {folder}: {report.shards} shards, {report.instances:,} instances"
-                    f" are as they were made{replayed}",
+                    f" are as they were made{theirs}{replayed}",
                     soft_wrap=True,
                 )
             sound = sound and not findings

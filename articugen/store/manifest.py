@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from articugen import __version__
 from articugen.errors import CorruptShard, printable
-from articugen.store.files import UnfitFile, read_regular, write_atomically
+from articugen.store.files import UnfitFile, read_regular, sha256_of, write_atomically
 from articugen.store.schema import SCHEMA_VERSION
 from articugen.store.shards import ShardRecord, content_sha256
 
@@ -91,6 +91,14 @@ class ShardEntry(_Record):
     sha256: Sha256
     bytes: int = Field(gt=0)
     instances: int = Field(gt=0)
+
+    def is_of(self, path: Path) -> bool:
+        """Whether the file has this size and digest.
+
+        Raises:
+            OSError: it is not there, or cannot be read.
+        """
+        return path.stat().st_size == self.bytes and sha256_of(path) == self.sha256
 
 
 class ObjectEntry(_Record):
