@@ -67,7 +67,10 @@ MAY_IMPORT: dict[str, set[str]] = {
     "store.cleaning": {"store.journal"},
     # what reads it
     "verify": set(),
-    "verify.invariants": VOCABULARY,
+    "verify.bounds": set(),
+    "verify.exact": VOCABULARY | {"verify.bounds"},
+    "verify.sampled": VOCABULARY | {"verify.bounds"},
+    "verify.invariants": VOCABULARY | {"verify.exact", "verify.sampled"},
     "verify.dataset": VOCABULARY | {"store", "verify.invariants", "workers"},
     "verify.replay": VOCABULARY
     | {"store", "sources", "articulation", "fusion", "instance", "pipeline", "verify"},
