@@ -9,7 +9,7 @@ import trimesh
 
 from articugen import articulation
 from articugen.errors import ArticugenError, InvalidSource
-from articugen.fusion.field import pixel_width
+from articugen.fusion import pixel_width
 from articugen.fusion.isosurface import extract_mesh
 from articugen.instance import Prepared, make_instance, pose, prepare
 from articugen.pipeline import generator_version
