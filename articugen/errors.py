@@ -79,14 +79,14 @@ def machine_fault(error: BaseException) -> MachineFault | MemoryError | None:
     for cause in _behind(error):
         if isinstance(cause, MachineFault | MemoryError):
             return cause
-        told = str(cause)
+        text = str(cause)
         if isinstance(cause, ImportError) and any(
-            words in told for words in _NO_LIBRARY_FOR_WANT_OF_MEMORY
+            words in text for words in _NO_LIBRARY_FOR_WANT_OF_MEMORY
         ):
-            return MemoryError(told)
+            return MemoryError(text)
         if isinstance(cause, OSError):
             if cause.errno == errno.ENOMEM:
-                return MemoryError(told)
+                return MemoryError(text)
             cure = _MACHINE.get(cause.errno or 0)
             if cure is not None:
                 where = f"{cause.filename}: " if cause.filename else ""

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import articugen
+from articugen import fusion
 from articugen.content import STAGES as DECLARED
 
 PACKAGE = Path(articugen.__file__).parent
@@ -70,7 +71,10 @@ MAY_IMPORT: dict[str, set[str]] = {
     "store.cleaning": {"store.journal"},
     # what reads it
     "verify": set(),
-    "verify.invariants": VOCABULARY,
+    "verify.bounds": set(),
+    "verify.exact": VOCABULARY | {"verify.bounds"},
+    "verify.sampled": VOCABULARY | {"verify.bounds"},
+    "verify.invariants": VOCABULARY | {"verify.exact", "verify.sampled"},
     "verify.dataset": VOCABULARY | {"store", "verify.invariants", "workers"},
     "verify.replay": VOCABULARY
     | {"store", "sources", "articulation", "fusion", "instance", "pipeline", "verify"},
@@ -147,6 +151,15 @@ def test_a_module_imports_only_what_it_may(module: str) -> None:
             assert any(f"{rest}.".startswith(f"{a}.") for a in allowed), f"{module} imports {name}"
         elif top not in sys.stdlib_module_names | EVERYWHERE:
             assert module in FOREIGN.get(top, set()), f"{module} imports {name}"
+
+
+def test_nobody_reaches_into_fusion_past_its_door() -> None:
+    door = set(fusion.__all__) | {"isosurface"}
+    for module in modules():
+        if module.split(".")[0] != "fusion":
+            for name in imports(module):
+                inner = name.removeprefix("articugen.fusion.")
+                assert inner == name or inner.split(".")[0] in door, f"{module} imports {name}"
 
 
 def test_every_module_has_its_place_in_the_picture() -> None:

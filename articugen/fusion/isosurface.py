@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.errors import MissingExtra, RejectedInstance
-from articugen.fusion.field import Field, PosedSolids
+from articugen.fusion.field import FusedField, PosedSolids
 from articugen.geometry import voxel_centres
 from articugen.records import Mesh
 
@@ -14,7 +14,7 @@ _AT_A_TIME = 1 << 20
 """Voxels whose sign is asked at a time."""
 
 
-def extract_mesh(field: Field | PosedSolids, resolution: int) -> Mesh:
+def extract_mesh(field: FusedField | PosedSolids, resolution: int) -> Mesh:
     """The zero level of `field` in the unit cube as a closed mesh, unit frame, faces outwards.
 
     Marching cubes (Lorensen and Cline 1987; scikit-image's, after Lewiner et al. 2003) on the voxel
@@ -47,7 +47,7 @@ def extract_mesh(field: Field | PosedSolids, resolution: int) -> Mesh:
     return Mesh((vertices - 0.5) / resolution - 0.5, faces)
 
 
-def _free(field: Field | PosedSolids, resolution: int) -> NDArray[np.bool_]:
+def _free(field: FusedField | PosedSolids, resolution: int) -> NDArray[np.bool_]:
     """(R, R, R) of the voxels' centres."""
     voxels = np.arange(resolution**3)
     free = [
