@@ -60,16 +60,20 @@ def test_a_model_is_sound_and_stands_on_the_floor(category: str) -> None:
 
 
 @pytest.fixture
-def chest(monkeypatch: pytest.MonkeyPatch) -> str:
-    """The category that the docs add: its module and its line, as they stand there."""
+def chest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The category that the docs add, by the very snippets that stand there."""
     (page,) = (p for p in DOCS.glob("extending*.md") if "\n## A category" in f"\n{p.read_text()}")
     section = f"\n{page.read_text()}".partition("\n## A category")[2].partition("\n## ")[0]
-    module, line = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
+    module, look, line = re.findall(r"```python.*?\n(.*?)```", section, re.DOTALL)
     made = ModuleType("articugen.sources.procedural.chest")
     exec(module, made.__dict__)
     monkeypatch.setitem(sys.modules, made.__name__, made)
+    monkeypatch.setitem(sys.modules, "chest", made)
     monkeypatch.setitem(procedural.CATEGORIES, "chest", {})  # taken away again after the test
-    exec(line, {"CATEGORIES": procedural.CATEGORIES})
+    monkeypatch.chdir(tmp_path)
+    exec(look, {})
+    assert (tmp_path / "chest_0000" / "model.urdf").is_file()
+    exec(line, {})
     return "chest"
 
 
@@ -80,7 +84,7 @@ def test_the_category_of_the_docs_is_like_any_other(
     monkeypatch.setenv("ARTICUGEN_SOURCES", str(tmp_path))
     for index in range(10):
         assert_sound(build_model(chest, object_id(chest, index)))
-    assert_parts_keep_clear(chest, object_id(chest, 0), tmp_path)
+    assert_parts_keep_clear(chest, object_id(chest, 1), tmp_path)
     (info,) = (i for i in registry.source_names() if i.name == "procedural_messy")
     assert [(c.train, c.test) for c in info.categories if c.name == chest] == [(8, 2)]
     refs = registry.object_refs("procedural_messy", chest)
