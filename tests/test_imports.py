@@ -14,8 +14,8 @@ from articugen.pipeline import GENERATING_CODE
 PACKAGE = Path(articugen.__file__).parent
 
 VOCABULARY = {
-    "bundled", "errors", "geometry", "portable", "recipe", "recipe_files", "records", "seeding",
-    "store.files", "store.schema",
+    "bundled", "errors", "geometry", "plugins", "portable", "recipe", "recipe_files", "records",
+    "seeding", "store.files", "store.schema",
 }  # fmt: skip
 """What everybody speaks; the two of the store are what recipes are checked against and read by."""
 
@@ -36,12 +36,14 @@ MAY_IMPORT: dict[str, set[str]] = {
     # the vocabulary
     "errors": set(),
     "bundled": set(),
+    "plugins": {"errors"},
     "portable": set(),
     "seeding": set(),
     "geometry": {"portable"},
     "records": {"geometry", "portable"},
     "recipe_files": {"bundled", "errors", "store.files"},
-    "recipe": {"bundled", "errors", "recipe_files", "store.schema"},
+    "rendering.backends": {"plugins", "recipe_files", "records"},
+    "recipe": {"bundled", "errors", "recipe_files", "rendering.backends", "store.schema"},
     # the stages, none of which knows another
     **dict.fromkeys(STAGES, VOCABULARY),
     "fusion.bvh": VOCABULARY,
@@ -188,6 +190,6 @@ def test_the_core_needs_no_optional_library() -> None:
 
 def test_all_code_that_decides_numbers_counts_in_the_generators_version() -> None:
     """What an instance is made by, as far as it is ours and no mere reader of files or errors."""
-    vocabulary = VOCABULARY - {"bundled", "errors", "store.files"}
+    vocabulary = VOCABULARY - {"bundled", "errors", "plugins", "store.files"}
     needed = STAGES | {name.split(".")[-1] for name in vocabulary} | {"instance"}
     assert {Path(name).stem for name in GENERATING_CODE} == needed

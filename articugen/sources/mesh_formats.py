@@ -14,7 +14,6 @@ from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from articugen.errors import InvalidSource, machine_fault
@@ -157,10 +156,12 @@ def read_gltf(data: bytes, path: Path, files: ModelFiles) -> _Arrays:
 
 
 def _through_trimesh(data: bytes, path: Path, **options: Any) -> _Arrays:
+    import trimesh  # noqa: PLC0415 - takes a second, and most models have no such files
+
     file_type = path.suffix.lower().lstrip(".")
     try:
         scene = trimesh.load_scene(io.BytesIO(data), file_type=file_type, process=False, **options)
-        return _baked(scene, path)
+        return _baked(scene, path, trimesh.Trimesh)
     except (InvalidSource, MemoryError):
         raise
     except Exception as error:  # whatever a foreign parser meets in a broken file
@@ -171,8 +172,9 @@ def _through_trimesh(data: bytes, path: Path, **options: Any) -> _Arrays:
         raise _broken(path, f"cannot be read as {path.suffix[1:].upper()} ({reason})") from None
 
 
-def _baked(scene: trimesh.Scene, path: Path) -> _Arrays:
-    """All triangles of a scene in its world frame; mirrored nodes keep their outside outside."""
+def _baked(scene: Any, path: Path, kind: type) -> _Arrays:
+    """All triangles of a scene in its world frame, of geometries of that `kind`; mirrored nodes
+    keep their outside outside."""
     vertices: list[NDArray[np.float64]] = [np.zeros((0, 3))]
     faces: list[NDArray[np.int64]] = [np.zeros((0, 3), np.int64)]
     offset = total = 0
@@ -181,7 +183,7 @@ def _baked(scene: trimesh.Scene, path: Path) -> _Arrays:
         # single precision, as these formats': trimesh's last bits depend on the processor
         T = T.astype(np.float32).astype(np.float64)
         mesh = scene.geometry[name]
-        if not isinstance(mesh, trimesh.Trimesh):
+        if not isinstance(mesh, kind):
             continue
         own = np.asarray(mesh.faces, np.int64).reshape(-1, 3)
         if own.size and (own.min() < 0 or own.max() >= len(mesh.vertices)):
