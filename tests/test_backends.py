@@ -152,6 +152,30 @@ def test_the_face_seen_lies_on_the_side_that_the_ray_enters(backend, projection)
 
 
 @both_projections
+def test_the_part_that_each_pixel_shows_is_known_of_every_backend(backend, projection):
+    """Of two boxes, one in front of the other from some sides: the nearest by the naive caster."""
+    pieces = [box(), labelled(box().vertices * 0.5 + (0.3, 0.2, -0.1), box().faces)]
+    mesh = LabelledMesh(
+        np.concatenate([piece.vertices for piece in pieces]),
+        np.concatenate([pieces[0].faces, pieces[1].faces + 8]),
+        np.repeat([0, 3], 12).astype(np.uint8),
+    )
+    views = cameras(projection)
+    maps = BACKENDS[backend].render_parts(mesh, views)
+    whole = render(mesh, views, backend=backend)
+    np.testing.assert_array_equal(maps.face >= 0, np.isfinite(maps.depth))
+    seen = np.isfinite(whole.depth)
+    np.testing.assert_array_equal(np.isfinite(maps.depth), seen)
+    assert np.percentile(np.abs(maps.depth[seen] - whole.depth[seen]), 99) < TOLERANCE[backend]
+    for k in range(len(views)):
+        alone = [soup_depth(piece, *rays(views, k)) for piece in pieces]
+        nearest = np.where(alone[1] < alone[0], 3, 0)
+        at = (maps.face[k] >= 0) & np.isfinite(np.minimum(*alone))
+        assert {0, 3} == set(nearest[at])
+        assert (mesh.part_of_face[maps.face[k][at]] == nearest[at]).mean() > 0.995
+
+
+@both_projections
 def test_depth_of_a_sphere_lies_between_its_in_and_circumscribed_ones(backend, projection):
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=0.4)
     inner = np.einsum("ij,ij->i", sphere.triangles_center, sphere.face_normals).min()

@@ -1,4 +1,4 @@
-"""The table of layouts: one that another package adds, packages that are broken, any one model."""
+"""What other packages add: layouts and renderers; packages that are broken; any one model."""
 
 import json
 import logging
@@ -14,6 +14,10 @@ import pytest
 
 from articugen import plugins
 from articugen.errors import BrokenPlugin, InvalidSource
+from articugen.recipe import ViewSettings
+from articugen.records import LabelledMesh
+from articugen.rendering import render
+from articugen.rendering.views import fusion_views
 from articugen.sources import readers, registry
 from articugen.sources.readers import READERS, Maker
 from articugen.sources.source_file import read_source_file
@@ -218,6 +222,24 @@ def test_ours_say_what_they_are() -> None:
     for each in READERS.values():
         assert each.detect(Path(__file__)) is None
         assert each.find(Path(__file__).parent) == []
+
+
+def test_a_package_adds_a_renderer(install: Install) -> None:
+    code = (
+        "from articugen.rendering import rasterizer\n"
+        "from articugen.rendering.backends import Backend\n"
+        "def render(mesh, views): return rasterizer.render(mesh, views)\n"
+        "TABLE = Backend('fancy', tells_faces=True)\n"
+    )
+    install("fancy-renderer", "fancy", code, group="backends", fancy="fancy:TABLE")
+    assert ViewSettings.model_validate({"backend": "fancy"}).backend == "fancy"
+    mesh = LabelledMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], np.zeros(1, np.uint8))
+    views = fusion_views(ViewSettings(count=4, resolution=16), np.array([[0, 0, 0], [1, 1, 1]]))
+    theirs = render(mesh, views, backend="fancy")
+    np.testing.assert_array_equal(theirs.depth, render(mesh, views).depth)
+    install("no-renderer", "dull", "render = 1", group="backends", dull="dull")
+    with pytest.raises(BrokenPlugin, match=r"package no-renderer: .* has no render_parts"):
+        render(mesh, views, backend="dull")
 
 
 # --- any one model by its path
