@@ -37,6 +37,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
     "bundled": set(),
     "plugins": {"errors"},
+    "ply": set(),
     "portable": set(),
     "seeding": set(),
     "geometry": {"portable"},
@@ -46,6 +47,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "recipe": {"bundled", "errors", "recipe_files", "rendering.backends", "store.schema"},
     # the stages, none of which knows another
     **dict.fromkeys(STAGES, VOCABULARY),
+    "sources": VOCABULARY | {"ply"},
     "fusion.bvh": VOCABULARY,
     "fusion.kernels": VOCABULARY | {"fusion.bvh"},
     "fusion.winding": VOCABULARY | {"fusion.bvh"},
@@ -74,7 +76,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "verify.replay": VOCABULARY
     | {"store", "sources", "articulation", "fusion", "instance", "pipeline", "verify"},
     "inspection": VOCABULARY | {"store", "rendering"},
-    "learning": VOCABULARY | {"store", "inspection", "workers"},
+    "learning": VOCABULARY | {"store", "inspection", "workers", "ply"},
     "cli": {
         "errors",
         "records",

@@ -7,7 +7,6 @@ in; materials and textures are not read. `meshes.checked` sees the result.
 import io
 import json
 import os
-import re
 import struct
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from articugen.errors import InvalidSource, machine_fault
 from articugen.geometry import apply
+from articugen.ply import claimed_rows
 from articugen.sources.model_files import ModelFiles, quoted
 from articugen.sources.xml_strict import parse_xml, tostring
 
@@ -27,20 +27,16 @@ MAX_VERTICES = 3 * MAX_FACES
 
 _MAX_NODES = 10_000  # of a scene
 _MAX_DEPTH = 100  # of nodes that instance others
-_MAX_HEADER = 2**16  # bytes of a PLY's
 
 _Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
 
 
 def read_ply(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
-    """PLY, ASCII or binary. Each row takes at least one byte a property, so a header cannot claim
-    more rows than the file has bytes."""
-    header = data[: data.find(b"end_header", 0, _MAX_HEADER) + 1].decode("ascii", "replace")
-    if not header.startswith("ply"):
-        raise _broken(path, "has no PLY header")
-    claimed = {name: float(count) for name, count in re.findall(r"element (\w+) (\d+)", header)}
-    if any(count > len(data) for count in claimed.values()):
-        raise _broken(path, "its PLY header claims more than the file holds")
+    """PLY, ASCII or binary."""
+    try:
+        claimed = claimed_rows(data)
+    except ValueError as error:
+        raise _broken(path, str(error)) from None
     check_size(path, faces=claimed.get("face", 0), vertices=claimed.get("vertex", 0))
     vertices, faces = _through_trimesh(data, path, skip_materials=True)
     if len(vertices) < claimed.get("vertex", 0) or len(faces) < claimed.get("face", 0):
@@ -156,7 +152,7 @@ def read_gltf(data: bytes, path: Path, files: ModelFiles) -> _Arrays:
 
 
 def _through_trimesh(data: bytes, path: Path, **options: Any) -> _Arrays:
-    import trimesh  # noqa: PLC0415 - takes a second, and most models have no such files
+    import trimesh  # noqa: PLC0415 - takes a second, and many commands read no mesh
 
     file_type = path.suffix.lower().lstrip(".")
     try:
