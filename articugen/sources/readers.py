@@ -47,7 +47,14 @@ class Reader(Protocol):
 
 @runtime_checkable
 class Maker(Reader, Protocol):
-    """A reader whose objects are made on demand, any number of each category."""
+    """A reader whose objects are made on demand, any number of each category.
+
+    Attributes:
+        CATEGORIES: what it can make, of a source.yaml that names no categories: how many objects
+            each split has unless more are asked for.
+    """
+
+    CATEGORIES: Mapping[str, Mapping[str, int]]
 
     def object_id(self, category: str, index: int) -> str:
         """The id of object number `index`, from 0."""

@@ -1,12 +1,13 @@
 """The schema of `urdf_sources/<source>/source.yaml`, which describes one source."""
 
 from pathlib import Path
+from typing import Any
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from articugen.errors import InvalidSource
 from articugen.recipe_files import Section, nearest, read_yaml
-from articugen.sources.readers import Maker, check_name, reader
+from articugen.sources.readers import Maker, check_name, names, reader
 from articugen.sources.refs import CategorySettings
 
 
@@ -22,7 +23,7 @@ class SourceFile(Section):
         messy: (procedural only) write the objects as badly as real data come.
         path: the folder of the models, absolute or relative to source.yaml; by default
             $ARTICUGEN_SOURCES/<source> where that exists, else the folder of source.yaml.
-        categories: by name.
+        categories: by name; of procedural objects, those that there are if not given.
     """
 
     origin: str
@@ -33,6 +34,13 @@ class SourceFile(Section):
     messy: bool = False
     path: Path | None = None
     categories: dict[str, CategorySettings] = Field(min_length=1)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _a_maker_knows_its_categories(cls, data: Any) -> Any:
+        name = data.get("reader") if isinstance(data, dict) else None
+        own = reader(name) if name in names() else None
+        return {"categories": own.CATEGORIES, **data} if isinstance(own, Maker) else data
 
     @field_validator("reader")
     @classmethod

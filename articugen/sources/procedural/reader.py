@@ -8,6 +8,8 @@ from articugen.sources import procedural
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.urdf import load_urdf
 
+CATEGORIES = procedural.CATEGORIES
+
 
 def detect(path: Path) -> Found | None:
     """None: what was written of them reads as any URDF does."""
