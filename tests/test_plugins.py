@@ -32,7 +32,7 @@ CHESTS = '''
 import numpy as np
 
 from articugen.geometry import transform
-from articugen.records import ArticulatedObject, Joint, Link, Mesh
+from articugen.records import ArticulatedObject, Joint, JointKind, Link, Mesh
 from articugen.sources.folders import visible
 from articugen.sources.meshes import box
 from articugen.sources.model_files import ModelFiles
@@ -62,7 +62,7 @@ def load(ref, settings):
             Link("lid", Mesh(top.vertices + (x / 2, 0, lid / 2), top.faces)),
         ),
         joints=(
-            Joint("hinge", "revolute", "body", "lid", hinge, np.array([0.0, -1.0, 0.0]), 0.0, 2.0),
+            Joint("hinge", JointKind.REVOLUTE, "body", "lid", hinge, np.array([0, -1.0, 0]), 0, 2),
         ),
         T_world_root=settings.turn,
         sha256=files.sha256(),
