@@ -46,6 +46,10 @@ class MissingDriver(ArticugenError):
     """An optional library is installed, but a system library or driver that it needs is not."""
 
 
+class BrokenPlugin(ArticugenError):
+    """What another package adds to articugen cannot be used."""
+
+
 class InvalidCheckpoint(ArticugenError):
     """A checkpoint or run folder is damaged, not one of ours, or of another recipe."""
 

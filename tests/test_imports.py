@@ -15,7 +15,8 @@ from articugen.content import STAGES as DECLARED
 PACKAGE = Path(articugen.__file__).parent
 
 VOCABULARY = {
-    "bundled", "content", "errors", "geometry", "portable", "recipe", "recipe_files", "records",
+    "bundled", "content", "errors", "geometry", "plugins", "portable", "recipe", "recipe_files",
+    "records",
     "seeding", "store.files", "store.schema",
 }  # fmt: skip
 """What everybody speaks; the two of the store are what recipes are checked against and read by."""
@@ -37,6 +38,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     # the vocabulary
     "errors": set(),
     "bundled": set(),
+    "plugins": {"errors"},
+    "ply": set(),
     "content": set(),
     "portable": set(),
     "seeding": set(),
@@ -44,10 +47,11 @@ MAY_IMPORT: dict[str, set[str]] = {
     "records": {"geometry", "portable"},
     "model_text": set(),
     "recipe_files": {"bundled", "errors", "store.files"},
-    "recipe": {"bundled", "errors", "recipe_files", "store.schema"},
+    "rendering.backends": {"plugins", "recipe_files", "records"},
+    "recipe": {"bundled", "errors", "recipe_files", "rendering.backends", "store.schema"},
     # the stages, none of which knows another
     **dict.fromkeys(STAGES, VOCABULARY),
-    "sources": VOCABULARY | {"model_text"},
+    "sources": VOCABULARY | {"model_text", "ply"},
     "fusion.bvh": VOCABULARY,
     "fusion.kernels": VOCABULARY | {"fusion.bvh"},
     "fusion.winding": VOCABULARY | {"fusion.bvh"},
@@ -79,7 +83,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "verify.replay": VOCABULARY
     | {"store", "sources", "articulation", "fusion", "instance", "pipeline", "verify"},
     "inspection": VOCABULARY | {"store", "rendering"},
-    "learning": VOCABULARY | {"store", "inspection", "workers", "model_text"},
+    "learning": VOCABULARY | {"store", "inspection", "workers", "model_text", "ply"},
     "cli": {
         "errors",
         "records",

@@ -1,7 +1,6 @@
 """Clouds to make predictions from: an instance of a shard, or a file of points."""
 
 import io
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ import trimesh
 
 from articugen.errors import InvalidSource
 from articugen.learning.evaluation.surfaces import Floats, sample
+from articugen.ply import claimed_rows
 from articugen.records import Normalization, dequantize
 from articugen.seeding import generator
 from articugen.store.shards import Shard, open_shard
@@ -154,14 +154,11 @@ def _text(vector: Floats) -> str:
 
 def _ply(data: bytes) -> Any:
     """Vertices; where there are faces, points spread over them."""
-    header = data[: data.find(b"end_header") + 1].decode("ascii", "replace")
-    claimed = dict(re.findall(r"element (\w+) (\d+)", header))
-    if "vertex" not in claimed or int(claimed["vertex"]) > len(data):
-        raise ValueError("no PLY header that fits the file")
+    claimed = claimed_rows(data)
     found: Any = trimesh.load(io.BytesIO(data), file_type="ply", process=False)
     if len(getattr(found, "faces", ())):
         return sample(np.asarray(found.triangles), _POINTS_ON_A_MESH, generator(0, "cloud of mesh"))
-    if len(found.vertices) < int(claimed["vertex"]):
+    if len(found.vertices) < claimed.get("vertex", 1):
         raise ValueError("cut short")
     return found.vertices
 
