@@ -2,7 +2,6 @@
 
 # Everything heavy is imported where it is used: --help should not wait for torch.
 # ruff: noqa: PLC0415
-import json
 import os
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -179,6 +178,7 @@ def evaluate(
         from articugen.learning.evaluation.evaluate import Protocol
         from articugen.learning.evaluation.evaluate import evaluate as run_evaluation
         from articugen.learning.evaluation.report import markdown
+        from articugen.learning.evaluation.results import EvaluatedRun, RunEvaluation
         from articugen.learning.ppd import release
         from articugen.learning.ppd.depth import DEPTH, read_depth_model, seen_by_a_camera
         from articugen.learning.ppd.reconstruct import reconstruction_from
@@ -209,26 +209,28 @@ def evaluate(
                 category=checkpoint.category,
                 on_object=lambda name: status.update(f"evaluated {name}"),
             )
-            result = measure(lambda instance: see(dequantize(instance.surface_points)))
+            measured = measure(lambda instance: see(dequantize(instance.surface_points)))
+            by_depth = None
             if (folder / DEPTH).is_file():
                 model = read_depth_model(folder, checkpoint)
                 look = reconstruction_from(checkpoint, resolution or 32, meshes, model=model)
-                result["depth_input"] = measure(lambda instance: look(seen_by_a_camera(instance)))
+                by_depth = measure(lambda instance: look(seen_by_a_camera(instance)))
         asked = {"protocol": protocol, "label_poses": label_poses, "resolution": resolution or 32}
-        result = {"run": about(checkpoint) | asked, **result}
+        evaluated = EvaluatedRun(**about(checkpoint), **asked)
+        result = RunEvaluation(run=evaluated, depth_input=by_depth, **dict(measured))
         table = markdown(result)
         out = folder / ("evaluation" if protocol == "paper" else f"evaluation-{protocol}")
         out.mkdir(exist_ok=True)
-        text = json.dumps(result, indent=1) + "\n"
-        write_atomically(out / "evaluation.json", text.encode())
+        result.write(out)
         write_atomically(out / "evaluation.md", table.encode())
         _out.print(table, soft_wrap=True, markup=False)
         _out.print(f"written: {out}/evaluation.json, evaluation.md", soft_wrap=True)
         if figures and protocol == "paper":
             from articugen.learning.evaluation.figures.draw import draw_figures
+            from articugen.learning.ppd.drawing import drawable
 
-            fine = min(4 * (resolution or 32), 128)
-            drawn = draw_figures(out, RunFolder(folder), data, checkpoint, result, resolution=fine)
+            model = drawable(checkpoint, min(4 * (resolution or 32), 128))
+            drawn = draw_figures(out, RunFolder(folder).metrics(), data, model, result)
             with _err.status("drawing ..."):
                 for path in drawn:
                     _out.print(f"drawn: {path}", soft_wrap=True)
@@ -239,10 +241,10 @@ def tables(
 ) -> None:
     """Print the paper's tables over several evaluated runs: categories, ablations, inputs."""
     with _said():
-        from articugen.learning.evaluation.report import read_result
         from articugen.learning.evaluation.report import tables as written
+        from articugen.learning.evaluation.results import read_evaluation
 
-        results = [read_result(_newest(run)) for run in runs]
+        results = [read_evaluation(_newest(run)) for run in runs]
         _out.print(written(results), soft_wrap=True, markup=False)
 
 
@@ -264,6 +266,7 @@ def predict(
     with _said():
         _prepare()
         from articugen.learning.clouds import cloud_of_file, cloud_of_shard
+        from articugen.learning.evaluation.reconstruction import KIND_NAMES
         from articugen.learning.ppd.depth import read_depth_model
         from articugen.learning.ppd.reconstruct import reconstruction_from
         from articugen.learning.predict import write_rig
@@ -282,8 +285,11 @@ def predict(
         found = reconstruction_from(checkpoint, resolution, model=model)(given.points)
         path = write_rig(found, out, frame=given.frame)
         for i in sorted(set(found.part.tolist())):
-            kind = ("fixed", "revolute", "prismatic")[found.kind[i]]
-            state = found.state[i] * (given.frame.scale if kind == "prismatic" else 1.0)
+            if found.joints is None:
+                _out.print(f"part {i}")
+                continue
+            kind = KIND_NAMES[found.joints.kind[i]]
+            state = found.joints.state[i] * (given.frame.scale if kind == "prismatic" else 1.0)
             _out.print(f"part {i}: {kind}, state {state:.3f}")
         _out.print(f"written: {path}", soft_wrap=True)
 

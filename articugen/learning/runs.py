@@ -22,11 +22,10 @@ from torch import Tensor
 from articugen import __version__
 from articugen.errors import ArticugenError, InvalidCheckpoint, InvalidRecipe, MachineFault
 from articugen.learning import processes, tensorboard
-from articugen.learning.evaluation.paper import variant
 from articugen.learning.ppd.discriminator import Discriminator
 from articugen.learning.ppd.learner import Learner
 from articugen.learning.ppd.model import PPD
-from articugen.learning.ppd.settings import TrainRecipe, parse_train_recipe
+from articugen.learning.ppd.settings import TrainRecipe, parse_train_recipe, variant
 from articugen.learning.tensors import CURE, check_adam, check_weights, read_tensors, write_tensors
 from articugen.recipe_files import resolved
 from articugen.store.files import (

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import yaml
 from pydantic import Field, model_validator
 
+from articugen.learning.evaluation.paper import COMPLETE
 from articugen.recipe_files import Section as _Section
 from articugen.recipe_files import find, resolved, validated
 
@@ -260,3 +261,22 @@ def parse_train_recipe(data: dict[str, Any], where: str) -> TrainRecipe:
         InvalidRecipe: an unknown key or a bad value.
     """
     return validated(TrainRecipe, data, where)
+
+
+def variant(recipe: TrainRecipe) -> str:
+    """What Table 5 calls a model trained by this recipe; "w/o A, B" where it has no such row."""
+    losses, model = recipe.losses, recipe.model
+    off = [
+        name
+        for name, is_on in (
+            ("L_vol", losses.vol),
+            ("L_dev", losses.dev),
+            ("L_loc", losses.loc),
+            ("L_var", losses.var_state or losses.var_pivot),
+            ("L_adv_g", losses.adv_g),
+            ("CS", model.common_shape),
+            ("CP", model.common_pose),
+        )
+        if not is_on
+    ]
+    return f"w/o {', '.join(off)}" if off else COMPLETE
