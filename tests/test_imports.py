@@ -24,7 +24,7 @@ STAGES = {"articulation", "swept", "rendering", "fusion", "sampling", "sources"}
 WITH_TORCH = {
     f"learning.{name}"
     for name in (
-        "dataset", "loop", "predict", "processes", "race", "runs", "tensors",
+        "commands", "dataset", "loop", "predict", "processes", "race", "runs", "tensors",
         "evaluation.evaluate", "evaluation.figures.draw", "evaluation.figures.shapes",
         "ppd.depth", "ppd.descent", "ppd.discriminator", "ppd.kinematics", "ppd.learner",
         "ppd.losses", "ppd.model", "ppd.objective", "ppd.reconstruct", "ppd.release", "ppd.shape",
@@ -103,8 +103,7 @@ FOREIGN: dict[str, set[str]] = {
     "pyrender": {"rendering.opengl"},
     "OpenGL": {"rendering.opengl"},
     "sapien": {"rendering.sapien"},
-    "tensorboard": {"learning.tensorboard"},
-    "torch": WITH_TORCH | {"cli.learn"},
+    "torch": WITH_TORCH | {"learning.method", "learning.ppd.method", "learning.tensorboard"},
 }
 """The modules that wrap a library; nobody else imports it."""
 

@@ -7,7 +7,7 @@ pytest.importorskip("torch", reason="PPD needs torch")
 from articugen.errors import InvalidCheckpoint
 from articugen.learning.evaluation import paper
 from articugen.learning.evaluation.report import markdown, read_result, tables
-from articugen.learning.ppd.settings import load_train_recipe, parse_train_recipe
+from articugen.learning.method import load_recipe, parse_recipe
 
 
 def result(category="laptop", variant=paper.COMPLETE, poses="canonical", **means):
@@ -96,12 +96,12 @@ def test_depth_input_has_its_row():
 
 
 def test_recipes_know_their_row():
-    assert paper.variant(load_train_recipe("ppd_paper")) == paper.COMPLETE
-    assert paper.variant(load_train_recipe("ppd_quick")) == "w/o L_adv_g"
-    changed = load_train_recipe("ppd_paper").model_dump(mode="json")
+    assert load_recipe("ppd_paper").variant == paper.COMPLETE
+    assert load_recipe("ppd_quick").variant == "w/o L_adv_g"
+    changed = load_recipe("ppd_paper").plain()
     changed["losses"]["vol"] = 0.0
     changed["model"]["common_pose"] = False
-    assert paper.variant(parse_train_recipe(changed, "changed")) == "w/o L_vol, CP"
+    assert parse_recipe(changed, "changed").variant == "w/o L_vol, CP"
 
 
 def test_a_run_without_evaluation_is_refused(tmp_path):

@@ -3,8 +3,6 @@
 They were measured on the paper's data, so they are a yardstick, not a target to equal.
 """
 
-from articugen.learning.ppd.settings import TrainRecipe
-
 CATEGORIES = ("drawer", "eyeglasses", "oven", "laptop", "washing_machine")
 """The columns of Tables 2 to 4, followed there by their mean."""
 
@@ -72,22 +70,3 @@ ABLATION = {
 INPUTS = {"complete": ("31.42", "80.99", "2.903"), "depth": ("28.99", "80.65", "3.203")}
 """Table 6: F-score, label IoU and EPE, means of the five categories, as printed (Tables 4 and 5
 have another F-score and another EPE)."""
-
-
-def variant(recipe: TrainRecipe) -> str:
-    """What Table 5 calls a model trained by this recipe; "w/o A, B" where it has no such row."""
-    losses, model = recipe.losses, recipe.model
-    off = [
-        name
-        for name, is_on in (
-            ("L_vol", losses.vol),
-            ("L_dev", losses.dev),
-            ("L_loc", losses.loc),
-            ("L_var", losses.var_state or losses.var_pivot),
-            ("L_adv_g", losses.adv_g),
-            ("CS", model.common_shape),
-            ("CP", model.common_pose),
-        )
-        if not is_on
-    ]
-    return f"w/o {', '.join(off)}" if off else COMPLETE

@@ -27,6 +27,7 @@ from articugen.learning.evaluation.evaluate import (
 )
 from articugen.learning.evaluation.metrics import NO_LABEL, Ints
 from articugen.learning.evaluation.surfaces import Floats, sample, surface
+from articugen.learning.ppd.learner import Predictor
 from articugen.learning.ppd.reconstruct import Reconstruction
 from articugen.records import Instance
 from articugen.seeding import generator
@@ -50,7 +51,12 @@ def release_meshes(logits: Floats) -> tuple[list[Floats], Floats]:
     return parts, surface(inside.max(0)).corners - 1.0 / R
 
 
-def evaluate_as_release(
+def reconstruct(learner: Predictor, cloud: Floats, resolution: int) -> Reconstruction:
+    """What is measured here."""
+    return learner.reconstruct(cloud, resolution=resolution, meshes=release_meshes)
+
+
+def evaluate(
     data: Path,
     reconstruct: Reconstruct,
     protocol: Protocol = WHOLE,

@@ -21,14 +21,13 @@ from articugen.learning.evaluation.figures.shapes import (
     reconstructions,
 )
 from articugen.learning.evaluation.surfaces import Floats
+from articugen.learning.ppd.learner import PPDLearner
 from articugen.learning.ppd.reconstruct import (
     REVOLUTE,
+    Reconstruction,
     logits_at,
-    predict,
-    reconstruction_from,
     reconstruction_of,
 )
-from articugen.learning.runs import Checkpoint, RunFolder
 from articugen.records import Instance, dequantize
 
 OBJECTS = 3
@@ -44,9 +43,9 @@ NEAR = 0.01
 
 def draw_figures(
     folder: Path,
-    run: RunFolder,
+    metrics: Sequence[dict[str, Any]],
     data: Path,
-    checkpoint: Checkpoint,
+    learner: PPDLearner,
     result: dict[str, Any],
     *,
     resolution: int,
@@ -54,9 +53,9 @@ def draw_figures(
     """Draw every figure into `folder` and yield its path when it is there.
 
     Args:
-        run: whose metrics are the training curves.
+        metrics: the training curves.
         data: the data set whose test objects are drawn.
-        result: what `evaluate` has returned for this checkpoint.
+        result: what `evaluate` has returned for this learner.
         resolution: of the meshes' grid.
 
     Raises:
@@ -67,22 +66,25 @@ def draw_figures(
         evenly(by_opening(instances), INSTANCES) for instances in objects_of(data, "test", None)
     ]
     path = folder / "curves.png"
-    plots.curves(run.metrics(), path)
+    plots.curves(metrics, path)
     yield path
     path = folder / "joints.png"
     plots.joints(result, COLOURS, path)
     yield path
     path = folder / "fields.png"
-    _fields(path, checkpoint, _half_open(objects[0]), names)
+    _fields(path, learner, _half_open(objects[0]), names)
     yield path
     path = folder / "reconstructions.png"
-    see = reconstruction_from(checkpoint, resolution)
+
+    def see(instance: Instance) -> Reconstruction:
+        return learner.reconstruct(dequantize(instance.surface_points), resolution=resolution)
+
     some = evenly(objects, OBJECTS)
     azimuth = best_azimuth([instances[-1] for instances in some])
-    save(reconstructions(some, lambda i: see(dequantize(i.surface_points)), names, azimuth), path)
+    save(reconstructions(some, see, names, azimuth), path)
     yield path
     path = folder / "interpolations.png"
-    save(_interpolations(checkpoint, objects, names, azimuth, resolution), path)
+    save(_interpolations(learner, objects, names, azimuth, resolution), path)
     yield path
 
 
@@ -90,24 +92,24 @@ def _half_open(instances: Sequence[Instance]) -> Instance:
     return instances[len(instances) // 2]
 
 
-def _cloud(checkpoint: Checkpoint, instance: Instance) -> Floats:
-    return dequantize(instance.surface_points[: checkpoint.recipe.data.surface_points])
+def _cloud(learner: PPDLearner, instance: Instance) -> Floats:
+    return dequantize(instance.surface_points[: learner.points])
 
 
 def _interpolations(
-    checkpoint: Checkpoint,
+    learner: PPDLearner,
     objects: Sequence[Sequence[Instance]],
     names: Names,
     azimuth: float,
     resolution: int,
 ) -> Picture:
     """Between the two objects whose shape codes differ most; from closed to wide open."""
-    model, residual = checkpoint.generator(), checkpoint.residual_direction
-    clouds = [_cloud(checkpoint, _half_open(instances)) for instances in objects]
-    codes = torch.cat([predict(model, cloud, residual).shape.detail.flatten(1) for cloud in clouds])
+    model, residual = learner.model, learner.residual_direction
+    clouds = [_cloud(learner, _half_open(instances)) for instances in objects]
+    codes = torch.cat([learner.predict(cloud).shape.detail.flatten(1) for cloud in clouds])
     one, other = divmod(int(torch.cdist(codes, codes).argmax()), len(codes))
     first = objects[one]
-    opening = (_cloud(checkpoint, first[0]), _cloud(checkpoint, first[-1]))
+    opening = (_cloud(learner, first[0]), _cloud(learner, first[-1]))
     shapes, states = (
         [reconstruction_of(model, prediction, resolution) for prediction in row]
         for row in between(model, (clouds[one], clouds[other]), opening, residual)
@@ -115,20 +117,19 @@ def _interpolations(
     return interpolations(shapes, states, names, first[0], azimuth)
 
 
-def _fields(path: Path, checkpoint: Checkpoint, instance: Instance, names: Names) -> None:
+def _fields(path: Path, learner: PPDLearner, instance: Instance, names: Names) -> None:
     """A slice through all part fields, across the first joint's axis or along its slide."""
     normal, offset = cutting_plane(instance)
     across = [axis for axis in range(3) if axis != normal]
     at = (np.arange(SLICE) + 0.5) / SLICE - 0.5
     points = np.full((SLICE, SLICE, 3), offset)
     points[..., across[0]], points[..., across[1]] = np.meshgrid(at, at, indexing="ij")
-    model = checkpoint.generator()
-    predicted = predict(model, _cloud(checkpoint, instance), checkpoint.residual_direction)
-    logits = logits_at(model, predicted, torch.from_numpy(points.reshape(-1, 3)))
+    predicted = learner.predict(_cloud(learner, instance))
+    logits = logits_at(learner.model, predicted, torch.from_numpy(points.reshape(-1, 3)))
     fields = 1.0 / (1.0 + np.exp(-np.clip(logits, -50.0, 50.0)))
     surface = dequantize(instance.surface_points)
     near = np.abs(surface[:, normal] - offset) < NEAR
-    settings = checkpoint.recipe.model
+    settings = learner.settings.model
     revolute, prismatic = len(settings.revolute), len(settings.prismatic)
     kinds = ["fixed"] + ["revolute"] * revolute + ["prismatic"] * prismatic
     plots.slices(
