@@ -19,8 +19,16 @@ from articugen.inspection.portrait import COLOURS
 from articugen.learning.evaluation.figures import plots
 from articugen.learning.evaluation.figures.colours import UNNAMED, part_colours
 from articugen.learning.evaluation.figures.draw import cutting_plane
-from articugen.learning.evaluation.figures.shapes import Names, between, by_opening, reconstructions
+from articugen.learning.evaluation.figures.shapes import Names, by_opening, reconstructions
+from articugen.learning.evaluation.reconstruction import Reconstruction, truth
+from articugen.learning.evaluation.results import (
+    Evaluation,
+    JointError,
+    JointLine,
+    JointState,
+)
 from articugen.learning.ppd import reconstruct
+from articugen.learning.ppd.drawing import between
 from articugen.learning.ppd.model import PPD
 from articugen.learning.ppd.settings import ModelSettings
 from articugen.learning.runs import RunFolder
@@ -30,7 +38,7 @@ NAMES = Names([0, 1, 2], [0, 1, 2])
 FROM_ABOVE = float(np.radians(35.0))
 
 
-def solid_truth(instance: Instance) -> reconstruct.Reconstruction:
+def solid_truth(instance: Instance) -> Reconstruction:
     """The true boxes as a prediction, as triangles and not as points."""
     unit = Normalization(instance.center, instance.scale)
     triangles, part = [], []
@@ -39,7 +47,7 @@ def solid_truth(instance: Instance) -> reconstruct.Reconstruction:
         triangles.append(apply(instance.part_motion[k], corners))
         part += [k] * len(corners)
     whole = np.concatenate(triangles)
-    found = reconstruct.truth(instance)
+    found = truth(instance)
     return dataclasses.replace(found, triangles=whole, part=np.array(part), whole=whole)
 
 
@@ -72,7 +80,7 @@ def test_nothing_predicted_is_drawn_as_nothing():
     def nothing(instance):
         empty = np.zeros((0, 3, 3))
         return dataclasses.replace(
-            reconstruct.truth(instance), triangles=empty, part=np.zeros(0, int), whole=empty
+            truth(instance), triangles=empty, part=np.zeros(0, int), whole=empty
         )
 
     none = Names([-1, -1, -1], [-1, -1, -1])
@@ -142,9 +150,9 @@ def test_curves_are_those_of_the_metrics_file(tmp_path):
     run.log({"iteration": 30, "validation": {"rec": 0.5, "iou": 0.25}})
     panels, borders = plots.curve_panels(run.metrics())
     assert borders == [20]
-    assert panels[0] == ("$L_{rec}$", [10, 20, 30], [0.1, 0.05, 1.0 / 30.0], True)
+    assert panels[0] == ("rec", [10, 20, 30], [0.1, 0.05, 1.0 / 30.0], True)
     assert panels[2:] == [
-        ("held-out cross-entropy", [30], [0.5], False), ("held-out IoU", [30], [0.25], False)
+        ("held-out rec", [30], [0.5], False), ("held-out iou", [30], [0.25], False)
     ]  # fmt: skip
     for metrics in (run.metrics(), []):
         plots.curves(metrics, tmp_path / "curves.png")
@@ -165,14 +173,14 @@ def test_what_failed_is_never_right():
 
 
 def test_joints_are_drawn_even_if_all_failed(tmp_path):
-    state = {"object": "a", "state_index": 1, "joint": 0, "kind": "revolute", "true": 0.3}
-    error = {**state, "state": None, "direction": None, "axis": None}
-    line = {"joint": 0, "kind": "revolute", "slope": None}
-    result = {
-        "joint_states": [{**state, "predicted": None}],
-        "joint_lines": [line],
-        "joint_errors": [error],
-    }
+    which = {"object": "a", "state_index": 1, "joint": 0, "kind": "revolute"}
+    fit = {"slope": None, "offset": None, "residual": None}
+    result = Evaluation(
+        means={}, votes=(), labels=(0, -1), dominant=(0, -1), objects=1, instances=1,
+        joint_states=(JointState(**which, true=0.3, predicted=None),),
+        joint_lines=(JointLine(joint=0, kind="revolute", states=1, predicted=0, **fit),),
+        joint_errors=(JointError(**which, state=None, direction=None, axis=None),),
+    )  # fmt: skip
     plots.joints(result, COLOURS, tmp_path / "joints.png")
     assert pixels_of(tmp_path / "joints.png").min() < 128
 
@@ -181,10 +189,14 @@ def test_interpolation_holds_what_it_holds():
     torch.manual_seed(0)
     model = PPD(ModelSettings()).eval()
     clouds = [dequantize(i.surface_points) for i in hinged_box()]
-    shapes, states = between(model, (clouds[0], clouds[2]), (clouds[1], clouds[3]), True)
+    openings = [(clouds[1], clouds[0], clouds[3]), (clouds[0], clouds[2], clouds[2])]
+    first, shapes, states = between(model, openings, 5, True)
+    openings = openings if first == 0 else openings[::-1]
     one, other, low, high = (
-        model(torch.as_tensor(clouds[i], dtype=torch.float32)[None]) for i in (0, 2, 1, 3)
-    )  # fmt: skip
+        model(torch.as_tensor(cloud, dtype=torch.float32)[None])
+        for cloud in (openings[0][1], openings[1][1], openings[0][0], openings[0][2])
+    )
+    assert len(shapes) == len(states) == 5
     torch.testing.assert_close(shapes[0].shape.detail, one.shape.detail)
     torch.testing.assert_close(shapes[-1].shape.detail, other.shape.detail)
     assert not torch.equal(shapes[2].shape.detail, one.shape.detail)

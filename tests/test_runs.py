@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from articugen.cli import app
 from articugen.errors import InvalidCheckpoint, MachineFault
-from articugen.learning.evaluation.report import read_result
+from articugen.learning.evaluation.results import read_evaluation
 from articugen.store.files import partial_name
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
@@ -364,11 +364,11 @@ def test_runs_with_other_names_are_no_numbers(boxes, tmp_path):
 def test_evaluations_may_hold_anything(tmp_path, change):
     path = tmp_path / "evaluation" / "evaluation.json"
     path.parent.mkdir()
-    path.write_text(json.dumps(result()))
-    assert read_result(tmp_path)["means"] == result()["means"]
-    changed = change(result())
+    path.write_text(result().model_dump_json())
+    assert read_evaluation(tmp_path) == result()
+    changed = change(result().model_dump(mode="json"))
     path.write_text(changed if isinstance(changed, str) else json.dumps(changed))
-    told = refused(read_result, tmp_path)
+    told = refused(read_evaluation, tmp_path)
     assert f"{path}: not an evaluation (" in told
     assert f"make it with: articugen evaluate {tmp_path}" in told
 

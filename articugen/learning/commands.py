@@ -1,6 +1,5 @@
 """What the commands of learning do, as functions that a notebook can call as well."""
 
-import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
@@ -20,11 +19,12 @@ from articugen.learning import loop, processes, tensorboard
 from articugen.learning.clouds import Cloud, cloud_of_file, cloud_of_shard, seen_by_a_camera
 from articugen.learning.evaluation.evaluate import Protocol
 from articugen.learning.evaluation.evaluate import evaluate as evaluate_as_paper
-from articugen.learning.evaluation.report import markdown, read_result
+from articugen.learning.evaluation.reconstruction import KIND_NAMES, Reconstruction
+from articugen.learning.evaluation.report import markdown
 from articugen.learning.evaluation.report import tables as written
+from articugen.learning.evaluation.results import EvaluatedRun, RunEvaluation, read_evaluation
 from articugen.learning.loop import Tell
 from articugen.learning.method import Yardstick, find_method, load_recipe
-from articugen.learning.ppd.reconstruct import Reconstruction
 from articugen.learning.predict import write_rig
 from articugen.learning.race import race
 from articugen.learning.recipe import TrainRecipe
@@ -152,7 +152,7 @@ def evaluate(
     states: int | None = None,
     threads: int = 0,
     on_object: Callable[[str], None] = lambda _: None,
-) -> dict[str, Any]:
+) -> RunEvaluation:
     """Evaluate a run's last checkpoint on the test objects, and write <run>/evaluation/.
 
     Args:
@@ -193,17 +193,17 @@ def evaluate(
         on_object=on_object,
     )
     learner = point.learner()
-    result = measure(lambda i: by.reconstruct(learner, dequantize(i.surface_points), resolution))
+    found = measure(lambda i: by.reconstruct(learner, dequantize(i.surface_points), resolution))
+    by_depth = None
     if (folder / DEPTH.latest).is_file():
         depth = depth_learner(folder, point)
-        result["depth_input"] = measure(
-            lambda i: by.reconstruct(depth, seen_by_a_camera(i), resolution)
-        )
+        by_depth = measure(lambda i: by.reconstruct(depth, seen_by_a_camera(i), resolution))
     asked = {"protocol": protocol, "label_poses": label_poses, "resolution": resolution}
-    result = {"run": point.about() | asked, **result}
+    evaluated = EvaluatedRun(**point.about(), **asked)
+    result = RunEvaluation(run=evaluated, depth_input=by_depth, **dict(found))
     out = evaluation_folder(folder, protocol)
     out.mkdir(exist_ok=True)
-    write_atomically(out / "evaluation.json", (json.dumps(result, indent=1) + "\n").encode())
+    result.write(out)
     write_atomically(out / "evaluation.md", markdown(result).encode())
     return result
 
@@ -213,7 +213,7 @@ def evaluation_folder(run: FolderLike, protocol: str = "paper") -> Path:
     return newest(run) / ("evaluation" if protocol == "paper" else f"evaluation-{protocol}")
 
 
-def draw(run: FolderLike, data: FolderLike, result: dict[str, Any]) -> Iterator[Path]:
+def draw(run: FolderLike, data: FolderLike, result: RunEvaluation) -> Iterator[Path]:
     """Draw the figures of an evaluation into its folder, and yield each path when it is there.
 
     Args:
@@ -224,14 +224,14 @@ def draw(run: FolderLike, data: FolderLike, result: dict[str, Any]) -> Iterator[
 
     folder = newest(run)
     learner = read_checkpoint(folder / LATEST).learner()
-    fine = min(4 * result["run"]["resolution"], 128)
+    model = learner.drawable(min(4 * result.run.resolution, 128))
     out, metrics = evaluation_folder(folder), RunFolder(folder).metrics()
-    yield from draw_figures(out, metrics, Path(data), learner, result, resolution=fine)
+    yield from draw_figures(out, metrics, Path(data), model, result)
 
 
 def tables(runs: Sequence[FolderLike]) -> str:
     """The paper's tables over several evaluated runs: categories, ablations, inputs."""
-    return written([read_result(newest(run)) for run in runs])
+    return written([read_evaluation(newest(run)) for run in runs])
 
 
 @dataclass(frozen=True)
@@ -249,12 +249,15 @@ class Predicted:
     path: Path
 
     def lines(self) -> list[str]:
-        """Kind and state of each part that has a surface, in the cloud's own unit."""
-        found, told = self.found, []
-        for i in sorted(set(found.part.tolist())):
-            kind = ("fixed", "revolute", "prismatic")[found.kind[i]]
+        """Each part that has a surface; kind and state of its joint, in the cloud's own unit."""
+        joints, told = self.found.joints, []
+        for i in sorted(set(self.found.part.tolist())):
+            if joints is None:
+                told.append(f"part {i}")
+                continue
+            kind = KIND_NAMES[joints.kind[i]]
             unit = self.cloud.frame.scale if kind == "prismatic" else 1.0
-            told.append(f"part {i}: {kind}, state {found.state[i] * unit:.3f}")
+            told.append(f"part {i}: {kind}, state {joints.state[i] * unit:.3f}")
         return told
 
 

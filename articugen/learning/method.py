@@ -22,8 +22,10 @@ if TYPE_CHECKING:
     import torch
 
     from articugen.learning.dataset import Batch, BatchSpec, PackedSplit
-    from articugen.learning.evaluation.surfaces import Floats
-    from articugen.learning.ppd.reconstruct import Reconstruction
+    from articugen.learning.evaluation.figures.draw import Drawable
+    from articugen.learning.evaluation.reconstruction import Reconstruction
+    from articugen.learning.evaluation.results import Evaluation
+    from articugen.records import Floats
 
 GROUP = "articugen.methods"
 
@@ -86,6 +88,12 @@ class Learner(Protocol):
         """What it makes of one cloud (n, 3) in the unit frame, on a grid of `resolution`^3."""
         ...
 
+    def drawable(self, resolution: int) -> Drawable:
+        """What figures ask of it; without a body of one's own shapes and curves alone are drawn."""
+        from articugen.learning.evaluation.figures.draw import Drawable  # noqa: PLC0415
+
+        return Drawable(lambda cloud: self.reconstruct(cloud, resolution=resolution))
+
 
 @dataclass(frozen=True)
 class Yardstick:
@@ -99,7 +107,7 @@ class Yardstick:
 
     resolution: int
     reconstruct: Callable[[Any, Floats, int], Reconstruction]
-    evaluate: Callable[..., Any]
+    evaluate: Callable[..., Evaluation]
 
 
 class Method(Protocol):

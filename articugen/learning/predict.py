@@ -9,9 +9,14 @@ import numpy as np
 from articugen.errors import ArticugenError
 from articugen.inspection.portrait import colour_of
 from articugen.learning.clouds import UNIT
-from articugen.learning.evaluation.surfaces import Floats
-from articugen.learning.ppd.reconstruct import FIXED, REVOLUTE, Reconstruction
-from articugen.records import Normalization
+from articugen.learning.evaluation.reconstruction import (
+    FIXED,
+    KIND_NAMES,
+    REVOLUTE,
+    PartJoints,
+    Reconstruction,
+)
+from articugen.records import Floats, Normalization
 from articugen.store.files import write_atomically
 
 
@@ -21,7 +26,8 @@ def write_rig(
     """Write part_<i>.obj and <name>.urdf; every joint is 0 where the cloud has it.
 
     The base link is part 0, or an empty one where that has no surface. A part's link sits at its
-    pivot; limits reach from joint state 0 to pi (revolute) or to 1 unit (prismatic).
+    pivot; limits reach from joint state 0 to pi (revolute) or to 1 unit (prismatic). Where a method
+    knows no joints, all parts are fixed to the base.
 
     Args:
         frame: where the rig is to stand, and its scale; the unit frame if not given.
@@ -40,7 +46,10 @@ def write_rig(
         triangles = frame.to_world(found.triangles[found.part == i])
         if i and not len(triangles):
             continue
-        origin = frame.to_world(found.pivot[i]) if found.kind[i] == REVOLUTE else np.zeros(3)
+        kind = found.joints.kind[i] if found.joints else FIXED
+        origin = np.zeros(3)
+        if found.joints and kind == REVOLUTE:
+            origin = frame.to_world(found.joints.pivot[i])
         link = ET.SubElement(robot, "link", name=f"part_{i}")
         if len(triangles):
             file = f"part_{i}.obj"
@@ -49,25 +58,25 @@ def write_rig(
             ET.SubElement(ET.SubElement(visual, "geometry"), "mesh", filename=file)
             material = ET.SubElement(visual, "material", name=f"part_{i}")
             ET.SubElement(material, "color", rgba=_rgba(colour_of(i)))
-        if found.kind[i] != FIXED:
-            _joint(robot, found, i, origin, frame.scale)
+        if i:
+            joint = ET.SubElement(robot, "joint", name=f"joint_{i}", type=KIND_NAMES[kind])
+            ET.SubElement(joint, "parent", link="part_0")
+            ET.SubElement(joint, "child", link=f"part_{i}")
+            ET.SubElement(joint, "origin", xyz=_text(origin), rpy="0 0 0")
+            if found.joints and kind != FIXED:
+                _axis_and_limit(joint, found.joints, i, frame.scale)
     path = folder / f"{name}.urdf"
     ET.indent(robot)
     write_atomically(path, ET.tostring(robot, encoding="utf-8", xml_declaration=True) + b"\n")
     return path
 
 
-def _joint(robot: ET.Element, found: Reconstruction, i: int, origin: Floats, unit: float) -> None:
-    revolute = found.kind[i] == REVOLUTE
-    state = float(found.state[i]) * (1.0 if revolute else unit)
+def _axis_and_limit(joint: ET.Element, joints: PartJoints, i: int, unit: float) -> None:
+    revolute = joints.kind[i] == REVOLUTE
+    state = float(joints.state[i]) * (1.0 if revolute else unit)
     most = math.pi if revolute else unit
-    joint = ET.SubElement(
-        robot, "joint", name=f"joint_{i}", type="revolute" if revolute else "prismatic"
-    )
-    ET.SubElement(joint, "parent", link="part_0")
-    ET.SubElement(joint, "child", link=f"part_{i}")
-    ET.SubElement(joint, "origin", xyz=_text(origin), rpy="0 0 0")
-    ET.SubElement(joint, "axis", xyz=_text(found.direction[i] / np.linalg.norm(found.direction[i])))
+    axis = joints.direction[i] / np.linalg.norm(joints.direction[i])
+    ET.SubElement(joint, "axis", xyz=_text(axis))
     lower, upper = f"{-state:.9g}", f"{most - state:.9g}"
     ET.SubElement(joint, "limit", lower=lower, upper=upper, effort="1", velocity="1")
 

@@ -1,7 +1,9 @@
 """How PPD learns: the model and the discriminator, each with where its Adam stands."""
 
+from __future__ import annotations
+
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -9,15 +11,19 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from articugen.learning.dataset import Batch, BatchSpec, PackedSplit, unpacked, voxel_centres
-from articugen.learning.evaluation.surfaces import Floats
+from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.method import Learner, Terms
 from articugen.learning.ppd import objective
 from articugen.learning.ppd.descent import Descent
 from articugen.learning.ppd.discriminator import Discriminator
 from articugen.learning.ppd.model import PPD, Prediction
-from articugen.learning.ppd.reconstruct import Meshes, Reconstruction, reconstruction_of
+from articugen.learning.ppd.reconstruct import Meshes, reconstruction_of
 from articugen.learning.ppd.settings import PPDRecipe
 from articugen.learning.tensors import made
+from articugen.records import Floats
+
+if TYPE_CHECKING:
+    from articugen.learning.evaluation.figures.draw import Drawable
 
 VALIDATION_GRID = 32
 VALIDATION_INSTANCES = 64
@@ -49,6 +55,11 @@ class Predictor(Learner):
         """Part i's surface encloses where its field is above 0 and the greatest of all, unless
         `meshes` says otherwise."""
         return reconstruction_of(self.model, self.predict(cloud), resolution, meshes)
+
+    def drawable(self, resolution: int) -> Drawable:
+        from articugen.learning.ppd.drawing import drawable  # noqa: PLC0415
+
+        return drawable(self, resolution)
 
 
 class PPDLearner(Predictor):

@@ -8,6 +8,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
+from articugen.learning.evaluation.paper import COMPLETE
 from articugen.learning.recipe import Schedule, Seeds, Stage, TrainRecipe
 from articugen.recipe_files import Section
 
@@ -156,7 +157,7 @@ class PPDRecipe(TrainRecipe):
             "CP": model.common_pose,
         }
         off = [name for name, is_on in parts.items() if not is_on]
-        return f"w/o {', '.join(off)}" if off else "w/ all"
+        return f"w/o {', '.join(off)}" if off else COMPLETE
 
     def third_stage(self) -> "PPDRecipe":
         """The recipe of the encoder for depth input."""
