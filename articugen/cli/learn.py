@@ -86,11 +86,10 @@ def train(
         check_category(category)
         from articugen.learning import commands, processes
 
-        commands.prepare(device, threads)
-        with processes.joined(device) as own_device, _ProgressBar() as on_progress:
-            if processes.is_first():
-                for hint in commands.hints(data):
-                    _err.print(hint, soft_wrap=True, markup=False)
+        if processes.is_first():
+            for hint in commands.hints(data):
+                _err.print(hint, soft_wrap=True, markup=False)
+        with _ProgressBar() as on_progress:
             run = commands.train(
                 data,
                 recipe,
@@ -101,11 +100,12 @@ def train(
                 seeds=seeds,
                 jobs=jobs,
                 resume=resume,
-                device=own_device,
+                device=device,
+                threads=threads,
                 on_progress=on_progress,
             )
-            if not run.writes:
-                return
+        if not run.writes:
+            return
         _out.print(f"done: {run.path}", soft_wrap=True)
         _out.print(f"next: articugen evaluate {run.path} --data {data}", soft_wrap=True)
 

@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -104,8 +103,7 @@ def train(
         run_training = partial(race, jobs=min(at_once, settings.seeds.count))
     folder = Path(data)
     category = category or Manifest.read(folder).category
-    joined = nullcontext(device) if processes.count() > 1 else processes.joined(device)
-    with joined as own_device:
+    with processes.joined(device) as own_device:
         return run_training(
             settings,
             category=category,
