@@ -24,7 +24,7 @@ STAGES = {"articulation", "swept", "rendering", "fusion", "sampling", "sources"}
 WITH_TORCH = {
     f"learning.{name}"
     for name in (
-        "dataset", "loop", "processes", "race", "runs", "tensors",
+        "commands", "dataset", "loop", "processes", "race", "runs", "tensors",
         "ppd.depth", "ppd.descent", "ppd.discriminator", "ppd.drawing", "ppd.kinematics",
         "ppd.learner",
         "ppd.losses", "ppd.model", "ppd.objective", "ppd.reconstruct", "ppd.release", "ppd.shape",
@@ -106,8 +106,7 @@ FOREIGN: dict[str, set[str]] = {
     "pyrender": {"rendering.opengl"},
     "OpenGL": {"rendering.opengl"},
     "sapien": {"rendering.sapien"},
-    "tensorboard": {"learning.tensorboard"},
-    "torch": WITH_TORCH | {"cli.learn"},
+    "torch": WITH_TORCH | {"learning.method", "learning.ppd.method", "learning.tensorboard"},
 }
 """The modules that wrap a library; nobody else imports it."""
 
@@ -148,6 +147,17 @@ def test_a_module_imports_only_what_it_may(module: str) -> None:
             assert any(f"{rest}.".startswith(f"{a}.") for a in allowed), f"{module} imports {name}"
         elif top not in sys.stdlib_module_names | EVERYWHERE:
             assert module in FOREIGN.get(top, set()), f"{module} imports {name}"
+
+
+def test_what_all_learners_share_knows_no_method() -> None:
+    """A method is found by its name, see learning.method; evaluation lies below all the rest."""
+    for module in (m for m in modules() if m.startswith("learning.")):
+        ours = {name.removeprefix("articugen.") for name in imports(module)}
+        if not module.startswith("learning.ppd"):
+            assert not [n for n in ours if n.startswith("learning.ppd")], module
+        if module.startswith("learning.evaluation"):
+            above = {n for n in ours if n.startswith(("learning.", "torch"))}
+            assert not {n for n in above if not n.startswith("learning.evaluation")}, module
 
 
 def test_every_module_has_its_place_in_the_picture() -> None:

@@ -11,7 +11,7 @@ from articugen.learning.evaluation.surfaces import distance  # noqa: E402
 from articugen.learning.ppd import reconstruct as reconstruction  # noqa: E402
 from articugen.learning.ppd.drawing import between  # noqa: E402
 from articugen.learning.ppd.model import PPD  # noqa: E402
-from articugen.learning.ppd.reconstruct import part_logits, predict, reconstruct  # noqa: E402
+from articugen.learning.ppd.reconstruct import part_logits, reconstruction_of  # noqa: E402
 from articugen.learning.ppd.settings import ModelSettings  # noqa: E402
 from articugen.records import dequantize  # noqa: E402
 
@@ -24,17 +24,22 @@ def test_a_model_s_surfaces_lie_where_its_field_is_zero(part_frame):
     model = PPD(ModelSettings(part_frame=part_frame, coordinate_bound=1 / 3)).eval()
     (instance,) = hinged_box([(0.3, 0.1)])
     cloud = dequantize(instance.surface_points)
-    middling = np.median(part_logits(model, predict(model, cloud), 16).max(0))
+
+    def predict():
+        with torch.no_grad():
+            return model(torch.as_tensor(cloud, dtype=torch.float32)[None])
+
+    middling = np.median(part_logits(model, predict(), 16).max(0))
     with torch.no_grad():  # F^{s,z} is halved by the common field, so half of the cube gets free
         model.shape.head_2.bias[8:] -= 2.0 * middling
-    found = reconstruct(model, cloud, 16)
+    found = reconstruction_of(model, predict(), 16)
     assert len(found.whole)
     assert len(set(found.part.tolist())) > 1
     # A surface of the whole is the surface of some part, to within the grid's error.
     middle = found.whole.mean(1)[::20]
     assert distance(middle, found.triangles).max() < 1 / 16
     # A voxel is occupied where the field of any part is above 0 at its centre.
-    logits = part_logits(model, predict(model, cloud), 16)
+    logits = part_logits(model, predict(), 16)
     assert 0.1 < found.occupied.mean() < 0.9
     np.testing.assert_array_equal(found.occupied, (logits > 0).any(0))
     # T_part is what `fields` undoes.
@@ -52,7 +57,7 @@ def test_interpolation_holds_what_it_holds():
     first, shapes, states = between(model, openings, 5, True)
     openings = openings if first == 0 else openings[::-1]
     one, other, low, high = (
-        predict(model, cloud)
+        model(torch.as_tensor(cloud, dtype=torch.float32)[None])
         for cloud in (openings[0][1], openings[1][1], openings[0][0], openings[0][2])
     )
     assert len(shapes) == len(states) == 5

@@ -13,7 +13,7 @@ from articugen.learning.evaluation.results import (
     RunEvaluation,
     read_evaluation,
 )
-from articugen.learning.ppd.settings import load_train_recipe, parse_train_recipe, variant
+from articugen.learning.method import load_recipe, parse_recipe
 
 
 def evaluation(means):
@@ -111,12 +111,12 @@ def test_depth_input_has_its_row():
 
 
 def test_recipes_know_their_row():
-    assert variant(load_train_recipe("ppd_paper")) == paper.COMPLETE
-    assert variant(load_train_recipe("ppd_quick")) == "w/o L_adv_g"
-    changed = load_train_recipe("ppd_paper").model_dump(mode="json")
+    assert load_recipe("ppd_paper").variant == paper.COMPLETE
+    assert load_recipe("ppd_quick").variant == "w/o L_adv_g"
+    changed = load_recipe("ppd_paper").plain()
     changed["losses"]["vol"] = 0.0
     changed["model"]["common_pose"] = False
-    assert variant(parse_train_recipe(changed, "changed")) == "w/o L_vol, CP"
+    assert parse_recipe(changed, "changed").variant == "w/o L_vol, CP"
 
 
 def test_a_run_without_evaluation_is_refused(tmp_path):

@@ -112,7 +112,7 @@ class EvaluatedRun(_Record):
     seed: int
     iterations: int
     commit: str | None = None
-    protocol: Literal["paper", "release"] = "paper"
+    protocol: str = "paper"
     label_poses: Literal["canonical", "all"] = "canonical"
     resolution: int
 

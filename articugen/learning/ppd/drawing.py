@@ -9,14 +9,9 @@ from torch import Tensor
 
 from articugen.learning.evaluation.figures.draw import Between, Drawable, Opening
 from articugen.learning.evaluation.reconstruction import KIND_NAMES
+from articugen.learning.ppd.learner import Predictor
 from articugen.learning.ppd.model import PPD, Prediction
-from articugen.learning.ppd.reconstruct import (
-    logits_at,
-    predict,
-    reconstruction_from,
-    reconstruction_of,
-)
-from articugen.learning.runs import Checkpoint
+from articugen.learning.ppd.reconstruct import logits_at, reconstruction_of
 from articugen.records import Floats
 
 TITLES = {
@@ -30,7 +25,6 @@ TITLES = {
     "var_pivot": "$L_{var}$, pivots",
     "adv_g": "$L_{adv_g}$",
     "adv_d": "$L_{adv_d}$",
-    "critic": "$L_{adv_d}$",
     "gradient_penalty": "gradient penalty",
     "held-out rec": "held-out cross-entropy",
     "held-out iou": "held-out IoU",
@@ -38,15 +32,15 @@ TITLES = {
 """Of the curves."""
 
 
-def drawable(checkpoint: Checkpoint, resolution: int) -> Drawable:
+def drawable(learner: Predictor, resolution: int) -> Drawable:
     """A trained model as the figures take it; meshes on a grid of `resolution`^3."""
-    model, residual = checkpoint.generator(), checkpoint.residual_direction
-    most, settings = checkpoint.recipe.data.surface_points, checkpoint.recipe.model
+    model, residual, most = learner.model, learner.residual_direction, learner.points
+    settings = learner.settings.model
     kinds = [KIND_NAMES[0]]
     kinds += [KIND_NAMES[1]] * len(settings.revolute) + [KIND_NAMES[2]] * len(settings.prismatic)
 
     def part_fields(cloud: Floats, points: Floats) -> Floats:
-        logits = logits_at(model, predict(model, cloud[:most], residual), torch.from_numpy(points))
+        logits = logits_at(model, learner.predict(cloud), torch.from_numpy(points))
         return 1.0 / (1.0 + np.exp(-np.clip(logits, -50.0, 50.0)))
 
     def interpolate(openings: Sequence[Opening], steps: int) -> Between:
@@ -60,7 +54,7 @@ def drawable(checkpoint: Checkpoint, resolution: int) -> Drawable:
         return Between(first, shapes, states)
 
     return Drawable(
-        reconstruct=reconstruction_from(checkpoint, resolution),
+        reconstruct=lambda cloud: learner.reconstruct(cloud, resolution=resolution),
         part_fields=part_fields,
         interpolate=interpolate,
         parts=[f"part {i}, {kind}" for i, kind in enumerate(kinds)],

@@ -17,7 +17,6 @@ from articugen.learning.evaluation.reconstruction import (
     Reconstruction,
 )
 from articugen.learning.ppd.model import PPD, Prediction
-from articugen.learning.runs import Checkpoint
 from articugen.marching_cubes import zero_level
 from articugen.records import Floats
 
@@ -29,35 +28,10 @@ _BLOCK = 1 << 15
 _DENSE = 64
 
 
-def reconstruct(
-    model: PPD,
-    cloud: Floats,
-    resolution: int,
-    *,
-    residual_direction: bool = True,
-    meshes: Meshes | None = None,
-) -> Reconstruction:
-    """Reconstruct the shape of a cloud (n, 3) in the unit frame on a grid of `resolution`^3.
-
-    A part's surface encloses where its field is above 0 and the greatest of all, unless `meshes`
-    says otherwise.
-    """
-    predicted = predict(model, cloud, residual_direction)
-    return reconstruction_of(model, predicted, resolution, meshes)
-
-
-@torch.no_grad()
-def predict(model: PPD, cloud: Floats, residual_direction: bool = True) -> Prediction:
-    """What the model makes of one cloud (n, 3), a batch of one."""
-    device = next(model.parameters()).device
-    given = torch.as_tensor(cloud, dtype=torch.float32, device=device)[None]
-    return model(given, residual_direction=residual_direction)
-
-
 def reconstruction_of(
     model: PPD, predicted: Prediction, resolution: int, meshes: Meshes | None = None
 ) -> Reconstruction:
-    """`reconstruct` from a prediction that is there already."""
+    """Parts and joints of one predicted shape, its surfaces from a grid of `resolution`^3."""
     settings, pose = model.settings, predicted.pose
     logits = part_logits(model, predicted, resolution)
     surfaces, whole = (meshes or _meshes)(logits)
@@ -122,33 +96,6 @@ def _beside_surfaces(logits: Floats) -> NDArray[np.bool_]:
         rolled = [np.roll(most, step, axis) for step in (-1, 0, 1)]
         most = np.maximum.reduce(rolled)
     return (least != most)[1:-1, 1:-1, 1:-1]
-
-
-def reconstruction_from(
-    checkpoint: Checkpoint,
-    resolution: int,
-    meshes: Meshes | None = None,
-    *,
-    model: PPD | None = None,
-) -> Callable[[Floats], Reconstruction]:
-    """What its model makes of a cloud, of as many points as it was trained on.
-
-    Args:
-        model: use this one in its place: that for partial clouds.
-    """
-    recipe = checkpoint.recipe
-    if model is None:
-        model, most = checkpoint.generator(), recipe.data.surface_points
-    else:
-        most = None
-    residual = checkpoint.residual_direction
-
-    def of_cloud(cloud: Floats) -> Reconstruction:
-        return reconstruct(
-            model, cloud[:most], resolution, residual_direction=residual, meshes=meshes
-        )
-
-    return of_cloud
 
 
 def _meshes(logits: Floats) -> tuple[list[Floats], Floats]:

@@ -30,6 +30,7 @@ from articugen.learning.evaluation.metrics import NO_LABEL
 from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.evaluation.results import Evaluation, LeftOut
 from articugen.learning.evaluation.surfaces import sample
+from articugen.learning.ppd.learner import Predictor
 from articugen.marching_cubes import zero_level
 from articugen.records import Floats, Instance
 from articugen.seeding import generator
@@ -53,7 +54,12 @@ def release_meshes(logits: Floats) -> tuple[list[Floats], Floats]:
     return parts, zero_level(inside.max(0)).triangles - 1.0 / R
 
 
-def evaluate_as_release(
+def reconstruct(learner: Predictor, cloud: Floats, resolution: int) -> Reconstruction:
+    """What is measured here."""
+    return learner.reconstruct(cloud, resolution=resolution, meshes=release_meshes)
+
+
+def evaluate(
     data: Path,
     reconstruct: Reconstruct,
     protocol: Protocol = WHOLE,
