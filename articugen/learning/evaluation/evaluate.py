@@ -41,7 +41,7 @@ LENGTHS = (0.025, 0.05, 0.1, 0.2)
 
 @dataclass(frozen=True)
 class Protocol:
-    """How much is looked at.
+    """How much is measured, and against what.
 
     Attributes:
         points: surface points a true part.
@@ -155,7 +155,7 @@ def label_votes(
             ballot = metrics.votes(near, true, found.parts, len(instance.part_motion))
             table = ballot if table is None else table + ballot
         on_object(instances[0].object_id)
-    assert table is not None  # check_splits has seen to it
+    assert table is not None  # check_splits looked first
     return table
 
 
