@@ -180,7 +180,7 @@ def interpolations(
     """Two rows: the shape between two objects, and the joint states of one.
 
     Args:
-        instance: of the first object, for its kinds of joints and its scale.
+        instance: the first object in the pose that is held: its joints and its scale.
     """
     middle = [f"{100 * share:.0f} %" for share in np.linspace(0.0, 1.0, len(shapes))[1:-1]]
     shares: list[Caption] = [[(text, "")] for text in ("one object", *middle, "another")]
