@@ -81,6 +81,11 @@ class Mesh:
     def __post_init__(self) -> None:
         _freeze(self, vertices=(np.float64, (None, 3)), faces=(np.int32, (None, 3)))
 
+    @property
+    def triangles(self) -> Floats:
+        """(F, 3, 3) the corners of each face."""
+        return self.vertices[self.faces]
+
 
 @dataclass(frozen=True)
 class Mimic:

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from articugen.errors import InvalidSource
+from articugen.errors import CorruptShard, InvalidSource
 from articugen.learning.evaluation.surfaces import Floats, sample
 from articugen.ply import claimed_rows
-from articugen.records import Normalization, dequantize
+from articugen.records import Instance, Normalization, dequantize
 from articugen.seeding import generator
 from articugen.store.shards import Shard, open_shard
 
@@ -70,6 +70,22 @@ def _stored(shard: Shard, row: int, camera: int | None) -> Any:
     if camera >= cameras:
         raise InvalidSource(f"{shard.path}: has {cameras} cameras, from 0; there is no {camera}")
     return shard.read("partial_points", row)[camera]
+
+
+def seen_by_a_camera(instance: Instance) -> Floats:
+    """(M, 3) what one of the instance's depth cameras sees, always the same one.
+
+    Raises:
+        CorruptShard: it has none.
+    """
+    cameras = len(instance.partial_points)
+    if not cameras:
+        raise CorruptShard(
+            f"{instance.object_id}: has no partial clouds; set sampling.partial_views and make the "
+            "data set again"
+        )
+    chosen = generator(0, "camera", instance.object_id, instance.state_index).integers(cameras)
+    return dequantize(instance.partial_points[chosen])
 
 
 def cloud_of_file(path: Path, *, fit: bool = False) -> Cloud:
