@@ -103,6 +103,7 @@ def train(
             run = commands.train(
                 data,
                 recipe,
+                changes=changes or (),
                 method=method,
                 category=category,
                 runs=runs,

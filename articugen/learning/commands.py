@@ -18,7 +18,7 @@ from articugen.learning import loop, processes, tensorboard
 from articugen.learning.clouds import Cloud, cloud_of_file, cloud_of_shard, seen_by_a_camera
 from articugen.learning.evaluation.evaluate import Protocol
 from articugen.learning.evaluation.evaluate import evaluate as evaluate_as_paper
-from articugen.learning.evaluation.reconstruction import KIND_NAMES, Reconstruction
+from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.evaluation.report import markdown
 from articugen.learning.evaluation.report import tables as written
 from articugen.learning.evaluation.results import EvaluatedRun, RunEvaluation, read_evaluation
@@ -28,7 +28,8 @@ from articugen.learning.predict import write_rig
 from articugen.learning.race import race
 from articugen.learning.recipe import TrainRecipe
 from articugen.learning.runs import DEPTH, LATEST, RunFolder, depth_learner, read_checkpoint
-from articugen.records import dequantize
+from articugen.recipe_files import with_settings
+from articugen.records import JointKind, dequantize
 from articugen.store.files import write_atomically
 from articugen.store.manifest import Manifest
 
@@ -48,6 +49,7 @@ def train(
     data: FolderLike,
     recipe: RecipeLike | None = None,
     *,
+    changes: Sequence[str] = (),
     method: str | None = None,
     category: str | None = None,
     runs: FolderLike = "runs",
@@ -65,6 +67,7 @@ def train(
         data: the folder of a data set.
         recipe: a name under recipes/, a YAML file, a mapping of keys that may say `extends`, or a
             recipe; None is the method's own, and where a run is resumed, that run's.
+        changes: other values than the recipe's, each as `section.key=value`.
         method: whose recipe it must be; None is whosever it is.
         category: what the data set must hold; None is whatever it holds.
         runs: the run's folder is <runs>/<category>/<number>.
@@ -84,16 +87,16 @@ def train(
             says.
     """
     prepare(device, threads)
-    settings = load_recipe(recipe, method=method)
+    settings = with_settings(load_recipe(recipe, method=method), changes)
     if seeds is not None:
         settings = settings.with_seeds(seeds)
     if resume is not None:
-        resume, asked = Path(resume), settings if recipe else None
+        resume, asked = Path(resume), settings if recipe or changes else None
         settings, seed = RunFolder(resume).recipe(), RunFolder(resume).about()["seed"]
         if asked and not asked.same_but_seeds(settings):
             raise InvalidCheckpoint(
                 f"{resume}: was started with another recipe than {asked.name}; leave out --recipe "
-                "or start a new run"
+                "and --set, or start a new run"
             )
     run_training = loop.train
     if settings.seeds.count > 1:
@@ -253,7 +256,7 @@ class Predicted:
             if joints is None:
                 told.append(f"part {i}")
                 continue
-            kind = KIND_NAMES[joints.kind[i]]
+            kind = str(JointKind(joints.kind[i]))
             unit = self.cloud.frame.scale if kind == "prismatic" else 1.0
             told.append(f"part {i}: {kind}, state {joints.state[i] * unit:.3f}")
         return told

@@ -15,7 +15,7 @@ import numpy as np
 from articugen.errors import CorruptShard
 from articugen.learning.evaluation import metrics
 from articugen.learning.evaluation.metrics import NO_LABEL, Ints
-from articugen.learning.evaluation.reconstruction import PRISMATIC, REVOLUTE, Reconstruction
+from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.evaluation.results import (
     Evaluation,
     JointError,
@@ -25,7 +25,7 @@ from articugen.learning.evaluation.results import (
     LeftOut,
 )
 from articugen.learning.evaluation.surfaces import distance, sample
-from articugen.records import Floats, Instance, dequantize, is_material
+from articugen.records import Floats, Instance, JointKind, dequantize, is_material
 from articugen.seeding import generator
 from articugen.store.manifest import Manifest
 from articugen.store.shards import open_shard
@@ -33,7 +33,7 @@ from articugen.store.shards import open_shard
 Reconstruct = Callable[[Instance], Reconstruction]
 
 DIAGONAL = float(np.sqrt(3.0))
-KINDS: dict[int, Kind] = {REVOLUTE: "revolute", PRISMATIC: "prismatic"}
+KINDS: dict[int, Kind] = {JointKind.REVOLUTE: "revolute", JointKind.PRISMATIC: "prismatic"}
 DEGREES = (5.0, 10.0, 15.0, 20.0, 30.0)
 LENGTHS = (0.025, 0.05, 0.1, 0.2)
 """Within how much a joint counts as right (Appendix E)."""
@@ -302,7 +302,7 @@ def _measure_joints(
             change = (joints.state[i] - first.state[i]) * (1.0 if np.dot(u, v) >= 0 else -1.0)
             state = float(abs(change - (instance.joint_state[j] - canonical.joint_state[j])))
             direction = metrics.angle_between_lines(u, v)
-            if kind == REVOLUTE:
+            if kind == JointKind.REVOLUTE:
                 axis = metrics.line_distance(joints.pivot[i], u, instance.joint_pivot[j], v)
         error = JointError(**_which(instance, j), state=state, direction=direction, axis=axis)
         tally.joint_errors.append(error)

@@ -6,10 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.geometry import invert_rigid, rotation_about, transform
-from articugen.records import Floats, Instance, dequantize
-
-FIXED, REVOLUTE, PRISMATIC = 0, 1, 2
-KIND_NAMES = ("fixed", "revolute", "prismatic")
+from articugen.records import Floats, Instance, JointKind, dequantize
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,7 +14,7 @@ class PartJoints:
     """The joint that each of P parts hangs on; the unit frame, radians.
 
     Attributes:
-        kind: (P,) FIXED, REVOLUTE or PRISMATIC.
+        kind: (P,) of `JointKind`.
         state: (P,) joint states, 0 for fixed parts.
         pivot, direction: (P, 3) a point on the axis, and its unit direction.
     """
@@ -62,10 +59,10 @@ class Reconstruction:
             return None
         mine, motion = self.joints, np.tile(np.eye(4), (self.parts, 1, 1))
         change = posed.joints.state - mine.state
-        for i in np.flatnonzero(mine.kind == REVOLUTE):
+        for i in np.flatnonzero(mine.kind == JointKind.REVOLUTE):
             R = rotation_about(mine.direction[i], change[i])
             motion[i] = transform(R, mine.pivot[i] - R @ mine.pivot[i])
-        for i in np.flatnonzero(mine.kind == PRISMATIC):
+        for i in np.flatnonzero(mine.kind == JointKind.PRISMATIC):
             motion[i, :3, 3] = change[i] * mine.direction[i]
         return motion
 
@@ -86,7 +83,7 @@ def truth(instance: Instance, resolution: int = 32) -> Reconstruction:
         parts=len(instance.part_motion),
         T_part=instance.part_motion,
         joints=PartJoints(
-            kind=np.append(FIXED, instance.joint_kind).astype(np.int64),
+            kind=np.append(JointKind.FIXED, instance.joint_kind).astype(np.int64),
             state=np.append(0.0, instance.joint_state),
             pivot=np.concatenate([np.zeros((1, 3)), instance.joint_pivot]),
             direction=np.concatenate([[[0, 0, 1.0]], instance.joint_axis]),

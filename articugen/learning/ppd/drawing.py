@@ -8,11 +8,10 @@ import torch
 from torch import Tensor
 
 from articugen.learning.evaluation.figures.draw import Between, Drawable, Opening
-from articugen.learning.evaluation.reconstruction import KIND_NAMES
 from articugen.learning.ppd.learner import Predictor
 from articugen.learning.ppd.model import PPD, Prediction
 from articugen.learning.ppd.reconstruct import logits_at, reconstruction_of
-from articugen.records import Floats
+from articugen.records import Floats, JointKind
 
 TITLES = {
     "rec": "$L_{rec}$",
@@ -36,8 +35,8 @@ def drawable(learner: Predictor, resolution: int) -> Drawable:
     """A trained model as the figures take it; meshes on a grid of `resolution`^3."""
     model, residual, most = learner.model, learner.residual_direction, learner.points
     settings = learner.settings.model
-    kinds = [KIND_NAMES[0]]
-    kinds += [KIND_NAMES[1]] * len(settings.revolute) + [KIND_NAMES[2]] * len(settings.prismatic)
+    revolute, prismatic = len(settings.revolute), len(settings.prismatic)
+    kinds = [JointKind.FIXED, *[JointKind.REVOLUTE] * revolute, *[JointKind.PRISMATIC] * prismatic]
 
     def part_fields(cloud: Floats, points: Floats) -> Floats:
         logits = logits_at(model, learner.predict(cloud), torch.from_numpy(points))
@@ -57,7 +56,7 @@ def drawable(learner: Predictor, resolution: int) -> Drawable:
         reconstruct=lambda cloud: learner.reconstruct(cloud, resolution=resolution),
         part_fields=part_fields,
         interpolate=interpolate,
-        parts=[f"part {i}, {kind}" for i, kind in enumerate(kinds)],
+        parts=[f"part {i}, {kind!s}" for i, kind in enumerate(kinds)],
         titles=TITLES,
     )
 

@@ -9,16 +9,10 @@ from torch import Tensor
 
 from articugen.geometry import invert_rigid
 from articugen.learning.dataset import voxel_centres
-from articugen.learning.evaluation.reconstruction import (
-    FIXED,
-    PRISMATIC,
-    REVOLUTE,
-    PartJoints,
-    Reconstruction,
-)
+from articugen.learning.evaluation.reconstruction import PartJoints, Reconstruction
 from articugen.learning.ppd.model import PPD, Prediction
 from articugen.marching_cubes import zero_level
-from articugen.records import Floats
+from articugen.records import Floats, JointKind
 
 Meshes = Callable[[Floats], tuple[list[Floats], Floats]]
 """From the parts' logits (P, R, R, R) to the triangles of each part, and those of the whole."""
@@ -49,7 +43,9 @@ def reconstruction_of(
         parts=J + 1,
         T_part=invert_rigid(T_inverse),
         joints=PartJoints(
-            kind=np.array([FIXED] + [REVOLUTE] * R + [PRISMATIC] * (J - R)),
+            kind=np.array(
+                [JointKind.FIXED] + [JointKind.REVOLUTE] * R + [JointKind.PRISMATIC] * (J - R)
+            ),
             state=np.append(0.0, pose.state[0].double().cpu().numpy()),
             pivot=pose.pivot[0].double().cpu().numpy(),
             direction=np.concatenate([[[0, 0, 1.0]], pose.direction[0].double().cpu().numpy()]),

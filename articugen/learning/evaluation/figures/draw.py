@@ -18,9 +18,9 @@ from articugen.learning.evaluation.figures.shapes import (
     interpolations,
     reconstructions,
 )
-from articugen.learning.evaluation.reconstruction import REVOLUTE, Reconstruction
+from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.evaluation.results import Evaluation
-from articugen.records import Floats, Instance, dequantize
+from articugen.records import Floats, Instance, JointKind, dequantize
 
 OBJECTS = 3
 INSTANCES = 16
@@ -155,6 +155,6 @@ def cutting_plane(instance: Instance) -> tuple[int, float]:
         return 1, 0.0
     steepest = int(np.abs(instance.joint_axis[0]).argmax())
     sideways = 1 if steepest == 0 else 0
-    normal = steepest if instance.joint_kind[0] == REVOLUTE else sideways
+    normal = steepest if instance.joint_kind[0] == JointKind.REVOLUTE else sideways
     moving = dequantize(instance.surface_points)[instance.surface_part > 0, normal]
     return normal, float(np.median(moving)) if len(moving) else 0.0

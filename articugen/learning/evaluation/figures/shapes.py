@@ -16,8 +16,8 @@ from articugen.inspection.portrait import (
 from articugen.inspection.shading import Picture
 from articugen.inspection.solids import Solid, arrow
 from articugen.learning.evaluation.figures.colours import part_colours, shaded
-from articugen.learning.evaluation.reconstruction import FIXED, REVOLUTE, Reconstruction
-from articugen.records import Floats, Instance, dequantize
+from articugen.learning.evaluation.reconstruction import Reconstruction
+from articugen.records import Floats, Instance, JointKind, dequantize
 
 Reconstruct = Callable[[Instance], Reconstruction]
 
@@ -126,7 +126,7 @@ def _caption(instance: Instance, changes: Sequence[float | None] | Floats) -> Ca
     for j, change in enumerate(changes):
         if change is None:
             text = "?"
-        elif instance.joint_kind[j] == REVOLUTE:
+        elif instance.joint_kind[j] == JointKind.REVOLUTE:
             text = f"{round(np.degrees(change))}°"
         else:
             text = f"{round(100.0 * change * instance.scale)} cm"
@@ -150,7 +150,7 @@ def _predicted_axes(instance: Instance, found: Reconstruction, names: Names) -> 
     joints, axes = found.joints, []
     for j in range(len(instance.joint_kind)):
         i = names.part_of(j)
-        if joints is None or i is None or joints.kind[i] == FIXED:
+        if joints is None or i is None or joints.kind[i] == JointKind.FIXED:
             continue
         kind, pivot, direction = joints.kind[i], joints.pivot[i], joints.direction[i]
         axes.append(_axis(kind, pivot, direction, points, points[part == j + 1], colour_of(j + 1)))
@@ -162,9 +162,9 @@ def _axis(
 ) -> Solid:
     """Through the pivot and all of the part, or out of a sliding part."""
     mine = of_part if len(of_part) else points
-    through = pivot if kind == REVOLUTE else mine.mean(0)
+    through = pivot if kind == JointKind.REVOLUTE else mine.mean(0)
     along = (mine - through) @ axis
-    low = along.min() - 0.1 if kind == REVOLUTE else 0.0
+    low = along.min() - 0.1 if kind == JointKind.REVOLUTE else 0.0
     return arrow(
         through + low * axis, through + (along.max() + 0.14) * axis, 0.006, shaded(colour, -0.4)
     )
