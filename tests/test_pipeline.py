@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from test_workers import alive, children
 from trouble import obeying_permissions, small_disk
 
@@ -27,7 +28,7 @@ from articugen.errors import (
 from articugen.instance import make_instance, prepare
 from articugen.pipeline import Job, ObjectReport, generate, plan
 from articugen.recipe import Articulation, Recipe, Sampling, ViewSettings, load_recipe
-from articugen.sources import registry
+from articugen.sources import meshes, registry
 from articugen.store import manifest as manifest_module
 from articugen.store.journal import JOURNAL_NAME
 from articugen.store.manifest import (
@@ -353,6 +354,28 @@ def test_a_changed_model_is_made_again_alone(boxes: Path, tmp_path: Path) -> Non
     assert [(t.ref.object_id, t.why) for t in found.tasks] == [("box2", "its source has changed")]
     made(ours)
     assert verify(ours.out).findings == ()
+
+
+def test_planning_makes_nothing_of_meshes(
+    boxes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are digested, as sound models are when they are made; unsound ones are tried once."""
+    mesh = '<mesh filename="lid.obj"/>'
+    for k in range(4):
+        model = BOX.format(size=1 + 0.1 * k).replace('<box size="1 1 0.1"/>', mesh)
+        (boxes / f"box{k}.urdf").write_text(model)
+    trimesh.creation.box((1.0, 1.0, 0.1)).export(boxes / "lid.obj")
+    ours = job(tmp_path / "out", source=str(boxes), category="box")
+    with monkeypatch.context() as patch:
+        patch.setattr(meshes, "checked", lambda *_: 1 / 0)
+        keys = {task.ref.object_id: task.key.ref for task in plan(ours).tasks}
+    manifest, _ = made(ours)
+    assert {o.key.object_id: o.input_sha256 for o in manifest.objects} == keys
+    (boxes / "lid.obj").write_text("v 0 0 0\nf 1 2 3\n")
+    assert {task.why for task in plan(ours).tasks} == {"its source has changed"}
+    with pytest.raises(ArticugenError, match="4 of 4 objects were rejected"):
+        made(ours)
+    assert plan(ours).tasks == ()
 
 
 # --- what cannot be made
