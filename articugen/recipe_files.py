@@ -244,7 +244,8 @@ def _nearest_key(model: type[BaseModel], location: tuple[int | str, ...]) -> str
 
 def _section(model: type[BaseModel], key: str) -> type[BaseModel] | None:
     """The model of what stands at a key, or of each item there."""
-    annotation = model.model_fields[key].annotation
+    field = model.model_fields.get(key)
+    annotation = field.annotation if field else None
     inner = [a for a in (annotation, *get_args(annotation)) if isinstance(a, type)]
     return next((a for a in inner if issubclass(a, BaseModel)), None)
 
