@@ -41,10 +41,12 @@ MAY_IMPORT: dict[str, set[str]] = {
     "seeding": set(),
     "geometry": {"portable"},
     "records": {"geometry", "portable"},
+    "model_text": set(),
     "recipe_files": {"bundled", "errors", "store.files"},
     "recipe": {"bundled", "errors", "recipe_files", "store.schema"},
     # the stages, none of which knows another
     **dict.fromkeys(STAGES, VOCABULARY),
+    "sources": VOCABULARY | {"model_text"},
     "fusion.bvh": VOCABULARY,
     "fusion.kernels": VOCABULARY | {"fusion.bvh"},
     "fusion.winding": VOCABULARY | {"fusion.bvh"},
@@ -73,7 +75,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "verify.replay": VOCABULARY
     | {"store", "sources", "articulation", "fusion", "instance", "pipeline", "verify"},
     "inspection": VOCABULARY | {"store", "rendering"},
-    "learning": VOCABULARY | {"store", "inspection", "workers"},
+    "learning": VOCABULARY | {"store", "inspection", "workers", "model_text"},
     "cli": {
         "errors",
         "records",

@@ -2,7 +2,7 @@
 
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     Field,
@@ -14,6 +14,7 @@ from pydantic import (
 
 from articugen.errors import InvalidSource
 from articugen.recipe_files import Section, nearest, parsed_yaml, yaml_bytes
+from articugen.sources.procedural import CATEGORIES
 
 Reader = Literal["urdf", "procedural", "partnet_mobility", "shape2motion"]
 Share = Annotated[NonNegativeInt, Field(le=1_000_000)] | tuple[str, ...] | None
@@ -79,7 +80,7 @@ class SourceFile(Section):
         messy: (procedural only) write the objects as real data come.
         path: the folder of the models, absolute or relative to source.yaml; by default
             $ARTICUGEN_SOURCES/<source> where that exists, else the folder of source.yaml.
-        categories: by name.
+        categories: by name; of procedural objects, those that there are if not given.
     """
 
     origin: str
@@ -90,6 +91,13 @@ class SourceFile(Section):
     messy: bool = False
     path: Path | None = None
     categories: dict[str, CategorySettings] = Field(min_length=1)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _procedural_has_its_own(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("reader") == "procedural":
+            return {"categories": CATEGORIES, **data}
+        return data
 
     @model_validator(mode="after")
     def _procedural_has_counts(self) -> "SourceFile":
