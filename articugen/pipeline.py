@@ -433,8 +433,8 @@ def _plain_name(object_id: str) -> str:
 def _read(
     job: Job, refs: Sequence[ObjectRef], limit: workers.Limit
 ) -> Sequence[workers.Ended[str]]:
-    """What each object is read from. A procedural one is what the generating code makes of its
-    name; the others are read by workers, as they will be when they are made."""
+    """What each object is read from. A procedural one is what our code makes of its name; the files
+    of others are digested by workers, which make nothing of their meshes."""
     if registry.is_procedural(job.source):
         return [workers.Ended(i, f"{r.source}/{r.object_id}") for i, r in enumerate(refs)]
     read = workers.each(
@@ -455,7 +455,7 @@ def _source_digest(recipe: Recipe, ref: ObjectRef) -> str:
         MachineFault, MemoryError: it says nothing about the object.
     """
     try:
-        return registry.load(ref).sha256
+        return registry.digest(ref)
     except Exception as error:  # an object must not take the others down with it
         verdict = _verdict(error, ref, recipe) or f"{type(error).__name__}: {error}"
         return printable(f"unreadable: {verdict}")

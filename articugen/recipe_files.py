@@ -86,16 +86,29 @@ def read_yaml(path: Path, refusal: type[ArticugenError]) -> Any:
         refusal: it cannot be read, or is anything else; the sentence says what and where.
         MachineFault, MemoryError: the disk does not answer, or the like.
     """
+    return parsed_yaml(yaml_bytes(path, refusal), str(path), refusal)
+
+
+def yaml_bytes(path: Path, refusal: type[ArticugenError]) -> bytes:
+    """The bytes of a YAML file, for `parsed_yaml`.
+
+    Raises:
+        refusal, MachineFault, MemoryError: as `read_yaml`.
+    """
     try:
-        data = read_regular(path, MAX_YAML_BYTES)
+        return read_regular(path, MAX_YAML_BYTES)
     except OSError as error:
         raise machine_fault(error) or refusal(
             f"{path}: cannot be read: {error.strerror}; correct it or name another file"
         ) from error
-    return _parsed(data, str(path), refusal)
 
 
-def _parsed(data: bytes | str, where: str, refusal: type[ArticugenError]) -> Any:
+def parsed_yaml(data: bytes | str, where: str, refusal: type[ArticugenError]) -> Any:
+    """What YAML holds, as `read_yaml` takes it; `where` is named in errors.
+
+    Raises:
+        refusal: it is not such YAML.
+    """
     try:
         return yaml.load(data.decode() if isinstance(data, bytes) else data, _Loader)
     except (yaml.YAMLError, *_PYTHON_ERRORS) as error:
@@ -188,7 +201,7 @@ def with_settings(recipe: Model, texts: Sequence[str]) -> Model:
         if not (equals and key.strip()):
             raise InvalidRecipe(f"--set {text[:100]!r}: write it as section.key=value")
         *sections, last = (name.strip() for name in key.split(".")[:MAX_YAML_DEPTH])
-        setting = {last: _parsed(value, f"--set {text[:100]}", InvalidRecipe)}
+        setting = {last: parsed_yaml(value, f"--set {text[:100]}", InvalidRecipe)}
         for name in reversed(sections):
             setting = {name: setting}
         data = _merged(data, setting)
@@ -243,7 +256,8 @@ def _nearest_key(model: type[BaseModel], location: tuple[int | str, ...]) -> str
 
 def _section(model: type[BaseModel], key: str) -> type[BaseModel] | None:
     """The model of what stands at a key, or of each item there."""
-    annotation = model.model_fields[key].annotation
+    field = model.model_fields.get(key)
+    annotation = field.annotation if field else None
     inner = [a for a in (annotation, *get_args(annotation)) if isinstance(a, type)]
     return next((a for a in inner if issubclass(a, BaseModel)), None)
 

@@ -159,12 +159,11 @@ def advice(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
         return ""
     sentences = undeclared(old, new)
     if sentences:
-        sentences.append("where that is not meant, mend the code instead")
+        sentences.append("where that is not meant, mend the code instead; where it is, then")
     if new["libraries"] != old["libraries"]:
         sentences.append(f"it may be due to libraries: {old['libraries']}, here {new['libraries']}")
-    return "\n".join(
-        [*sentences, f"then run {RENEW}, and tell in CHANGELOG.md what moved, how far"]
-    )
+    sentences.append(f"run {RENEW}, and tell in CHANGELOG.md what moved, and how far")
+    return "\n".join(sentences)
 
 
 def main() -> str | None:

@@ -125,6 +125,10 @@ def bad(tmp_path_factory):
     [
         (("train", "-c", "oven", "-d", "{data}"), "holds box, not oven"),
         (("train", "-c", "box", "-d", "{data}", "-r", "ppd_papre"), "did you mean 'ppd_paper'"),
+        (
+            ("train", "-c", "box", "-d", "{data}", "--set", "schedule.batches=3"),
+            "--set schedule.batches=3: unknown key 'schedule.batches'; did you mean 'batch'?",
+        ),
         (("train", "-c", "box", "-d", "{data}", "--device", "cuda:9"), "torch sees no such device"),
         (("train", "-c", "box", "-d", "{bad}/none"), "none/manifest.json"),
         (("evaluate", "{data}", "-d", "{data}"), "holds no run"),

@@ -6,14 +6,15 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from test_workers import alive, children
-from trouble import small_disk
+from trouble import obeying_permissions, small_disk
 
 import articugen
 from articugen import articulation, content
@@ -27,7 +28,7 @@ from articugen.errors import (
 from articugen.instance import make_instance, prepare
 from articugen.pipeline import Job, ObjectReport, generate, plan
 from articugen.recipe import Articulation, Recipe, Sampling, ViewSettings, load_recipe
-from articugen.sources import registry
+from articugen.sources import meshes, registry
 from articugen.store import manifest as manifest_module
 from articugen.store.journal import JOURNAL_NAME
 from articugen.store.manifest import (
@@ -355,6 +356,28 @@ def test_a_changed_model_is_made_again_alone(boxes: Path, tmp_path: Path) -> Non
     assert verify(ours.out).findings == ()
 
 
+def test_planning_makes_nothing_of_meshes(
+    boxes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are digested, as sound models are when they are made; unsound ones are tried once."""
+    mesh = '<mesh filename="lid.obj"/>'
+    for k in range(4):
+        model = BOX.format(size=1 + 0.1 * k).replace('<box size="1 1 0.1"/>', mesh)
+        (boxes / f"box{k}.urdf").write_text(model)
+    trimesh.creation.box((1.0, 1.0, 0.1)).export(boxes / "lid.obj")
+    ours = job(tmp_path / "out", source=str(boxes), category="box")
+    with monkeypatch.context() as patch:
+        patch.setattr(meshes, "checked", lambda *_: 1 / 0)
+        keys = {task.ref.object_id: task.key.ref for task in plan(ours).tasks}
+    manifest, _ = made(ours)
+    assert {o.key.object_id: o.input_sha256 for o in manifest.objects} == keys
+    (boxes / "lid.obj").write_text("v 0 0 0\nf 1 2 3\n")
+    assert {task.why for task in plan(ours).tasks} == {"its source has changed"}
+    with pytest.raises(ArticugenError, match="4 of 4 objects were rejected"):
+        made(ours)
+    assert plan(ours).tasks == ()
+
+
 # --- what cannot be made
 
 
@@ -437,11 +460,41 @@ def test_a_folder_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None
     assert (tmp_path / "file").read_text() == "in the way"
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 def test_a_folder_without_permission_is_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "locked").mkdir(mode=0o500)
-    with pytest.raises(ArticugenError, match="cannot be written to; change its permissions"):
-        made(job(tmp_path / "locked" / "out"))
+    said = made_under("", tmp_path / "locked" / "out", 0, begin=obeying_permissions())
+    assert "MachineFault: " in said
+    assert "locked/out: not written: the folder cannot be written to; change its perm" in said
+
+
+@pytest.mark.parametrize("taken", ["out", "models/procedural/eyeglasses"])
+def test_a_file_where_a_folder_must_be_stops_the_run_and_rejects_nothing(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taken: str
+) -> None:
+    (tmp_path / "models" / "procedural").mkdir(parents=True)
+    monkeypatch.setenv("ARTICUGEN_SOURCES", str(tmp_path / "models"))
+    (tmp_path / taken).write_text("in the way")
+    with pytest.raises(MachineFault, match="a file is in the way; move it away or"):
+        made(job(tmp_path / "out"))
+    (tmp_path / taken).unlink()
+    assert [task.why for task in plan(job(tmp_path / "out")).tasks] == [NEVER_MADE] * 4
+    assert made(job(tmp_path / "out"))[0].rejected == ()
+    assert contents(tmp_path / "out") == contents(whole)
+
+
+def test_a_disk_that_is_locked_meanwhile_stops_the_run_and_rejects_nothing(
+    whole: Path, tmp_path: Path
+) -> None:
+    def remount(how: str) -> None:
+        subprocess.run(["mount", "-o", f"remount,{how}", str(disk)], check=True)
+
+    with small_disk(tmp_path / "disk", "20m") as disk:
+        with pytest.raises(MachineFault, match=r"not written: the folder cannot be written to"):
+            generate(job(disk / "out"), lambda _: remount("ro"))
+        remount("rw")
+        assert len(plan(job(disk / "out")).tasks) == 3
+        assert made(job(disk / "out"))[0].rejected == ()
+        assert contents(disk / "out") == contents(whole)
 
 
 def test_files_that_are_not_ours_are_left_alone(boxes: Path, tmp_path: Path) -> None:
@@ -573,11 +626,14 @@ generate(Job("procedural", "eyeglasses", recipe, 0, Path({out!r}), {jobs}), lamb
 """
 
 
-def made_under(before: str, out: Path, jobs: int, **environment: str) -> str:
-    """The last line that a run of its own says on stderr, under limits that `before` sets."""
+def made_under(
+    before: str, out: Path, jobs: int, *, begin: Sequence[str] = (), **environment: str
+) -> str:
+    """The last line that a run of its own says on stderr, under limits that `before` sets, or the
+    `begin` of its command."""
     code = FULL.format(before=before, recipe=TINY.text(), out=str(out), jobs=jobs)
     done = subprocess.run(
-        [sys.executable, "-c", code],
+        [*begin, sys.executable, "-c", code],
         capture_output=True,
         text=True,
         timeout=60,

@@ -1,6 +1,7 @@
 import errno
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 
 from articugen import recipe as recipe_module
 from articugen.errors import InvalidRecipe, MachineFault
+from articugen.learning.ppd.settings import load_train_recipe
 from articugen.recipe import Recipe, Sampling, load_recipe
 from articugen.recipe_files import known, with_settings
 from articugen.store import schema, shards
@@ -133,6 +135,21 @@ def test_whatever_recipe_is_read_a_shard_can_hold_it() -> None:
     assert set(sizes) >= {f.name for f in schema.FIELDS if not f.is_grid}
     both = Sampling(grids=(64,), coverage=True).instance_bytes()
     assert both["coverage_64"] == both["occupancy_64"] == 2**18
+
+
+def test_what_the_manual_shows_of_training_recipes_is_one(tmp_path: Path) -> None:
+    manual = (Path(__file__).parents[1] / "docs" / "ppd.md").read_text(encoding="utf-8")
+    shown = re.findall(r"`(\w+: \{[^`]*\})`", manual)
+    assert any("halve_at" in text for text in shown)
+    for text in shown:
+        for name in known(learner=True):
+            load_train_recipe(written(tmp_path, f"extends: {name}\n{text}"))
+
+
+def test_errors_of_a_whole_training_recipe_name_file_and_keys(tmp_path: Path) -> None:
+    path = written(tmp_path, "extends: ppd_quick\nseeds: {count: 4, halve_at: [800]}")
+    with pytest.raises(InvalidRecipe, match=r"mine\.yaml: seeds\.halve_at must be ascending"):
+        load_train_recipe(path)
 
 
 def test_settings_are_merged_into_the_recipe_key_by_key() -> None:

@@ -208,6 +208,19 @@ def load(ref: ObjectRef) -> ArticulatedObject:
     return replace(obj, sha256=digest)
 
 
+def digest(ref: ObjectRef) -> str:
+    """The sha256 that `load` gives a sound object, without making anything of its meshes; of one
+    whose meshes are unsound, some digest of its files.
+
+    Raises:
+        InvalidSource, BrokenPlugin, MachineFault, MemoryError: as `load`.
+    """
+    from articugen.sources.meshes import hashed_only  # noqa: PLC0415 - slow to import
+
+    with hashed_only():
+        return load(ref).sha256
+
+
 def _named(source: str | Path) -> NamedSource | None:
     """The named source, or None for the path of something that exists."""
     named = source_named(source) if isinstance(source, str) else None

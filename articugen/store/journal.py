@@ -48,9 +48,9 @@ class Journal:
     """What a folder already holds, and the record of a run in it; one run at a time.
 
     Nothing is believed that is not on the disk as it was recorded: a shard counts only with the
-    size and digest that its line states, or, where a user has added a group of his own, with the
-    content that it states. Shards of ours that are out of date are replaced; files
-    that no line names are never touched, nor anything outside the folder, whatever a line says.
+    size and digest that its line states, or, where somebody has added a group `user`, with the
+    content that it states. Shards of ours that are out of date are replaced; files that no line
+    names are never touched, nor anything outside the folder, whatever a line says.
 
     Use it as `with Journal(folder) as journal:`. The journal's first line that claims a file name
     is on the disk before the file is, so that a run that was killed recognises its own files.

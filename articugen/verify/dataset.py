@@ -220,22 +220,23 @@ def _shard_findings(
     if not path.is_file():
         sentence = "the manifest lists this shard, the folder lacks it"
         return [Finding("missing", sentence, entry.name)], False
-    other = [Finding("checksum", "not the file that the manifest records", entry.name)]
+    findings: list[Finding] = []
+    other, extended = False, False
     try:
-        if entry.is_of(path):
-            other = []
+        other = not entry.is_of(path)
         with open_shard(path) as shard:
-            findings = [
-                *_attribute_findings(shard, about, objects),
-                *_content_findings(shard, entry, objects),
-            ]
-            extended = bool(other) and shard.extended and not findings
+            findings += _attribute_findings(shard, about, objects)
+            findings += _content_findings(shard, entry, objects)
+            extended = other and shard.extended and not findings
             findings += _geometry_findings(shard)
-        return [*([] if extended else other), *findings], extended
     except CorruptShard as error:
-        return [*other, Finding("schema", str(error), entry.name)], False
+        findings.append(Finding("schema", str(error), entry.name))
     except OSError as error:
-        return [Finding("unreadable", error.strerror or str(error), entry.name)], False
+        findings.append(Finding("unreadable", error.strerror or str(error), entry.name))
+    if other and not extended:
+        sentence = "not the file that the manifest records"
+        findings.insert(0, Finding("checksum", sentence, entry.name))
+    return findings, extended
 
 
 def _attribute_findings(
