@@ -6,7 +6,7 @@ ranges. Everything after it sees joints that are 0 in the canonical pose. All fu
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from fnmatch import fnmatchcase
 from typing import Literal
 
@@ -16,7 +16,15 @@ from articugen.errors import NotOfCategory, RejectedInstance
 from articugen.geometry import apply, bounds, invert_rigid, rotation_about, transform
 from articugen.portable import product, turned
 from articugen.recipe import Articulation
-from articugen.records import ArticulatedObject, Floats, Joint, JointState, Mimic, PosedObject
+from articugen.records import (
+    ArticulatedObject,
+    Floats,
+    Joint,
+    JointState,
+    Mimic,
+    PosedObject,
+    ResolvedObject,
+)
 
 Canonical = Literal["zero", "lower", "upper"]
 
@@ -37,7 +45,7 @@ def resolve(
     canonical: Canonical = "zero",
     movable: Sequence[str] = (),
     clip: bool = True,
-) -> ArticulatedObject:
+) -> ResolvedObject:
     """The object as the recipe wants it: q = 0 is the canonical pose, limits are what is sampled.
 
     A joint that moves counts up from the canonical pose: its axis is turned around where the limits
@@ -91,7 +99,7 @@ def resolve(
     if not any(plan.moves for plan in plans.values()):
         raise NotOfCategory(_nothing_moves(obj, patterns))
     resolved = replace(
-        obj,
+        ResolvedObject(**{f.name: getattr(obj, f.name) for f in fields(ArticulatedObject)}),
         joints=tuple(_planned(j, plans[j.name]) if j.name in plans else j for j in obj.joints),
         notes=obj.notes + tuple(f"{text}: {', '.join(names)}" for text, names in remarks.items()),
     )

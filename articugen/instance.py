@@ -32,6 +32,7 @@ from articugen.records import (
     LabelledMesh,
     Normalization,
     PosedObject,
+    ResolvedObject,
     Views,
     dequantize,
     quantize,
@@ -93,7 +94,7 @@ class Prepared:
         grids: by resolution.
     """
 
-    obj: ArticulatedObject
+    obj: ResolvedObject
     recipe: Recipe
     seed: int
     states: tuple[JointState, ...]
@@ -114,15 +115,21 @@ class Prepared:
         return generator(self.seed, self.obj.category, self.obj.object_id, *path)
 
 
-def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
+def prepare(obj: ResolvedObject, recipe: Recipe, seed: int) -> Prepared:
     """Everything that the instances of `obj` share.
 
     Args:
-        obj: already resolved by `articulation.resolve`.
+        obj: what `articulation.resolve` makes of an object and the recipe.
 
     Raises:
         RejectedInstance: the object has no faces, or too many parts.
+        TypeError: the object was not resolved; a fault of the caller.
     """
+    if not isinstance(obj, ResolvedObject):
+        raise TypeError(
+            f"{obj.object_id}: was never resolved; call articulation.resolve(obj, "
+            "recipe.articulation) first"
+        )
     if obj.part_count > MOST_PARTS:
         raise RejectedInstance(f"{obj.part_count} parts; at most {MOST_PARTS} can be labelled")
     states = _joint_states(obj, recipe.articulation.states, seed)

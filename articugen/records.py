@@ -173,6 +173,12 @@ class ArticulatedObject:
 
 
 @dataclass(frozen=True, eq=False)
+class ResolvedObject(ArticulatedObject):
+    """An object with a recipe's choice of moving joints, of their ranges and canonical pose: what
+    `articulation.resolve` makes of one that a source gives."""
+
+
+@dataclass(frozen=True, eq=False)
 class JointState:
     """`q` (J,): one number per moving joint in part order, rad or m, 0 in the canonical pose.
 

@@ -85,7 +85,7 @@ def test_nothing_is_written_through_links(tmp_path, monkeypatch):
     assert not (tmp_path / "a.h5").is_symlink()
     monkeypatch.setattr(files.secrets, "token_hex", lambda _: "01234567")
     (tmp_path / ".b.h5.01234567.partial").symlink_to(mine)
-    with pytest.raises(MachineFault, match="exists"):
+    with pytest.raises(MachineFault, match="in the way"):
         write_atomically(tmp_path / "b.h5", b"new")
     assert mine.read_bytes() == b"precious"
 

@@ -524,6 +524,12 @@ def test_all_poses_together_just_fill_the_unit_frame(
     assert np.max(box[1]) == pytest.approx(0.45, abs=1e-9)
 
 
+def test_an_object_that_was_never_resolved_is_refused(tmp_path: Path) -> None:
+    raw, _ = written("oven", object_id("oven", 0), tmp_path)
+    with pytest.raises(TypeError, match=r"oven_0000: was never resolved; call articulation"):
+        prepare(raw, recipe_for("oven"), seed=0)  # pyright: ignore[reportArgumentType]
+
+
 # --- the same whoever makes it
 
 

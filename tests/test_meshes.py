@@ -221,7 +221,11 @@ def test_every_format_gives_the_same_box(tmp_path, suffix):
     else:
         kind = "stl_ascii" if suffix == "ascii.stl" else suffix
         write(path, source.export(file_type=kind))
-    np.testing.assert_allclose(triangles(read_mesh(path)), triangles(wanted), atol=1e-6)
+    files, hashed = ModelFiles(tmp_path), ModelFiles(tmp_path)
+    np.testing.assert_allclose(triangles(read_mesh(path, files)), triangles(wanted), atol=1e-6)
+    with meshes.hashed_only():
+        read_mesh(path, hashed)
+    assert hashed.sha256() == files.sha256()  # of all files that count, a glTF's buffers too
 
 
 @pytest.mark.parametrize("suffix", ["glb", "dae"])

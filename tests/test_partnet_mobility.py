@@ -181,7 +181,7 @@ def test_the_hash_does_not_depend_on_the_place(folder, tmp_path_factory):
         ("meta.json", "{", r"meta\.json: not JSON"),
         ("mobility_v2.json", "[" * 10**5, r"mobility_v2\.json: not JSON"),
         ("mobility_v2.json", '[{"joint": 3}]', r"mobility_v2\.json: 0\.joint"),
-        ("mobility_v2.json", "{}", r"mobility_v2\.json: .*list"),
+        ("mobility_v2.json", "{}", r"mobility_v2\.json: the file: .*list"),
         ("semantics.txt", b"\xff\xfe", r"semantics\.txt: is not UTF-8"),
     ],
 )

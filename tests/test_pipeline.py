@@ -6,16 +6,18 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from test_workers import alive, children
-from trouble import small_disk
+from trouble import obeying_permissions, small_disk
 
-from articugen import articulation
+import articugen
+from articugen import articulation, content
 from articugen.errors import (
     ArticugenError,
     InvalidRecipe,
@@ -26,9 +28,16 @@ from articugen.errors import (
 from articugen.instance import make_instance, prepare
 from articugen.pipeline import Job, ObjectReport, generate, plan
 from articugen.recipe import Articulation, Recipe, Sampling, ViewSettings, load_recipe
-from articugen.sources import registry
+from articugen.sources import meshes, registry
+from articugen.store import manifest as manifest_module
 from articugen.store.journal import JOURNAL_NAME
-from articugen.store.manifest import MANIFEST_NAME, Manifest, Rejection, content_of
+from articugen.store.manifest import (
+    MANIFEST_NAME,
+    Manifest,
+    Rejection,
+    code_version,
+    content_of,
+)
 from articugen.store.shards import open_shard
 from articugen.verify.dataset import verify
 
@@ -56,6 +65,8 @@ BOX = """<robot name="box">
     <origin xyz="-0.5 0 0"/><axis xyz="0 -1 0"/>
     <limit lower="0" upper="2" effort="1" velocity="1"/></joint>
 </robot>"""
+
+PACKAGE = Path(articugen.__file__).parent
 
 NEVER_MADE = "it has not been made yet"
 
@@ -259,6 +270,67 @@ def test_a_changed_recipe_or_seed_is_why_all_are_made_again(mine: Path) -> None:
     assert verify(mine).findings == ()
 
 
+PLANNED = """
+from pathlib import Path
+from articugen.pipeline import Job, plan
+from articugen.recipe import Recipe
+from articugen.store.manifest import code_version
+recipe = Recipe.model_validate_json({recipe!r})
+found = plan(Job("procedural", "eyeglasses", recipe, 0, Path({out!r}), 0))
+print(code_version(), len(found.done), len(found.tasks))
+"""
+
+
+def test_comments_and_new_files_make_no_data_stale(whole: Path, tmp_path: Path) -> None:
+    copied = tmp_path / "articugen"
+    shutil.copytree(PACKAGE, copied, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("recipes", "urdf_sources"):
+        (tmp_path / name).symlink_to(PACKAGE.parent / name)
+    with (copied / "fusion" / "kernels.py").open("a") as file:
+        file.write("\n# a remark\n")
+    (copied / "rendering" / "another.py").write_text("")
+    code = PLANNED.format(recipe=TINY.text(), out=str(whole))
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    version, *counts = done.stdout.split()
+    assert version != Manifest.read(whole).articugen_version == code_version()
+    assert counts == ["4", "0"]
+
+
+def test_other_code_that_makes_the_same_goes_on_with_what_is_there(
+    mine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (mine / "train-00001.h5").unlink()
+    monkeypatch.setattr(manifest_module, "code_version", lambda: "9.9+other")
+    manifest, reports = made(job(mine))
+    assert sum(r.reused for r in reports) == 3
+    assert manifest.articugen_version == "9.9+other"
+    assert verify(mine).findings == ()
+
+
+@pytest.mark.parametrize(
+    ("table", "name", "told"),
+    [("STAGES", "fusion", "fusion"), ("MODELS", "eyeglasses", "eyeglasses models")],
+)
+def test_a_raised_version_makes_data_again(
+    whole: Path, monkeypatch: pytest.MonkeyPatch, table: str, name: str, told: str
+) -> None:
+    monkeypatch.setitem(getattr(content, table), name, 2)
+    why = f"the code makes other data: it was {told} 1, is {told} 2"
+    assert [task.why for task in plan(job(whole)).tasks] == [why] * 4
+    assert why in (plan(job(whole)).conflict or "")
+
+
+def test_versions_of_bundled_models_decide_no_other_models(
+    boxes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = [task.key for task in plan(job(tmp_path, source=str(boxes), category="box")).tasks]
+    monkeypatch.setitem(content.MODELS, "box", 2)
+    after = [task.key for task in plan(job(tmp_path, source=str(boxes), category="box")).tasks]
+    assert after == before
+
+
 def test_a_missing_or_altered_shard_is_made_again(mine: Path, whole: Path) -> None:
     (mine / "train-00001.h5").unlink()
     damaged = bytearray((mine / "test-00000.h5").read_bytes())
@@ -282,6 +354,28 @@ def test_a_changed_model_is_made_again_alone(boxes: Path, tmp_path: Path) -> Non
     assert [(t.ref.object_id, t.why) for t in found.tasks] == [("box2", "its source has changed")]
     made(ours)
     assert verify(ours.out).findings == ()
+
+
+def test_planning_makes_nothing_of_meshes(
+    boxes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are digested, as sound models are when they are made; unsound ones are tried once."""
+    mesh = '<mesh filename="lid.obj"/>'
+    for k in range(4):
+        model = BOX.format(size=1 + 0.1 * k).replace('<box size="1 1 0.1"/>', mesh)
+        (boxes / f"box{k}.urdf").write_text(model)
+    trimesh.creation.box((1.0, 1.0, 0.1)).export(boxes / "lid.obj")
+    ours = job(tmp_path / "out", source=str(boxes), category="box")
+    with monkeypatch.context() as patch:
+        patch.setattr(meshes, "checked", lambda *_: 1 / 0)
+        keys = {task.ref.object_id: task.key.ref for task in plan(ours).tasks}
+    manifest, _ = made(ours)
+    assert {o.key.object_id: o.input_sha256 for o in manifest.objects} == keys
+    (boxes / "lid.obj").write_text("v 0 0 0\nf 1 2 3\n")
+    assert {task.why for task in plan(ours).tasks} == {"its source has changed"}
+    with pytest.raises(ArticugenError, match="4 of 4 objects were rejected"):
+        made(ours)
+    assert plan(ours).tasks == ()
 
 
 # --- what cannot be made
@@ -366,11 +460,41 @@ def test_a_folder_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None
     assert (tmp_path / "file").read_text() == "in the way"
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 def test_a_folder_without_permission_is_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "locked").mkdir(mode=0o500)
-    with pytest.raises(ArticugenError, match="cannot be written to; change its permissions"):
-        made(job(tmp_path / "locked" / "out"))
+    said = made_under("", tmp_path / "locked" / "out", 0, begin=obeying_permissions())
+    assert "MachineFault: " in said
+    assert "locked/out: not written: the folder cannot be written to; change its perm" in said
+
+
+@pytest.mark.parametrize("taken", ["out", "models/procedural/eyeglasses"])
+def test_a_file_where_a_folder_must_be_stops_the_run_and_rejects_nothing(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taken: str
+) -> None:
+    (tmp_path / "models" / "procedural").mkdir(parents=True)
+    monkeypatch.setenv("ARTICUGEN_SOURCES", str(tmp_path / "models"))
+    (tmp_path / taken).write_text("in the way")
+    with pytest.raises(MachineFault, match="a file is in the way; move it away or"):
+        made(job(tmp_path / "out"))
+    (tmp_path / taken).unlink()
+    assert [task.why for task in plan(job(tmp_path / "out")).tasks] == [NEVER_MADE] * 4
+    assert made(job(tmp_path / "out"))[0].rejected == ()
+    assert contents(tmp_path / "out") == contents(whole)
+
+
+def test_a_disk_that_is_locked_meanwhile_stops_the_run_and_rejects_nothing(
+    whole: Path, tmp_path: Path
+) -> None:
+    def remount(how: str) -> None:
+        subprocess.run(["mount", "-o", f"remount,{how}", str(disk)], check=True)
+
+    with small_disk(tmp_path / "disk", "20m") as disk:
+        with pytest.raises(MachineFault, match=r"not written: the folder cannot be written to"):
+            generate(job(disk / "out"), lambda _: remount("ro"))
+        remount("rw")
+        assert len(plan(job(disk / "out")).tasks) == 3
+        assert made(job(disk / "out"))[0].rejected == ()
+        assert contents(disk / "out") == contents(whole)
 
 
 def test_files_that_are_not_ours_are_left_alone(boxes: Path, tmp_path: Path) -> None:
@@ -502,11 +626,14 @@ generate(Job("procedural", "eyeglasses", recipe, 0, Path({out!r}), {jobs}), lamb
 """
 
 
-def made_under(before: str, out: Path, jobs: int, **environment: str) -> str:
-    """The last line that a run of its own says on stderr, under limits that `before` sets."""
+def made_under(
+    before: str, out: Path, jobs: int, *, begin: Sequence[str] = (), **environment: str
+) -> str:
+    """The last line that a run of its own says on stderr, under limits that `before` sets, or the
+    `begin` of its command."""
     code = FULL.format(before=before, recipe=TINY.text(), out=str(out), jobs=jobs)
     done = subprocess.run(
-        [sys.executable, "-c", code],
+        [*begin, sys.executable, "-c", code],
         capture_output=True,
         text=True,
         timeout=60,

@@ -94,7 +94,9 @@ def test_a_real_model_moves_and_has_an_inside(source: str, category: str, model:
             all_stages(mine[0])
         return
     for ref in mine:
-        assert_sound(*all_stages(ref))
+        prepared, instances = all_stages(ref)
+        assert_sound(prepared, instances)
+        assert registry.digest(ref) == prepared.obj.sha256
 
 
 def assert_sound(prepared: Prepared, instances: list[Instance]) -> None:

@@ -1,6 +1,7 @@
 """Trouble for tests: small disks, folders that another run holds, what is no file to read."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -35,6 +36,17 @@ def small_disk(path: Path, size: str) -> Iterator[Path]:
         yield path
     finally:
         subprocess.run(["umount", str(path)], check=True)
+
+
+def obeying_permissions() -> list[str]:
+    """How the command begins of a process that may not write everywhere, as root may."""
+    if os.geteuid() != 0:
+        return []
+    no_override = ["--bounding-set", "-dac_override", "--inh-caps", "-dac_override"]
+    command = ["setpriv", *no_override]
+    if not shutil.which("setpriv") or subprocess.run([*command, "true"], check=False).returncode:
+        pytest.skip("root may write everywhere, and there is no setpriv")
+    return command
 
 
 @contextmanager

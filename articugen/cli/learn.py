@@ -31,6 +31,7 @@ def register(app: typer.Typer, said_in_one_sentence: Said) -> None:
     _said = said_in_one_sentence
     app.command(
         epilog="Examples:\n\narticugen train --category laptop --data data/laptop\n\n"
+        "articugen train --category laptop --data data/laptop --set losses.vol=500\n\n"
         "articugen train --category laptop --data data/laptop --resume runs/laptop/000"
     )(train)
     app.command(epilog="Example: articugen train-depth runs/laptop --data data/laptop")(train_depth)
@@ -57,6 +58,15 @@ def train(
     method: Annotated[
         str | None,
         typer.Option("--method", "-m", help="What learns.", show_default="the recipe's, else ppd"),
+    ] = None,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="SECTION.KEY=VALUE",
+            help="Another value than the recipe's, as YAML; may be given several times.",
+            show_default="none",
+        ),
     ] = None,
     runs: Annotated[Path, typer.Option(help="Runs go to <runs>/<category>/<number>.")] = Path(
         "runs"
@@ -94,6 +104,7 @@ def train(
                 data,
                 recipe,
                 method=method,
+                changes=changes or (),
                 category=category,
                 runs=runs,
                 seed=seed,

@@ -143,7 +143,7 @@ def _annotation(files: ModelFiles) -> list[_Annotated]:
         parts = _ANNOTATION.validate_python([] if data is None else data)
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
+        where = ".".join(str(part) for part in first["loc"]) or "the file"
         raise InvalidSource(
             f"{files.folder / 'mobility_v2.json'}: {where}: {first['msg']}; get the model again"
         ) from None

@@ -270,6 +270,19 @@ def load(ref: ObjectRef) -> ArticulatedObject:
     return replace(obj, sha256=digest)
 
 
+def digest(ref: ObjectRef) -> str:
+    """The sha256 that `load` gives a sound object, without making anything of its meshes; of one
+    whose meshes are unsound, some digest of its files.
+
+    Raises:
+        InvalidSource, MachineFault, MemoryError: as `load`.
+    """
+    from articugen.sources.meshes import hashed_only  # noqa: PLC0415 - slow to import
+
+    with hashed_only():
+        return load(ref).sha256
+
+
 def _read_distrustfully(ref: ObjectRef, own: CategorySettings) -> ArticulatedObject:
     """A stranger's model: whatever a reader meets that nobody thought of is the model's fault, so
     that it takes no other object along."""

@@ -1,5 +1,6 @@
 """The schema of `urdf_sources/<source>/source.yaml`, which describes one source."""
 
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,7 +13,7 @@ from pydantic import (
 )
 
 from articugen.errors import InvalidSource
-from articugen.recipe_files import Section, nearest, read_yaml
+from articugen.recipe_files import Section, nearest, parsed_yaml, yaml_bytes
 
 Reader = Literal["urdf", "procedural", "partnet_mobility", "shape2motion"]
 Share = Annotated[NonNegativeInt, Field(le=1_000_000)] | tuple[str, ...] | None
@@ -105,9 +106,15 @@ def read_source_file(path: Path) -> SourceFile:
     Raises:
         InvalidSource: unreadable, not YAML, an unknown key (with the nearest valid one), bad value.
     """
-    data = read_yaml(path, InvalidSource)
+    return _checked(path, yaml_bytes(path, InvalidSource))
+
+
+@lru_cache(64)
+def _checked(path: Path, data: bytes) -> SourceFile:
+    """What a source.yaml of these bytes says: they are parsed once, not once for each object."""
+    parsed = parsed_yaml(data, str(path), InvalidSource)
     try:
-        return SourceFile.model_validate(data)
+        return SourceFile.model_validate(parsed)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])

@@ -21,6 +21,10 @@ _CURES = {
     errno.ENOENT: "its folder does not exist; make it first",
 }
 _CURES |= dict.fromkeys(
+    (errno.EEXIST, errno.ENOTDIR),
+    "a file is in the way; move it away or choose another output folder",
+)
+_CURES |= dict.fromkeys(
     (errno.EACCES, errno.EPERM, errno.EROFS),
     "the folder cannot be written to; change its permissions or choose another output folder",
 )

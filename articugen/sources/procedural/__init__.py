@@ -8,6 +8,7 @@ import importlib
 import re
 from pathlib import Path
 
+from articugen.content import MODELS
 from articugen.errors import InvalidSource
 from articugen.seeding import generator
 from articugen.sources.procedural.cache import stored
@@ -57,4 +58,5 @@ def write_object(category: str, object_id: str, folder: Path, *, messy: bool = F
         write_model(model, work, object_id=object_id, category=category, messy=messy)
 
     identity = {"object_id": object_id, "category": category, "messy": messy}
+    identity["content_version"] = MODELS.get(category, 0)
     return stored(folder, identity, write) / URDF_NAME
