@@ -9,19 +9,10 @@ from instances import hinged_box
 from ppd_data import write_boxes
 
 from articugen.errors import CorruptShard
-from articugen.geometry import apply, transform
-from articugen.records import dequantize
+from articugen.geometry import transform
+from articugen.learning.evaluation.evaluate import Protocol, evaluate, label_votes
+from articugen.learning.evaluation.reconstruction import PartJoints, truth
 
-torch = pytest.importorskip("torch", reason="PPD needs torch")
-
-from articugen.learning.evaluation.evaluate import Protocol, evaluate, label_votes  # noqa: E402
-from articugen.learning.evaluation.reconstruction import PartJoints, truth  # noqa: E402
-from articugen.learning.evaluation.surfaces import distance  # noqa: E402
-from articugen.learning.ppd.model import PPD  # noqa: E402
-from articugen.learning.ppd.reconstruct import part_logits, reconstruction_of  # noqa: E402
-from articugen.learning.ppd.settings import ModelSettings  # noqa: E402
-
-torch.set_num_threads(1)
 FEW = Protocol(points=100, surface_samples=200)
 
 
@@ -167,34 +158,3 @@ def test_a_data_set_without_test_objects_is_refused(tmp_path):
     data = write_boxes(tmp_path / "boxes", train=1, test=0, states=1)
     with pytest.raises(CorruptShard, match="has no object in split 'test'"):
         evaluate(data, truth, FEW)
-
-
-@pytest.mark.parametrize("part_frame", ["world", "joint"])
-def test_a_model_s_surfaces_lie_where_its_field_is_zero(part_frame):
-    torch.manual_seed(1)
-    model = PPD(ModelSettings(part_frame=part_frame, coordinate_bound=1 / 3)).eval()
-    (instance,) = hinged_box([(0.3, 0.1)])
-    cloud = dequantize(instance.surface_points)
-
-    def predict():
-        with torch.no_grad():
-            return model(torch.as_tensor(cloud, dtype=torch.float32)[None])
-
-    middling = np.median(part_logits(model, predict(), 16).max(0))
-    with torch.no_grad():  # F^{s,z} is halved by the common field, so half of the cube gets free
-        model.shape.head_2.bias[8:] -= 2.0 * middling
-    found = reconstruction_of(model, predict(), 16)
-    assert len(found.whole)
-    assert len(set(found.part.tolist())) > 1
-    # A surface of the whole is the surface of some part, to within the grid's error.
-    middle = found.whole.mean(1)[::20]
-    assert distance(middle, found.triangles).max() < 1 / 16
-    # A voxel is occupied where the field of any part is above 0 at its centre.
-    logits = part_logits(model, predict(), 16)
-    assert 0.1 < found.occupied.mean() < 0.9
-    np.testing.assert_array_equal(found.occupied, (logits > 0).any(0))
-    # T_part is what `fields` undoes.
-    pose = model(torch.as_tensor(cloud, dtype=torch.float32)[None]).pose
-    local = model.motion(pose).apply(torch.tensor([[[0.1, 0.2, 0.3]]]))[0, :, 0].detach().numpy()
-    for i in range(8):
-        np.testing.assert_allclose(apply(found.T_part[i], local[i]), [0.1, 0.2, 0.3], atol=1e-5)

@@ -9,14 +9,11 @@ from yourdfpy import URDF
 
 from articugen.errors import ArticugenError
 from articugen.geometry import apply
-from articugen.records import Normalization
-
-pytest.importorskip("torch", reason="PPD needs torch")
-
 from articugen.learning.evaluation.reconstruction import Reconstruction, truth
 from articugen.learning.evaluation.surfaces import distance
 from articugen.learning.predict import write_rig
 from articugen.marching_cubes import zero_level
+from articugen.records import Normalization
 
 
 def three_balls() -> Reconstruction:

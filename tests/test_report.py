@@ -2,8 +2,6 @@
 
 import pytest
 
-pytest.importorskip("torch", reason="PPD needs torch")
-
 from articugen.errors import InvalidCheckpoint
 from articugen.learning.evaluation import paper
 from articugen.learning.evaluation.report import markdown, tables

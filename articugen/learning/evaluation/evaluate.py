@@ -8,6 +8,7 @@ not to move; distances to what is missing count as the unit cube's diagonal.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -40,13 +41,12 @@ LENGTHS = (0.025, 0.05, 0.1, 0.2)
 
 @dataclass(frozen=True)
 class Protocol:
-    """How much is looked at.
+    """How much is measured, and against what.
 
     Attributes:
         points: surface points a true part.
         label_poses: whether the canonical poses of training objects vote, or all of them.
-        label_objects, test_states: at most so many training objects, and random states of a test
-            object; None means all.
+        test_states: at most so many random states of a test object; None means all.
         f_threshold: of the F-score, in the unit frame; the paper names none.
         surface_samples: points on the predicted surface for F-score and Chamfer-L1.
         occupancy: what the reconstruction IoU compares with: what is `visible`, or `material`.
@@ -54,7 +54,6 @@ class Protocol:
 
     points: int = 1000
     label_poses: str = "canonical"
-    label_objects: int | None = None
     test_states: int | None = None
     f_threshold: float = 0.01
     surface_samples: int = 8192
@@ -148,9 +147,7 @@ def label_votes(
     """(P, K) the votes of the training instances, summed."""
     states = 0 if protocol.label_poses == "canonical" else None
     table: Floats | None = None
-    for count, instances in enumerate(objects_of(data, "train", states)):
-        if count == protocol.label_objects:
-            break
+    for instances in objects_of(data, "train", states):
         for instance in instances:
             points, true = surface_of(instance, protocol.points)
             found = reconstruct(instance)
@@ -158,7 +155,7 @@ def label_votes(
             ballot = metrics.votes(near, true, found.parts, len(instance.part_motion))
             table = ballot if table is None else table + ballot
         on_object(instances[0].object_id)
-    assert table is not None  # check_splits has seen to it
+    assert table is not None  # check_splits looked first
     return table
 
 
@@ -200,19 +197,13 @@ def _measure_shape(
     to_true = np.full(1, DIAGONAL)
     if len(found.whole):
         rng = generator(0, "evaluate", instance.object_id, instance.state_index)
-        drawn = _points_on(found.whole, protocol.surface_samples, rng)
+        drawn = sample(found.whole, protocol.surface_samples, rng)
         to_true = distance(drawn, np.repeat(surface[:, None], 3, axis=1))
     tally.add(
         chamfer_l1=metrics.chamfer_l1(to_true, to_predicted),
         f_score=100.0 * metrics.f_score(to_true, to_predicted, protocol.f_threshold),
         no_surface=float(not len(found.whole)),
     )
-
-
-def _points_on(triangles: Floats, count: int, rng: np.random.Generator) -> Floats:
-    if np.ptp(triangles, axis=1).max() == 0.0:  # stored points in the place of triangles
-        return triangles[:, 0]
-    return sample(triangles, count, rng)
 
 
 def motions(first: Reconstruction, found: Reconstruction) -> dict[str, Floats]:
@@ -266,16 +257,16 @@ def _note_joint_states(tally: Tally, instance: Instance, found: Reconstruction) 
         return
     for j, kind in enumerate(instance.joint_kind.tolist()):
         parts = np.flatnonzero((tally.dominant == j + 1) & (found.joints.kind == kind))
-        tally.joint_states.append(
-            JointState(
-                object=instance.object_id,
-                state_index=instance.state_index,
-                joint=j,
-                kind=KINDS[kind],
-                true=float(instance.joint_state[j]),
-                predicted=float(found.joints.state[parts[0]]) if len(parts) else None,
-            )
-        )
+        predicted = float(found.joints.state[parts[0]]) if len(parts) else None
+        true = float(instance.joint_state[j])
+        tally.joint_states.append(JointState(**_which(instance, j), true=true, predicted=predicted))
+
+
+def _which(instance: Instance, joint: int) -> dict[str, Any]:
+    """Whose record it is, of a joint of an instance."""
+    kind = KINDS[int(instance.joint_kind[joint])]
+    place = {"object": instance.object_id, "state_index": instance.state_index}
+    return {**place, "joint": joint, "kind": kind}
 
 
 def _joint_lines(states: list[JointState]) -> Iterator[JointLine]:
@@ -285,16 +276,8 @@ def _joint_lines(states: list[JointState]) -> Iterator[JointLine]:
     for (joint, kind), mine in sorted(groups.items(), key=lambda group: group[0]):
         known = [(s.true, s.predicted) for s in mine if s.predicted is not None]
         line = metrics.line_through(*np.array(known, np.float64).reshape(-1, 2).T)
-        slope, offset, residual = line or (None, None, None)
-        yield JointLine(
-            joint=joint,
-            kind=kind,
-            states=len(mine),
-            predicted=len(known),
-            slope=slope,
-            offset=offset,
-            residual=residual,
-        )
+        fit = dict(zip(("slope", "offset", "residual"), line or (None,) * 3, strict=True))
+        yield JointLine(joint=joint, kind=kind, states=len(mine), predicted=len(known), **fit)
 
 
 def _measure_joints(
@@ -311,29 +294,30 @@ def _measure_joints(
         parts = np.flatnonzero(tally.labels == j + 1)
         same = len(parts) == 1 and int(first.kind[parts[0]]) == kind
         tally.add(assigned_parts=float(len(parts)), type_accuracy=100.0 * same)
-        state = direction = axis = np.inf
+        state = direction = axis = None
         if same:
             i = parts[0]
             u, v = joints.direction[i], instance.joint_axis[j]
             # a line has two directions: by the other one, states count the other way
             change = (joints.state[i] - first.state[i]) * (1.0 if np.dot(u, v) >= 0 else -1.0)
-            state = abs(change - (instance.joint_state[j] - canonical.joint_state[j]))
+            state = float(abs(change - (instance.joint_state[j] - canonical.joint_state[j])))
             direction = metrics.angle_between_lines(u, v)
-            axis = metrics.line_distance(joints.pivot[i], u, instance.joint_pivot[j], v)
-        tally.joint_errors.append(
-            JointError(
-                object=instance.object_id,
-                state_index=instance.state_index,
-                joint=j,
-                kind=KINDS[kind],
-                state=float(state) if same else None,
-                direction=float(direction) if same else None,
-                axis=float(axis) if same and kind == REVOLUTE else None,
-            )
-        )
-        limits = [("state", float(np.degrees(state)), DEGREES), ("axis", axis, LENGTHS)]
-        if kind == PRISMATIC:
-            limits = [("state", state, LENGTHS)]
-        for what, error, thresholds in (*limits, ("direction", np.degrees(direction), DEGREES)):
-            for limit in thresholds:
-                tally.add(**{f"{KINDS[kind]}_{what}_below_{limit:g}": 100.0 * (error < limit)})
+            if kind == REVOLUTE:
+                axis = metrics.line_distance(joints.pivot[i], u, instance.joint_pivot[j], v)
+        error = JointError(**_which(instance, j), state=state, direction=direction, axis=axis)
+        tally.joint_errors.append(error)
+        tally.add(**_right(error))
+
+
+def _right(error: JointError) -> dict[str, float]:
+    """100 or 0: whether a joint is right by each quantity within each limit."""
+    angle, length = (np.degrees(1.0), DEGREES), (1.0, LENGTHS)
+    limits = {"state": length, "direction": angle}
+    if error.kind == "revolute":
+        limits = {"state": angle, "axis": length, "direction": angle}
+    return {
+        f"{error.kind}_{what}_below_{limit:g}": 100.0 * (value is not None and unit * value < limit)
+        for what, (unit, thresholds) in limits.items()
+        for value in (getattr(error, what),)
+        for limit in thresholds
+    }

@@ -20,32 +20,29 @@ class _Record(BaseModel):
     model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
 
 
-class JointState(_Record):
-    """One joint of one instance: its state, and the one predicted by the part that stands for it.
-
-    `predicted` is None where there is no such part, or its joint is of another kind. Radians or
-    lengths in the unit frame; `joint` counts from 0.
-    """
+class _OfJoint(_Record):
+    """Of one joint, counted from 0, of one instance; radians, or lengths in the unit frame."""
 
     object: str
     state_index: int
     joint: int
     kind: Kind
+
+
+class JointState(_OfJoint):
+    """The true state, and that predicted by the part that stands for the joint; None where there is
+    no such part, or its joint is of another kind."""
+
     true: float
     predicted: float | None
 
 
-class JointError(_Record):
+class JointError(_OfJoint):
     """How far a predicted joint is off since the canonical pose; None where the joint failed.
 
-    `state` in radians or unit lengths, `direction` in radians, `axis` the distance between the axes
-    of revolute joints.
+    `direction` is the angle between the axes, `axis` the distance between those of revolute joints.
     """
 
-    object: str
-    state_index: int
-    joint: int
-    kind: Kind
     state: float | None
     direction: float | None
     axis: float | None
@@ -54,8 +51,7 @@ class JointError(_Record):
 class JointLine(_Record):
     """The line through a joint's predicted over its true states; None where there is none.
 
-    Of `states` many instances `predicted` have a predicted state; `residual` is the root mean
-    square around the line.
+    Of so many `states`, so many are `predicted`; `residual` is the root mean square.
     """
 
     joint: int

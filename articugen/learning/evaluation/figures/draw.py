@@ -112,8 +112,8 @@ def draw_figures(
         path = folder / "interpolations.png"
         openings = [(_cloud(o[0]), _cloud(_half_open(o)), _cloud(o[-1])) for o in objects]
         found = model.interpolate(openings, STEPS)
-        first = objects[found.first][0]
-        save(interpolations(found.shapes, found.states, names, first, azimuth), path)
+        held = _half_open(objects[found.first])
+        save(interpolations(found.shapes, found.states, names, held, azimuth), path)
         yield path
 
 

@@ -83,29 +83,22 @@ def reconstructions(
         )
         camera = tile_camera(points, azimuth)
         floor = float(min(dequantize(i.surface_points)[:, 2].min() for i in drawn))
-        rows.append(Row(
-            f"{drawn[0].object_id}: ground truth",
-            [
-                portrait(discs, i, camera, floor, beside=solid)
-                for i, solid in zip(drawn, axes, strict=True)
-            ],
-            [_caption(i, i.joint_state - drawn[0].joint_state) for i in drawn],
-        ))  # fmt: skip
-        rows.append(Row(
-            f"{drawn[0].object_id}: reconstruction",
-            [
-                solid_portrait(
-                    Solid(f.triangles, f.part, names.colours), camera, floor,
-                    beside=_predicted_axes(i, f, names),
-                )
-                for i, f in zip(drawn, found, strict=True)
-            ],
-            [
-                _caption(i, _changes(i, found[0], f, names))
-                for i, f in zip(drawn, found, strict=True)
-            ],
-        ))  # fmt: skip
+        pairs = list(zip(drawn, axes, strict=True))
+        true = [portrait(discs, i, camera, floor, beside=solid) for i, solid in pairs]
+        moved = [_caption(i, i.joint_state - drawn[0].joint_state) for i in drawn]
+        rows.append(Row(f"{drawn[0].object_id}: ground truth", true, moved))
+        pairs = list(zip(drawn, found, strict=True))
+        predicted = [
+            solid_portrait(_solid(f, names), camera, floor, beside=_predicted_axes(i, f, names))
+            for i, f in pairs
+        ]
+        moved = [_caption(i, _changes(i, found[0], f, names)) for i, f in pairs]
+        rows.append(Row(f"{drawn[0].object_id}: reconstruction", predicted, moved))
     return sheet(rows)
+
+
+def _solid(found: Reconstruction, names: Names) -> Solid:
+    return Solid(found.triangles, found.part, names.colours)
 
 
 def _changes(
@@ -187,19 +180,20 @@ def interpolations(
     """Two rows: the shape between two objects, and the joint states of one.
 
     Args:
-        instance: the first object: its kinds of joints and its scale are told.
+        instance: the first object in the pose that is held: its joints and its scale.
     """
     middle = [f"{100 * share:.0f} %" for share in np.linspace(0.0, 1.0, len(shapes))[1:-1]]
-    captions: list[list[Caption]] = [
-        [[(text, "")] for text in ("one object", *middle, "another")],
-        [_caption(instance, _changes(instance, states[0], f, names)) for f in states],
-    ]
-    titles = ("shape interpolated, pose held", "joint state interpolated, shape held")
+    shares: list[Caption] = [[(text, "")] for text in ("one object", *middle, "another")]
+    moved = [_caption(instance, _changes(instance, states[0], f, names)) for f in states]
     points = np.concatenate([f.triangles.reshape(-1, 3) for f in (*shapes, *states)])
     points = points if len(points) else _CUBE
     camera, floor = tile_camera(points, azimuth), float(points[:, 2].min())
-    rows = []
-    for title, row, told in zip(titles, (shapes, states), captions, strict=True):
-        solids = [Solid(f.triangles, f.part, names.colours) for f in row]
-        rows.append(Row(title, [solid_portrait(s, camera, floor) for s in solids], told))
-    return sheet(rows)
+
+    def row(title: str, found: Sequence[Reconstruction], captions: Sequence[Caption]) -> Row:
+        pictures = [solid_portrait(_solid(f, names), camera, floor) for f in found]
+        return Row(title, pictures, captions)
+
+    return sheet([
+        row("shape interpolated, pose held", shapes, shares),
+        row("joint state interpolated, shape held", states, moved),
+    ])  # fmt: skip
