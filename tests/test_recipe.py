@@ -10,7 +10,7 @@ import pytest
 
 from articugen import recipe as recipe_module
 from articugen.errors import InvalidRecipe, MachineFault
-from articugen.learning.ppd.settings import load_train_recipe
+from articugen.learning.method import load_recipe as load_train_recipe
 from articugen.recipe import Recipe, Sampling, load_recipe
 from articugen.recipe_files import known, with_settings
 from articugen.store import schema, shards

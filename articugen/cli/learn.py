@@ -55,6 +55,10 @@ def train(
             show_default="the method's own: ppd_quick",
         ),
     ] = None,
+    method: Annotated[
+        str | None,
+        typer.Option("--method", "-m", help="What learns.", show_default="the recipe's, else ppd"),
+    ] = None,
     changes: Annotated[
         list[str] | None,
         typer.Option(
@@ -63,10 +67,6 @@ def train(
             help="Another value than the recipe's, as YAML; may be given several times.",
             show_default="none",
         ),
-    ] = None,
-    method: Annotated[
-        str | None,
-        typer.Option("--method", "-m", help="What learns.", show_default="the recipe's, else ppd"),
     ] = None,
     runs: Annotated[Path, typer.Option(help="Runs go to <runs>/<category>/<number>.")] = Path(
         "runs"
@@ -103,8 +103,8 @@ def train(
             run = commands.train(
                 data,
                 recipe,
-                changes=changes or (),
                 method=method,
+                changes=changes or (),
                 category=category,
                 runs=runs,
                 seed=seed,

@@ -49,8 +49,8 @@ def train(
     data: FolderLike,
     recipe: RecipeLike | None = None,
     *,
-    changes: Sequence[str] = (),
     method: str | None = None,
+    changes: Sequence[str] = (),
     category: str | None = None,
     runs: FolderLike = "runs",
     seed: int = 0,
@@ -67,8 +67,8 @@ def train(
         data: the folder of a data set.
         recipe: a name under recipes/, a YAML file, a mapping of keys that may say `extends`, or a
             recipe; None is the method's own, and where a run is resumed, that run's.
-        changes: other values than the recipe's, each as `section.key=value`.
         method: whose recipe it must be; None is whosever it is.
+        changes: other values than the recipe's, each `section.key=value`.
         category: what the data set must hold; None is whatever it holds.
         runs: the run's folder is <runs>/<category>/<number>.
         seed: of weights and batches, the first of several.
@@ -87,17 +87,20 @@ def train(
             says.
     """
     prepare(device, threads)
-    settings = with_settings(load_recipe(recipe, method=method), changes)
+    if resume is None:
+        settings = with_settings(load_recipe(recipe, method=method), changes)
+    else:
+        resume = Path(resume)
+        settings, seed = RunFolder(resume).recipe(), RunFolder(resume).about()["seed"]
+        asked = load_recipe(recipe or settings, method=method)
+        if not with_settings(asked, changes).same_but_seeds(settings):
+            raise InvalidCheckpoint(
+                f"{resume}: was started with another recipe; leave out --recipe and --set, or "
+                "start a new run"
+            )
+        seeds = None
     if seeds is not None:
         settings = settings.with_seeds(seeds)
-    if resume is not None:
-        resume, asked = Path(resume), settings if recipe or changes else None
-        settings, seed = RunFolder(resume).recipe(), RunFolder(resume).about()["seed"]
-        if asked and not asked.same_but_seeds(settings):
-            raise InvalidCheckpoint(
-                f"{resume}: was started with another recipe than {asked.name}; leave out --recipe "
-                "and --set, or start a new run"
-            )
     run_training = loop.train
     if settings.seeds.count > 1:
         if processes.started() > 1:

@@ -155,18 +155,20 @@ def find_method(name: str) -> Method:
         InvalidRecipe: there is none, or it cannot be imported.
         MissingExtra: it needs a library that is not installed.
     """
-    found = {entry.name: entry for entry in entry_points(group=GROUP)}
-    found |= {own: EntryPoint(own, value, GROUP) for own, value in METHODS.items()}
-    if name not in found:
+    if name in METHODS:
+        entry = EntryPoint(name, METHODS[name], GROUP)
+    else:
+        entry = next(iter(entry_points(group=GROUP, name=name)), None)
+    if entry is None:
         names = method_names()
         raise InvalidRecipe(
             f"no method {name!r}{nearest(name, names)}; there are: {', '.join(names)}"
         )
     try:
-        return found[name].load()
+        return entry.load()
     except (ImportError, AttributeError) as error:
         raise InvalidRecipe(
-            f"method {name}: {found[name].value} cannot be imported ({error}); install it again"
+            f"method {name}: {entry.value} cannot be imported ({error}); install it again"
         ) from None
 
 
