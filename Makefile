@@ -114,6 +114,8 @@ $(VENV)/bin/python:
 $(generator): pyproject.toml constraints.txt | $(VENV)/bin/python
 	@echo "Installing the generator and its pinned libraries into $(VENV) ..."
 	@$(pinned) --editable .
+	@echo "Compiling the kernels ..."
+	@$(VENV)/bin/python -m articugen.compiling
 	@touch $@
 
 $(testing): $(generator)

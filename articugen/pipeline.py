@@ -17,6 +17,7 @@ from functools import cache, partial
 from pathlib import Path
 
 from articugen import __version__, workers
+from articugen.compiling import compile_kernels
 from articugen.errors import (
     ArticugenError,
     InvalidRecipe,
@@ -48,6 +49,7 @@ GENERATING_CODE = (
     "fusion",
     "geometry.py",
     "instance.py",
+    "jit.py",
     "portable.py",
     "recipe.py",
     "recipe_files.py",
@@ -236,6 +238,8 @@ class Run:
         """The outcome of each task, as they finish."""
         yield from (task.known for task in self.plan.tasks if task.known)
         tasks = [task for task in self.plan.tasks if not task.known]
+        if tasks:
+            compile_kernels("generate", jobs=self.job.jobs, notice=on_notice)
         limit = _limit(self.job.recipe)
         made = workers.each(
             partial(make_object, self.job),

@@ -14,8 +14,8 @@ from articugen.pipeline import GENERATING_CODE
 PACKAGE = Path(articugen.__file__).parent
 
 VOCABULARY = {
-    "bundled", "errors", "geometry", "portable", "recipe", "recipe_files", "records", "seeding",
-    "store.files", "store.schema",
+    "bundled", "errors", "geometry", "jit", "portable", "recipe", "recipe_files", "records",
+    "seeding", "store.files", "store.schema",
 }  # fmt: skip
 """What everybody speaks; the two of the store are what recipes are checked against and read by."""
 
@@ -35,6 +35,7 @@ WITH_TORCH = {
 MAY_IMPORT: dict[str, set[str]] = {
     # the vocabulary
     "errors": set(),
+    "jit": set(),
     "bundled": set(),
     "portable": set(),
     "seeding": set(),
@@ -53,9 +54,11 @@ MAY_IMPORT: dict[str, set[str]] = {
     # what leads through them
     "instance": VOCABULARY | STAGES,
     "workers": {"errors"},
+    "rehearsal": VOCABULARY | STAGES | {"inspection"},
+    "compiling": {"bundled", "workers", "rehearsal"},
     "estimate": {"store.manifest", "recipe"},
     "pipeline": VOCABULARY
-    | {"store", "sources", "articulation", "instance", "workers", "estimate"},
+    | {"store", "sources", "articulation", "instance", "workers", "estimate", "compiling"},
     # the store, which knows no stage
     "store": set(),
     "store.files": {"errors"},
@@ -74,6 +77,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "inspection": VOCABULARY | {"store", "rendering"},
     "learning": VOCABULARY | {"store", "inspection", "workers"},
     "cli": {
+        "compiling",
         "errors",
         "records",
         "recipe",
@@ -91,6 +95,7 @@ that of its room, and a room may import what lies in it."""
 
 FOREIGN: dict[str, set[str]] = {
     "h5py": {"store.shards"},
+    "llvmlite": {"compiling"},
     "platformdirs": {"bundled"},
     "yourdfpy": {"sources.urdf"},
     "lxml": {"sources.urdf", "sources.xml_strict"},

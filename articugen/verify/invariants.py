@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from articugen.geometry import apply, invert_rigid, rotation_about, transform
+from articugen.jit import kernel
 from articugen.recipe import Recipe
 from articugen.records import ENCLOSED, FREE, Floats, Instance, dequantize, is_material
 
@@ -575,7 +575,7 @@ def _centres(resolution: int) -> Floats:
     return np.stack(np.meshgrid(at, at, at, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _about(grid, points):  # pragma: no cover - compiled
     """(n, 8) the labels of the 8 voxels whose centres surround each point (n, 3)."""
     size = len(grid)
@@ -590,7 +590,7 @@ def _about(grid, points):  # pragma: no cover - compiled
     return labels
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _nearest(points, queries, radius):  # pragma: no cover - compiled
     """(n,) the index of the point nearest to each query (n, 3) within `radius`, or -1.
 
