@@ -45,11 +45,14 @@ def compile_kernels(
     stamp = _stamp(command)
     if jobs == 0 or stamp.exists():
         return
+    try:
+        stamp.parent.mkdir(parents=True, exist_ok=True)
+    except OSError:  # nothing can be kept here
+        return
     notice("compiling the kernels, once after an installation or an update ...")
     lost = [ended.lost for ended in workers.each(_rehearse, PARTS[command], workers=jobs)]
     if not any(lost):
         with suppress(OSError):
-            stamp.parent.mkdir(parents=True, exist_ok=True)
             stamp.touch()
 
 

@@ -17,6 +17,17 @@ from numba import njit
 from numba.extending import register_jitable
 
 _njit: Any = njit
-kernel: Any = partial(_njit, cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
+_OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+
 helper: Any = register_jitable
 inlined: Any = partial(_njit, inline="always")
+
+
+def kernel(function: Any = None, /, **options: Any) -> Any:
+    """The decorator of what Python calls; `options` are numba's."""
+    if function is None:
+        return partial(kernel, **options)
+    try:
+        return _njit(cache=True, **_OPTIONS, **options)(function)
+    except RuntimeError:  # neither this folder nor the user's cache can be written to
+        return _njit(**_OPTIONS, **options)(function)
