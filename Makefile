@@ -115,7 +115,7 @@ $(generator): pyproject.toml constraints.txt | $(VENV)/bin/python
 	@echo "Installing the generator and its pinned libraries into $(VENV) ..."
 	@$(pinned) --editable .
 	@echo "Compiling the kernels ..."
-	@$(VENV)/bin/python -m articugen.compiling
+	@$(VENV)/bin/python -c 'from articugen.compiling import compile_all; compile_all()'
 	@touch $@
 
 $(testing): $(generator)

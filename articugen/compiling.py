@@ -4,7 +4,7 @@ Left alone, each worker compiles every kernel when it first meets it, all of the
 beside what numba keeps says that there is nothing left to do; without it nothing goes wrong, it
 only takes a few seconds to find out.
 
-`python -m articugen.compiling` compiles all of them, as `make` does when it sets up.
+`make` calls `compile_all` when it sets up.
 """
 
 import hashlib
@@ -56,6 +56,12 @@ def compile_kernels(
             stamp.touch()
 
 
+def compile_all() -> None:
+    """What every command needs, on all cores."""
+    for command in PARTS:
+        compile_kernels(command, jobs=os.cpu_count() or 1)
+
+
 def _rehearse(part: str) -> None:
     from articugen import rehearsal  # noqa: PLC0415 - imports numba
 
@@ -90,8 +96,3 @@ def _processor() -> tuple[str, str]:
     if None not in told:
         return str(told[0]), str(told[1])
     return llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
-
-
-if __name__ == "__main__":
-    for command in PARTS:
-        compile_kernels(command, jobs=os.cpu_count() or 1)
