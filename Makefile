@@ -116,6 +116,8 @@ $(VENV)/bin/python:
 $(generator): pyproject.toml constraints.txt | $(VENV)/bin/python
 	@echo "Installing the generator and its pinned libraries into $(VENV) ..."
 	@$(pinned) --editable .
+	@echo "Compiling the kernels ..."
+	@$(VENV)/bin/python -c 'from articugen.compiling import compile_all; compile_all()'
 	@touch $@
 
 $(testing): $(generator)

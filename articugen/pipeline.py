@@ -17,6 +17,7 @@ from functools import cache, partial
 from pathlib import Path
 
 from articugen import __version__, content, workers
+from articugen.compiling import compile_kernels
 from articugen.errors import (
     ArticugenError,
     InvalidRecipe,
@@ -219,6 +220,8 @@ class Run:
         """The outcome of each task, as they finish."""
         yield from (task.known for task in self.plan.tasks if task.known)
         tasks = [task for task in self.plan.tasks if not task.known]
+        if tasks:
+            compile_kernels("generate", jobs=self.job.jobs, notice=on_notice)
         limit = _limit(self.job.recipe)
         made = workers.each(
             partial(make_object, self.job),

@@ -6,10 +6,10 @@ moving all points.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from articugen.geometry import bounds
+from articugen.jit import kernel
 from articugen.records import LabelledMesh
 
 _CELLS = 24
@@ -46,29 +46,32 @@ def _cells(
     return points, np.append(first, len(points)), np.stack([lower, upper], axis=1)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _swept(points, first, boxes, poses):
     """(2, 3) the utmost coordinates of the points in all poses (N, 4, 4)."""
     box = np.empty((2, 3))
-    box[0], box[1] = np.inf, -np.inf
+    for row in range(3):
+        box[0, row], box[1, row] = np.inf, -np.inf
     count = boxes.shape[0]
     least, most = np.empty(count), np.empty(count)
     for k in range(poses.shape[0]):
         for row in range(3):
-            a, b, c, d = poses[k, row]
-            size = abs(d)
+            a, b, c, d = poses[k, row, 0], poses[k, row, 1], poses[k, row, 2], poses[k, row, 3]
+            size, least_most, most_least = abs(d), np.inf, -np.inf
             for n in range(count):
                 low = high = d
-                for axis, t in enumerate((a, b, c)):
+                for axis in range(3):
+                    t = poses[k, row, axis]
                     u, v = t * boxes[n, 0, axis], t * boxes[n, 1, axis]
                     low += min(u, v)
                     high += max(u, v)
                     size = max(size, abs(u), abs(v))
                 least[n], most[n] = low, high
+                least_most, most_least = min(least_most, high), max(most_least, low)
             slack = _ROUNDING * size + 1e-300
             # some point is as low, and as high; cells that cannot go beyond are not looked into
-            lowest = min(most.min() + slack, box[0, row])
-            highest = max(least.max() - slack, box[1, row])
+            lowest = min(least_most + slack, box[0, row])
+            highest = max(most_least - slack, box[1, row])
             for n in range(count):
                 if least[n] - slack < lowest or most[n] + slack > highest:
                     for i in range(first[n], first[n + 1]):

@@ -93,14 +93,14 @@ class Convex:
     def _blocked(self, points: Floats, direction: Floats) -> NDArray[np.bool_]:
         blocked = np.zeros(len(points), np.bool_)
         for p in self.planes:
-            gap = p[:, 3] - points @ p[:, :3].T
+            rest = np.flatnonzero(~blocked)
+            gap = p[:, 3] - points[rest] @ p[:, :3].T
             slope = p[:, :3] @ direction
-            with np.errstate(divide="ignore", invalid="ignore"):
-                t = gap / slope
-            enter = np.max(np.where(slope < 0, t, -np.inf), axis=1)
-            leave = np.min(np.where(slope > 0, t, np.inf), axis=1)
-            beside = np.any((slope == 0) & (gap < 0), axis=1)
-            blocked |= ~beside & (np.maximum(enter, 0.0) <= leave)
+            into, out = slope < 0, slope > 0
+            enter = np.max(gap[:, into] / slope[into], axis=1, initial=0.0)
+            leave = np.min(gap[:, out] / slope[out], axis=1, initial=np.inf)
+            beside = np.any(gap[:, slope == 0] < 0, axis=1)
+            blocked[rest] = ~beside & (enter <= leave)
         return blocked
 
 

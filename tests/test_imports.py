@@ -15,8 +15,8 @@ from articugen.content import STAGES as DECLARED
 PACKAGE = Path(articugen.__file__).parent
 
 VOCABULARY = {
-    "bundled", "content", "errors", "geometry", "plugins", "portable", "recipe", "recipe_files",
-    "records",
+    "bundled", "content", "errors", "geometry", "jit", "plugins", "portable", "recipe",
+    "recipe_files", "records",
     "seeding", "store.files", "store.schema",
 }  # fmt: skip
 """What everybody speaks; the two of the store are what recipes are checked against and read by."""
@@ -37,6 +37,7 @@ WITH_TORCH = {
 MAY_IMPORT: dict[str, set[str]] = {
     # the vocabulary
     "errors": set(),
+    "jit": set(),
     "bundled": set(),
     "plugins": {"errors"},
     "ply": set(),
@@ -63,9 +64,11 @@ MAY_IMPORT: dict[str, set[str]] = {
     # what leads through them
     "instance": VOCABULARY | STAGES,
     "workers": {"errors"},
+    "rehearsal": VOCABULARY | STAGES | {"inspection"},
+    "compiling": {"bundled", "workers", "rehearsal"},
     "estimate": {"store.manifest", "recipe"},
     "pipeline": VOCABULARY
-    | {"store", "sources", "articulation", "instance", "workers", "estimate"},
+    | {"store", "sources", "articulation", "instance", "workers", "estimate", "compiling"},
     # the store, which knows no stage
     "store": set(),
     "store.files": {"errors"},
@@ -89,6 +92,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     | {"store", "inspection", "marching_cubes", "workers", "model_text", "ply"},
     "learning.evaluation": VOCABULARY | {"store", "inspection"},
     "cli": {
+        "compiling",
         "errors",
         "records",
         "recipe",
@@ -107,6 +111,7 @@ that of its room, and a room may import what lies in it."""
 
 FOREIGN: dict[str, set[str]] = {
     "h5py": {"store.shards"},
+    "llvmlite": {"compiling"},
     "platformdirs": {"bundled"},
     "yourdfpy": {"sources.urdf"},
     "lxml": {"sources.urdf", "sources.xml_strict"},

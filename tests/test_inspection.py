@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from instances import SMALL, hinged_box
+from numba import njit
 from PIL import Image
 from rich.console import Console
 
@@ -166,14 +167,18 @@ def test_discs_move_with_their_parts() -> None:
     assert np.mean(np.abs(part - want_part)[both] < 0.1) > 0.98
 
 
+@settings(deadline=None)  # the first one compiles
 @given(st.integers(1, 200), st.floats(0.01, 2.0), st.floats(0.01, 2.0), st.integers(0, 99))
 def test_cells_find_what_is_near(count: int, side: float, reach: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     points, at = rng.normal(size=(count, 3)), 1.5 * rng.normal(size=3)
     found = np.empty(count, np.int64)
-    have = found[: near(cells_of(points, side), points, at, reach, found)]
+    have = found[: compiled_near(cells_of(points, side), points, at, reach, found)]
     want = np.flatnonzero(((points - at) ** 2).sum(axis=1) < reach * reach)
     assert sorted(have.tolist()) == want.tolist()
+
+
+compiled_near = njit(near)
 
 
 def cloud(points: np.ndarray, normals: np.ndarray, area: float) -> SurfaceCloud:

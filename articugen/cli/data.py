@@ -320,8 +320,11 @@ def inspect(
         out.print(summary(shards))
         out.print(left_out(path))
         if image is not None:
+            from articugen.compiling import compile_kernels
             from articugen.inspection.contact_sheet import contact_sheet
+            from articugen.pipeline import default_jobs
 
+            compile_kernels("inspect", jobs=default_jobs(), notice=err.print)
             with err.status("drawing ..."):
                 contact_sheet(shards, image, objects=objects, states=states)
             out.print(f"drawn: {image}", soft_wrap=True)

@@ -9,8 +9,9 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from articugen.jit import helper, inlined, kernel
 
 LEAF_FACES = 4
 
@@ -33,7 +34,7 @@ class Bvh(NamedTuple):
     roots: Any
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def triangle_table(corners):
     """(F, 16) float32, one cache line a face: unit normal, offset, three corners; (F, 3, 3)."""
     table = np.zeros((corners.shape[0], 16), np.float32)
@@ -63,9 +64,9 @@ def build(corners: NDArray[np.float64], part_of_face: NDArray[np.uint8], parts: 
 def _tree(corners: NDArray[np.float64]) -> Bvh:
     """Of one part."""
     own = np.ascontiguousarray(corners)
-    order, box, skip, leaf = _build(own)
-    roots = np.array([0, len(skip)], np.int32)
-    return Bvh(box, skip.astype(np.int32), leaf, triangle_table(own[order]), roots)
+    order, box, skip, leaf, count = _build(own)
+    roots = np.array([0, count], np.int32)
+    return Bvh(box[:count], skip[:count], leaf[:count], triangle_table(own[order]), roots)
 
 
 def joined(trees: Sequence[Bvh]) -> Bvh:
@@ -85,71 +86,83 @@ def joined(trees: Sequence[Bvh]) -> Bvh:
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _build(corners):
-    """Split at the middle of the longer side of the centres' box until few faces are left."""
+    """Split at the middle of the longer side of the centres' box until few faces are left.
+
+    The order of the faces; of room for the largest tree the box, skip and leaf of each node, and
+    how many nodes there are.
+    """
     F = corners.shape[0]
-    centers = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
-    order = np.arange(F)
+    centers = np.empty((F, 3))
+    order = np.empty(F, np.int64)
+    for f in range(F):
+        order[f] = f
+        for axis in range(3):
+            total = corners[f, 0, axis] + corners[f, 1, axis] + corners[f, 2, axis]
+            centers[f, axis] = total / 3.0
     most = max(2 * F, 1)
     box = np.zeros((most, 6), np.float32)
-    right = np.full(most, -1, np.int64)
+    right = np.empty(most, np.int64)
+    skip = np.empty(most, np.int32)
     leaf = np.zeros((most, 2), np.int32)
-    waiting = [(0, F, -1)]  # range of faces, and the parent that this is the right child of
+    waiting = np.empty((most, 3), np.int64)  # faces, and the parent that this is the right child of
+    waiting[0, 0], waiting[0, 1], waiting[0, 2] = 0, F, -1
+    left = 1 if F > 0 else 0
     count = 0
-    if F == 0:
-        waiting.pop()
-    while len(waiting) > 0:
-        low, high, parent = waiting.pop()
+    while left > 0:
+        left -= 1
+        low, high, parent = waiting[left, 0], waiting[left, 1], waiting[left, 2]
         node = count
         count += 1
+        right[node] = -1
         if parent >= 0:
             right[parent] = node
-        axis, middle = _measure(corners, centers, order, low, high, box[node])
+        axis, middle = _measure(corners, centers, order, low, high, box, node)
         if high - low <= LEAF_FACES:
             leaf[node, 0] = low
             leaf[node, 1] = high - low
             continue
         cut = low
         for n in range(low, high):
-            if centers[order[n], axis] < middle:
-                order[n], order[cut] = order[cut], order[n]
+            f = order[n]
+            if centers[f, axis] < middle:
+                order[n], order[cut] = order[cut], f
                 cut += 1
         if cut in (low, high):  # all centres in one place
             cut = (low + high) // 2
-        waiting.append((cut, high, node))
-        waiting.append((low, cut, -1))
-    skip = np.empty(count, np.int64)
-    if count > 0:
-        skip[0] = count
+        waiting[left, 0], waiting[left, 1], waiting[left, 2] = cut, high, node
+        waiting[left + 1, 0], waiting[left + 1, 1], waiting[left + 1, 2] = low, cut, -1
+        left += 2
+    skip[0] = count
     for node in range(count):
         if right[node] >= 0:
             skip[node + 1] = right[node]
             skip[right[node]] = skip[node]
-    return order, box[:count], skip, leaf[:count]
+    return order, box, skip, leaf, count
 
 
-@njit(cache=True, nogil=True)
-def _measure(corners, centers, order, low, high, box):
-    """Set the box of the faces; return the longest axis of their centres' box and its middle."""
-    first = np.full(3, np.inf)
-    last = np.full(3, -np.inf)
+@helper
+def _measure(corners, centers, order, low, high, box, node):
+    """Set the node's box; return the longest axis of its centres' box and the middle along it."""
+    longest, middle, widest = 0, 0.0, -1.0
     for axis in range(3):
-        lower, upper = np.inf, -np.inf
+        first, last, lower, upper = np.inf, -np.inf, np.inf, -np.inf
         for n in range(low, high):
             f = order[n]
-            first[axis] = min(first[axis], centers[f, axis])
-            last[axis] = max(last[axis], centers[f, axis])
+            first = min(first, centers[f, axis])
+            last = max(last, centers[f, axis])
             for corner in range(3):
                 lower = min(lower, corners[f, corner, axis])
                 upper = max(upper, corners[f, corner, axis])
-        box[axis] = lower - 1e-6  # single precision must not lose what lies on the border
-        box[axis + 3] = upper + 1e-6
-    axis = int(np.argmax(last - first))
-    return axis, (first[axis] + last[axis]) / 2.0
+        box[node, axis] = lower - 1e-6  # single precision must not lose what lies on the border
+        box[node, axis + 3] = upper + 1e-6
+        if last - first > widest:
+            longest, middle, widest = axis, (first + last) / 2.0, last - first
+    return longest, middle
 
 
-@njit(cache=True, nogil=True)
+@helper
 def meets(p, w, reach, to_part, box, skip, leaf, triangles, roots):
     """Whether the way from `p` to `p + reach * w` meets any face of any part.
 
@@ -194,12 +207,12 @@ def meets(p, w, reach, to_part, box, skip, leaf, triangles, roots):
     return False
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _inverse(x):
     return np.float32(1.0) / x if abs(x) > 1e-20 else np.float32(1e20)
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _enters(q, inverse, reach, low, high):
     """Whether the ray from `q` enters a box before `reach`; numbers only, see `_judge`."""
     ax, bx = (low[0] - q[0]) * inverse[0], (high[0] - q[0]) * inverse[0]
@@ -210,7 +223,7 @@ def _enters(q, inverse, reach, low, high):
     return near <= far
 
 
-@njit(cache=True, nogil=True)
+@helper
 def in_front(p, w, plane):
     """How far `p` lies in front of a face's plane, along the direction `w` to the camera.
 
@@ -224,7 +237,7 @@ def in_front(p, w, plane):
     return (a * p[0] + b * p[1] + c * p[2] - offset) / slope
 
 
-@njit(cache=True, nogil=True)
+@helper
 def behind(p, w, plane):
     """Whether `p` lies behind a face's plane, seen from the direction `w`: `in_front` <= 0."""
     a, b, c, offset = plane
@@ -233,7 +246,7 @@ def behind(p, w, plane):
     return gap * slope <= 0.0
 
 
-@njit(cache=True, nogil=True)
+@helper
 def line_meets(p, w, a, b, c):
     """Whether the line through `p` along `w` passes through the triangle a, b, c, either way round.
 

@@ -6,9 +6,9 @@
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from articugen.fusion.bvh import behind, in_front, line_meets, meets
+from articugen.jit import helper, inlined, kernel
 
 UNSEEN = np.float32(1e9)
 """Signed distance where a view sees nothing behind the point."""
@@ -54,7 +54,7 @@ class Scene(NamedTuple):
     thin: Any
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def is_free(points, which, scene, first_view, end_view):
     """(m,) which of points[which] at least one view from `first_view` on, and before `end_view`,
     sees free; a point is done with at the first.
@@ -119,7 +119,7 @@ def is_free(points, which, scene, first_view, end_view):
     return free
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _judge(x, y, z, around, camera, pinhole, triangles, bvh, to_part, thin, verdict):
     """What a view says of points, given the faces at the four pixels around each.
 
@@ -173,13 +173,13 @@ def _judge(x, y, z, around, camera, pinhole, triangles, bvh, to_part, thin, verd
             verdict[i] = _FREE if _leaves(p, w, bvh, to_part) else _HIDDEN
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _voxel(x, n, first):
     """Along one axis, counted from `first`; before it the number is larger than any."""
     return np.uintp(min(max(np.int64((x + np.float32(0.5)) * n), 0), n - 1) - first)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def in_box(points, which, T, box):
     """Those of `which`, indices into `points` (n, 3), that T (4, 4) takes into the box (2, 3)."""
     found = np.empty(which.shape[0], np.int64)
@@ -197,7 +197,7 @@ def in_box(points, which, T, box):
     return found[:count]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def value(points, scene, truncation, mean):
     """(n,) the truncated signed distances of the views, averaged as `fusion` says."""
     n = points.shape[0]
@@ -245,7 +245,7 @@ def value(points, scene, truncation, mean):
     return result
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _camera(k, scene):
     """One view's numbers as tuples, which cost nothing to pass: three rows, lens, eye."""
     c, i, e = scene.cameras, scene.intrinsics, scene.eyes
@@ -258,13 +258,13 @@ def _camera(k, scene):
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _maps(k, scene):
     by_depth = scene.face.shape[1] == 0
     return scene.face[0 if by_depth else k], scene.depth[k if by_depth else 0]
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _project(x, y, z, camera, pinhole, u, v, depth):
     """Where points fall between pixel centres: pixel (i, j) is at (u, v) = (j, i) here."""
     a, b, c, lens, _ = camera
@@ -280,12 +280,12 @@ def _project(x, y, z, camera, pinhole, u, v, depth):
         depth[n] = ahead
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _outside(u, v, image):
     return not (u >= 0.0 and v >= 0.0 and u < image.shape[1] - 1 and v < image.shape[0] - 1)
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _read_around(u, v, count, face_map, at, around):
     """The faces at the four pixels around each (u, v); -1 outside the image."""
     height, width = face_map.shape
@@ -304,14 +304,14 @@ def _read_around(u, v, count, face_map, at, around):
             around[n, 2], around[n, 3] = flat[i + below], flat[i + below + right]
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _leaves(p, w, bvh, to_part):
     """Whether the ray from `p` towards the camera, `w`, meets nothing on its way."""
     h = bvh
     return not meets(p, w, ENDLESS, to_part, h.box, h.skip, h.leaf, h.triangles, h.roots)
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _distance(p, shown, camera, pinhole, triangles, free):
     """How far in front of the surface a view sees the point, given whether it sees it free.
 
@@ -330,7 +330,7 @@ def _distance(p, shown, camera, pinhole, triangles, free):
     return nearest
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _towards_camera(p, eye, pinhole):
     if not pinhole:
         return eye
@@ -339,7 +339,7 @@ def _towards_camera(p, eye, pinhole):
     return x * scale, y * scale, z * scale
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _gap_by_depth(u, v, z, depth_map, pixel):
     """How far in front of four depths, at (u, v) among them, along the optical axis.
 

@@ -9,11 +9,11 @@ voxels and more and never one that is narrower than a voxel; `recipe.Fusion.open
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from articugen.fusion.bvh import Bvh, meets
 from articugen.geometry import bounds, invert_rigid
+from articugen.jit import helper, kernel
 from articugen.records import LabelledMesh
 
 _WALL, _DRY, _WET = 1, 0, 2
@@ -80,7 +80,7 @@ def flood(
     return Flood(flooded, bvh, to_part)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mark(state, first, n, corners):
     """Set the voxels that overlap a triangle: its box, its plane, its three shadows along the axes.
 
@@ -91,51 +91,71 @@ def mark(state, first, n, corners):
         corners: (F, 3, 3) in voxels of the lattice; what lies in the lattice lies in the box.
     """
     for f in range(corners.shape[0]):
-        a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
-        normal = np.cross(b - a, c - a)
-        low = np.empty(3, np.int64)
-        high = np.empty(3, np.int64)
-        for k in range(3):
-            low[k] = max(int(np.floor(min(a[k], b[k], c[k]))), 0)
-            high[k] = min(int(np.floor(max(a[k], b[k], c[k]))), n - 1)
-        half = 0.5 * (abs(normal[0]) + abs(normal[1]) + abs(normal[2]))
-        offset = normal[0] * a[0] + normal[1] * a[1] + normal[2] * a[2]
-        for i in range(low[0], high[0] + 1):
-            for j in range(low[1], high[1] + 1):
-                for k in range(low[2], high[2] + 1):
-                    at = normal[0] * (i + 0.5) + normal[1] * (j + 0.5) + normal[2] * (k + 0.5)
-                    voxel = (i - first[0], j - first[1], k - first[2])
-                    if abs(at - offset) > half or state[voxel] == _WALL:
+        ax, ay, az = corners[f, 0, 0], corners[f, 0, 1], corners[f, 0, 2]
+        bx, by, bz = corners[f, 1, 0], corners[f, 1, 1], corners[f, 1, 2]
+        cx, cy, cz = corners[f, 2, 0], corners[f, 2, 1], corners[f, 2, 2]
+        x = (by - ay) * (cz - az) - (bz - az) * (cy - ay)  # the normal
+        y = (bz - az) * (cx - ax) - (bx - ax) * (cz - az)
+        z = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        half = 0.5 * (abs(x) + abs(y) + abs(z))
+        offset = x * ax + y * ay + z * az
+        low_i, end_i = _extent(ax, bx, cx, n)
+        low_j, end_j = _extent(ay, by, cy, n)
+        low_k, end_k = _extent(az, bz, cz, n)
+        for i in range(low_i, end_i):
+            for j in range(low_j, end_j):
+                for k in range(low_k, end_k):
+                    at = x * (i + 0.5) + y * (j + 0.5) + z * (k + 0.5)
+                    u, v, w = i - first[0], j - first[1], k - first[2]
+                    if abs(at - offset) > half or state[u, v, w] == _WALL:
                         continue
                     if (
-                        _shadows_meet(a, b, c, normal[2], 0, 1, i, j)
-                        and _shadows_meet(a, b, c, normal[0], 1, 2, j, k)
-                        and _shadows_meet(a, b, c, normal[1], 2, 0, k, i)
+                        _shadows_meet(ax, ay, bx, by, cx, cy, z, i, j)
+                        and _shadows_meet(ay, az, by, bz, cy, cz, x, j, k)
+                        and _shadows_meet(az, ax, bz, bx, cz, cx, y, k, i)
                     ):
-                        state[voxel] = _WALL
+                        state[u, v, w] = _WALL
 
 
-@njit(cache=True, nogil=True)
-def _shadows_meet(a, b, c, turn, u, v, i, j):
-    """Whether a triangle and a voxel overlap along the third axis' shadow onto the axes u, v."""
+@helper
+def _extent(a, b, c, n):
+    """The first of n voxels along an axis that three coordinates span, and the end."""
+    low, high = np.floor(min(a, b, c)), np.floor(max(a, b, c))
+    return max(int(low), 0), min(int(high), n - 1) + 1
+
+
+@helper
+def _shadows_meet(au, av, bu, bv, cu, cv, turn, i, j):
+    """Whether a triangle's shadow along an axis, onto the others u, v, and that of a voxel overlap;
+    `turn` is the normal along the axis."""
     sign = 1.0 if turn >= 0.0 else -1.0
-    for first, second in ((a, b), (b, c), (c, a)):
-        eu, ev = second[u] - first[u], second[v] - first[v]
-        nu, nv = -ev * sign, eu * sign
-        # the voxel's corner furthest to the inside of the edge
-        reach = max(nu, 0.0) + max(nv, 0.0)
-        if nu * (i - first[u]) + nv * (j - first[v]) + reach < 0.0:
-            return False
-    return True
+    return (
+        _within(au, av, bu, bv, sign, i, j)
+        and _within(bu, bv, cu, cv, sign, i, j)
+        and _within(cu, cv, au, av, sign, i, j)
+    )
 
 
-@njit(cache=True, nogil=True)
-def _filled(state):
+@helper
+def _within(pu, pv, qu, qv, sign, i, j):
+    """Whether some of the square (i, j) lies on the inner side of the edge from p to q."""
+    nu, nv = -(qv - pv) * sign, (qu - pu) * sign
+    reach = max(nu, 0.0) + max(nv, 0.0)  # of its corner furthest to the inside
+    return not nu * (i - pu) + nv * (j - pv) + reach < 0.0
+
+
+def _filled(state: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The states of a box of voxels once its faces are flooded, but for walls, from outside."""
     a, b, c = state.shape
     padded = np.full((a + 2, b + 2, c + 2), np.uint8(_WALL))  # so that no step leaves the array
     padded[1:-1, 1:-1, 1:-1] = state
-    flat = padded.reshape(-1)
+    _fill(padded.reshape(-1), a, b, c)
+    return padded[1:-1, 1:-1, 1:-1]
+
+
+@kernel
+def _fill(flat, a, b, c):
+    """Flood a box of a x b x c voxels, with one more around it."""
     row, plane = c + 2, (b + 2) * (c + 2)
     waiting = np.empty(flat.shape[0], np.int32)
     count = 0
@@ -156,10 +176,9 @@ def _filled(state):
                 flat[at + step] = _WET
                 waiting[count] = at + step
                 count += 1
-    return padded[1:-1, 1:-1, 1:-1].copy()
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fills(points, state):
     n = state.shape[0]
     filled = np.empty(points.shape[0], np.bool_)
@@ -171,7 +190,7 @@ def _fills(points, state):
     return filled
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _reaches(points, state, to_part, bvh):
     n = state.shape[0]
     reached = np.zeros(points.shape[0], np.bool_)

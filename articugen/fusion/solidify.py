@@ -10,10 +10,10 @@ A part alone, so that the answer does not change with its pose.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from articugen.geometry import cross
+from articugen.jit import helper, kernel
 from articugen.portable import arctan2, dot, norm
 from articugen.records import DepthMaps, LabelledMesh
 
@@ -116,7 +116,7 @@ def _alike(centers: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArra
     return first[which.reshape(-1)]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _spread(vertices, faces, counts, normals, distance, total):
     points = np.empty((2, total, 3))
     n = 0
@@ -150,15 +150,17 @@ def shown_sides(mesh: LabelledMesh, maps: DepthMaps) -> NDArray[np.intp]:
     return shown
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _count_sides(maps, normals, ways, shown):
     for k in range(maps.shape[0]):
         x, y, z = ways[k, 0], ways[k, 1], ways[k, 2]
-        for face in maps[k].reshape(-1):
-            if face >= 0:
-                f = np.uintp(face)  # looking along the normal, a camera sees the back
-                away = normals[f, 0] * x + normals[f, 1] * y + normals[f, 2] * z > 0.0
-                shown[1 if away else 0, f] += 1
+        for i in range(maps.shape[1]):
+            for j in range(maps.shape[2]):
+                face = maps[k, i, j]
+                if face >= 0:
+                    f = np.uintp(face)  # looking along the normal, a camera sees the back
+                    away = normals[f, 0] * x + normals[f, 1] * y + normals[f, 2] * z > 0.0
+                    shown[1 if away else 0, f] += 1
 
 
 def solidified(
@@ -285,16 +287,18 @@ def _mitres(
     return np.where(leans[:, None], ways, own).reshape(-1, 3, 3)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _groups(count, pairs, normals):
     """For each of 3 * count corners the first of those joined to it, and on which side it lies.
 
     The side is -1 where the face's winding is the other way about from that first corner's.
     """
-    parent = np.arange(3 * count)
-    side = np.ones(3 * count)
+    parent = np.empty(3 * count, np.int64)
+    side = np.empty(3 * count)
+    for c in range(3 * count):
+        parent[c], side[c] = c, 1.0
     for n in range(pairs.shape[0]):
-        f, e, g, d = pairs[n]
+        f, e, g, d = pairs[n, 0], pairs[n, 1], pairs[n, 2], pairs[n, 3]
         turn = 1.0
         if (
             normals[f, 0] * normals[g, 0]
@@ -311,7 +315,7 @@ def _groups(count, pairs, normals):
     return parent, side
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _join(parent, side, a, b, turn):
     a_root, b_root = _settle(parent, side, a), _settle(parent, side, b)
     if a_root != b_root:
@@ -320,7 +324,7 @@ def _join(parent, side, a, b, turn):
         parent[high] = low
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _settle(parent, side, c):
     """The root of corner `c`, which becomes its parent; its side is then that towards the root."""
     root, turn = c, 1.0
@@ -355,10 +359,12 @@ def closed(mesh: LabelledMesh) -> NDArray[np.bool_]:
     return (open_edges[piece] == 0) & (volume[piece] > 0.0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _pieces(faces, count):
     """(F,) a number for each face, the same for faces that hang together by corners."""
-    parent = np.arange(count)
+    parent = np.empty(count, np.int64)
+    for c in range(count):
+        parent[c] = c
     for f in range(faces.shape[0]):
         for corner in range(1, 3):
             a, b = _root(parent, faces[f, 0]), _root(parent, faces[f, corner])
@@ -369,7 +375,7 @@ def _pieces(faces, count):
     return piece
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _root(parent, i):
     while parent[i] != i:
         parent[i] = parent[parent[i]]
@@ -379,23 +385,22 @@ def _root(parent, i):
 
 def face_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
     """(F, 3) unit normals by the right-hand rule of each face's winding."""
-    normals = _crosses(vertices, faces)
+    normals = _crosses(vertices[faces])
     return normals / np.maximum(norm(normals), 1e-30)[:, None]
 
 
 def _areas(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    return 0.5 * norm(_crosses(vertices, faces))
+    return 0.5 * norm(_crosses(vertices[faces]))
 
 
-@njit(cache=True, nogil=True)
-def _crosses(vertices, faces):
-    """(F, 3) the cross products of two sides of each face."""
-    out = np.empty((faces.shape[0], 3))
-    for f in range(faces.shape[0]):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        x, y, z = vertices[a, 0], vertices[a, 1], vertices[a, 2]
-        ux, uy, uz = vertices[b, 0] - x, vertices[b, 1] - y, vertices[b, 2] - z
-        vx, vy, vz = vertices[c, 0] - x, vertices[c, 1] - y, vertices[c, 2] - z
+@kernel
+def _crosses(corners):
+    """(F, 3) the cross products of two sides of each face; `corners` (F, 3, 3)."""
+    out = np.empty((corners.shape[0], 3))
+    for f in range(corners.shape[0]):
+        x, y, z = corners[f, 0, 0], corners[f, 0, 1], corners[f, 0, 2]
+        ux, uy, uz = corners[f, 1, 0] - x, corners[f, 1, 1] - y, corners[f, 1, 2] - z
+        vx, vy, vz = corners[f, 2, 0] - x, corners[f, 2, 1] - y, corners[f, 2, 2] - z
         out[f, 0] = uy * vz - uz * vy
         out[f, 1] = uz * vx - ux * vz
         out[f, 2] = ux * vy - uy * vx

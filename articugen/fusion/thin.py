@@ -10,13 +10,13 @@ view's word is checked there by following the ray itself.
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from articugen.fusion.bvh import Bvh, meets
 from articugen.fusion.reachable import mark
 from articugen.fusion.solidify import face_normals, probes
 from articugen.geometry import bounds
+from articugen.jit import kernel
 from articugen.records import LabelledMesh
 
 _BENEATH = 1e-4
@@ -79,7 +79,7 @@ def _touched(corners: NDArray[np.float64], width: float) -> ThinVoxels:
     return ThinVoxels(np.packbits(state, axis=2, bitorder="little"), first, resolution)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def way_meets(points, ways, reach, bvh):
     """(n,) whether a face lies within `reach` of each point on its way."""
     unmoved = np.zeros((1, 3, 4), np.float32)

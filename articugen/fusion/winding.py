@@ -8,10 +8,10 @@ close to a face, nothing is said.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from articugen.fusion.bvh import Bvh, _enters, _inverse, build
+from articugen.jit import helper, inlined, kernel
 from articugen.records import LabelledMesh
 
 _AHEAD, _ASIDE = 0.9837, (0.1371, 0.0913, 0.1159)
@@ -38,10 +38,11 @@ def surely_inside(points: NDArray[np.floating], closed: Bvh) -> NDArray[np.bool_
     return _surely_inside(np.ascontiguousarray(points, np.float64), closed)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _surely_inside(points, closed):
     box, skip, leaf, triangles = closed.box, closed.skip, closed.leaf, closed.triangles
-    low, high = box[0, :3].astype(np.float64), box[0, 3:].astype(np.float64)
+    low = (np.float64(box[0, 0]), np.float64(box[0, 1]), np.float64(box[0, 2]))
+    high = (np.float64(box[0, 3]), np.float64(box[0, 4]), np.float64(box[0, 5]))
     inside = np.zeros(points.shape[0], np.bool_)
     for i in range(points.shape[0]):
         p = (points[i, 0], points[i, 1], points[i, 2])
@@ -66,7 +67,7 @@ def _surely_inside(points, closed):
     return inside
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _outwards(x, low, high):
     """How far it is to the nearer end, negative where that is the lower; 0 where outside."""
     if x <= low or x >= high:
@@ -74,7 +75,7 @@ def _outwards(x, low, high):
     return high - x if high - x < x - low else low - x
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _winds(p, w, box, skip, leaf, triangles):
     """1 where the crossings of the ray from `p` along `w` do not cancel, 0, or `_DOUBT`."""
     start = (np.float32(p[0]), np.float32(p[1]), np.float32(p[2]))
@@ -105,7 +106,7 @@ def _winds(p, w, box, skip, leaf, triangles):
     return 1 if turns != 0 else 0
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _crossing(p, w, plane, a, b, c):
     """1 where the ray leaves through the front of a face, -1 where it enters, 0; or `_DOUBT`.
 

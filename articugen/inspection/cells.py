@@ -2,9 +2,10 @@
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from articugen.jit import helper
 
 Array = NDArray[np.float64]
 
@@ -16,16 +17,16 @@ class Cells(NamedTuple):
     """A grid of cubes over the box of some points.
 
     Attributes:
-        low: (3,) the box's lower corner.
+        low: the box's lower corner.
         side: of a cube.
-        shape: (3,) how many cubes.
+        shape: how many cubes along each axis.
         first: cube c, counted with z fastest, holds points first[c] to first[c + 1] of `order`.
         order: (n,) the points' indices, cube by cube.
     """
 
-    low: Array
+    low: tuple[float, float, float]
     side: float
-    shape: NDArray[np.int64]
+    shape: tuple[int, int, int]
     first: NDArray[np.int64]
     order: NDArray[np.int64]
 
@@ -38,42 +39,35 @@ def cells_of(points: Array, side: float) -> Cells:
     x, y, z = ((points - low) / side).astype(np.int64).T
     cell = (x * shape[1] + y) * shape[2] + z
     first = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=int(shape.prod())))])
-    return Cells(low, side, shape, first, np.argsort(cell, kind="stable"))
+    corner, cubes = (float(low[0]), float(low[1]), float(low[2])), tuple(int(n) for n in shape)
+    return Cells(corner, side, cubes, first, np.argsort(cell, kind="stable"))  # type: ignore[arg-type]
 
 
-@numba.njit(cache=True, nogil=True)
-def reached(cells, at, reach, low, high):
-    """Write to `low` and `high` (3,) where the cubes within `reach` of `at` begin and end."""
-    for k in range(3):
-        first = int(np.floor((at[k] - reach - cells.low[k]) / cells.side))
-        last = int(np.floor((at[k] + reach - cells.low[k]) / cells.side))
-        low[k] = min(max(first, 0), cells.shape[k])
-        high[k] = max(min(last + 1, cells.shape[k]), low[k])
+@helper
+def reached(cells, axis, at, reach):
+    """Where the cubes within `reach` of the coordinate `at` begin and end along an axis."""
+    first = int(np.floor((at - reach - cells.low[axis]) / cells.side))
+    last = int(np.floor((at + reach - cells.low[axis]) / cells.side))
+    begin = min(max(first, 0), cells.shape[axis])
+    return begin, max(min(last + 1, cells.shape[axis]), begin)
 
 
-@numba.njit(cache=True, nogil=True)
-def row_of(cells, x, y, low, high):
-    """Where the points of cubes (x, y, low) to (x, y, high - 1) begin and end in `order`."""
-    row = (x * cells.shape[1] + y) * cells.shape[2]
-    return cells.first[row + low], cells.first[row + high]
-
-
-@numba.njit(cache=True, nogil=True)
+@helper
 def near(cells, points, at, reach, found):
     """Write the indices of the points within `reach` of `at` to `found` (n,); how many they are."""
+    x, y, z = at[0], at[1], at[2]
+    order, first = cells.order, cells.first
+    x_low, x_end = reached(cells, 0, x, reach)
+    y_low, y_end = reached(cells, 1, y, reach)
+    z_low, z_end = reached(cells, 2, z, reach)
     count = 0
-    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
-    reached(cells, at, reach, low, high)
-    for x in range(low[0], high[0]):
-        for y in range(low[1], high[1]):
-            first, last = row_of(cells, x, y, low[2], high[2])
-            for j in cells.order[first:last]:
-                squared = (
-                    (points[j, 0] - at[0]) ** 2
-                    + (points[j, 1] - at[1]) ** 2
-                    + (points[j, 2] - at[2]) ** 2
-                )
-                if squared < reach * reach:
-                    found[count] = j
+    for i in range(x_low, x_end):
+        for j in range(y_low, y_end):
+            row = (i * cells.shape[1] + j) * cells.shape[2]
+            for n in range(first[row + z_low], first[row + z_end]):
+                k = order[n]
+                dx, dy, dz = points[k, 0] - x, points[k, 1] - y, points[k, 2] - z
+                if dx**2 + dy**2 + dz**2 < reach * reach:
+                    found[count] = k
                     count += 1
     return count

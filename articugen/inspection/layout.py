@@ -51,7 +51,7 @@ def save(picture: Picture, path: Path) -> None:
         ArticugenError: `path` cannot be written.
     """
     try:
-        picture.save(path, "PNG", optimize=True)
+        picture.save(path, "PNG", compress_level=6)
     except OSError as error:
         raise ArticugenError(f"{path}: cannot be written: {error.strerror}") from None
 

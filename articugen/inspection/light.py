@@ -6,11 +6,11 @@ ambient occlusion and indirect lighting"; discs behind each other are counted tw
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.inspection.cells import cells_of, near, reached, row_of
+from articugen.inspection.cells import cells_of, near, reached
+from articugen.jit import helper, inlined, kernel
 
 Array = NDArray[np.float64]
 
@@ -72,7 +72,7 @@ def occlusion_in_detail(
     few = coarse.few()
     around = 2.0 * float(np.sqrt(np.median(few.area)))
     detail = DETAIL * float(np.sqrt(np.median(coarse.area)))
-    hidden = _far(few.points, few.normals, coarse.columns(), detail)
+    hidden = _far(few.points, few.normals, coarse.thinned(2).columns(), detail)
     cells = cells_of(few.points, around)
     far = _carried(at, facing, few.points, few.normals, hidden, cells, around)
     alone = np.isnan(far)
@@ -83,21 +83,19 @@ def occlusion_in_detail(
     return np.minimum(far + close, 1.0)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
-def _hidden(at, facing, columns, first, last, detail, is_far):
+@inlined
+def _hidden(at, facing, px, py, pz, nx, ny, nz, area, first, last, detail, is_far):
     """What the discs first to last hide, those within `detail` or those beyond, with a soft border.
 
     Discs much nearer than their size count less than they should: of a random covering, the few
     that happen to be so near would speckle. In single precision and without a branch, which lets
     the compiler take eight at a time.
     """
-    px, py, pz, nx, ny, nz, area = columns
-    ax, ay, az = np.float32(at[0]), np.float32(at[1]), np.float32(at[2])
-    fx, fy, fz = np.float32(facing[0]), np.float32(facing[1]), np.float32(facing[2])
+    ax, ay, az = at
+    fx, fy, fz = facing
     scale = np.float32(1.0 / (detail * detail))
-    sign, offset = (
-        (np.float32(1.0), np.float32(0.0)) if is_far else (-np.float32(1.0), np.float32(1.0))
-    )
+    sign = np.float32(1.0 if is_far else -1.0)
+    offset = np.float32(0.0 if is_far else 1.0)
     zero, one, two, three = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(3.0)
     pi, tiny = np.float32(np.pi), np.float32(1e-12)
     total = zero
@@ -114,36 +112,54 @@ def _hidden(at, facing, columns, first, last, detail, is_far):
     return total
 
 
-@numba.njit(cache=True, nogil=True)
+@helper
+def _single(vectors, i):
+    return np.float32(vectors[i, 0]), np.float32(vectors[i, 1]), np.float32(vectors[i, 2])
+
+
+@kernel(fastmath=True)
 def _far(at, facing, columns, detail):
     hidden = np.empty(len(at))
+    px, py, pz, nx, ny, nz, area = columns
     for i in range(len(at)):
-        hidden[i] = _hidden(at[i], facing[i], columns, 0, columns.shape[1], detail, True)
+        here, up = _single(at, i), _single(facing, i)
+        hidden[i] = _hidden(
+            here, up, px, py, pz, nx, ny, nz, area, 0, len(px), detail, True
+        )  # fmt: skip
     return hidden
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(fastmath=True)
 def _near(at, facing, columns, cells, detail):
     """The columns in the order of the cells."""
     hidden = np.zeros(len(at))
-    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    px, py, pz, nx, ny, nz, area = columns
+    cube = cells.first
     for i in range(len(at)):
-        reached(cells, at[i], detail, low, high)
-        for x in range(low[0], high[0]):
-            for y in range(low[1], high[1]):
-                first, last = row_of(cells, x, y, low[2], high[2])
-                hidden[i] += _hidden(at[i], facing[i], columns, first, last, detail, False)
+        here, up = _single(at, i), _single(facing, i)
+        x_low, x_end = reached(cells, 0, at[i, 0], detail)
+        y_low, y_end = reached(cells, 1, at[i, 1], detail)
+        z_low, z_end = reached(cells, 2, at[i, 2], detail)
+        for x in range(x_low, x_end):
+            for y in range(y_low, y_end):
+                row = (x * cells.shape[1] + y) * cells.shape[2]
+                first, last = cube[row + z_low], cube[row + z_end]
+                hidden[i] += _hidden(
+                    here, up, px, py, pz, nx, ny, nz, area, first, last, detail, False
+                )
     return hidden
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _carried(at, facing, points, normals, values, cells, reach):
     """The mean of the values at the points around each place that face as it does; nan if none."""
-    means = np.full(len(at), np.nan)
+    means = np.empty(len(at))
     found = np.empty(len(points), np.int64)
     for i in range(len(at)):
+        x, y, z = at[i, 0], at[i, 1], at[i, 2]
         total = weight = 0.0
-        for j in found[: near(cells, points, at[i], reach, found)]:
+        for n in range(near(cells, points, (x, y, z), reach, found)):
+            j = found[n]
             alike = (
                 facing[i, 0] * normals[j, 0]
                 + facing[i, 1] * normals[j, 1]
@@ -151,14 +167,9 @@ def _carried(at, facing, points, normals, values, cells, reach):
             )
             if alike <= 0.5:
                 continue
-            squared = (
-                (points[j, 0] - at[i, 0]) ** 2
-                + (points[j, 1] - at[i, 1]) ** 2
-                + (points[j, 2] - at[i, 2]) ** 2
-            )
+            squared = (points[j, 0] - x) ** 2 + (points[j, 1] - y) ** 2 + (points[j, 2] - z) ** 2
             w = alike**4 * (1.0 - squared / (reach * reach)) ** 2
             total += w * values[j]
             weight += w
-        if weight > 0.0:
-            means[i] = total / weight
+        means[i] = total / weight if weight > 0.0 else np.nan
     return means

@@ -6,7 +6,6 @@ A shard holds points with normals, not triangles, so the picture shows just what
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +13,7 @@ from articugen.geometry import apply
 from articugen.inspection.camera import Camera
 from articugen.inspection.cells import cells_of, near
 from articugen.inspection.light import SurfaceCloud
+from articugen.jit import helper, kernel
 
 Array = NDArray[np.float64]
 
@@ -23,6 +23,9 @@ is judged by the distance to the neighbour of this rank: about 2.1 spacings on a
 
 DIRECTIONS = 8
 """In so many directions it is asked where the face of a disc ends."""
+
+_ANGLES = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+_TURNS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
 
 BEYOND = 0.4
 """The edge of a face lies beyond its last point, by so many spacings as a rule."""
@@ -148,7 +151,10 @@ def draw(discs: Surfels, values: Array, camera: Camera) -> tuple[Array, Array, A
     reach = camera.focal * (extent[:, :2] + np.abs(flat) * extent[:, 2:]) / nearest
     middle = camera.focal * flat + (camera.cx, camera.cy)
     box = np.stack([np.floor(middle - reach), np.ceil(middle + reach) + 1], axis=2)
-    depth, blended = _splat(
+    size, rays = (camera.size, camera.size), camera.rays
+    depth, weight = np.full(size, np.inf), np.full(size, 1e-30)
+    blended = np.zeros((*size, 3 + values.shape[1]))
+    _splat(
         discs.points,
         discs.normals,
         discs.radius,
@@ -159,30 +165,52 @@ def draw(discs: Surfels, values: Array, camera: Camera) -> tuple[Array, Array, A
         np.concatenate([discs.normals, values], axis=1),
         np.flatnonzero(facing)[np.argsort(z[facing, 0])],
         np.clip(box, 0, camera.size).astype(np.int64),
-        camera.rays,
+        np.stack([rays[0, 0], rays[0, 1] - rays[0, 0], rays[1, 0] - rays[0, 0]]),
         camera.eye,
         discs.spacing,
+        depth,
+        blended,
+        weight,
     )
+    blended /= weight[..., None]
     for _ in range(2):
         _close(depth, blended, 2.0 * float(np.median(discs.spacing)))
     length = np.linalg.norm(blended[..., :3], axis=-1, keepdims=True)
     return depth, blended[..., :3] / np.maximum(length, 1e-12), blended[..., 3:]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _distance_of_rank(points, normals, part, asked, rank):
     """From each point asked for, to its neighbour of this rank on the same side of its part."""
     found = np.empty(len(asked))
-    squared = np.empty(len(points))
-    for s, i in enumerate(asked):
+    nearest = np.empty(rank + 1)
+    for s in range(len(asked)):
+        i = asked[s]
+        at, normal = _row(points, i), _row(normals, i)
+        nearest[:] = 3.0
         for j in range(len(points)):
-            alike = part[j] == part[i] and _dot(normals[i], normals[j]) > SAME_FACE
-            squared[j] = _squared(points[i], points[j]) if alike else 3.0
-        found[s] = np.sqrt(np.partition(squared, rank)[rank])
+            squared = _squared(at, _row(points, j))
+            if (
+                squared < nearest[rank]
+                and part[j] == part[i]
+                and _dot(normal, _row(normals, j)) > SAME_FACE
+            ):
+                _insert(nearest, squared)
+        found[s] = np.sqrt(nearest[rank])
     return found
 
 
-@numba.njit(cache=True, nogil=True)
+@helper
+def _insert(least, number):
+    """Put a number among the least ones so far, in ascending order, in place of the largest."""
+    place = len(least) - 1
+    while place > 0 and least[place - 1] > number:
+        least[place] = least[place - 1]
+        place -= 1
+    least[place] = number
+
+
+@kernel
 def _covers(points, normals, part, source, sources, cells, reach):
     """How many of the samples cover the surface at each point, (n,).
 
@@ -193,16 +221,22 @@ def _covers(points, normals, part, source, sources, cells, reach):
     found = np.empty(len(points), np.int64)
     count = np.empty(sources)
     for i in range(len(points)):
-        count[:] = 0.0
-        for j in found[: near(cells, points, points[i], reach, found)]:
-            if part[j] == part[i] and _dot(normals[i], normals[j]) > SAME_FACE:
+        for s in range(sources):
+            count[s] = 0.0
+        normal = _row(normals, i)
+        for n in range(near(cells, points, _row(points, i), reach, found)):
+            j = found[n]
+            if part[j] == part[i] and _dot(normal, _row(normals, j)) > SAME_FACE:
                 count[source[j]] += 1.0
-        total, alike = count.sum(), (count * (count - 1.0)).sum()
+        total = alike = 0.0
+        for s in range(sources):
+            total += count[s]
+            alike += count[s] * (count[s] - 1.0)
         covers[i] = min(max(total * (total - 1.0) / max(alike, 1.0), 1.0), sources)
     return covers
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _outline(points, normals, across, part, spacing, cells, rank):
     """The radius of each disc, the neighbours across a convex edge in one list, and its reach.
 
@@ -212,125 +246,143 @@ def _outline(points, normals, across, part, spacing, cells, rank):
     go on far beyond the last point of its face: where a face ends at a plate too thin to be told
     from it, or beside one that nobody sees, nothing else would keep the disc from sticking out.
     """
-    radius = 2.0 * spacing
+    radius = np.empty(len(points))
     reaches = np.empty((len(points), DIRECTIONS))
-    ends = np.zeros((len(points), 2), np.int64)
-    clip = [np.int32(0) for _ in range(0)]
+    ends = np.empty((len(points), 2), np.int64)
+    clip, clipped = np.empty(len(points), np.int32), 0
     found = np.empty(len(points), np.int64)
     others = np.empty(len(points), np.int32)
     face = np.empty(len(points), np.int32)
-    distance = np.empty(len(points))
+    nearest = np.empty(rank + 1)
     for i in range(len(points)):
+        at, normal, side = _row(points, i), _row(normals, i), _row(across, i)
+        radius[i] = 2.0 * spacing[i]
         reach, slack = 3.0 * spacing[i], 0.15 * spacing[i]
         behind = level = 0
-        for j in found[: near(cells, points, points[i], 1.5 * reach, found)]:
+        nearest[:] = np.inf
+        for n in range(near(cells, points, at, 1.5 * reach, found)):
+            j = found[n]
             if part[j] != part[i]:
                 continue
-            away = np.sqrt(_squared(points[i], points[j]))
-            ahead = _ahead(points[j], points[i], normals[i])
-            alike = _dot(normals[i], normals[j]) > SAME_FACE
+            ahead = _ahead(_row(points, j), at, normal)
+            alike = _dot(normal, _row(normals, j)) > SAME_FACE
             if alike and abs(ahead) < slack:
                 face[level] = j
-                distance[level] = away
                 level += 1
+                squared = _squared(at, _row(points, j))
+                if squared < nearest[rank]:
+                    _insert(nearest, squared)
             elif not alike and -2.0 * spacing[i] < ahead < 0.0:
                 others[behind] = j
                 behind += 1
         if level > rank:
-            radius[i] = min(np.partition(distance[:level], rank)[rank], reach)
-        ends[i] = len(clip)
-        for j in others[:behind]:
-            gap = -_ahead(points[i], points[j], normals[j])
-            below = _ahead(points[j], points[i], normals[i])
+            radius[i] = min(np.sqrt(nearest[rank]), reach)
+        ends[i, 0] = clipped
+        for n in range(behind):
+            j = others[n]
+            bound, facing = _row(points, j), _row(normals, j)
+            gap = -_ahead(at, bound, facing)
+            below = _ahead(bound, at, normal)
             wide = np.sqrt(reach * reach + below * below)  # as much of i's plane for any depth
             if (
                 0.0 < gap < radius[i]
-                and not _is_known(points, normals, clip, ends[i, 0], j, slack)
-                and not _goes_on(points, face[:level], points[j], normals[j], wide, slack)
+                and not _is_known(points, normals, clip, ends[i, 0], clipped, bound, facing, slack)
+                and not _goes_on(points, face, level, bound, facing, wide, slack)
             ):
-                clip.append(j)
-        ends[i, 1] = len(clip)
-        bounding = clip[ends[i, 0] :]
+                if clipped == len(clip):
+                    clip = _longer(clip)
+                clip[clipped] = j
+                clipped += 1
+        ends[i, 1] = clipped
+        up = _cross(normal, side)
         for k in range(DIRECTIONS):
-            way = _direction(across[i], normals[i], k)
-            if _is_bounded(normals, bounding, way):
-                reaches[i, k] = np.inf
-            else:
-                last = _last(points, i, face[:level], radius[i], way)
+            way = _direction(side, up, k)
+            reaches[i, k] = np.inf
+            if not _is_bounded(normals, clip, ends[i, 0], clipped, way):
+                last = _last(points, face, level, at, radius[i], way)
                 reaches[i, k] = last + BEYOND * spacing[i]
-    return radius, ends, np.array(clip, dtype=np.int32), reaches
+    return radius, ends, clip[:clipped], reaches
 
 
-@numba.njit(cache=True, nogil=True)
-def _direction(across, normal, k):
-    """The k-th of DIRECTIONS even directions in a disc's plane, from `across` on."""
-    turn = 2.0 * np.pi * k / DIRECTIONS
-    c, s = np.cos(turn), np.sin(turn)
-    way = np.empty(3)
-    way[0] = c * across[0] + s * (normal[1] * across[2] - normal[2] * across[1])
-    way[1] = c * across[1] + s * (normal[2] * across[0] - normal[0] * across[2])
-    way[2] = c * across[2] + s * (normal[0] * across[1] - normal[1] * across[0])
-    return way
+@helper
+def _longer(numbers):
+    """The numbers, with room for as many more; numba's own ways take seconds to compile."""
+    longer = np.empty(2 * len(numbers), np.int32)
+    for n in range(len(numbers)):
+        longer[n] = numbers[n]
+    return longer
 
 
-@numba.njit(cache=True, nogil=True)
-def _is_bounded(normals, planes, way):
+@helper
+def _row(vectors, i):
+    """Three numbers, which cost nothing to hand on."""
+    return vectors[i, 0], vectors[i, 1], vectors[i, 2]
+
+
+@helper
+def _direction(across, up, k):
+    """The k-th of DIRECTIONS even directions in a disc's plane, from `across` towards `up`."""
+    c, s = _TURNS[k, 0], _TURNS[k, 1]
+    return c * across[0] + s * up[0], c * across[1] + s * up[1], c * across[2] + s * up[2]
+
+
+@helper
+def _is_bounded(normals, planes, first, end, way):
     """Whether one of the planes ends what goes this way."""
-    for j in planes:  # noqa: SIM110 (numba compiles no any)
-        if _dot(normals[j], way) > 0.7:
+    for n in range(first, end):  # noqa: SIM110 (numba compiles no any)
+        if _dot(_row(normals, planes[n]), way) > 0.7:
             return True
     return False
 
 
-@numba.njit(cache=True, nogil=True)
-def _last(points, i, face, radius, way):
-    """How far the points of a face within `radius` of point i reach this way."""
+@helper
+def _last(points, face, count, center, radius, way):
+    """How far the points of a face within `radius` of `center` reach this way."""
     last = 0.0
-    for j in face:
-        if _squared(points[i], points[j]) < radius * radius:
-            last = max(last, _ahead(points[j], points[i], way))
+    for n in range(count):
+        point = _row(points, face[n])
+        if _squared(center, point) < radius * radius:
+            last = max(last, _ahead(point, center, way))
     return last
 
 
-@numba.njit(cache=True, nogil=True)
-def _is_beyond(at, center, ways, reach):
-    for k in range(DIRECTIONS):  # noqa: SIM110 (numba compiles no any)
-        if _ahead(at, center, ways[k]) > reach[k]:
+@helper
+def _is_known(points, normals, planes, first, end, at, normal, slack):
+    """Whether one of the planes is that through `at`."""
+    for n in range(first, end):
+        k = planes[n]
+        own = _row(normals, k)
+        if abs(_ahead(at, _row(points, k), own)) < slack and _dot(normal, own) > 0.99:
             return True
     return False
 
 
-@numba.njit(cache=True, nogil=True)
-def _is_known(points, normals, planes, first, j, slack):
-    """Whether one of `planes`, from the given one on, is the plane of j."""
-    for place in range(first, len(planes)):
-        k = planes[place]
-        level = abs(_ahead(points[j], points[k], normals[k])) < slack
-        if level and _dot(normals[j], normals[k]) > 0.99:
-            return True
-    return False
-
-
-@numba.njit(cache=True, nogil=True)
-def _goes_on(points, face, origin, normal, near, slack):
+@helper
+def _goes_on(points, face, count, origin, normal, near, slack):
     """Whether a face goes on in front of a plane, nearby."""
-    for k in face:
-        if _squared(points[k], origin) < near * near and _ahead(points[k], origin, normal) > slack:
+    for n in range(count):
+        point = _row(points, face[n])
+        if _squared(point, origin) < near * near and _ahead(point, origin, normal) > slack:
             return True
     return False
 
 
-@numba.njit(cache=True, nogil=True)
+@helper
 def _squared(a, b):
     return (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2
 
 
-@numba.njit(cache=True, nogil=True)
+@helper
 def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@numba.njit(cache=True, nogil=True)
+@helper
+def _cross(a, b):
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@helper
 def _ahead(point, origin, normal):
     """How far `point` lies in front of the plane through `origin`."""
     return (
@@ -340,46 +392,56 @@ def _ahead(point, origin, normal):
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _splat(
-    points, normals, radius, clip_ends, clip, across, reach, values, order, box, rays, eye, spacing
-):
-    """Two passes: the nearest depth of each pixel, then the mean of the discs at that depth.
+    points, normals, radius, clip_ends, clip, across, reach, values, order, box, basis, eye,
+    spacing, depth, blended, weight,
+):  # fmt: skip
+    """Two passes: the nearest depth of each pixel, then the sum of the discs at that depth, and of
+    their weights.
 
-    The discs from near to far, so that those behind others are known to be in the second pass.
+    The discs from near to far, so that those behind others are known to be in the second pass. A
+    ray is basis[0] + column * basis[1] + row * basis[2], and so are its parts along a disc's axes.
     """
-    depth = np.full(rays.shape[:2], np.inf)
-    weight = np.full(rays.shape[:2], 1e-30)
-    blended = np.zeros((*rays.shape[:2], values.shape[1]))
-    at = np.empty(3)
-    ways = np.empty((DIRECTIONS, 3))
     is_seen = np.zeros(len(points), np.bool_)
+    origin = (eye[0], eye[1], eye[2])
     for final in (False, True):
-        for i in order:
+        for n in range(len(order)):
+            i = order[n]
             if final and not is_seen[i]:
                 continue
-            offset = _ahead(points[i], eye, normals[i])
-            planes = clip[clip_ends[i, 0] : clip_ends[i, 1]]
-            for k in range(DIRECTIONS):
-                ways[k] = _direction(across[i], normals[i], k)
+            center, normal, side = _row(points, i), _row(normals, i), _row(across, i)
+            up = _cross(normal, side)
+            offset = _ahead(center, origin, normal)
+            a_eye, b_eye = _ahead(origin, center, side), _ahead(origin, center, up)
+            slope_0, slope_u, slope_v = _along(basis, normal)
+            a_0, a_u, a_v = _along(basis, side)
+            b_0, b_u, b_v = _along(basis, up)
+            within = radius[i] * radius[i]
+            first, end = clip_ends[i, 0], clip_ends[i, 1]
             gap = 0.1 * spacing[i]  # so that faces that meet leave no crack
             for row in range(box[i, 1, 0], box[i, 1, 1]):
                 for column in range(box[i, 0, 0], box[i, 0, 1]):
-                    ray = rays[row, column]
-                    slope = min(_dot(ray, normals[i]), -1e-3)
-                    t = offset / slope
-                    if t > depth[row, column] + spacing[i]:
-                        continue
-                    is_seen[i] = True
-                    for k in range(3):
-                        at[k] = eye[k] + t * ray[k]
-                    squared = _squared(at, points[i])
+                    slope = slope_0 + column * slope_u + row * slope_v
+                    t = offset / min(slope, -1e-3)
+                    a = a_eye + t * (a_0 + column * a_u + row * a_v)
+                    b = b_eye + t * (b_0 + column * b_u + row * b_v)
+                    squared = a * a + b * b
                     if (
-                        squared > radius[i] * radius[i]
-                        or _is_beyond(at, points[i], ways, reach[i])
-                        or _is_cut(points, normals, planes, at, gap)
+                        squared > within
+                        or t > depth[row, column] + spacing[i]
+                        or _is_beyond(a, b, reach, i)
                     ):
                         continue
+                    is_seen[i] = True
+                    if first < end:
+                        at = (
+                            center[0] + a * side[0] + b * up[0],
+                            center[1] + a * side[1] + b * up[1],
+                            center[2] + a * side[2] + b * up[2],
+                        )
+                        if _is_cut(points, normals, clip, first, end, at, gap):
+                            continue
                     if final:
                         w = np.exp(-4.0 * squared / (spacing[i] * spacing[i])) + 1e-12
                         weight[row, column] += w
@@ -387,18 +449,33 @@ def _splat(
                             blended[row, column, k] += w * values[i, k]
                     else:
                         depth[row, column] = min(t, depth[row, column])
-    return depth, blended / weight.reshape((*weight.shape, 1))
 
 
-@numba.njit(cache=True, nogil=True)
-def _is_cut(points, normals, planes, at, gap):
-    for j in planes:  # noqa: SIM110 (numba compiles no any)
-        if _ahead(at, points[j], normals[j]) > gap:
+@helper
+def _along(basis, way):
+    """How far the three vectors (3, 3) reach this way."""
+    return _dot(_row(basis, 0), way), _dot(_row(basis, 1), way), _dot(_row(basis, 2), way)
+
+
+@helper
+def _is_beyond(a, b, reach, i):
+    """Whether a place `a` along a disc's `across` and `b` along the other axis is out of reach."""
+    for k in range(DIRECTIONS):  # noqa: SIM110 (numba compiles no any)
+        if _TURNS[k, 0] * a + _TURNS[k, 1] * b > reach[i, k]:
             return True
     return False
 
 
-@numba.njit(cache=True, nogil=True)
+@helper
+def _is_cut(points, normals, planes, first, end, at, gap):
+    for n in range(first, end):
+        j = planes[n]
+        if _ahead(at, _row(points, j), _row(normals, j)) > gap:
+            return True
+    return False
+
+
+@kernel
 def _close(depth, values, step):
     """Fill each pixel that lies behind most of those around it, by more than `step`, from them.
 
@@ -406,16 +483,22 @@ def _close(depth, values, step):
     beside an object's outline, nearer pixels are in the minority.
     """
     was, before = depth.copy(), values.copy()
-    total = np.empty(values.shape[2])
     for row in range(2, depth.shape[0] - 2):
         for column in range(2, depth.shape[1] - 2):
+            border = was[row, column] - step
             count, away = 0, 0.0
-            total[:] = 0.0
             for i in range(row - 2, row + 3):
                 for j in range(column - 2, column + 3):
-                    if was[i, j] < was[row, column] - step:
+                    if was[i, j] < border:
                         count += 1
                         away += was[i, j]
-                        total += before[i, j]
-            if count >= MOST_AROUND:
-                depth[row, column], values[row, column] = away / count, total / count
+            if count < MOST_AROUND:
+                continue
+            depth[row, column] = away / count
+            for k in range(values.shape[2]):
+                total = 0.0
+                for i in range(row - 2, row + 3):
+                    for j in range(column - 2, column + 3):
+                        if was[i, j] < border:
+                            total += before[i, j, k]
+                values[row, column, k] = total / count

@@ -5,11 +5,13 @@ fill rule, so that neighbouring triangles neither overlap nor leave cracks. Dept
 the unsnapped triangle at the pixel's centre.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from articugen.geometry import apply
+from articugen.jit import helper, inlined, kernel
 from articugen.records import DepthMaps, LabelledMesh, Views
 
 SUBPIXEL_BITS = 12
@@ -43,56 +45,133 @@ def render(
     depth = np.empty(shape if keep_depth else (1, *shape[1:]), np.float32)
     if closed is None:
         closed = np.zeros(len(mesh.faces), np.bool_)
-    intrinsics, pinhole = cameras(mesh, views)
-    inside = _draw(
-        mesh.vertices, mesh.faces, closed, views.T_camera_world, intrinsics, pinhole, depth, face
-    )
-    check_inside(inside)
+    draw(mesh, views, closed, depth, face)
     return DepthMaps(depth if keep_depth else None, face, views)
 
 
-def cameras(mesh: LabelledMesh, views: Views) -> tuple[NDArray[np.float64], bool]:
-    """Rows (fx, fy, cx, cy) of the views, and whether they are pinholes.
+@dataclass(frozen=True, eq=False)
+class Below:
+    """Maps to draw over. K views.
+
+    Attributes:
+        depth, face: (K, H, W), or (0, 0, 0) for none.
+        drawn: (K, 4) first row, end, first column, end of the rectangle that was drawn over last,
+            which is first made as it was, and then set to what is drawn over now.
+    """
+
+    depth: NDArray[np.float32]
+    face: NDArray[np.int32]
+    drawn: NDArray[np.int64]
+
+
+_NOTHING = Below(
+    np.zeros((0, 0, 0), np.float32), np.zeros((0, 0, 0), np.int32), np.zeros((0, 4), np.int64)
+)
+
+
+def draw(
+    mesh: LabelledMesh,
+    views: Views,
+    closed: NDArray[np.bool_],
+    depth: NDArray[np.float32],
+    face: NDArray[np.int32],
+    *,
+    first_face: int = 0,
+    below: Below = _NOTHING,
+) -> None:
+    """Draw `mesh` into `face` (K, H, W), where face f of it is `first_face + f`.
+
+    Args:
+        mesh, views, closed: as for `render`.
+        depth: (K, H, W), or (1, H, W) where the depth is not wanted.
+        below: what `face` shows already.
 
     Raises:
-        ValueError: a vertex lies behind a pinhole camera.
+        ValueError: as `render`.
     """
     pinhole = views.projection == "pinhole"
     if pinhole:
         nearest = (apply(T, mesh.vertices)[:, 2].min(initial=np.inf) for T in views.T_camera_world)
         if any(z <= 1e-6 for z in nearest):
             raise ValueError("a vertex lies behind a pinhole camera: move the camera back")
-    return np.stack([views.fx, views.fy, views.cx, views.cy], axis=1), pinhole
-
-
-def check_inside(inside: bool) -> None:
-    if not inside:
+    intrinsics = np.stack([views.fx, views.fy, views.cx, views.cy], axis=1)
+    if not _draw(
+        mesh.vertices, mesh.faces, closed, views.T_camera_world, intrinsics, pinhole,
+        first_face, depth, face, below.depth, below.face, below.drawn,
+    ):  # fmt: skip
         raise ValueError(f"a vertex projects more than {LARGEST_PIXEL} pixels outside the image")
 
 
-@njit(cache=True, nogil=True)
-def _draw(vertices, faces, closed, T, intrinsics, pinhole, depth, face):
+@kernel
+def _draw(
+    vertices, faces, closed, T, intrinsics, pinhole, first_face, depth, face, below, face_below,
+    drawn,
+):  # fmt: skip
+    """Draw all views; whether no vertex falls too far outside. See `draw` and `Below`.
+
+    One kernel, with maps below or without: what it is made of takes seconds to compile.
+    """
     snapped = np.empty((vertices.shape[0], 2), np.int32)
     image = np.empty((vertices.shape[0], 3), np.float64)
+    height, width = face.shape[1], face.shape[2]
+    over = below.shape[0] > 0
     for k in range(T.shape[0]):
-        if not project(vertices, T[k], intrinsics[k], pinhole, snapped, image):
-            return False
         view = depth[k % depth.shape[0]]  # one for all views, or each its own
-        view[:] = 0.0 if pinhole else np.inf
-        draw_view(faces, closed, snapped, image, view, face[k], 0)
-        if pinhole:
+        if over:
+            _copy(face_below[k], face[k], (drawn[k, 0], drawn[k, 1], drawn[k, 2], drawn[k, 3]))
+            drawn[k, 0] = drawn[k, 1] = drawn[k, 2] = drawn[k, 3] = 0
+            if vertices.shape[0] == 0:
+                continue
+        camera = (intrinsics[k, 0], intrinsics[k, 1], intrinsics[k, 2], intrinsics[k, 3])
+        if not _project(vertices, T[k], camera, pinhole, snapped, image):
+            return False
+        if over:  # only this rectangle of `view` is ever set
+            box = _rectangle(image, height, width)
+            drawn[k, 0], drawn[k, 1], drawn[k, 2], drawn[k, 3] = box
+            _copy(below[k], view, box)
+            if pinhole:
+                _to_key(view, box)
+        else:
+            view[:] = np.float32(0.0) if pinhole else np.float32(np.inf)
+        _draw_view(faces, closed, snapped, image, view, face[k], first_face)
+        if pinhole and not over:
             _from_key(view)
     return True
 
 
-@njit(cache=True, nogil=True)
-def project(vertices, T, intrinsics, pinhole, snapped, image):
+@helper
+def _copy(source, target, rectangle):
+    """Row by row in flat, unsigned numbers, which become plain copies of memory."""
+    top, bottom, left, right = rectangle
+    flat_source, flat_target = source.reshape(-1), target.reshape(-1)
+    for i in range(top, bottom):
+        start = np.uintp(i * source.shape[1] + left)
+        for n in range(right - left):
+            flat_target[start + np.uintp(n)] = flat_source[start + np.uintp(n)]
+
+
+@helper
+def _rectangle(image, height, width):
+    """The rows and columns, ends excluded, that hold the projected vertices; there are some."""
+    low_u = low_v = np.inf
+    high_u = high_v = -np.inf
+    for i in range(image.shape[0]):
+        u, v = image[i, 0], image[i, 1]
+        low_u, high_u = min(low_u, u), max(high_u, u)
+        low_v, high_v = min(low_v, v), max(high_v, v)
+    top, left = max(int(np.floor(low_v)) - 1, 0), max(int(np.floor(low_u)) - 1, 0)
+    bottom, right = min(int(high_v) + 2, height), min(int(high_u) + 2, width)
+    return top, max(bottom, top), left, max(right, left)
+
+
+@helper
+def _project(vertices, T, camera, pinhole, snapped, image):
     """Image coordinates, snapped and exact, and the depth key, which is linear in the image.
 
     The key is z for an orthographic camera and -1/z for a pinhole: smaller is nearer in both.
     False where a vertex falls too far outside the image.
     """
-    fx, fy, cx, cy = intrinsics
+    fx, fy, cx, cy = camera
     limit = LARGEST_PIXEL
     inside = True
     for i in range(vertices.shape[0]):
@@ -112,8 +191,8 @@ def project(vertices, T, intrinsics, pinhole, snapped, image):
     return inside
 
 
-@njit(cache=True, nogil=True)
-def to_key(depth, rectangle):
+@helper
+def _to_key(depth, rectangle):
     """Turn pinhole depths into keys within the rows and columns of `rectangle`, ends excluded."""
     top, bottom, left, right = rectangle
     for i in range(top, bottom):
@@ -121,7 +200,7 @@ def to_key(depth, rectangle):
             depth[i, j] = np.float32(-1.0) / depth[i, j]
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _from_key(depth):
     for i in range(depth.shape[0]):
         for j in range(depth.shape[1]):
@@ -129,8 +208,8 @@ def _from_key(depth):
             depth[i, j] = -1.0 / key if key < 0.0 else np.inf
 
 
-@njit(cache=True, nogil=True)
-def draw_view(  # noqa: PLR0912, PLR0915 - one loop: a call for each face would cost as much as it
+@helper
+def _draw_view(  # noqa: PLR0912, PLR0915 - one loop: a call for each face would cost as much as it
     faces, closed, snapped, image, depth, face, first_face
 ):
     """Draw triangles over one view's map of depth keys, naming face f `first_face + f`.
@@ -204,7 +283,7 @@ def draw_view(  # noqa: PLR0912, PLR0915 - one loop: a call for each face would 
                     flat_face[at] = first_face + f
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _pixels(a, b, c, size):
     """The first and the last pixel whose centres lie between three subpixel coordinates."""
     half = SUBPIXELS // 2
@@ -213,7 +292,7 @@ def _pixels(a, b, c, size):
     return max(first, 0), min(last, size - 1)
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _slopes(a, b, c):
     """How the depth key changes with u and v, from the exact vertices; and 0 if it has no say."""
     u1, v1, k1 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -224,7 +303,7 @@ def _slopes(a, b, c):
     return det, (k1 * v2 - k2 * v1) / det, (u1 * k2 - u2 * k1) / det
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _edge(a, b):
     """An edge's function A x + B y + C, not negative inside.
 
@@ -239,12 +318,12 @@ def _edge(a, b):
     return A, B, C
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _per_step(A):
     return 1.0 / (A * SUBPIXELS) if A != 0 else 0.0
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _span(A, rest, per_step, j0, j1):
     """The pixels j in [j0, j1] with A * (j * SUBPIXELS + SUBPIXELS / 2) + rest >= 0.
 

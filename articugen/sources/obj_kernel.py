@@ -6,8 +6,9 @@ What is not plain is left to `meshes`, which knows the rest of the format and wh
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from articugen.jit import helper, kernel
 
 _NEWLINE, _SPACE, _TAB = ord("\n"), ord(" "), ord("\t")
 _V, _F, _SLASH, _HASH, _MINUS, _PLUS, _DOT = (ord(c) for c in "vf/#-+.")
@@ -50,7 +51,7 @@ def read_plain(
     return coordinates.reshape(-1, 3), corners[:n_corners], counts[:n_faces]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _parse(  # noqa: PLR0911, PLR0912 - one pass
     text, coordinates, hard, corners, counts, longest
 ):
@@ -113,7 +114,7 @@ def _parse(  # noqa: PLR0911, PLR0912 - one pass
     return True, vertices, n_corners, faces
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _word(text, at):
     """Where the next word of the line begins and ends; the same where there is none."""
     n = text.shape[0]
@@ -125,7 +126,7 @@ def _word(text, at):
     return first, at
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _index(text, first, end):
     """Whether a corner is plain, and the number before its first slash."""
     at, value = first, 0
@@ -145,7 +146,7 @@ def _index(text, first, end):
     return True, -value if negative else value
 
 
-@njit(cache=True, nogil=True)
+@helper
 def _number(text, first, end):
     """The number of a word, or nan where `float` is to be asked."""
     at, digits, mantissa, exponent = first, 0, 0, 0

@@ -5,11 +5,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from articugen.geometry import apply, invert_rigid, voxel_centres
+from articugen.jit import kernel
 from articugen.recipe import Recipe
 from articugen.records import FREE, Floats, Instance, dequantize, is_material
 from articugen.verify.bounds import (
@@ -234,7 +234,7 @@ def _some(rows: NDArray[Any], most: int = 1000) -> NDArray[Any]:
     return rows[:: len(rows) // most + 1]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _about(grid, points):  # pragma: no cover - compiled
     """(n, 8) the labels of the 8 voxels whose centres surround each point (n, 3)."""
     size = len(grid)
@@ -249,7 +249,7 @@ def _about(grid, points):  # pragma: no cover - compiled
     return labels
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _nearest(points, queries, radius):  # pragma: no cover - compiled
     """(n,) the index of the point nearest to each query (n, 3) within `radius`, or -1.
 

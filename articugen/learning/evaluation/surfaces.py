@@ -2,10 +2,10 @@
 
 import math
 
-import numba
 import numpy as np
 
 from articugen.geometry import points_on_triangles
+from articugen.jit import kernel
 from articugen.records import Floats
 
 
@@ -30,7 +30,7 @@ def distance(points: Floats, triangles: Floats) -> Floats:
     return _distance(np.ascontiguousarray(points, np.float64), triangles, centre, radius)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _distance(points, triangles, centre, radius):  # pragma: no cover - compiled
     result = np.empty(len(points))
     to_centre = np.empty(len(centre))
@@ -49,7 +49,7 @@ def _distance(points, triangles, centre, radius):  # pragma: no cover - compiled
     return result
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _to_triangle(p, t):  # noqa: PLR0911  # pragma: no cover - compiled
     """From a point to a triangle (Ericson 2005, "Real-Time Collision Detection", 5.1.5)."""
     a, b, c = t[0], t[1], t[2]

@@ -1,0 +1,33 @@
+"""How kernels are compiled, the same for all: every option that is not needed costs seconds.
+
+`kernel` is for what Python calls: kept on the disk, and other threads run meanwhile. `helper` is
+for what kernels call: compiled as a part of them alone, while Python sees a plain function.
+`inlined` is written into its callers word by word, which spares counting the references of arrays
+but takes long to compile where there are many.
+
+Dear in a kernel, at one to four seconds each: assigning an array to a slice, np.cross and others
+that can raise errors, as numba compiles how those are worded; np.partition, np.append; arrays that
+differ from one caller to the next in being read-only, or in their layout.
+"""
+
+from functools import partial
+from typing import Any
+
+from numba import njit
+from numba.extending import register_jitable
+
+_njit: Any = njit
+_OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+
+helper: Any = register_jitable
+inlined: Any = partial(_njit, inline="always")
+
+
+def kernel(function: Any = None, /, **options: Any) -> Any:
+    """The decorator of what Python calls; `options` are numba's."""
+    if function is None:
+        return partial(kernel, **options)
+    try:
+        return _njit(cache=True, **_OPTIONS, **options)(function)
+    except RuntimeError:  # neither this folder nor the user's cache can be written to
+        return _njit(**_OPTIONS, **options)(function)
