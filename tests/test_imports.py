@@ -170,7 +170,7 @@ def test_a_module_imports_only_what_it_may(module: str) -> None:
 def test_nobody_reaches_into_fusion_past_its_door() -> None:
     door = set(fusion.__all__) | {"isosurface"}
     for module in modules():
-        if module.split(".")[0] != "fusion":
+        if module.split(".")[0] not in ("fusion", "rehearsal"):  # which calls every kernel once
             for name in imports(module):
                 inner = name.removeprefix("articugen.fusion.")
                 assert inner == name or inner.split(".")[0] in door, f"{module} imports {name}"
