@@ -114,11 +114,15 @@ class Prepared:
         return generator(self.seed, self.obj.category, self.obj.object_id, *path)
 
 
-def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
+def prepare(
+    obj: ArticulatedObject, recipe: Recipe, seed: int, *, reach: Sequence[JointState] = ()
+) -> Prepared:
     """Everything that the instances of `obj` share.
 
     Args:
         obj: already resolved by `articulation.resolve`.
+        reach: states besides the recipe's that the views must hold as well, the unit frame need
+            not.
 
     Raises:
         RejectedInstance: the object has no faces, or too many parts.
@@ -136,6 +140,8 @@ def prepare(obj: ArticulatedObject, recipe: Recipe, seed: int) -> Prepared:
     mesh = LabelledMesh.joined([part.mesh for part in parts])
     if not len(mesh.faces):
         raise RejectedInstance("the object has no faces: those of its links have no area")
+    further = [articulation.forward_kinematics(obj, state) for state in reach]
+    motions = np.stack([articulation.part_motions(p, posed[0]) for p in (*posed, *further)])
     views = fusion_views(recipe.views, swept_box(mesh, unit.rigid_to_unit(motions)))
     static = _render(parts[0].mesh, views, recipe)
     thin = thin_voxels(parts[0].mesh, fusion.pixel_width(views), parts[0].tree)

@@ -3,7 +3,7 @@ a pydantic model. What a file may hold is little: it may come from a stranger.""
 
 import difflib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -63,6 +63,18 @@ def resolved(
     if base is None:
         return data
     return _merged(resolved(base_of(str(base)), base_of, (*chain, path)), data)
+
+
+def resolved_mapping(data: Mapping[str, Any], base_of: Callable[[str], Path]) -> dict[str, Any]:
+    """As `resolved`, of a mapping that is no file's: a notebook's recipe.
+
+    Raises:
+        InvalidRecipe: what it extends cannot be read.
+    """
+    own = {key: value for key, value in data.items() if key != "extends"}
+    return (
+        _merged(resolved(base_of(str(data["extends"])), base_of), own) if "extends" in data else own
+    )
 
 
 def read_yaml(path: Path, refusal: type[ArticugenError]) -> Any:

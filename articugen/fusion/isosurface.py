@@ -1,13 +1,17 @@
 """A watertight mesh of a fused field, at any resolution."""
 
 import importlib
+from pathlib import Path
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
-from articugen.errors import MissingExtra, RejectedInstance
+from articugen.errors import ArticugenError, MissingExtra, RejectedInstance
 from articugen.fusion.field import Field, PosedSolids
 from articugen.records import Mesh
+
+MESH_FORMATS = (".ply", ".obj", ".stl", ".glb")
 
 _SLAB = 1 << 20
 """Voxels whose sign is asked at a time."""
@@ -44,6 +48,28 @@ def extract_mesh(field: Field | PosedSolids, resolution: int) -> Mesh:
     values[at] = np.where(inside[at], -size, size)
     vertices, faces, _, _ = measure.marching_cubes(values, 0.0, gradient_direction="descent")
     return Mesh((vertices - 0.5) / resolution - 0.5, faces)
+
+
+def check_format(path: Path) -> None:
+    """
+    Raises:
+        ArticugenError: its ending names no format that meshes are written in.
+    """
+    if path.suffix not in MESH_FORMATS:
+        raise ArticugenError(f"{path}: choose one of {', '.join(MESH_FORMATS)}")
+
+
+def export(mesh: Mesh, path: Path) -> None:
+    """Write a mesh as it is, in the format that the ending of `path` names.
+
+    Raises:
+        ArticugenError: there is no such format, or the file cannot be written.
+    """
+    check_format(path)
+    try:
+        trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(path)
+    except OSError as error:
+        raise ArticugenError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def _free(field: Field | PosedSolids, resolution: int) -> NDArray[np.bool_]:

@@ -183,6 +183,13 @@ class RunFolder:
         self.writes = processes.is_first()
         """Of several processes one writes; what the others are told to write is dropped."""
 
+    def __fspath__(self) -> str:
+        """Its path, so that it can be given for one."""
+        return str(self.path)
+
+    def __repr__(self) -> str:
+        return f"RunFolder({self.path})"
+
     @staticmethod
     def new(
         runs: Path,

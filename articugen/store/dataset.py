@@ -150,6 +150,20 @@ class DataSet(Sequence[Row]):
                 )
         return self[np.isin(self._object_ids(), objects)]
 
+    def __fspath__(self) -> str:
+        """Its path, for functions that take a data set's folder: `train`, `verify` and the like.
+
+        Raises:
+            InvalidArgument: it is only some of the instances, which is not what they would see.
+        """
+        whole = sum(entry.instances for entry in self._shelf.entries)
+        if len(self) != whole:
+            raise InvalidArgument(
+                f"{self.path}: these are {len(self):,} of {whole:,} instances; give the whole data "
+                "set, the splits are chosen there"
+            )
+        return str(self.path)
+
     def __len__(self) -> int:
         return len(self._where)
 

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 from articugen import articulation
 from articugen.errors import ArticugenError, InvalidSource
 from articugen.fusion.field import pixel_width
-from articugen.fusion.isosurface import extract_mesh
+from articugen.fusion.isosurface import check_format, export, extract_mesh
 from articugen.instance import Prepared, make_instance, pose, prepare
 from articugen.pipeline import generator_version
 from articugen.recipe import Recipe
@@ -25,8 +24,6 @@ from articugen.verify.invariants import Bound
 IN_FRONT, BEHIND = 0.1 / 256, 0.5 / 256
 """The zero level passes between a surface point moved out by the one and in by the other: within
 half a voxel of 1/256. Out less, so that a wall close by is not met first."""
-
-MESH_FORMATS = (".ply", ".obj", ".stl", ".glb")
 
 MOST_OFF_LEVEL = 0.05
 """Share of surface points that may lie off the zero level: beside edges finer than a voxel. The
@@ -100,17 +97,13 @@ def write_mesh(folder: Path, object_id: str, state_index: int, resolution: int, 
     Raises:
         ArticugenError: as `prepared_again`; no such state; the file cannot be written.
     """
-    if path.suffix not in MESH_FORMATS:
-        raise ArticugenError(f"{path}: choose one of {', '.join(MESH_FORMATS)}")
+    check_format(path)
     prepared = prepared_again(Manifest.read(folder), object_id)
     if state_index >= len(prepared.states):
         raise ArticugenError(f"{object_id} has the states 0 to {len(prepared.states) - 1}")
     _, fields = pose(prepared, state_index)
     mesh = extract_mesh(fields.whole, resolution)
-    try:
-        trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(path)
-    except OSError as error:
-        raise ArticugenError(f"{path}: cannot be written: {error.strerror}") from None
+    export(mesh, path)
     return len(mesh.faces)
 
 
