@@ -117,7 +117,7 @@ class _Group:
 
 class RowSurface(_Group):
     """Surface points: `points` (S, 3) float32, unit frame, uniform by area; their `normals` (S, 3)
-    float32, outward; the `part` (S,) each belongs to."""
+    float32, outward, of unit length to 0.7 %; the `part` (S,) each belongs to."""
 
     @cached_property
     def normals(self) -> Float32:
