@@ -49,6 +49,8 @@ def test_the_lines_of_the_readme_run(folder, monkeypatch):
     pytest.importorskip("torch", reason="one of the lines needs torch")
     pytest.importorskip("skimage", reason="one of the lines needs scikit-image")
     monkeypatch.chdir(folder)
+    for module in ("pipeline", "verify.check"):  # to start workers takes longer than the work
+        monkeypatch.setattr(f"articugen.{module}.default_jobs", lambda: 0)
     first, second = readme_blocks()
     names: dict[str, object] = {}
     exec(compile(first, "README.md", "exec"), names)

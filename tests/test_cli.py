@@ -235,7 +235,7 @@ def test_inspect_prints_the_schema_and_draws(made: Path, tmp_path: Path) -> None
 INTERRUPTED = """
 import os, signal
 from articugen import pipeline
-from articugen.cli import data
+from articugen.cli import main
 make, begun = pipeline.make_object, []
 def make_object(*given):
     begun.append(given)
@@ -243,7 +243,7 @@ def make_object(*given):
         os.kill(os.getpid(), signal.SIGINT)  # Ctrl-C at the second object
     return make(*given)
 pipeline.make_object = make_object
-cli.main()
+main()
 """
 
 
@@ -275,7 +275,6 @@ def test_ctrl_c_keeps_finished_work_and_the_next_run_goes_on(
 
 TWICE = """
 import os, signal
-from articugen.cli import data
 from articugen.store import journal
 close = journal.Journal.close
 def closed(self):
