@@ -119,12 +119,10 @@ def test_states_beyond_the_recipes_have_views_that_hold_them(folder, maker):
     """The recipe's views fit the recipe's states: what projects beside them would be seen free."""
     wide = ag.Maker(maker.obj, TINY | {"padding": 0.4}, seed=3)
     widest = wide.at(door=1.57, slide=0.2)
-    assert widest._prepared.views is not wide.prepared.views
     assert widest.scale == wide[0].scale
-    part = widest.surface.part
     inside = widest.surface.points - 0.004 * widest.surface.normals
-    label = widest.labels(inside)
-    assert (label[part > 0] == part[part > 0] + 1).mean() > 0.97
+    free = widest._posed[1].whole.is_free(inside)
+    assert free.mean() < 0.003  # with the recipe's views it is 0.014, and the mesh lacks an edge
     narrow = ag.Maker(maker.obj, TINY | {"padding": 0.0, "articulation": {"states": 0}})
     with pytest.raises(InvalidArgument, match=r"door=1.57.*sticks out.*1 states.*raise padding"):
         narrow.at(door=1.57)
