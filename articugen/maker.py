@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,15 @@ from articugen.fusion.isosurface import export, extract_mesh
 from articugen.instance import Prepared, make_instance, pose, prepare
 from articugen.recipe import Recipe, load_recipe
 from articugen.recipe_files import nearest
-from articugen.records import ArticulatedObject, Floats, Joint, JointState, LabelledMesh, Mesh
+from articugen.records import (
+    ArticulatedObject,
+    Floats,
+    Instance,
+    Joint,
+    JointState,
+    LabelledMesh,
+    Mesh,
+)
 from articugen.seeding import generator
 from articugen.sources import registry
 from articugen.store import schema
@@ -91,6 +99,8 @@ def _found(source: str | Path, object_id: str | None, category: str | None) -> r
     """The one model that is meant."""
     ids = () if object_id is None else (object_id,)
     source = str(source)
+    if source.lower().endswith(".urdf") and not Path(source).exists():
+        raise InvalidSource(f"{source}: there is no such file; correct its path")
     if category is None:
         try:
             categories = registry.categories(source, ["all"])
@@ -153,7 +163,7 @@ class Made(Row):
         return dict(zip(names, q, strict=True))
 
     @cached_property
-    def instance(self) -> Any:
+    def instance(self) -> Instance:
         """The `records.Instance` that a shard would hold."""
         return make_instance(self._prepared, self._index)
 
@@ -248,6 +258,10 @@ class Maker(Sequence[Made]):
         """The recipe's states, and the canonical one."""
         return self.recipe.articulation.states + 1
 
+    @overload
+    def __getitem__(self, index: int) -> Made: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Made]: ...
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, slice):
             return [self[i] for i in range(len(self))[index]]

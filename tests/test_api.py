@@ -116,7 +116,7 @@ def test_generate_goes_on_replaces_and_refuses(folder, tmp_path):
     shutil.copy(shard, shard.with_name("train-00009.h5"))
     report = ag.verify(tmp_path / "cabinet", jobs=1)
     assert not report.ok
-    assert "1 findings" in repr(report)
+    assert "Report(1 finding: " in repr(report)
     assert "train-00009.h5" in repr(report)
     with pytest.raises(InvalidArgument, match="'all' means 5 data sets"):
         ag.generate("all", out=tmp_path)

@@ -201,7 +201,7 @@ def test_the_door_is_lazy_and_gives_what_it_names() -> None:
 @pytest.mark.parametrize("first", ["", "import articugen.verify.dataset\n"])
 def test_a_package_that_is_called_like_a_function_can_be_called(first: str) -> None:
     code = (
-        f"{first}import articugen as ag; import articugen.verify.replay as module\n"
+        f"{first}import articugen as ag; import articugen.verify.check as module\n"
         "print(ag.verify('.').ok)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -188,7 +188,7 @@ def test_any_model_that_a_source_reads(folder, tmp_path, monkeypatch):
     assert (drawer.category, drawer.clips_to_limits) == ("drawer", False)
     for wrong, error, sentence in (
         (lambda: ag.load("procedural"), InvalidSource, r"name one, as in load\('procedural', 'd"),
-        (lambda: ag.load(tmp_path / "none.urdf"), InvalidSource, "no source"),
+        (lambda: ag.load(tmp_path / "none.urdf"), InvalidSource, "there is no such file"),
         (lambda: ag.Maker(model, "quikc"), InvalidRecipe, "did you mean 'quick'"),
         (lambda: ag.Maker(model, {"views": {"cont": 3}}), InvalidRecipe, "did you mean 'count'"),
     ):

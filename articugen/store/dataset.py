@@ -40,7 +40,8 @@ _POINT_SYMBOLS = ("S", "U", "K", "M")
 
 
 def open(path: str | Path) -> "DataSet":
-    """Open a data set: its folder, or one of its shards.
+    """Open a data set: its folder, or one of its shards. Of a folder that is not finished, and has
+    no manifest yet, what is there.
 
     Raises:
         CorruptShard: there is none, or it is damaged.
@@ -53,8 +54,9 @@ def open(path: str | Path) -> "DataSet":
         shelf = _Shelf(path, tuple(_entries(path, manifest)), manifest)
     else:
         shelf = _Shelf(path, tuple(map(_entry_of, _shards_in(path))), None)
-    places = [(i, row) for i, entry in enumerate(shelf.entries) for row in range(entry.instances)]
-    return DataSet(shelf, np.array(places, np.int64).reshape(-1, 2))
+    rows = [np.arange(entry.instances) for entry in shelf.entries] or [np.arange(0)]
+    shard = np.repeat(np.arange(len(rows)), list(map(len, rows)))
+    return DataSet(shelf, np.stack([shard, np.concatenate(rows)], axis=1))
 
 
 class DataSet(Sequence[Row]):

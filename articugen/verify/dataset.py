@@ -75,7 +75,8 @@ class Report:
         return not self.findings
 
     def __repr__(self) -> str:
-        found = "ok" if self.ok else f"{len(self.findings)} findings"
+        count = len(self.findings)
+        found = "ok" if self.ok else f"{count} finding{'s' * (count != 1)}"
         about = f"Report({found}: {self.shards} shards, {self.instances:,} instances)"
         return "\n".join([about, *(f"  {finding}" for finding in self.findings)])
 
