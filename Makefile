@@ -19,6 +19,7 @@ learner   := $(VENV)/.installed-ppd
 options = $(foreach pair,RECIPE:recipe OBJECTS:objects IDS:ids EXCLUDE:exclude MOVABLE:movable \
     CANONICAL:canonical STATES:states MAX_REJECTED:max-rejected JOBS:jobs SEED:seed,\
     $(call option,$(word 1,$(subst :, ,$(pair))),$(word 2,$(subst :, ,$(pair)))))
+settings = $(foreach setting,$(SET),--set '$(setting)')
 replace = $(if $(REPLACE),--replace)
 option = $(if $($(1)),--$(2) "$($(1))")
 
@@ -27,16 +28,17 @@ option = $(if $($(1)),--$(2) "$($(1))")
 
 help:  ## list the targets
 	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1"
-	@echo "     IDS= EXCLUDE= MOVABLE= CANONICAL= MAX_REJECTED=]; CATEGORY=laptop,oven or all for several"
-	@echo "make train CATEGORY=laptop [RECIPE=ppd_quick SEED= SEEDS= OUT= RUNS=]; make evaluate CATEGORY=laptop"
+	@echo "     IDS= EXCLUDE= MOVABLE= CANONICAL= MAX_REJECTED= SET=]; CATEGORY=laptop,oven or all for several"
+	@echo "make train CATEGORY=laptop [RECIPE=ppd_quick SET= SEED= SEEDS= OUT= RUNS=]; make evaluate CATEGORY=laptop"
 	@echo
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  \1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
 	@echo
+	@echo "SET='views.count=50 sampling.grids=[16,32]' changes keys of the recipe."
 	@echo "Without CATEGORY, 'make dataset' lists the categories. RECIPE=quick takes under a minute."
 
 dataset: $(generator)  ## make a data set: articulate, render, fuse, sample, write shards
 ifdef CATEGORY
-	@$(articugen) generate --category "$(CATEGORY)" --source "$(SOURCE)" --out "$(OUT)" $(options) $(replace)
+	@$(articugen) generate --category "$(CATEGORY)" --source "$(SOURCE)" --out "$(OUT)" $(options) $(settings) $(replace)
 else
 	@$(articugen) sources
 	@echo "Choose one: make dataset CATEGORY=laptop"
@@ -54,7 +56,7 @@ verify: $(generator)  ## check every byte and the geometry of OUT (or of CATEGOR
 
 train: $(learner)  ## train PPD on CATEGORY= (RECIPE=ppd_quick, ppd_paper or ppd_release)
 ifdef CATEGORY
-	@$(articugen) train --category "$(CATEGORY)" --data "$(OUT)/$(CATEGORY)" --runs "$(RUNS)" --recipe "$(or $(RECIPE),ppd_quick)" $(if $(SEED),--seed "$(SEED)") $(if $(SEEDS),--seeds "$(SEEDS)")
+	@$(articugen) train --category "$(CATEGORY)" --data "$(OUT)/$(CATEGORY)" --runs "$(RUNS)" --recipe "$(or $(RECIPE),ppd_quick)" $(settings) $(if $(SEED),--seed "$(SEED)") $(if $(SEEDS),--seeds "$(SEEDS)")
 else
 	@echo "Choose one: make train CATEGORY=laptop" >&2; exit 2
 endif

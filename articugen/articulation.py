@@ -16,7 +16,15 @@ from articugen.errors import NotOfCategory, RejectedInstance
 from articugen.geometry import apply, bounds, invert_rigid, rotation_about, transform
 from articugen.portable import product, turned
 from articugen.recipe import Articulation
-from articugen.records import ArticulatedObject, Floats, Joint, JointState, Mimic, PosedObject
+from articugen.records import (
+    ArticulatedObject,
+    Floats,
+    Joint,
+    JointKind,
+    JointState,
+    Mimic,
+    PosedObject,
+)
 
 Canonical = Literal["zero", "lower", "upper"]
 
@@ -77,12 +85,12 @@ def resolve(
     remarks: dict[str, list[str]] = defaultdict(list)
     plans: dict[str, _Plan] = {}
     for joint in obj.joints:
-        if joint.kind != "fixed" and joint.mimic is None:
+        if joint.kind != JointKind.FIXED and joint.mimic is None:
             plan = _plan_driver(obj, joint, patterns, settings)
             plans[joint.name] = plan
             for remark in plan.remarks:
                 remarks[remark].append(joint.name)
-    followers = [j for j in obj.joints if j.kind != "fixed" and j.mimic is not None]
+    followers = [j for j in obj.joints if j.kind != JointKind.FIXED and j.mimic is not None]
     by_name = {joint.name: joint for joint in obj.joints}
     for joint in followers:
         plans[joint.name] = _plan_follower(by_name, joint, plans)
@@ -198,7 +206,7 @@ def _plan_driver(
     remarks: list[str] = []
     if not np.isfinite(value):
         value = 0.0
-        if joint.kind != "continuous":
+        if joint.kind != JointKind.CONTINUOUS:
             remarks.append(f"no {canonical} limit, canonical pose at 0 instead")
     if patterns and _pattern_of(obj, joint, patterns) == len(patterns):
         return _Plan(value, remarks=(*remarks, "locked, not among the movable joints"))
@@ -222,7 +230,7 @@ def _sampled_range(
     below, above = value - joint.lower, joint.upper - value
     sign = -1.0 if below > above + _TIE else 1.0
     back, room = min(below, above), max(below, above)
-    if joint.kind != "prismatic":
+    if joint.kind != JointKind.PRISMATIC:
         lower, upper = np.radians(settings.revolute_degrees).tolist()
     elif settings.prismatic_metres is not None:
         lower, upper = settings.prismatic_metres
@@ -270,7 +278,7 @@ def _plan_follower(by_name: Mapping[str, Joint], joint: Joint, plans: dict[str, 
 def _driver(by_name: Mapping[str, Joint], joint: Joint) -> tuple[str, float, float]:
     """(name, multiplier, offset) of the joint that drives `joint` at the end of all mimics."""
     multiplier, offset, seen = 1.0, 0.0, {joint.name: None}
-    while joint.mimic is not None and joint.kind != "fixed":
+    while joint.mimic is not None and joint.kind != JointKind.FIXED:
         mimic = joint.mimic
         if mimic.joint in seen or mimic.joint not in by_name:
             raise RejectedInstance(
@@ -286,7 +294,7 @@ def _driver(by_name: Mapping[str, Joint], joint: Joint) -> tuple[str, float, flo
 def _planned(joint: Joint, plan: _Plan) -> Joint:
     return replace(
         joint,
-        kind=joint.kind if plan.moves else "fixed",
+        kind=joint.kind if plan.moves else JointKind.FIXED,
         T_parent_joint=product(joint.T_parent_joint, _motion(joint, plan.value)),
         axis=plan.sign * joint.axis,
         lower=plan.lower,
@@ -297,9 +305,9 @@ def _planned(joint: Joint, plan: _Plan) -> Joint:
 
 def _motion(joint: Joint, q: float) -> Floats:
     """(4, 4) what the joint's value does to its child link, in the joint's frame."""
-    if joint.kind == "fixed":
+    if joint.kind == JointKind.FIXED:
         return np.eye(4)
-    if joint.kind == "prismatic":
+    if joint.kind == JointKind.PRISMATIC:
         return transform(translation=q * joint.axis)
     return transform(rotation_about(joint.axis, q))
 
@@ -348,7 +356,7 @@ def _levels(values: Floats, gap: float) -> list[int]:
 
 
 def _nothing_moves(obj: ArticulatedObject, patterns: tuple[str, ...]) -> str:
-    jointed = [joint for joint in obj.joints if joint.kind != "fixed"]
+    jointed = [joint for joint in obj.joints if joint.kind != JointKind.FIXED]
     if not jointed:
         return "no joint moves; all joints of its URDF are fixed, leave it out"
 

@@ -1,4 +1,4 @@
-"""Rigid transforms, axis-angle, boxes and directions on a sphere.
+"""Rigid transforms, axis-angle, boxes, voxels, points on triangles, directions on a sphere.
 
 `T_a_b` is the 4x4 transform that takes b-coordinates to a-coordinates. Everything is float64 and
 right-handed; angles are radians. Sums and angles go through portable.py: the same bits everywhere.
@@ -70,6 +70,49 @@ def box_corners(box: Array) -> Array:
     """The 8 corners (8, 3) of a box (2, 3)."""
     pick = np.array([[(i >> k) & 1 for k in range(3)] for i in range(8)])
     return np.take_along_axis(box, pick, axis=0)
+
+
+def voxel_centres(resolution: int, which: NDArray[np.integer] | None = None) -> Array:
+    """The centres (i + 0.5) / R - 0.5 of the R^3 voxels of a grid: (R^3, 3), x slowest.
+
+    Args:
+        which: flat indices (...), of whose voxels alone the centres (..., 3) are wanted.
+    """
+    which = np.arange(resolution**3) if which is None else which
+    index = np.stack(np.unravel_index(which, (resolution,) * 3), axis=-1)
+    return (index + 0.5) / resolution - 0.5
+
+
+def points_on_triangles(
+    corners: Array, count: int, *, rng: np.random.Generator, weights: ArrayLike | None = None
+) -> tuple[Array, NDArray[np.intp]]:
+    """Points (count, 3) spread at random over triangles (F, 3, 3), and the face (count,) of each.
+
+    Args:
+        weights: (F,) how much of the points each face gets; by default its area, and where no face
+            has any (corners that coincide are a point) each the same.
+    """
+    if weights is None:
+        weights = norm(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+        weights = weights if weights.any() else np.ones(len(corners))
+    face = pick_by_weight(weights, rng.random(count))
+    a, b = rng.random((2, count, 1))
+    return points_in_triangles(corners[face], a, b), face
+
+
+def pick_by_weight(weights: ArrayLike, at: Array) -> NDArray[np.intp]:
+    """(n,) the index at the share `at` (n,), each in [0, 1), of the sum of the weights (F,)."""
+    cumulative = np.cumsum(weights)
+    found = np.searchsorted(cumulative, at * cumulative[-1], side="right")
+    return np.minimum(found, len(cumulative) - 1)
+
+
+def points_in_triangles(corners: Array, a: Array, b: Array) -> Array:
+    """(n, 3) the points of triangles (n, 3, 3) at places (n, 1) of the unit square, which is folded
+    along its diagonal: what is uniform there is uniform by area."""
+    folded = a + b > 1.0
+    a, b = np.where(folded, 1.0 - a, a), np.where(folded, 1.0 - b, b)
+    return corners[:, 0] * (1.0 - a - b) + corners[:, 1] * a + corners[:, 2] * b
 
 
 def fibonacci_sphere(count: int) -> Array:

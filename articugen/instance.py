@@ -6,28 +6,23 @@ the same whoever makes it, when, and in whatever order.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from articugen import articulation, fusion, sampling
 from articugen.errors import RejectedInstance
-from articugen.fusion import solidify
-from articugen.fusion.bvh import Bvh, build, joined
-from articugen.fusion.reachable import touched
-from articugen.fusion.thin import ThinVoxels, thin_voxels, way_meets
-from articugen.fusion.winding import pieces
-from articugen.geometry import apply, bounds, box_corners
-from articugen.portable import norm
+from articugen.geometry import apply, bounds, box_corners, voxel_centres
 from articugen.recipe import Recipe
 from articugen.records import (
     FREE,
-    JOINT_KINDS,
     ArticulatedObject,
     DepthMaps,
     Floats,
     Instance,
+    JointKind,
     JointState,
     LabelledMesh,
     Normalization,
@@ -89,7 +84,6 @@ class Prepared:
         overlay: what the moving parts of one instance after the other are drawn over part 0 in;
             None where the backend is another, or the posed object is not looked at.
         own: each part alone, part 0 first.
-        thin: where what the views say of part 0 is checked.
         grids: by resolution.
     """
 
@@ -101,13 +95,12 @@ class Prepared:
     unit: Normalization
     mesh: LabelledMesh
     seen: NDArray[np.bool_]
-    bvh: Bvh
+    bvh: fusion.Bvh
     views: Views
     closed: NDArray[np.bool_]
     static: DepthMaps
     overlay: Overlay | None
     own: tuple[fusion.OwnSolid, ...]
-    thin: ThinVoxels
     grids: dict[int, Grid]
 
     def rng(self, *path: str | int) -> np.random.Generator:
@@ -144,16 +137,7 @@ def prepare(
     motions = np.stack([articulation.part_motions(p, posed[0]) for p in (*posed, *further)])
     views = fusion_views(recipe.views, swept_box(mesh, unit.rigid_to_unit(motions)))
     static = _render(parts[0].mesh, views, recipe)
-    thin = thin_voxels(parts[0].mesh, fusion.pixel_width(views), parts[0].tree)
-    static_field = fusion.fuse(
-        static,
-        parts[0].mesh,
-        recipe.fusion,
-        bvh=parts[0].tree,
-        part_motion=np.eye(4)[None],
-        thin=thin,
-    )
-    fixed = replace(parts[0].own, field=replace(static_field, flood=parts[0].own.field.flood))
+    fixed = fusion.seen_by(static, parts[0], recipe.fusion)
     own = (fixed, *(part.own for part in parts[1:]))
     draws = recipe.views.backend == "rasterizer" and recipe.fusion.rule != "rigid"
     return Prepared(
@@ -165,13 +149,12 @@ def prepare(
         unit=unit,
         mesh=mesh,
         seen=np.concatenate([part.seen for part in parts]),
-        bvh=joined([part.tree for part in parts]),
+        bvh=fusion.joined_bvh(parts),
         views=views,
         closed=np.concatenate([part.closed for part in parts]),
         static=static,
         overlay=Overlay(static) if draws else None,
         own=own,
-        thin=thin,
         grids={r: _grid(r, own, recipe) for r in recipe.sampling.grids},
     )
 
@@ -227,7 +210,7 @@ def pose(
         p.recipe.fusion,
         bvh=p.bvh,
         part_motion=motion,
-        thin=p.thin,
+        thin=p.own[0].field.thin,  # where what the views say of part 0 is checked
     )
     return mesh, fusion.PosedFields(field, material)
 
@@ -266,71 +249,16 @@ def _normalization(box: Floats, padding: float) -> Normalization:
     return Normalization(box.mean(axis=0), extent / (1.0 - padding))
 
 
-@dataclass(frozen=True, eq=False)
-class SolidPart:
-    """One part alone in the canonical pose: its surface, which of its faces can be seen and which
-    are those of closed pieces, the tree of its faces, its field."""
-
-    mesh: LabelledMesh
-    seen: NDArray[np.bool_]
-    closed: NDArray[np.bool_]
-    tree: Bvh
-    own: fusion.OwnSolid
+def solid_part(soup: LabelledMesh, recipe: Recipe) -> fusion.SolidPart:
+    """One part alone in the canonical pose, judged by the recipe's views of it."""
+    return fusion.solid_part(soup, recipe.fusion, partial(_render_alone, recipe))
 
 
-def solid_part(soup: LabelledMesh, recipe: Recipe) -> SolidPart:
-    """Thicken the sheets of one part and turn its faces outwards, by how it is seen alone."""
-    soup = solidify.without_repeats(soup).compact()
-    alone = _own_solid(soup, closed := solidify.closed(soup), recipe)
-    thickness = recipe.fusion.sheet_thickness
-    where = solidify.probes(soup, max(thickness, 1e-3) / 3.0, together=True)
-    free = np.stack([~alone.holds(where.points[0]), np.zeros(len(where.face), np.bool_)])
-    asked = np.flatnonzero(~(closed[where.face] & _deep(soup, where, alone.field.bvh)))
-    free[1, asked] = ~alone.holds(where.points[1][asked])
-    shown = solidify.shown_sides(soup, alone.field.maps)
-    mesh, seen = solidify.solidified(soup, where, free, shown, thickness, closed)
-    tree = alone.field.bvh
-    if not np.array_equal(mesh.faces, soup.faces):
-        closed = solidify.closed(mesh)
-        if len(mesh.faces) != len(soup.faces):  # sheets have become slabs
-            alone = _own_solid(mesh, closed, recipe)
-            tree = alone.field.bvh
-        else:
-            alone = replace(alone, closed=_closed_pieces(mesh, closed, alone.field))
-            tree = build(mesh.vertices[mesh.faces], np.zeros(len(mesh.faces), np.uint8), 1)
-    width = fusion.pixel_width(alone.field.maps.views)
-    thin = thin_voxels(mesh, width, alone.field.bvh)
-    own = replace(alone, field=fusion.flooded(replace(alone.field, thin=thin), mesh))
-    return SolidPart(mesh, seen, closed, tree, own)
-
-
-def _deep(mesh: LabelledMesh, where: solidify.Probes, tree: Bvh) -> NDArray[np.bool_]:
-    """(n,) which probes have no other face between their face and the point behind it: of a closed
-    piece, such a point is inside, whatever the views make of it."""
-    outwards = solidify.face_normals(mesh.vertices, mesh.faces)[where.face]
-    way = 0.99 * 0.5 * norm(where.points[0] - where.points[1]).max(initial=0.0)
-    inner = where.points[1].astype(np.float32)
-    return ~way_meets(inner, outwards.astype(np.float32), np.float32(way), tree)
-
-
-def _own_solid(mesh: LabelledMesh, closed: NDArray[np.bool_], recipe: Recipe) -> fusion.OwnSolid:
-    box = bounds(mesh.vertices[mesh.faces].reshape(-1, 3)) if len(mesh.faces) else np.zeros((2, 3))
+def _render_alone(recipe: Recipe, mesh: LabelledMesh, box: Floats) -> DepthMaps:
     views = fusion_views(recipe.views, box)
     if recipe.views.backend == "rasterizer":
-        maps = rasterizer.render(mesh, views, keep_depth=False)
-    else:
-        maps = _render(mesh, views, recipe)
-    field = fusion.fuse(maps, mesh, recipe.fusion)
-    return fusion.OwnSolid(field, box, _closed_pieces(mesh, closed, field))
-
-
-def _closed_pieces(
-    mesh: LabelledMesh, closed: NDArray[np.bool_], field: fusion.Field
-) -> Bvh | None:
-    """What `OwnSolid.closed` holds; None where the recipe's rule takes the views' word alone."""
-    if field.settings.rule == "mean":
-        return None
-    return field.bvh if closed.all() else pieces(mesh, closed)
+        return rasterizer.render(mesh, views, keep_depth=False)
+    return _render(mesh, views, recipe)
 
 
 def _render(mesh: LabelledMesh, views: Views, recipe: Recipe) -> DepthMaps:
@@ -344,7 +272,7 @@ def _draw_moving(p: Prepared, mesh: LabelledMesh, overlay: Overlay) -> DepthMaps
 
 
 def _grid(resolution: int, own: Sequence[fusion.OwnSolid], recipe: Recipe) -> Grid:
-    points = sampling.grid_points(resolution).astype(np.float32)
+    points = voxel_centres(resolution).astype(np.float32)
     fixed = fusion.PosedSolids(own[:1], np.eye(4)[None], recipe.fusion)
     return Grid(points, fixed.labels(points))
 
@@ -381,7 +309,7 @@ def _coverage(
         if base not in counted:
             counted[base] = sampling.solid_counts(
                 occupancy[base] != FREE,
-                touched(mesh, base) > 0,
+                fusion.touched(mesh, base) > 0,
                 lambda points: fields.labels(points) != FREE,
                 rng=p.rng(state_index, "coverage", base),
             )
@@ -398,9 +326,9 @@ def _joint_fields(p: Prepared, state_index: int) -> dict[str, NDArray]:
     posed = articulation.forward_kinematics(p.obj, state)
     joints = p.obj.moving_joints
     part_of_link = dict(zip((link.name for link in p.obj.links), p.obj.part_of_link, strict=True))
-    length = np.array([p.unit.scale if j.kind == "prismatic" else 1.0 for j in joints])
+    length = np.array([p.unit.scale if j.kind == JointKind.PRISMATIC else 1.0 for j in joints])
     return {
-        "joint_kind": np.array([JOINT_KINDS[j.kind] for j in joints], np.uint8),
+        "joint_kind": np.array([j.kind.stored for j in joints], np.uint8),
         "joint_parent": np.array([part_of_link[j.parent] for j in joints], np.uint8),
         "joint_state": state.q / length,
         "joint_lower": np.array([j.lower for j in joints]) / length,

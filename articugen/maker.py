@@ -25,6 +25,7 @@ from articugen.records import (
     Floats,
     Instance,
     Joint,
+    JointKind,
     JointState,
     LabelledMesh,
     Mesh,
@@ -68,7 +69,7 @@ class Model:
     @property
     def joints(self) -> tuple[Joint, ...]:
         """Those of its file that can move."""
-        return tuple(joint for joint in self.obj.joints if joint.kind != "fixed")
+        return tuple(joint for joint in self.obj.joints if joint.kind != JointKind.FIXED)
 
     def __repr__(self) -> str:
         faces = sum(len(link.mesh.faces) for link in self.obj.links)
@@ -313,7 +314,7 @@ class Maker(Sequence[Made]):
             )
         lower, upper = min(joint.lower, 0.0), max(joint.upper, 0.0)
         if not lower - _TIE <= value <= upper + _TIE:
-            unit = "m" if joint.kind == "prismatic" else "rad"
+            unit = "m" if joint.kind == JointKind.PRISMATIC else "rad"
             raise InvalidArgument(
                 f"{self.obj.object_id}: joint {name!r} at {value:g} {unit} is outside its range, "
                 f"{lower:g} to {upper:g}; choose one in it, or widen articulation in the recipe"
@@ -392,6 +393,6 @@ def _values(obj: ArticulatedObject, state: JointState) -> str:
 
 
 def _said(joint: Joint) -> str:
-    unit = "m" if joint.kind == "prismatic" else "rad"
+    unit = "m" if joint.kind == JointKind.PRISMATIC else "rad"
     follows = f", follows {joint.mimic.joint}" if joint.mimic else ""
     return f"{joint.name}: {joint.kind}, {joint.lower:.3g} to {joint.upper:.3g} {unit}{follows}"

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 
-from articugen import __version__, workers
+from articugen import __version__, content, workers
 from articugen.errors import (
     ArticugenError,
     InvalidRecipe,
@@ -42,23 +42,6 @@ SECONDS_FOR_ANY_INSTANCE = 5.0
 
 _M_MMAP_THRESHOLD = -3  # of malloc.h
 _LARGE_BLOCK = 8 << 20
-
-GENERATING_CODE = (
-    "articulation.py",
-    "fusion",
-    "geometry.py",
-    "instance.py",
-    "portable.py",
-    "recipe.py",
-    "recipe_files.py",
-    "records.py",
-    "rendering",
-    "sampling.py",
-    "seeding.py",
-    "sources",
-    "store/schema.py",
-    "swept.py",
-)
 
 
 @dataclass(frozen=True)
@@ -268,7 +251,7 @@ def make_object(job: Job, task: Task) -> Outcome:
     _give_back_large_blocks()
     try:
         obj, instances = _instances(job, task)
-        record = write_shard(job.out / task.shard, instances, _attributes(job, task.ref))
+        record = write_shard(job.out / task.shard, instances, _attributes(job, task))
     except NotOfCategory as error:
         return Outcome(skipped=_unmade(task.key, error))
     except Exception as error:  # an object must not take the others down with it
@@ -390,8 +373,9 @@ def _plan(job: Job, journal: Journal) -> Plan:
     )
     limit = _limit(job.recipe)
     keys, known = [], dict[Key, Outcome]()
+    generator = generator_of(refs[0])
     for ref, read in zip(refs, _read(job, refs, limit), strict=True):
-        key = _key(job, ref, read.value or "unreadable")
+        key = _key(job, ref, read.value or "unreadable", generator)
         keys.append(key)
         if key.object_id != ref.object_id:
             reason = f"{printable(str(ref.location))}: its name is no plain text; rename it"
@@ -427,14 +411,14 @@ def _may_do_with_more(outcome: Outcome, limit: workers.Limit) -> bool:
     return value < most.get(name, 0.0)
 
 
-def _key(job: Job, ref: ObjectRef, read_from: str) -> Key:
+def _key(job: Job, ref: ObjectRef, read_from: str, generator: str) -> Key:
     return Key(
         split=ref.split,
         object_id=_plain_name(ref.object_id),
         ref=read_from,
         recipe_sha256=job.recipe.for_one_object().sha256(),
         seed=job.seed,
-        generator=generator_version(),
+        generator=generator,
     )
 
 
@@ -477,20 +461,13 @@ def _source_digest(recipe: Recipe, ref: ObjectRef) -> str:
         return printable(f"unreadable: {verdict}")
 
 
-@cache
-def generator_version() -> str:
-    """The package's version and a digest of the code that decides what an instance holds."""
-    package = Path(__file__).resolve().parent
-    digest = hashlib.sha256()
-    for name in GENERATING_CODE:
-        path = package / name
-        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
-            digest.update(file.relative_to(package).as_posix().encode() + b"\0" + file.read_bytes())
-    return f"{__version__}+{digest.hexdigest()[:12]}"
+def generator_of(ref: ObjectRef) -> str:
+    """What of our code decides the data of an object: see `content`."""
+    return content.declared(ref.category if registry.is_procedural(ref.source) else None)
 
 
-def _attributes(job: Job, ref: ObjectRef) -> dict[str, str | int]:
-    recipe = job.recipe.for_one_object()
+def _attributes(job: Job, task: Task) -> dict[str, str | int]:
+    recipe, ref = job.recipe.for_one_object(), task.ref
     return {
         "category": job.category,
         "split": ref.split,
@@ -499,7 +476,8 @@ def _attributes(job: Job, ref: ObjectRef) -> dict[str, str | int]:
         "recipe": recipe.text(),
         "recipe_sha256": recipe.sha256(),
         "seed": job.seed,
-        "articugen_version": generator_version(),
+        "articugen_version": __version__,
+        "generator": task.key.generator,
     }
 
 

@@ -3,7 +3,7 @@ a pydantic model. What a file may hold is little: it may come from a stranger.""
 
 import difflib
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -87,15 +87,20 @@ def read_yaml(path: Path, refusal: type[ArticugenError]) -> Any:
         MachineFault, MemoryError: the disk does not answer, or the like.
     """
     try:
-        text = read_regular(path, MAX_YAML_BYTES).decode()
-        return yaml.load(text, _Loader)
+        data = read_regular(path, MAX_YAML_BYTES)
     except OSError as error:
         raise machine_fault(error) or refusal(
             f"{path}: cannot be read: {error.strerror}; correct it or name another file"
         ) from error
+    return _parsed(data, str(path), refusal)
+
+
+def _parsed(data: bytes | str, where: str, refusal: type[ArticugenError]) -> Any:
+    try:
+        return yaml.load(data.decode() if isinstance(data, bytes) else data, _Loader)
     except (yaml.YAMLError, *_PYTHON_ERRORS) as error:
         reason = " ".join(str(error).split())[:300]
-        raise refusal(f"{path}: not YAML that can be read: {reason}; correct it there") from None
+        raise refusal(f"{where}: not YAML that can be read: {reason}; correct it there") from None
 
 
 _PYTHON_ERRORS = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
@@ -166,6 +171,30 @@ class Section(BaseModel):
         return value
 
 
+def with_settings(recipe: Model, texts: Sequence[str]) -> Model:
+    """`recipe` with other values, as `--set` takes them; the last one of a key counts.
+
+    Args:
+        texts: `key=value` or `section.key=value`, the value as in YAML: `sampling.grids=[16, 32]`.
+
+    Raises:
+        InvalidRecipe: no such key (with the nearest valid one), or a bad value.
+    """
+    if not texts:
+        return recipe
+    data = recipe.model_dump()
+    for text in texts:
+        key, equals, value = text.partition("=")
+        if not (equals and key.strip()):
+            raise InvalidRecipe(f"--set {text[:100]!r}: write it as section.key=value")
+        *sections, last = (name.strip() for name in key.split(".")[:MAX_YAML_DEPTH])
+        setting = {last: _parsed(value, f"--set {text[:100]}", InvalidRecipe)}
+        for name in reversed(sections):
+            setting = {name: setting}
+        data = _merged(data, setting)
+    return validated(type(recipe), data, " ".join(f"--set {text}" for text in texts)[:200])
+
+
 def validated(model: type[Model], data: dict[str, Any], where: str) -> Model:
     """`data` as a `model`; `where` is named in errors.
 
@@ -179,17 +208,17 @@ def validated(model: type[Model], data: dict[str, Any], where: str) -> Model:
         first = next((f for f in faults if f["type"] == "extra_forbidden"), faults[0])
         key = ".".join(map(str, first["loc"]))
         if first["type"] == "extra_forbidden":
-            hint = nearest(str(first["loc"][-1]), _keys_at(model, first["loc"][:-1]))
+            hint = _nearest_key(model, first["loc"])
             raise InvalidRecipe(f"{where}: unknown key {key[:100]!r}{hint}") from None
         message = first["msg"].removeprefix("Value error, ")
-        raise InvalidRecipe(f"{where}: {key or 'the recipe'}: {message}") from None
+        raise InvalidRecipe(": ".join(filter(None, (where, key, message)))) from None
     except OverflowError:  # pydantic's, of an integer that no float can hold
         raise InvalidRecipe(f"{where}: a number is too large; write a smaller one") from None
 
 
-def nearest(name: str, known: list[str]) -> str:
+def nearest(name: str, known: list[str], cutoff: float = 0.6) -> str:
     """The hint "; did you mean 'x'?", or nothing where no known name is near."""
-    close = difflib.get_close_matches(name, known, n=1)
+    close = difflib.get_close_matches(name, known, n=1, cutoff=cutoff)
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
@@ -201,12 +230,27 @@ def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def _keys_at(section: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    """The keys of the section at `location`; numbers in it are places in a sequence."""
-    for name in location:
-        if isinstance(name, int):
-            continue
-        annotation = section.model_fields[name].annotation
-        inner = [a for a in (annotation, *get_args(annotation)) if isinstance(a, type)]
-        section = next((a for a in inner if issubclass(a, BaseModel)), section)
-    return list(section.model_fields)
+def _nearest_key(model: type[BaseModel], location: tuple[int | str, ...]) -> str:
+    """The hint for an unknown key: one of its section, or one of that very name in another."""
+    *sections, key = location
+    section = model
+    for name in sections:
+        if isinstance(name, str):  # numbers are places in a sequence
+            section = _section(section, name) or section
+    namesakes = [path for path in _paths(model) if path.rpartition(".")[2] == key]
+    return nearest(str(key), list(section.model_fields)) or nearest(str(key), namesakes, 0.0)
+
+
+def _section(model: type[BaseModel], key: str) -> type[BaseModel] | None:
+    """The model of what stands at a key, or of each item there."""
+    annotation = model.model_fields[key].annotation
+    inner = [a for a in (annotation, *get_args(annotation)) if isinstance(a, type)]
+    return next((a for a in inner if issubclass(a, BaseModel)), None)
+
+
+def _paths(model: type[BaseModel]) -> Iterator[str]:
+    """Every key, with the sections it is in: `sampling.grids`."""
+    for key in model.model_fields:
+        yield key
+        section = _section(model, key)
+        yield from (f"{key}.{path}" for path in (_paths(section) if section else ()))

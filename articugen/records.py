@@ -6,6 +6,7 @@ Units are metres and radians in `Mesh`, `Link`, `Joint`, `ArticulatedObject` and
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from enum import IntEnum
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -15,8 +16,33 @@ from numpy.typing import NDArray
 from articugen.geometry import apply
 from articugen.portable import turned
 
-JointKind = Literal["fixed", "revolute", "continuous", "prismatic"]
 Floats = NDArray[np.float64]
+
+
+class JointKind(IntEnum):
+    """How a joint moves. The words are URDF's, the numbers those that shards store."""
+
+    FIXED = 0
+    REVOLUTE = 1
+    CONTINUOUS = 3
+    PRISMATIC = 2
+
+    @property
+    def stored(self) -> "JointKind":
+        """What a shard says of it: continuous is revolute without limits."""
+        return JointKind.REVOLUTE if self is JointKind.CONTINUOUS else self
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+    @staticmethod
+    def named(word: str) -> "JointKind":
+        """The kind that URDF calls `word`; KeyError where there is none."""
+        return JointKind[word.upper()]
+
+
+STORED_KINDS = (JointKind.REVOLUTE, JointKind.PRISMATIC)
+"""What a shard may say of a joint, all of which move."""
 
 FREE, ENCLOSED = 0, 255
 """Labels of free space, and of what no view sees though no part's own solid holds it. The material
@@ -71,7 +97,6 @@ class Joint:
 
     Attributes:
         name: unique in the object.
-        kind: fixed, revolute, continuous (revolute without limits) or prismatic.
         parent, child: link names.
         T_parent_joint: (4, 4) the child link's frame, at q = 0, in the parent link's frame.
         axis: (3,) unit direction in the joint's (child link's) frame.
@@ -91,7 +116,7 @@ class Joint:
 
     def __post_init__(self) -> None:
         _freeze(self, T_parent_joint=(np.float64, (4, 4)), axis=(np.float64, (3,)))
-        if self.kind != "fixed" and abs(np.linalg.norm(self.axis) - 1.0) > 1e-9:
+        if self.kind != JointKind.FIXED and abs(np.linalg.norm(self.axis) - 1.0) > 1e-9:
             raise ValueError(f"joint {self.name}: axis {self.axis} is not of unit length")
 
 
@@ -146,9 +171,12 @@ class ArticulatedObject:
         so), each as `part_order` says.
         """
         rank = {name: k for k, name in enumerate(self.part_order)}
-        moving = [j for j in self.joints if j.kind != "fixed"]
+        moving = [j for j in self.joints if j.kind != JointKind.FIXED]
         return tuple(
-            sorted(moving, key=lambda j: (j.kind == "prismatic", rank.get(j.name, len(rank))))
+            sorted(
+                moving,
+                key=lambda j: (j.kind == JointKind.PRISMATIC, rank.get(j.name, len(rank))),
+            )
         )
 
     @property
@@ -444,10 +472,6 @@ class Instance:
 
 GRIDS = ("occupancy", "coverage")
 """Those fields of `Instance` that have an array for each of several resolutions."""
-
-
-JOINT_KINDS = {"revolute": 1, "continuous": 1, "prismatic": 2}
-"""`Instance.joint_kind` of each kind of moving joint."""
 
 
 def stored_name(name: str) -> str:

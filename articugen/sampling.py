@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.errors import RejectedInstance
-from articugen.geometry import apply, cross, invert_rigid
+from articugen.geometry import apply, cross, invert_rigid, points_on_triangles
 from articugen.records import DepthMaps, Floats, LabelledMesh
 
 IsFree = Callable[[Floats, NDArray[np.intp]], NDArray[np.bool_]]
@@ -42,12 +42,6 @@ class PartialClouds:
 
     points: Floats
     part: NDArray[np.uint8]
-
-
-def grid_points(resolution: int) -> Floats:
-    """Voxel centres (resolution^3, 3), x slowest: (i + 0.5) / resolution - 0.5."""
-    axis = (np.arange(resolution) + 0.5) / resolution - 0.5
-    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def solid_counts(
@@ -114,8 +108,8 @@ def surface_points(
     corners = mesh.vertices[mesh.faces]
     across = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     doubled = np.linalg.norm(across, axis=1)
-    cumulative = np.cumsum(np.where(seen, doubled, 0.0))
-    if not len(cumulative) or cumulative[-1] <= 0.0:
+    weights = np.where(seen, doubled, 0.0)
+    if not weights.any():
         raise RejectedInstance("no face of the object can be seen; is its mesh empty?")
     normals = across / np.maximum(doubled, 1e-30)[:, None]
     kept: list[tuple[Floats, NDArray[np.intp]]] = []
@@ -123,9 +117,7 @@ def surface_points(
     for _ in range(SURFACE_ROUNDS):
         share = max(have / drawn, 0.02) if drawn else 0.6
         draw = int((count - have) / share * 1.05) + 64
-        face = np.searchsorted(cumulative, rng.random(draw) * cumulative[-1], side="right")
-        face = np.minimum(face, len(cumulative) - 1)
-        points = _in_triangles(corners[face], rng)
+        points, face = points_on_triangles(corners, draw, rng=rng, weights=weights)
         visible = is_free(points + SURFACE_OFFSET * normals[face], face)
         kept.append((points[visible], face[visible]))
         drawn, have = drawn + draw, have + int(visible.sum())
@@ -136,14 +128,6 @@ def surface_points(
     points = np.concatenate([p for p, _ in kept])[:count]
     face = np.concatenate([f for _, f in kept])[:count]
     return SurfacePoints(points, normals[face], mesh.part_of_face[face], face)
-
-
-def _in_triangles(corners: Floats, rng: np.random.Generator) -> Floats:
-    """One uniform point in each triangle (n, 3, 3): (n, 3)."""
-    a, b = rng.random((2, len(corners), 1))
-    folded = a + b > 1.0
-    a, b = np.where(folded, 1.0 - a, a), np.where(folded, 1.0 - b, b)
-    return corners[:, 0] * (1.0 - a - b) + corners[:, 1] * a + corners[:, 2] * b
 
 
 def partial_clouds(

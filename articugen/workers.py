@@ -18,7 +18,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, Pipe, wait
 from pathlib import Path
@@ -32,7 +32,7 @@ R = TypeVar("R")
 TICK = 0.2
 """Seconds between two looks at the workers' clocks and memory."""
 
-_READY, _DONE, _RAISED, _NO_MEMORY = "ready", "done", "raised", "no memory"
+_READY, _SAID, _DONE, _RAISED, _NO_MEMORY = "ready", "said", "done", "raised", "no memory"
 _PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 
 
@@ -76,50 +76,34 @@ def each(
     notice: Callable[[str], None] = _nothing,
     name: Callable[[T], str] = str,
 ) -> Generator[Ended[R], None, None]:
-    """`function` of each task, as they end; what it raises ends them all, as closing this does.
-
-    Args:
-        function, tasks: picklable, the function by its name in a module.
-        workers: processes at most; 0 does all of it in this process, without any limit.
-        ready: called once in each worker before its first task, off the clock.
-        handles: open files that every worker holds open as long as it lives, locks for instance.
-        notice: called with one sentence where a worker was lost.
-        name: what a task is called in it.
-
-    Raises:
-        MachineFault: no worker can be started, or none does anything before it is lost.
-    """
-    if workers == 0:
-        yield from _here(function, tasks)
-        return
-    crew = _Crew(lambda: _Worker(function, ready, handles), limit, min(workers, len(tasks)))
-    try:
-        yield from crew.work(tasks, notice, name)
-    finally:
-        crew.dismiss()
+    """As `Crew.each`, by a crew of its own: closing this ends all tasks."""
+    with Crew(
+        function,
+        workers=min(workers, len(tasks)),
+        limit=limit,
+        ready=ready,
+        handles=handles,
+        notice=notice,
+        name=name,
+    ) as crew:
+        yield from crew.each(tasks)
 
 
 def in_order(
     function: Callable[[T], R], tasks: Sequence[T], *, workers: int, name: Callable[[T], str] = str
 ) -> Generator[R, None, None]:
-    """`function` of each task, in the order of the tasks; see `each`.
+    """As `Crew.in_order`, by a crew of its own: closing this ends all tasks."""
+    with Crew(function, workers=min(workers, len(tasks)), name=name) as crew:
+        yield from crew.in_order(tasks)
 
-    Raises:
-        MachineFault: a worker was lost twice over the same task.
-    """
-    early: dict[int, R] = {}
-    following = 0
-    with closing(each(function, tasks, workers=workers, name=name)) as all_ended:
-        for ended in all_ended:
-            if ended.lost:
-                raise MachineFault(
-                    f"{name(tasks[ended.number])}: its worker {ended.lost} when it was tried alone "
-                    "as well; use fewer --jobs or end other programs"
-                )
-            early[ended.number] = cast("R", ended.value)
-            while following in early:
-                yield early.pop(following)
-                following += 1
+
+def report(message: object) -> None:
+    """Hand a picklable message to the `on_report` of the crew whose task is calling this."""
+    _report(message)
+
+
+_report: Callable[[object], None] = _nothing
+"""What `report` does in this process: set in every worker, and here while a task is done here."""
 
 
 def die_with(parent: int) -> None:
@@ -145,10 +129,12 @@ def _watch(parent: int) -> None:
 
 def serve(handle: int, parent: int) -> None:
     """What a worker does: the tasks that come through the pipe, until nobody is at its end."""
+    global _report  # noqa: PLW0603
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which then ends us
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     die_with(parent)
     with Connection(handle) as pipe:
+        _report = lambda message: pipe.send((_SAID, message))  # noqa: E731
         try:
             function, ready = pipe.recv()
             kind, value = _answer(lambda _: ready(), None)
@@ -243,14 +229,41 @@ def _no_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-class _Crew:
-    """The workers of one call of `each`."""
+class Crew(Generic[T, R]):
+    """Workers for one function; as a context, at whose end all of them are dismissed.
 
-    def __init__(self, hire: Callable[[], _Worker], limit: Limit, width: int) -> None:
-        self._hire = hire
+    Args:
+        function: picklable, by its name in a module; its tasks and results are picklable, too.
+        workers: processes at most; 0 does all of it in this process, without any limit.
+        limit: what one task may take.
+        ready: called once in each worker before its first task, off the clock.
+        handles: open files that every worker holds open as long as it lives, locks for instance.
+        on_report: called here with each message that a task gives to `report`, in their order.
+        notice: called with one sentence where a worker was lost.
+        name: what a task is called in it.
+    """
+
+    def __init__(
+        self,
+        function: Callable[[T], R],
+        *,
+        workers: int,
+        limit: Limit = Limit(),
+        ready: Callable[[], None] = _nothing,
+        handles: Sequence[int] = (),
+        on_report: Callable[[Any], None] = _nothing,
+        notice: Callable[[str], None] = _nothing,
+        name: Callable[[T], str] = str,
+    ) -> None:
+        self._function = function
+        self._hire = lambda: _Worker(function, ready, handles)
         self._limit = limit
-        self._width = width
-        self._hopeless = width + 3
+        self._here = workers == 0
+        self._width = workers
+        self._on_report = on_report
+        self._notice = notice
+        self._name = name
+        self._hopeless = workers + 3
         self._deaths = 0
         self._any_done = False
         self._busy: list[_Worker] = []
@@ -258,9 +271,23 @@ class _Crew:
         self._waiting: deque[int] = deque()
         self._alone: deque[int] = deque()
 
-    def work(
-        self, tasks: Sequence[T], notice: Callable[[str], None], name: Callable[[T], str]
-    ) -> Iterator[Ended[Any]]:
+    def __enter__(self) -> "Crew[T, R]":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for worker in self._busy + self._idle:
+            worker.end()
+        self._busy, self._idle = [], []
+
+    def each(self, tasks: Sequence[T]) -> Iterator[Ended[R]]:
+        """The function of each task, as they end; raises what it raises.
+
+        Raises:
+            MachineFault: no worker can be started, or none does anything before it is lost.
+        """
+        if self._here:
+            yield from map(self._do_here, range(len(tasks)), tasks)
+            return
         self._waiting.extend(range(len(tasks)))
         while self._waiting or self._alone or self._busy:
             self._hand_out(tasks)
@@ -270,25 +297,48 @@ class _Crew:
                 if ended:
                     yield ended
                 if lost:
-                    notice(self._told(lost, name(tasks[worker.number or 0])))
+                    self._notice(self._loss(lost, self._name(tasks[worker.number or 0])))
             for worker, over in self._over_limit():
                 self._dismiss(worker)
                 yield Ended(worker.number or 0, over=over)
 
-    def dismiss(self) -> None:
-        """End all workers, whatever they are doing."""
-        for worker in self._busy + self._idle:
-            worker.end()
-        self._busy, self._idle = [], []
+    def in_order(self, tasks: Sequence[T]) -> Iterator[R]:
+        """The function of each task, in the order of the tasks; raises what it raises.
 
-    def _hand_out(self, tasks: Sequence[Any]) -> None:
+        Raises:
+            MachineFault: as `each`; or a worker was lost twice over the same task.
+        """
+        early: dict[int, R] = {}
+        following = 0
+        for ended in self.each(tasks):
+            if ended.lost:
+                raise MachineFault(
+                    f"{self._name(tasks[ended.number])}: its worker {ended.lost} when it was tried "
+                    "alone as well; use fewer --jobs or end other programs"
+                )
+            early[ended.number] = cast("R", ended.value)
+            while following in early:
+                yield early.pop(following)
+                following += 1
+
+    def _do_here(self, number: int, task: T) -> Ended[R]:
+        global _report  # noqa: PLW0603
+        before, _report = _report, self._on_report
+        try:
+            return Ended(number, value=self._function(task))
+        except MemoryError:
+            return Ended(number, lost="ran out of memory")
+        finally:
+            _report = before
+
+    def _hand_out(self, tasks: Sequence[T]) -> None:
         while self._waiting and len(self._busy) < self._width:
             if not self._give(self._waiting, tasks, alone=False):
                 self._width = len(self._busy)
         if self._alone and not self._busy:
             self._give(self._alone, tasks, alone=True)
 
-    def _give(self, numbers: deque[int], tasks: Sequence[Any], *, alone: bool) -> bool:
+    def _give(self, numbers: deque[int], tasks: Sequence[T], *, alone: bool) -> bool:
         """Hand the next task to a worker; whether there was one to be had."""
         try:
             worker = self._idle.pop() if self._idle else self._hire()
@@ -310,6 +360,8 @@ class _Crew:
             kind, value = worker.hear()
         except EOFError:
             return self._lost(worker, _fate(self._dismiss(worker)))
+        if kind == _SAID:
+            self._on_report(value)
         if kind == _RAISED:
             raise value
         if kind == _NO_MEMORY:
@@ -338,7 +390,7 @@ class _Crew:
             self._idle.pop().end()
         return None, fate
 
-    def _told(self, fate: str, task: str) -> str:
+    def _loss(self, fate: str, task: str) -> str:
         left = f"{self._width} worker{'s' if self._width > 1 else ''}"
         return f"a worker {fate} at {task}, which is tried once more at the end; {left} from now on"
 
@@ -380,12 +432,3 @@ def _resident_on_linux(pid: int) -> tuple[int, int] | None:
     except (OSError, IndexError):
         return None
     return pid, pages * os.sysconf("SC_PAGE_SIZE")
-
-
-def _here(function: Callable[[T], R], tasks: Sequence[T]) -> Iterator[Ended[R]]:
-    for number, task in enumerate(tasks):
-        try:
-            ended = Ended(number, value=function(task))
-        except MemoryError:
-            ended = Ended(number, lost="ran out of memory")
-        yield ended

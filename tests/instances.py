@@ -18,6 +18,7 @@ from articugen.geometry import (
     look_along,
     rotation_about,
     transform,
+    voxel_centres,
 )
 from articugen.recipe import Articulation, Recipe, Sampling
 from articugen.records import Floats, Instance, Normalization, quantize
@@ -152,7 +153,7 @@ def _instance(
         joint_axis=np.stack([HINGE_AXIS, motion[1, :3, :3] @ SLIDE_AXIS]),
         joint_pivot=np.stack([unit.to_unit(HINGE), apply(motion[1], unit.to_unit(SLIDE_FROM))]),
         part_motion=motion,
-        occupancy={r: boxes.label(voxel_centres(r)) for r in ask.grids},
+        occupancy={r: boxes.label(voxel_centres(r)).reshape(r, r, r) for r in ask.grids},
         surface_points=quantize(points),
         surface_normals=np.round(127.0 * normals).astype(np.int8),
         surface_part=part,
@@ -165,12 +166,6 @@ def _instance(
         partial_T_camera_world=np.stack([view[2] for view in views]),
         partial_intrinsics=np.tile(_intrinsics(ask.partial_resolution), (len(views), 1)),
     )
-
-
-def voxel_centres(resolution: int) -> Floats:
-    """(R, R, R, 3) in the unit frame."""
-    at = (np.arange(resolution) + 0.5) / resolution - 0.5
-    return np.stack(np.meshgrid(at, at, at, indexing="ij"), axis=-1)
 
 
 def _intrinsics(size: int) -> Floats:

@@ -7,15 +7,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.articulation import forward_kinematics
-from articugen.geometry import apply
+from articugen.geometry import apply, points_on_triangles
 from articugen.records import ArticulatedObject, Floats, JointState
 from articugen.sources.procedural import write_object
-from articugen.sources.procedural.model import Model
-from articugen.sources.procedural.solids import Solid
+from articugen.sources.procedural.kit.model import Model
+from articugen.sources.procedural.kit.solids import Solid
 from articugen.sources.procedural.truth import Truth, load_truth
 from articugen.sources.urdf import load_urdf
 
 L_SHAPE = np.array([(0, 0), (3, 0), (3, 1), (1, 1), (1, 3), (0, 3)], dtype=float)
+
+
+def object_id(category: str, index: int) -> str:
+    """The id of a category's object number `index`, for instance "laptop_0003"."""
+    return f"{category}_{index:04d}"
 
 
 def written(
@@ -64,11 +69,7 @@ def surface_points(
 ) -> Floats:
     """Points on a link's mesh, uniform by area, and all its vertices; in the link's frame."""
     mesh = obj.links[obj.link_index[link]].mesh
-    a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    face = rng.choice(len(area), count, p=area / area.sum())
-    w = rng.dirichlet([1.0, 1.0, 1.0], count)
-    on_faces = a[face] * w[:, :1] + b[face] * w[:, 1:2] + c[face] * w[:, 2:]
+    on_faces, _ = points_on_triangles(mesh.vertices[mesh.faces], count, rng=rng)
     return np.concatenate([on_faces, mesh.vertices])
 
 

@@ -23,7 +23,7 @@ from articugen.articulation import (
 from articugen.errors import InvalidSource, NotOfCategory, RejectedInstance
 from articugen.geometry import apply, rotation_about, rotation_from_rpy, transform
 from articugen.recipe import Articulation
-from articugen.records import ArticulatedObject, Joint, JointState, Link, Mesh, Mimic
+from articugen.records import ArticulatedObject, Joint, JointKind, JointState, Link, Mesh, Mimic
 from articugen.sources.urdf import load_urdf
 
 NO_MESH = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
@@ -34,6 +34,7 @@ def joint(name, kind="revolute", *, parent="base", at=(0, 0, 0), axis=Z, limits=
     """A joint `name` to a link of the same name."""
     T = at if np.shape(at) == (4, 4) else transform(translation=at)
     lower, upper = limits
+    kind = JointKind.named(kind)
     return Joint(name, kind, parent, name, np.asarray(T), np.asarray(axis), lower, upper, **more)
 
 
@@ -231,7 +232,7 @@ def test_a_joint_without_the_limit_asked_for_starts_at_zero(kind):
     obj = tree(joint("knob", kind, limits=(-math.inf, math.inf)))
     resolved = resolve(obj, Articulation(canonical="lower", clip_to_limits=True))
     (moving,) = resolved.moving_joints
-    assert (moving.kind, moving.lower) == (kind, 0.0)
+    assert (str(moving.kind), moving.lower) == (kind, 0.0)
     assert moving.upper == pytest.approx(math.radians(135))
     np.testing.assert_array_equal(moving.axis, Z)
     np.testing.assert_array_equal(moving.T_parent_joint, np.eye(4))
@@ -250,7 +251,7 @@ def test_locked_joints_ride_on_what_they_hang_on():
     assert [j.name for j in resolved.moving_joints] == ["door", "tray"]
     np.testing.assert_array_equal(resolved.part_of_link, [0, 1, 1, 2])
     (knob,) = [j for j in resolved.joints if j.name == "knob"]
-    assert knob.kind == "fixed"
+    assert knob.kind == JointKind.FIXED
     np.testing.assert_allclose(
         forward_kinematics(resolved, canonical_state(resolved)).T_world_link[2],
         transform(rotation_about(Z, 0.25), (1, 0, 0)),

@@ -1,6 +1,7 @@
 """The command line as a user meets it: real commands, real data sets, tiny ones."""
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ from typer.testing import CliRunner
 from articugen import __version__, articulation
 from articugen.cli import app
 from articugen.errors import NotOfCategory
+from articugen.store.shards import open_shard
 
 TINY = """
 name: tiny
@@ -75,6 +77,32 @@ def test_every_command_with_options_shows_examples() -> None:
 def test_sources_lists_the_procedural_ones_with_the_papers_counts() -> None:
     lines = run("sources").output.splitlines()
     assert "laptop            73 train, 13 test" in [line.strip() for line in lines]
+
+
+def test_settings_become_part_of_the_recipe_that_is_stored(recipe: Path, tmp_path: Path) -> None:
+    given = ("generate", "-c", "eyeglasses", "-r", recipe, "-o", tmp_path, "-j", 0, "-n", 1)
+    done = run(*given, "--set", "sampling.grids=[4]", "--set", "articulation.states=1")
+    assert done.exit_code == 0, done.output
+    manifest = json.loads((tmp_path / "eyeglasses" / "manifest.json").read_text())
+    stored = json.loads(manifest["recipe"])
+    assert (stored["sampling"]["grids"], stored["articulation"]["states"]) == ([4], 1)
+    (shard,) = (tmp_path / "eyeglasses").glob("*.h5")
+    with open_shard(shard) as opened:
+        assert [name for name in opened.fields if name.startswith("occupancy")] == ["occupancy_4"]
+        told = json.loads(str(opened.attributes["recipe"]))
+    assert told["sampling"] == stored["sampling"]
+    done = run(*given, "--set", "sampling.grid=[4]")
+    assert done.exit_code == 1
+    assert "unknown key 'sampling.grid'; did you mean 'grids'?" in done.output.replace("\n", " ")
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="no make here")
+@pytest.mark.parametrize("target", ["dataset", "train"])
+def test_make_hands_settings_on(target: str) -> None:
+    asked = ["make", "-n", target, "CATEGORY=x", "SET=views.count=5 sampling.grids=[8,16]"]
+    root = Path(__file__).parents[1]
+    said = subprocess.run(asked, cwd=root, capture_output=True, text=True, check=True).stdout
+    assert " --set 'views.count=5' --set 'sampling.grids=[8,16]'" in said
 
 
 def test_generate_says_what_was_made_and_what_comes_next(made: Path, recipe: Path) -> None:

@@ -20,7 +20,7 @@ extends: ppd_quick
 data: {surface_points: 256, uniform_points: 128, near_points: 128, validation_objects: 1}
 schedule: {batch: 3, stages: [{resolution: 16, iterations: 3}], validate_every: 3}
 seeds: {count: 1, halve_at: []}
-depth: {iterations: 2, batch: 2}
+depth: {iterations: 2}
 """
 
 
@@ -34,7 +34,16 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ppd")
     write_boxes(folder / "data", train=2, test=1, states=1)
     (folder / "tiny.yaml").write_text(RECIPE)
-    arguments = ("-c", "box", "-d", folder / "data", "-r", folder / "tiny.yaml")
+    arguments = (
+        "-c",
+        "box",
+        "-d",
+        folder / "data",
+        "-r",
+        folder / "tiny.yaml",
+        "--set",
+        "depth.batch=2",
+    )
     done = articugen("train", *arguments, "--runs", folder / "runs")
     assert done.exit_code == 0, done.output
     assert "3/3 held-out objects: rec 0." in done.output
@@ -124,7 +133,7 @@ def bad(tmp_path_factory):
         (("evaluate", "{run}", "-d", "{bad}/other"), "holds jar, the model is of box"),
         (
             ("train", "-c", "box", "-d", "{data}", "--resume", "{run}", "-r", "ppd_paper"),
-            "was started with another recipe than ppd_paper",
+            "was started with another recipe; leave out --recipe and --set",
         ),
         (
             ("train", "-c", "box", "-d", "{bad}/trained", "--resume", "{run}"),

@@ -13,6 +13,7 @@ from articugen.store.shards import open_shard, write_shard
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
+from articugen import geometry  # noqa: E402
 from articugen.learning.dataset import load_split, unpacked, voxel_centres  # noqa: E402
 from articugen.learning.ppd.settings import DataSettings  # noqa: E402
 
@@ -98,6 +99,7 @@ def test_a_whole_grid_is_taken_as_it_is(packed):
 
 def test_voxel_centres_are_those_of_the_conventions():
     centres = voxel_centres(torch.arange(27), 3).view(3, 3, 3, 3)
+    np.testing.assert_allclose(centres.view(-1, 3), geometry.voxel_centres(3), atol=1e-7)
     np.testing.assert_allclose(centres[2, 0, 1].numpy(), [1 / 3, -1 / 3, 0.0], atol=1e-7)
 
 

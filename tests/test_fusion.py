@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from articugen.fusion.field import Field, fuse
-from articugen.geometry import rotation_about, transform
+from articugen.geometry import rotation_about, transform, voxel_centres
 from articugen.recipe import Fusion
 from articugen.records import DepthMaps, Views
 from articugen.rendering.rasterizer import render
@@ -99,8 +99,7 @@ def test_the_value_near_a_plane_is_the_mean_over_the_views_before_it(settings):
 def test_the_field_is_the_same_on_a_dense_grid():
     """Asked at scattered points or on a whole grid, in any order: the same field."""
     field = field_of(*thin_laptop(), resolution=96)
-    axis = (np.arange(24) + 0.5) / 24 - 0.5
-    grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    grid = voxel_centres(24)
     dense = field.value(grid)
     some = np.random.default_rng(0).permutation(len(grid))[:777]
     assert np.array_equal(field.value(grid[some]), dense[some])

@@ -127,3 +127,40 @@ def test_a_camera_may_look_straight_up_or_down(straight) -> None:
     R = g.look_along(straight)[:3, :3]
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-15)
     np.testing.assert_allclose(R @ (0, 1, 0), (0, -1, 0), atol=1e-15)
+
+
+def test_voxel_centres_have_x_slowest() -> None:
+    centres = g.voxel_centres(4)
+    for n, index in enumerate(np.ndindex(4, 4, 4)):
+        np.testing.assert_array_equal(centres[n], (np.array(index) + 0.5) / 4 - 0.5)
+    some = np.array([[63, 0], [17, 5]])
+    np.testing.assert_array_equal(g.voxel_centres(4, some), centres[some])
+
+
+def test_points_are_on_their_triangles_and_uniform_by_area() -> None:
+    corners = np.array([
+        [[0, 0, 1], [3, 0, 1], [0, 2, 1]],
+        [[0, 0, 0], [0, 0, 0], [0, 0, 0]],
+        [[0, 0, 2], [0, 2, 2], [1, 0, 2]],
+    ], float)  # fmt: skip
+    points, face = g.points_on_triangles(corners, 40_000, rng=np.random.default_rng(0))
+    count = np.bincount(face, minlength=3)
+    assert count[1] == 0
+    assert count[0] / 40_000 == pytest.approx(3 / 4, abs=0.01)  # sigma is 0.002
+    np.testing.assert_array_equal(points[:, 2], corners[face, 0, 2])
+    x, y = points[face == 0, :2].T
+    assert min(x.min(), y.min(), (1 - x / 3 - y / 2).min()) >= 0.0
+    for share in (0.25, 0.5, 0.75):  # a corner cut off parallel to the other side
+        assert np.mean(x < 3 * (1 - np.sqrt(1 - share))) == pytest.approx(share, abs=0.015)
+        assert np.mean(x / 3 + y / 2 < np.sqrt(share)) == pytest.approx(share, abs=0.015)
+
+
+def test_weights_choose_the_triangles() -> None:
+    corners = np.repeat(np.arange(3.0)[:, None, None], 3, 1) * np.ones(3)
+    rng = np.random.default_rng(0)
+    points, face = g.points_on_triangles(corners, 1000, rng=rng, weights=[1, 0, 3])
+    assert set(face) == {0, 2}
+    assert np.mean(face == 2) == pytest.approx(3 / 4, abs=0.06)
+    np.testing.assert_allclose(points, np.repeat(face[:, None], 3, 1), atol=1e-15)
+    _, face = g.points_on_triangles(corners, 1000, rng=rng)
+    assert set(face) == {0, 1, 2}, "points count the same"

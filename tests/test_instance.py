@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from articugen import articulation
 from articugen.fusion.field import OwnSolid, PosedSolids
-from articugen.geometry import apply, bounds, invert_rigid, rotation_about, transform
+from articugen.geometry import apply, bounds, invert_rigid, rotation_about, transform, voxel_centres
 from articugen.instance import Prepared, make_instance, pose, prepare
 from articugen.recipe import Recipe, Sampling, load_recipe
 from articugen.records import (
@@ -23,15 +23,15 @@ from articugen.records import (
     ArticulatedObject,
     Floats,
     Instance,
+    JointKind,
     Normalization,
     dequantize,
     is_material,
 )
-from articugen.sampling import grid_points
 from articugen.sources import registry
-from articugen.sources.procedural import CATEGORIES, object_id
+from articugen.sources.procedural import CATEGORIES
 from articugen.sources.procedural.truth import Truth, load_truth
-from tests.procedural_truth import heights, written
+from tests.procedural_truth import heights, object_id, written
 from tests.shapes import iou, towards_cameras
 
 Bools = NDArray[np.bool_]
@@ -192,7 +192,7 @@ def test_grids_are_the_field_at_voxel_centres(make: Maker, category: str) -> Non
     for s, instance in enumerate(made.instances):
         fields = pose(made.prepared, s)[1]
         for resolution, grid in instance.occupancy.items():
-            expected = fields.labels(grid_points(resolution))
+            expected = fields.labels(voxel_centres(resolution))
             np.testing.assert_array_equal(grid.ravel(), expected)
             assert 0.0 < np.mean(grid > 0) < 0.9
 
@@ -263,7 +263,7 @@ def test_material_is_rigid(make: Maker, category: str, rule: str) -> None:
     made = make(category, 0)
     prepared = made.prepared if rule == "seen" else with_rule(made, rule)
     poses = [pose(prepared, s)[1] for s in range(STATES + 1)]
-    centres = grid_points(32)
+    centres = voxel_centres(32)
     grids = [fields.labels(centres) for fields in poses]
     fixed = [np.where(is_material(grid), grid, 0) for grid in grids]
     for one in fixed[1:]:
@@ -458,7 +458,7 @@ def test_joint_fields_say_how_the_parts_move(make: Maker, category: str) -> None
         for j, axis in enumerate(instance.joint_axis):
             q, pivot = instance.joint_state[j], instance.joint_pivot[j]
             assert np.linalg.norm(axis) == pytest.approx(1.0, abs=1e-12)
-            if instance.joint_kind[j] == 2:
+            if instance.joint_kind[j] == JointKind.PRISMATIC:
                 own = transform(translation=q * axis)
             else:
                 own = transform(translation=pivot)
@@ -618,7 +618,7 @@ def test_coverage_is_the_share_of_the_exact_solids(make: Maker, rule: str) -> No
     instance = make_instance(prepare(made.obj, recipe, seed=0), 1)
     truth = made.inside if rule == "seen" else lambda s, x: made.holds(s, x).any(axis=1)
     jitter = np.random.default_rng(0).uniform(-0.5, 0.5, (96**3, 3)) / 96  # or thin parts alias
-    dense = truth(1, grid_points(96) + jitter).reshape((96,) * 3)
+    dense = truth(1, voxel_centres(96) + jitter).reshape((96,) * 3)
     for r, share in instance.coverage.items():
         k = 96 // r
         exact = dense.reshape(r, k, r, k, r, k).mean(axis=(1, 3, 5))

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from instances import SMALL, changed, edited, hinged_box, voxel_centres
+from instances import SMALL, changed, edited, hinged_box
 from test_manifest import STATES
 
+from articugen.geometry import voxel_centres
 from articugen.recipe import Recipe, Sampling
 from articugen.records import Instance, dequantize, quantize
 from articugen.verify import invariants
@@ -341,7 +342,8 @@ def _with_enclosed(row: Instance) -> Instance:
         )
         for name in ("uniform", "near")
     }
-    occupancy = {r: relabelled(voxel_centres(r), grid) for r, grid in row.occupancy.items()}
+    centres = {r: voxel_centres(r).reshape(r, r, r, 3) for r in row.occupancy}
+    occupancy = {r: relabelled(centres[r], grid) for r, grid in row.occupancy.items()}
     return changed(row, occupancy=occupancy, **queries)
 
 

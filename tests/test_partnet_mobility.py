@@ -20,7 +20,7 @@ from articugen.articulation import (
 from articugen.errors import InvalidSource, NotOfCategory
 from articugen.geometry import apply, bounds
 from articugen.recipe import Articulation, load_recipe
-from articugen.records import JointState
+from articugen.records import JointKind, JointState
 from articugen.sources.categories import own_name
 from articugen.sources.partnet_mobility import load
 from articugen.sources.registry import ObjectRef
@@ -280,8 +280,8 @@ def test_real_eyeglasses_fold_their_temples_inwards_about_z(object_id):
 def test_the_left_temple_of_real_eyeglasses_is_part_1_whatever_the_order_of_the_file(object_id):
     glasses = Opened("eyeglasses", object_id)
     order = [joint.name for joint in glasses.joints]
-    still = [j for j in glasses.source.joints if j.kind == "fixed"]
-    turned = [j for j in reversed(glasses.source.joints) if j.kind != "fixed"]
+    still = [j for j in glasses.source.joints if j.kind == JointKind.FIXED]
+    turned = [j for j in reversed(glasses.source.joints) if j.kind != JointKind.FIXED]
     shuffled = replace(glasses.source, joints=(*still, *turned))
     again = resolve(shuffled, Articulation(), movable=("leg*",))
     assert [joint.name for joint in again.moving_joints] == order
@@ -299,7 +299,7 @@ def test_real_ovens_open_their_door_forwards_and_down_about_y(object_id):
     assert np.ptp(shut[:, 2]) > 3 * np.ptp(shut[:, 0])
     assert level[:, 0].mean() > shut[:, 0].max(), "open: in front of where it was"
     assert level[:, 2].max() < shut[:, 2].mean(), "open: level, at the height of its hinge"
-    knobs = [j for j in oven.source.joints if j.kind == "continuous"]
+    knobs = [j for j in oven.source.joints if j.kind == JointKind.CONTINUOUS]
     assert len(knobs) == (4 if object_id == "101940" else 0)
     assert all(any(k.name in note for note in oven.obj.notes) for k in knobs)
 
@@ -322,7 +322,7 @@ def test_the_real_washing_machine_opens_its_door_to_the_side_about_z():
 def test_real_drawers_start_shut_and_slide_forwards_by_their_limits(object_id):
     cabinet = Opened("drawer", object_id)
     body = cabinet.part(0)
-    sliders = [j for j in cabinet.source.joints if j.kind == "prismatic"]
+    sliders = [j for j in cabinet.source.joints if j.kind == JointKind.PRISMATIC]
     assert len(cabinet.joints) == len(sliders) >= 1
     np.testing.assert_allclose(cabinet.axes, [[1, 0, 0]] * len(sliders), atol=1e-6)
     for k, (joint, slider) in enumerate(zip(cabinet.joints, sliders, strict=True)):

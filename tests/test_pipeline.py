@@ -15,7 +15,8 @@ import pytest
 from test_workers import alive, children
 from trouble import small_disk
 
-from articugen import articulation
+import articugen
+from articugen import articulation, content
 from articugen.errors import (
     ArticugenError,
     InvalidRecipe,
@@ -27,8 +28,15 @@ from articugen.instance import make_instance, prepare
 from articugen.pipeline import Job, ObjectReport, generate, plan
 from articugen.recipe import Articulation, Recipe, Sampling, ViewSettings, load_recipe
 from articugen.sources import registry
+from articugen.store import manifest as manifest_module
 from articugen.store.journal import JOURNAL_NAME
-from articugen.store.manifest import MANIFEST_NAME, Manifest, Rejection, content_of
+from articugen.store.manifest import (
+    MANIFEST_NAME,
+    Manifest,
+    Rejection,
+    code_version,
+    content_of,
+)
 from articugen.store.shards import open_shard
 from articugen.verify.dataset import verify
 
@@ -56,6 +64,8 @@ BOX = """<robot name="box">
     <origin xyz="-0.5 0 0"/><axis xyz="0 -1 0"/>
     <limit lower="0" upper="2" effort="1" velocity="1"/></joint>
 </robot>"""
+
+PACKAGE = Path(articugen.__file__).parent
 
 NEVER_MADE = "it has not been made yet"
 
@@ -257,6 +267,67 @@ def test_a_changed_recipe_or_seed_is_why_all_are_made_again(mine: Path) -> None:
     assert manifest.seed == 7
     assert plan(job(mine, seed=7)).tasks == ()
     assert verify(mine).findings == ()
+
+
+PLANNED = """
+from pathlib import Path
+from articugen.pipeline import Job, plan
+from articugen.recipe import Recipe
+from articugen.store.manifest import code_version
+recipe = Recipe.model_validate_json({recipe!r})
+found = plan(Job("procedural", "eyeglasses", recipe, 0, Path({out!r}), 0))
+print(code_version(), len(found.done), len(found.tasks))
+"""
+
+
+def test_comments_and_new_files_make_no_data_stale(whole: Path, tmp_path: Path) -> None:
+    copied = tmp_path / "articugen"
+    shutil.copytree(PACKAGE, copied, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("recipes", "urdf_sources"):
+        (tmp_path / name).symlink_to(PACKAGE.parent / name)
+    with (copied / "fusion" / "kernels.py").open("a") as file:
+        file.write("\n# a remark\n")
+    (copied / "rendering" / "another.py").write_text("")
+    code = PLANNED.format(recipe=TINY.text(), out=str(whole))
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    version, *counts = done.stdout.split()
+    assert version != Manifest.read(whole).articugen_version == code_version()
+    assert counts == ["4", "0"]
+
+
+def test_other_code_that_makes_the_same_goes_on_with_what_is_there(
+    mine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (mine / "train-00001.h5").unlink()
+    monkeypatch.setattr(manifest_module, "code_version", lambda: "9.9+other")
+    manifest, reports = made(job(mine))
+    assert sum(r.reused for r in reports) == 3
+    assert manifest.articugen_version == "9.9+other"
+    assert verify(mine).findings == ()
+
+
+@pytest.mark.parametrize(
+    ("table", "name", "told"),
+    [("STAGES", "fusion", "fusion"), ("MODELS", "eyeglasses", "eyeglasses models")],
+)
+def test_a_raised_version_makes_data_again(
+    whole: Path, monkeypatch: pytest.MonkeyPatch, table: str, name: str, told: str
+) -> None:
+    monkeypatch.setitem(getattr(content, table), name, 2)
+    why = f"the code makes other data: it was {told} 1, is {told} 2"
+    assert [task.why for task in plan(job(whole)).tasks] == [why] * 4
+    assert why in (plan(job(whole)).conflict or "")
+
+
+def test_versions_of_bundled_models_decide_no_other_models(
+    boxes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = [task.key for task in plan(job(tmp_path, source=str(boxes), category="box")).tasks]
+    monkeypatch.setitem(content.MODELS, "box", 2)
+    after = [task.key for task in plan(job(tmp_path, source=str(boxes), category="box")).tasks]
+    assert after == before
 
 
 def test_a_missing_or_altered_shard_is_made_again(mine: Path, whole: Path) -> None:

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from articugen.geometry import Array, apply, bounds, rotation_about, transform
 from articugen.sources.procedural import build_model, drawer, oven, washing_machine, write_object
-from articugen.sources.procedural.model import Model, ModelJoint
-from articugen.sources.procedural.solids import Solid
+from articugen.sources.procedural.kit.model import Model, ModelJoint
+from articugen.sources.procedural.kit.solids import Solid
 from articugen.sources.procedural.truth import Truth, load_truth
 
 CATEGORIES = ("oven", "washing_machine", "drawer")

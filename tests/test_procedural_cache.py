@@ -1,5 +1,6 @@
 """Folders of bundled models: whole, as they were made, and healed where they are not."""
 
+import json
 import os
 import resource
 import signal
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from articugen.content import MODELS
 from articugen.errors import MachineFault
 from articugen.sources.procedural import cache, write_object
 from articugen.sources.procedural.cache import SEAL_NAME, is_sealed, stored
@@ -83,9 +85,11 @@ def without_seal(folder: Path) -> None:
     (folder / SEAL_NAME).unlink()
 
 
-def of_other_code(folder: Path) -> None:
+def of_other_shapes(folder: Path) -> None:
     path = folder / SEAL_NAME
-    path.write_text(path.read_text().replace(cache._code(), "0" * 64))
+    seal = json.loads(path.read_text())
+    assert seal["content_version"] == MODELS["eyeglasses"]
+    path.write_text(json.dumps(seal | {"content_version": seal["content_version"] - 1}))
 
 
 def deep_seal(folder: Path) -> None:
@@ -98,7 +102,7 @@ def seal_of_names_elsewhere(folder: Path) -> None:
 
 DAMAGES = [
     alter_vertex, empty, remove_mesh, alter_truth, alter_urdf, pipe_for_mesh, link_for_mesh,
-    without_seal, of_other_code, deep_seal, seal_of_names_elsewhere,
+    without_seal, of_other_shapes, deep_seal, seal_of_names_elsewhere,
 ]  # fmt: skip
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from articugen.geometry import apply
 from articugen.seeding import generator
-from articugen.sources.procedural import build_model, object_id
-from tests.procedural_truth import assert_sound, crossings, link_frames, written
+from articugen.sources.procedural import build_model
+from tests.procedural_truth import assert_sound, crossings, link_frames, object_id, written
 
 IDS = [object_id("eyeglasses", k) for k in range(42)]
 FOLDED = [(a, b) for a in (0, 45, 67, 90) for b in (0, 45, 67, 90)]

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from articugen.geometry import apply, fibonacci_sphere, rotation_about, transform
 from articugen.records import Floats
 from articugen.seeding import generator
-from articugen.sources.procedural import outlines
-from articugen.sources.procedural.solids import (
+from articugen.sources.procedural.kit import outlines
+from articugen.sources.procedural.kit.solids import (
     Solid,
     along_x,
     along_y,
@@ -195,16 +195,6 @@ def test_convex_pieces_tile_any_star_polygon(radii: list[float], turn: float) ->
     solid = prism(outline, 0.0, 1.0)
     assert len(solid.half_spaces) == len(pieces)
     assert is_closed(solid.faces)
-
-
-@given(st.floats(0.001, 0.2), st.integers(3, 24))
-def test_offset_moves_every_edge_of_a_regular_polygon(distance: float, n: int) -> None:
-    moved = outlines.offset(outlines.circle(1.0, n), distance)
-    apothem = math.cos(math.pi / n)
-    expected = n_gon_area((apothem + distance) / apothem, n)
-    assert polygon_area(moved) == pytest.approx(expected, rel=1e-9)
-    with pytest.raises(ValueError, match="vanish"):
-        outlines.offset(outlines.circle(1.0, n), -apothem - distance)
 
 
 def test_outlines_that_make_no_solid_are_refused() -> None:

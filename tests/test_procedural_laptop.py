@@ -7,9 +7,9 @@ import pytest
 
 from articugen.geometry import apply
 from articugen.seeding import generator
-from articugen.sources.procedural import build_model, object_id
-from articugen.sources.procedural.laptop_shape import KINDS, draw_shape
-from tests.procedural_truth import assert_sound, crossings, link_frames, written
+from articugen.sources.procedural import build_model
+from articugen.sources.procedural.laptop.shape import KINDS, draw_shape
+from tests.procedural_truth import assert_sound, crossings, link_frames, object_id, written
 
 IDS = [object_id("laptop", k) for k in range(86)]
 

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -10,11 +11,13 @@ from numpy.typing import NDArray
 
 from articugen.errors import InvalidSource
 from articugen.geometry import apply
+from articugen.model_text import Visual, urdf_text
 from articugen.records import Floats
 from articugen.seeding import generator
-from articugen.sources.procedural import build_model, object_id, write_object, writer
-from articugen.sources.procedural.model import Model, ModelJoint, ModelLink
-from articugen.sources.procedural.solids import (
+from articugen.sources.procedural import build_model, write_object
+from articugen.sources.procedural.kit import writer
+from articugen.sources.procedural.kit.model import Model, ModelJoint, ModelLink
+from articugen.sources.procedural.kit.solids import (
     box,
     prism,
 )
@@ -23,6 +26,7 @@ from tests.procedural_truth import (
     assert_sound,
     is_closed,
     link_frames,
+    object_id,
     random_state,
     truth_of,
     written,
@@ -224,3 +228,13 @@ def test_ids_that_are_not_the_categorys_are_refused(name: str, tmp_path: Path) -
 
 def test_small_model_is_sound() -> None:
     assert_sound(small_model())
+
+
+def test_a_models_name_may_hold_what_xml_reserves() -> None:
+    text = urdf_text('a "<&> b', {"one": [Visual("m.obj", (0, 0, 1), (1.0, 0.5, 0.0, 1.0))]}, [])
+    robot = ElementTree.fromstring(text)
+    assert robot.get("name") == 'a "<&> b'
+    (link,) = robot
+    assert [e.tag for e in link.iter()] == [
+        "link", "visual", "origin", "geometry", "mesh", "material", "color"
+    ]  # fmt: skip

@@ -10,7 +10,7 @@ import pytest
 from articugen import recipe as recipe_module
 from articugen.errors import InvalidRecipe, MachineFault
 from articugen.recipe import Recipe, Sampling, load_recipe
-from articugen.recipe_files import known
+from articugen.recipe_files import known, with_settings
 from articugen.store import schema, shards
 
 CATEGORIES = ("drawer", "eyeglasses", "laptop", "oven", "washing_machine")
@@ -89,9 +89,10 @@ def test_extends_merges_sections_key_by_key(tmp_path: Path) -> None:
         ),
         (
             f"articulation: {{movable: {[f'link_{i}*' for i in range(4000)]}}}",
-            "takes .* bytes when written out, more than 32,000; use fewer",
+            "mine.yaml: the recipe takes .* bytes when written out, more than 32,000; use",
         ),
         ("# " + "x" * 300_000, "more than the 262,144 that it may have"),
+        ("near_points: 3", r"unknown key 'near_points'; did you mean 'sampling.near_points'\?"),
         ("samplng: {}", r"unknown key 'samplng'; did you mean 'sampling'\?"),
         ("sampling: {near_point: 3}", r"'sampling.near_point'; did you mean 'near_points'\?"),
         ("articulation: {zzz: 3}", r"unknown key 'articulation.zzz'$"),
@@ -131,6 +132,58 @@ def test_whatever_recipe_is_read_a_shard_can_hold_it() -> None:
     assert set(sizes) >= {f.name for f in schema.FIELDS if not f.is_grid}
     both = Sampling(grids=(64,), coverage=True).instance_bytes()
     assert both["coverage_64"] == both["occupancy_64"] == 2**18
+
+
+def test_settings_are_merged_into_the_recipe_key_by_key() -> None:
+    recipe = load_recipe("quick", "laptop")
+    other = with_settings(
+        recipe,
+        [
+            "objects=3",
+            "sampling.grids=[16, 32]",
+            "sampling.near_sigma = 0.02",
+            "views={count: 50}",
+            "fusion.truncation=1e-2",
+            "articulation.prismatic_metres=null",
+            "articulation.movable=['door*', lid]",
+            "objects=4",
+        ],
+    )
+    assert (other.objects, other.sampling.grids, other.sampling.near_sigma) == (4, (16, 32), 0.02)
+    assert other.views == recipe.views.model_copy(update={"count": 50})
+    assert other.fusion.truncation == 0.01
+    assert other.articulation.movable == ("door*", "lid")
+    assert other.sampling.near_points == recipe.sampling.near_points
+    assert with_settings(recipe, []) == recipe
+    assert Recipe.model_validate(json.loads(other.text())) == other
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("sampling.near_point=3", r"unknown key 'sampling.near_point'; did you mean 'near_points'"),
+        ("samplng.grids=[8]", "unknown key 'samplng'; did you mean 'sampling'"),
+        ("near_points=3", "unknown key 'near_points'; did you mean 'sampling.near_points'"),
+        ("views.count.x=3", "views.count: "),
+        ("sampling=3", "sampling: "),
+        ("extends=quick", "unknown key 'extends'$"),
+        ("views.count=many", r"^--set objects=3 --set views.count=many: views.count: .*integer"),
+        ("sampling.grids=[8, 8]", "sampling: grids are different sizes"),
+        ("views.count", r"^--set 'views.count': write it as section.key=value"),
+        ("=3", "write it as section.key=value"),
+        ("views.=3", "unknown key 'views.'"),
+        (".".join("a" * 5000) + "=3", "unknown key 'a'"),
+        ("sampling.grids=[8", "not YAML that can be read"),
+        ("sampling.grids=!!python/name:os.system []", "not YAML that can be read"),
+        ("views.count=\ud800", "not YAML that can be read"),
+        ("padding=true", "true and false .* are no value"),
+    ],
+)
+def test_a_bad_setting_is_refused_in_one_sentence(text: str, sentence: str) -> None:
+    with pytest.raises(InvalidRecipe, match=sentence) as caught:
+        with_settings(load_recipe("quick", "laptop"), ["objects=3", text])
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith("--set ")
 
 
 @pytest.mark.parametrize("kind", ["fifo", "/dev/zero", "folder", "loop"])

@@ -12,6 +12,7 @@ from articugen.records import (
     DepthMaps,
     Instance,
     Joint,
+    JointKind,
     LabelledMesh,
     Link,
     Mesh,
@@ -24,8 +25,8 @@ from articugen.records import (
 TRIANGLE = Mesh(np.eye(3), np.array([[0, 1, 2]]))
 
 
-def joint(name: str, kind, parent: str, child: str) -> Joint:
-    return Joint(name, kind, parent, child, np.eye(4), np.array([0.0, 0.0, 1.0]))
+def joint(name: str, kind: str, parent: str, child: str) -> Joint:
+    return Joint(name, JointKind.named(kind), parent, child, np.eye(4), np.array([0.0, 0.0, 1.0]))
 
 
 def cabinet() -> ArticulatedObject:
@@ -39,6 +40,13 @@ def cabinet() -> ArticulatedObject:
     )
     links = tuple(Link(name, TRIANGLE) for name in names)
     return ArticulatedObject("c1", "cabinet", links, joints, np.eye(4), "0" * 64)
+
+
+def test_joint_kinds_have_the_words_of_urdf_and_the_numbers_of_shards() -> None:
+    assert [f"{kind}" for kind in JointKind] == ["fixed", "revolute", "continuous", "prismatic"]
+    assert all(JointKind.named(str(kind)) is kind for kind in JointKind)
+    stored = {str(kind): np.uint8(kind.stored) for kind in JointKind}
+    assert stored == {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 2}
 
 
 def test_parts_are_the_fixed_one_then_revolute_then_prismatic() -> None:
@@ -69,7 +77,7 @@ def test_arrays_are_copied_and_read_only() -> None:
             r"LabelledMesh.part_of_face: shape \(1,\)",
         ),
         (
-            lambda: Joint("j", "revolute", "a", "b", np.eye(4), np.array([0.0, 0.0, 2.0])),
+            lambda: Joint("j", JointKind.REVOLUTE, "a", "b", np.eye(4), np.array([0.0, 0.0, 2.0])),
             "joint j: axis .* is not of unit length",
         ),
     ],
@@ -80,7 +88,7 @@ def test_a_record_of_the_wrong_shape_is_not_made(make, named: str) -> None:
 
 
 def test_a_fixed_joint_needs_no_axis() -> None:
-    assert Joint("j", "fixed", "a", "b", np.eye(4), np.zeros(3)).kind == "fixed"
+    assert Joint("j", JointKind.FIXED, "a", "b", np.eye(4), np.zeros(3)).kind == JointKind.FIXED
 
 
 points = arrays(np.float64, (4, 3), elements=st.floats(-3, 3))

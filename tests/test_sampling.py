@@ -6,6 +6,7 @@ from articugen import sampling
 from articugen.errors import RejectedInstance
 from articugen.fusion.field import fuse
 from articugen.fusion.reachable import touched
+from articugen.geometry import voxel_centres
 from articugen.recipe import Fusion
 from articugen.rendering.rasterizer import render
 from articugen.rendering.views import random_pinhole_views
@@ -23,12 +24,6 @@ def chi_square(counts, expected):
     """The statistic over its degrees of freedom: about 1 for draws from `expected`."""
     expected = expected / expected.sum() * counts.sum()
     return np.sum((counts - expected) ** 2 / expected) / (len(counts) - 1)
-
-
-def test_grids_are_voxel_centres_with_x_slowest():
-    points = sampling.grid_points(4).reshape(4, 4, 4, 3)
-    for index in np.ndindex(4, 4, 4):
-        assert np.allclose(points[index], (np.array(index) + 0.5) / 4 - 0.5)
 
 
 def test_surface_points_of_a_box_are_uniform_by_area():
@@ -77,7 +72,7 @@ def covered_share(low, high, resolution, seed=0):
     def is_inside(points):
         return ((points > low) & (points < high)).all(axis=1)
 
-    centres = sampling.grid_points(resolution)
+    centres = voxel_centres(resolution)
     inside = is_inside(centres).reshape((resolution,) * 3)
     mesh = labelled(box(high - low, (low + high) / 2))
     counts, most = sampling.solid_counts(

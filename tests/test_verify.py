@@ -10,14 +10,18 @@ from functools import reduce
 from operator import getitem
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from instances import SMALL, changed, edited, hinged_box
 from test_manifest import STATES, TIMINGS, attributes, key, keys, make, manifest_of, run
+from typer.testing import CliRunner
 
+from articugen.cli import app
 from articugen.store.files import partial_name
 from articugen.store.journal import Journal
 from articugen.store.manifest import MANIFEST_NAME, Manifest, Outcome, Rejection
+from articugen.store.schema import CHECKED_ATTRIBUTES
 from articugen.store.shards import write_shard
 from articugen.verify import dataset as verification
 from articugen.verify.dataset import Report, verify
@@ -142,8 +146,8 @@ def changes(value):
 REMOVED = object()
 
 ONLY_THE_DIGEST = (
-    "commit", "versions.*", "machine.*", "timings.peak_memory_bytes", "timings.workers",
-    "objects.*.notes.*", "objects.*.seconds", "*ed.*.reason", "*ed.*.key.ref",
+    "articugen_version", "commit", "versions.*", "machine.*", "timings.peak_memory_bytes",
+    "timings.workers", "objects.*.notes.*", "objects.*.seconds", "*ed.*.reason", "*ed.*.key.ref",
     "*ed.*.key.object_id", "*ed.*.key.split",
 )  # fmt: skip
 """Leaves that nothing else in the folder tells of; `key.*` only of what was rejected or skipped."""
@@ -240,6 +244,59 @@ def test_flipped_bit(folder, seed):
     assert {finding.shard for finding in report.findings} == {"train-00000.h5"}
 
 
+def add_scores(path: Path) -> None:
+    """What docs/format.md shows: data of one's own, in a group that is left alone."""
+    with h5py.File(path, "r+") as shard:
+        shard["user/score"] = np.linspace(0.0, 1.0, len(shard["state_index"]))
+
+
+def test_what_users_add_is_left_alone_and_told_of(folder):
+    add_scores(folder / "train-00000.h5")
+    report = verify(folder)
+    assert report == Report((), 3, 6, ("train-00000.h5",))
+    with Journal(folder) as journal:  # a run has nothing to do, and replaces nothing
+        assert [journal.why(k) for k in keys()] == [None] * 4
+        assert journal.is_complete(keys())
+    with h5py.File(folder / "train-00000.h5") as shard:
+        assert shard["user/score"][:].tolist() == [0.0, 1.0]
+    done = CliRunner().invoke(app, ["verify", str(folder)])
+    assert "1 with a group 'user', which was not looked at" in " ".join(done.output.split())
+    with h5py.File(folder / "train-00000.h5", "r+") as shard:
+        del shard["user"]  # the file is no longer what it was, and nothing explains it
+    assert found(verify(folder)) == {("train-00000.h5", "checksum")}
+
+
+@pytest.mark.parametrize(
+    ("alter", "checks"),
+    [
+        (lambda f: f["surface_part"].__setitem__((0, 0), 2), {"checksum", "content"}),
+        (lambda f: f.move("near_label", "user/near_label"), {"checksum", "schema"}),
+        (lambda f: f.__delitem__("occupancy_8"), {"checksum", "content"}),
+        (lambda f: _reword(f, "licence"), {"checksum", "attributes"}),
+        (lambda f: f.create_group("mine"), {"checksum", "schema"}),
+    ],
+    ids=["a label", "a field moved", "an optional field", "an attribute", "another group"],
+)
+def test_a_group_of_ones_own_excuses_nothing_else(folder, alter, checks):
+    add_scores(folder / "train-00000.h5")
+    with h5py.File(folder / "train-00000.h5", "r+") as shard:
+        alter(shard)
+    report = verify(folder)
+    assert {check for _, check in found(report)} >= checks
+    assert report.extended == ()
+    if checks != {"checksum", "attributes"}:
+        with Journal(folder) as journal:
+            assert "is missing or altered" in (journal.why(keys()[0]) or "")
+
+
+def _reword(file: h5py.File, name: str) -> None:
+    told = json.loads(file.attrs[CHECKED_ATTRIBUTES]) | {name: "mine"}
+    text = json.dumps(told, ensure_ascii=False, sort_keys=True).encode()
+    fixed = h5py.string_dtype("utf-8", len(text))
+    del file.attrs[CHECKED_ATTRIBUTES]
+    file.attrs.create(CHECKED_ATTRIBUTES, np.array(text, fixed), dtype=fixed)
+
+
 def test_cut_short(folder):
     path = folder / "train-00000.h5"
     path.write_bytes(path.read_bytes()[:-100])
@@ -275,7 +332,7 @@ def _remade(folder: Path, outcome: Outcome) -> None:
         "seed",
         "recipe",
         "recipe_sha256",
-        "articugen_version",
+        "generator",
     ],
 )
 def test_shard_of_another_data_set(folder, attribute):

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from articugen.errors import MachineFault, MissingExtra
-from articugen.workers import Ended, Limit, each, in_order, resident_bytes
+from articugen.workers import Crew, Ended, Limit, each, in_order, report, resident_bytes
 
 Task = tuple[str, Any]
 """What to do, and with what: see `do`."""
@@ -38,6 +38,11 @@ def do(task: Task) -> Any:
         raise value
     elif kind == "hold":
         return 10**10**9  # with the interpreter's lock, for hours
+    elif kind == "who":
+        return os.getpid()
+    elif kind == "report":
+        for message in value:
+            report(message)
     elif kind == "library":
         raise MissingExtra("open3d", "open3d")  # cannot be pickled
     return value
@@ -52,6 +57,44 @@ def test_tasks_end_in_any_order_or_in_theirs() -> None:
     assert {n: e.value for n, e in ended(tasks).items()} == dict(enumerate([0.5, 0, 1, 2, 3, 4]))
     for workers in (0, 2):
         assert list(in_order(do, tasks, workers=workers)) == [0.5, 0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("processes", [0, 2])
+def test_a_task_reports_before_it_ends(processes: int) -> None:
+    heard: list[str] = []
+    tasks: list[Task] = [("report", ["a1", "a2"]), ("report", ["b1", "b2", "b3"]), ("say", 4)]
+    before_end: dict[int, list[str]] = {}
+    with Crew(do, workers=processes, on_report=heard.append) as crew:
+        for end in crew.each(tasks):
+            before_end[end.number] = list(heard)
+            report("from outside of any task, which nobody hears")
+        assert [m for m in before_end[0] if m[0] == "a"] == ["a1", "a2"]
+        assert [m for m in before_end[1] if m[0] == "b"] == ["b1", "b2", "b3"]
+        assert sorted(heard) == ["a1", "a2", "b1", "b2", "b3"]
+        assert list(crew.in_order(tasks)) == [tasks[0][1], tasks[1][1], 4]
+        assert len(heard) == 10
+
+
+def test_a_crew_keeps_its_workers_until_it_is_dismissed() -> None:
+    with Crew(do, workers=1) as crew:
+        first = list(crew.in_order([("who", None)] * 2))
+        again = list(crew.in_order([("who", None)]))
+        assert len({os.getpid(), *first, *again}) == 2, "this process and one other"
+        assert alive(first[0])
+    assert not alive(first[0])
+
+
+def test_what_hears_a_report_may_end_all_tasks() -> None:
+    def stop(message: str) -> None:
+        raise KeyboardInterrupt(message)
+
+    tasks: list[Task] = [("sleep", 60), ("report", ["enough"])]
+    started = time.monotonic()
+    with pytest.raises(KeyboardInterrupt, match="enough"), Crew(
+        do, workers=2, on_report=stop
+    ) as crew:  # fmt: skip
+        list(crew.each(tasks))
+    assert time.monotonic() - started < 30
 
 
 def test_a_task_whose_worker_is_killed_is_tried_once_more_alone(tmp_path: Path) -> None:

@@ -36,6 +36,7 @@ def register(app: typer.Typer, said_in_one_sentence: Said) -> None:
     _said = said_in_one_sentence
     app.command(
         epilog="Examples:\n\narticugen train --category laptop --data data/laptop\n\n"
+        "articugen train --category laptop --data data/laptop --set losses.vol=500\n\n"
         "articugen train --category laptop --data data/laptop --resume runs/laptop/000"
     )(train)
     app.command(epilog="Example: articugen train-depth runs/laptop --data data/laptop")(train_depth)
@@ -57,6 +58,15 @@ def train(
             "-r",
             help="A name under recipes/, or a YAML file.",
             show_default="ppd_quick",
+        ),
+    ] = None,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="SECTION.KEY=VALUE",
+            help="Another value than the recipe's, as YAML; may be given several times.",
+            show_default="none",
         ),
     ] = None,
     runs: Annotated[Path, typer.Option(help="Runs go to <runs>/<category>/<number>.")] = Path(
@@ -91,17 +101,18 @@ def train(
         from articugen.learning.ppd.settings import load_train_recipe
         from articugen.learning.race import race
         from articugen.learning.runs import RunFolder
+        from articugen.recipe_files import with_settings
 
-        settings = load_train_recipe(recipe or "ppd_quick")
+        settings = with_settings(load_train_recipe(recipe or "ppd_quick"), changes or ())
         if seeds is not None:
             settings = settings.with_seeds(seeds)
         if resume is not None:
-            asked = settings if recipe else None
+            asked = settings if recipe or changes else None
             settings, seed = RunFolder(resume).recipe(), RunFolder(resume).about()["seed"]
             if asked and not asked.same_but_seeds(settings):
                 raise InvalidCheckpoint(
-                    f"{resume}: was started with another recipe than {recipe}; leave out --recipe "
-                    "or start a new run"
+                    f"{resume}: was started with another recipe; leave out --recipe and --set, or "
+                    "start a new run"
                 )
         if settings.seeds.count > 1:
             if processes.started() > 1:

@@ -1,17 +1,26 @@
 """Depth maps become a field that is evaluated where it is asked.
 
-`solidify` makes solids of triangle soups, `field` fuses their depth maps; `kernels`, `bvh`,
-`reachable`, `thin` and `winding` are what it asks; `isosurface` draws its zero level.
+`parts` judges the solid that each part is, with `solidify`, which makes solids of triangle soups;
+`field` fuses depth maps; `kernels`, `bvh`, `reachable`, `thin` and `winding` are what it asks;
+`isosurface` draws its zero level.
 """
 
-from articugen.fusion.field import (
-    Field,
-    OwnSolid,
-    PosedFields,
-    PosedSolids,
-    flooded,
-    fuse,
-    pixel_width,
-)
+from articugen.fusion.bvh import Bvh
+from articugen.fusion.field import Field, OwnSolid, PosedFields, PosedSolids, fuse, pixel_width
+from articugen.fusion.parts import SolidPart, joined_bvh, seen_by, solid_part
+from articugen.fusion.reachable import touched
 
-__all__ = ["Field", "OwnSolid", "PosedFields", "PosedSolids", "flooded", "fuse", "pixel_width"]
+__all__ = [
+    "Bvh",
+    "Field",
+    "OwnSolid",
+    "PosedFields",
+    "PosedSolids",
+    "SolidPart",
+    "fuse",
+    "joined_bvh",
+    "pixel_width",
+    "seen_by",
+    "solid_part",
+    "touched",
+]

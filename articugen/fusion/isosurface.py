@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from articugen.errors import ArticugenError, MissingExtra, RejectedInstance
 from articugen.fusion.field import Field, PosedSolids
+from articugen.geometry import voxel_centres
 from articugen.records import Mesh
 
 MESH_FORMATS = (".ply", ".obj", ".stl", ".glb")
 
-_SLAB = 1 << 20
+_AT_A_TIME = 1 << 20
 """Voxels whose sign is asked at a time."""
 
 
@@ -73,14 +74,13 @@ def export(mesh: Mesh, path: Path) -> None:
 
 
 def _free(field: Field | PosedSolids, resolution: int) -> NDArray[np.bool_]:
-    axis = (np.arange(resolution) + 0.5) / resolution - 0.5
-    rows = max(1, _SLAB // resolution**2)
-    slabs = []
-    for first in range(0, resolution, rows):
-        x, y, z = np.meshgrid(axis[first : first + rows], axis, axis, indexing="ij")
-        points = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
-        slabs.append(field.is_free(points).reshape(x.shape))
-    return np.concatenate(slabs)
+    """(R, R, R) of the voxels' centres."""
+    voxels = np.arange(resolution**3)
+    free = [
+        field.is_free(voxel_centres(resolution, voxels[first : first + _AT_A_TIME]))
+        for first in range(0, len(voxels), _AT_A_TIME)
+    ]
+    return np.concatenate(free).reshape((resolution,) * 3)
 
 
 def _beside_a_change(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -22,7 +22,7 @@ from articugen.errors import ArticugenError
 from articugen.inspection.layout import Caption, Row, save, sheet
 from articugen.inspection.portrait import best_azimuth, colour_of, pooled, portrait, tile_camera
 from articugen.inspection.surfels import Surfels
-from articugen.records import Instance, dequantize
+from articugen.records import Instance, JointKind, dequantize
 from articugen.store.shards import Shard, open_shard
 
 Array = NDArray[np.float64]
@@ -133,6 +133,6 @@ def _states(instance: Instance) -> Caption:
 
 def _state(instance: Instance, joint: int) -> str:
     q = float(instance.joint_state[joint])
-    if instance.joint_kind[joint] == 1:
+    if instance.joint_kind[joint] == JointKind.REVOLUTE:
         return f"{np.degrees(q):.0f}°"
     return f"{100.0 * q * instance.scale:.0f} cm"

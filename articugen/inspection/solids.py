@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.geometry import look_along
+from articugen.geometry import look_along, pick_by_weight, points_in_triangles
 from articugen.inspection.camera import Camera
 from articugen.inspection.light import Cloud
 from articugen.records import LabelledMesh, Views
@@ -102,18 +102,14 @@ def spread(triangles: Array, count: int) -> Cloud:
     """About `count` points over triangles (F, 3, 3), evenly by area."""
     normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     twice = np.linalg.norm(normal, axis=1)
-    total = np.cumsum(twice)
-    if not len(triangles) or total[-1] <= 0.0:
+    if not twice.any():
         return Cloud(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     rank = np.arange(count)
-    face = np.searchsorted(total, (rank + 0.5) / count * total[-1])
+    face = pick_by_weight(twice, (rank + 0.5) / count)
     a = (0.5 + rank * 0.7548776662466927) % 1.0  # the R2 sequence (Roberts 2018)
     b = (0.5 + rank * 0.5698402909980532) % 1.0
-    folded = a + b > 1.0
-    a, b = np.where(folded, 1.0 - a, a), np.where(folded, 1.0 - b, b)
-    weights = np.stack([1.0 - a - b, a, b], axis=1)
-    points = np.einsum("nc,nci->ni", weights, triangles[face])
-    area = np.full(count, 0.5 * total[-1] / count)
+    points = points_in_triangles(triangles[face], a[:, None], b[:, None])
+    area = np.full(count, 0.5 * twice.sum() / count)
     return Cloud(points, normal[face] / twice[face, None], area)
 
 

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from rich.text import Text
 
 from articugen.errors import CorruptShard
 from articugen.inspection.tables import DIM, quiet_table, size
-from articugen.records import ENCLOSED
+from articugen.records import ENCLOSED, STORED_KINDS, JointKind
 from articugen.store import schema
 from articugen.store.shards import Shard, open_shard
 
@@ -21,10 +22,6 @@ LOOKED_AT = 256
 
 BARS = " ▁▂▃▄▅▆▇█"
 BINS = 24
-
-REVOLUTE = 1
-KINDS = {REVOLUTE: "revolute", 2: "prismatic"}
-"""`joint_kind` in a shard."""
 
 
 def shards_of(path: Path) -> list[Path]:
@@ -99,14 +96,14 @@ def _fields(paths: Sequence[Path]) -> Table:
 
 def _joints(paths: Sequence[Path]) -> Table:
     """Revolute joints in degrees, prismatic ones in centimetres."""
-    states: dict[tuple[int, int], list[NDArray[np.float64]]] = {}
+    states: dict[tuple[int, JointKind], list[NDArray[np.float64]]] = {}
     for shard in _each(paths):
         kinds, scale = shard.read("joint_kind"), shard.read("scale")
         columns = [shard.read(f"joint_{name}") for name in ("lower", "upper", "state")]
         values = np.stack(columns, axis=-1)
-        for joint, kind in np.ndindex(kinds.shape[1], len(KINDS) + 1):
+        for joint, kind in product(range(kinds.shape[1]), STORED_KINDS):
             here = kinds[:, joint] == kind
-            unit = np.degrees(1.0) if kind == REVOLUTE else 100.0 * scale[here, None]
+            unit = np.degrees(1.0) if kind == JointKind.REVOLUTE else 100.0 * scale[here, None]
             states.setdefault((joint, kind), []).append(values[here, joint] * unit)
     table = quiet_table(
         ">joint", "kind", ">instances", ">range sampled from", "states, low to high"
@@ -114,11 +111,11 @@ def _joints(paths: Sequence[Path]) -> Table:
     for (joint, kind), pieces in sorted(states.items()):
         rows = np.concatenate(pieces)
         if len(rows):
-            unit = "°" if kind == REVOLUTE else " cm"
+            unit = "°" if kind == JointKind.REVOLUTE else " cm"
             low, high = float(rows[:, 0].min()), float(rows[:, 1].max())
             bars = histogram(rows[:, 2], low, high)
             limits = f"{low:.1f} to {high:.1f}{unit}"
-            table.add_row(str(joint), KINDS[kind], f"{len(rows):,}", limits, bars)
+            table.add_row(str(joint), str(kind), f"{len(rows):,}", limits, bars)
     return table
 
 

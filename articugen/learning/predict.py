@@ -1,7 +1,6 @@
 """A rigged model from one cloud: a mesh a part, and a URDF whose joints are the predicted ones."""
 
 import math
-import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from articugen.inspection.portrait import colour_of
 from articugen.learning.clouds import UNIT
 from articugen.learning.evaluation.surfaces import Floats
 from articugen.learning.ppd.reconstruct import FIXED, REVOLUTE, Reconstruction
+from articugen.model_text import Joint, Visual, obj_text, urdf_text
 from articugen.records import Normalization
 from articugen.store.files import write_atomically
 
@@ -35,54 +35,46 @@ def write_rig(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ArticugenError(f"{folder}: cannot be made ({error.strerror})") from None
-    robot = ET.Element("robot", name=name)
+    links: dict[str, list[Visual]] = {}
+    joints = []
     for i in range(found.parts):
+        link = f"part_{i}"
         triangles = frame.to_world(found.triangles[found.part == i])
         if i and not len(triangles):
             continue
         origin = frame.to_world(found.pivot[i]) if found.kind[i] == REVOLUTE else np.zeros(3)
-        link = ET.SubElement(robot, "link", name=f"part_{i}")
+        links[link] = []
         if len(triangles):
-            file = f"part_{i}.obj"
-            write_atomically(folder / file, _obj(triangles - origin))
-            visual = ET.SubElement(link, "visual")
-            ET.SubElement(ET.SubElement(visual, "geometry"), "mesh", filename=file)
-            material = ET.SubElement(visual, "material", name=f"part_{i}")
-            ET.SubElement(material, "color", rgba=_rgba(colour_of(i)))
+            write_atomically(folder / f"{link}.obj", _obj(triangles - origin).encode())
+            links[link] = [Visual(f"{link}.obj", rgba=_rgba(colour_of(i)))]
         if found.kind[i] != FIXED:
-            _joint(robot, found, i, origin, frame.scale)
+            joints.append(_joint(found, i, origin, frame.scale))
     path = folder / f"{name}.urdf"
-    ET.indent(robot)
-    write_atomically(path, ET.tostring(robot, encoding="utf-8", xml_declaration=True) + b"\n")
+    write_atomically(path, urdf_text(name, links, joints).encode())
     return path
 
 
-def _joint(robot: ET.Element, found: Reconstruction, i: int, origin: Floats, unit: float) -> None:
+def _joint(found: Reconstruction, i: int, origin: Floats, unit: float) -> Joint:
     revolute = found.kind[i] == REVOLUTE
     state = float(found.state[i]) * (1.0 if revolute else unit)
     most = math.pi if revolute else unit
-    joint = ET.SubElement(
-        robot, "joint", name=f"joint_{i}", type="revolute" if revolute else "prismatic"
+    return Joint(
+        name=f"joint_{i}",
+        kind="revolute" if revolute else "prismatic",
+        parent="part_0",
+        child=f"part_{i}",
+        origin=origin,
+        axis=found.direction[i] / np.linalg.norm(found.direction[i]),
+        lower=-state,
+        upper=most - state,
     )
-    ET.SubElement(joint, "parent", link="part_0")
-    ET.SubElement(joint, "child", link=f"part_{i}")
-    ET.SubElement(joint, "origin", xyz=_text(origin), rpy="0 0 0")
-    ET.SubElement(joint, "axis", xyz=_text(found.direction[i] / np.linalg.norm(found.direction[i])))
-    lower, upper = f"{-state:.9g}", f"{most - state:.9g}"
-    ET.SubElement(joint, "limit", lower=lower, upper=upper, effort="1", velocity="1")
 
 
-def _rgba(colour: str) -> str:
+def _rgba(colour: str) -> tuple[float, float, float, float]:
     red, green, blue = (int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
-    return f"{red:.3g} {green:.3g} {blue:.3g} 1"
+    return red, green, blue, 1.0
 
 
-def _text(vector: Floats) -> str:
-    return " ".join(f"{x:.9g}" for x in vector)
-
-
-def _obj(triangles: Floats) -> bytes:
+def _obj(triangles: Floats) -> str:
     vertices, faces = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
-    lines = [f"v {_text(v)}" for v in vertices]
-    lines += [f"f {a} {b} {c}" for a, b, c in (faces.reshape(-1, 3) + 1).tolist()]
-    return ("\n".join(lines) + "\n").encode()
+    return obj_text([(vertices, faces.reshape(-1, 3))])

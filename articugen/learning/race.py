@@ -8,17 +8,13 @@ processes take part.
 
 import json
 import math
-import queue
 import shutil
-import signal
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, wait
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from multiprocessing import get_context, parent_process
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 
@@ -27,10 +23,7 @@ from articugen.learning.loop import Progress, new_run, train
 from articugen.learning.ppd.settings import TrainRecipe
 from articugen.learning.runs import BEST, LATEST, METRICS, RunFolder, read_checkpoint
 from articugen.store.files import write_atomically
-from articugen.workers import die_with
-
-if TYPE_CHECKING:
-    from multiprocessing.queues import Queue
+from articugen.workers import Crew, report
 
 RACE = "race.json"
 
@@ -49,7 +42,7 @@ class Heat:
     stop: int
     device: str
 
-    def run(self, tell: Tell) -> dict[str, float] | None:
+    def run(self) -> dict[str, float] | None:
         """Train from where the seed stands to `stop`; returns the validation there."""
         path = self.folder / str(self.seed)
         started = (path / LATEST).is_file()
@@ -67,7 +60,7 @@ class Heat:
                     resume=path if started else None,
                     stop_after=self.stop,
                     device=self.device,
-                    on_progress=lambda progress: tell(replace(progress, seed=self.seed)),
+                    on_progress=lambda progress: report(replace(progress, seed=self.seed)),
                 )
             except TrainingDiverged:
                 return None
@@ -115,9 +108,9 @@ def race(
     heat = partial(Heat, recipe, category, data, run.path / "seeds", device=device)
     racing = list(range(seed, seed + recipe.seeds.count))
     rounds: list[dict[str, Any]] = []
-    with _runners(jobs, on_progress) as run_all:
+    with _crew(jobs, on_progress) as crew:
         for stop in (*recipe.seeds.halve_at, recipe.schedule.iterations):
-            reached = run_all([heat(seed=s, stop=stop) for s in racing])
+            reached = crew.in_order([heat(seed=s, stop=stop) for s in racing])
             score = dict(zip(racing, reached, strict=True))
             racing = best_half(score, last=stop == recipe.schedule.iterations)
             told = {str(s): found for s, found in score.items()}
@@ -152,59 +145,24 @@ def _note(run: RunFolder, told: dict[str, Any]) -> None:
     write_atomically(run.path / RACE, (json.dumps(told, indent=1) + "\n").encode())
 
 
-RunAll = Callable[[list[Heat]], list[dict[str, float] | None]]
-
-
 @contextmanager
-def _runners(jobs: int, tell: Tell) -> Iterator[RunAll]:
-    """What runs heats: here one after the other, or some at a time in processes."""
+def _crew(jobs: int, tell: Tell) -> Iterator[Crew[Heat, dict[str, float] | None]]:
+    """Who runs the heats: this process one after the other, or `jobs` workers."""
     threads = torch.get_num_threads()
-    if jobs == 1:
-        torch.set_num_threads(1)  # sums of floats depend on how many threads share them
-        try:
-            yield lambda heats: [heat.run(tell) for heat in heats]
-        finally:
-            torch.set_num_threads(threads)
-        return
-    context = get_context("spawn")
-    mail = context.Queue()
-    pool = ProcessPoolExecutor(jobs, context, _begin, (mail,))
+    _use_one_thread()
     try:
-        yield partial(_run_in, pool, mail, tell)
-    except BaseException:
-        for process in list((pool._processes or {}).values()):
-            process.terminate()  # files are written in one step, so none is left half written
-        raise
+        with Crew(
+            Heat.run,
+            workers=0 if jobs == 1 else jobs,
+            ready=_use_one_thread,
+            on_report=tell,
+            name=lambda heat: f"seed {heat.seed}",
+        ) as crew:
+            yield crew
     finally:
-        pool.shutdown(cancel_futures=True)
+        torch.set_num_threads(threads)
 
 
-def _run_in(
-    pool: ProcessPoolExecutor, mail: "Queue[Progress]", tell: Tell, heats: list[Heat]
-) -> list[dict[str, float] | None]:
-    futures = [pool.submit(_run, heat) for heat in heats]
-    waiting = set(futures)
-    while waiting:
-        with suppress(queue.Empty):
-            tell(mail.get(timeout=0.2))
-        done, waiting = wait(waiting, timeout=0)
-        for future in done:
-            future.result()  # raises what went wrong there
-    return [future.result() for future in futures]
-
-
-_mail: "Queue[Progress]"
-
-
-def _begin(mail: "Queue[Progress]") -> None:
-    global _mail  # noqa: PLW0603
-    _mail = mail
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says when to stop
-    parent = parent_process()
-    if parent is not None and parent.pid is not None:
-        die_with(parent.pid)
+def _use_one_thread() -> None:
+    """Sums of floats depend on how many threads share them."""
     torch.set_num_threads(1)
-
-
-def _run(heat: Heat) -> dict[str, float] | None:
-    return heat.run(_mail.put)

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from articugen.errors import InvalidSource
 from articugen.geometry import rotation_about, transform
 from articugen.portable import dot, norm
-from articugen.records import ArticulatedObject, Joint
+from articugen.records import ArticulatedObject, Joint, JointKind
 from articugen.sources.model_files import MAX_TEXT_BYTES, ModelFiles, quoted
 from articugen.sources.registry import ObjectRef
 from articugen.sources.source_file import CategorySettings
@@ -158,10 +158,10 @@ def _differences(obj: ArticulatedObject, parts: Sequence[_Annotated]) -> tuple[s
         joint = by_child.get(f"link_{k}")
         if joint is None:
             found["in mobility_v2.json, not in the URDF"].append(f"link_{k} ({part.joint})")
-        elif joint.kind != _kind(part):
+        elif str(joint.kind) != _kind(part):
             remark = f"{joint.kind} in the URDF but not in mobility_v2.json"
             found[remark].append(f"{joint.name} ({_words(part)})")
-        elif joint.kind != "fixed" and not _same_motion(joint, part):
+        elif joint.kind != JointKind.FIXED and not _same_motion(joint, part):
             urdf = f"URDF {_range(joint.lower, joint.upper)}"
             found["other axis or limits in mobility_v2.json"].append(
                 f"{joint.name} ({_words(part)}; {urdf})"

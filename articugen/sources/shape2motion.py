@@ -30,7 +30,11 @@ _ATTRIBUTES = "motion_attributes.json"
 _NO_LIMIT = 3.1415
 """A-NCSH writes this limit, with either sign, for every revolute joint."""
 
-_KINDS: dict[str, JointKind] = {"none": "fixed", "rotation": "revolute", "translation": "prismatic"}
+_KINDS = {
+    "none": JointKind.FIXED,
+    "rotation": JointKind.REVOLUTE,
+    "translation": JointKind.PRISMATIC,
+}
 
 
 def _is_a_name(text: str) -> str:
@@ -88,7 +92,7 @@ def _load_urdf_form(folder: Path, ref: ObjectRef, turn: Floats) -> ArticulatedOb
     if len(variants) > 1:
         others = ", ".join(path.name for path in variants[1:])
         notes.append(f"read from {variants[0].name}; left aside: {others}")
-    unlimited = [j.name for j in obj.joints if j.kind == "revolute" and _says_no_limit(j)]
+    unlimited = [j.name for j in obj.joints if j.kind == JointKind.REVOLUTE and _says_no_limit(j)]
     if unlimited:
         notes.append(f"limits of +-{_NO_LIMIT} taken as none: {', '.join(unlimited)}")
     joints = [
@@ -169,9 +173,9 @@ def _joint(dof: _Dof, parent: str, offset: Floats, path: Path) -> Joint:
         )
     kind = _KINDS[dof.motion_type]
     length = norm(dof.direction)
-    if kind != "fixed" and not length > 1e-12:
+    if kind != JointKind.FIXED and not length > 1e-12:
         raise InvalidSource(f"{path}: {dof.dof_name!r} has a zero direction; give it one")
-    limit = 0.0 if kind == "fixed" else np.inf
+    limit = 0.0 if kind == JointKind.FIXED else np.inf
     return Joint(
         name=dof.dof_name,
         kind=kind,

@@ -1,7 +1,7 @@
 """The schema of `urdf_sources/<source>/source.yaml`, which describes one source."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     Field,
@@ -13,6 +13,7 @@ from pydantic import (
 
 from articugen.errors import InvalidSource
 from articugen.recipe_files import Section, nearest, read_yaml
+from articugen.sources.procedural import CATEGORIES
 
 Reader = Literal["urdf", "procedural", "partnet_mobility", "shape2motion"]
 Share = Annotated[NonNegativeInt, Field(le=1_000_000)] | tuple[str, ...] | None
@@ -78,7 +79,7 @@ class SourceFile(Section):
         messy: (procedural only) write the objects as real data come.
         path: the folder of the models, absolute or relative to source.yaml; by default
             $ARTICUGEN_SOURCES/<source> where that exists, else the folder of source.yaml.
-        categories: by name.
+        categories: by name; of procedural objects, those that there are if not given.
     """
 
     origin: str
@@ -89,6 +90,13 @@ class SourceFile(Section):
     messy: bool = False
     path: Path | None = None
     categories: dict[str, CategorySettings] = Field(min_length=1)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _procedural_has_its_own(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("reader") == "procedural":
+            return {"categories": CATEGORIES, **data}
+        return data
 
     @model_validator(mode="after")
     def _procedural_has_counts(self) -> "SourceFile":

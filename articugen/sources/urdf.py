@@ -140,16 +140,16 @@ def _topological(joints: list[Any]) -> list[Any]:
 
 
 def _joint(joint: Any, origin: Floats) -> Joint:
-    kind: JointKind = joint.type
+    kind = JointKind.named(joint.type)
     lower, upper = _limits(joint)
-    mimic = joint.mimic if kind != "fixed" else None
+    mimic = joint.mimic if kind != JointKind.FIXED else None
     return Joint(
         name=joint.name,
         kind=kind,
         parent=joint.parent,
         child=joint.child,
         T_parent_joint=origin,
-        axis=np.array([1.0, 0.0, 0.0]) if kind == "fixed" else _unit(joint.axis),
+        axis=np.array([1.0, 0.0, 0.0]) if kind == JointKind.FIXED else _unit(joint.axis),
         lower=lower,
         upper=upper,
         mimic=mimic and Mimic(mimic.joint, mimic.multiplier, mimic.offset),

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from articugen.errors import InvalidSource
+from articugen.records import JointKind
 from articugen.sources.model_files import MAX_NAME_BYTES, quoted
 from articugen.sources.xml_strict import drop_default_namespaces, parse_xml
 
@@ -22,7 +23,7 @@ MIN_SIZE = 1e-9
 
 _MAX_LETTERS = 1_000  # of an attribute with numbers
 
-_READ = ("fixed", "revolute", "continuous", "prismatic")
+_READ = tuple(map(str, JointKind))
 _REFUSED = ("planar", "floating", "spherical")
 _UNUSED = (
     *("inertial", "collision", "material", "transmission", "gazebo"),

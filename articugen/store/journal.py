@@ -22,7 +22,6 @@ from articugen.store.files import (
     cannot_write,
     make_folder,
     read_regular,
-    sha256_of,
     sync,
     whole_name,
     write_atomically,
@@ -37,6 +36,7 @@ from articugen.store.manifest import (
     ShardEntry,
     is_shard_name,
 )
+from articugen.store.shards import content_sha256, open_shard
 
 JOURNAL_NAME = ".articugen-journal.jsonl"
 
@@ -48,7 +48,8 @@ class Journal:
     """What a folder already holds, and the record of a run in it; one run at a time.
 
     Nothing is believed that is not on the disk as it was recorded: a shard counts only with the
-    size and digest that its line states. Shards of ours that are out of date are replaced; files
+    size and digest that its line states, or, where a user has added a group of his own, with the
+    content that it states. Shards of ours that are out of date are replaced; files
     that no line names are never touched, nor anything outside the folder, whatever a line says.
 
     Use it as `with Journal(folder) as journal:`. The journal's first line that claims a file name
@@ -112,7 +113,7 @@ class Journal:
         if difference is not None or outcome.shard is None:
             return difference
         if outcome.shard not in self._trusted:
-            self._trusted[outcome.shard] = self._is_whole(outcome.shard)
+            self._trusted[outcome.shard] = self._is_whole(outcome)
         if not self._trusted[outcome.shard]:
             return f"its shard {outcome.shard.name} is missing or altered"
         return None
@@ -296,11 +297,18 @@ class Journal:
         for outcome in outcomes:
             self._outcomes[outcome.key.split, outcome.key.object_id] = outcome
 
-    def _is_whole(self, shard: ShardEntry) -> bool:
-        path = self.folder / shard.name
+    def _is_whole(self, outcome: Outcome) -> bool:
+        """Whether a shard is the file that was recorded, or that with a group `user` besides."""
+        assert outcome.shard
+        assert outcome.made
+        path = self.folder / outcome.shard.name
         try:
-            return path.stat().st_size == shard.bytes and sha256_of(path) == shard.sha256
-        except OSError:
+            if outcome.shard.is_of(path):
+                return True
+            with open_shard(path) as shard:
+                content = [row for row in shard.content() if row[0] == outcome.key.object_id]
+                return shard.extended and content_sha256(content) == outcome.made.content_sha256
+        except (OSError, CorruptShard):
             return False
 
 

@@ -10,6 +10,7 @@ import platform
 import subprocess
 from collections import Counter
 from collections.abc import Iterable
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from articugen import __version__
 from articugen.errors import CorruptShard, printable
-from articugen.store.files import UnfitFile, read_regular, write_atomically
+from articugen.store.files import UnfitFile, read_regular, sha256_of, write_atomically
 from articugen.store.schema import SCHEMA_VERSION
 from articugen.store.shards import ShardRecord, content_sha256
 
@@ -58,7 +59,7 @@ class Key(_Record):
         ref: what it is read from: a digest of its files, or whatever a source finds cheap and sure.
         recipe_sha256: of all in the recipe that decides an object's content.
         seed: the master seed.
-        generator: the version of the code.
+        generator: what of the code decides it: see `content`.
     """
 
     split: str
@@ -77,7 +78,9 @@ class Key(_Record):
         if made.seed != self.seed:
             return f"the seed was {made.seed}, is {self.seed}"
         if made.generator != self.generator:
-            return f"it was made by version {made.generator}, this is {self.generator}"
+            was, now = set(made.generator.split(", ")), set(self.generator.split(", "))
+            told = (", ".join(sorted(one - other)) for one, other in ((was, now), (now, was)))
+            return "the code makes other data: it was {}, is {}".format(*told)
         return None
 
 
@@ -88,6 +91,14 @@ class ShardEntry(_Record):
     sha256: Sha256
     bytes: int = Field(gt=0)
     instances: int = Field(gt=0)
+
+    def is_of(self, path: Path) -> bool:
+        """Whether the file has this size and digest.
+
+        Raises:
+            OSError: it is not there, or cannot be read.
+        """
+        return path.stat().st_size == self.bytes and sha256_of(path) == self.sha256
 
 
 class ObjectEntry(_Record):
@@ -223,8 +234,9 @@ class Manifest(_Record):
         category, source, licence: of the models.
         recipe: the resolved recipe as canonical JSON; `recipe_sha256` its digest.
         seed: the master seed.
-        articugen_version, commit: of the code; the commit only where it ran from a checkout, with
-            "+changes" where that had any.
+        articugen_version: of the package, + a digest of its code; it decides nothing, and objects
+            that an earlier run made were made by that one's.
+        commit: of the code, only where it ran from a checkout; "+changes" where that had any.
         versions: of Python and the libraries that decide numbers or bytes.
         machine: what it ran on.
         objects, shards, rejected, skipped, failed: what was made and what was not: see `Outcome`.
@@ -318,7 +330,7 @@ class Manifest(_Record):
             recipe=recipe,
             recipe_sha256=hashlib.sha256(recipe.encode()).hexdigest(),
             seed=seed,
-            articugen_version=__version__,
+            articugen_version=code_version(),
             commit=this_commit(),
             versions=library_versions(),
             machine=this_machine(),
@@ -395,6 +407,16 @@ def library_versions() -> dict[str, str]:
     """Of Python and of the libraries that decide a data set's numbers or bytes."""
     names = ("numpy", "numba", "h5py", "trimesh", "yourdfpy")
     return {"python": platform.python_version()} | {n: metadata.version(n) for n in names}
+
+
+@cache
+def code_version() -> str:
+    """The package's version and a digest of all its code."""
+    package = Path(__file__).resolve().parents[1]
+    digest = hashlib.sha256()
+    for file in sorted(package.rglob("*.py")):
+        digest.update(file.relative_to(package).as_posix().encode() + b"\0" + file.read_bytes())
+    return f"{__version__}+{digest.hexdigest()[:12]}"
 
 
 def this_machine() -> dict[str, str | int]:

@@ -7,13 +7,14 @@ what docs/format.md calls a label, a part or a name comes as it is.
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from articugen.errors import InvalidArgument
 from articugen.geometry import apply, invert_rigid
+from articugen.records import JointKind
 from articugen.store import schema
 
 Float32 = NDArray[np.float32]
@@ -22,8 +23,6 @@ Labels = NDArray[np.uint8]
 
 _UNITS = {"1/65535": (1 / 65535, -0.5), "1/127": (1 / 127, 0.0), "1/255": (1 / 255, 0.0)}
 """For numbers that are stored whole, by the schema's unit: x = stored * step + first."""
-
-_KINDS: Mapping[int, Literal["revolute", "prismatic"]] = {1: "revolute", 2: "prismatic"}
 
 
 def is_scaled(name: str) -> bool:
@@ -63,7 +62,7 @@ class RowJoint:
     """
 
     name: str
-    kind: Literal["revolute", "prismatic"]
+    kind: str
     state: float
     lower: float
     upper: float
@@ -297,7 +296,7 @@ class Row:
         return tuple(
             RowJoint(
                 name=each["name"][j],
-                kind=_KINDS[int(kind)],
+                kind=str(JointKind(kind)),
                 state=float(each["state"][j]),
                 lower=float(each["lower"][j]),
                 upper=float(each["upper"][j]),

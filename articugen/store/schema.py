@@ -20,7 +20,7 @@ MAX_TEXT = 255
 """Bytes of a text in UTF-8: an object_id, the name of a joint or a part."""
 
 USER_GROUP = "user"
-"""A group of this name belongs to whoever uses the data: readers leave it alone."""
+"""A group of this name belongs to whoever uses the data: everybody leaves it alone."""
 
 SYMBOLS = {
     "N": "instances in the shard",

@@ -143,6 +143,7 @@ class Shard:
         path: of the file.
         attributes: of the file.
         fields: (N, ...) shape of each data set by its name.
+        extended: whether somebody has added a group `user`, which is left alone.
     """
 
     def __init__(self, path: Path) -> None:
@@ -162,6 +163,7 @@ class Shard:
             raise CorruptShard(f"{self.path}: damaged ({error}); make it again") from None
         shapes = {name: column.shape for name, column in self._stored.items()}
         self.fields: Mapping[str, tuple[int, ...]] = MappingProxyType(shapes)
+        self.extended = schema.USER_GROUP in self._file
 
     def __enter__(self) -> "Shard":
         return self

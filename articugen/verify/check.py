@@ -1,6 +1,7 @@
 """A data set checked as the command does it: as it is stored and, if asked, made again."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 from articugen.pipeline import default_jobs
@@ -28,5 +29,5 @@ def check(data: str | os.PathLike[str], *, replay: int = 0, jobs: int | None = N
         from articugen.verify import replay as again  # noqa: PLC0415 - the stages take a second
 
         found = tuple(finding for finding in again.replay(folder, replay) if finding)
-        return Report(found, report.shards, report.instances)
+        return replace(report, findings=found)
     return report

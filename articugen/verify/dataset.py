@@ -21,7 +21,6 @@ from pydantic import ValidationError
 from articugen import workers
 from articugen.errors import CorruptShard
 from articugen.recipe import Recipe
-from articugen.store.files import sha256_of
 from articugen.store.journal import JOURNAL_NAME, is_temporary
 from articugen.store.manifest import MANIFEST_NAME, Manifest, ObjectEntry, ShardEntry
 from articugen.store.shards import Shard, content_sha256, open_shard
@@ -64,11 +63,17 @@ def _plain(name: str) -> str:
 
 @dataclass(frozen=True, repr=False)
 class Report:
-    """What `verify` found, and how much it looked at."""
+    """What `verify` found, and how much it looked at.
+
+    Attributes:
+        extended: names of the shards that are as they were made but for a group `user` that
+            somebody added; it was not looked at.
+    """
 
     findings: tuple[Finding, ...]
     shards: int
     instances: int
+    extended: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -102,14 +107,15 @@ def verify(folder: Path, *, jobs: int = 1, on_shard: Callable[[str], None] | Non
         workers=min(jobs, len(manifest.shards)) if jobs > 1 else 0,
         name=lambda task: task[0].name,
     )
+    extended: list[str] = []
     with closing(looked):
-        for shard, found in zip(manifest.shards, looked, strict=True):
+        for shard, (found, more) in zip(manifest.shards, looked, strict=True):
             findings += found
+            extended += [shard.name] * more
             if on_shard is not None:
                 on_shard(shard.name)
-    return Report(
-        tuple(findings), len(manifest.shards), sum(shard.instances for shard in manifest.shards)
-    )
+    instances = sum(shard.instances for shard in manifest.shards)
+    return Report(tuple(findings), len(manifest.shards), instances, tuple(extended))
 
 
 def _manifest_findings(manifest: Manifest) -> Iterator[Finding]:
@@ -124,12 +130,8 @@ def _manifest_findings(manifest: Manifest) -> Iterator[Finding]:
             yield Finding("manifest", "recipe_sha256 is not of the recipe", "", key.object_id)
         if key.seed != manifest.seed:
             yield Finding("manifest", f"seed is not {manifest.seed}", "", key.object_id)
-        version = manifest.articugen_version
-        if (
-            not key.generator.startswith(f"{version}+")
-            or key.generator != manifest.keys[0].generator
-        ):
-            yield Finding("manifest", f"generator is not the one of {version}", "", key.object_id)
+        if key.generator != manifest.keys[0].generator:
+            yield Finding("manifest", "generator is not that of the others", "", key.object_id)
     for entry in manifest.objects:
         if entry.key.ref not in (entry.input_sha256, f"{manifest.source}/{entry.key.object_id}"):
             yield Finding(
@@ -213,38 +215,44 @@ def _told_attributes(manifest: Manifest) -> dict[str, str | int]:
 
 def _shard_findings(
     folder: Path, about: dict[str, str | int], told: tuple[ShardEntry, list[ObjectEntry]]
-) -> list[Finding]:
-    """What is wrong with one shard. A file that is not the one recorded is looked into as well."""
+) -> tuple[list[Finding], bool]:
+    """What is wrong with one shard, and whether all that is not as recorded is a group `user`.
+
+    A file that is not the one recorded is looked into as well. With such a group it may be another:
+    then its attributes and the digests of its content tell whether the rest is what it was.
+    """
     entry, objects = told
     path = folder / entry.name
     if not path.is_file():
-        return [
-            Finding("missing", "the manifest lists this shard, the folder lacks it", entry.name)
-        ]
-    findings: list[Finding] = []
+        sentence = "the manifest lists this shard, the folder lacks it"
+        return [Finding("missing", sentence, entry.name)], False
+    other = [Finding("checksum", "not the file that the manifest tells of", entry.name)]
     try:
-        if path.stat().st_size != entry.bytes or sha256_of(path) != entry.sha256:
-            sentence = "not the file that the manifest tells of"
-            findings.append(Finding("checksum", sentence, entry.name))
+        if entry.is_of(path):
+            other = []
         with open_shard(path) as shard:
-            findings += _attribute_findings(shard, about, objects)
-            findings += _content_findings(shard, entry, objects)
+            findings = [
+                *_attribute_findings(shard, about, objects),
+                *_content_findings(shard, entry, objects),
+            ]
+            extended = bool(other) and shard.extended and not findings
             findings += _geometry_findings(shard)
+        return [*([] if extended else other), *findings], extended
     except CorruptShard as error:
-        findings.append(Finding("schema", str(error), entry.name))
+        return [*other, Finding("schema", str(error), entry.name)], False
     except OSError as error:
-        findings.append(Finding("unreadable", error.strerror or str(error), entry.name))
-    return findings
+        return [Finding("unreadable", error.strerror or str(error), entry.name)], False
 
 
 def _attribute_findings(
     shard: Shard, told: dict[str, str | int], objects: list[ObjectEntry]
 ) -> Iterator[Finding]:
-    about, name = shard.attributes, shard.path.name
+    about, name = dict(shard.attributes), shard.path.name
     wanted = {attribute: {value} for attribute, value in told.items() if attribute in about}
     wanted["recipe_sha256"] = {hashlib.sha256(str(about["recipe"]).encode()).hexdigest()}
     wanted["split"] = {entry.key.split for entry in objects}
-    wanted["articugen_version"] = {entry.key.generator for entry in objects}
+    wanted["generator"] = {entry.key.generator for entry in objects}
+    about.setdefault("generator", about["articugen_version"])  # where earlier versions wrote it
     for attribute, values in wanted.items():
         if {about[attribute]} != values:
             expected = " or ".join(sorted(map(str, values)))

@@ -9,16 +9,24 @@ not. A share is refused only where chance can hardly explain it, so a few sample
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.geometry import apply, invert_rigid, rotation_about, transform
+from articugen.geometry import apply, invert_rigid, rotation_about, transform, voxel_centres
 from articugen.recipe import Recipe
-from articugen.records import ENCLOSED, FREE, Floats, Instance, dequantize, is_material
+from articugen.records import (
+    ENCLOSED,
+    FREE,
+    STORED_KINDS,
+    Floats,
+    Instance,
+    JointKind,
+    dequantize,
+    is_material,
+)
 
 ROUNDING = 1e-9
 """What rounding may do to rigid motions and unit vectors in float64."""
@@ -183,8 +191,8 @@ def _numbers(row: Instance, _: Recipe) -> Iterator[str]:
         yield "joint_lower and joint_upper are not ranges"
     if not row.scale > 0.0:
         yield f"scale is {row.scale}"
-    if not np.isin(row.joint_kind, (1, 2)).all():
-        yield "joint_kind is neither 1 nor 2"
+    if not np.isin(row.joint_kind, STORED_KINDS).all():
+        yield f"joint_kind is none of {', '.join(f'{k:d} {k}' for k in STORED_KINDS)}"
     own = np.arange(1, len(row.joint_kind) + 1)
     if (row.joint_parent > len(own)).any() or (row.joint_parent == own).any():
         yield "joint_parent names a part that is not there, or the joint's own"
@@ -271,7 +279,7 @@ def _motion(row: Instance, _: Recipe) -> Iterator[str]:
 def _joint_motion(row: Instance, j: int) -> Floats:
     """(4, 4) what joint j at its state does to what hangs on it, unit frame."""
     axis, pivot, q = row.joint_axis[j], row.joint_pivot[j], row.joint_state[j]
-    if row.joint_kind[j] == 2:
+    if row.joint_kind[j] == JointKind.PRISMATIC:
         return transform(translation=q * axis)
     R = rotation_about(axis, q)
     return transform(R, pivot - R @ pivot)
@@ -344,8 +352,8 @@ def _grids_filled(row: Instance, _: Recipe) -> Iterator[Share]:
     own = np.concatenate([label[held], row.surface_part + np.uint8(1)])
     for resolution, grid in sorted(row.occupancy.items()):
         for part in range(len(row.part_motion)):
-            voxels = np.unravel_index(_some(np.flatnonzero(grid == part + 1), 400), grid.shape)
-            centres = (np.stack(voxels, axis=1) + 0.5) / resolution - 0.5
+            voxels = _some(np.flatnonzero(grid == part + 1), 400)
+            centres = voxel_centres(resolution, voxels)
             yield _share(
                 "filling",
                 f"only {{share}} of the voxels of part {part} in occupancy_{resolution} are where "
@@ -566,13 +574,6 @@ def _queries(row: Instance) -> tuple[Floats, NDArray[np.uint8]]:
 def _some(rows: NDArray[Any], most: int = 1000) -> NDArray[Any]:
     """At most so many of the rows, spread evenly: enough for a share."""
     return rows[:: len(rows) // most + 1]
-
-
-@cache
-def _centres(resolution: int) -> Floats:
-    """Voxel centres (R^3, 3), x slowest."""
-    at = (np.arange(resolution) + 0.5) / resolution - 0.5
-    return np.stack(np.meshgrid(at, at, at, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 @numba.njit(cache=True, nogil=True)

@@ -11,7 +11,7 @@ from articugen.errors import ArticugenError, InvalidSource
 from articugen.fusion.field import pixel_width
 from articugen.fusion.isosurface import check_format, export, extract_mesh
 from articugen.instance import Prepared, make_instance, pose, prepare
-from articugen.pipeline import generator_version
+from articugen.pipeline import generator_of
 from articugen.recipe import Recipe
 from articugen.records import Instance, dequantize
 from articugen.seeding import generator
@@ -55,12 +55,11 @@ def prepared_again(manifest: Manifest, object_id: str) -> Prepared:
         raise InvalidSource(
             f"no object {object_id!r} in this data set; articugen inspect names some"
         )
-    if entry.key.generator != generator_version():
-        raise ArticugenError(
-            f"{object_id} was made by articugen {entry.key.generator}, this is "
-            f"{generator_version()}; only the same version can make it again"
-        )
     (ref,) = registry.object_refs(manifest.source, manifest.category, ids=[object_id])
+    same_code = entry.key.model_copy(update={"generator": generator_of(ref)})
+    changed = same_code.difference(entry.key)
+    if changed:
+        raise ArticugenError(f"{object_id}: {changed}; only such a version can make it again")
     settings = registry.settings(ref)
     obj = registry.load(ref)
     if obj.sha256 != entry.input_sha256:

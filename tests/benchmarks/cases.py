@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 
 from articugen import articulation, instance
 from articugen.fusion import reachable
-from articugen.geometry import apply, fibonacci_sphere, invert_rigid, rotation_about, transform
+from articugen.geometry import (
+    apply,
+    fibonacci_sphere,
+    invert_rigid,
+    rotation_about,
+    transform,
+    voxel_centres,
+)
 from articugen.instance import Prepared
 from articugen.recipe import Recipe, load_recipe
 from articugen.records import (
@@ -245,7 +252,7 @@ def case(model: Model, prepared: Prepared, state: int, count: int) -> Case:
     meshes = [(T[link.name], link.mesh) for link in model.obj.links]
     pieces = [(prepared.unit.to_unit(apply(X, m.vertices)), m.faces) for X, m in meshes]
     wanted = model.recipe.sampling
-    grids = [instance.sampling.grid_points(r) for r in wanted.grids]
+    grids = [voxel_centres(r) for r in wanted.grids]
     queried = [points["uniform"][: wanted.uniform_points], points["near"][: wanted.near_points]]
     exact = None if model.real else scene(model, prepared, state)
     return Case(model, state, soup(pieces), np.concatenate(grids + queried), points, exact)

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen import fusion, instance, sampling
+from articugen import fusion, instance
+from articugen.geometry import voxel_centres
 from articugen.recipe import Recipe
 from articugen.records import Floats, Instance, Views, dequantize, is_material
 from tests.benchmarks import cases
@@ -60,7 +61,7 @@ def _occupancy(made: Instance, exact: Scene, views: Views) -> Row:
 def material(made: Instance, exact: Scene, fields: fusion.PosedFields) -> Row:
     """IoU counts (both, either) of what is labelled as material with the solids, enclosed space
     left out: of uniform and near points, and at the centres of a grid of 64."""
-    grid = sampling.grid_points(64)
+    grid = voxel_centres(64)
     row: Row = {}
     for kind, points, label in (
         ("uniform", dequantize(made.uniform_points), made.uniform_label),

@@ -12,6 +12,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.geometry import points_on_triangles
+
 Floats = NDArray[np.float64]
 
 _CORNERS = np.array(list(itertools.product((0, 1), repeat=3)))
@@ -108,13 +110,7 @@ def sample(triangles: Floats, count: int, rng: np.random.Generator) -> Floats:
 
     Points count as triangles whose corners coincide; where all do, some of them are drawn.
     """
-    a, b, c = np.moveaxis(triangles, 1, 0)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    face = rng.choice(len(area), count, p=area / area.sum() if area.any() else None)
-    u, v = rng.random((2, count, 1))
-    over = u + v > 1.0
-    u, v = np.where(over, 1.0 - u, u), np.where(over, 1.0 - v, v)
-    return a[face] + u * (b - a)[face] + v * (c - a)[face]
+    return points_on_triangles(triangles, count, rng=rng)[0]
 
 
 def distance(points: Floats, triangles: Floats) -> Floats:

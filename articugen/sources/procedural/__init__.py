@@ -1,25 +1,30 @@
-"""The bundled objects: five categories of parametric models whose exact occupancy is known.
+"""The bundled objects: parametric models whose exact occupancy is known.
 
 `write_object` makes one as an ordinary URDF with OBJ meshes; `truth.load_truth` reads its exact
-solids back. An object depends on its id alone.
+solids back. An object depends on its id alone. A category is a module of its own here and a line
+of `CATEGORIES`; docs/extending.md shows how to add one.
 """
 
 import importlib
 import re
 from pathlib import Path
 
+from articugen.content import MODELS
 from articugen.errors import InvalidSource
 from articugen.seeding import generator
 from articugen.sources.procedural.cache import stored
-from articugen.sources.procedural.model import Model
-from articugen.sources.procedural.writer import URDF_NAME, write_model
+from articugen.sources.procedural.kit.model import Model
+from articugen.sources.procedural.kit.writer import URDF_NAME, write_model
 
-CATEGORIES = ("drawer", "eyeglasses", "laptop", "oven", "washing_machine")
-
-
-def object_id(category: str, index: int) -> str:
-    """The id of a category's object number `index`, for instance "laptop_0003"."""
-    return f"{category}_{index:04d}"
+CATEGORIES = {
+    "drawer": {"train": 24, "test": 6},
+    "eyeglasses": {"train": 35, "test": 7},
+    "laptop": {"train": 73, "test": 13},
+    "oven": {"train": 30, "test": 7},
+    "washing_machine": {"train": 39, "test": 6},
+}
+"""By the name of the module whose `build` makes its models: how many objects each split has unless
+more are asked for. These are those of the PPD paper (its table of training and test samples)."""
 
 
 def build_model(category: str, object_id: str) -> Model:
@@ -57,4 +62,5 @@ def write_object(category: str, object_id: str, folder: Path, *, messy: bool = F
         write_model(model, work, object_id=object_id, category=category, messy=messy)
 
     identity = {"object_id": object_id, "category": category, "messy": messy}
+    identity["content_version"] = MODELS.get(category, 0)
     return stored(folder, identity, write) / URDF_NAME

@@ -1,7 +1,7 @@
 """Folders of bundled models on disk: written whole, sealed, and looked at before each use.
 
 A model is made once and read many times, by several processes. Its folder holds a seal: what the
-model is, a digest of the code that made it and of each of its files. A folder whose seal does not
+model is, the version of its shapes, and a digest of each of its files. A folder whose seal does not
 fit is written again. A writer works in a hidden folder beside it, which it holds locked, so that
 what a killed writer left is told from what a living one still needs.
 """
@@ -16,7 +16,6 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 
 from articugen.bundled import CACHE
@@ -24,10 +23,6 @@ from articugen.errors import MachineFault
 from articugen.store.files import cannot_write, make_folder, read_regular, sync
 
 SEAL_NAME = "seal.json"
-
-_PACKAGE = Path(__file__).resolve().parents[2]
-_CODE = ("sources/procedural", "geometry.py", "portable.py", "seeding.py")
-"""What makes models, below the package."""
 
 _WORK = re.compile(r"\.[a-z_]+_[0-9]{4,9}\.[a-z0-9_]{8}")
 """The names of the folders in which writers of objects work."""
@@ -38,7 +33,7 @@ _MOST_BYTES = 256 << 20
 _READ_ONLY = (errno.EROFS, errno.EACCES, errno.EPERM)
 
 
-def stored(folder: Path, identity: Mapping[str, str | bool], write: Callable[[Path], None]) -> Path:
+def stored(folder: Path, identity: Mapping[str, str | int], write: Callable[[Path], None]) -> Path:
     """The folder in which `write` put a model's files: `folder`, as it is or written just now.
 
     Where `folder` cannot be written to it is one in the user's cache. Any number of processes may
@@ -69,8 +64,8 @@ def stored(folder: Path, identity: Mapping[str, str | bool], write: Callable[[Pa
     return folder
 
 
-def is_sealed(folder: Path, identity: Mapping[str, str | bool]) -> bool:
-    """Whether the folder holds this model as this code made it, to the byte."""
+def is_sealed(folder: Path, identity: Mapping[str, str | int]) -> bool:
+    """Whether the folder holds this model, to the byte as it was written."""
     try:
         seal = json.loads(_bytes_of(folder / SEAL_NAME))
         return seal == _seal(folder, identity, seal["files"])
@@ -78,10 +73,10 @@ def is_sealed(folder: Path, identity: Mapping[str, str | bool]) -> bool:
         return False
 
 
-def _seal(folder: Path, identity: Mapping[str, str | bool], names: Mapping | list[str]) -> dict:
+def _seal(folder: Path, identity: Mapping[str, str | int], names: Mapping | list[str]) -> dict:
     """What the seal of a folder with these files must say."""
     files = {name: _digest(_bytes_of(folder / _plain(name))) for name in sorted(names)}
-    return {**identity, "code": _code(), "files": files}
+    return {**identity, "files": files}
 
 
 def _plain(name: str) -> str:
@@ -98,16 +93,7 @@ def _digest(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-@cache
-def _code() -> str:
-    """The digest of the code that makes models: another version's models are made again."""
-    roots = [path for path in (_PACKAGE / name for name in _CODE) if path.exists()]
-    files = [f for root in roots for f in (root.glob("*.py") if root.is_dir() else (root,))]
-    named = sorted((f.relative_to(_PACKAGE).as_posix(), f.read_bytes()) for f in files)
-    return _digest(b"".join(name.encode() + b"\0" + data + b"\0" for name, data in named))
-
-
-def _write(folder: Path, identity: Mapping[str, str | bool], write: Callable[[Path], None]) -> None:
+def _write(folder: Path, identity: Mapping[str, str | int], write: Callable[[Path], None]) -> None:
     """Make the folder, or make it again."""
     make_folder(folder.parent)
     _remove_left_over(folder.parent)
@@ -123,7 +109,7 @@ def _write(folder: Path, identity: Mapping[str, str | bool], write: Callable[[Pa
     sync(folder.parent)
 
 
-def _name(work: Path, folder: Path, identity: Mapping[str, str | bool]) -> None:
+def _name(work: Path, folder: Path, identity: Mapping[str, str | int]) -> None:
     """Give `work` the name `folder`, unless another process has already done so."""
     for _ in range(10):
         try:

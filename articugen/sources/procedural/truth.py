@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from articugen.geometry import Array, cross
 from articugen.portable import norm, turned
-from articugen.sources.procedural.writer import TRUTH_NAME
+from articugen.sources.procedural.kit.writer import TRUTH_NAME
 
 _Cells = tuple[Array, NDArray[np.int64], Array]
 """What the kernels read: planes, first_plane and boxes of `Truth`, all in one frame."""

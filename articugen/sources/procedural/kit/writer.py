@@ -24,9 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.geometry import Array, apply, cross, invert_rigid, rotation_from_rpy, transform
+from articugen.model_text import Joint, Visual, obj_text, urdf_text
 from articugen.portable import norm, product, turned
-from articugen.sources.procedural.model import ROOT_NAME, Model, ModelLink
-from articugen.sources.procedural.solids import Solid
+from articugen.sources.procedural.kit.model import ROOT_NAME, Model, ModelLink
+from articugen.sources.procedural.kit.solids import Solid
 
 URDF_NAME = "model.urdf"
 TRUTH_NAME = "solids.json"
@@ -52,15 +53,15 @@ def write_model(
     pivot = {joint.child: np.asarray(joint.origin, np.float64) for joint in model.joints}
     limit = _SHEET_LIMIT * float(np.max(model.bounds[1] - model.bounds[0]))
     truth: dict[str, dict[str, list]] = {}
-    visuals: dict[str, list[str]] = {}
+    files: dict[str, list[str]] = {}
     for link in model.links:
         T_link_object = invert_rigid(transform(R, pivot.get(link.name, np.zeros(3))))
         sheets = [messy and s.sheet is not None and s.sheet.thickness <= limit for s in link.solids]
         truth[link.name] = _link_truth(link, sheets, T_link_object)
         # Messy meshes stay in the object's frame: each visual's origin takes the pivot away.
         T_mesh_object = transform(R.T) if messy else T_link_object
-        visuals[link.name] = _write_meshes(folder, link, sheets, T_mesh_object, messy)
-    (folder / URDF_NAME).write_text(_urdf(model, object_id, visuals, R, messy))
+        files[link.name] = _write_meshes(folder, link, sheets, T_mesh_object, messy)
+    (folder / URDF_NAME).write_text(_urdf(model, object_id, files, R, messy))
     (folder / "semantics.txt").write_text(_semantics(model))
     header = {"object_id": object_id, "category": category, "messy": messy, "links": truth}
     (folder / TRUTH_NAME).write_text(json.dumps(header, separators=(",", ":")) + "\n")
@@ -91,7 +92,8 @@ def _write_meshes(
     """The link's OBJ files: one of all solids, or one a solid where `messy`."""
     if not messy:
         name = f"{link.name}.obj"
-        _write_obj(folder / name, [(s.moved(T_mesh_object).vertices, s.faces) for s in link.solids])
+        meshes = [(s.moved(T_mesh_object).vertices, s.faces) for s in link.solids]
+        (folder / name).write_text(obj_text(meshes))
         return [name]
     names = []
     closed = [s for s, as_sheet in zip(link.solids, sheets, strict=True) if not as_sheet]
@@ -105,7 +107,7 @@ def _write_meshes(
             continue
         both = np.stack([faces, faces[:, ::-1]], axis=1).reshape(-1, 3)
         names.append(f"{link.name}-{k}.obj")
-        _write_obj(folder / names[-1], [(apply(T_mesh_object, vertices), both)])
+        (folder / names[-1]).write_text(obj_text([(apply(T_mesh_object, vertices), both)]))
     return names
 
 
@@ -133,90 +135,26 @@ def _seen_faces(solid: Solid, index: int, others: Iterable[Solid]) -> NDArray[np
     return solid.faces[~hidden]
 
 
-def _write_obj(path: Path, pieces: list[tuple[Array, NDArray[np.int32]]]) -> None:
-    lines, base = [], 1
-    for vertices, faces in pieces:
-        # Nanometres: finer than any use, coarser than the last bits in which machines differ.
-        lines += [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in (vertices.round(9) + 0.0).tolist()]
-        lines += [f"f {a} {b} {c}" for a, b, c in (faces + base).tolist()]
-        base += len(vertices)
-    path.write_text("\n".join(lines) + "\n")
-
-
-def _numbers(values: Iterable[float]) -> str:
-    return " ".join(f"{round(float(v), 12) + 0.0:.15g}" for v in values)
-
-
-def _urdf(
-    model: Model, object_id: str, visuals: dict[str, list[str]], R: Array, messy: bool
-) -> str:
+def _urdf(model: Model, object_id: str, files: dict[str, list[str]], R: Array, messy: bool) -> str:
     body = model.links[0].name
     pivot = {body: np.zeros(3)}
     joints = []
     if messy:
-        rpy = " ".join(repr(angle) for angle in _YUP_RPY)
-        joints.append(
-            _joint("stand", "fixed", parent=ROOT_NAME, child=body, origin=np.zeros(3), rpy=rpy)
-        )
+        joints.append(Joint("stand", "fixed", ROOT_NAME, body, np.zeros(3), _YUP_RPY))
     for j in model.joints:
         pivot[j.child] = np.asarray(j.origin, np.float64)
         shift = turned(R.T, pivot[j.child] - pivot[j.parent])
         axis = None if j.kind == "fixed" else turned(R.T, j.axis)
-        joints.append(
-            _joint(
-                j.name,
-                j.kind,
-                parent=j.parent,
-                child=j.child,
-                origin=shift,
-                axis=axis,
-                limits=(j.lower, j.upper),
-            )
-        )
-    links = [
-        _link(name, files, -turned(R.T, pivot[name]) if messy else np.zeros(3))
-        for name, files in visuals.items()
-    ]
+        ends = (j.lower, j.upper)
+        joints.append(Joint(j.name, j.kind, j.parent, j.child, shift, (0, 0, 0), axis, *ends))
+    links = {
+        name: [Visual(file, -turned(R.T, pivot[name]) if messy else np.zeros(3)) for file in own]
+        for name, own in files.items()
+    }
     if messy:  # As PartNet-Mobility has it: an empty base first, the body last.
-        links = [f'  <link name="{ROOT_NAME}"/>', *links[1:], links[0]]
-    tree = "\n".join([*links, *joints])
-    return f'<?xml version="1.0"?>\n<robot name="{object_id}">\n{tree}\n</robot>\n'
-
-
-def _link(name: str, files: list[str], origin: Array) -> str:
-    lines = [f'  <link name="{name}">']
-    for file in files:
-        lines += [
-            "    <visual>",
-            f'      <origin xyz="{_numbers(origin)}"/>',
-            f'      <geometry><mesh filename="{file}"/></geometry>',
-            "    </visual>",
-        ]
-    return "\n".join([*lines, "  </link>"])
-
-
-def _joint(
-    name: str,
-    kind: str,
-    *,
-    parent: str,
-    child: str,
-    origin: Array,
-    axis: Array | None = None,
-    limits: tuple[float, float] = (0.0, 0.0),
-    rpy: str = "0 0 0",
-) -> str:
-    lines = [
-        f'  <joint name="{name}" type="{kind}">',
-        f'    <parent link="{parent}"/>',
-        f'    <child link="{child}"/>',
-        f'    <origin xyz="{_numbers(origin)}" rpy="{rpy}"/>',
-    ]
-    if axis is not None:
-        lower, upper = _numbers(limits[:1]), _numbers(limits[1:])
-        lines.append(f'    <axis xyz="{_numbers(axis)}"/>')
-        lines.append(f'    <limit lower="{lower}" upper="{upper}" effort="10" velocity="10"/>')
-    return "\n".join([*lines, "  </joint>"])
+        links = {ROOT_NAME: [], **links}
+        links[body] = links.pop(body)
+    return urdf_text(object_id, links, joints)
 
 
 def _semantics(model: Model) -> str:

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from articugen.geometry import Array, transform
 from articugen.portable import cos, norm, sin
-from articugen.sources.procedural.outlines import circle, rounded_rectangle
-from articugen.sources.procedural.solids import (
+from articugen.sources.procedural.kit.outlines import circle, rounded_rectangle
+from articugen.sources.procedural.kit.solids import (
     Solid,
     along_x,
     along_y,
@@ -127,11 +127,13 @@ def tapered(radii: ArrayLike, heights: ArrayLike, sides: int = 16) -> Solid:
     return stack([circle(r, sides) for r in np.asarray(radii)], list(np.asarray(heights)))
 
 
-KNOBS = ("plain", "grip", "cone", "ball", "square", "mushroom")
-
-
 def knob(kind: str, radius: float, reach: float, sides: int = 16) -> list[Solid]:
-    """A control or furniture knob, one of `KNOBS`: half its width, and how far it stands out."""
+    """A control or furniture knob.
+
+    Args:
+        kind: plain, grip, cone, ball, square or mushroom.
+        radius, reach: half its width, and how far it stands out.
+    """
     if kind == "grip":
         half = np.array((0.24, 0.96)) * radius
         skirt = cylinder(radius, 0.0, 0.45 * reach, sides=sides, bevel=0.1 * reach)
@@ -152,15 +154,14 @@ _KNOB_PROFILES = {
 }
 """(radius, height) of the circles of each round knob, in units of its radius and reach."""
 
-HANDLES = ("bar", "flat", "arch", "cup", "strip")
-
 
 def handle(
     kind: str, length: float, reach: float, thickness: float, *, upright: bool = False
 ) -> list[Solid]:
-    """A pull, one of `HANDLES`, along y (or z where `upright`), its middle at the origin.
+    """A pull along y (or z where `upright`), its middle at the origin.
 
     Args:
+        kind: bar, flat, arch, cup or strip.
         length, reach: its extent along y and x.
         thickness: of the bar or the wall.
     """
@@ -183,10 +184,10 @@ def handle(
         lip = np.array([(-r, 0), (r, 0), (r, reach), (-3 * r, reach), (-3 * r, reach - 2 * r)])
         corner = np.array([(-r, reach - 2 * r)])
         solids = [along_y(prism(np.concatenate([lip, corner]), -half, half))]
-    return [s.moved(UPRIGHT) for s in solids] if upright else solids
+    return [s.moved(_UPRIGHT) for s in solids] if upright else solids
 
 
-UPRIGHT = transform(np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]))
+_UPRIGHT = transform(np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]))
 """Turns y to z: about x by a right angle."""
 
 

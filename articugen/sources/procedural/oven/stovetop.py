@@ -6,10 +6,18 @@ import numpy as np
 
 from articugen.geometry import Array, rotation_about, transform
 from articugen.portable import arctan2
-from articugen.sources.procedural.appliance_parts import Rect, knob, plate, rod, row, tapered
-from articugen.sources.procedural.outlines import circle
-from articugen.sources.procedural.oven_styles import Oven
-from articugen.sources.procedural.solids import Solid, along_y, block, box, cylinder, prism, ring
+from articugen.sources.procedural.kit.outlines import circle
+from articugen.sources.procedural.kit.parts import Rect, knob, plate, rod, row, tapered
+from articugen.sources.procedural.kit.solids import (
+    Solid,
+    along_y,
+    block,
+    box,
+    cylinder,
+    prism,
+    ring,
+)
+from articugen.sources.procedural.oven.plans import Oven
 
 Spots = list[tuple[float, float]]
 

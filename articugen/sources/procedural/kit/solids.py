@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from articugen.geometry import Array, apply, cross, rotation_about, transform
 from articugen.portable import arctan2, dot, norm, product, turned
-from articugen.sources.procedural.outlines import circle, convex_pieces, rounded_rectangle
+from articugen.sources.procedural.kit.outlines import circle, convex_pieces, rounded_rectangle
 
 Face = tuple[int, ...]
 """A convex, plane polygon: vertex indices, counter-clockwise seen from outside its cell."""

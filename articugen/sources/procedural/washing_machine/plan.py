@@ -4,10 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from articugen.sources.procedural.appliance_parts import Rect
-
-GAP = 0.003
-"""Metres between the door and the body, on all sides, at every angle."""
+from articugen.sources.procedural.kit import GAP
+from articugen.sources.procedural.kit.parts import Rect
 
 
 @dataclass(frozen=True)

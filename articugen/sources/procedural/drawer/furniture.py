@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from articugen.geometry import rotation_about, transform
-from articugen.sources.procedural.appliance_parts import Rect, rod, tapered
-from articugen.sources.procedural.furniture_layouts import Kind, Layout, Split
-from articugen.sources.procedural.outlines import circle
-from articugen.sources.procedural.solids import Solid, along_y, block, box, prism, ring, stack
+from articugen.sources.procedural.drawer.layouts import Kind, Layout, Split
+from articugen.sources.procedural.kit.outlines import circle
+from articugen.sources.procedural.kit.parts import Rect, rod, tapered
+from articugen.sources.procedural.kit.solids import Solid, along_y, block, box, prism, ring, stack
 
 
 @dataclass(frozen=True)
@@ -228,7 +228,7 @@ def _brackets(foot: Rect, lift: float, board: float) -> list[Solid]:
     solids = []
     for x, y, i, j in _corners(foot, 0.0):
         side = along_y(prism(profile[:, ::-1][::-1] * (lift, reach), 0.0, t))
-        across = side.mirrored(1).moved(QUARTER_TURN)
+        across = side.mirrored(1).moved(_QUARTER_TURN)
         for solid in (side, across):
             flipped = solid if i < 0 else solid.mirrored(0)
             flipped = flipped if j < 0 else flipped.mirrored(1)
@@ -236,7 +236,7 @@ def _brackets(foot: Rect, lift: float, board: float) -> list[Solid]:
     return solids
 
 
-QUARTER_TURN = transform(rotation_about((0, 0, 1), np.pi / 2).round())
+_QUARTER_TURN = transform(rotation_about((0, 0, 1), np.pi / 2).round())
 """Turns x to y, about z."""
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from articugen.geometry import Array
-from articugen.portable import arctan2, cos, norm, product, sin
+from articugen.portable import arctan2, cos, product, sin
 
 
 def rectangle(width: float, height: float, center: ArrayLike = (0.0, 0.0)) -> Array:
@@ -51,27 +51,6 @@ def ellipse(a: float, b: float, sides: int = 32, center: ArrayLike = (0.0, 0.0))
     angles = (np.arange(sides) + 0.5) * (2.0 * np.pi / sides)
     unit = np.stack([cos(angles), sin(angles)], axis=1)
     return unit * (a, b) + np.asarray(center, dtype=np.float64)
-
-
-def offset(outline: Array, distance: float) -> Array:
-    """The outline with every edge moved outward by `distance` (inward where it is negative).
-
-    Edges keep their number and direction, so a stack of offsets has plane sides.
-
-    Raises:
-        ValueError: an edge is shorter than what the offset takes from it.
-    """
-    edge = np.roll(outline, -1, axis=0) - outline
-    edge /= norm(edge)[:, None]
-    normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
-    before = np.roll(normal, 1, axis=0)
-    moved = (
-        outline + distance * (before + normal) / (1.0 + np.sum(before * normal, axis=1))[:, None]
-    )
-    moved_edge = np.roll(moved, -1, axis=0) - moved
-    if np.any(np.sum(moved_edge * edge, axis=1) <= 0.0):
-        raise ValueError(f"an outline cannot be offset by {distance}: an edge would vanish")
-    return moved
 
 
 def matched(outer: Array, inner: Array, center: ArrayLike = (0.0, 0.0)) -> tuple[Array, Array]:

@@ -5,8 +5,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from articugen.sources.procedural.outlines import rectangle, rounded_rectangle
-from articugen.sources.procedural.solids import Solid, prism, stack
+from articugen.sources.procedural.kit.outlines import rectangle, rounded_rectangle
+from articugen.sources.procedural.kit.solids import Solid, prism, stack
 
 # Key widths from left to right, in units of the pitch, for the rows from the rear to the front.
 # Every row of the letter block is 15 units wide; the arrow keys end the last one.

@@ -9,7 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from articugen.sources.procedural.appliance_parts import (
+from articugen.sources.procedural.kit import GAP, RANGE
+from articugen.sources.procedural.kit.model import Model, ModelJoint, ModelLink
+from articugen.sources.procedural.kit.outlines import circle, matched
+from articugen.sources.procedural.kit.parts import (
     Rect,
     frame,
     handle,
@@ -18,21 +21,17 @@ from articugen.sources.procedural.appliance_parts import (
     row,
     tapered,
 )
-from articugen.sources.procedural.model import Model, ModelJoint, ModelLink
-from articugen.sources.procedural.outlines import circle, matched
-from articugen.sources.procedural.oven_styles import GAP, STYLES, Oven
-from articugen.sources.procedural.solids import Solid, along_x, box, prism, ring
-from articugen.sources.procedural.stovetop import back_guard, control_panel, cooktop
+from articugen.sources.procedural.kit.solids import Solid, along_x, box, prism, ring
+from articugen.sources.procedural.oven.plans import Oven, draw_plan
+from articugen.sources.procedural.oven.stovetop import back_guard, control_panel, cooktop
 
-RANGE = (0.0, float(np.deg2rad(135.0)))
-
-CORNER = 0.06
+_CORNER = 0.06
 """The radius of the cavity's corners, part of its height."""
 
 
 def build(rng: np.random.Generator) -> Model:
     """One object: links body and door."""
-    oven = STYLES[rng.integers(len(STYLES))](rng)
+    oven = draw_plan(rng)
     opening, back = _cavity(rng, oven)
     pull = _pull(rng, oven)
     body = [*_casing(oven, opening, back), *_furnishings(rng, oven, opening, back), *_feet(oven)]
@@ -68,7 +67,7 @@ def _casing(oven: Oven, opening: Rect, back: float) -> list[Solid]:
     start = rim if oven.flange > 0.0 else 0.0
 
     def around(outer: Rect, x0: float, x1: float) -> Solid:
-        corner = CORNER * opening.height
+        corner = _CORNER * opening.height
         return frame(outer, opening, x0, x1, outer_radius=oven.radius, inner_radius=corner)
 
     solids = [plate(inner, -oven.depth, back, radius=oven.radius), around(inner, back, start)]
@@ -149,7 +148,7 @@ def _plug(rng: np.random.Generator, oven: Oven, opening: Rect) -> list[Solid]:
     reach = oven.thickness + GAP + deep
     top = float(np.sqrt((opening.z1 - z0 - GAP) ** 2 - reach**2)) + z0
     # The cavity's corners are round: stay clear of them.
-    side = max(GAP, 0.3 * 0.06 * opening.height) + GAP
+    side = max(GAP, 0.3 * _CORNER * opening.height) + GAP
     rect = Rect(
         opening.y0 + side, opening.z0 + side, opening.y1 - side, min(top, opening.z1 - side)
     )

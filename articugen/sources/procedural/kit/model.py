@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from articugen.geometry import Array
-from articugen.sources.procedural.solids import Solid
+from articugen.sources.procedural.kit.solids import Solid
 
 ROOT_NAME = "base"
 """The empty link on which a messy model stands."""

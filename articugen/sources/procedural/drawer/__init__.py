@@ -10,7 +10,18 @@ import numpy as np
 
 from articugen.geometry import Array
 from articugen.portable import cos, sin
-from articugen.sources.procedural.appliance_parts import (
+from articugen.sources.procedural.drawer.furniture import (
+    Carcass,
+    Cell,
+    divided,
+    shell,
+    support,
+    top,
+)
+from articugen.sources.procedural.drawer.layouts import draw_layout
+from articugen.sources.procedural.kit import GAP
+from articugen.sources.procedural.kit.model import Model, ModelJoint, ModelLink
+from articugen.sources.procedural.kit.parts import (
     Rect,
     frame,
     handle,
@@ -19,13 +30,7 @@ from articugen.sources.procedural.appliance_parts import (
     plate,
     row,
 )
-from articugen.sources.procedural.furniture import Carcass, Cell, divided, shell, support, top
-from articugen.sources.procedural.furniture_layouts import LAYOUTS
-from articugen.sources.procedural.model import Model, ModelJoint, ModelLink
-from articugen.sources.procedural.solids import Solid, along_x, box, prism
-
-GAP = 0.003
-"""Metres between a drawer and whatever it passes."""
+from articugen.sources.procedural.kit.solids import Solid, along_x, box, prism
 
 
 @dataclass(frozen=True)
@@ -37,7 +42,7 @@ class Style:
         front: flat, bevel, shaker, raised, slats, bow or slot (a cut-out instead of a pull).
         thickness, wall: of the front plate and of the box's boards.
         bow: how far a bowed front bulges in the middle of the carcass.
-        pull: one of `KNOBS` or `HANDLES`, or none.
+        pull: a kind of `knob` or `handle`, or none.
         pulls: on each front.
         length, reach, girth: of a pull; see `handle`.
         level: how high on the front pulls sit, 0.5 in the middle.
@@ -62,7 +67,7 @@ class Style:
 
 def build(rng: np.random.Generator) -> Model:
     """One object: links body and drawer_0 to drawer_2."""
-    layout = LAYOUTS[rng.integers(len(LAYOUTS))](rng)
+    layout = draw_layout(rng)
     width, depth, height = layout.size
     extent = max(width, height, 1.9 * depth)
     board = rng.uniform(0.017, 0.025) * extent

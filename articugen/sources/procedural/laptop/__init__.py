@@ -16,16 +16,15 @@ import numpy as np
 
 from articugen.geometry import Array, transform
 from articugen.portable import cos, sin
-from articugen.sources.procedural.keyboard import Keyboard
-from articugen.sources.procedural.laptop_shape import MM, SLIT, LaptopShape, draw_shape
-from articugen.sources.procedural.model import Model, ModelJoint, ModelLink
-from articugen.sources.procedural.outlines import (
+from articugen.sources.procedural.kit import MM, RANGE
+from articugen.sources.procedural.kit.model import Model, ModelJoint, ModelLink
+from articugen.sources.procedural.kit.outlines import (
     circle,
     ellipse,
     matched,
     rounded_rectangle,
 )
-from articugen.sources.procedural.solids import (
+from articugen.sources.procedural.kit.solids import (
     Solid,
     along_x,
     block,
@@ -37,6 +36,8 @@ from articugen.sources.procedural.solids import (
     stack,
     sweep,
 )
+from articugen.sources.procedural.laptop.keyboard import Keyboard
+from articugen.sources.procedural.laptop.shape import SLIT, LaptopShape, draw_shape
 
 _T_WORLD_USER = transform([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
@@ -58,7 +59,7 @@ def build(rng: np.random.Generator) -> Model:
         child="lid",
         origin=T[:3, 3],
         axis=(0.0, 1.0, 0.0),
-        upper=np.deg2rad(135.0),
+        upper=RANGE[1],
     )
     links = (
         ModelLink("body", "base_body", tuple(s.moved(T) for s in base)),

@@ -8,7 +8,10 @@ import numpy as np
 
 from articugen.geometry import rotation_about, transform
 from articugen.portable import arctan2
-from articugen.sources.procedural.appliance_parts import (
+from articugen.sources.procedural.kit import GAP, RANGE
+from articugen.sources.procedural.kit.model import Model, ModelJoint, ModelLink
+from articugen.sources.procedural.kit.outlines import circle, matched, rounded_rectangle
+from articugen.sources.procedural.kit.parts import (
     Rect,
     handle,
     knob,
@@ -17,12 +20,8 @@ from articugen.sources.procedural.appliance_parts import (
     row,
     tapered,
 )
-from articugen.sources.procedural.model import Model, ModelJoint, ModelLink
-from articugen.sources.procedural.outlines import circle, matched, rounded_rectangle
-from articugen.sources.procedural.solids import Solid, along_x, along_y, block, box, prism, ring
-from articugen.sources.procedural.washing_machine_styles import GAP, Washer, draw
-
-RANGE = (0.0, float(np.deg2rad(135.0)))
+from articugen.sources.procedural.kit.solids import Solid, along_x, along_y, block, box, prism, ring
+from articugen.sources.procedural.washing_machine.plan import Washer, draw
 
 
 def build(rng: np.random.Generator) -> Model:

@@ -17,10 +17,11 @@ import numpy as np
 
 from articugen.geometry import Array, rotation_about, transform
 from articugen.portable import cos, norm, power, product, sin, turned
-from articugen.sources.procedural.lenses import lens_outline, lens_shapes
-from articugen.sources.procedural.model import Model, ModelJoint, ModelLink
-from articugen.sources.procedural.outlines import circle, ellipse, rounded_rectangle
-from articugen.sources.procedural.solids import (
+from articugen.sources.procedural.eyeglasses.lenses import lens_outline, lens_shapes
+from articugen.sources.procedural.kit import MM
+from articugen.sources.procedural.kit.model import Model, ModelJoint, ModelLink
+from articugen.sources.procedural.kit.outlines import circle, ellipse, rounded_rectangle
+from articugen.sources.procedural.kit.solids import (
     Solid,
     along_x,
     cylinder,
@@ -29,7 +30,6 @@ from articugen.sources.procedural.solids import (
     sweep,
 )
 
-MM = 1e-3
 _SLEEVE, _SLEEVE_GROWTH = 0.62, 1.25
 """Half the thickness of a tip's sleeve over the temple's, and how much it grows to its end."""
 _SLIT = 0.35 * MM
@@ -278,16 +278,12 @@ def _nose_pads(rng: np.random.Generator, s: _Shape) -> list[Solid]:
     size = rng.uniform(2.6, 3.4) * MM, rng.uniform(5.0, 7.0) * MM
     center = start + np.array([rng.uniform(5.0, 8.0), -1.5, -2.0]) * MM
     middle = (start + center) / 2 + np.array([1.0, 1.2, 1.0]) * MM
-    pad = stack([ellipse(f * size[0], f * size[1], 14) for f in (0.7, 1, 0.7)], _pad_layers())
+    pad = stack([ellipse(f * size[0], f * size[1], 14) for f in (0.7, 1, 0.7)], (-MM, 0.0, MM))
     # The pad's flat side looks to the nose and a little to the front.
     turn = product(rotation_about((0, 0, 1), np.deg2rad(60.0)), np.eye(3)[[2, 0, 1]])
     pad = pad.moved(transform(turn, center))
     solids = [sweep([start, middle, center], circle(arm, 6)), pad]
     return [*solids, *(solid.mirrored(1) for solid in solids)]
-
-
-def _pad_layers() -> tuple[float, float, float]:
-    return -1.0 * MM, 0.0, 1.0 * MM
 
 
 def _knuckle_radius(s: _Shape) -> float:

@@ -6,9 +6,9 @@ import numpy as np
 
 from articugen.geometry import Array
 from articugen.portable import norm
-from articugen.sources.procedural.outlines import rounded_rectangle
+from articugen.sources.procedural.kit import MM
+from articugen.sources.procedural.kit.outlines import rounded_rectangle
 
-MM = 1e-3
 SLIT = 0.7 * MM
 """Between the knuckles of a hinge, and what must stay free around it."""
 
@@ -39,68 +39,22 @@ class Kind:
     dropping: float
 
 
-KINDS = {
-    "ultrabook": Kind(
-        diagonal=(12, 15),
-        height=(0.035, 0.042),
-        wedge=(0.5, 0.9),
-        lid=(0.016, 0.021),
-        corner=(6, 16),
-        bezel=(4, 9),
-        hinges=("center", "full"),
-        dropping=0.5,
-    ),
-    "business": Kind(
-        diagonal=(12.5, 15.6),
-        height=(0.038, 0.049),
-        wedge=(0.75, 1),
-        lid=(0.018, 0.025),
-        corner=(3, 8),
-        bezel=(8, 16),
-        hinges=("pair", "full"),
-        dropping=0.3,
-    ),
-    "gaming": Kind(
-        diagonal=(15.6, 17.3),
-        height=(0.041, 0.053),
-        wedge=(0.8, 1),
-        lid=(0.018, 0.025),
-        corner=(2, 12),
-        bezel=(7, 14),
-        hinges=("pair", "center"),
-        dropping=0.3,
-    ),
-    "retro": Kind(
-        diagonal=(10, 14),
-        height=(0.052, 0.076),
-        wedge=(0.8, 1),
-        lid=(0.024, 0.034),
-        corner=(4, 14),
-        bezel=(16, 28),
-        hinges=("pair", "full"),
-        dropping=0.3,
-    ),
-    "rugged": Kind(
-        diagonal=(10, 14),
-        height=(0.056, 0.079),
-        wedge=(0.95, 1),
-        lid=(0.03, 0.042),
-        corner=(6, 12),
-        bezel=(16, 26),
-        hinges=("full", "pair"),
-        dropping=0.0,
-    ),
-    "netbook": Kind(
-        diagonal=(8.9, 11.6),
-        height=(0.043, 0.06),
-        wedge=(0.7, 1),
-        lid=(0.022, 0.032),
-        corner=(12, 26),
-        bezel=(12, 22),
-        hinges=("full", "center"),
-        dropping=0.3,
-    ),
+# fmt: off
+KINDS = {  # diagonal, height, wedge, lid, corner, bezel; hinges, dropping
+    "ultrabook": Kind((12, 15), (0.035, 0.042), (0.5, 0.9), (0.016, 0.021), (6, 16), (4, 9),
+                      ("center", "full"), 0.5),
+    "business": Kind((12.5, 15.6), (0.038, 0.049), (0.75, 1), (0.018, 0.025), (3, 8), (8, 16),
+                     ("pair", "full"), 0.3),
+    "gaming": Kind((15.6, 17.3), (0.041, 0.053), (0.8, 1), (0.018, 0.025), (2, 12), (7, 14),
+                   ("pair", "center"), 0.3),
+    "retro": Kind((10, 14), (0.052, 0.076), (0.8, 1), (0.024, 0.034), (4, 14), (16, 28),
+                  ("pair", "full"), 0.3),
+    "rugged": Kind((10, 14), (0.056, 0.079), (0.95, 1), (0.03, 0.042), (6, 12), (16, 26),
+                   ("full", "pair"), 0.0),
+    "netbook": Kind((8.9, 11.6), (0.043, 0.06), (0.7, 1), (0.022, 0.032), (12, 26), (12, 22),
+                    ("full", "center"), 0.3),
 }
+# fmt: on
 _PROUD = 0.5 * MM
 """About how far keys and trackpad stand out of the deck."""
 

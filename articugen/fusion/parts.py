@@ -1,0 +1,109 @@
+"""The solid that each part is, judged by how the part is seen when it stands alone.
+
+Faces alone do not say what is solid: sheets have no thickness, and many models turn faces either
+way. So each part is looked at alone, its sheets are thickened and its faces turned outwards, and
+what its views and its closed pieces say together is its material.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.fusion import solidify
+from articugen.fusion.bvh import Bvh, build, joined
+from articugen.fusion.field import Field, OwnSolid, flooded, fuse, pixel_width
+from articugen.fusion.thin import thin_voxels, way_meets
+from articugen.fusion.winding import pieces
+from articugen.geometry import bounds
+from articugen.portable import norm
+from articugen.recipe import Fusion
+from articugen.records import DepthMaps, Floats, LabelledMesh
+
+Render = Callable[[LabelledMesh, Floats], DepthMaps]
+"""Renders a mesh alone from all around, given also the box (2, 3) that it fills."""
+
+
+@dataclass(frozen=True, eq=False)
+class SolidPart:
+    """One part alone in the canonical pose: its surface, which of its faces can be seen and which
+    are those of closed pieces, the tree of its faces, its field."""
+
+    mesh: LabelledMesh
+    seen: NDArray[np.bool_]
+    closed: NDArray[np.bool_]
+    tree: Bvh
+    own: OwnSolid
+
+
+def solid_part(soup: LabelledMesh, settings: Fusion, render: Render) -> SolidPart:
+    """Thicken the sheets of one part and turn its faces outwards, by how it is seen alone.
+
+    Args:
+        soup: the part's faces in the canonical pose, unit frame, as the model has them.
+    """
+    soup = solidify.without_repeats(soup).compact()
+    alone = _own_solid(soup, closed := solidify.closed(soup), settings, render)
+    thickness = settings.sheet_thickness
+    where = solidify.probes(soup, max(thickness, 1e-3) / 3.0, together=True)
+    free = np.stack([~alone.holds(where.points[0]), np.zeros(len(where.face), np.bool_)])
+    asked = np.flatnonzero(~(closed[where.face] & _deep(soup, where, alone.field.bvh)))
+    free[1, asked] = ~alone.holds(where.points[1][asked])
+    shown = solidify.shown_sides(soup, alone.field.maps)
+    mesh, seen = solidify.solidified(soup, where, free, shown, thickness, closed)
+    tree = alone.field.bvh
+    if not np.array_equal(mesh.faces, soup.faces):
+        closed = solidify.closed(mesh)
+        if len(mesh.faces) != len(soup.faces):  # sheets have become slabs
+            alone = _own_solid(mesh, closed, settings, render)
+            tree = alone.field.bvh
+        else:
+            alone = replace(alone, closed=_closed_pieces(mesh, closed, alone.field))
+            tree = build(mesh.vertices[mesh.faces], np.zeros(len(mesh.faces), np.uint8), 1)
+    width = pixel_width(alone.field.maps.views)
+    thin = thin_voxels(mesh, width, alone.field.bvh)
+    own = replace(alone, field=flooded(replace(alone.field, thin=thin), mesh))
+    return SolidPart(mesh, seen, closed, tree, own)
+
+
+def seen_by(maps: DepthMaps, part: SolidPart, settings: Fusion) -> OwnSolid:
+    """The own solid of `part` by `maps` of it alone, instead of those that it was judged by."""
+    field = fuse(
+        maps,
+        part.mesh,
+        settings,
+        bvh=part.tree,
+        part_motion=np.eye(4)[None],
+        thin=thin_voxels(part.mesh, pixel_width(maps.views), part.tree),
+    )
+    return replace(part.own, field=replace(field, flood=part.own.field.flood))
+
+
+def joined_bvh(parts: Sequence[SolidPart]) -> Bvh:
+    """The tree of the faces of all parts, one part after the other."""
+    return joined([part.tree for part in parts])
+
+
+def _deep(mesh: LabelledMesh, where: solidify.Probes, tree: Bvh) -> NDArray[np.bool_]:
+    """(n,) which probes have no other face between their face and the point behind it: of a closed
+    piece, such a point is inside, whatever the views make of it."""
+    outwards = solidify.face_normals(mesh.vertices, mesh.faces)[where.face]
+    way = 0.99 * 0.5 * norm(where.points[0] - where.points[1]).max(initial=0.0)
+    inner = where.points[1].astype(np.float32)
+    return ~way_meets(inner, outwards.astype(np.float32), np.float32(way), tree)
+
+
+def _own_solid(
+    mesh: LabelledMesh, closed: NDArray[np.bool_], settings: Fusion, render: Render
+) -> OwnSolid:
+    box = bounds(mesh.vertices[mesh.faces].reshape(-1, 3)) if len(mesh.faces) else np.zeros((2, 3))
+    field = fuse(render(mesh, box), mesh, settings)
+    return OwnSolid(field, box, _closed_pieces(mesh, closed, field))
+
+
+def _closed_pieces(mesh: LabelledMesh, closed: NDArray[np.bool_], field: Field) -> Bvh | None:
+    """What `OwnSolid.closed` holds; None where the recipe's rule takes the views' word alone."""
+    if field.settings.rule == "mean":
+        return None
+    return field.bvh if closed.all() else pieces(mesh, closed)

@@ -1,0 +1,185 @@
+"""Golden digests: what our code makes of a tiny set, and of the shapes of bundled models.
+
+`python -m tests.golden` says what differs from tests/data/golden.json; `--write` renews that file,
+but only where a number of `articugen/content.py` was raised for what changed.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+from articugen import content
+from articugen.pipeline import Job, generate
+from articugen.recipe import load_recipe
+from articugen.recipe_files import with_settings
+from articugen.sources import procedural
+from articugen.sources.procedural.cache import SEAL_NAME
+from articugen.store.manifest import library_versions
+
+GOLDEN = Path(__file__).with_name("data") / "golden.json"
+
+CATEGORIES = tuple(content.MODELS)
+
+RENEW = "python -m tests.golden --write"
+
+SETS: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(CATEGORIES, ()),
+    "laptop, messy": (),
+    "boxes": (),
+    "boxes, rigid": ("fusion.rule=rigid",),
+    "boxes, reachable": ("fusion.rule=reachable", "sampling.coverage=true"),
+    "boxes, mean": ("fusion.rule=mean", "views.projection=pinhole", "sampling.depth_noise=0.002"),
+}
+"""Tiny data sets of one object each, and what their recipes say otherwise."""
+
+SHAPES = 2
+"""Bundled models of a category whose files are looked at."""
+
+RECIPE = """\
+extends: category
+articulation: {states: 1}
+views: {count: 12, resolution: 64}
+sampling:
+  {grids: [8], surface_points: 64, uniform_points: 64, near_points: 64, partial_points: 16}
+"""
+
+CABINET = """\
+<robot name="cabinet">
+  <link name="body">
+    <visual><geometry><box size="0.4 0.5 0.02"/></geometry></visual>
+    <visual><origin xyz="0 0 0.3"/><geometry><box size="0.4 0.5 0.02"/></geometry></visual>
+    <visual><origin xyz="-0.19 0 0.15"/><geometry><box size="0.02 0.5 0.28"/></geometry></visual>
+  </link>
+  <link name="door">
+    <visual><origin xyz="0 0.25 0"/><geometry><box size="0.02 0.5 0.28"/></geometry></visual>
+    <visual><origin xyz="0.03 0.45 0"/>
+      <geometry><cylinder radius="0.01" length="0.1"/></geometry></visual>
+  </link>
+  <link name="tray">
+    <visual><geometry><box size="0.3 0.4 0.03"/></geometry></visual>
+  </link>
+  <joint name="hinge" type="revolute"><parent link="body"/><child link="door"/>
+    <origin xyz="0.21 -0.25 0.15"/><axis xyz="0 0 -1"/>
+    <limit lower="0" upper="1.9" effort="1" velocity="1"/></joint>
+  <joint name="slide" type="prismatic"><parent link="body"/><child link="tray"/>
+    <origin xyz="0 0 0.1" rpy="0 0 0.1"/><axis xyz="1 0 0"/>
+    <limit lower="0" upper="0.3" effort="1" velocity="1"/></joint>
+</robot>
+"""
+
+
+@contextmanager
+def own_models(folder: Path) -> Iterator[None]:
+    """Meanwhile bundled models are written to `folder` and read from there alone: those on the disk
+    are as their code was when they were written."""
+    for source in ("procedural", "procedural_messy"):
+        (folder / source).mkdir(parents=True)
+    with mock.patch.dict(os.environ, ARTICUGEN_SOURCES=str(folder)):
+        yield
+
+
+def data(name: str, folder: Path) -> str:
+    """The content hash of one of the SETS; `folder`, to work in, does not exist yet."""
+    folder.mkdir(parents=True)
+    (folder / "tiny.yaml").write_text(RECIPE)
+    (folder / "cabinet.urdf").write_text(CABINET)
+    category, _, how = name.partition(", ")
+    source = "procedural_messy" if how == "messy" else "procedural"
+    if category == "boxes":
+        source = str(folder / "cabinet.urdf")
+    recipe = with_settings(load_recipe(folder / "tiny.yaml", category), SETS[name])
+    job = Job(source, category, recipe.with_counts(objects=1), seed=0, out=folder / "out", jobs=0)
+    return generate(job, lambda _: None).content_sha256
+
+
+def shapes(category: str, folder: Path) -> str:
+    """One digest of the files of some bundled models of a category."""
+    digest = hashlib.sha256()
+    for number in range(SHAPES):
+        object_id = f"{category}_{number:04d}"
+        urdf = procedural.write_object(category, object_id, folder / object_id)
+        for path in sorted(urdf.parent.iterdir()):
+            if path.name != SEAL_NAME:  # which tells of the version, too
+                digest.update(
+                    f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode()
+                )
+    return digest.hexdigest()
+
+
+def made(folder: Path) -> dict[str, Any]:
+    """What golden.json must hold: the declared versions, and what this code makes."""
+    with own_models(folder / "models"):
+        return {
+            "stages": dict(content.STAGES),
+            "models": dict(content.MODELS),
+            "data": {name: data(name, folder / "data" / name) for name in SETS},
+            "shapes": {name: shapes(name, folder / "shapes" / name) for name in CATEGORIES},
+            "libraries": {name: library_versions()[name] for name in ("numba", "numpy")},
+        }
+
+
+def read() -> dict[str, Any]:
+    """What golden.json holds."""
+    return json.loads(GOLDEN.read_text())
+
+
+def undeclared(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
+    """One sentence for each thing that changed though no number that stands for it was raised."""
+
+    def raised(table: str, *names: str) -> bool:
+        return any(new[table].get(name, 0) > old[table].get(name, 0) for name in names)
+
+    def changed(table: str) -> list[str]:
+        return [n for n, digest in new[table].items() if old[table].get(n, digest) != digest]
+
+    sentences = [
+        f"the shapes of {name} changed: raise MODELS[{name!r}] in articugen/content.py"
+        for name in changed("shapes")
+        if not raised("models", name)
+    ]
+    return sentences + [
+        f"the data of {name} changed: raise the number of the stage that makes them otherwise, in "
+        "STAGES of articugen/content.py"
+        for name in changed("data")
+        if not raised("stages", *new["stages"]) and not raised("models", name.partition(",")[0])
+    ]
+
+
+def advice(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
+    """What to do where `new` is not as `old`; "" where it is."""
+    if new == old | {"libraries": new["libraries"]}:
+        return ""
+    sentences = undeclared(old, new)
+    if sentences:
+        sentences.append("where that is not meant, mend the code instead")
+    if new["libraries"] != old["libraries"]:
+        sentences.append(f"it may be due to libraries: {old['libraries']}, here {new['libraries']}")
+    return "\n".join(
+        [*sentences, f"then run {RENEW}, and tell in CHANGELOG.md what moved, how far"]
+    )
+
+
+def main() -> str | None:
+    """Compare, or renew; what is wrong, if anything."""
+    parser = argparse.ArgumentParser(prog="python -m tests.golden", description=__doc__)
+    parser.add_argument("--write", action="store_true", help="renew tests/data/golden.json")
+    asked = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        new = made(Path(folder))
+    old = read()
+    if asked.write and not undeclared(old, new):
+        GOLDEN.write_text(json.dumps(new, indent=1) + "\n")
+        return None
+    return advice(old, new) or None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

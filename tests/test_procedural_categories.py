@@ -1,0 +1,93 @@
+"""What holds for every bundled category, and for the one that docs/extending.md adds."""
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from articugen.articulation import canonical_state, resolve, sample_joint_state
+from articugen.recipe import load_recipe
+from articugen.records import ArticulatedObject, Floats
+from articugen.seeding import generator
+from articugen.sources import procedural, registry
+from articugen.sources.procedural import CATEGORIES, build_model
+from tests.procedural_truth import assert_sound, crossings, object_id, written
+
+SAMPLE = [(c, object_id(c, k)) for c in CATEGORIES for k in (5, 10, 17)]
+DOCS = Path(__file__).parents[1] / "docs"
+
+BEYOND = {"drawer": -0.03, "eyeglasses": np.pi}
+"""States in which parts would cross: drawers pushed in, temples turned to the front."""
+
+LID_PUSHED_IN = -0.1
+
+
+def states(obj: ArticulatedObject, rng: np.random.Generator) -> list[Floats]:
+    """The canonical state, the ends of all ranges and random ones, as the recipe has them."""
+    upper = np.array([joint.upper for joint in obj.moving_joints])
+    drawn = [sample_joint_state(obj, rng=rng).q for _ in range(6)]
+    return [canonical_state(obj).q, upper, *drawn]
+
+
+@pytest.mark.parametrize(("category", "name"), SAMPLE)
+def test_no_part_lies_in_another(category: str, name: str, tmp_path: Path) -> None:
+    """A point of one part's surface is never inside another's exact solid: not by any depth."""
+    check_parts_keep_clear(category, name, tmp_path)
+
+
+def check_parts_keep_clear(category: str, name: str, folder: Path) -> None:
+    obj, truth = written(category, name, folder / name)
+    obj = resolve(obj, load_recipe(None, category).articulation)
+    rng = generator(0, name, "crossings")
+    for q in states(obj, rng):
+        assert crossings(obj, truth, q, rng) == set(), q
+    beyond = np.full(len(obj.moving_joints), BEYOND.get(category, LID_PUSHED_IN))
+    assert crossings(obj, truth, beyond, rng), "this test must see a crossing"
+
+
+@pytest.mark.parametrize("category", ["laptop", "oven", "washing_machine"])
+def test_doors_and_lids_open_as_far_as_the_paper_has_it(category: str, tmp_path: Path) -> None:
+    obj, _ = written(category, object_id(category, 5), tmp_path / object_id(category, 5))
+    (joint,) = resolve(obj, load_recipe(None, category).articulation).moving_joints
+    assert np.degrees(joint.upper) == pytest.approx(135.0)
+
+
+@pytest.mark.parametrize(("category", "name"), SAMPLE)
+def test_every_model_is_sound_and_stands_on_the_floor(category: str, name: str) -> None:
+    model = build_model(category, name)
+    assert_sound(model)
+    assert abs(model.bounds[0, 2]) < 1e-9
+
+
+@pytest.fixture
+def chest(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """The category that the docs add: its module and its line, as they stand there."""
+    (page,) = (p for p in DOCS.glob("extending*.md") if "\n## A category" in f"\n{p.read_text()}")
+    section = f"\n{page.read_text()}".partition("\n## A category")[2].partition("\n## ")[0]
+    module, line = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
+    made = ModuleType("articugen.sources.procedural.chest")
+    exec(module, made.__dict__)
+    monkeypatch.setitem(sys.modules, made.__name__, made)
+    monkeypatch.setitem(procedural.CATEGORIES, "chest", {})  # taken away again after the test
+    exec(line, {"CATEGORIES": procedural.CATEGORIES})
+    return "chest"
+
+
+def test_the_category_of_the_docs_is_like_any_other(
+    chest: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "procedural_messy").mkdir()  # where its models are written
+    monkeypatch.setenv("ARTICUGEN_SOURCES", str(tmp_path))
+    for index in range(10):
+        assert_sound(build_model(chest, object_id(chest, index)))
+    check_parts_keep_clear(chest, object_id(chest, 0), tmp_path)
+    (info,) = (i for i in registry.source_names() if i.name == "procedural_messy")
+    assert [(c.train, c.test) for c in info.categories if c.name == chest] == [(8, 2)]
+    refs = registry.object_refs("procedural_messy", chest)
+    obj = registry.load(refs[0])
+    assert (obj.object_id, obj.category, len(refs)) == ("chest_0000", chest, 10)
+    assert [joint.name for joint in obj.moving_joints] == ["hinge"]
