@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from articugen import articulation, fusion
 from articugen.articulation import Canonical
 from articugen.errors import InvalidArgument, InvalidSource
-from articugen.fusion.isosurface import export, extract_mesh
+from articugen.fusion.export import export
+from articugen.fusion.isosurface import extract_mesh
 from articugen.instance import Prepared, make_instance, pose, prepare
 from articugen.recipe import Recipe, load_recipe
 from articugen.recipe_files import nearest

@@ -107,7 +107,7 @@ FOREIGN: dict[str, set[str]] = {
     "platformdirs": {"bundled"},
     "yourdfpy": {"sources.urdf"},
     "lxml": {"sources.urdf", "sources.xml_strict"},
-    "trimesh": {"sources.mesh_formats", "fusion.isosurface", "learning.clouds"},
+    "trimesh": {"sources.mesh_formats", "fusion.export", "learning.clouds"},
     "PIL": {"inspection.layout", "inspection.shading"},
     "matplotlib": {"learning.evaluation.figures.plots"},
     "typer": {"cli.data", "cli.learn"},

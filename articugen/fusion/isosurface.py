@@ -1,24 +1,20 @@
 """A watertight mesh of a fused field, at any resolution."""
 
 import importlib
-from pathlib import Path
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
-from articugen.errors import ArticugenError, MissingExtra, RejectedInstance
-from articugen.fusion.field import Field, PosedSolids
+from articugen.errors import MissingExtra, RejectedInstance
+from articugen.fusion.field import FusedField, PosedSolids
 from articugen.geometry import voxel_centres
 from articugen.records import Mesh
-
-MESH_FORMATS = (".ply", ".obj", ".stl", ".glb")
 
 _AT_A_TIME = 1 << 20
 """Voxels whose sign is asked at a time."""
 
 
-def extract_mesh(field: Field | PosedSolids, resolution: int) -> Mesh:
+def extract_mesh(field: FusedField | PosedSolids, resolution: int) -> Mesh:
     """The zero level of `field` in the unit cube as a closed mesh, unit frame, faces outwards.
 
     Marching cubes (Lorensen and Cline 1987; scikit-image's, after Lewiner et al. 2003) on the voxel
@@ -51,29 +47,7 @@ def extract_mesh(field: Field | PosedSolids, resolution: int) -> Mesh:
     return Mesh((vertices - 0.5) / resolution - 0.5, faces)
 
 
-def check_format(path: Path) -> None:
-    """
-    Raises:
-        ArticugenError: its ending names no format that meshes are written in.
-    """
-    if path.suffix not in MESH_FORMATS:
-        raise ArticugenError(f"{path}: choose one of {', '.join(MESH_FORMATS)}")
-
-
-def export(mesh: Mesh, path: Path) -> None:
-    """Write a mesh as it is, in the format that the ending of `path` names.
-
-    Raises:
-        ArticugenError: there is no such format, or the file cannot be written.
-    """
-    check_format(path)
-    try:
-        trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(path)
-    except OSError as error:
-        raise ArticugenError(f"{path}: cannot be written: {error.strerror}") from None
-
-
-def _free(field: Field | PosedSolids, resolution: int) -> NDArray[np.bool_]:
+def _free(field: FusedField | PosedSolids, resolution: int) -> NDArray[np.bool_]:
     """(R, R, R) of the voxels' centres."""
     voxels = np.arange(resolution**3)
     free = [
