@@ -8,8 +8,8 @@ import numpy as np
 
 from articugen import articulation
 from articugen.errors import ArticugenError, InvalidSource
-from articugen.fusion.field import pixel_width
 from articugen.fusion.export import check_format, export
+from articugen.fusion.field import pixel_width
 from articugen.fusion.isosurface import extract_mesh
 from articugen.instance import Prepared, make_instance, pose, prepare
 from articugen.pipeline import generator_of
