@@ -360,18 +360,18 @@ def _nothing_moves(obj: ArticulatedObject, patterns: tuple[str, ...]) -> str:
     if not jointed:
         return "no joint moves; all joints of its URDF are fixed, leave it out"
 
-    def told(joints: list[Joint]) -> str:
+    def names(joints: list[Joint]) -> str:
         index = obj.link_index
-        names = [f"{j.name} ({obj.links[index[j.child]].semantic or 'no name'})" for j in joints]
-        return ", ".join(names[:12] + ["..."] * (len(names) > 12))
+        found = [f"{j.name} ({obj.links[index[j.child]].semantic or 'no name'})" for j in joints]
+        return ", ".join(found[:12] + ["..."] * (len(found) > 12))
 
     picked = [j for j in jointed if not patterns or _pattern_of(obj, j, patterns) < len(patterns)]
     if picked:
         return (
-            f"no joint moves: the limits leave no range to {told(picked)}; correct the <limit> "
+            f"no joint moves: the limits leave no range to {names(picked)}; correct the <limit> "
             "elements of its URDF"
         )
     return (
-        f"no joint moves: articulation.movable {list(patterns)} picks none of {told(jointed)}; "
+        f"no joint moves: articulation.movable {list(patterns)} picks none of {names(jointed)}; "
         "name the joints or parts that move there"
     )

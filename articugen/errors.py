@@ -50,6 +50,10 @@ class MissingDriver(ArticugenError):
     """An optional library is installed, but a system library or driver that it needs is not."""
 
 
+class BrokenPlugin(ArticugenError):
+    """What another package adds to articugen cannot be used."""
+
+
 class InvalidCheckpoint(ArticugenError):
     """A checkpoint or run folder is damaged, not one of ours, or of another recipe."""
 
@@ -83,14 +87,14 @@ def machine_fault(error: BaseException) -> MachineFault | MemoryError | None:
     for cause in _behind(error):
         if isinstance(cause, MachineFault | MemoryError):
             return cause
-        told = str(cause)
+        text = str(cause)
         if isinstance(cause, ImportError) and any(
-            words in told for words in _NO_LIBRARY_FOR_WANT_OF_MEMORY
+            words in text for words in _NO_LIBRARY_FOR_WANT_OF_MEMORY
         ):
-            return MemoryError(told)
+            return MemoryError(text)
         if isinstance(cause, OSError):
             if cause.errno == errno.ENOMEM:
-                return MemoryError(told)
+                return MemoryError(text)
             cure = _MACHINE.get(cause.errno or 0)
             if cure is not None:
                 where = f"{cause.filename}: " if cause.filename else ""

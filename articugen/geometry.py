@@ -93,21 +93,21 @@ def points_on_triangles(
             has any (corners that coincide are a point) each the same.
     """
     if weights is None:
-        weights = norm(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
-        weights = weights if weights.any() else np.ones(len(corners))
+        area = norm(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+        weights = np.where(np.any(area), area, 1.0)
     face = pick_by_weight(weights, rng.random(count))
     a, b = rng.random((2, count, 1))
     return points_in_triangles(corners[face], a, b), face
 
 
-def pick_by_weight(weights: ArrayLike, at: Array) -> NDArray[np.intp]:
+def pick_by_weight(weights: ArrayLike, at: NDArray[np.floating]) -> NDArray[np.intp]:
     """(n,) the index at the share `at` (n,), each in [0, 1), of the sum of the weights (F,)."""
     cumulative = np.cumsum(weights)
     found = np.searchsorted(cumulative, at * cumulative[-1], side="right")
     return np.minimum(found, len(cumulative) - 1)
 
 
-def points_in_triangles(corners: Array, a: Array, b: Array) -> Array:
+def points_in_triangles(corners: Array, a: NDArray[np.floating], b: NDArray[np.floating]) -> Array:
     """(n, 3) the points of triangles (n, 3, 3) at places (n, 1) of the unit square, which is folded
     along its diagonal: what is uniform there is uniform by area."""
     folded = a + b > 1.0

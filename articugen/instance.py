@@ -32,8 +32,7 @@ from articugen.records import (
     quantize,
     stored_name,
 )
-from articugen.rendering import rasterizer, render
-from articugen.rendering.overlay import Overlay
+from articugen.rendering.backends import Backend, Overlay, backend_named
 from articugen.rendering.views import fusion_views, random_pinhole_views
 from articugen.seeding import generator
 from articugen.swept import swept_box
@@ -82,7 +81,7 @@ class Prepared:
         closed: (F,) whether a face belongs to a closed solid, whose inner side nobody sees.
         static: the depth maps of part 0 alone, which every instance shares.
         overlay: what the moving parts of one instance after the other are drawn over part 0 in;
-            None where the backend is another, or the posed object is not looked at.
+            None where the backend has none, or the posed object is not looked at.
         own: each part alone, part 0 first.
         grids: by resolution.
     """
@@ -139,7 +138,7 @@ def prepare(
     static = _render(parts[0].mesh, views, recipe)
     fixed = fusion.seen_by(static, parts[0], recipe.fusion)
     own = (fixed, *(part.own for part in parts[1:]))
-    draws = recipe.views.backend == "rasterizer" and recipe.fusion.rule != "rigid"
+    looked_at = recipe.fusion.rule != "rigid"
     return Prepared(
         obj=obj,
         recipe=recipe,
@@ -153,7 +152,7 @@ def prepare(
         views=views,
         closed=np.concatenate([part.closed for part in parts]),
         static=static,
-        overlay=Overlay(static) if draws else None,
+        overlay=_backend(recipe).overlay_on(static) if looked_at else None,
         own=own,
         grids={r: _grid(r, own, recipe) for r in recipe.sampling.grids},
     )
@@ -200,10 +199,8 @@ def pose(
     material = fusion.PosedSolids(p.own, motion, p.recipe.fusion)
     if p.recipe.fusion.rule == "rigid":
         return mesh, fusion.PosedFields(material, material)
-    if p.overlay is None:
-        maps = _render(mesh, p.views, p.recipe)
-    else:
-        maps = _draw_moving(p, mesh, overlay or Overlay(p.static))
+    drawing = overlay or _backend(p.recipe).overlay_on(p.static)
+    maps = _draw_moving(p, mesh, drawing) if drawing else _render(mesh, p.views, p.recipe)
     field = fusion.fuse(
         maps,
         mesh,
@@ -256,13 +253,15 @@ def solid_part(soup: LabelledMesh, recipe: Recipe) -> fusion.SolidPart:
 
 def _render_alone(recipe: Recipe, mesh: LabelledMesh, box: Floats) -> DepthMaps:
     views = fusion_views(recipe.views, box)
-    if recipe.views.backend == "rasterizer":
-        return rasterizer.render(mesh, views, keep_depth=False)
-    return _render(mesh, views, recipe)
+    return _backend(recipe).render(mesh, views, keep_depth=False)
 
 
 def _render(mesh: LabelledMesh, views: Views, recipe: Recipe) -> DepthMaps:
-    return render(mesh, views, backend=recipe.views.backend)
+    return _backend(recipe).render(mesh, views)
+
+
+def _backend(recipe: Recipe) -> Backend:
+    return backend_named(recipe.views.backend)
 
 
 def _draw_moving(p: Prepared, mesh: LabelledMesh, overlay: Overlay) -> DepthMaps:
@@ -391,7 +390,7 @@ def _partial_fields(p: Prepared, state_index: int, mesh: LabelledMesh) -> dict[s
     views = random_pinhole_views(
         wanted.partial_views, wanted.partial_resolution, bounds(mesh.vertices), rng=rng
     )
-    maps = rasterizer.render(mesh, views, closed=p.closed)
+    maps = _backend(p.recipe).render_parts(mesh, views, closed=p.closed)
     clouds = sampling.partial_clouds(
         maps, mesh.part_of_face, wanted.partial_points, wanted.depth_noise, rng=rng
     )

@@ -195,7 +195,6 @@ class Made(Row):
         voxels.
 
         Raises:
-            MissingExtra: scikit-image is not installed.
             RejectedInstance: all of it lies between the voxels' centres.
         """
         mesh = extract_mesh(self._posed[1].whole, resolution)

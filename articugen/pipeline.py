@@ -31,7 +31,7 @@ from articugen.estimate import instance_bytes, run_seconds
 from articugen.recipe import Recipe, check_category
 from articugen.records import ArticulatedObject, Instance
 from articugen.sources import registry
-from articugen.sources.registry import ObjectRef
+from articugen.sources.refs import ObjectRef
 from articugen.store.journal import Journal
 from articugen.store.manifest import Key, Manifest, Outcome, Rejection, Timings
 from articugen.store.shards import write_shard

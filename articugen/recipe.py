@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from articugen.bundled import RECIPES
 from articugen.errors import InvalidRecipe, printable
 from articugen.recipe_files import Section as _Section
 from articugen.recipe_files import find, resolved, resolved_mapping, validated
+from articugen.rendering import backends
 from articugen.store import schema
 
 _CATEGORY = re.compile(r"\w(?:[\w .+-]{0,98}[\w+-])?")
@@ -67,13 +68,22 @@ class Articulation(_Section):
         return self
 
 
+def _known_backend(name: str) -> str:
+    backends.check_name(name)
+    return name
+
+
 class ViewSettings(_Section):
-    """The views that are fused: `count` of them, spread evenly over the sphere."""
+    """The views that are fused: `count` of them, spread evenly over the sphere.
+
+    Attributes:
+        backend: what renders them, and the partial clouds: see `rendering.backends.BACKENDS`.
+    """
 
     count: int = Field(default=100, ge=4, le=10_000)
     projection: Literal["orthographic", "pinhole"] = "orthographic"
     resolution: int = Field(default=256, ge=16, le=4096)
-    backend: Literal["rasterizer", "embree", "opengl", "sapien"] = "rasterizer"
+    backend: Annotated[str, AfterValidator(_known_backend)] = "rasterizer"
 
     @model_validator(mode="after")
     def _fit_into_memory(self) -> "ViewSettings":

@@ -81,6 +81,11 @@ class Mesh:
     def __post_init__(self) -> None:
         _freeze(self, vertices=(np.float64, (None, 3)), faces=(np.int32, (None, 3)))
 
+    @property
+    def triangles(self) -> Floats:
+        """(F, 3, 3) the corners of each face."""
+        return self.vertices[self.faces]
+
 
 @dataclass(frozen=True)
 class Mimic:
@@ -115,6 +120,8 @@ class Joint:
     mimic: Mimic | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.kind, JointKind):
+            raise ValueError(f"joint {self.name}: its kind is {self.kind!r}, not a JointKind")
         _freeze(self, T_parent_joint=(np.float64, (4, 4)), axis=(np.float64, (3,)))
         if self.kind != JointKind.FIXED and abs(np.linalg.norm(self.axis) - 1.0) > 1e-9:
             raise ValueError(f"joint {self.name}: axis {self.axis} is not of unit length")

@@ -47,7 +47,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_lines_of_the_readme_run(folder, monkeypatch):
     pytest.importorskip("torch", reason="one of the lines needs torch")
-    pytest.importorskip("skimage", reason="one of the lines needs scikit-image")
     monkeypatch.chdir(folder)
     for module in ("pipeline", "verify.check"):  # to start workers takes longer than the work
         monkeypatch.setattr(f"articugen.{module}.default_jobs", lambda: 0)
@@ -76,7 +75,7 @@ class _TrainsBriefly:
 
     def evaluate(self, run, data):
         result = ag.evaluate(run, data, resolution=8, states=1)
-        assert (result["objects"], result["instances"]) == (1, 2)
+        assert (result.objects, result.instances) == (1, 2)
 
 
 def test_functions_say_what_they_take():

@@ -11,7 +11,8 @@ from real_models import REAL_MODELS, needs_real_models
 from articugen.errors import MissingDriver, MissingExtra
 from articugen.geometry import apply, fibonacci_sphere, invert_rigid, look_along, rotation_from_rpy
 from articugen.records import LabelledMesh, Views
-from articugen.rendering import BACKENDS, render
+from articugen.rendering import render
+from articugen.rendering.backends import BACKENDS
 from articugen.rendering.foreign import import_library
 
 TOLERANCE = {"rasterizer": 5e-7, "embree": 2e-6, "opengl": 1e-5, "sapien": 1e-5}
@@ -137,7 +138,7 @@ def test_depth_of_a_turned_box_is_that_of_its_planes(backend, projection):
 def test_the_face_seen_lies_on_the_side_that_the_ray_enters(backend, projection):
     mesh, views = box(), cameras(projection)
     maps = render(mesh, views, backend=backend)
-    if backend in ("opengl", "sapien"):  # they cannot tell
+    if not BACKENDS[backend].tells_faces:
         assert maps.face is None
         return
     assert maps.face.dtype == np.int32
@@ -148,6 +149,30 @@ def test_the_face_seen_lies_on_the_side_that_the_ray_enters(backend, projection)
         exact, axis = box_depth(*rays(views, k))
         both = (face >= 0) & np.isfinite(exact)
         assert (axis_of_face[face[both]] == axis[both]).mean() > 0.995  # the rest: on an edge
+
+
+@both_projections
+def test_the_part_that_each_pixel_shows_is_known_of_every_backend(backend, projection):
+    """Of two boxes, one in front of the other from some sides: the nearest by the naive caster."""
+    pieces = [box(), labelled(box().vertices * 0.5 + (0.3, 0.2, -0.1), box().faces)]
+    mesh = LabelledMesh(
+        np.concatenate([piece.vertices for piece in pieces]),
+        np.concatenate([pieces[0].faces, pieces[1].faces + 8]),
+        np.repeat([0, 3], 12).astype(np.uint8),
+    )
+    views = cameras(projection)
+    maps = BACKENDS[backend].render_parts(mesh, views)
+    whole = render(mesh, views, backend=backend)
+    np.testing.assert_array_equal(maps.face >= 0, np.isfinite(maps.depth))
+    seen = np.isfinite(whole.depth)
+    np.testing.assert_array_equal(np.isfinite(maps.depth), seen)
+    assert np.percentile(np.abs(maps.depth[seen] - whole.depth[seen]), 99) < TOLERANCE[backend]
+    for k in range(len(views)):
+        alone = [soup_depth(piece, *rays(views, k)) for piece in pieces]
+        nearest = np.where(alone[1] < alone[0], 3, 0)
+        at = (maps.face[k] >= 0) & np.isfinite(np.minimum(*alone))
+        assert {0, 3} == set(nearest[at])
+        assert (mesh.part_of_face[maps.face[k][at]] == nearest[at]).mean() > 0.995
 
 
 @both_projections

@@ -53,7 +53,7 @@ def folder(tmp_path_factory):
 
 
 def test_evaluate_predict(folder, monkeypatch):
-    monkeypatch.setattr("articugen.learning.evaluation.figures.shapes.STEPS", 2)
+    monkeypatch.setattr("articugen.learning.evaluation.figures.draw.STEPS", 2)
     data, runs = folder / "data", folder / "runs"
     done = articugen("evaluate", runs / "box", "-d", data, "--resolution", 8)
     assert done.exit_code == 0, done.output

@@ -14,10 +14,12 @@ from articugen.store.shards import open_shard, write_shard
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen import geometry  # noqa: E402
-from articugen.learning.dataset import load_split, unpacked, voxel_centres  # noqa: E402
-from articugen.learning.ppd.settings import DataSettings  # noqa: E402
+from articugen.learning.dataset import BatchSpec, load_split, unpacked, voxel_centres  # noqa: E402
 
-ASK = DataSettings(surface_points=300, grid_points=200, uniform_points=100, near_points=50)
+ASK = BatchSpec(
+    surface_points=300, grid_points=200, uniform_points=100, near_points=50, joints=(3, 4)
+)
+SEEN = dataclasses.replace(ASK, partial=True)
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +29,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def packed(folder):
-    return load_split(folder, "train", ASK, [8], category="box", joints=(3, 4))
+    return load_split(folder, "train", ASK, [8], category="box")
 
 
 def rng(seed=0):
@@ -91,7 +93,7 @@ def test_a_batch_depends_on_its_generator_alone(packed):
 
 
 def test_a_whole_grid_is_taken_as_it_is(packed):
-    ask = DataSettings(surface_points=10, grid_points=512)
+    ask = BatchSpec(surface_points=10, grid_points=512)
     batch = packed.batch([0], ask, 8, rng())
     assert torch.equal(batch.points[0], voxel_centres(torch.arange(512), 8))
     assert torch.equal(batch.occupied[0], packed.grids[8][0] > 0)
@@ -111,7 +113,7 @@ def test_some_objects_alone(packed):
 
 
 def test_what_is_not_asked_for_is_not_kept(folder):
-    packed = load_split(folder, "test", DataSettings(surface_points=10, grid_points=10), [16])
+    packed = load_split(folder, "test", BatchSpec(surface_points=10, grid_points=10), [16])
     assert packed.near[0].shape == (8, 0, 3)
     assert packed.uniform[1].shape == (8, 0)
     assert list(packed.grids) == [16]
@@ -123,8 +125,11 @@ def test_what_is_not_asked_for_is_not_kept(folder):
         ({"split": "val"}, "has no object in split 'val', only in: test, train"),
         ({"category": "laptop"}, "holds box, not laptop"),
         ({"resolutions": [64]}, "has no occupancy_64; add 64 to sampling.grids"),
-        ({"joints": (3, 0)}, "1 revolute and 1 prismatic joints, the recipe's model 3 and 0"),
-        ({"ask": DataSettings(surface_points=5000)}, "has 2048 surface_points an instance"),
+        (
+            {"ask": dataclasses.replace(ASK, joints=(3, 0))},
+            "1 revolute and 1 prismatic joints, the recipe's model 3 and 0",
+        ),
+        ({"ask": BatchSpec(surface_points=5000)}, "has 2048 surface_points an instance"),
     ],
 )
 def test_unfit_data_are_refused_in_one_sentence(folder, change, said):
@@ -165,7 +170,7 @@ def test_shards_that_cannot_be_learnt_from_are_refused(tmp_path):
     ):
         folder = rewritten(tmp_path / name, change, **about)
         with pytest.raises(CorruptShard, match=f"train-00000.h5: {said}"):
-            load_split(folder, "train", ASK, [8], joints=(3, 4), partial=True)
+            load_split(folder, "train", SEEN, [8])
 
 
 def test_shards_of_another_version_are_refused(tmp_path, monkeypatch):
@@ -210,7 +215,7 @@ def test_enclosed_space_is_occupied_or_free_as_the_recipe_says(tmp_path):
     write_shard(path, changed, about)
     assert (changed[1].occupancy[8] == 255).any()
     for occupancy in ("visible", "material"):
-        ask = ASK.model_copy(update={"occupancy": occupancy})
+        ask = dataclasses.replace(ASK, occupancy=occupancy)
         packed = load_split(tmp_path, "train", ask, [8])
         want = changed if occupancy == "visible" else rows
         for i, row in enumerate(want):
@@ -239,14 +244,44 @@ def test_a_grid_that_holds_no_voxel_is_learnt_by_its_surface(tmp_path):
     filled = packed.grids[8][1].numpy().reshape(8, 8, 8) > 0
     np.testing.assert_array_equal(filled, expected)
     assert 0 < filled.sum() < 256
-    whole = ASK.model_copy(update={"grid_points": 512})
+    whole = dataclasses.replace(ASK, grid_points=512)
     assert packed.batch([1], whole, 8, rng()).occupied[0, :512].sum() == filled.sum()
 
 
 def test_partial_clouds_come_as_stored(folder):
-    packed = load_split(folder, "test", ASK, [8], partial=True)
+    packed = load_split(folder, "test", SEEN, [8])
     with open_shard(folder / "test-00004.h5") as shard:
         seen = shard.instance(1).partial_points
     np.testing.assert_array_equal(packed.partial[1].numpy().view(np.uint16), seen)
     assert packed.of(["box-5"]).partial.shape == (4, 2, 256, 3)
     assert load_split(folder, "test", ASK, [8]).partial.shape[1] == 0
+
+
+def test_a_batch_of_partial_clouds_holds_what_one_camera_sees(folder):
+    packed = load_split(folder, "test", SEEN, [8])
+    batches = [packed.batch([1, 6], SEEN, 8, rng(seed)) for seed in range(8)]
+    cameras = set()
+    for batch in batches:
+        assert batch.rows.tolist() == [1, 6]
+        for b, row in enumerate((1, 6)):
+            (camera,) = [
+                c for c in range(2) if torch.equal(batch.cloud[b], unpacked(packed.partial[row, c]))
+            ]
+            cameras.add(camera)
+    assert cameras == {0, 1}
+
+
+def test_a_batch_tells_the_true_parts_of_its_cloud(folder):
+    ask = BatchSpec(surface_points=200, parts=True)
+    packed = load_split(folder, "train", ask, [])
+    batch = packed.batch([5], ask, 8, rng())
+    assert batch.points.shape == (1, 0, 3)
+    with open_shard(folder / "train-00001.h5") as shard:
+        instance = shard.instance(1)
+    part = dict(
+        zip(map(tuple, instance.surface_points.tolist()), instance.surface_part, strict=True)
+    )
+    for point, told in zip(batch.cloud[0], batch.part[0].tolist(), strict=True):
+        assert part[tuple(stored(point).tolist())] == told
+    assert len(set(batch.part[0].tolist())) == 3
+    assert packed.of(["box-1"]).part.shape == (4, 2048)

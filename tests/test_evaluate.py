@@ -1,7 +1,7 @@
 """The evaluation: the truth scores full marks, and each fault costs what it should."""
 
-import dataclasses
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,18 +9,10 @@ from instances import hinged_box
 from ppd_data import write_boxes
 
 from articugen.errors import CorruptShard
-from articugen.geometry import apply, transform
-from articugen.records import dequantize
+from articugen.geometry import transform
+from articugen.learning.evaluation.evaluate import Protocol, evaluate, label_votes
+from articugen.learning.evaluation.reconstruction import PartJoints, truth
 
-torch = pytest.importorskip("torch", reason="PPD needs torch")
-
-from articugen.learning.evaluation.evaluate import Protocol, evaluate, label_votes  # noqa: E402
-from articugen.learning.evaluation.surfaces import distance  # noqa: E402
-from articugen.learning.ppd.model import PPD  # noqa: E402
-from articugen.learning.ppd.reconstruct import part_logits, predict, reconstruct, truth  # noqa: E402
-from articugen.learning.ppd.settings import ModelSettings  # noqa: E402
-
-torch.set_num_threads(1)
 FEW = Protocol(points=100, surface_samples=200)
 
 
@@ -36,7 +28,7 @@ def exactly(instance):
 def test_the_truth_scores_full_marks(boxes):
     seen = []
     result = evaluate(boxes, exactly, FEW, on_object=seen.append)
-    means = result["means"]
+    means = result.means
     assert means["label_iou"] == 1.0
     assert means["epe_transform_all"] == pytest.approx(0.0, abs=1e-15)
     assert means["epe_transform_dominant"] == pytest.approx(0.0, abs=1e-15)
@@ -46,19 +38,19 @@ def test_the_truth_scores_full_marks(boxes):
     assert means["assigned_parts"] == 1.0
     assert means["type_accuracy"] == 100.0
     assert means["reconstruction_iou"] == 1.0
-    assert [(line["joint"], line["kind"]) for line in result["joint_lines"]] == [
+    assert [(line.joint, line.kind) for line in result.joint_lines] == [
         (0, "revolute"),
         (1, "prismatic"),
     ]
-    for line in result["joint_lines"]:
-        assert line["slope"] == pytest.approx(1.0)
-        assert line["residual"] == pytest.approx(0.0, abs=1e-12)
-        assert line["predicted"] == line["states"] == 6
+    for line in result.joint_lines:
+        assert line.slope == pytest.approx(1.0)
+        assert line.residual == pytest.approx(0.0, abs=1e-12)
+        assert line.predicted == line.states == 6
     limits = {name: value for name, value in means.items() if "_below_" in name}
     assert len(limits) == 5 + 4 + 5 + 4 + 5
     assert set(limits.values()) == {100.0}
-    assert result["labels"] == result["dominant"] == [0, 1, 2]
-    assert (result["objects"], result["instances"]) == (2, 6)
+    assert result.labels == result.dominant == (0, 1, 2)
+    assert (result.objects, result.instances) == (2, 6)
     assert seen == ["box-0", "box-1", "box-2", "box-3"]
 
 
@@ -66,14 +58,12 @@ def test_nothing_predicted_counts_as_failed(boxes):
     def nothing(instance):
         empty, found = np.zeros((0, 3, 3)), exactly(instance)
         nowhere = np.zeros_like(found.occupied)
-        return dataclasses.replace(
-            found, triangles=empty, part=np.zeros(0, int), whole=empty, occupied=nowhere
-        )
+        return replace(found, triangles=empty, part=np.zeros(0, int), whole=empty, occupied=nowhere)
 
     result = evaluate(boxes, nothing, FEW)
-    means = result["means"]
+    means = result.means
     assert means["reconstruction_iou"] == 0.0
-    assert {line["slope"] for line in result["joint_lines"]} == {None}
+    assert {line.slope for line in result.joint_lines} == {None}
     assert means["label_iou"] == means["f_score"] == means["type_accuracy"] == 0.0
     assert means["no_surface"] == 1.0
     assert means["epe_joint_all"] == means["epe_transform_all"] == means["epe_nothing_moves"]
@@ -83,11 +73,14 @@ def test_nothing_predicted_counts_as_failed(boxes):
 def test_an_axis_that_points_the_other_way_is_as_good(boxes):
     def flipped(instance):
         found = truth(instance)
-        return dataclasses.replace(found, state=-found.state, direction=-found.direction)
+        flipped = replace(
+            found.joints, state=-found.joints.state, direction=-found.joints.direction
+        )
+        return replace(found, joints=flipped)
 
     result = evaluate(boxes, flipped, FEW)
-    means = result["means"]
-    assert [line["slope"] for line in result["joint_lines"]] == pytest.approx([-1.0, -1.0])
+    means = result.means
+    assert [line.slope for line in result.joint_lines] == pytest.approx([-1.0, -1.0])
     assert means["revolute_state_below_5"] == means["prismatic_state_below_0.025"] == 100.0
     assert means["revolute_direction_below_5"] == 100.0
 
@@ -95,10 +88,11 @@ def test_an_axis_that_points_the_other_way_is_as_good(boxes):
 def test_an_axis_beside_the_true_one_costs_its_distance(boxes):
     def beside(instance):
         found = truth(instance)
-        across = np.cross(found.direction, [0.0, 0.0, 1.0])
-        return dataclasses.replace(found, pivot=found.pivot + 0.07 * across)
+        across = np.cross(found.joints.direction, [0.0, 0.0, 1.0])
+        beside = replace(found.joints, pivot=found.joints.pivot + 0.07 * across)
+        return replace(found, joints=beside)
 
-    means = evaluate(boxes, beside, FEW)["means"]
+    means = evaluate(boxes, beside, FEW).means
     assert means["revolute_axis_below_0.05"] == 0.0
     assert means["revolute_axis_below_0.1"] == 100.0
     assert means["revolute_state_below_5"] == 100.0
@@ -114,23 +108,35 @@ def test_two_parts_for_one_label_are_not_one(boxes):
         def more(values):
             return np.concatenate([values, values[1:2]])
 
-        return dataclasses.replace(
+        return replace(
             found,
             part=np.where(second, 3, found.part),
-            kind=more(found.kind),
-            state=more(found.state),
-            pivot=more(found.pivot),
-            direction=more(found.direction),
+            parts=4,
             T_part=more(found.T_part),
+            joints=PartJoints(*(more(values) for values in vars(found.joints).values())),
         )
 
     result = evaluate(boxes, halved, FEW)
-    assert result["labels"] == [0, 1, 2, 1]
-    assert sorted(result["dominant"]) == [-1, 0, 1, 2]
-    assert result["means"]["label_iou"] == 1.0
-    assert result["means"]["assigned_parts"] == 1.5
-    assert result["means"]["revolute_state_below_5"] == 0.0
-    assert result["means"]["epe_transform_all"] == pytest.approx(0.0, abs=1e-15)
+    assert result.labels == (0, 1, 2, 1)
+    assert sorted(result.dominant) == [-1, 0, 1, 2]
+    assert result.means["label_iou"] == 1.0
+    assert result.means["assigned_parts"] == 1.5
+    assert result.means["revolute_state_below_5"] == 0.0
+    assert result.means["epe_transform_all"] == pytest.approx(0.0, abs=1e-15)
+
+
+def test_a_method_without_joints_has_no_numbers_of_joints(boxes):
+    """Labels and surfaces are measured as ever; the rest is not made up."""
+    full = evaluate(boxes, exactly, FEW)
+    segments = evaluate(boxes, lambda i: replace(exactly(i), joints=None, T_part=None), FEW)
+    shape = {"label_iou", "reconstruction_iou", "chamfer_l1", "f_score", "no_surface"}
+    assert set(segments.means) == shape | {"epe_nothing_moves"}
+    assert segments.means == {name: full.means[name] for name in segments.means}
+    assert segments.joint_states == segments.joint_lines == segments.joint_errors == ()
+    assert (segments.labels, segments.votes) == (full.labels, full.votes)
+    motions = evaluate(boxes, lambda i: replace(exactly(i), joints=None), FEW)
+    assert motions.means["epe_transform_all"] == pytest.approx(0.0, abs=1e-15)
+    assert not any(name.startswith(("epe_joint", "assigned")) for name in motions.means)
 
 
 def test_all_poses_can_vote(boxes):
@@ -152,29 +158,3 @@ def test_a_data_set_without_test_objects_is_refused(tmp_path):
     data = write_boxes(tmp_path / "boxes", train=1, test=0, states=1)
     with pytest.raises(CorruptShard, match="has no object in split 'test'"):
         evaluate(data, truth, FEW)
-
-
-@pytest.mark.parametrize("part_frame", ["world", "joint"])
-def test_a_model_s_surfaces_lie_where_its_field_is_zero(part_frame):
-    torch.manual_seed(1)
-    model = PPD(ModelSettings(part_frame=part_frame, coordinate_bound=1 / 3)).eval()
-    (instance,) = hinged_box([(0.3, 0.1)])
-    cloud = dequantize(instance.surface_points)
-    middling = np.median(part_logits(model, predict(model, cloud), 16).max(0))
-    with torch.no_grad():  # F^{s,z} is halved by the common field, so half of the cube gets free
-        model.shape.head_2.bias[8:] -= 2.0 * middling
-    found = reconstruct(model, cloud, 16)
-    assert len(found.whole)
-    assert len(set(found.part.tolist())) > 1
-    # A surface of the whole is the surface of some part, to within the grid's error.
-    middle = found.whole.mean(1)[::20]
-    assert distance(middle, found.triangles).max() < 1 / 16
-    # A voxel is occupied where the field of any part is above 0 at its centre.
-    logits = part_logits(model, predict(model, cloud), 16)
-    assert 0.1 < found.occupied.mean() < 0.9
-    np.testing.assert_array_equal(found.occupied, (logits > 0).any(0))
-    # T_part is what `fields` undoes.
-    pose = model(torch.as_tensor(cloud, dtype=torch.float32)[None]).pose
-    local = model.motion(pose).apply(torch.tensor([[[0.1, 0.2, 0.3]]]))[0, :, 0].detach().numpy()
-    for i in range(8):
-        np.testing.assert_allclose(apply(found.T_part[i], local[i]), [0.1, 0.2, 0.3], atol=1e-5)

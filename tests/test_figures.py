@@ -5,32 +5,35 @@ import dataclasses
 import numpy as np
 import pytest
 from instances import LOWER, UPPER, hinged_box
+from ppd_data import write_boxes
 from shapes import box
 
-pytest.importorskip("torch", reason="PPD needs torch")
 pytest.importorskip("matplotlib", reason="figures need matplotlib")
 
-import torch
 from PIL import Image
 
 from articugen.geometry import apply
 from articugen.inspection.layout import CAPTION, MARGIN, TILE
 from articugen.inspection.portrait import COLOURS
+from articugen.learning.evaluation.evaluate import objects_of
 from articugen.learning.evaluation.figures import plots
 from articugen.learning.evaluation.figures.colours import UNNAMED, part_colours
-from articugen.learning.evaluation.figures.draw import cutting_plane
-from articugen.learning.evaluation.figures.shapes import Names, between, by_opening, reconstructions
-from articugen.learning.ppd import reconstruct
-from articugen.learning.ppd.model import PPD
-from articugen.learning.ppd.settings import ModelSettings
-from articugen.learning.runs import RunFolder
+from articugen.learning.evaluation.figures.draw import Drawable, cutting_plane, draw_figures
+from articugen.learning.evaluation.figures.shapes import Names, by_opening, reconstructions
+from articugen.learning.evaluation.reconstruction import Reconstruction, truth
+from articugen.learning.evaluation.results import (
+    Evaluation,
+    JointError,
+    JointLine,
+    JointState,
+)
 from articugen.records import Instance, Normalization, dequantize
 
 NAMES = Names([0, 1, 2], [0, 1, 2])
 FROM_ABOVE = float(np.radians(35.0))
 
 
-def solid_truth(instance: Instance) -> reconstruct.Reconstruction:
+def solid_truth(instance: Instance) -> Reconstruction:
     """The true boxes as a prediction, as triangles and not as points."""
     unit = Normalization(instance.center, instance.scale)
     triangles, part = [], []
@@ -39,7 +42,7 @@ def solid_truth(instance: Instance) -> reconstruct.Reconstruction:
         triangles.append(apply(instance.part_motion[k], corners))
         part += [k] * len(corners)
     whole = np.concatenate(triangles)
-    found = reconstruct.truth(instance)
+    found = truth(instance)
     return dataclasses.replace(found, triangles=whole, part=np.array(part), whole=whole)
 
 
@@ -72,7 +75,7 @@ def test_nothing_predicted_is_drawn_as_nothing():
     def nothing(instance):
         empty = np.zeros((0, 3, 3))
         return dataclasses.replace(
-            reconstruct.truth(instance), triangles=empty, part=np.zeros(0, int), whole=empty
+            truth(instance), triangles=empty, part=np.zeros(0, int), whole=empty
         )
 
     none = Names([-1, -1, -1], [-1, -1, -1])
@@ -134,20 +137,19 @@ def test_the_cut_shows_how_the_first_joint_moves():
 
 
 def test_curves_are_those_of_the_metrics_file(tmp_path):
-    run = RunFolder(tmp_path)
-    for iteration in (10, 20, 30):
-        terms = {"rec": 1.0 / iteration, "vol": 0.0}
-        stage = int(iteration > 20)
-        run.log({"iteration": iteration, "stage": stage, "terms": terms})
-    run.log({"iteration": 30, "validation": {"rec": 0.5, "iou": 0.25}})
-    panels, borders = plots.curve_panels(run.metrics())
+    metrics = [
+        {"iteration": i, "stage": int(i > 20), "terms": {"rec": 1.0 / i, "vol": 0.0}}
+        for i in (10, 20, 30)
+    ]
+    metrics.append({"iteration": 30, "validation": {"rec": 0.5, "iou": 0.25}})
+    panels, borders = plots.curve_panels(metrics)
     assert borders == [20]
-    assert panels[0] == ("$L_{rec}$", [10, 20, 30], [0.1, 0.05, 1.0 / 30.0], True)
+    assert panels[0] == ("rec", [10, 20, 30], [0.1, 0.05, 1.0 / 30.0], True)
     assert panels[2:] == [
-        ("held-out cross-entropy", [30], [0.5], False), ("held-out IoU", [30], [0.25], False)
+        ("held-out rec", [30], [0.5], False), ("held-out iou", [30], [0.25], False)
     ]  # fmt: skip
-    for metrics in (run.metrics(), []):
-        plots.curves(metrics, tmp_path / "curves.png")
+    for some in (metrics, []):
+        plots.curves(some, tmp_path / "curves.png", {"rec": "$L_{rec}$"})
         assert pixels_of(tmp_path / "curves.png").min() < 128
 
 
@@ -165,51 +167,32 @@ def test_what_failed_is_never_right():
 
 
 def test_joints_are_drawn_even_if_all_failed(tmp_path):
-    state = {"object": "a", "state_index": 1, "joint": 0, "kind": "revolute", "true": 0.3}
-    error = {**state, "state": None, "direction": None, "axis": None}
-    line = {"joint": 0, "kind": "revolute", "slope": None}
-    result = {
-        "joint_states": [{**state, "predicted": None}],
-        "joint_lines": [line],
-        "joint_errors": [error],
-    }
+    which = {"object": "a", "state_index": 1, "joint": 0, "kind": "revolute"}
+    fit = {"slope": None, "offset": None, "residual": None}
+    result = Evaluation(
+        means={}, votes=(), labels=(0, -1), dominant=(0, -1), objects=1, instances=1,
+        joint_states=(JointState(**which, true=0.3, predicted=None),),
+        joint_lines=(JointLine(joint=0, kind="revolute", states=1, predicted=0, **fit),),
+        joint_errors=(JointError(**which, state=None, direction=None, axis=None),),
+    )  # fmt: skip
     plots.joints(result, COLOURS, tmp_path / "joints.png")
     assert pixels_of(tmp_path / "joints.png").min() < 128
 
 
-def test_interpolation_holds_what_it_holds():
-    torch.manual_seed(0)
-    model = PPD(ModelSettings()).eval()
-    clouds = [dequantize(i.surface_points) for i in hinged_box()]
-    shapes, states = between(model, (clouds[0], clouds[2]), (clouds[1], clouds[3]), True)
-    one, other, low, high = (
-        reconstruct.predict(model, clouds[i]) for i in (0, 2, 1, 3)
-    )  # fmt: skip
-    torch.testing.assert_close(shapes[0].shape.detail, one.shape.detail)
-    torch.testing.assert_close(shapes[-1].shape.detail, other.shape.detail)
-    assert not torch.equal(shapes[2].shape.detail, one.shape.detail)
-    for prediction in shapes:
-        torch.testing.assert_close(prediction.pose.state, one.pose.state)
-    torch.testing.assert_close(states[0].pose.state, low.pose.state)
-    torch.testing.assert_close(states[-1].pose.state, high.pose.state)
-    for prediction in states:
-        torch.testing.assert_close(prediction.shape.detail, one.shape.detail)
+def test_a_method_that_only_segments_is_drawn_as_far_as_it_goes(tmp_path):
+    """Without joints, fields or interpolations: its curves and shapes, without question marks."""
+    data = write_boxes(tmp_path / "boxes", train=1, test=1, states=1)
+    (objects,) = objects_of(data, "test", None)
 
+    def segments(cloud):
+        one = min(objects, key=lambda i: np.abs(dequantize(i.surface_points) - cloud).max())
+        return dataclasses.replace(solid_truth(one), joints=None, T_part=None)
 
-def test_a_fine_grid_need_only_be_evaluated_near_surfaces(monkeypatch):
-    asked = []
-
-    def balls(_model, _predicted, points):
-        asked.append(len(points))
-        p = points.double().numpy()
-        at = [[0.0, 0.1, 0.0], [0.2, -0.2, 0.1]]
-        return np.stack([20.0 * (0.2 - np.linalg.norm(p - c, axis=1)) for c in at])
-
-    monkeypatch.setattr(reconstruct, "logits_at", balls)
-    monkeypatch.setattr(reconstruct, "_DENSE", 16)
-    fine = reconstruct._meshes(reconstruct.part_logits(None, None, 32))
-    assert sum(asked) < 0.5 * 32**3
-    monkeypatch.setattr(reconstruct, "_DENSE", 17)
-    dense = reconstruct._meshes(reconstruct.part_logits(None, None, 32))
-    for a, b in zip([*fine[0], fine[1]], [*dense[0], dense[1]], strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-9)
+    result = Evaluation(
+        means={}, votes=(), labels=(0, 1, 2), dominant=(0, 1, 2), objects=1, instances=1
+    )
+    drawn = [p.name for p in draw_figures(tmp_path, [], data, Drawable(segments), result)]
+    assert drawn == ["curves.png", "reconstructions.png"]
+    picture = pixels_of(tmp_path / "reconstructions.png")
+    *_, last_caption = (row for row in np.array_split(picture[:-MARGIN], len(picture) // CAPTION))
+    assert last_caption.min() > 200

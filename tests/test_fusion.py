@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from articugen.fusion.field import Field, fuse
+from articugen.fusion.field import FusedField, fuse
 from articugen.geometry import rotation_about, transform, voxel_centres
 from articugen.recipe import Fusion
 from articugen.records import DepthMaps, Views
@@ -24,7 +24,7 @@ from tests.shapes import (
 SEEN, MEAN = Fusion(), Fusion(rule="mean")
 
 
-def field_of(*meshes: trimesh.Trimesh, settings: Fusion = SEEN, **views) -> Field:
+def field_of(*meshes: trimesh.Trimesh, settings: Fusion = SEEN, **views) -> FusedField:
     mesh = labelled(*meshes)
     return fuse(render(mesh, views_of(mesh, **views)), mesh, settings)
 

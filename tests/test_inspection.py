@@ -19,19 +19,19 @@ from articugen.inspection.camera import framed
 from articugen.inspection.cells import cells_of, near
 from articugen.inspection.contact_sheet import contact_sheet
 from articugen.inspection.layout import CAPTION, MARGIN, TILE, Row, sheet
-from articugen.inspection.light import Cloud, occlusion, occlusion_in_detail
+from articugen.inspection.light import SurfaceCloud, occlusion, occlusion_in_detail
 from articugen.inspection.portrait import COLOURS, colour_of
 from articugen.inspection.shading import PAPER
 from articugen.inspection.summary import histogram, shards_of, summary
-from articugen.inspection.surfels import Sample, draw, surfels
+from articugen.inspection.surfels import OrientedPoints, draw, surfels
 from articugen.inspection.tables import duration, size
 from articugen.recipe import Recipe
 from articugen.records import Instance
 from articugen.store.shards import write_shard
 
 
-def one_part(points: np.ndarray, normals: np.ndarray) -> Sample:
-    return Sample(points, normals, np.zeros(len(points), np.uint8))
+def one_part(points: np.ndarray, normals: np.ndarray) -> OrientedPoints:
+    return OrientedPoints(points, normals, np.zeros(len(points), np.uint8))
 
 
 def sphere(radius: float, count: int = 6000, seed: int = 0):
@@ -147,7 +147,9 @@ def test_more_samples_make_smaller_discs_where_they_cover() -> None:
 def test_discs_move_with_their_parts() -> None:
     points, normals = cube(0.2)
     parts = np.repeat(np.arange(2, dtype=np.uint8), 3000)
-    at_rest = Sample(points + 0.25 * parts[:, None] * np.array([1.0, 0.0, 0.0]), normals, parts)
+    at_rest = OrientedPoints(
+        points + 0.25 * parts[:, None] * np.array([1.0, 0.0, 0.0]), normals, parts
+    )
     T_part = np.stack([np.eye(4), transform(rotation_about((0, 0, 1), 0.7), (0.1, 0.0, 0.2))])
     posed = at_rest.moved(T_part)
     back = posed.moved(invert_rigid(T_part))
@@ -174,8 +176,8 @@ def test_cells_find_what_is_near(count: int, side: float, reach: float, seed: in
     assert sorted(have.tolist()) == want.tolist()
 
 
-def cloud(points: np.ndarray, normals: np.ndarray, area: float) -> Cloud:
-    return Cloud(points, normals, np.full(len(points), area / len(points)))
+def cloud(points: np.ndarray, normals: np.ndarray, area: float) -> SurfaceCloud:
+    return SurfaceCloud(points, normals, np.full(len(points), area / len(points)))
 
 
 def test_a_sphere_hides_nothing_of_its_own_sky_and_its_share_of_others() -> None:
@@ -197,7 +199,7 @@ def test_even_directions_light_evenly() -> None:
     assert occlusion_in_detail(0.5 * normals, normals, ball, ball).max() < 0.01
 
 
-def open_box(count: int, seed: int) -> Cloud:
+def open_box(count: int, seed: int) -> SurfaceCloud:
     points, normals = cube(0.3, count, seed)
     kept = points[:, 2] < 0.3
     return cloud(points[kept], -normals[kept], 5 * 0.6**2)
@@ -312,7 +314,7 @@ def test_discs_of_a_thin_plate_stay_within_it() -> None:
     inner[:, 1], inner[:, 0] = -0.29, rng.uniform(-0.08, -0.006, 300)
     normals = np.concatenate([np.tile((1.0, 0.0, 0.0), (4000, 1)), np.tile((0, 1.0, 0), (300, 1))])
     part = np.repeat(np.array([0, 1], np.uint8), (4000, 300))
-    discs = surfels([Sample(np.concatenate([outer, inner]), normals, part)])
+    discs = surfels([OrientedPoints(np.concatenate([outer, inner]), normals, part)])
     camera = framed(discs.points, np.pi / 5, 0.2, 192, fill=0.8)
     depth, _, values = draw(discs, discs.part[:, None].astype(float), camera)
     at = camera.eye + depth[..., None] * camera.rays

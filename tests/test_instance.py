@@ -4,10 +4,12 @@ The truth of a point: it is inside where an exact solid holds it, or where no ra
 any of the fused views gets free (`Truth.enclosed`): what nobody can see is inside in both.
 """
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,13 +23,18 @@ from articugen.recipe import Recipe, Sampling, load_recipe
 from articugen.records import (
     ENCLOSED,
     ArticulatedObject,
+    DepthMaps,
     Floats,
     Instance,
     JointKind,
+    LabelledMesh,
     Normalization,
+    Views,
     dequantize,
     is_material,
 )
+from articugen.rendering import rasterizer
+from articugen.rendering.backends import BACKENDS, Backend
 from articugen.sources import registry
 from articugen.sources.procedural import CATEGORIES
 from articugen.sources.procedural.truth import Truth, load_truth
@@ -428,23 +435,47 @@ def test_surface_points_go_back_to_the_canonical_surface_of_their_part(
 def test_partial_clouds_are_what_a_camera_sees(make: Maker, category: str) -> None:
     """The way to the camera is free, the point is on its part, its pixel's centre is its place."""
     made = make(category, 0)
-    size = made.recipe.sampling.partial_resolution
     for s, instance in enumerate(made.instances):
-        for c, T in enumerate(instance.partial_T_camera_world):
-            points = dequantize(instance.partial_points[c])
-            in_camera = apply(T, points)
-            fx, fy, cx, cy = instance.partial_intrinsics[c]
-            pixel = in_camera[:, :2] / in_camera[:, 2:] * (fx, fy) + (cx, cy)
-            assert (in_camera[:, 2] > 0.5).all()
-            assert ((pixel > 0) & (pixel < size)).all()
-            assert np.abs(pixel % 1.0 - 0.5).max() < 0.01
-            eye = invert_rigid(T)[:3, 3]
-            away = (points - eye) / np.linalg.norm(points - eye, axis=1, keepdims=True)
-            behind = made.holds(s, points + BESIDE * away)
-            part = instance.partial_part[c]
-            assert np.mean(behind[np.arange(len(part)), part]) >= 0.98  # silhouettes graze
-            before = made.holds(s, points - 2 * BESIDE * away)  # rounding counts more where grazed
-            assert np.mean(before.any(axis=1)) <= 0.02
+        check_partial_clouds(made, s, instance)
+
+
+def test_partial_clouds_come_from_the_recipes_backend(
+    make: Maker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also of one that tells no faces: each part is then drawn alone."""
+    made, asked = make("laptop", 0), []
+
+    def render(mesh: LabelledMesh, views: Views) -> DepthMaps:
+        asked.append((views.projection, views.width, len(np.unique(mesh.part_of_face))))
+        return replace(rasterizer.render(mesh, views), face=None)
+
+    monkeypatch.setitem(sys.modules, "depth_alone", SimpleNamespace(render=render))
+    monkeypatch.setitem(BACKENDS, "depth_alone", Backend("depth_alone"))
+    theirs = seen_otherwise(made, backend="depth_alone")
+    asked.clear()
+    check_partial_clouds(made, 1, make_instance(theirs, 1))
+    pixels = made.recipe.sampling.partial_resolution
+    assert asked.count(("pinhole", pixels, 1)) == made.obj.part_count
+    assert len(asked) == made.obj.part_count + 1
+
+
+def check_partial_clouds(made: Made, s: int, instance: Instance) -> None:
+    size = made.recipe.sampling.partial_resolution
+    for c, T in enumerate(instance.partial_T_camera_world):
+        points = dequantize(instance.partial_points[c])
+        in_camera = apply(T, points)
+        fx, fy, cx, cy = instance.partial_intrinsics[c]
+        pixel = in_camera[:, :2] / in_camera[:, 2:] * (fx, fy) + (cx, cy)
+        assert (in_camera[:, 2] > 0.5).all()
+        assert ((pixel > 0) & (pixel < size)).all()
+        assert np.abs(pixel % 1.0 - 0.5).max() < 0.01
+        eye = invert_rigid(T)[:3, 3]
+        away = (points - eye) / np.linalg.norm(points - eye, axis=1, keepdims=True)
+        behind = made.holds(s, points + BESIDE * away)
+        part = instance.partial_part[c]
+        assert np.mean(behind[np.arange(len(part)), part]) >= 0.98  # silhouettes graze
+        before = made.holds(s, points - 2 * BESIDE * away)  # rounding counts more where grazed
+        assert np.mean(before.any(axis=1)) <= 0.02
 
 
 # --- motion and frame

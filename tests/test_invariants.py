@@ -13,7 +13,7 @@ from test_manifest import STATES
 from articugen.geometry import voxel_centres
 from articugen.recipe import Recipe, Sampling
 from articugen.records import Instance, dequantize, quantize
-from articugen.verify import invariants
+from articugen.verify import bounds, exact, invariants, sampled
 from tests.benchmarks.soundness import made_sets
 
 ROWS = hinged_box()
@@ -33,10 +33,10 @@ RICH_ROWS = hinged_box(recipe=RICH)
 COVERED = RICH.model_copy(update={"sampling": RICH.sampling.model_copy(update={"coverage": True})})
 CHECKS = {
     "flow",
-    *invariants.VALUE_CHECKS,
-    *invariants.GEOMETRY_CHECKS,
-    *invariants.SHARE_CHECKS,
-    *invariants.OBJECT_CHECKS,
+    *exact.VALUE_CHECKS,
+    *exact.GEOMETRY_CHECKS,
+    *sampled.SHARE_CHECKS,
+    *exact.OBJECT_CHECKS,
 }
 
 
@@ -333,7 +333,7 @@ def _with_enclosed(row: Instance) -> Instance:
 
     def relabelled(points, label):
         flat = points.reshape(-1, 3)
-        far = (invariants._nearest(surface, flat, 0.03) < 0) & (np.abs(flat) < 0.4).all(axis=1)
+        far = (sampled._nearest(surface, flat, 0.03) < 0) & (np.abs(flat) < 0.4).all(axis=1)
         return np.where((label == 0) & far.reshape(label.shape), 255, label).astype(np.uint8)
 
     queries = {
@@ -364,12 +364,19 @@ def test_every_check_has_a_fault():
 # How sure a share must be.
 
 
+def test_tolerances_leave_room_for_what_is_sound():
+    for tolerance in bounds.TOLERANCES.values():
+        assert 0.0 <= tolerance.sound < tolerance.most
+        assert not tolerance.exceeded_by(tolerance.sound)
+        assert tolerance.exceeded_by([0.0, 1.01 * tolerance.most]).tolist() == [False, True]
+
+
 def test_bounds_lie_between_what_is_sound_and_what_is_not():
-    for bound in invariants.BOUNDS.values():
+    for bound in bounds.BOUNDS.values():
         assert bound.faulty < bound.least < bound.sound
     used = set()
     for what, (check, _) in FAULTS.items():
-        if check in invariants.SHARE_CHECKS or check == "flow":
+        if check in sampled.SHARE_CHECKS or check == "flow":
             recipe, rows = harmed(what)
             tell = [
                 share
@@ -377,26 +384,26 @@ def test_bounds_lie_between_what_is_sound_and_what_is_not():
                 if (state, c) == (2, check) and share.is_refused
             ]
             used |= {s.bound for s in tell}
-            assert any(s.agree / s.judged <= invariants.BOUNDS[s.bound].faulty for s in tell), what
-    assert used == set(invariants.BOUNDS)
+            assert any(s.agree / s.judged <= bounds.BOUNDS[s.bound].faulty for s in tell), what
+    assert used == set(bounds.BOUNDS)
 
 
-@pytest.mark.parametrize("name", invariants.BOUNDS)
+@pytest.mark.parametrize("name", bounds.BOUNDS)
 def test_chance_alone_refuses_no_sound_share(name):
     """The exact binomial distribution, of as many draws as count as independent ones."""
-    bound = invariants.BOUNDS[name]
+    bound = bounds.BOUNDS[name]
     for draws in (1, 5, 10, 20, 50, 200, 1000):
         refused = [k for k in range(draws) if bound.refuses(k * bound.per, draws * bound.per)]
         assert refused == list(range(len(refused)))  # the fewer agree, the surer
         p = bound.least
         tail = sum(math.comb(draws, k) * p**k * (1.0 - p) ** (draws - k) for k in refused)
-        assert tail <= invariants.CHANCE
+        assert tail <= bounds.CHANCE
         assert refused or draws <= 20
 
 
-@pytest.mark.parametrize("name", invariants.BOUNDS)
+@pytest.mark.parametrize("name", bounds.BOUNDS)
 def test_enough_places_tell_a_fault_but_few_do_not(name):
-    bound = invariants.BOUNDS[name]
+    bound = bounds.BOUNDS[name]
     few, enough = 8 * bound.per, 1000 * bound.per
     assert not bound.refuses(0, few)
     assert not bound.refuses(0, 0)
@@ -434,7 +441,7 @@ def test_nearest_is_the_nearest(seed, many, few, radius):
     if many:
         found = distance.min(axis=1) <= radius
         expected[found] = distance.argmin(axis=1)[found]
-    np.testing.assert_array_equal(invariants._nearest(points, queries, radius), expected)
+    np.testing.assert_array_equal(sampled._nearest(points, queries, radius), expected)
 
 
 def test_labels_about_a_point_are_those_of_the_eight_nearest_voxels():
@@ -442,7 +449,7 @@ def test_labels_about_a_point_are_those_of_the_eight_nearest_voxels():
     grid = rng.integers(0, 5, (7, 7, 7)).astype(np.uint8)
     points = rng.random((50, 3)) - 0.5
     at = (np.arange(7) + 0.5) / 7 - 0.5
-    for point, labels in zip(points, invariants._about(grid, points), strict=True):
+    for point, labels in zip(points, sampled._about(grid, points), strict=True):
         if (np.abs(point) > at[-1]).any():
             continue
         near = [np.argsort(np.abs(at - p))[:2] for p in point]

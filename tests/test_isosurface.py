@@ -4,12 +4,10 @@ import trimesh
 
 from articugen.errors import RejectedInstance
 from articugen.fusion.field import fuse
+from articugen.fusion.isosurface import extract_mesh
 from articugen.recipe import Fusion
 from articugen.rendering.rasterizer import render
 from tests.shapes import box, labelled, rotated, views_of
-
-pytest.importorskip("skimage", reason="the extra mesh (scikit-image) is not installed")
-from articugen.fusion.isosurface import extract_mesh
 
 
 def field_of(*meshes):

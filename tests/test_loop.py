@@ -3,51 +3,55 @@
 import json
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from ppd_data import write_boxes
 
 from articugen.errors import InvalidCheckpoint, InvalidRecipe, TrainingDiverged
+from articugen.learning.method import load_recipe
 from articugen.learning.ppd.settings import (
-    DataSettings,
     LossSettings,
     ModelSettings,
-    Schedule,
-    Stage,
-    TrainRecipe,
-    load_train_recipe,
+    PPDRecipe,
+    PPDSchedule,
+    PPDStage,
 )
+from articugen.learning.recipe import DataSettings
 from articugen.recipe_files import known
 from articugen.store.shards import open_shard, write_shard
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from articugen.learning.dataset import load_split  # noqa: E402
+from articugen.learning.dataset import BatchSpec, load_split  # noqa: E402
 from articugen.learning.loop import batch_rows, split_objects, train  # noqa: E402
 from articugen.learning.ppd import losses, objective  # noqa: E402
 from articugen.learning.ppd.discriminator import Discriminator  # noqa: E402
 from articugen.learning.ppd.model import PPD  # noqa: E402
 from articugen.learning.runs import BEST, LATEST, METRICS, RunFolder, read_checkpoint  # noqa: E402
+from articugen.learning.tensors import digest  # noqa: E402
 
 torch.set_num_threads(1)
 
-TINY = TrainRecipe(
+TINY = PPDRecipe(
     name="tiny",
     data=DataSettings(surface_points=400, grid_points=150, near_points=50, validation_objects=1),
-    schedule=Schedule(
+    schedule=PPDSchedule(
         batch=3,
         learning_rate=1e-3,
         final_learning_rate=1e-4,
         stages=(
-            Stage(resolution=8, iterations=3),
-            Stage(resolution=16, iterations=2, residual_direction=True),
+            PPDStage(resolution=8, iterations=3),
+            PPDStage(resolution=16, iterations=2, residual_direction=True),
         ),
         log_every=1,
         validate_every=3,
         save_every=100,
     ),
 )
+
+SPEC = BatchSpec.of(TINY.data)
 
 
 @pytest.fixture(scope="module")
@@ -79,9 +83,9 @@ def test_an_object_whose_coarse_grids_are_empty_is_trained_on(tmp_path):
         none = {r: np.zeros((r,) * 3, np.uint8) for r in (8, 16)}
         thin = [replace(row, occupancy=dict(row.occupancy) | none) for row in rows]
         write_shard(path, thin, about)
-    packed = load_split(folder, "train", TINY.data, [8, 16])
+    packed = load_split(folder, "train", SPEC, [8, 16])
     for resolution in (8, 16):
-        batch = packed.batch([0, 4, 8], TINY.data, resolution, torch.Generator().manual_seed(0))
+        batch = packed.batch([0, 4, 8], SPEC, resolution, torch.Generator().manual_seed(0))
         assert (batch.occupied[:, : batch.spread].sum(1) > 2).all()
     run = start(folder, tmp_path / "runs")
     told = [record["terms"] for record in run.metrics() if record.get("terms")]
@@ -90,7 +94,7 @@ def test_an_object_whose_coarse_grids_are_empty_is_trained_on(tmp_path):
 
 
 def test_the_paper_s_recipe_has_the_paper_s_numbers():
-    recipe = load_train_recipe("ppd_paper")
+    recipe = load_recipe("ppd_paper")
     weigh, plan = recipe.losses, recipe.schedule
     assert (weigh.rec, weigh.rec_common, weigh.dev, weigh.var_state) == (0.01, 0.001, 0.1, 0.1)
     assert (weigh.loc, weigh.var_pivot, weigh.vol) == (100, 0.01, 1000)
@@ -106,19 +110,19 @@ def test_the_paper_s_recipe_has_the_paper_s_numbers():
 
 
 def test_the_paper_s_text_is_the_default():
-    paper = load_train_recipe("ppd_paper")
-    assert paper.sha256() == TrainRecipe(name="default").sha256()
+    paper = load_recipe("ppd_paper")
+    assert paper.sha256() == PPDRecipe(name="default").sha256()
 
 
 @pytest.mark.parametrize("name", known(learner=True))
 def test_every_recipe_is_a_valid_one(name):
-    recipe = load_train_recipe(name)
+    recipe = load_recipe(name)
     assert recipe.name == name
     assert recipe.seeds.count == 1 or recipe.data.validation_objects
 
 
 def test_recipes_extend_one_another():
-    quick, release = load_train_recipe("ppd_quick"), load_train_recipe("ppd_release")
+    quick, release = load_recipe("ppd_quick"), load_recipe("ppd_release")
     assert quick.losses.loc_form == release.losses.loc_form == "release"
     assert quick.losses.adv_g == 0.0
     assert release.losses.adv_d == 3.25
@@ -142,7 +146,7 @@ def test_bad_recipes_are_refused_in_one_sentence(tmp_path, text, said):
     path = tmp_path / "mine.yaml"
     path.write_text(text)
     with pytest.raises(InvalidRecipe, match=said):
-        load_train_recipe(path)
+        load_recipe(path)
 
 
 def test_a_run_leaves_what_one_needs_to_trust_it(whole):
@@ -154,12 +158,12 @@ def test_a_run_leaves_what_one_needs_to_trust_it(whole):
     terms = whole.metrics()[0]["terms"]
     assert set(terms) == {
         "rec", "rec_common", "vol", "vq", "dev", "loc", "var_state", "var_pivot", "adv_g",
-        "critic", "gradient_penalty",
+        "adv_d", "gradient_penalty",
     }  # fmt: skip
     last = read_checkpoint(whole.path / LATEST)
     assert last.iteration == 5
     assert read_checkpoint(whole.path / BEST).best == last.best < math.inf
-    assert not last.generator().training
+    assert last.learner().state().keys() == last.state.keys()
 
 
 def test_runs_are_numbered_and_told_of(boxes, tmp_path):
@@ -179,10 +183,7 @@ def test_stop_and_resume_gives_the_same_curve_and_weights(boxes, tmp_path, whole
     resumed = start(boxes, tmp_path / "part", resume=part.path)
     assert curve(resumed) == curve(whole)
     one, two = (read_checkpoint(run.path / LATEST) for run in (whole, resumed))
-    for name, value in one.model.items():
-        assert torch.equal(value, two.model[name]), name
-    for name, value in one.critic.items():
-        assert torch.equal(value, two.critic[name]), name
+    assert digest(one.state) == digest(two.state)
 
 
 def test_the_seed_decides(boxes, tmp_path):
@@ -228,27 +229,27 @@ def test_validation_holds_objects_out_of_training():
 
 
 def test_an_epoch_visits_each_instance_once():
-    rows = [row for iteration in range(10) for row in batch_rows(iteration, 4, 10, seed=0)]
+    rows = [row for iteration in range(10) for row in batch_rows(iteration, 4, 10, 0, "ppd")]
     for epoch in range(4):
         assert sorted(rows[10 * epoch : 10 * epoch + 10]) == list(range(10))
     assert rows[:10] != rows[10:20]
 
 
 def test_each_loss_can_be_switched_off(boxes):
-    data = load_split(boxes, "train", TINY.data, [8])
-    batch = data.batch([0, 1, 2], TINY.data, 8, torch.Generator().manual_seed(0))
+    data = load_split(boxes, "train", SPEC, [8])
+    batch = data.batch([0, 1, 2], SPEC, 8, torch.Generator().manual_seed(0))
     names = {
         "rec_common": "rec_common", "vol": "vol", "vq": "vq", "dev": "dev", "loc": "loc",
         "var_state": "var_state", "var_pivot": "var_pivot", "adv_g": "adv_g",
     }  # fmt: skip
-    model, critic = PPD(ModelSettings()), Discriminator()
+    model, discriminator = PPD(ModelSettings()), Discriminator()
     for setting, term in names.items():
         for weight in (1.0, 0.0):
             weigh = LossSettings(**{setting: weight})
             predicted = model(batch.cloud)
             rng = torch.Generator().manual_seed(0)
             posed = objective.random_pose(model, predicted, batch, weigh, rng)
-            terms = objective.generator_terms(model, predicted, batch, weigh, critic, posed)
+            terms = objective.generator_terms(model, predicted, batch, weigh, discriminator, posed)
             assert (term in terms) == (weight > 0)
 
 
@@ -258,10 +259,10 @@ def test_the_unmoved_volume_s_shortcut_is_exact(boxes, of):
     model = PPD(ModelSettings()).double()
     with torch.no_grad():
         model.shape.head_2.bias[8:] -= 0.05  # so that only some points are inside
-    data = load_split(boxes, "train", TINY.data, [8])
-    batch = data.batch([0, 1, 2], TINY.data, 8, torch.Generator().manual_seed(0))
+    data = load_split(boxes, "train", SPEC, [8])
+    batch = data.batch([0, 1, 2], SPEC, 8, torch.Generator().manual_seed(0))
     points = batch.points.double()
-    batch = objective.Batch(batch.cloud.double(), points, batch.occupied, batch.spread)
+    batch = replace(batch, cloud=batch.cloud.double(), points=points)
     predicted = model(batch.cloud)
     fields = model.fields(predicted.shape, model.motion(predicted.pose), points)
     weigh = LossSettings(vol_logit=of)
@@ -282,18 +283,16 @@ def test_the_unmoved_volume_s_shortcut_is_exact(boxes, of):
 
 def test_the_adversary_s_shortcut_is_exact(boxes):
     torch.manual_seed(0)
-    model, critic = PPD(ModelSettings()).double(), Discriminator().double().eval()
-    data = load_split(boxes, "train", TINY.data, [8])
-    batch = data.batch([0, 1, 2], TINY.data, 8, torch.Generator().manual_seed(0))
-    batch = objective.Batch(
-        batch.cloud.double(), batch.points.double(), batch.occupied, batch.spread
-    )
+    model, discriminator = PPD(ModelSettings()).double(), Discriminator().double().eval()
+    data = load_split(boxes, "train", SPEC, [8])
+    batch = data.batch([0, 1, 2], SPEC, 8, torch.Generator().manual_seed(0))
+    batch = replace(batch, cloud=batch.cloud.double(), points=batch.points.double())
     predicted = model(batch.cloud)
     rng = torch.Generator().manual_seed(0)
     posed = objective.random_pose(model, predicted, batch, LossSettings(), rng)
-    short = objective._adversarial(model, critic, predicted, batch, posed)
+    short = objective._adversarial(model, discriminator, predicted, batch, posed)
     whole = objective._composed(model, predicted, posed.state, batch.points)
-    plain = -critic(torch.cat([batch.points, whole[..., None]], 2)).mean()
+    plain = -discriminator(torch.cat([batch.points, whole[..., None]], 2)).mean()
     torch.testing.assert_close(short, plain)
     left, right = (
         torch.autograd.grad(v, model.parameters(), retain_graph=True, allow_unused=True)
@@ -303,10 +302,38 @@ def test_the_adversary_s_shortcut_is_exact(boxes):
         torch.testing.assert_close(a, b)
 
 
+def test_the_curve_is_the_one_that_was_committed(tmp_path):
+    """Of the paper's recipe, both stages, as the code drew it before learners had a seam of their
+    own. To the last digit on that machine; elsewhere sums are rounded otherwise, and Adam makes
+    more of it with each step."""
+    data = write_boxes(tmp_path / "data", train=4, test=1, states=2)
+    plan = {"batch": 4, "learning_rate": 1e-3, "final_learning_rate": 1e-4, "log_every": 1}
+    plan |= {"validate_every": 4, "save_every": 100}
+    plan["stages"] = [
+        {"resolution": 8, "iterations": 6},
+        {"resolution": 16, "iterations": 5, "residual_direction": True},
+    ]
+    points = {"surface_points": 300, "grid_points": 150, "near_points": 50, "validation_objects": 1}
+    recipe = load_recipe({"extends": "ppd_paper", "data": points, "schedule": plan})
+    drawn = start(data, tmp_path / "runs", recipe).metrics()
+    committed = Path(__file__).parent / "data" / "ppd_curve.jsonl"
+    for have, line in zip(drawn, committed.read_text().splitlines(), strict=True):
+        want = json.loads(line)
+        assert [have[k] for k in have if k in ("iteration", "stage", "learning_rate")] == [
+            want[k] for k in want if k in ("iteration", "stage", "learning_rate")
+        ]
+        first = want["iteration"] == 1
+        near = {"rel": 1e-4, "abs": 1e-5} if first else {"rel": 0.15, "abs": 2e-3}
+        assert have.get("terms", {}) == pytest.approx(want.get("terms", {}), **near)
+        assert have.get("validation", {}) == pytest.approx(
+            want.get("validation", {}), rel=2e-2, abs=2e-3
+        )
+
+
 def test_training_learns(boxes, tmp_path):
-    recipe = load_train_recipe("ppd_quick")
+    recipe = load_recipe("ppd_quick")
     plan = {"batch": 4, "learning_rate": 3e-3, "log_every": 1, "validate_every": 100}
-    plan |= {"stages": (Stage(resolution=16, iterations=40),)}
+    plan |= {"stages": (PPDStage(resolution=16, iterations=40),)}
     points = {"surface_points": 300, "uniform_points": 300, "near_points": 300}
     recipe = recipe.model_copy(
         update={

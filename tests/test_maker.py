@@ -161,7 +161,6 @@ def test_flow_moves_each_part_rigidly(maker, inst):
 
 
 def test_the_mesh_is_watertight_and_can_be_written(inst, tmp_path):
-    pytest.importorskip("skimage", reason="meshes need scikit-image")
     mesh = inst.mesh(resolution=48)
     for ending in (".ply", ".obj", ".stl"):
         mesh.export(tmp_path / f"door{ending}")

@@ -172,7 +172,7 @@ def _edited(change):
         (_edited(lambda m: m["shards"][0].update(sha256="0")), r"shards\.0\.sha256"),
         (_edited(lambda m: m["shards"].pop()), "same instances"),
         (_edited(lambda m: m["objects"].pop()), "content_sha256"),
-        (_edited(lambda m: m["rejected"].append(m["rejected"][0])), "box-3 is told of twice"),
+        (_edited(lambda m: m["rejected"].append(m["rejected"][0])), "box-3 is listed twice"),
         (_edited(lambda m: m["timings"].update(workers=2)), "manifest_sha256 is not the digest"),
         (_edited(lambda m: m.update(recipe="{}")), "recipe_sha256"),
     ],

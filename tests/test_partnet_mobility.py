@@ -23,8 +23,8 @@ from articugen.recipe import Articulation, load_recipe
 from articugen.records import JointKind, JointState
 from articugen.sources.categories import own_name
 from articugen.sources.partnet_mobility import load
-from articugen.sources.registry import ObjectRef
-from articugen.sources.source_file import CategorySettings, read_source_file
+from articugen.sources.refs import CategorySettings, ObjectRef
+from articugen.sources.source_file import read_source_file
 
 SOURCE = read_source_file(
     Path(__file__).parent.parent / "urdf_sources" / "partnet_mobility" / "source.yaml"
@@ -92,7 +92,7 @@ def folder(tmp_path):
 
 def read(folder, category="drawer", settings=None):
     ref = ObjectRef("partnet_mobility", category, folder.name, "train", folder)
-    return load(folder, ref, settings or SOURCE.categories[category])
+    return load(ref, settings or SOURCE.categories[category])
 
 
 # ------------------------------------------------------------------ rules

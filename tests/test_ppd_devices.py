@@ -7,7 +7,7 @@ and to read a number from it, as `float` or a boolean index would, raises.
 import pytest
 from ppd_data import write_boxes
 
-from articugen.learning.ppd.settings import DataSettings, load_train_recipe
+from articugen.learning.method import load_recipe
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
@@ -15,7 +15,8 @@ from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
 from torch.utils._pytree import tree_leaves  # noqa: E402
 
 from articugen.learning.dataset import load_split  # noqa: E402
-from articugen.learning.ppd.learner import Learner  # noqa: E402
+from articugen.learning.ppd.learner import PPDLearner  # noqa: E402
+from articugen.learning.recipe import DataSettings  # noqa: E402
 
 META = torch.device("meta")
 SENDS = {"aten::lift_fresh", "aten::_to_copy", "aten::copy_"}
@@ -52,17 +53,23 @@ def boxes(tmp_path_factory):
 @pytest.mark.parametrize("name", ["ppd_paper", "ppd_release", "ppd_quick"])
 @pytest.mark.parametrize("residual", [False, True])
 def test_an_iteration_stays_on_its_device(boxes, name, residual):
-    recipe = load_train_recipe(name)
-    ask = DataSettings(surface_points=500, grid_points=200, uniform_points=100, near_points=100)
-    split = load_split(boxes, "train", ask, [8]).to(META)
-    learner = Learner(recipe, 0, META)
+    recipe = load_recipe(name)
+    some = {"surface_points": 500, "grid_points": 200, "uniform_points": 100, "near_points": 100}
+    stages = recipe.schedule.stages[1:] if residual else recipe.schedule.stages[:1]
+    recipe = recipe.model_copy(
+        update={
+            "data": DataSettings(**some, validation_objects=0),
+            "schedule": recipe.schedule.model_copy(update={"stages": stages}),
+        }
+    )
+    learner = PPDLearner(recipe, 0, META)
+    split = load_split(boxes, "train", learner.inputs, [8]).to(META)
     assert learner.descent.patient
     with OneDevice():
         for iteration in range(2):
-            batch = split.batch([0, 3, 1], ask, 8, None)
-            terms = learner.learn(
-                batch, None, iteration=iteration, rate=1e-4, residual_direction=residual
-            )
+            batch = split.batch([0, 3, 1], learner.inputs, 8, None)
+            terms = learner.learn(batch, None, iteration=iteration)
             loss = torch.stack([value.detach() for value in terms.values()])
+    assert learner.residual_direction == residual
     assert loss.device == META
-    assert ("critic" in terms) == (name != "ppd_quick")
+    assert ("adv_d" in terms) == (name != "ppd_quick")

@@ -217,16 +217,16 @@ def test_a_static_state_costs_much_but_is_finite():
 
 def test_eq_8_and_9_scores():
     fake, real = normal(B), normal(B)
-    agree(losses.critic(fake, real), sum(fake.tolist()) / B - sum(real.tolist()) / B)
+    agree(losses.discriminator_score(fake, real), sum(fake.tolist()) / B - sum(real.tolist()) / B)
     agree(losses.generator_score(fake), -sum(fake.tolist()) / B)
-    differentiable(losses.critic, fake, real)
+    differentiable(losses.discriminator_score, fake, real)
     differentiable(losses.generator_score, fake)
 
 
 def test_eq_8_gradient_penalty_against_finite_differences():
-    critic = Discriminator().double().eval()
+    discriminator = Discriminator().double().eval()
     with torch.no_grad():
-        for layer in critic.layers:
+        for layer in discriminator.layers:
             layer.weight.mul_(30)
     fake, real, mix = torch.rand(2, 9, 4).double(), torch.rand(2, 9, 4).double(), torch.rand(2)
     step, wanted = 1e-6, 0.0
@@ -239,10 +239,12 @@ def test_eq_8_gradient_penalty_against_finite_differences():
                 ahead[x, k] += step
                 behind[x, k] -= step
                 with torch.no_grad():
-                    slope = (critic(ahead[None]) - critic(behind[None])) / (2 * step)
+                    slope = (discriminator(ahead[None]) - discriminator(behind[None])) / (2 * step)
                 square += float(slope) ** 2
         wanted += (math.sqrt(square) - 1.0) ** 2 / 2
-    penalty = losses.gradient_penalty(critic, fake, real, mix.double())
+    penalty = losses.gradient_penalty(discriminator, fake, real, mix.double())
     assert float(penalty.detach()) == pytest.approx(wanted, rel=1e-5)
     penalty.backward()
-    assert sum(float(p.grad.abs().sum()) for p in critic.parameters() if p.grad is not None) > 0
+    assert (
+        sum(float(p.grad.abs().sum()) for p in discriminator.parameters() if p.grad is not None) > 0
+    )

@@ -263,9 +263,9 @@ def plain_scores(weights, clouds):
 
 def test_the_discriminator_s_shortcut_is_exact_even_for_the_gradient_penalty():
     torch.manual_seed(3)
-    critic = Discriminator().double().eval()
+    discriminator = Discriminator().double().eval()
     with torch.no_grad():
-        for layer in critic.layers:
+        for layer in discriminator.layers:
             layer.weight.mul_(10)
     clouds = torch.rand(3, 600, 4, dtype=torch.float64, requires_grad=True)
 
@@ -273,24 +273,29 @@ def test_the_discriminator_s_shortcut_is_exact_even_for_the_gradient_penalty():
         (slope,) = torch.autograd.grad(scores.sum(), clouds, create_graph=True)
         return scores.sum() + (slope.flatten(1).norm(dim=1) - 1.0).square().mean()
 
-    short, plain = penalty(critic(clouds)), penalty(plain_scores(critic.weights(), clouds))
+    short, plain = (
+        penalty(discriminator(clouds)),
+        penalty(plain_scores(discriminator.weights(), clouds)),
+    )
     torch.testing.assert_close(short, plain)
-    left = torch.autograd.grad(short, critic.parameters(), allow_unused=True)
-    right = torch.autograd.grad(plain, critic.parameters(), allow_unused=True)
+    left = torch.autograd.grad(short, discriminator.parameters(), allow_unused=True)
+    right = torch.autograd.grad(plain, discriminator.parameters(), allow_unused=True)
     for a, b in zip(left, right, strict=True):
         torch.testing.assert_close(a, b)
 
 
 def test_discriminator_weights_come_to_have_unit_norm():
     torch.manual_seed(4)
-    critic = Discriminator().double()
+    discriminator = Discriminator().double()
     for _ in range(200):
-        weights = critic.weights()
+        weights = discriminator.weights()
     for weight, _ in weights:
         assert float(torch.linalg.matrix_norm(weight.detach(), 2)) == pytest.approx(1.0, abs=2e-2)
-    before = [layer.u.clone() for layer in critic.layers]
-    critic.eval().weights()
-    assert all(torch.equal(a, layer.u) for a, layer in zip(before, critic.layers, strict=True))
+    before = [layer.u.clone() for layer in discriminator.layers]
+    discriminator.eval().weights()
+    assert all(
+        torch.equal(a, layer.u) for a, layer in zip(before, discriminator.layers, strict=True)
+    )
 
 
 def test_he_s_start_tells_shapes_apart_and_adds_nothing():

@@ -11,8 +11,9 @@ from articugen.errors import CorruptShard
 pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen.learning.evaluation.evaluate import Protocol
-from articugen.learning.ppd.reconstruct import Reconstruction, truth
-from articugen.learning.ppd.release import as_points, evaluate_as_release, release_meshes
+from articugen.learning.evaluation.reconstruction import Reconstruction, truth
+from articugen.learning.evaluation.results import LeftOut
+from articugen.learning.ppd.release import as_points, evaluate, release_meshes
 
 SOME = Protocol(points=300)
 
@@ -54,27 +55,27 @@ def test_borders_between_parts_are_stairs():
 
 def test_samples_on_the_true_surface_cost_the_truth_some_iou_and_no_epe(boxes):
     """As measured of the release itself: 0.90 to 0.96, and exactly 0."""
-    result = evaluate_as_release(boxes, truth, SOME, category="box")
-    means = result["means"]
+    result = evaluate(boxes, truth, SOME, category="box")
+    means = result.means
     assert set(means) == {"label_iou", "epe_joint_all", "epe_transform_all"}
     assert 0.8 < means["label_iou"] < 0.999
     assert means["epe_transform_all"] == pytest.approx(0.0, abs=1e-15)
-    assert result["labels"] == [0, 1, 2]
-    assert (result["objects"], result["instances"]) == (2, 6)
-    assert set(result["left_out"].values()) == {0}
+    assert result.labels == (0, 1, 2)
+    assert (result.objects, result.instances) == (2, 6)
+    assert result.left_out == LeftOut()
 
 
 def test_what_has_no_surface_is_left_out_and_counted(boxes):
     def one_pose_fails(instance):
         return nothing(instance) if instance.state_index == 1 else truth(instance)
 
-    some = evaluate_as_release(boxes, one_pose_fails, SOME)
-    assert some["left_out"] == {"instances_label_iou": 2, "instances_epe": 2, "parts_epe": 0}
-    assert some["means"]["label_iou"] > 0.8
-    assert some["instances"] == 4
-    none = evaluate_as_release(boxes, nothing, SOME)
-    assert none["means"] == {}
-    assert none["left_out"] == {"instances_label_iou": 6, "instances_epe": 4, "parts_epe": 12}
+    some = evaluate(boxes, one_pose_fails, SOME)
+    assert some.left_out == LeftOut(instances_label_iou=2, instances_epe=2)
+    assert some.means["label_iou"] > 0.8
+    assert some.instances == 4
+    none = evaluate(boxes, nothing, SOME)
+    assert none.means == {}
+    assert none.left_out == LeftOut(instances_label_iou=6, instances_epe=4, parts_epe=12)
 
 
 def test_a_true_part_that_no_part_is_labelled_as_is_left_out_of_epe(boxes):
@@ -84,10 +85,10 @@ def test_a_true_part_that_no_part_is_labelled_as_is_left_out_of_epe(boxes):
         found = truth(instance)
         return dataclasses.replace(found, part=np.where(found.part == 1, 0, found.part))
 
-    result = evaluate_as_release(boxes, no_lid, SOME)
-    assert result["labels"][1] == -1
-    assert result["means"]["epe_transform_all"] == pytest.approx(0.0, abs=1e-15)
-    assert result["left_out"]["parts_epe"] == 4
+    result = evaluate(boxes, no_lid, SOME)
+    assert result.labels[1] == -1
+    assert result.means["epe_transform_all"] == pytest.approx(0.0, abs=1e-15)
+    assert result.left_out.parts_epe == 4
 
 
 def test_every_part_gets_as_many_points_whatever_its_size(boxes):
@@ -103,13 +104,8 @@ def test_every_part_gets_as_many_points_whatever_its_size(boxes):
 
 
 def nothing_at_all(parts: int) -> Reconstruction:
-    empty, zero = np.zeros((0, 3, 3)), np.zeros(parts)
-    T = np.tile(np.eye(4), (parts, 1, 1))
-    vector = np.zeros((parts, 3))
-    return Reconstruction(
-        empty, np.zeros(0, np.int64), empty, np.zeros((64, 64, 64), bool),
-        zero.astype(np.int64), zero, vector, vector, T,
-    )  # fmt: skip
+    empty = np.zeros((0, 3, 3))
+    return Reconstruction(empty, np.zeros(0, np.int64), empty, np.zeros((64, 64, 64), bool), parts)
 
 
 def test_another_category_is_refused_before_anything_is_computed(boxes):
@@ -117,4 +113,4 @@ def test_another_category_is_refused_before_anything_is_computed(boxes):
         raise AssertionError
 
     with pytest.raises(CorruptShard, match="holds box, the model is of oven"):
-        evaluate_as_release(boxes, never, category="oven")
+        evaluate(boxes, never, category="oven")

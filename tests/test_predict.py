@@ -9,13 +9,11 @@ from yourdfpy import URDF
 
 from articugen.errors import ArticugenError
 from articugen.geometry import apply
-from articugen.records import Normalization
-
-pytest.importorskip("torch", reason="PPD needs torch")
-
-from articugen.learning.evaluation.surfaces import distance, surface
-from articugen.learning.ppd.reconstruct import Reconstruction, truth
+from articugen.learning.evaluation.reconstruction import Reconstruction, truth
+from articugen.learning.evaluation.surfaces import distance
 from articugen.learning.predict import write_rig
+from articugen.marching_cubes import zero_level
+from articugen.records import Normalization
 
 
 def three_balls() -> Reconstruction:
@@ -25,7 +23,7 @@ def three_balls() -> Reconstruction:
     at = (np.arange(16) + 0.5) / 16 - 0.5
     grid = np.stack(np.meshgrid(at, at, at, indexing="ij"), -1)
     balls = [
-        surface(0.1 - np.linalg.norm(grid - centre, axis=-1)).corners
+        zero_level(0.1 - np.linalg.norm(grid - centre, axis=-1)).triangles
         for centre in ([0, 0, -0.3], [0.1, 0, 0.1], [-0.2, 0.2, 0.2])
     ]
     return dataclasses.replace(
@@ -40,7 +38,9 @@ def test_a_rig_moves_as_predicted(tmp_path):
     blue = robot.link_map["part_1"].visuals[0].material.color.rgba
     np.testing.assert_allclose(blue, [0x44 / 255, 0x77 / 255, 0xAA / 255, 1.0], atol=1e-3)
     more = np.array([0.0, 0.5, -0.05])
-    moved = dataclasses.replace(found, state=found.state + more)
+    moved = dataclasses.replace(
+        found, joints=dataclasses.replace(found.joints, state=found.joints.state + more)
+    )
     motion = found.joint_motion_to(moved)
     for value, T in ((0 * more, np.tile(np.eye(4), (3, 1, 1))), (more, motion)):
         robot.update_cfg({f"joint_{i}": value[i] for i in (1, 2)})
@@ -55,6 +55,13 @@ def test_a_rig_moves_as_predicted(tmp_path):
     limit = robot.joint_map["joint_1"].limit
     assert limit.lower == pytest.approx(-0.4)
     assert limit.upper == pytest.approx(np.pi - 0.4)
+
+
+def test_parts_without_joints_are_fixed(tmp_path):
+    found = dataclasses.replace(three_balls(), joints=None, T_part=None)
+    robot = URDF.load(str(write_rig(found, tmp_path)))
+    assert robot.actuated_joint_names == []
+    assert set(robot.link_map) == {"part_0", "part_1", "part_2"}
 
 
 def test_no_surface_is_said(tmp_path):
@@ -81,4 +88,6 @@ def test_a_rig_stands_where_its_cloud_stood(tmp_path):
         where = np.lexsort(np.round(one.T, 6))
         order = np.lexsort(np.round(frame.to_unit(two).T, 6))
         np.testing.assert_allclose(frame.to_unit(two)[order], one[where], atol=1e-5)
-    assert large.joint_map["joint_2"].limit.upper == pytest.approx(2.0 * (1.0 - found.state[2]))
+    assert large.joint_map["joint_2"].limit.upper == pytest.approx(
+        2.0 * (1.0 - found.joints.state[2])
+    )

@@ -2,7 +2,6 @@
 
 import re
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -36,10 +35,13 @@ def states(obj: ArticulatedObject, rng: np.random.Generator) -> list[Floats]:
 @pytest.mark.parametrize(("category", "name"), SAMPLE)
 def test_no_part_lies_in_another(category: str, name: str, tmp_path: Path) -> None:
     """A point of one part's surface is never inside another's exact solid: not by any depth."""
-    check_parts_keep_clear(category, name, tmp_path)
+    obj = assert_parts_keep_clear(category, name, tmp_path)
+    if category in ("laptop", "oven", "washing_machine"):
+        assert np.degrees(obj.moving_joints[0].upper) == pytest.approx(135.0)
 
 
-def check_parts_keep_clear(category: str, name: str, folder: Path) -> None:
+def assert_parts_keep_clear(category: str, name: str, folder: Path) -> ArticulatedObject:
+    """That no link of an object is in another in any state; the object, as its recipe has it."""
     obj, truth = written(category, name, folder / name)
     obj = resolve(obj, load_recipe(None, category).articulation)
     rng = generator(0, name, "crossings")
@@ -47,33 +49,31 @@ def check_parts_keep_clear(category: str, name: str, folder: Path) -> None:
         assert crossings(obj, truth, q, rng) == set(), q
     beyond = np.full(len(obj.moving_joints), BEYOND.get(category, LID_PUSHED_IN))
     assert crossings(obj, truth, beyond, rng), "this test must see a crossing"
+    return obj
 
 
-@pytest.mark.parametrize("category", ["laptop", "oven", "washing_machine"])
-def test_doors_and_lids_open_as_far_as_the_paper_has_it(category: str, tmp_path: Path) -> None:
-    obj, _ = written(category, object_id(category, 5), tmp_path / object_id(category, 5))
-    (joint,) = resolve(obj, load_recipe(None, category).articulation).moving_joints
-    assert np.degrees(joint.upper) == pytest.approx(135.0)
-
-
-@pytest.mark.parametrize(("category", "name"), SAMPLE)
-def test_every_model_is_sound_and_stands_on_the_floor(category: str, name: str) -> None:
-    model = build_model(category, name)
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_a_model_is_sound_and_stands_on_the_floor(category: str) -> None:
+    model = build_model(category, object_id(category, 10))
     assert_sound(model)
     assert abs(model.bounds[0, 2]) < 1e-9
 
 
 @pytest.fixture
-def chest(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """The category that the docs add: its module and its line, as they stand there."""
+def chest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The category that the docs add, by the very snippets that stand there."""
     (page,) = (p for p in DOCS.glob("extending*.md") if "\n## A category" in f"\n{p.read_text()}")
     section = f"\n{page.read_text()}".partition("\n## A category")[2].partition("\n## ")[0]
-    module, line = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
+    module, look, line = re.findall(r"```python.*?\n(.*?)```", section, re.DOTALL)
     made = ModuleType("articugen.sources.procedural.chest")
     exec(module, made.__dict__)
     monkeypatch.setitem(sys.modules, made.__name__, made)
+    monkeypatch.setitem(sys.modules, "chest", made)
     monkeypatch.setitem(procedural.CATEGORIES, "chest", {})  # taken away again after the test
-    exec(line, {"CATEGORIES": procedural.CATEGORIES})
+    monkeypatch.chdir(tmp_path)
+    exec(look, {})
+    assert (tmp_path / "chest_0000" / "model.urdf").is_file()
+    exec(line, {})
     return "chest"
 
 
@@ -84,7 +84,7 @@ def test_the_category_of_the_docs_is_like_any_other(
     monkeypatch.setenv("ARTICUGEN_SOURCES", str(tmp_path))
     for index in range(10):
         assert_sound(build_model(chest, object_id(chest, index)))
-    check_parts_keep_clear(chest, object_id(chest, 0), tmp_path)
+    assert_parts_keep_clear(chest, object_id(chest, 1), tmp_path)
     (info,) = (i for i in registry.source_names() if i.name == "procedural_messy")
     assert [(c.train, c.test) for c in info.categories if c.name == chest] == [(8, 2)]
     refs = registry.object_refs("procedural_messy", chest)

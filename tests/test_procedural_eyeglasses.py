@@ -1,5 +1,6 @@
 """Eyeglasses: two temples that fold inwards, clear of the front and of each other."""
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -8,15 +9,21 @@ import pytest
 from articugen.geometry import apply
 from articugen.seeding import generator
 from articugen.sources.procedural import build_model
+from articugen.sources.procedural.kit.model import Model
 from tests.procedural_truth import assert_sound, crossings, link_frames, object_id, written
 
 IDS = [object_id("eyeglasses", k) for k in range(42)]
 FOLDED = [(a, b) for a in (0, 45, 67, 90) for b in (0, 45, 67, 90)]
 
 
+@cache
+def model_of(name: str) -> Model:
+    return build_model("eyeglasses", name)
+
+
 @pytest.mark.parametrize("name", IDS[:6])
 def test_eyeglasses_are_sound_and_no_two_parts_meet(name: str, tmp_path: Path) -> None:
-    assert_sound(build_model("eyeglasses", name))
+    assert_sound(model_of(name))
     obj, truth = written("eyeglasses", name, tmp_path / name)
     rng = generator(0, name)
     for state in (*FOLDED, *rng.uniform(0, 90, (6, 2))):
@@ -26,7 +33,7 @@ def test_eyeglasses_are_sound_and_no_two_parts_meet(name: str, tmp_path: Path) -
 def test_the_left_temple_turns_in_a_plane_above_the_right_ones() -> None:
     """No state has to be tried: along the common normal the two never share a height."""
     for name in IDS[::2]:
-        model = build_model("eyeglasses", name)
+        model = model_of(name)
         left, right = model.joints
         normal = np.asarray(left.axis)
         np.testing.assert_allclose(normal, -np.asarray(right.axis), atol=1e-15)
@@ -56,7 +63,7 @@ def test_the_temples_fold_inwards_about_z(tmp_path: Path) -> None:
 
 
 def test_eyeglasses_are_symmetric_when_open() -> None:
-    model = build_model("eyeglasses", IDS[3])
+    model = model_of(IDS[3])
     left, right = (  # The hinge's knuckles come last; they lean.
         np.concatenate([s.vertices for s in model.links[k].solids[:-2]]) * (1, sign, 1)
         for k, sign in ((1, -1), (2, 1))
@@ -67,7 +74,7 @@ def test_eyeglasses_are_symmetric_when_open() -> None:
 def test_eyeglasses_are_thick_enough_and_small_enough() -> None:
     """No solid is thinner than 0.002 of the unit frame, in which the object is 0.9 long."""
     for name in IDS[:6]:
-        model = build_model("eyeglasses", name)
+        model = model_of(name)
         unit = 0.9 / np.ptp(model.bounds, axis=0).max()
         solids = [s for link in model.links for s in link.solids]
         assert 1_000 < sum(len(s.faces) for s in solids) < 6_000
@@ -78,7 +85,7 @@ def test_eyeglasses_are_thick_enough_and_small_enough() -> None:
 
 
 def test_eyeglasses_differ() -> None:
-    models = [build_model("eyeglasses", name) for name in IDS]
+    models = [model_of(name) for name in IDS]
     sizes = np.array([np.ptp(model.bounds, axis=0) for model in models])
     assert len(np.unique(sizes.round(6), axis=0)) == len(IDS)
     height = sizes[:, 2] / sizes[:, 1]

@@ -17,7 +17,7 @@ from two_processes import slopes  # noqa: E402
 
 from articugen.learning import processes  # noqa: E402
 from articugen.learning.loop import train  # noqa: E402
-from articugen.learning.ppd.settings import load_train_recipe  # noqa: E402
+from articugen.learning.method import load_recipe  # noqa: E402
 from articugen.learning.runs import LATEST, METRICS, read_checkpoint  # noqa: E402
 
 torch.set_num_threads(1)
@@ -76,7 +76,7 @@ def test_two_processes_draw_the_curve_of_one(folder):
     data, script = folder / "data", Path(__file__).with_name("two_processes.py")
     two_processes(folder, *map(str, (script, data, folder / "two", *recipes)))
     for path in recipes:
-        recipe, two = load_train_recipe(path), folder / "two" / path.stem / "000"
+        recipe, two = load_recipe(path), folder / "two" / path.stem / "000"
         assert [p.name for p in two.parent.iterdir()] == ["000"]
         assert [r["iteration"] for r in curve(two)] == [1, 2, 3, 3, 4, 5, 5]
         one = train(recipe, category="box", data=data, runs=folder / "one" / path.stem).path

@@ -6,14 +6,8 @@ import pytest
 from ppd_data import write_boxes
 
 from articugen.errors import InvalidCheckpoint, InvalidRecipe, TrainingDiverged
-from articugen.learning.ppd.settings import (
-    DataSettings,
-    LossSettings,
-    Schedule,
-    Seeds,
-    Stage,
-    TrainRecipe,
-)
+from articugen.learning.ppd.settings import LossSettings, PPDRecipe, PPDSchedule, PPDStage
+from articugen.learning.recipe import DataSettings, Seeds
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
@@ -24,14 +18,14 @@ from articugen.learning.runs import BEST, LATEST, METRICS, read_checkpoint  # no
 
 torch.set_num_threads(1)
 
-TINY = TrainRecipe(
+TINY = PPDRecipe(
     name="tiny",
     data=DataSettings(surface_points=100, grid_points=100, validation_objects=1),
     losses=LossSettings(adv_g=0.0),
-    schedule=Schedule(
+    schedule=PPDSchedule(
         batch=3,
         learning_rate=1e-3,
-        stages=(Stage(resolution=8, iterations=6),),
+        stages=(PPDStage(resolution=8, iterations=6),),
         log_every=1,
         validate_every=2,
         save_every=100,
@@ -56,7 +50,7 @@ def told(run) -> dict:
 
 
 def same_weights(left, right) -> bool:
-    one, two = read_checkpoint(left).model, read_checkpoint(right).model
+    one, two = read_checkpoint(left).state["model"], read_checkpoint(right).state["model"]
     return all(torch.equal(value, two[name]) for name, value in one.items())
 
 

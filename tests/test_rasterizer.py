@@ -125,5 +125,5 @@ def test_far_outside_the_image_is_refused_and_beside_it_is_clipped():
 
 
 def test_an_unknown_backend_is_named():
-    with pytest.raises(ValueError, match="no backend 'cuda'"):
-        render(labelled(box((1, 1, 1))), straight_view(), backend="cuda")
+    with pytest.raises(ValueError, match=r"no backend 'embre'; did you mean 'embree'\?; there are"):
+        render(labelled(box((1, 1, 1))), straight_view(), backend="embre")

@@ -80,6 +80,10 @@ def test_arrays_are_copied_and_read_only() -> None:
             lambda: Joint("j", JointKind.REVOLUTE, "a", "b", np.eye(4), np.array([0.0, 0.0, 2.0])),
             "joint j: axis .* is not of unit length",
         ),
+        (
+            lambda: Joint("j", "fixed", "a", "b", np.eye(4), np.eye(3)[0]),  # type: ignore[arg-type]
+            "joint j: its kind is 'fixed', not a JointKind",
+        ),
     ],
 )
 def test_a_record_of_the_wrong_shape_is_not_made(make, named: str) -> None:

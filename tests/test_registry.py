@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 from articugen.bundled import SOURCES
 from articugen.errors import InvalidSource, MachineFault
 from articugen.sources import registry
-from articugen.sources.discovery import model_category
+from articugen.sources.folders import meta_category
 from articugen.sources.procedural import CATEGORIES
-from articugen.sources.registry import ObjectRef, load, object_refs, source_names
-from articugen.sources.source_file import CategorySettings, read_source_file
+from articugen.sources.refs import CategorySettings, ObjectRef
+from articugen.sources.registry import load, object_refs, source_names
+from articugen.sources.source_file import read_source_file
 from articugen.sources.splits import assign_splits, split_sizes
 from articugen.sources.urdf import load_urdf
 from tests.procedural_truth import object_id
@@ -141,8 +142,8 @@ def test_folders_are_read_by_the_reader_they_look_like(tmp_path, monkeypatch):
     assert ids(refs) == ["100", "300", "400"]
     seen = []
 
-    def reader(folder, ref, settings):
-        seen.append((folder.name, ref.object_id, settings))
+    def reader(ref, settings):
+        seen.append((ref.location.name, ref.object_id, settings))
         return load_urdf(box, object_id=ref.object_id, category="x", source="x")
 
     box = add(tmp_path.parent / "box.urdf")
@@ -374,7 +375,7 @@ def test_what_a_reader_did_not_expect_is_the_objects_fault(tmp_path, monkeypatch
         (OSError(errno.EIO, "Input/output error"), MachineFault),
         (OSError(errno.EMFILE, "Too many open files"), MachineFault),
     ):
-        monkeypatch.setattr("articugen.sources.urdf.load_urdf", raising(error))
+        monkeypatch.setattr("articugen.sources.urdf_files.load_urdf", raising(error))
         with pytest.raises(kind) as caught:
             load(ref)
         assert "\n" not in str(caught.value)
@@ -397,7 +398,7 @@ def test_a_source_that_cannot_be_written_down_is_refused(tmp_path):
 
 def test_a_meta_json_that_never_ends_is_not_read(tmp_path):
     (tmp_path / "meta.json").symlink_to("/dev/zero")
-    assert model_category(tmp_path) == ""
+    assert meta_category(tmp_path) == ""
 
 
 # --- refusals

@@ -2,21 +2,34 @@
 
 import pytest
 
-pytest.importorskip("torch", reason="PPD needs torch")
-
 from articugen.errors import InvalidCheckpoint
 from articugen.learning.evaluation import paper
-from articugen.learning.evaluation.report import markdown, read_result, tables
-from articugen.learning.ppd.settings import load_train_recipe, parse_train_recipe
+from articugen.learning.evaluation.report import markdown, tables
+from articugen.learning.evaluation.results import (
+    EvaluatedRun,
+    Evaluation,
+    JointLine,
+    LeftOut,
+    RunEvaluation,
+    read_evaluation,
+)
+from articugen.learning.method import load_recipe, parse_recipe
 
 
-def result(category="laptop", variant=paper.COMPLETE, poses="canonical", **means):
+def evaluation(means):
+    return Evaluation(
+        means=means, votes=((1.0, 0.0), (0.0, 2.0)), labels=(0, 1), dominant=(0, 1), objects=2,
+        instances=8,
+    )  # fmt: skip
+
+
+def result(category="laptop", variant=paper.COMPLETE, poses="canonical", method="ppd", **means):
     known = {"label_iou": 0.5, "epe_joint_all": 0.03, "f_score": 12.0, "no_surface": 0.25} | means
-    run = {
-        "category": category, "variant": variant, "label_poses": poses, "recipe": "r", "seed": 3,
-        "iterations": 9, "resolution": 32,
-    }  # fmt: skip
-    return {"run": run, "objects": 2, "instances": 8, "means": known}
+    run = EvaluatedRun(
+        method=method, category=category, variant=variant, label_poses=poses, recipe="r", seed=3,
+        iterations=9, resolution=32,
+    )  # fmt: skip
+    return RunEvaluation(run=run, **dict(evaluation(known)))
 
 
 def rows(text):
@@ -72,10 +85,12 @@ def test_a_run_is_counted_in_its_own_row_of_the_ablation():
 
 
 def test_lines_through_joint_states_are_told():
-    line = {"joint": 0, "kind": "revolute", "states": 9, "predicted": 8, "slope": -0.98765,
-            "offset": 3.0, "residual": 0.0123}  # fmt: skip
-    lost = {**line, "joint": 1, "kind": "prismatic", "predicted": 0, "slope": None}
-    told = markdown(result(reconstruction_iou=0.61) | {"joint_lines": [line, lost]})
+    line = JointLine(joint=0, kind="revolute", states=9, predicted=8, slope=-0.98765,
+                     offset=3.0, residual=0.0123)  # fmt: skip
+    lost = JointLine(joint=1, kind="prismatic", states=9, predicted=0, slope=None, offset=None,
+                     residual=None)  # fmt: skip
+    lines = {"joint_lines": (line, lost)}
+    told = markdown(result(reconstruction_iou=0.61).model_copy(update=lines))
     assert "| joint 0, revolute | -0.988 | 0.012 rad | 8 of 9 |" in told
     assert "| joint 1, prismatic |   |   | 0 of 9 |" in told
     assert "| reconstruction IoU on the meshes' grid, % | 61.000 |" in told
@@ -89,21 +104,43 @@ def test_what_failed_is_told():
 
 
 def test_depth_input_has_its_row():
-    both = result() | {"depth_input": {"means": {"f_score": 7.0}}}
+    both = result().model_copy(update={"depth_input": evaluation({"f_score": 7.0})})
     text = tables([both])
     assert "| depth (here: laptop by r) | **7.00** | 28.99 |  | 80.65 |  | 3.203 |" in text
     assert "| complete (here: laptop by r) | **12.00** | 31.42 |" in text
 
 
 def test_recipes_know_their_row():
-    assert paper.variant(load_train_recipe("ppd_paper")) == paper.COMPLETE
-    assert paper.variant(load_train_recipe("ppd_quick")) == "w/o L_adv_g"
-    changed = load_train_recipe("ppd_paper").model_dump(mode="json")
+    assert load_recipe("ppd_paper").variant == paper.COMPLETE
+    assert load_recipe("ppd_quick").variant == "w/o L_adv_g"
+    changed = load_recipe("ppd_paper").plain()
     changed["losses"]["vol"] = 0.0
     changed["model"]["common_pose"] = False
-    assert paper.variant(parse_train_recipe(changed, "changed")) == "w/o L_vol, CP"
+    assert parse_recipe(changed, "changed").variant == "w/o L_vol, CP"
 
 
 def test_a_run_without_evaluation_is_refused(tmp_path):
     with pytest.raises(InvalidCheckpoint, match="articugen evaluate"):
-        read_result(tmp_path)
+        read_evaluation(tmp_path)
+
+
+def test_an_evaluation_is_read_as_it_was_written(tmp_path):
+    (tmp_path / "evaluation").mkdir()
+    more = {"depth_input": evaluation({"f_score": 7.0}), "left_out": LeftOut(parts_epe=3)}
+    for written in (result(), result().model_copy(update=more)):
+        written.write(tmp_path / "evaluation")
+        assert read_evaluation(tmp_path) == written
+
+
+def test_another_method_stands_beside_ppd_and_not_in_its_ablation():
+    """A method that only segments: a column of its own, blank where it measures nothing."""
+    segments = result(method="bae", variant="bae")
+    segments = segments.model_copy(update={"means": {"label_iou": 0.25}})
+    told = rows(tables([result(), segments]))
+    assert told["table", "metric", "category"][:3] == ["here: ppd", "here: bae", "PPD, paper"]
+    assert told["2", "label IoU, %", "laptop"][:3] == ["**50.00**", "**25.00**", "86.81"]
+    assert told["3", "EPE x 100, joint-aware", "laptop"][:3] == ["**3.000**", "", "2.546"]
+    assert "table 5" in tables([result(), segments])
+    assert "bae by r" not in tables([result(), segments])
+    assert "table 5" not in tables([segments])
+    assert "label IoU" in markdown(segments)

@@ -10,39 +10,47 @@ import numpy as np
 import pytest
 import yaml
 from ppd_data import write_boxes
-from test_ppd_report import result
+from test_report import result
 from trouble import unfit
 from typer.testing import CliRunner
 
 from articugen.cli import app
 from articugen.errors import InvalidCheckpoint, MachineFault
-from articugen.learning.evaluation.report import read_result
+from articugen.learning.evaluation.results import read_evaluation
 from articugen.store.files import partial_name
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen.learning import tensors  # noqa: E402
-from articugen.learning.loop import train  # noqa: E402
-from articugen.learning.ppd.depth import DEPTH, read_depth_model, train_depth  # noqa: E402
-from articugen.learning.ppd.settings import DataSettings, DepthSettings, Schedule, TrainRecipe  # noqa: E402
-from articugen.learning.ppd.settings import Stage as StageSettings  # noqa: E402
+from articugen.learning.loop import train, train_depth  # noqa: E402
+from articugen.learning.ppd.settings import (  # noqa: E402
+    DepthSettings,
+    PPDRecipe,
+    PPDSchedule,
+    PPDStage,
+)
+from articugen.learning.recipe import DataSettings  # noqa: E402
+from articugen.learning.runs import DEPTH as DEPTH_FILES  # noqa: E402
 from articugen.learning.runs import (  # noqa: E402
     FORMAT,
     LATEST,
     METRICS,
     RunFolder,
+    depth_learner,
     read_checkpoint,
 )
 from articugen.learning.tensors import read_tensors, sealed, write_tensors  # noqa: E402
 
 torch.set_num_threads(1)
 
-TINY = TrainRecipe(
+DEPTH = DEPTH_FILES.latest
+
+TINY = PPDRecipe(
     name="tiny",
     data=DataSettings(surface_points=100, grid_points=50, validation_objects=1),
-    schedule=Schedule(
+    schedule=PPDSchedule(
         batch=2,
-        stages=(StageSettings(resolution=8, iterations=3),),
+        stages=(PPDStage(resolution=8, iterations=3),),
         log_every=1,
         validate_every=1,
         save_every=1,
@@ -84,8 +92,8 @@ def refused(read, *arguments) -> str:
 
 def test_a_sealed_file_is_an_ordinary_checkpoint(sound):
     """torch reads it without us."""
-    for name, form in ((LATEST, FORMAT), (DEPTH, "articugen ppd depth encoder 2")):
-        assert torch.load(sound / name, weights_only=True)["format"] == form
+    for name in (LATEST, DEPTH):
+        assert torch.load(sound / name, weights_only=True)["format"] == FORMAT
     assert read_checkpoint(sound / LATEST).iteration == 2
 
 
@@ -116,11 +124,11 @@ def test_checkpoints_that_are_cut_short(run, kept):
 
 
 @pytest.mark.parametrize("number", [float("nan"), float("inf")])
-@pytest.mark.parametrize("part", ["model", "critic", "optimizer"])
+@pytest.mark.parametrize("part", ["model", "discriminator", "adam"])
 def test_weights_that_are_not_finite(run, part, number):
     point = read_checkpoint(run.path / LATEST)
-    values = getattr(point, part)
-    tensor = values["state"][0]["exp_avg"] if part == "optimizer" else next(iter(values.values()))
+    values = point.state[part]
+    tensor = next(iter((values["exp_avg"] if part == "adam" else values).values()))
     tensor.view(-1)[0] = number
     point.write(run.path / LATEST)
     assert "not finite" in refused(read_checkpoint, run.path / LATEST)
@@ -141,6 +149,11 @@ def test_a_checkpoint_without_a_digest_is_refused(run):
     assert "not a checkpoint with a digest: damaged, or of an earlier version" in refused(
         read_checkpoint, path
     )
+
+
+def changed(key: str, change):
+    """A checkpoint with another value in its learner's state."""
+    return lambda d: d | {"state": d["state"] | {key: change(d["state"][key])}}
 
 
 def endless() -> list:
@@ -165,7 +178,7 @@ def nested(depth: int) -> list:
         lambda d: {},
         lambda d: d | {"format": "other"},
         lambda d: {k: v for k, v in d.items() if k != "recipe"},
-        lambda d: {k: v for k, v in d.items() if k != "critic"},
+        lambda d: {k: v for k, v in d.items() if k != "state"},
         lambda d: d | {"more": 1},
         lambda d: d | {"recipe": None},
         lambda d: d | {"recipe": {"name": "x", "colour": "red"}},
@@ -177,15 +190,27 @@ def nested(depth: int) -> list:
         lambda d: d | {"seed": 0.5},
         lambda d: d | {"category": None},
         lambda d: d | {"best": None},
-        lambda d: d | {"model": None},
-        lambda d: d | {"model": {}},
-        lambda d: d | {"model": dict.fromkeys(d["model"])},
-        lambda d: d | {"model": {k: v.double() for k, v in d["model"].items()}},
-        lambda d: d | {"critic": d["model"]},
-        lambda d: d | {"optimizer": {}},
-        lambda d: d | {"optimizer": {"state": {}, "param_groups": [{}]}},
-        lambda d: d | {"optimizer": d["critic_optimizer"]},
-        lambda d: d | {"optimizer": d["optimizer"] | {"state": {99: {}}}},
+        lambda d: d | {"beside": 5},
+        lambda d: d | {"recipe": d["recipe"] | {"method": "other"}},
+        lambda d: d | {"recipe": d["recipe"] | {"method": []}},
+        lambda d: d | {"state": None},
+        lambda d: d | {"state": {}},
+        lambda d: d | {"state": [d["state"]]},
+        lambda d: d | {"state": d["state"] | {"more": 1}},
+        lambda d: d | {"state": d["state"] | {1: 1}},
+        changed("iteration", lambda _: "2"),
+        changed("iteration", lambda _: True),
+        changed("model", lambda _: None),
+        changed("model", lambda _: {}),
+        changed("model", dict.fromkeys),
+        changed("model", lambda model: {k: v.double() for k, v in model.items()}),
+        changed("model", lambda model: {k: v[None] for k, v in model.items()}),
+        changed("model", lambda _: endless()),
+        lambda d: d | {"state": d["state"] | {"discriminator": d["state"]["model"]}},
+        changed("adam", lambda _: {}),
+        changed("adam", lambda adam: adam | {"step": {}}),
+        changed("adam", lambda adam: adam | {"exp_avg": dict.fromkeys(adam["exp_avg"], 0.0)}),
+        lambda d: d | {"state": d["state"] | {"adam": d["state"]["discriminator_adam"]}},
         lambda d: d | {"best": torch.zeros(1).expand(1 << 40)},  # a terabyte that takes 4 bytes
         lambda d: d | {"best": torch.zeros(3, device="meta")},
         lambda d: d | {"best": torch.eye(3).to_sparse()},
@@ -207,11 +232,12 @@ def test_the_encoder_for_depth_is_checked_as_well(run):
     path = run.path / DEPTH
     point, data = read_checkpoint(run.path / LATEST), torch.load(path, weights_only=True)
     form = data.pop("format")
-    for change in ({"of": 1}, {"iteration": "x"}, {"encoder": {}}, {"optimizer": {}}, {"x": 1}):
+    wrong = ({"beside": 1}, {"iteration": "x"}, {"x": 1}, {"recipe": point.recipe.plain()})
+    for change in (*wrong, {"state": {}}, {"state": data["state"] | {"encoder": {}}}):
         write_tensors(path, data | change, form)
-        assert f"{path}: " in refused(read_depth_model, run.path, point)
+        assert f"{path}: " in refused(depth_learner, run.path, point)
     write_tensors(path, data, form)
-    read_depth_model(run.path, point)
+    depth_learner(run.path, point)
 
 
 @pytest.mark.parametrize("kind", ["FIFO", "folder", "too large", "absent"])
@@ -338,11 +364,11 @@ def test_runs_with_other_names_are_no_numbers(boxes, tmp_path):
 def test_evaluations_may_hold_anything(tmp_path, change):
     path = tmp_path / "evaluation" / "evaluation.json"
     path.parent.mkdir()
-    path.write_text(json.dumps(result()))
-    assert read_result(tmp_path)["means"] == result()["means"]
-    changed = change(result())
+    path.write_text(result().model_dump_json())
+    assert read_evaluation(tmp_path) == result()
+    changed = change(result().model_dump(mode="json"))
     path.write_text(changed if isinstance(changed, str) else json.dumps(changed))
-    told = refused(read_result, tmp_path)
+    told = refused(read_evaluation, tmp_path)
     assert f"{path}: not an evaluation (" in told
     assert f"make it with: articugen evaluate {tmp_path}" in told
 

@@ -12,9 +12,8 @@ from articugen.errors import InvalidSource, RejectedInstance
 from articugen.geometry import apply
 from articugen.recipe import Articulation
 from articugen.records import JointState
-from articugen.sources.registry import ObjectRef
+from articugen.sources.refs import CategorySettings, ObjectRef
 from articugen.sources.shape2motion import load
-from articugen.sources.source_file import CategorySettings
 
 BOX = [[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]
 
@@ -69,7 +68,7 @@ def model(tmp_path):
 
 def read(folder, yaw=0.0):
     ref = ObjectRef("shape2motion", "cabinet", folder.name, "train", folder)
-    return load(folder, ref, CategorySettings(yaw_degrees=yaw))
+    return load(ref, CategorySettings(yaw_degrees=yaw))
 
 
 def world_vertices(obj, q):

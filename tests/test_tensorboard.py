@@ -25,11 +25,12 @@ def records(first: int, last: int, shift: float = 0.0) -> list[dict]:
 
 def test_tensorboard_shows_the_json_lines(tmp_path):
     run = RunFolder(tmp_path)
-    for record in records(1, 4, shift=9.0):
-        run.log(record)
-    run.forget_after(2)
-    for record in records(3, 5):
-        run.log(record)
+    with run.metrics_from(0) as log:
+        for record in records(1, 4, shift=9.0):
+            log(record)
+    with run.metrics_from(2) as log:
+        for record in records(3, 5):
+            log(record)
     shown = EventAccumulator(str(tmp_path)).Reload()
     wanted: dict[str, list] = {}
     for record in run.metrics():
@@ -46,6 +47,6 @@ def test_tensorboard_shows_the_json_lines(tmp_path):
 def test_without_it_the_json_lines_are_all(tmp_path, monkeypatch):
     monkeypatch.setattr(tensorboard, "find_spec", lambda _: None)
     run = RunFolder(tmp_path)
-    run.log(records(1, 1)[0])
-    run.forget_after(0)
+    with run.metrics_from(0) as log:
+        log(records(1, 1)[0])
     assert [path.name for path in tmp_path.iterdir()] == [METRICS]

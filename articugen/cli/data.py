@@ -268,8 +268,8 @@ def _made(job: "Job", *, dry_run: bool, replace: bool) -> int:
                 return 0
             if run.plan.conflict and not replace:
                 raise ArticugenError(f"{run.plan.conflict}, or add --replace")
-            with console.progress(err, run.plan) as tell:
-                manifest = run.finish(tell.of_object, tell.of_notice)
+            with console.progress(err, run.plan) as bar:
+                manifest = run.finish(bar.of_object, bar.of_notice)
         if not run.plan.tasks:
             out.print("nothing to do, all of it was there already")
         out.print(console.made_table(manifest, job.out))
@@ -384,8 +384,8 @@ def clean(
 
         leftovers = tidy(path, dry_run=dry_run)
         for left in leftovers:
-            told = f"{left.path}: {left.why}, {size(left.bytes)}"
-            out.print(escape(f"{'would remove' if dry_run else 'removed'} {told}"), soft_wrap=True)
+            what = f"{left.path}: {left.why}, {size(left.bytes)}"
+            out.print(escape(f"{'would remove' if dry_run else 'removed'} {what}"), soft_wrap=True)
         if not leftovers:
             out.print(f"{path}: no killed run has left anything here", soft_wrap=True)
 

@@ -1,19 +1,17 @@
-"""PPD's commands: a thin face, each calls one function. articugen/cli/data.py registers them."""
+"""The commands of learning: each calls one function of `learning.commands` and prints what it says.
+
+articugen/cli/data.py registers them.
+"""
 
 # Everything heavy is imported where it is used: --help should not wait for torch.
 # ruff: noqa: PLC0415
-import json
-import os
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-
-from articugen.errors import ArticugenError, InvalidCheckpoint, MissingExtra
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
@@ -21,9 +19,6 @@ if TYPE_CHECKING:
     from articugen.learning.loop import Progress
 
 Said = Callable[..., AbstractContextManager[None]]
-
-FEW_OBJECTS = 20
-"""Fewer than the smallest category's 24."""
 
 _said: Said
 _out = Console(highlight=False)
@@ -57,7 +52,7 @@ def train(
             "--recipe",
             "-r",
             help="A name under recipes/, or a YAML file.",
-            show_default="ppd_quick",
+            show_default="the method's own: ppd_quick",
         ),
     ] = None,
     changes: Annotated[
@@ -68,6 +63,10 @@ def train(
             help="Another value than the recipe's, as YAML; may be given several times.",
             show_default="none",
         ),
+    ] = None,
+    method: Annotated[
+        str | None,
+        typer.Option("--method", "-m", help="What learns.", show_default="the recipe's, else ppd"),
     ] = None,
     runs: Annotated[Path, typer.Option(help="Runs go to <runs>/<category>/<number>.")] = Path(
         "runs"
@@ -90,54 +89,33 @@ def train(
     device: Annotated[str, typer.Option(help="cpu, cuda or cuda:1.")] = "cpu",
     threads: Annotated[int, typer.Option(min=0, help="CPU threads; 0 leaves it to torch.")] = 0,
 ) -> None:
-    """Train PPD on a data set, or go on with a run."""
+    """Train a method on a data set, or go on with a run."""
     with _said("interrupted; the last checkpoint is kept, go on with --resume"):
         from articugen.recipe import check_category
 
         check_category(category)
-        _prepare(device, threads)
-        from articugen.learning import processes, tensorboard
-        from articugen.learning.loop import train as run_training
-        from articugen.learning.ppd.settings import load_train_recipe
-        from articugen.learning.race import race
-        from articugen.learning.runs import RunFolder
-        from articugen.recipe_files import with_settings
+        from articugen.learning import commands, processes
 
-        settings = with_settings(load_train_recipe(recipe or "ppd_quick"), changes or ())
-        if seeds is not None:
-            settings = settings.with_seeds(seeds)
-        if resume is not None:
-            asked = settings if recipe or changes else None
-            settings, seed = RunFolder(resume).recipe(), RunFolder(resume).about()["seed"]
-            if asked and not asked.same_but_seeds(settings):
-                raise InvalidCheckpoint(
-                    f"{resume}: was started with another recipe; leave out --recipe and --set, or "
-                    "start a new run"
-                )
-        if settings.seeds.count > 1:
-            if processes.started() > 1:
-                raise ArticugenError(
-                    "torchrun: seeds race in processes of their own; add --seeds 1"
-                )
-            at_once = (jobs or os.cpu_count() or 1) if device == "cpu" else 1
-            run_training = partial(race, jobs=min(at_once, settings.seeds.count))
-        with processes.joined(device) as own_device, _ProgressBar() as on_progress:
-            if processes.is_first():
-                _hint_of_few(data)
-                if not tensorboard.is_installed():
-                    _err.print(tensorboard.MISSING, soft_wrap=True, markup=False)
-            run = run_training(
-                settings,
+        if processes.is_first():
+            for hint in commands.hints(data):
+                _err.print(hint, soft_wrap=True, markup=False)
+        with _ProgressBar() as on_progress:
+            run = commands.train(
+                data,
+                recipe,
+                method=method,
                 category=category,
-                data=data,
-                runs=runs / category,
+                runs=runs,
                 seed=seed,
+                seeds=seeds,
+                jobs=jobs,
                 resume=resume,
-                device=own_device,
+                device=device,
+                threads=threads,
                 on_progress=on_progress,
             )
-            if not run.writes:
-                return
+        if not run.writes:
+            return
         _out.print(f"done: {run.path}", soft_wrap=True)
         _out.print(f"next: articugen evaluate {run.path} --data {data}", soft_wrap=True)
 
@@ -150,18 +128,14 @@ def train_depth(
 ) -> None:
     """Train a run's encoder for depth input, or go on with it: what one camera sees, not all."""
     with _said("interrupted; what was last saved is kept, the same command goes on"):
-        _prepare(device, threads)
-        from articugen.learning import processes
-        from articugen.learning.ppd.depth import train_depth as run_training
-        from articugen.learning.runs import RunFolder
+        from articugen.learning import commands
 
-        if processes.started() > 1:
-            raise ArticugenError("train-depth runs in one process; leave out torchrun")
-        folder = RunFolder.existing(_newest(run))
         with _ProgressBar() as on_progress:
-            path = run_training(folder, data, device=device, on_progress=on_progress)
-        _out.print(f"done: {path}", soft_wrap=True)
-        _out.print(f"next: articugen evaluate {folder.path} --data {data}", soft_wrap=True)
+            done = commands.train_depth(
+                run, data, device=device, threads=threads, on_progress=on_progress
+            )
+        _out.print(f"done: {done.path / commands.DEPTH.latest}", soft_wrap=True)
+        _out.print(f"next: articugen evaluate {done.path} --data {data}", soft_wrap=True)
 
 
 def evaluate(
@@ -186,62 +160,26 @@ def evaluate(
 ) -> None:
     """Evaluate a run's last checkpoint on the test objects, as the paper does."""
     with _said():
-        _prepare("cpu", threads)
-        from articugen.learning.evaluation.evaluate import Protocol
-        from articugen.learning.evaluation.evaluate import evaluate as run_evaluation
+        from articugen.learning import commands
         from articugen.learning.evaluation.report import markdown
-        from articugen.learning.ppd import release
-        from articugen.learning.ppd.depth import DEPTH, read_depth_model, seen_by_a_camera
-        from articugen.learning.ppd.reconstruct import reconstruction_from
-        from articugen.learning.runs import LATEST, RunFolder, about, read_checkpoint
-        from articugen.records import dequantize
-        from articugen.store.files import write_atomically
 
-        if label_poses not in ("canonical", "all"):
-            raise ArticugenError(f"--label-poses {label_poses}: canonical or all")
-        if protocol not in ("paper", "release"):
-            raise ArticugenError(f"--protocol {protocol}: paper or release")
-        meshes = None
-        if protocol == "release":
-            run_evaluation, meshes = release.evaluate_as_release, release.release_meshes
-            resolution = resolution or release.RESOLUTION
-        folder = _newest(run)
-        checkpoint = read_checkpoint(folder / LATEST)
-        see = reconstruction_from(checkpoint, resolution or 32, meshes)
         with _err.status("evaluating ...") as status:
-            measure = partial(
-                run_evaluation,
+            result = commands.evaluate(
+                run,
                 data,
-                protocol=Protocol(
-                    label_poses=label_poses,
-                    test_states=states,
-                    occupancy=checkpoint.recipe.data.occupancy,
-                ),
-                category=checkpoint.category,
+                protocol=protocol,
+                resolution=resolution,
+                label_poses=label_poses,
+                states=states,
+                threads=threads,
                 on_object=lambda name: status.update(f"evaluated {name}"),
             )
-            result = measure(lambda instance: see(dequantize(instance.surface_points)))
-            if (folder / DEPTH).is_file():
-                model = read_depth_model(folder, checkpoint)
-                look = reconstruction_from(checkpoint, resolution or 32, meshes, model=model)
-                result["depth_input"] = measure(lambda instance: look(seen_by_a_camera(instance)))
-        asked = {"protocol": protocol, "label_poses": label_poses, "resolution": resolution or 32}
-        result = {"run": about(checkpoint) | asked, **result}
-        table = markdown(result)
-        out = folder / ("evaluation" if protocol == "paper" else f"evaluation-{protocol}")
-        out.mkdir(exist_ok=True)
-        text = json.dumps(result, indent=1) + "\n"
-        write_atomically(out / "evaluation.json", text.encode())
-        write_atomically(out / "evaluation.md", table.encode())
-        _out.print(table, soft_wrap=True, markup=False)
+        _out.print(markdown(result), soft_wrap=True, markup=False)
+        out = commands.evaluation_folder(run, protocol)
         _out.print(f"written: {out}/evaluation.json, evaluation.md", soft_wrap=True)
         if figures and protocol == "paper":
-            from articugen.learning.evaluation.figures.draw import draw_figures
-
-            fine = min(4 * (resolution or 32), 128)
-            drawn = draw_figures(out, RunFolder(folder), data, checkpoint, result, resolution=fine)
             with _err.status("drawing ..."):
-                for path in drawn:
+                for path in commands.draw(run, data, result):
                     _out.print(f"drawn: {path}", soft_wrap=True)
 
 
@@ -250,11 +188,9 @@ def tables(
 ) -> None:
     """Print the paper's tables over several evaluated runs: categories, ablations, inputs."""
     with _said():
-        from articugen.learning.evaluation.report import read_result
-        from articugen.learning.evaluation.report import tables as written
+        from articugen.learning import commands
 
-        results = [read_result(_newest(run)) for run in runs]
-        _out.print(written(results), soft_wrap=True, markup=False)
+        _out.print(commands.tables(runs), soft_wrap=True, markup=False)
 
 
 def predict(
@@ -273,69 +209,16 @@ def predict(
 ) -> None:
     """Segment and rig a shape: a mesh for each part, and a URDF with the predicted joints."""
     with _said():
-        _prepare()
-        from articugen.learning.clouds import cloud_of_file, cloud_of_shard
-        from articugen.learning.ppd.depth import read_depth_model
-        from articugen.learning.ppd.reconstruct import reconstruction_from
-        from articugen.learning.predict import write_rig
-        from articugen.learning.runs import LATEST, read_checkpoint
+        from articugen.learning import commands
 
-        folder = _newest(run)
-        checkpoint = read_checkpoint(folder / LATEST)
-        if cloud.suffix == ".h5":
-            eye = camera if depth else None
-            given = cloud_of_shard(cloud, row, category=checkpoint.category, camera=eye)
-        else:
-            given = cloud_of_file(cloud, fit=fit)
-        if given.hint:
-            _err.print(given.hint, soft_wrap=True)
-        model = read_depth_model(folder, checkpoint) if depth else None
-        found = reconstruction_from(checkpoint, resolution, model=model)(given.points)
-        path = write_rig(found, out, frame=given.frame)
-        for i in sorted(set(found.part.tolist())):
-            kind = ("fixed", "revolute", "prismatic")[found.kind[i]]
-            state = found.state[i] * (given.frame.scale if kind == "prismatic" else 1.0)
-            _out.print(f"part {i}: {kind}, state {state:.3f}")
-        _out.print(f"written: {path}", soft_wrap=True)
-
-
-def _prepare(device: str = "cpu", threads: int = 0) -> None:
-    """Raise where torch or the device is not there."""
-    try:
-        import torch
-    except ImportError:
-        raise MissingExtra("torch", "ppd") from None
-    if threads:
-        torch.set_num_threads(threads)
-    try:
-        torch.zeros(1, device=device)
-    except (RuntimeError, AssertionError):
-        raise ArticugenError(
-            f"--device {device}: torch sees no such device; use --device cpu"
-        ) from None
-
-
-def _hint_of_few(data: Path) -> None:
-    """Tell where a data set is too small for a model to carry over to other objects."""
-    from articugen.store.manifest import Manifest
-
-    count = sum(o.key.split == "train" for o in Manifest.read(data).objects)
-    if count < FEW_OBJECTS:
-        _err.print(
-            f"{data}: {count} training objects show that all works, but teach little that carries "
-            "over to others; for that make the full data set, without RECIPE=quick or OBJECTS=",
-            soft_wrap=True, markup=False,
-        )  # fmt: skip
-
-
-def _newest(run: Path) -> Path:
-    """The run itself, or the newest of the numbered runs in a folder."""
-    if (run / "run.json").is_file():
-        return run
-    numbered = sorted((p for p in run.glob("*") if p.name.isdecimal()), key=lambda p: int(p.name))
-    if not numbered:
-        raise InvalidCheckpoint(f"{run}: holds no run; make one with: articugen train")
-    return numbered[-1]
+        made = commands.predict(
+            run, cloud, row=row, depth=depth, camera=camera, fit=fit, out=out, resolution=resolution
+        )
+        if made.cloud.hint:
+            _err.print(made.cloud.hint, soft_wrap=True)
+        for line in made.lines():
+            _out.print(line)
+        _out.print(f"written: {made.path}", soft_wrap=True)
 
 
 class _ProgressBar:

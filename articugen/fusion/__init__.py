@@ -6,13 +6,13 @@
 """
 
 from articugen.fusion.bvh import Bvh
-from articugen.fusion.field import Field, OwnSolid, PosedFields, PosedSolids, fuse, pixel_width
+from articugen.fusion.field import FusedField, OwnSolid, PosedFields, PosedSolids, fuse, pixel_width
 from articugen.fusion.parts import SolidPart, joined_bvh, seen_by, solid_part
 from articugen.fusion.reachable import touched
 
 __all__ = [
     "Bvh",
-    "Field",
+    "FusedField",
     "OwnSolid",
     "PosedFields",
     "PosedSolids",

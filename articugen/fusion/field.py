@@ -42,7 +42,7 @@ GLANCES = 5
 
 
 @dataclass(frozen=True, eq=False)
-class Field:
+class FusedField:
     """The fused field of one set of depth maps.
 
     Attributes:
@@ -148,7 +148,7 @@ class OwnSolid:
         closed: its closed pieces: what they wind around no view can see.
     """
 
-    field: Field
+    field: FusedField
     box: NDArray[np.float64]
     closed: Bvh | None = None
 
@@ -174,7 +174,7 @@ class OwnSolid:
         return held
 
     def value(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """(n,) as `Field.value`, negative where it holds the points (n, 3)."""
+        """(n,) as `FusedField.value`, negative where it holds the points (n, 3)."""
         value = self.field.value(points)
         if self.closed is not None:
             sure = surely_inside(points, self.closed)
@@ -243,7 +243,7 @@ class PosedSolids:
         return held
 
     def value(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """(n,) the least of the parts' own values at `points` (n, 3), see `Field.value`."""
+        """(n,) the least of the parts' own values at `points` (n, 3), see `FusedField.value`."""
         value = np.full(len(points), self.settings.truncation)
         for own, T in zip(self.own, invert_rigid(self.part_motion), strict=True):
             value = np.minimum(value, own.value(apply(T, points)))
@@ -259,7 +259,7 @@ class PosedFields:
         material: what the parts' own solids hold.
     """
 
-    whole: Field | PosedSolids
+    whole: FusedField | PosedSolids
     material: PosedSolids
 
     @property
@@ -290,7 +290,7 @@ class PosedFields:
         self, points: NDArray[np.float32], label: NDArray[np.uint8]
     ) -> NDArray[np.uint8]:
         """`label`, the material at `points` (n, 3), with ENCLOSED set where that is."""
-        if isinstance(self.whole, Field):
+        if isinstance(self.whole, FusedField):
             rest = np.flatnonzero(label == FREE)
             label[rest[~self.whole.is_free(points, rest)]] = ENCLOSED
         return label
@@ -304,7 +304,7 @@ def fuse(
     bvh: Bvh | None = None,
     part_motion: NDArray[np.float64] | None = None,
     thin: ThinVoxels = NOTHING,
-) -> Field:
+) -> FusedField:
     """The field of `maps`, which show the faces of `mesh`.
 
     Args:
@@ -319,11 +319,11 @@ def fuse(
         part_motion = np.eye(4)[None]
         bvh = build(corners, np.zeros(len(corners), np.uint8), 1)
     table = triangle_table(corners)
-    field = Field(maps, table, bvh, part_motion, settings, None, thin)
+    field = FusedField(maps, table, bvh, part_motion, settings, None, thin)
     return flooded(field, mesh) if settings.rule == "reachable" else field
 
 
-def flooded(field: Field, mesh: LabelledMesh) -> Field:
+def flooded(field: FusedField, mesh: LabelledMesh) -> FusedField:
     """The field of `mesh` by the rule `reachable`; with the rule `mean` as it is."""
     if field.settings.rule == "mean" or field.flood is not None:
         return field

@@ -1,6 +1,6 @@
 """The numba kernels of fusion: what one view says of one point, and how the views add up.
 
-`Scene` bundles what the kernels read; see `fusion.Field` for where it comes from.
+`Scene` bundles what the kernels read; see `fusion.FusedField` for where it comes from.
 """
 
 from typing import Any, NamedTuple

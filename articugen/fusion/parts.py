@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from articugen.fusion import solidify
 from articugen.fusion.bvh import Bvh, build, joined
-from articugen.fusion.field import Field, OwnSolid, flooded, fuse, pixel_width
+from articugen.fusion.field import FusedField, OwnSolid, flooded, fuse, pixel_width
 from articugen.fusion.thin import thin_voxels, way_meets
 from articugen.fusion.winding import pieces
 from articugen.geometry import bounds
@@ -102,7 +102,7 @@ def _own_solid(
     return OwnSolid(field, box, _closed_pieces(mesh, closed, field))
 
 
-def _closed_pieces(mesh: LabelledMesh, closed: NDArray[np.bool_], field: Field) -> Bvh | None:
+def _closed_pieces(mesh: LabelledMesh, closed: NDArray[np.bool_], field: FusedField) -> Bvh | None:
     """What `OwnSolid.closed` holds; None where the recipe's rule takes the views' word alone."""
     if field.settings.rule == "mean":
         return None

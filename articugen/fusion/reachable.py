@@ -25,7 +25,7 @@ class Flood:
 
     Attributes:
         state: (n, n, n) uint8 over the unit cube: 0 not reached, 1 touched by a face, 2 reached.
-        bvh, to_part: of the posed mesh, as in `fusion.Field`.
+        bvh, to_part: of the posed mesh, as in `fusion.FusedField`.
     """
 
     state: NDArray[np.uint8]

@@ -22,7 +22,7 @@ DETAIL = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Cloud:
+class SurfaceCloud:
     """Points of a surface.
 
     Attributes:
@@ -34,15 +34,15 @@ class Cloud:
     normals: Array
     area: Array
 
-    def __getitem__(self, which: slice | NDArray[np.int64]) -> "Cloud":
-        return Cloud(self.points[which], self.normals[which], self.area[which])
+    def __getitem__(self, which: slice | NDArray[np.int64]) -> "SurfaceCloud":
+        return SurfaceCloud(self.points[which], self.normals[which], self.area[which])
 
-    def thinned(self, step: int) -> "Cloud":
+    def thinned(self, step: int) -> "SurfaceCloud":
         """Every so manyeth point, with so many times the area."""
         few = self[::step]
-        return Cloud(few.points, few.normals, step * few.area)
+        return SurfaceCloud(few.points, few.normals, step * few.area)
 
-    def few(self) -> "Cloud":
+    def few(self) -> "SurfaceCloud":
         """Not many more than `ENOUGH` points."""
         return self.thinned(max(len(self.points) // ENOUGH, 1))
 
@@ -52,7 +52,7 @@ class Cloud:
         return np.ascontiguousarray(table, dtype=np.float32)
 
 
-def occlusion(at: Array, facing: Array, cloud: Cloud) -> Array:
+def occlusion(at: Array, facing: Array, cloud: SurfaceCloud) -> Array:
     """The share of the cosine-weighted sky that `cloud` hides from `at` (m, 3): (m,).
 
     Args:
@@ -61,7 +61,9 @@ def occlusion(at: Array, facing: Array, cloud: Cloud) -> Array:
     return np.minimum(_far(at, facing, cloud.few().columns(), 1e-6), 1.0)
 
 
-def occlusion_in_detail(at: Array, facing: Array, coarse: Cloud, fine: Cloud) -> Array:
+def occlusion_in_detail(
+    at: Array, facing: Array, coarse: SurfaceCloud, fine: SurfaceCloud
+) -> Array:
     """As `occlusion`, for many places `at` (m, 3) on the surface that two clouds lie on.
 
     What the far hides changes slowly: it is summed up at some points of `coarse` only and averaged

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from articugen.geometry import apply, invert_rigid
 from articugen.inspection.camera import Camera, framed
 from articugen.inspection.layout import TILE
-from articugen.inspection.light import Cloud
+from articugen.inspection.light import SurfaceCloud
 from articugen.inspection.shading import SUPERSAMPLING, Picture, linear, shaded
 from articugen.inspection.solids import Solid, draw_solid, spread
-from articugen.inspection.surfels import Sample, Surfels, draw, surfels
+from articugen.inspection.surfels import OrientedPoints, Surfels, draw, surfels
 from articugen.records import Instance, dequantize
 
 Array = NDArray[np.float64]
@@ -39,16 +39,16 @@ def colour_of(part: int) -> str:
     return COLOURS[0] if part == 0 else COLOURS[1 + (part - 1) % (len(COLOURS) - 1)]
 
 
-def sample(instance: Instance) -> Sample:
+def oriented_points(instance: Instance) -> OrientedPoints:
     """The stored surface points of an instance."""
     normals = instance.surface_normals.astype(np.float64)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return Sample(dequantize(instance.surface_points), normals, instance.surface_part)
+    return OrientedPoints(dequantize(instance.surface_points), normals, instance.surface_part)
 
 
 def pooled(instances: Sequence[Instance]) -> Surfels:
     """Discs of one object in its canonical pose, from the points of all these instances."""
-    return surfels([sample(i).moved(invert_rigid(i.part_motion)) for i in instances])
+    return surfels([oriented_points(i).moved(invert_rigid(i.part_motion)) for i in instances])
 
 
 def tile_camera(points: Array, azimuth: float) -> Camera:
@@ -58,7 +58,7 @@ def tile_camera(points: Array, azimuth: float) -> Camera:
 
 def best_azimuth(instances: Sequence[Instance]) -> float:
     """The side from which most of the parts of these instances can be seen."""
-    posed = [surfels([sample(instance)]) for instance in instances]
+    posed = [surfels([oriented_points(instance)]) for instance in instances]
     return max(AZIMUTHS, key=lambda azimuth: sum(_seen(discs, azimuth) for discs in posed))
 
 
@@ -87,8 +87,8 @@ def portrait(
         floor: the height of what it stands on.
         beside: drawn as well, without a shadow.
     """
-    posed, own = discs.moved(instance.part_motion), sample(instance)
-    coarse = Cloud(own.points, own.normals, np.full(len(own.points), own.spacing() ** 2))
+    posed, own = discs.moved(instance.part_motion), oriented_points(instance)
+    coarse = SurfaceCloud(own.points, own.normals, np.full(len(own.points), own.spacing() ** 2))
     palette = _palette([colour_of(k) for k in range(256)])
     seen = nearer(draw(posed, palette[posed.part], camera), _drawn(beside, camera))
     return shaded(seen, camera, coarse, posed.cloud, floor)

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from articugen.inspection.camera import Camera
-from articugen.inspection.light import Cloud, occlusion, occlusion_in_detail
+from articugen.inspection.light import SurfaceCloud, occlusion, occlusion_in_detail
 
 Array = NDArray[np.float64]
 Picture = Image.Image
@@ -20,7 +20,11 @@ def linear(colour: str) -> Array:
 
 
 def shaded(
-    seen: tuple[Array, Array, Array], camera: Camera, coarse: Cloud, fine: Cloud, floor: float
+    seen: tuple[Array, Array, Array],
+    camera: Camera,
+    coarse: SurfaceCloud,
+    fine: SurfaceCloud,
+    floor: float,
 ) -> Picture:
     """The picture of a surface that stands on a white floor, `SUPERSAMPLING` times smaller.
 
@@ -53,7 +57,7 @@ def _lit(normals: Array, sky_seen: Array, camera: Camera) -> Array:
     return open_ * (0.42 * sky + 0.58 * direct + 0.13 * toward_us)
 
 
-def _shadow(cloud: Cloud, camera: Camera, floor: float) -> Array:
+def _shadow(cloud: SurfaceCloud, camera: Camera, floor: float) -> Array:
     """(H, W) how much of the sky the object hides from the floor under each pixel."""
     count, reach = 48, 0.9
     at = np.linspace(-reach, reach, count)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from articugen.geometry import look_along, pick_by_weight, points_in_triangles
 from articugen.inspection.camera import Camera
-from articugen.inspection.light import Cloud
+from articugen.inspection.light import SurfaceCloud
 from articugen.records import LabelledMesh, Views
 from articugen.rendering.rasterizer import render
 
@@ -98,19 +98,19 @@ def draw_solid(solid: Solid, values: Array, camera: Camera) -> tuple[Array, Arra
     return depth, normals, drawn
 
 
-def spread(triangles: Array, count: int) -> Cloud:
+def spread(triangles: Array, count: int) -> SurfaceCloud:
     """About `count` points over triangles (F, 3, 3), evenly by area."""
     normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     twice = np.linalg.norm(normal, axis=1)
     if not twice.any():
-        return Cloud(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+        return SurfaceCloud(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     rank = np.arange(count)
     face = pick_by_weight(twice, (rank + 0.5) / count)
     a = (0.5 + rank * 0.7548776662466927) % 1.0  # the R2 sequence (Roberts 2018)
     b = (0.5 + rank * 0.5698402909980532) % 1.0
     points = points_in_triangles(triangles[face], a[:, None], b[:, None])
     area = np.full(count, 0.5 * twice.sum() / count)
-    return Cloud(points, normal[face] / twice[face, None], area)
+    return SurfaceCloud(points, normal[face] / twice[face, None], area)
 
 
 def _views(camera: Camera) -> Views:

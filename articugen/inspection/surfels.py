@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from articugen.geometry import apply
 from articugen.inspection.camera import Camera
 from articugen.inspection.cells import cells_of, near
-from articugen.inspection.light import Cloud
+from articugen.inspection.light import SurfaceCloud
 
 Array = NDArray[np.float64]
 
@@ -35,17 +35,17 @@ SAME_FACE = np.cos(np.radians(25.0))
 
 
 @dataclass(frozen=True, eq=False)
-class Sample:
+class OrientedPoints:
     """Points on a surface, uniform over it: `points` (n, 3), unit `normals` (n, 3), `part` (n,)."""
 
     points: Array
     normals: Array
     part: NDArray[np.uint8]
 
-    def moved(self, T_part: Array) -> "Sample":
+    def moved(self, T_part: Array) -> "OrientedPoints":
         """Each part's points moved by its own rigid motion; `T_part` (P, 4, 4)."""
         points = _turned(T_part, self.points, self.part) + T_part[self.part, :3, 3]
-        return Sample(points, _turned(T_part, self.normals, self.part), self.part)
+        return OrientedPoints(points, _turned(T_part, self.normals, self.part), self.part)
 
     def spacing(self) -> float:
         """The side of the square that each point stands for."""
@@ -83,8 +83,8 @@ class Surfels:
     reach: Array
 
     @property
-    def cloud(self) -> Cloud:
-        return Cloud(self.points, self.normals, self.spacing**2)
+    def cloud(self) -> SurfaceCloud:
+        return SurfaceCloud(self.points, self.normals, self.spacing**2)
 
     def moved(self, T_part: Array) -> "Surfels":
         """Each part's discs moved by its own rigid motion; `T_part` (P, 4, 4).
@@ -104,7 +104,7 @@ def _turned(T_part: Array, vectors: Array, part: NDArray[np.uint8]) -> Array:
     return np.einsum("nij,nj->ni", T_part[part, :3, :3], vectors)
 
 
-def surfels(samples: Sequence[Sample]) -> Surfels:
+def surfels(samples: Sequence[OrientedPoints]) -> Surfels:
     """Discs for some samples of one surface, each uniform over as much of it as it covers."""
     spacing = float(np.median([sample.spacing() for sample in samples]))
     points = np.concatenate([sample.points for sample in samples])

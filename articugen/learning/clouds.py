@@ -1,7 +1,6 @@
 """Clouds to make predictions from: an instance of a shard, or a file of points."""
 
 import io
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,9 +9,10 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from articugen.errors import InvalidSource
+from articugen.errors import CorruptShard, InvalidSource
 from articugen.learning.evaluation.surfaces import Floats, sample
-from articugen.records import Normalization, dequantize
+from articugen.ply import claimed_rows
+from articugen.records import Instance, Normalization, dequantize
 from articugen.seeding import generator
 from articugen.store.shards import Shard, open_shard
 
@@ -70,6 +70,22 @@ def _stored(shard: Shard, row: int, camera: int | None) -> Any:
     if camera >= cameras:
         raise InvalidSource(f"{shard.path}: has {cameras} cameras, from 0; there is no {camera}")
     return shard.read("partial_points", row)[camera]
+
+
+def seen_by_a_camera(instance: Instance) -> Floats:
+    """(M, 3) what one of the instance's depth cameras sees, always the same one.
+
+    Raises:
+        CorruptShard: it has none.
+    """
+    cameras = len(instance.partial_points)
+    if not cameras:
+        raise CorruptShard(
+            f"{instance.object_id}: has no partial clouds; set sampling.partial_views and make the "
+            "data set again"
+        )
+    chosen = generator(0, "camera", instance.object_id, instance.state_index).integers(cameras)
+    return dequantize(instance.partial_points[chosen])
 
 
 def cloud_of_file(path: Path, *, fit: bool = False) -> Cloud:
@@ -154,14 +170,11 @@ def _text(vector: Floats) -> str:
 
 def _ply(data: bytes) -> Any:
     """Vertices; where there are faces, points spread over them."""
-    header = data[: data.find(b"end_header") + 1].decode("ascii", "replace")
-    claimed = dict(re.findall(r"element (\w+) (\d+)", header))
-    if "vertex" not in claimed or int(claimed["vertex"]) > len(data):
-        raise ValueError("no PLY header that fits the file")
+    claimed = claimed_rows(data)
     found: Any = trimesh.load(io.BytesIO(data), file_type="ply", process=False)
     if len(getattr(found, "faces", ())):
         return sample(np.asarray(found.triangles), _POINTS_ON_A_MESH, generator(0, "cloud of mesh"))
-    if len(found.vertices) < int(claimed["vertex"]):
+    if len(found.vertices) < claimed.get("vertex", 1):
         raise ValueError("cut short")
     return found.vertices
 

@@ -1,86 +1,338 @@
 """What the commands of learning do, as functions that a notebook can call as well."""
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from articugen.errors import MissingExtra
+from articugen.errors import ArticugenError, InvalidCheckpoint, MissingExtra
 
 try:
-    import torch  # noqa: F401
+    import torch
 except ImportError:
     raise MissingExtra("torch", "ppd") from None
 
-from articugen.learning import loop
+from articugen.learning import loop, processes, tensorboard
+from articugen.learning.clouds import Cloud, cloud_of_file, cloud_of_shard, seen_by_a_camera
 from articugen.learning.evaluation.evaluate import Protocol
 from articugen.learning.evaluation.evaluate import evaluate as evaluate_as_paper
-from articugen.learning.loop import Progress
-from articugen.learning.ppd.reconstruct import reconstruction_from
-from articugen.learning.ppd.settings import TrainRecipe, load_train_recipe, parse_train_recipe
+from articugen.learning.evaluation.reconstruction import KIND_NAMES, Reconstruction
+from articugen.learning.evaluation.report import markdown
+from articugen.learning.evaluation.report import tables as written
+from articugen.learning.evaluation.results import EvaluatedRun, RunEvaluation, read_evaluation
+from articugen.learning.loop import Tell
+from articugen.learning.method import Yardstick, find_method, load_recipe
+from articugen.learning.predict import write_rig
 from articugen.learning.race import race
-from articugen.learning.runs import LATEST, RunFolder, about, read_checkpoint
-from articugen.recipe_files import find, resolved_mapping
+from articugen.learning.recipe import TrainRecipe
+from articugen.learning.runs import DEPTH, LATEST, RunFolder, depth_learner, read_checkpoint
 from articugen.records import dequantize
+from articugen.store.files import write_atomically
 from articugen.store.manifest import Manifest
 
 FolderLike = str | os.PathLike[str]
 RecipeLike = str | Path | Mapping[str, Any] | TrainRecipe
+
+FEW_OBJECTS = 20
+"""Fewer than the smallest category's 24."""
+
+_PAPER = Yardstick(
+    32, lambda learner, cloud, resolution: learner.reconstruct(cloud, resolution=resolution),
+    evaluate_as_paper,
+)  # fmt: skip
 
 
 def train(
     data: FolderLike,
     recipe: RecipeLike | None = None,
     *,
+    method: str | None = None,
+    category: str | None = None,
     runs: FolderLike = "runs",
     seed: int = 0,
+    seeds: int | None = None,
     jobs: int = 0,
+    resume: FolderLike | None = None,
     device: str = "cpu",
-    on_progress: Callable[[Progress], None] = lambda _: None,
+    threads: int = 0,
+    on_progress: Tell = lambda _: None,
 ) -> RunFolder:
-    """Train on a data set; the run's folder is <runs>/<category>/<number>."""
-    settings = _recipe(recipe or "ppd_quick")
-    category = Manifest.read(Path(data)).category
+    """Train on a data set, or go on with a run.
+
+    Args:
+        data: the folder of a data set.
+        recipe: a name under recipes/, a YAML file, a mapping of keys that may say `extends`, or a
+            recipe; None is the method's own, and where a run is resumed, that run's.
+        method: whose recipe it must be; None is whosever it is.
+        category: what the data set must hold; None is whatever it holds.
+        runs: the run's folder is <runs>/<category>/<number>.
+        seed: of weights and batches, the first of several.
+        seeds: how many race; None is what the recipe says.
+        jobs: seeds that are trained at a time; 0 is one a CPU core.
+        resume: the folder of a run to go on with instead; its recipe and seed hold.
+        device: cpu, cuda or cuda:1.
+        threads: of the CPU; 0 leaves it to torch.
+        on_progress: called after each iteration.
+
+    Returns:
+        The run's folder.
+
+    Raises:
+        InvalidRecipe, CorruptShard, InvalidCheckpoint, TrainingDiverged, ArticugenError: as each
+            says.
+    """
+    prepare(device, threads)
+    settings = load_recipe(recipe, method=method)
+    if seeds is not None:
+        settings = settings.with_seeds(seeds)
+    if resume is not None:
+        resume, asked = Path(resume), settings if recipe else None
+        settings, seed = RunFolder(resume).recipe(), RunFolder(resume).about()["seed"]
+        if asked and not asked.same_but_seeds(settings):
+            raise InvalidCheckpoint(
+                f"{resume}: was started with another recipe than {asked.name}; leave out --recipe "
+                "or start a new run"
+            )
     run_training = loop.train
     if settings.seeds.count > 1:
+        if processes.started() > 1:
+            raise ArticugenError("torchrun: seeds race in processes of their own; add --seeds 1")
         at_once = (jobs or os.cpu_count() or 1) if device == "cpu" else 1
         run_training = partial(race, jobs=min(at_once, settings.seeds.count))
-    return run_training(
-        settings,
-        category=category,
-        data=Path(data),
-        runs=Path(runs) / category,
-        seed=seed,
-        device=device,
-        on_progress=on_progress,
-    )
+    folder = Path(data)
+    category = category or Manifest.read(folder).category
+    with processes.joined(device) as own_device:
+        return run_training(
+            settings,
+            category=category,
+            data=folder,
+            runs=Path(runs) / category,
+            seed=seed,
+            resume=resume,
+            device=own_device,
+            on_progress=on_progress,
+        )
 
 
-def _recipe(given: RecipeLike) -> TrainRecipe:
-    if isinstance(given, TrainRecipe):
-        return given
-    if isinstance(given, Mapping):
-        data = resolved_mapping(given, lambda base: find(base, learner=True))
-        return parse_train_recipe({"name": "own"} | data, "the recipe that is given")
-    return load_train_recipe(given)
+def train_depth(
+    run: FolderLike,
+    data: FolderLike,
+    *,
+    device: str = "cpu",
+    threads: int = 0,
+    on_progress: Tell = lambda _: None,
+) -> RunFolder:
+    """Train what a run's method has for depth input, or go on with it.
+
+    Args:
+        run: a run's folder, or that of a category's runs, whose newest is meant.
+        data, device, threads, on_progress: as `train` takes them.
+
+    Raises:
+        Others as `train`.
+    """
+    prepare(device, threads)
+    if processes.started() > 1:
+        raise ArticugenError("train-depth runs in one process; leave out torchrun")
+    folder = RunFolder.existing(newest(run))
+    return loop.train_depth(folder, Path(data), device=device, on_progress=on_progress)
 
 
 def evaluate(
     run: FolderLike,
     data: FolderLike,
     *,
+    protocol: str = "paper",
     resolution: int | None = None,
+    label_poses: str = "canonical",
     states: int | None = None,
-) -> dict[str, Any]:
-    """Evaluate a run's last checkpoint on the test objects, as the paper does."""
-    checkpoint = read_checkpoint(Path(run) / LATEST)
-    see = reconstruction_from(checkpoint, resolution or 32)
-    occupancy = checkpoint.recipe.data.occupancy
-    result = evaluate_as_paper(
+    threads: int = 0,
+    on_object: Callable[[str], None] = lambda _: None,
+) -> RunEvaluation:
+    """Evaluate a run's last checkpoint on the test objects, and write <run>/evaluation/.
+
+    Args:
+        run: a run's folder, or that of a category's runs, whose newest is meant.
+        data: the folder of a data set of the same category.
+        protocol: `paper`, or one of the method's own.
+        resolution: of the meshes' grid; None is the protocol's.
+        label_poses: whose poses vote for labels, `canonical` or `all`.
+        states: random states a test object; None is all.
+        threads: of the CPU; 0 leaves it to torch.
+        on_object: called with the name of each object that was evaluated.
+
+    Returns:
+        What was measured; `depth_input` too, where the run has something for that.
+
+    Raises:
+        InvalidCheckpoint: the run cannot be read.
+        CorruptShard: the data set has no test object, or is of another category.
+        ArticugenError: there is no such protocol.
+    """
+    prepare(threads=threads)
+    if label_poses not in ("canonical", "all"):
+        raise ArticugenError(f"--label-poses {label_poses}: canonical or all")
+    folder = newest(run)
+    point = read_checkpoint(folder / LATEST)
+    yardsticks = {"paper": _PAPER, **find_method(point.recipe.method).yardsticks()}
+    if protocol not in yardsticks:
+        raise ArticugenError(f"--protocol {protocol}: {' or '.join(yardsticks)}")
+    by = yardsticks[protocol]
+    resolution = resolution or by.resolution
+    measure = partial(
+        by.evaluate,
         Path(data),
-        lambda instance: see(dequantize(instance.surface_points)),
-        protocol=Protocol(label_poses="canonical", test_states=states, occupancy=occupancy),
-        category=checkpoint.category,
+        protocol=Protocol(
+            label_poses=label_poses, test_states=states, occupancy=point.recipe.data.occupancy
+        ),
+        category=point.category,
+        on_object=on_object,
     )
-    return {"run": about(checkpoint), **result}
+    learner = point.learner()
+    found = measure(lambda i: by.reconstruct(learner, dequantize(i.surface_points), resolution))
+    by_depth = None
+    if (folder / DEPTH.latest).is_file():
+        depth = depth_learner(folder, point)
+        by_depth = measure(lambda i: by.reconstruct(depth, seen_by_a_camera(i), resolution))
+    asked = {"protocol": protocol, "label_poses": label_poses, "resolution": resolution}
+    evaluated = EvaluatedRun(**point.about(), **asked)
+    result = RunEvaluation(run=evaluated, depth_input=by_depth, **dict(found))
+    out = evaluation_folder(folder, protocol)
+    out.mkdir(exist_ok=True)
+    result.write(out)
+    write_atomically(out / "evaluation.md", markdown(result).encode())
+    return result
+
+
+def evaluation_folder(run: FolderLike, protocol: str = "paper") -> Path:
+    """Where `evaluate` writes to."""
+    return newest(run) / ("evaluation" if protocol == "paper" else f"evaluation-{protocol}")
+
+
+def draw(run: FolderLike, data: FolderLike, result: RunEvaluation) -> Iterator[Path]:
+    """Draw the figures of an evaluation into its folder, and yield each path when it is there.
+
+    Args:
+        run, data: as `evaluate` took them.
+        result: what it has returned.
+    """
+    from articugen.learning.evaluation.figures.draw import draw_figures  # noqa: PLC0415
+
+    folder = newest(run)
+    learner = read_checkpoint(folder / LATEST).learner()
+    model = learner.drawable(min(4 * result.run.resolution, 128))
+    out, metrics = evaluation_folder(folder), RunFolder(folder).metrics()
+    yield from draw_figures(out, metrics, Path(data), model, result)
+
+
+def tables(runs: Sequence[FolderLike]) -> str:
+    """The paper's tables over several evaluated runs: categories, ablations, inputs."""
+    return written([read_evaluation(newest(run)) for run in runs])
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """What `predict` has made.
+
+    Attributes:
+        cloud: what was given.
+        found: what the model makes of it.
+        path: of the URDF.
+    """
+
+    cloud: Cloud
+    found: Reconstruction
+    path: Path
+
+    def lines(self) -> list[str]:
+        """Each part that has a surface; kind and state of its joint, in the cloud's own unit."""
+        joints, told = self.found.joints, []
+        for i in sorted(set(self.found.part.tolist())):
+            if joints is None:
+                told.append(f"part {i}")
+                continue
+            kind = KIND_NAMES[joints.kind[i]]
+            unit = self.cloud.frame.scale if kind == "prismatic" else 1.0
+            told.append(f"part {i}: {kind}, state {joints.state[i] * unit:.3f}")
+        return told
+
+
+def predict(
+    run: FolderLike,
+    cloud: FolderLike,
+    *,
+    row: int = 0,
+    depth: bool = False,
+    camera: int = 0,
+    fit: bool = False,
+    out: FolderLike = "rig",
+    resolution: int = 64,
+) -> Predicted:
+    """Segment and rig a shape: a mesh for each part, and a URDF with the predicted joints.
+
+    Args:
+        run: a run's folder, or that of a category's runs, whose newest is meant.
+        cloud: a shard, or a file of points.
+        row: which instance of a shard.
+        depth, camera: what this one of the shard's depth cameras sees, or that the file's points
+            are what some camera sees; the run must have something for depth input.
+        fit: bring the file's box into the unit frame first.
+        out: the folder for meshes and URDF.
+        resolution: of the meshes' grid.
+
+    Raises:
+        InvalidCheckpoint: the run cannot be read.
+        InvalidSource, CorruptShard: the cloud cannot be made sense of.
+        ArticugenError: the model sees no surface.
+    """
+    prepare()
+    folder, cloud = newest(run), Path(cloud)
+    point = read_checkpoint(folder / LATEST)
+    if cloud.suffix == ".h5":
+        eye = camera if depth else None
+        given = cloud_of_shard(cloud, row, category=point.category, camera=eye)
+    else:
+        given = cloud_of_file(cloud, fit=fit)
+    learner = depth_learner(folder, point) if depth else point.learner()
+    found = learner.reconstruct(given.points, resolution=resolution)
+    return Predicted(given, found, write_rig(found, Path(out), frame=given.frame))
+
+
+def hints(data: FolderLike) -> list[str]:
+    """What to know before a training on a data set."""
+    found, count = [], sum(o.key.split == "train" for o in Manifest.read(Path(data)).objects)
+    if count < FEW_OBJECTS:
+        found.append(
+            f"{data}: {count} training objects show that all works, but teach little that carries "
+            "over to others; for that make the full data set, without RECIPE=quick or OBJECTS="
+        )
+    return found if tensorboard.is_installed() else [*found, tensorboard.MISSING]
+
+
+def newest(run: FolderLike) -> Path:
+    """The run itself, or the newest of the numbered runs in a folder.
+
+    Raises:
+        InvalidCheckpoint: there is none.
+    """
+    run = Path(run)
+    if (run / "run.json").is_file():
+        return run
+    numbered = sorted((p for p in run.glob("*") if p.name.isdecimal()), key=lambda p: int(p.name))
+    if not numbered:
+        raise InvalidCheckpoint(f"{run}: holds no run; make one with: articugen train")
+    return numbered[-1]
+
+
+def prepare(device: str = "cpu", threads: int = 0) -> None:
+    """Raise ArticugenError where the device is not there."""
+    if threads:
+        torch.set_num_threads(threads)
+    try:
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError):
+        raise ArticugenError(
+            f"--device {device}: torch sees no such device; use --device cpu"
+        ) from None

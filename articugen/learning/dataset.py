@@ -4,8 +4,8 @@ Coordinates stay 16-bit and labels 8-bit until a batch is made, on whatever devi
 worker process is needed, and a batch depends on nothing but its generator and indices.
 """
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,38 @@ from torch import Tensor
 
 from articugen.errors import CorruptShard
 from articugen.learning import processes
-from articugen.learning.ppd.settings import DataSettings
+from articugen.learning.recipe import DataSettings
 from articugen.records import FREE, is_material
 from articugen.store.manifest import Manifest
 from articugen.store.shards import Shard, open_shard
+
+
+@dataclass(frozen=True)
+class BatchSpec:
+    """What a learner must be given; nothing else is read or unpacked.
+
+    Attributes:
+        surface_points, grid_points, uniform_points, near_points, occupancy: as `DataSettings`.
+        grids: resolutions of grids that `Learner.validate` reads, besides those of the stages.
+        parts: whether the true parts of surface points are wanted.
+        partial: whether clouds are what one depth camera sees, another one each time.
+        joints: (revolute, prismatic) joints an object may have at most; None is any number.
+    """
+
+    surface_points: int
+    grid_points: int = 0
+    uniform_points: int = 0
+    near_points: int = 0
+    occupancy: str = "visible"
+    grids: tuple[int, ...] = ()
+    parts: bool = False
+    partial: bool = False
+    joints: tuple[int, int] | None = None
+
+    @staticmethod
+    def of(data: DataSettings, **more: Any) -> "BatchSpec":
+        """What a recipe says, and more."""
+        return BatchSpec(**data.model_dump(exclude={"validation_objects"}), **more)
 
 
 @dataclass(frozen=True)
@@ -27,14 +55,18 @@ class Batch:
     """B samples in the unit frame.
 
     Attributes:
-        cloud: (B, n, 3) surface points, the encoder's input.
+        rows: (B,) which instances of the split they are.
+        cloud: (B, n, 3) surface points, or what a depth camera sees.
+        part: (B, n) the cloud's true parts where they were asked for, else (B, 0).
         points: (B, m, 3) query points.
         occupied: (B, m) bool, their indicator values.
         spread: the first so many query points are spread evenly over the cube, the others lie near
             the surface.
     """
 
+    rows: Tensor
     cloud: Tensor
+    part: Tensor
     points: Tensor
     occupied: Tensor
     spread: int
@@ -42,7 +74,10 @@ class Batch:
     def share(self) -> "Batch":
         """What this process takes of it; all of it where there is one."""
         of = processes.share
-        return Batch(of(self.cloud), of(self.points), of(self.occupied), self.spread)
+        return Batch(
+            of(self.rows), of(self.cloud), of(self.part), of(self.points), of(self.occupied),
+            self.spread,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +88,7 @@ class PackedSplit:
         object_id: (I,) names.
         state_index: (I,) 0 is the canonical pose.
         surface: (I, S, 3).
+        part: (I, S) the parts of the surface points; (I, 0) unless asked for.
         grids: (I, R^3) labels by resolution, above 0 where the recipe calls it occupied.
         uniform, near: ((I, K, 3) coordinates, (I, K) such labels).
         partial: (I, C, M, 3) what each of C depth cameras sees; C = 0 unless asked for.
@@ -61,6 +97,7 @@ class PackedSplit:
     object_id: NDArray[Any]
     state_index: NDArray[np.uint32]
     surface: Tensor
+    part: Tensor
     grids: dict[int, Tensor]
     uniform: tuple[Tensor, Tensor]
     near: tuple[Tensor, Tensor]
@@ -72,61 +109,70 @@ class PackedSplit:
     @property
     def bytes(self) -> int:
         """What the tensors take."""
-        tensors = (self.surface, *self.grids.values(), *self.uniform, *self.near, self.partial)
-        return sum(t.numel() * t.element_size() for t in tensors)
+        tensors = (self.surface, self.part, *self.grids.values(), *self.uniform, *self.near)
+        return sum(t.numel() * t.element_size() for t in (*tensors, self.partial))
 
     def of(self, objects: Iterable[str]) -> "PackedSplit":
         """The instances of these objects alone."""
         rows = np.flatnonzero(np.isin(self.object_id, list(objects)))
         at = torch.from_numpy(rows)
-        return PackedSplit(
-            self.object_id[rows],
-            self.state_index[rows],
-            self.surface[at],
-            {resolution: grid[at] for resolution, grid in self.grids.items()},
-            (self.uniform[0][at], self.uniform[1][at]),
-            (self.near[0][at], self.near[1][at]),
-            self.partial[at],
-        )
+        some = self._with(lambda tensor: tensor[at])
+        return replace(some, object_id=self.object_id[rows], state_index=self.state_index[rows])
 
     def to(self, device: torch.device) -> "PackedSplit":
         """The same in the memory of a device."""
-        return PackedSplit(
-            self.object_id,
-            self.state_index,
-            self.surface.to(device),
-            {resolution: grid.to(device) for resolution, grid in self.grids.items()},
-            (self.uniform[0].to(device), self.uniform[1].to(device)),
-            (self.near[0].to(device), self.near[1].to(device)),
-            self.partial.to(device),
+        return self._with(lambda tensor: tensor.to(device))
+
+    def _with(self, change: Callable[[Tensor], Tensor]) -> "PackedSplit":
+        return replace(
+            self,
+            surface=change(self.surface),
+            part=change(self.part),
+            grids={resolution: change(grid) for resolution, grid in self.grids.items()},
+            uniform=(change(self.uniform[0]), change(self.uniform[1])),
+            near=(change(self.near[0]), change(self.near[1])),
+            partial=change(self.partial),
         )
 
     def batch(
-        self, rows: Sequence[int], ask: DataSettings, resolution: int, rng: torch.Generator | None
+        self, rows: Sequence[int], spec: BatchSpec, resolution: int, rng: torch.Generator | None
     ) -> Batch:
         """A batch of the instances `rows`; points are drawn without replacement.
 
         Args:
+            resolution: of the grid that `grid_points` are drawn from.
             rng: of the device that the split lies on; None for torch's own.
         """
         at = index_on(self.surface.device, rows)
-        cloud = unpacked(_some(self.surface[at], ask.surface_points, rng)[0])
+        cloud, where = self._clouds(at, spec, rng)
+        part = self.part[at].gather(1, where) if spec.parts else self.part[at]
         points: list[Tensor] = []
         labels: list[Tensor] = []
-        if ask.grid_points:
-            grid, where = _some(self.grids[resolution][at], ask.grid_points, rng)
+        if spec.grid_points:
+            grid, where = _some(self.grids[resolution][at], spec.grid_points, rng)
             points.append(voxel_centres(where, resolution))
             labels.append(grid)
         for wanted, (stored, label) in (
-            (ask.uniform_points, self.uniform),
-            (ask.near_points, self.near),
+            (spec.uniform_points, self.uniform),
+            (spec.near_points, self.near),
         ):
-            if wanted:
-                some, where = _some(stored[at], wanted, rng)
-                points.append(unpacked(some))
-                labels.append(label[at].gather(1, where))
-        spread = ask.grid_points + ask.uniform_points
-        return Batch(cloud, torch.cat(points, 1), torch.cat(labels, 1) > 0, spread)
+            some, where = _some(stored[at], wanted, rng)
+            points.append(unpacked(some))
+            labels.append(label[at].gather(1, where))
+        spread = spec.grid_points + spec.uniform_points
+        occupied = torch.cat(labels, 1) > 0
+        return Batch(at, unpacked(cloud), part, torch.cat(points, 1), occupied, spread)
+
+    def _clouds(
+        self, at: Tensor, spec: BatchSpec, rng: torch.Generator | None
+    ) -> tuple[Tensor, Tensor]:
+        """The stored clouds (B, n, 3) of some instances, and the places of their points (B, n)."""
+        if spec.partial:
+            B, cameras = len(at), self.partial.shape[1]
+            camera = torch.randint(cameras, (B,), generator=rng, device=at.device)
+            seen = self.partial[at, camera]
+            return seen, torch.arange(seen.shape[1], device=at.device).expand(B, -1)
+        return _some(self.surface[at], spec.surface_points, rng)
 
 
 def index_on(device: torch.device, rows: Sequence[int]) -> Tensor:
@@ -141,8 +187,8 @@ def _some(rows: Tensor, count: int, rng: torch.Generator | None) -> tuple[Tensor
     All n of them stay in order: nothing that uses a batch depends on the order of its points.
     """
     B, n = rows.shape[:2]
-    if count == n:
-        return rows, torch.arange(n, device=rows.device).expand(B, n)
+    if count in (0, n):
+        return rows[:, :count], torch.arange(count, device=rows.device).expand(B, count)
     order = torch.rand(B, n, generator=rng, device=rows.device)
     where = order.topk(count, dim=1, sorted=False).indices
     each = torch.arange(B, device=rows.device)[:, None]
@@ -164,26 +210,22 @@ def voxel_centres(index: Tensor, resolution: int) -> Tensor:
 def load_split(
     folder: Path,
     split: str,
-    ask: DataSettings,
+    spec: BatchSpec,
     resolutions: Iterable[int],
     *,
     category: str | None = None,
-    joints: tuple[int, int] | None = None,
-    partial: bool = False,
 ) -> PackedSplit:
     """Pack a split of a data set.
 
     Args:
         folder: of the data set, with its manifest.
-        ask: what batches will want; more is not read.
+        spec: what batches must hold; more is not read.
         resolutions: of the grids wanted.
         category: what the data set must be of.
-        joints: (revolute, prismatic) parts of the model that must be able to hold an object's.
-        partial: whether the clouds of depth cameras are wanted.
 
     Raises:
         CorruptShard: no such data set or split, another category, too few points, no such grid, no
-            clouds of depth cameras, no joint, more joints than the model has parts.
+            clouds of depth cameras, no joint, more joints than the learner can hold.
     """
     manifest = Manifest.read(folder)
     if category is not None and manifest.category != category:
@@ -194,18 +236,8 @@ def load_split(
         raise CorruptShard(
             f"{folder}: has no object in split {split!r}, only in: {', '.join(have)}"
         )
-    wanted = {
-        "surface_points": ask.surface_points,
-        "uniform_points": ask.uniform_points,
-        "near_points": ask.near_points,
-        "partial_points": int(partial),
-    }
-    shards = [
-        _read(
-            folder / name, split, manifest.category, wanted, sorted(set(resolutions)), joints, ask
-        )
-        for name in names
-    ]
+    about = {"split": split, "category": manifest.category}
+    shards = [_read(folder / name, about, spec, sorted(set(resolutions))) for name in names]
     try:
         joined = {name: np.concatenate([shard[name] for shard in shards]) for name in shards[0]}
     except ValueError:
@@ -217,6 +249,7 @@ def load_split(
         joined["object_id"],
         joined["state_index"],
         _tensor(joined["surface_points"]),
+        _tensor(joined["surface_part"]),
         {r: _tensor(joined[name]).flatten(1) for r, name in grids.items()},
         (_tensor(joined["uniform_points"]), _tensor(joined["uniform_label"])),
         (_tensor(joined["near_points"]), _tensor(joined["near_label"])),
@@ -225,48 +258,61 @@ def load_split(
 
 
 def _read(
-    path: Path,
-    split: str,
-    category: str,
-    wanted: dict[str, int],
-    resolutions: list[int],
-    joints: tuple[int, int] | None,
-    ask: DataSettings,
+    path: Path, about: dict[str, str], spec: BatchSpec, resolutions: list[int]
 ) -> dict[str, NDArray[Any]]:
     with open_shard(path) as shard:
-        for name, should in (("split", split), ("category", category)):
+        for name, should in about.items():
             if shard.attributes[name] != should:
                 raise CorruptShard(
                     f"{path}: is of {name} {shard.attributes[name]!r}, the manifest says {should!r}"
                 )
-        _check_joints(shard, joints)
-        if wanted["partial_points"] and 0 in shard.fields["partial_points"]:
-            raise CorruptShard(
-                f"{path}: has no partial clouds; set sampling.partial_views and make the data set "
-                "again"
-            )
-        fields = ["state_index", *wanted, "uniform_label", "near_label"]
-        for name, count in wanted.items():
-            have = shard.fields[name][1]
-            if have < count:
-                raise CorruptShard(
-                    f"{path}: has {have} {name} an instance, the recipe asks for {count}; "
-                    "make the data set with more, or lower data in the training recipe"
-                )
-        for resolution in resolutions:
-            name = f"occupancy_{resolution}"
-            if name not in shard.fields:
-                raise CorruptShard(
-                    f"{path}: has no {name}; add {resolution} to sampling.grids and make the data "
-                    "set again"
-                )
-            fields.append(name)
-        row = {name: _kept(shard, name, wanted) for name in fields}
-        if ask.occupancy == "material":
+        _check(shard, spec, resolutions)
+        grids = [f"occupancy_{resolution}" for resolution in resolutions]
+        row = {name: shard.read(name) for name in ("state_index", "surface_points", *grids)}
+        wanted = {
+            "surface_part": spec.parts,
+            "uniform_points": spec.uniform_points,
+            "uniform_label": spec.uniform_points,
+            "near_points": spec.near_points,
+            "near_label": spec.near_points,
+            "partial_points": spec.partial,
+        }
+        row |= {name: shard.read(name) if w else _none(shard, name) for name, w in wanted.items()}
+        if spec.occupancy == "material":
             for name, array in row.items():
                 if name.endswith("_label") or name.startswith("occupancy_"):
                     row[name] = np.where(is_material(array), array, FREE)
         return {"object_id": np.array(shard.object_ids()), **row}
+
+
+def _none(shard: Shard, name: str) -> NDArray[Any]:
+    """A field without any of its points."""
+    shape = shard.fields[name]
+    dtype = np.uint16 if name.endswith("_points") else np.uint8
+    return np.zeros((shape[0], 0, *shape[2:]), dtype)
+
+
+def _check(shard: Shard, spec: BatchSpec, resolutions: list[int]) -> None:
+    """Raise CorruptShard where something is not there that the learner must be given."""
+    path = shard.path
+    _check_joints(shard, spec.joints)
+    if spec.partial and 0 in shard.fields["partial_points"]:
+        raise CorruptShard(
+            f"{path}: has no partial clouds; set sampling.partial_views and make the data set again"
+        )
+    for name in ("surface_points", "uniform_points", "near_points"):
+        have, count = shard.fields[name][1], getattr(spec, name)
+        if have < count:
+            raise CorruptShard(
+                f"{path}: has {have} {name} an instance, the recipe asks for {count}; "
+                "make the data set with more, or lower data in the training recipe"
+            )
+    for resolution in resolutions:
+        if f"occupancy_{resolution}" not in shard.fields:
+            raise CorruptShard(
+                f"{path}: has no occupancy_{resolution}; add {resolution} to sampling.grids and "
+                "make the data set again"
+            )
 
 
 def _fill_empty(grid: NDArray[np.uint8], surface: NDArray[np.uint16], resolution: int) -> None:
@@ -282,16 +328,6 @@ def _fill_empty(grid: NDArray[np.uint8], surface: NDArray[np.uint16], resolution
     for row in np.flatnonzero(~grid.any(axis=(1, 2, 3))):
         x, y, z = (surface[row].astype(np.int64) * resolution // 65536).T
         grid[row, x, y, z] = 1
-
-
-def _kept(shard: Shard, name: str, wanted: dict[str, int]) -> NDArray[Any]:
-    """A field, or none of its points where the recipe wants none of them."""
-    points = f"{name.removesuffix('_label')}_points" if name.endswith("_label") else name
-    if wanted.get(points) == 0:
-        shape = shard.fields[name]
-        dtype = np.uint8 if name.endswith("_label") else np.uint16
-        return np.zeros((shape[0], 0, *shape[2:]), dtype)
-    return shard.read(name)
 
 
 def _check_joints(shard: Shard, joints: tuple[int, int] | None) -> None:

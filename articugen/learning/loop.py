@@ -1,4 +1,5 @@
-"""Training, in one readable loop. Several processes may run it together: see `processes`.
+"""Training, in one readable loop, whatever learns. Several processes may run it together: see
+`processes`.
 
 An iteration's random numbers depend on the seed and its number alone, so a run that was stopped and
 resumed draws the same curve as one that was not.
@@ -6,27 +7,31 @@ resumed draws the same curve as one that was not.
 
 import math
 import time
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
 import torch
-from torch import nn
+from torch import Tensor
 
 from articugen.errors import InvalidCheckpoint
 from articugen.learning import processes
-from articugen.learning.dataset import PackedSplit, load_split, unpacked, voxel_centres
-from articugen.learning.ppd.learner import Learner
-from articugen.learning.ppd.model import PPD
-from articugen.learning.ppd.objective import Terms
-from articugen.learning.ppd.settings import DataSettings, TrainRecipe
-from articugen.learning.runs import BEST, LATEST, Checkpoint, RunFolder, read_checkpoint
+from articugen.learning.dataset import PackedSplit, load_split
+from articugen.learning.method import Learner, find_method
+from articugen.learning.recipe import TrainRecipe
+from articugen.learning.runs import (
+    DEPTH,
+    LATEST,
+    MAIN,
+    Checkpoint,
+    Files,
+    RunFolder,
+    read_checkpoint,
+    read_depth_checkpoint,
+)
+from articugen.learning.tensors import digest
 from articugen.seeding import generator as seeded
 from articugen.store.manifest import Manifest
-
-VALIDATION_GRID = 32
-VALIDATION_INSTANCES = 64
 
 
 @dataclass(frozen=True)
@@ -41,6 +46,45 @@ class Progress:
     """Which of the seeds that race, if any do."""
 
 
+Tell = Callable[[Progress], None]
+
+
+@dataclass
+class Course:
+    """A learner, what it learns from and where it is kept.
+
+    Attributes:
+        seed: of the batches and everything drawn.
+        stream: names the random numbers of its iterations.
+        files: of the run's folder.
+        beside: the digest of the learner that it was trained beside, if there is one.
+        iteration, best: how many iterations are done; the lowest validation loss so far.
+    """
+
+    learner: Learner
+    training: PackedSplit
+    held_out: PackedSplit
+    run: RunFolder
+    category: str
+    seed: int
+    stream: str = "batch"
+    files: Files = MAIN
+    beside: str = ""
+    iteration: int = 0
+    best: float = math.inf
+    since: float = field(default_factory=time.perf_counter)
+
+    def go_on_from(self, point: Checkpoint) -> None:
+        """Continue where a checkpoint has left it."""
+        self.learner.load(point.state)
+        self.iteration, self.best = point.iteration, point.best
+
+    def keep(self, name: str) -> None:
+        """Write a checkpoint of where it stands."""
+        self.run.keep(Checkpoint.of(self.learner, self.category, self.seed, self.iteration,
+                                    self.best, self.beside), name)  # fmt: skip
+
+
 def train(
     recipe: TrainRecipe,
     *,
@@ -52,7 +96,7 @@ def train(
     stop_after: int | None = None,
     device: str = "cpu",
     name: str | None = None,
-    on_progress: Callable[[Progress], None] = lambda _: None,
+    on_progress: Tell = lambda _: None,
 ) -> RunFolder:
     """Train a model of one category.
 
@@ -73,97 +117,104 @@ def train(
     """
     where = torch.device(device)
     processes.check_batch(recipe.schedule.batch)
-    training, held_out = _data(recipe, data, category, where)
+    method = find_method(recipe.method)
+    learner = method.start(recipe, seed=draw(seed, recipe.method, "weights"), device=where)
+    splits = split_for(learner, data, category, where)
     run, start = _run_and_start(recipe, category, data, runs, seed, resume, name)
-    learner = _learner(recipe, seed, start, where)
-    plan, best = recipe.schedule, start.best if start else math.inf
-    first = start.iteration if start else 0
-    stage_index, _ = plan.at(first)
-    since = time.perf_counter()
-
-    for iteration in range(first, min(plan.iterations, stop_after or plan.iterations)):
-        index, stage = plan.at(iteration)
-        if index != stage_index:
-            stage_index = index
-            learner.begin_stage()
-        rate = _learning_rate(recipe, iteration)
-
-        rng = torch.Generator(where).manual_seed(draw(seed, "batch", iteration))
-        rows = batch_rows(iteration, plan.batch, len(training), seed)
-        batch = training.batch(rows, recipe.data, stage.resolution, rng).share()
-        residual = stage.residual_direction
-        terms = learner.learn(
-            batch, rng, iteration=iteration, rate=rate, residual_direction=residual
-        )
-
-        done = iteration + 1
-        last = done == plan.iterations
-        tells = done % plan.log_every == 0 or last
-        validates = len(held_out) > 0 and (done % plan.validate_every == 0 or last)
-        saves = done % plan.save_every == 0 or last or done == stop_after
-        if tells or validates or saves:
-            learner.check()
-        told = _values(terms) if tells else None
-        if told:
-            seconds = round(time.perf_counter() - since, 2)
-            about = {"terms": told, "learning_rate": rate, "seconds": seconds}
-            run.log({"iteration": done, "stage": index, **about})
-        checked = None
-        if validates and run.writes:
-            checked = validate(learner.model, held_out, recipe.data, residual)
-            run.log({"iteration": done, "validation": checked})
-        better = checked is not None and checked["rec"] < best
-        if better or saves:
-            best = checked["rec"] if checked and better else best
-            point = Checkpoint.of(recipe, category, seed, done, learner, best)
-            if better:
-                run.keep(point, BEST)
-            run.keep(point, LATEST)
-        on_progress(Progress(done, plan.iterations, told, checked))
-    processes.wait()
-    return run
+    course = Course(learner, *splits, run, category, seed)
+    if start:
+        course.go_on_from(start)
+    return follow(course, stop_after, on_progress)
 
 
-@torch.no_grad()
-def validate(
-    model: PPD, held_out: PackedSplit, ask: DataSettings, residual_direction: bool
-) -> dict[str, float]:
-    """How well unseen objects are reconstructed on their 32^3 grid, parts composed by the maximum.
+def train_depth(
+    run: RunFolder,
+    data: Path,
+    *,
+    device: str = "cpu",
+    stop_after: int | None = None,
+    on_progress: Tell = lambda _: None,
+) -> RunFolder:
+    """Train what a run's method has for depth input, beside its last checkpoint, or go on with it.
 
-    `rec` is the mean binary cross-entropy, `iou` the mean over instances of |A and B| / |A or B|.
+    Args:
+        data: the folder of a data set of the same category.
+
+    Raises:
+        ArticugenError: the method has nothing for depth input.
+        CorruptShard: the data cannot be trained on, for instance has no partial clouds.
+        InvalidCheckpoint: the run has no checkpoint.
+        TrainingDiverged: the loss is no longer a finite number.
     """
-    model.eval()
-    count = min(VALIDATION_INSTANCES, len(held_out))
-    entropy, overlap = [], []
-    device = held_out.surface.device
-    cells = torch.arange(VALIDATION_GRID**3, device=device)
-    for row in np.linspace(0, len(held_out) - 1, count).astype(int):
-        cloud = unpacked(held_out.surface[row : row + 1, : ask.surface_points])
-        occupied = held_out.grids[VALIDATION_GRID][row] > 0
-        predicted = model(cloud, residual_direction=residual_direction)
-        points = voxel_centres(cells, VALIDATION_GRID)[None]
-        fields = model.fields(predicted.shape, model.motion(predicted.pose), points)
-        logit = fields.product.amax(1)[0]
-        entropy.append(
-            nn.functional.binary_cross_entropy_with_logits(logit, occupied.to(logit.dtype))
-        )
-        both, either = (logit > 0) & occupied, (logit > 0) | occupied
-        overlap.append(both.sum() / either.sum().clamp(min=1))
-    model.train()
-    return {
-        "rec": float(torch.stack(entropy).mean()),
-        "iou": float(torch.stack(overlap).mean()),
-    }
+    where = torch.device(device)
+    point = read_checkpoint(run.path / LATEST)
+    method, seed = find_method(point.recipe.method), point.seed
+    first = point.learner(where)
+    weights = draw(seed, method.name, "depth weights")
+    learner = method.start_depth(first, seed=weights, device=where)
+    splits = split_for(learner, data, point.category, where)
+    course = Course(
+        learner, *splits, run, point.category, seed,
+        stream="depth", files=DEPTH, beside=digest(point.state),
+    )  # fmt: skip
+    if (run.path / DEPTH.latest).is_file():
+        start = read_depth_checkpoint(run.path, point)
+        if start.beside == course.beside:  # else of an earlier state of the run
+            course.go_on_from(start)
+    return follow(course, stop_after, on_progress)
 
 
-def _data(
-    recipe: TrainRecipe, data: Path, category: str, device: torch.device
+def follow(course: Course, stop_after: int | None, on_progress: Tell) -> RunFolder:
+    """The loop: from where the course stands to its schedule's end, or to `stop_after`."""
+    learner, training, seed = course.learner, course.training, course.seed
+    plan, method = learner.settings.schedule, learner.settings.method
+    learner.begin(training)
+    with course.run.metrics_from(course.iteration, course.files) as log:
+        for iteration in range(
+            course.iteration, min(plan.iterations, stop_after or plan.iterations)
+        ):
+            stage = plan.index_at(iteration)
+            rng = torch.Generator(training.surface.device)
+            rng.manual_seed(draw(seed, method, course.stream, iteration))
+            rows = batch_rows(iteration, plan.batch, len(training), seed, method)
+            batch = training.batch(rows, learner.inputs, plan.stages[stage].resolution, rng)
+            terms = learner.learn(batch.share(), rng, iteration=iteration)
+
+            done = course.iteration = iteration + 1
+            last = done == plan.iterations
+            tells = done % plan.log_every == 0 or last
+            validates = len(course.held_out) > 0 and (done % plan.validate_every == 0 or last)
+            saves = done % plan.save_every == 0 or last or done == stop_after
+            if tells or validates or saves:
+                learner.check()
+            told = _values(terms) if tells else None
+            if told:
+                seconds = round(time.perf_counter() - course.since, 2)
+                about = {"terms": told, "learning_rate": plan.rate_at(iteration)}
+                log({"iteration": done, "stage": stage, **about, "seconds": seconds})
+            checked = None
+            if validates and course.run.writes:
+                checked = learner.validate(course.held_out)
+                log({"iteration": done, "validation": checked})
+            if checked and (loss := next(iter(checked.values()))) < course.best:
+                course.best = loss
+                if course.files.best:
+                    course.keep(course.files.best)
+                saves = True
+            if saves:
+                course.keep(course.files.latest)
+            on_progress(Progress(done, plan.iterations, told, checked))
+    processes.wait()
+    return course.run
+
+
+def split_for(
+    learner: Learner, data: Path, category: str, device: torch.device
 ) -> tuple[PackedSplit, PackedSplit]:
     """The training instances, and those of the objects that are held out."""
-    joints = (len(recipe.model.revolute), len(recipe.model.prismatic))
-    grids = {stage.resolution for stage in recipe.schedule.stages if recipe.data.grid_points}
-    grids |= {VALIDATION_GRID} if recipe.data.validation_objects else set()
-    everything = load_split(data, "train", recipe.data, grids, category=category, joints=joints)
+    spec, recipe = learner.inputs, learner.settings
+    grids = {stage.resolution for stage in recipe.schedule.stages if spec.grid_points}
+    everything = load_split(data, "train", spec, {*grids, *spec.grids}, category=category)
     kept, held_out = split_objects(everything.object_id, recipe.data.validation_objects)
     return everything.of(kept).to(device), everything.of(held_out).to(device)
 
@@ -210,54 +261,27 @@ def _run_and_start(
         )
     if run.about()["data"]["content_sha256"] != Manifest.read(data).content_sha256:
         raise InvalidCheckpoint(f"{resume}: was started on other data than {data}; start a new run")
-    run.forget_after(start.iteration)
     return run, start
 
 
-def _learner(
-    recipe: TrainRecipe, seed: int, start: Checkpoint | None, device: torch.device
-) -> Learner:
-    """A new one, or where the checkpoint left it; at a stage's beginning Adams are new."""
-    learner = Learner(recipe, draw(seed, "weights"), device)
-    if start:
-        learner.model.load_state_dict(start.model)
-        learner.critic.load_state_dict(start.critic)
-        if start.iteration != _first_of(recipe, recipe.schedule.at(start.iteration)[0]):
-            learner.descent.adam.load_state_dict(start.optimizer)
-            learner.critic_descent.adam.load_state_dict(start.critic_optimizer)
-    return learner
-
-
-def _values(terms: Terms) -> dict[str, float]:
+def _values(terms: Mapping[str, Tensor]) -> dict[str, float]:
     """The means over the processes, read from the device at once."""
     values = torch.stack([value.detach() for value in terms.values()])
     processes.average([values])
     return dict(zip(terms, values.tolist(), strict=True))
 
 
-def _first_of(recipe: TrainRecipe, stage: int) -> int:
-    return sum(s.iterations for s in recipe.schedule.stages[:stage])
-
-
-def _learning_rate(recipe: TrainRecipe, iteration: int) -> float:
-    plan = recipe.schedule
-    if plan.final_learning_rate is None:
-        return plan.learning_rate
-    share = 0.5 * (1.0 + math.cos(math.pi * iteration / max(plan.iterations - 1, 1)))
-    return plan.final_learning_rate + share * (plan.learning_rate - plan.final_learning_rate)
-
-
 def draw(seed: int, *path: str | int) -> int:
     """A number for torch's generators, from the seed and what it is for."""
-    return int(seeded(seed, "ppd", *path).integers(2**63))
+    return int(seeded(seed, *path).integers(2**63))
 
 
-def batch_rows(iteration: int, batch: int, count: int, seed: int) -> list[int]:
+def batch_rows(iteration: int, batch: int, count: int, seed: int, method: str) -> list[int]:
     """The instances of a batch: epochs one after the other, each in an order of its own."""
     rows: list[int] = []
     at = iteration * batch
     while len(rows) < batch:
         epoch, offset = divmod(at + len(rows), count)
-        order = seeded(seed, "ppd", "epoch", epoch).permutation(count)
+        order = seeded(seed, method, "epoch", epoch).permutation(count)
         rows += order[offset : offset + batch - len(rows)].tolist()
     return rows

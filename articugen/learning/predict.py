@@ -8,10 +8,9 @@ import numpy as np
 from articugen.errors import ArticugenError
 from articugen.inspection.portrait import colour_of
 from articugen.learning.clouds import UNIT
-from articugen.learning.evaluation.surfaces import Floats
-from articugen.learning.ppd.reconstruct import FIXED, REVOLUTE, Reconstruction
+from articugen.learning.evaluation.reconstruction import PartJoints, Reconstruction
 from articugen.model_text import Joint, Visual, obj_text, urdf_text
-from articugen.records import Normalization
+from articugen.records import Floats, JointKind, Normalization
 from articugen.store.files import write_atomically
 
 
@@ -21,7 +20,8 @@ def write_rig(
     """Write part_<i>.obj and <name>.urdf; every joint is 0 where the cloud has it.
 
     The base link is part 0, or an empty one where that has no surface. A part's link sits at its
-    pivot; limits reach from joint state 0 to pi (revolute) or to 1 unit (prismatic).
+    pivot; limits reach from joint state 0 to pi (revolute) or to 1 unit (prismatic). Where a method
+    knows no joints, all parts are fixed to the base.
 
     Args:
         frame: where the rig is to stand, and its scale; the unit frame if not given.
@@ -42,29 +42,34 @@ def write_rig(
         triangles = frame.to_world(found.triangles[found.part == i])
         if i and not len(triangles):
             continue
-        origin = frame.to_world(found.pivot[i]) if found.kind[i] == REVOLUTE else np.zeros(3)
+        kind = found.joints.kind[i] if found.joints else JointKind.FIXED
+        origin = np.zeros(3)
+        if found.joints and kind == JointKind.REVOLUTE:
+            origin = frame.to_world(found.joints.pivot[i])
         links[link] = []
         if len(triangles):
             write_atomically(folder / f"{link}.obj", _obj(triangles - origin).encode())
             links[link] = [Visual(f"{link}.obj", rgba=_rgba(colour_of(i)))]
-        if found.kind[i] != FIXED:
-            joints.append(_joint(found, i, origin, frame.scale))
+        if found.joints and kind != JointKind.FIXED:
+            joints.append(_moving(found.joints, i, origin, frame.scale))
+        elif i:
+            joints.append(Joint(f"joint_{i}", "fixed", "part_0", link, origin))
     path = folder / f"{name}.urdf"
     write_atomically(path, urdf_text(name, links, joints).encode())
     return path
 
 
-def _joint(found: Reconstruction, i: int, origin: Floats, unit: float) -> Joint:
-    revolute = found.kind[i] == REVOLUTE
-    state = float(found.state[i]) * (1.0 if revolute else unit)
+def _moving(joints: PartJoints, i: int, origin: Floats, unit: float) -> Joint:
+    revolute = joints.kind[i] == JointKind.REVOLUTE
+    state = float(joints.state[i]) * (1.0 if revolute else unit)
     most = math.pi if revolute else unit
     return Joint(
         name=f"joint_{i}",
-        kind="revolute" if revolute else "prismatic",
+        kind=str(JointKind(joints.kind[i])),
         parent="part_0",
         child=f"part_{i}",
         origin=origin,
-        axis=found.direction[i] / np.linalg.norm(found.direction[i]),
+        axis=joints.direction[i] / np.linalg.norm(joints.direction[i]),
         lower=-state,
         upper=most - state,
     )

@@ -9,7 +9,7 @@ processes take part.
 import json
 import math
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,15 +19,13 @@ from typing import Any
 import torch
 
 from articugen.errors import InvalidCheckpoint, TrainingDiverged
-from articugen.learning.loop import Progress, new_run, train
-from articugen.learning.ppd.settings import TrainRecipe
+from articugen.learning.loop import Tell, new_run, train
+from articugen.learning.recipe import TrainRecipe
 from articugen.learning.runs import BEST, LATEST, METRICS, RunFolder, read_checkpoint
 from articugen.store.files import write_atomically
 from articugen.workers import Crew, report
 
 RACE = "race.json"
-
-Tell = Callable[[Progress], None]
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ class Heat:
             except TrainingDiverged:
                 return None
         told = [r for r in RunFolder(path).metrics() if r["iteration"] == self.stop]
-        found = [r["validation"] for r in told if "rec" in r.get("validation", {})]
+        found = [r["validation"] for r in told if r.get("validation")]
         if not found:
             raise InvalidCheckpoint(
                 f"{path / METRICS}: lacks the validation at iteration {self.stop}; delete {path} "
@@ -115,7 +113,7 @@ def race(
             racing = best_half(score, last=stop == recipe.schedule.iterations)
             told = {str(s): found for s, found in score.items()}
             rounds.append({"iteration": stop, "validation": told, "go_on": racing})
-            _note(run, {"chosen_by": "validation rec", "rounds": rounds})
+            _note(run, rounds)
             if not racing:
                 raise TrainingDiverged(
                     f"all seeds diverged before iteration {stop}; lower schedule.learning_rate"
@@ -123,25 +121,29 @@ def race(
     for name in (LATEST, BEST, METRICS):
         own = run.path / "seeds" / str(racing[0]) / name
         write_atomically(run.path / name, own.read_bytes())
-    _note(run, {"chosen_by": "validation rec", "rounds": rounds, "winner": racing[0]})
+    _note(run, rounds, winner=racing[0])
     return run
 
 
 def best_half(score: dict[int, dict[str, float] | None], *, last: bool) -> list[int]:
     """The seeds that go on, best first: half of them, rounded up, or the best one at the `last`.
 
-    Those that diverged (None) never do; of equals the lower seed is taken.
+    The first number of a score is the loss. Those that diverged (None) never go on; of equals the
+    lower seed is taken.
     """
 
     def loss(seed: int) -> float:
-        found = score[seed]
-        return math.inf if found is None or math.isnan(found["rec"]) else found["rec"]
+        found = next(iter((score[seed] or {}).values()), math.inf)
+        return math.inf if math.isnan(found) else found
 
     kept = 1 if last else (len(score) + 1) // 2
     return [s for s in sorted(score, key=lambda s: (loss(s), s)) if score[s] is not None][:kept]
 
 
-def _note(run: RunFolder, told: dict[str, Any]) -> None:
+def _note(run: RunFolder, rounds: list[dict[str, Any]], **more: Any) -> None:
+    scores = [score for each in rounds for score in each["validation"].values() if score]
+    by = f"validation {next(iter(scores[0]))}" if scores else "validation"
+    told = {"chosen_by": by, "rounds": rounds, **more}
     write_atomically(run.path / RACE, (json.dumps(told, indent=1) + "\n").encode())
 
 

@@ -1,7 +1,7 @@
 """Run folders: the recipe, what it ran on, metrics as JSON lines, checkpoints without pickled code.
 
 <runs>/<category>/<number>/recipe.yaml, run.json, metrics.jsonl, latest.pt, best.pt; depth.pt and
-depth.jsonl of the third stage; what TensorBoard reads.
+depth.jsonl of a learner for depth input; what TensorBoard reads.
 
 Everything is believed only if it is as it was written: a file that is not gives one sentence.
 
@@ -11,23 +11,21 @@ and the winner's metrics and checkpoints are the run's.
 
 import json
 import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar
 
 import torch
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from torch import Tensor
 
 from articugen import __version__
 from articugen.errors import ArticugenError, InvalidCheckpoint, InvalidRecipe, MachineFault
 from articugen.learning import processes, tensorboard
-from articugen.learning.evaluation.paper import variant
-from articugen.learning.ppd.discriminator import Discriminator
-from articugen.learning.ppd.learner import Learner
-from articugen.learning.ppd.model import PPD
-from articugen.learning.ppd.settings import TrainRecipe, parse_train_recipe
-from articugen.learning.tensors import CURE, check_adam, check_weights, read_tensors, write_tensors
+from articugen.learning.method import Learner, find_method, parse_recipe
+from articugen.learning.recipe import TrainRecipe
+from articugen.learning.tensors import CURE, check_like, digest, read_tensors, write_tensors
 from articugen.recipe_files import resolved
 from articugen.store.files import (
     UnfitFile,
@@ -39,10 +37,30 @@ from articugen.store.files import (
 )
 from articugen.store.manifest import this_commit, this_machine
 
-FORMAT = "articugen ppd checkpoint 2"
+FORMAT = "articugen checkpoint 3"
 LATEST, BEST, METRICS = "latest.pt", "best.pt", "metrics.jsonl"
 MOST_BYTES = 1 << 28
 """That a recipe, run.json or metrics may have."""
+
+CPU, META = torch.device("cpu"), torch.device("meta")
+
+
+@dataclass(frozen=True)
+class Files:
+    """What one learner leaves in a run's folder: checkpoints, metrics, a folder of TensorBoard's.
+
+    Attributes:
+        best: None where the last one alone is kept.
+    """
+
+    latest: str
+    best: str | None
+    metrics: str
+    board: str
+
+
+MAIN = Files(LATEST, BEST, METRICS, ".")
+DEPTH = Files("depth.pt", None, "depth.jsonl", "depth")
 
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
@@ -90,65 +108,48 @@ class Checkpoint:
     Attributes:
         recipe, category, seed: what is trained.
         iteration: how many are done.
-        model, critic, optimizer, critic_optimizer: state dicts.
         best: the lowest validation loss so far, or inf.
+        beside: the digest of the state of the learner that it was trained beside, or nothing.
+        state: the learner's own, see `method.Learner.state`.
     """
 
     recipe: TrainRecipe
     category: str
     seed: int
     iteration: int
-    model: dict[str, Tensor]
-    critic: dict[str, Tensor]
-    optimizer: dict[str, Any]
-    critic_optimizer: dict[str, Any]
     best: float
+    beside: str
+    state: dict[str, Any]
 
     @staticmethod
     def of(
-        recipe: TrainRecipe, category: str, seed: int, iteration: int, learner: Learner, best: float
+        learner: Learner, category: str, seed: int, iteration: int, best: float, beside: str = ""
     ) -> "Checkpoint":
         """Where a learner stands."""
-        return Checkpoint(
-            recipe,
-            category,
-            seed,
-            iteration,
-            learner.model.state_dict(),
-            learner.critic.state_dict(),
-            learner.descent.adam.state_dict(),
-            learner.critic_descent.adam.state_dict(),
-            best,
-        )
+        recipe, state = learner.settings, learner.state()
+        return Checkpoint(recipe, category, seed, iteration, best, beside, state)
 
     def write(self, path: Path) -> None:
         """Write it in one step."""
-        data = {**vars(self), "recipe": self.recipe.model_dump(mode="json")}
-        write_tensors(path, data, FORMAT)
+        write_tensors(path, {**vars(self), "recipe": self.recipe.plain()}, FORMAT)
 
-    @property
-    def residual_direction(self) -> bool:
-        """Whether r^z counts at this point of the schedule."""
-        return self.recipe.schedule.at(max(self.iteration - 1, 0))[1].residual_direction
+    def learner(self, device: torch.device = CPU) -> Learner:
+        """What was trained, ready for predictions or to go on."""
+        learner = find_method(self.recipe.method).start(self.recipe, seed=0, device=device)
+        learner.load(self.state)
+        return learner
 
-    def generator(self) -> PPD:
-        """The model with its weights, ready for predictions."""
-        model = PPD(self.recipe.model)
-        model.load_state_dict(self.model)
-        return model.eval()
-
-
-def about(checkpoint: Checkpoint) -> dict[str, Any]:
-    """What was trained, as an evaluation tells it."""
-    recipe = checkpoint.recipe
-    return {
-        "category": checkpoint.category,
-        "recipe": recipe.name,
-        "variant": variant(recipe),
-        "seed": checkpoint.seed,
-        "iterations": checkpoint.iteration,
-        "commit": this_commit(),
-    }
+    def about(self) -> dict[str, Any]:
+        """What was trained, as an evaluation tells it."""
+        return {
+            "category": self.category,
+            "method": self.recipe.method,
+            "recipe": self.recipe.name,
+            "variant": self.recipe.variant,
+            "seed": self.seed,
+            "iterations": self.iteration,
+            "commit": this_commit(),
+        }
 
 
 def read_checkpoint(path: Path) -> Checkpoint:
@@ -157,21 +158,68 @@ def read_checkpoint(path: Path) -> Checkpoint:
     Raises:
         InvalidCheckpoint: there is none, it is damaged, or not one of ours.
     """
+    point = _read_checkpoint(path)
+    learner = find_method(point.recipe.method).start(point.recipe, seed=0, device=META)
+    check_like(point.state, learner.state(), path)  # shapes alone: whatever it says costs nothing
+    return point
+
+
+def read_depth_checkpoint(folder: Path, main: Checkpoint) -> Checkpoint:
+    """The checkpoint for depth input in a run's folder, whatever it was trained beside.
+
+    Args:
+        main: the run's own.
+
+    Raises:
+        InvalidCheckpoint: there is none, it is damaged, or not one of ours.
+    """
+    path = folder / DEPTH.latest
+    if not path.is_file():
+        raise InvalidCheckpoint(
+            f"{folder}: has no encoder for partial clouds; make one with: articugen train-depth"
+        )
+    point, method = _read_checkpoint(path), find_method(main.recipe.method)
+    first = method.start(main.recipe, seed=0, device=META)
+    learner = method.start_depth(first, seed=0, device=META)
+    if point.recipe.sha256() != learner.settings.sha256():
+        raise InvalidCheckpoint(f"{path}: is of another recipe than {LATEST}; {CURE}")
+    check_like(point.state, learner.state(), path)
+    return point
+
+
+def depth_learner(folder: Path, main: Checkpoint, device: torch.device = CPU) -> Learner:
+    """What was trained for depth input, ready for predictions.
+
+    Args:
+        main: the run's own checkpoint.
+
+    Raises:
+        InvalidCheckpoint: there is none, or it was trained beside another state.
+    """
+    point = read_depth_checkpoint(folder, main)
+    if point.beside != digest(main.state):
+        raise InvalidCheckpoint(
+            f"{folder / DEPTH.latest}: belongs to other weights than {LATEST}; make it again: "
+            "articugen train-depth"
+        )
+    method = find_method(main.recipe.method)
+    learner = method.start_depth(main.learner(device), seed=0, device=device)
+    learner.load(point.state)
+    return learner
+
+
+def _read_checkpoint(path: Path) -> Checkpoint:
+    """A checkpoint whose state nobody has looked at yet."""
     data = read_tensors(path, FORMAT)
     try:
-        recipe = parse_train_recipe(data.pop("recipe", None), str(path))
+        recipe = parse_recipe(data.pop("recipe", None), str(path))
         point = Checkpoint(recipe=recipe, **data)
     except (TypeError, InvalidRecipe):
         raise InvalidCheckpoint(f"{path}: a checkpoint that lacks something; {CURE}") from None
-    kinds = (type(point.category), type(point.seed), type(point.iteration), type(point.best))
-    if kinds != (str, int, int, float) or not 0 <= point.iteration <= recipe.schedule.iterations:
+    kinds = [type(x) for x in (point.category, point.seed, point.iteration, point.best)]
+    sensible = kinds == [str, int, int, float] and type(point.beside) is str
+    if not (sensible and 0 <= point.iteration <= recipe.schedule.iterations):
         raise InvalidCheckpoint(f"{path}: a checkpoint that makes no sense; {CURE}")
-    with torch.device("meta"):  # shapes alone: whatever its recipe says, it costs nothing
-        model, critic = PPD(recipe.model), Discriminator()
-    check_weights(point.model, model, path)
-    check_weights(point.critic, critic, path)
-    check_adam(point.optimizer, model, path)
-    check_adam(point.critic_optimizer, critic, path)
     return point
 
 
@@ -184,7 +232,6 @@ class RunFolder:
         """Of several processes one writes; what the others are told to write is dropped."""
 
     def __fspath__(self) -> str:
-        """Its path, so that it can be given for one."""
         return str(self.path)
 
     def __repr__(self) -> str:
@@ -240,7 +287,7 @@ class RunFolder:
         """Remove what a process that was killed while it wrote has left."""
         ours = ("recipe.yaml", "run.json", "race.json", METRICS, LATEST, BEST)
         for path in self.path.glob(".*.partial"):
-            if whole_name(path.name) in (*ours, "depth.pt", "depth.jsonl"):
+            if whole_name(path.name) in (*ours, DEPTH.latest, DEPTH.metrics):
                 path.unlink(missing_ok=True)
 
     def recipe(self) -> TrainRecipe:
@@ -256,7 +303,7 @@ class RunFolder:
             raise InvalidRecipe(f"{path}: a run's recipe extends no other")
 
         try:
-            recipe = parse_train_recipe(resolved(path, extends), str(path))
+            recipe = parse_recipe(resolved(path, extends), str(path))
         except (InvalidRecipe, RecursionError, ValueError):
             raise InvalidCheckpoint(
                 f"{path}: damaged; restore it from a copy, or start a new run"
@@ -289,10 +336,33 @@ class RunFolder:
         try:
             with path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(record) + "\n")
-            if name == METRICS:
-                tensorboard.add(self.path, record)
         except OSError as error:
             raise MachineFault(cannot_write(path, error)) from None
+
+    @contextmanager
+    def metrics_from(
+        self, iteration: int, files: Files = MAIN
+    ) -> Iterator[Callable[[dict[str, Any]], None]]:
+        """What appends a line to the metrics and tells TensorBoard of it; what there is of later
+        iterations is dropped first, since they will be done again.
+
+        Raises:
+            MachineFault: the disk is full, or the like.
+        """
+        if not self.writes:
+            yield lambda _: None
+            return
+        self.forget_after(iteration, files.metrics)
+        with tensorboard.board(self.path / files.board, iteration) as tell:
+
+            def log(record: dict[str, Any]) -> None:
+                self.log(record, files.metrics)
+                try:
+                    tell(record)
+                except OSError as error:
+                    raise MachineFault(cannot_write(self.path / files.board, error)) from None
+
+            yield log
 
     def keep(self, point: Checkpoint, name: str) -> None:
         """Write a checkpoint."""
@@ -313,14 +383,10 @@ class RunFolder:
         return [_parsed(_Line, line, at).model_dump(exclude_unset=True) for at, line in told]
 
     def forget_after(self, iteration: int, name: str = METRICS) -> None:
-        """Drop metrics of iterations that will be done again."""
-        if not self.writes:
-            return
+        """Drop metrics of later iterations."""
         kept = [r for r in self.metrics(name) if r["iteration"] <= iteration]
         text = "".join(json.dumps(record) + "\n" for record in kept)
         write_atomically(self.path / name, text.encode())
-        if name == METRICS:
-            tensorboard.forget_after(self.path, iteration)
 
 
 def _read(path: Path) -> bytes:

@@ -8,6 +8,7 @@ import hashlib
 import io
 import struct
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -108,32 +109,73 @@ def _is_sound(value: Any) -> bool:
     return bool(value.isfinite().all())
 
 
-def check_weights(weights: Any, network: nn.Module, path: Path) -> None:
-    """Raise InvalidCheckpoint where they are not this network's."""
-    if not isinstance(weights, dict) or _shapes(weights) != _shapes(network.state_dict()):
-        raise InvalidCheckpoint(f"{path}: its weights are those of another recipe; train again")
+def check_like(found: Any, wanted: Any, path: Path, name: str = "") -> None:
+    """Raise InvalidCheckpoint where keys, shapes or types are not those of `wanted`."""
+    if isinstance(wanted, dict):
+        fits = isinstance(found, dict) and found.keys() == wanted.keys()
+    elif isinstance(wanted, Tensor):
+        fits = isinstance(found, Tensor)
+        fits = fits and (found.shape, found.dtype) == (wanted.shape, wanted.dtype)
+    else:
+        fits = type(found) is type(wanted)
+    if not fits:
+        raise InvalidCheckpoint(
+            f"{path}: its {name or 'state'} is that of another recipe or method; train again"
+        )
+    if isinstance(wanted, dict):
+        for key, value in wanted.items():
+            check_like(found[key], value, path, f"{name}.{key}" if name else key)
 
 
-def _shapes(weights: dict[str, Any]) -> dict[str, Any]:
+def digest(state: dict[str, Any]) -> str:
+    """The SHA-256 of all in nested dicts."""
+    told = hashlib.sha256()
+
+    def tell(name: str, value: Any) -> None:
+        if isinstance(value, dict):
+            for key in sorted(value):
+                tell(f"{name}.{key}", value[key])
+        else:
+            told.update(f"{name}\0".encode())
+            if isinstance(value, Tensor):
+                told.update(
+                    value.cpu().contiguous().reshape(-1).view(torch.uint8).numpy().tobytes()
+                )
+            else:
+                told.update(repr(value).encode())
+
+    tell("", state)
+    return told.hexdigest()
+
+
+@contextmanager
+def made(seed: int, device: torch.device) -> Iterator[None]:
+    """Networks that are made within get weights that the seed alone decides, whatever the device
+    that they go to then; on `meta` they cost nothing."""
+    at_first = torch.device("meta" if device.type == "meta" else "cpu")
+    with torch.random.fork_rng(devices=[]), at_first:
+        torch.manual_seed(seed)
+        yield
+
+
+def adam_state(adam: torch.optim.Adam, network: nn.Module) -> dict[str, Any]:
+    """Where an Adam stands, by the names of its network's parameters; new ones count 0 steps."""
+    named, at = dict(network.named_parameters()), adam.state
+    none = torch.zeros(())
     return {
-        name: (tuple(value.shape), value.dtype) if isinstance(value, Tensor) else None
-        for name, value in weights.items()
+        "step": {n: at[p]["step"].detach().cpu() if p in at else none for n, p in named.items()},
+        **{
+            moment: {n: at[p][moment] if p in at else torch.zeros_like(p) for n, p in named.items()}
+            for moment in ("exp_avg", "exp_avg_sq")
+        },
     }
 
 
-def check_adam(state: Any, network: nn.Module, path: Path) -> None:
-    """Raise InvalidCheckpoint where it is not the state dict of an Adam for this network."""
-    parameters = list(network.parameters())
-    try:
-        (group,) = state["param_groups"]
-        fits = group["params"] == list(range(len(parameters)))
-        fits &= isinstance(group["lr"], float) and set(state) == {"state", "param_groups"}
-        for index, each in state["state"].items():
-            wanted = parameters[index]
-            moments = (each["exp_avg"], each["exp_avg_sq"])
-            fits &= all((m.shape, m.dtype) == (wanted.shape, wanted.dtype) for m in moments)
-            fits &= set(each) == {"step", "exp_avg", "exp_avg_sq"} and each["step"].numel() == 1
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError):
-        fits = False
-    if not fits:
-        raise InvalidCheckpoint(f"{path}: its optimizer is not that of its network; train again")
+def load_adam(adam: torch.optim.Adam, network: nn.Module, state: dict[str, Any]) -> None:
+    """Go on from an `adam_state`."""
+    names = [name for name, _ in network.named_parameters()]
+    each = {
+        index: {what: state[what][name].clone() for what in ("step", "exp_avg", "exp_avg_sq")}
+        for index, name in enumerate(names)
+    }
+    adam.load_state_dict({"state": each, "param_groups": adam.state_dict()["param_groups"]})

@@ -1,23 +1,18 @@
-"""Depth maps: one call, four ways to make them.
+"""Depth maps: one call, and a table of ways to make them, `backends.BACKENDS`.
 
 `rasterizer` (numba) is the default and needs no display and no system package; `embree`, `opengl`
 and `sapien` wrap well-known renderers, for those who want to compare.
 """
 
-import importlib
-
 from articugen.records import DepthMaps, LabelledMesh, Views
-
-BACKENDS = ("rasterizer", "embree", "opengl", "sapien")
+from articugen.rendering.backends import backend_named
 
 
 def render(mesh: LabelledMesh, views: Views, *, backend: str = "rasterizer") -> DepthMaps:
-    """The depth maps of `mesh` from `views`, made by the named backend.
+    """The depth maps of `mesh` from `views`, made by the named backend; see `Backend.render`.
 
     Raises:
-        ValueError: no such backend.
-        MissingExtra: the backend's library is not installed.
+        ValueError: no such backend; a part of the mesh does not lie in front of a pinhole camera.
+        MissingExtra, MissingDriver: what the backend needs is not there.
     """
-    if backend not in BACKENDS:
-        raise ValueError(f"no backend {backend!r}; there are {', '.join(BACKENDS)}")
-    return importlib.import_module(f"articugen.rendering.{backend}").render(mesh, views)
+    return backend_named(backend).render(mesh, views)

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable
 
 from articugen.errors import InvalidSource
 from articugen.recipe_files import nearest
-from articugen.sources.discovery import Found
+from articugen.sources.refs import Found
 from articugen.sources.source_file import SourceFile
 
 

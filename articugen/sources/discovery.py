@@ -1,53 +1,23 @@
 """Which models lie in a folder, in whatever layout people keep them."""
 
-import json
-import os
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
-from os.path import isdir, isfile
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from os.path import isdir
 from pathlib import Path
 
-from articugen.errors import InvalidSource
-from articugen.sources.model_files import MAX_TEXT_BYTES, read_source, unreadable
-from articugen.sources.source_file import Reader
+from articugen.sources import readers, urdf_files
+from articugen.sources.folders import visible
+from articugen.sources.refs import Found
 
 
-@dataclass(frozen=True)
-class Found:
-    """An object on the disk.
-
-    Attributes:
-        location: the URDF file, or the model's folder for readers that want one.
-        group: objects of one group, which may share meshes, stay in one split.
-        root: the folder that the object's files may not leave; None means the reader's default.
-        kinds: what its category is called: by its folder, then by its meta.json, where either says.
-    """
-
-    object_id: str
-    location: Path
-    group: str
-    root: Path | None = None
-    kinds: tuple[str, ...] = ()
-
-
-def layout(location: Path) -> Reader:
-    """Which reader a folder or file on the disk is for."""
-    if isfile(location / "mobility.urdf") and isfile(location / "meta.json"):
-        return "partnet_mobility"
-    if isfile(location / "motion_attributes.json") and isdir(location / "part_objs"):
-        return "shape2motion"
-    return "urdf"
-
-
-def sorted_models(reader: Reader, base: Path) -> list[Found]:
-    """The objects of a source: in `base/<category>`, and those in `base` whose meta.json tells."""
-    flat = [f for f in models_for(reader, base) if _told(f).kinds] if reader != "urdf" else []
-    own = {f.location for f in flat}
-    found = list(map(_told, flat))
-    for folder in _visible(base):
+def sorted_models(reader: str, base: Path) -> list[Found]:
+    """The objects of a source: in `base/<category>`, and those in `base` that tell theirs."""
+    found = [f for f in readers.find(reader, base) if f.category]
+    own = {f.location for f in found}
+    for folder in visible(base):
         if isdir(folder) and folder not in own:
-            found += [_told(f, folder.name) for f in models_for(reader, folder)]
+            found += [replace(f, folder=folder.name) for f in readers.find(reader, folder)]
     return found
 
 
@@ -58,58 +28,21 @@ def mixed_models(base: Path, is_category: Callable[[str], bool]) -> list[Found]:
     like a category and holds two models or more.
     """
     found: list[Found] = []
-    folders: set[Path] = set()
-    for folder in _visible(base):
-        if isdir(folder) and layout(folder) == "urdf":
-            inside = any_models(folder)
-            known = any(layout(f.location) != "urdf" for f in inside)
-            if known or (len(inside) > 1 and is_category(folder.name)):
-                folders.add(folder)
-                found += [_told(f, folder.name) for f in inside]
-    return [*map(_told, any_models(base, skip=folders)), *found]
-
-
-def _told(found: Found, folder: str | None = None) -> Found:
-    """The object with what `folder` and its meta.json call its category."""
-    told = model_category(found.location)
-    return replace(found, kinds=tuple(filter(None, (folder, told))))
-
-
-def models_for(reader: Reader, base: Path) -> list[Found]:
-    """The objects in `base` that `reader` can read."""
-    if reader == "urdf":
-        return urdf_models(base)
-    marks = {"partnet_mobility": ["mobility.urdf"]}.get(
-        reader, ["motion_attributes.json", "*.urdf"]
-    )
-    return [
-        Found(folder.name, folder, folder.name)
-        for folder in _visible(base)
-        if any(isfile(found) for mark in marks for found in folder.glob(mark))
-    ]
-
-
-def any_models(base: Path, skip: Collection[Path] = ()) -> list[Found]:
-    """Every object in `base`, whatever its layout."""
-    known = {f for f in _visible(base) if f not in skip and layout(f) != "urdf"}
-    found = [Found(folder.name, folder, folder.name) for folder in known]
-    found += urdf_models(base, skip=known.union(skip))
-    return sorted(found, key=lambda f: f.object_id)
-
-
-def urdf_models(base: Path, skip: Collection[Path] = ()) -> list[Found]:
-    """URDF files directly in `base`, and those up to three folders deep in a folder of it."""
-    found: list[Found] = []
-    for child in _visible(base):
-        if _is_urdf(child):
-            found.append(Found(child.stem, child, child.stem))
-        elif isdir(child) and child not in skip:
-            deep = [p for d in ("*", "*/*", "*/*/*") for p in sorted(child.glob(d)) if _is_urdf(p)]
-            for urdf in deep:
-                inside = urdf.relative_to(child).with_suffix("").parts
-                name = child.name if len(deep) == 1 else ".".join((child.name, *inside))
-                found.append(Found(name, urdf, child.name, root=child))
+    for child in visible(base):
+        own = readers.detect(child)
+        if own is None and isdir(child):
+            inside = any_models(child)
+            known = any(f.reader != _PLAIN for f in inside)
+            if known or (len(inside) > 1 and is_category(child.name)):
+                found += [replace(f, folder=child.name) for f in inside]
+                continue
+        found += _models_at(child, own)
     return found
+
+
+def any_models(base: Path) -> list[Found]:
+    """Every object in `base`, whatever its layout."""
+    return [f for child in visible(base) for f in _models_at(child, readers.detect(child))]
 
 
 def distinct(found: Sequence[Found], base: Path) -> list[Found]:
@@ -128,23 +61,12 @@ def distinct(found: Sequence[Found], base: Path) -> list[Found]:
     return [replace(f, object_id=names.get(f.location, f.object_id)) for f in found]
 
 
-def _is_urdf(path: Path) -> bool:
-    """Whether it is called like one; what is no regular file is refused when it is read."""
-    return path.suffix.lower() == ".urdf" and not isdir(path)
+_PLAIN = "urdf"
+"""The layout of what no reader knows: URDFs, wherever in a model's folder they are."""
 
 
-def _visible(base: Path) -> list[Path]:
-    if not isdir(base):
-        return []
-    try:
-        return sorted(base / name for name in os.listdir(base) if not name.startswith("."))
-    except OSError as error:
-        raise unreadable(base, error) from error
-
-
-def model_category(folder: Path) -> str:
-    """The category that a PartNet-Mobility model's meta.json gives; "" where it gives none."""
-    try:
-        return str(json.loads(read_source(folder / "meta.json", MAX_TEXT_BYTES))["model_cat"])
-    except (InvalidSource, ValueError, KeyError, TypeError, RecursionError):
-        return ""
+def _models_at(child: Path, own: Found | None) -> list[Found]:
+    """The model that a file or folder is, known already, or the URDFs somewhere in it."""
+    if own is not None:
+        return [own]
+    return [replace(f, reader=_PLAIN) for f in urdf_files.find_at(child)]

@@ -7,18 +7,17 @@ in; materials and textures are not read. `meshes.checked` sees the result.
 import io
 import json
 import os
-import re
 import struct
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from articugen.errors import InvalidSource, machine_fault
 from articugen.geometry import apply
+from articugen.ply import claimed_rows
 from articugen.sources.model_files import ModelFiles, quoted
 from articugen.sources.xml_strict import parse_xml, tostring
 
@@ -28,20 +27,16 @@ MAX_VERTICES = 3 * MAX_FACES
 
 _MAX_NODES = 10_000  # of a scene
 _MAX_DEPTH = 100  # of nodes that instance others
-_MAX_HEADER = 2**16  # bytes of a PLY's
 
 _Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
 
 
 def read_ply(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
-    """PLY, ASCII or binary. Each row takes at least one byte a property, so a header cannot claim
-    more rows than the file has bytes."""
-    header = data[: data.find(b"end_header", 0, _MAX_HEADER) + 1].decode("ascii", "replace")
-    if not header.startswith("ply"):
-        raise _broken(path, "has no PLY header")
-    claimed = {name: float(count) for name, count in re.findall(r"element (\w+) (\d+)", header)}
-    if any(count > len(data) for count in claimed.values()):
-        raise _broken(path, "its PLY header claims more than the file holds")
+    """PLY, ASCII or binary."""
+    try:
+        claimed = claimed_rows(data)
+    except ValueError as error:
+        raise _broken(path, str(error)) from None
     check_size(path, faces=claimed.get("face", 0), vertices=claimed.get("vertex", 0))
     vertices, faces = _through_trimesh(data, path, skip_materials=True)
     if len(vertices) < claimed.get("vertex", 0) or len(faces) < claimed.get("face", 0):
@@ -157,10 +152,12 @@ def read_gltf(data: bytes, path: Path, files: ModelFiles) -> _Arrays:
 
 
 def _through_trimesh(data: bytes, path: Path, **options: Any) -> _Arrays:
+    import trimesh  # noqa: PLC0415 - takes a second, and many commands read no mesh
+
     file_type = path.suffix.lower().lstrip(".")
     try:
         scene = trimesh.load_scene(io.BytesIO(data), file_type=file_type, process=False, **options)
-        return _baked(scene, path)
+        return _baked(scene, path, trimesh.Trimesh)
     except (InvalidSource, MemoryError):
         raise
     except Exception as error:  # whatever a foreign parser meets in a broken file
@@ -171,8 +168,9 @@ def _through_trimesh(data: bytes, path: Path, **options: Any) -> _Arrays:
         raise _broken(path, f"cannot be read as {path.suffix[1:].upper()} ({reason})") from None
 
 
-def _baked(scene: trimesh.Scene, path: Path) -> _Arrays:
-    """All triangles of a scene in its world frame; mirrored nodes keep their outside outside."""
+def _baked(scene: Any, path: Path, kind: type) -> _Arrays:
+    """All triangles of a scene in its world frame, of geometries of that `kind`; mirrored nodes
+    keep their outside outside."""
     vertices: list[NDArray[np.float64]] = [np.zeros((0, 3))]
     faces: list[NDArray[np.int64]] = [np.zeros((0, 3), np.int64)]
     offset = total = 0
@@ -181,7 +179,7 @@ def _baked(scene: trimesh.Scene, path: Path) -> _Arrays:
         # single precision, as these formats': trimesh's last bits depend on the processor
         T = T.astype(np.float32).astype(np.float64)
         mesh = scene.geometry[name]
-        if not isinstance(mesh, trimesh.Trimesh):
+        if not isinstance(mesh, kind):
             continue
         own = np.asarray(mesh.faces, np.int64).reshape(-1, 3)
         if own.size and (own.min() < 0 or own.max() >= len(mesh.vertices)):

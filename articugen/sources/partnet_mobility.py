@@ -9,6 +9,7 @@ import json
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
+from os.path import isfile
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,14 +18,15 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from articugen.errors import InvalidSource
-from articugen.geometry import rotation_about, transform
 from articugen.portable import dot, norm
 from articugen.records import ArticulatedObject, Joint, JointKind
+from articugen.sources.folders import meta_category, visible
 from articugen.sources.model_files import MAX_TEXT_BYTES, ModelFiles, quoted
-from articugen.sources.registry import ObjectRef
-from articugen.sources.source_file import CategorySettings
+from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.urdf import load_urdf
 from articugen.sources.urdf_check import MAX_NUMBER
+
+URDF = "mobility.urdf"
 
 KNOWN_MISSING = "new-*.obj"
 """Meshes that URDFs of the data set name though they are empty and were never published."""
@@ -33,27 +35,37 @@ _TOLERANCE = 1e-3
 """Limits (rad or m) and cosines that differ by less are the same."""
 
 
-def load(folder: Path, ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
-    """One model; its notes say where URDF, annotation and category disagree.
+def detect(path: Path) -> Found | None:
+    """The model that a folder with mobility.urdf and meta.json is."""
+    return _found(path) if isfile(path / URDF) and isfile(path / "meta.json") else None
 
-    Args:
-        folder: the model's folder.
-        ref: which object it is.
-        settings: what source.yaml says of its category.
+
+def find(base: Path) -> list[Found]:
+    """The folders in `base` that have a mobility.urdf."""
+    return [_found(folder) for folder in visible(base) if isfile(folder / URDF)]
+
+
+def _found(folder: Path) -> Found:
+    return Found(folder.name, folder, folder.name, category=meta_category(folder))
+
+
+def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
+    """One model; its notes say where URDF, annotation and category disagree.
 
     Raises:
         InvalidSource: anything amiss in the folder.
     """
+    folder = ref.location
     files = ModelFiles(folder)
     obj = load_urdf(
-        folder / "mobility.urdf",
+        folder / URDF,
         object_id=ref.object_id,
         category=ref.category,
         source=ref.source,
         root=folder,
         missing_ok=KNOWN_MISSING,
         semantics=_semantics(files),
-        T_world_root=transform(rotation_about((0.0, 0.0, 1.0), np.radians(settings.yaw_degrees))),
+        T_world_root=settings.turn,
     )
     notes = (
         *obj.notes,

@@ -1,59 +1,25 @@
 """A source and a category to objects: which there are, in which split, and how each is read.
 
 A source is a name under urdf_sources/ (or under the folder in $ARTICUGEN_SOURCES, which may also
-just hold the models of a named source), or a path to any folder of URDFs.
+just hold the models of a named source), or a path to any folder of models, or to one.
 """
 
 import hashlib
-import importlib
 import os
-import re
 from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
-from articugen.bundled import SOURCES, model_folder
-from articugen.errors import ArticugenError, InvalidSource, machine_fault, printable
-from articugen.geometry import rotation_about, transform
+from articugen.errors import InvalidSource, printable
 from articugen.recipe_files import nearest
 from articugen.records import ArticulatedObject
-from articugen.sources.categories import kinds_there, of_category, own_name, unknown
-from articugen.sources.discovery import (
-    Found,
-    any_models,
-    distinct,
-    layout,
-    mixed_models,
-    model_category,
-    sorted_models,
-)
-from articugen.sources.model_files import MAX_NAME_BYTES
-from articugen.sources.source_file import CategorySettings, SourceFile, read_source_file
-from articugen.sources.splits import assign_splits, split_sizes
-
-_UNWRITABLE = re.compile("[\x00-\x1f\x7f\ud800-\udfff]")
-
-
-@dataclass(frozen=True)
-class ObjectRef:
-    """Where one object comes from; cheap and picklable.
-
-    Attributes:
-        source: a source's name or the path of a folder.
-        split: "train" or "test".
-        location: the URDF file, or the model's folder for readers that want one.
-        root: the folder that the object's files may not leave; None means the reader's default.
-    """
-
-    source: str
-    category: str
-    object_id: str
-    split: str
-    location: Path
-    root: Path | None = None
+from articugen.sources import pool, readers
+from articugen.sources.categories import kinds_there, own_name
+from articugen.sources.named import NamedSource, common_categories, source_files, source_named
+from articugen.sources.pool import model_at
+from articugen.sources.refs import CategorySettings, ObjectRef
+from articugen.sources.splits import split_sizes, take
 
 
 @dataclass(frozen=True)
@@ -92,7 +58,7 @@ def source_names() -> list[SourceInfo]:
     Raises:
         InvalidSource: a source.yaml is wrong.
     """
-    return [_info(name) for name in sorted(_source_files())]
+    return [_info(named) for name in sorted(source_files()) if (named := source_named(name))]
 
 
 def categories(source: str | Path, asked: Sequence[str]) -> tuple[str, ...]:
@@ -129,11 +95,11 @@ def object_refs(
     """The objects of one category, in a fixed order.
 
     Args:
-        source: a name, or the path of a folder or of one URDF. A `Path` is never taken for a name.
+        source: a name, or the path of a folder or of one model. A `Path` is never taken for a name.
         category: one of the source's; of a plain folder of URDFs any name will do.
         objects: so many objects (fewer where there are fewer), with the ratio of the splits kept
-            and, from two objects on, at least one of each split. Procedural sources make any
-            number.
+            and, from two objects on, at least one of each split. Sources that make their objects
+            make any number.
         ids: these objects alone, () means all.
         exclude: but not these. Neither changes anything of the other objects.
 
@@ -147,7 +113,21 @@ def object_refs(
         return tuple(refs)
     tests = sum(ref.split == "test" for ref in refs)
     left = split_sizes(objects, len(refs) - tests, tests)
-    return tuple(ref for ref in refs if _take(left, ref.split))
+    return tuple(ref for ref in refs if take(left, ref.split))
+
+
+def load_path(path: str | Path, category: str = "") -> ArticulatedObject:
+    """The one model at a path, in whatever layout: a file, a model's folder, or a folder that holds
+    nothing but one model.
+
+    Args:
+        category: what to take it for; by default what it says itself, else "object".
+
+    Raises:
+        InvalidSource: there is no model, or several; anything amiss with its files.
+        MachineFault, MemoryError: the disk does not answer, or the like.
+    """
+    return load(model_at(path, category))
 
 
 def share_out(
@@ -174,24 +154,84 @@ def share_out(
     return {n: (share[0], share[1]) for n, share in shares.items() if share[0] or not ids}
 
 
+def settings(ref: ObjectRef) -> CategorySettings:
+    """What the source says about the object's category.
+
+    Of a folder that no source.yaml describes, models in the layout of a named source get that
+    source's words; a model of another name those for what it calls itself.
+    """
+    named = _named(ref.source)
+    if named is not None:
+        return named.file.categories[named.category(ref.category)]
+    like = source_named(ref.reader)
+    if like is None:
+        return CategorySettings()
+    names = (own_name(like.file, name) for name in (ref.category, ref.own_category))
+    own = next(filter(None, names), None)
+    return like.file.categories[own] if own else CategorySettings()
+
+
+def clips_to_limits(source: str) -> bool:
+    """Whether joints stay inside the limits of the URDF where the recipe leaves it to the source:
+    those of models that others made do."""
+    named = _named(source)
+    return named is None or named.file.clip_to_limits
+
+
+def is_procedural(source: str) -> bool:
+    """Whether the source's objects are made on demand, by generators."""
+    named = _named(source)
+    return named is not None and named.file.maker is not None
+
+
+def licence(source: str) -> str:
+    """The licence of a source's models; "not stated" for a plain folder."""
+    named = _named(source)
+    return named.file.licence if named else "not stated"
+
+
+def load(ref: ObjectRef) -> ArticulatedObject:
+    """Read one object; one that is made on demand is written first where it is not there yet.
+
+    Its digest covers what source.yaml says of how it stands and moves.
+
+    Raises:
+        InvalidSource: anything amiss with its files.
+        BrokenPlugin: its reader is another package's and cannot be used.
+        MachineFault, MemoryError: the disk does not answer, or the like.
+    """
+    own = settings(ref)
+    obj = readers.load(ref, own)
+    if own.said() == CategorySettings().said():
+        return obj
+    digest = hashlib.sha256(f"{obj.sha256} {own.said()}".encode()).hexdigest()
+    return replace(obj, sha256=digest)
+
+
+def _named(source: str | Path) -> NamedSource | None:
+    """The named source, or None for the path of something that exists."""
+    named = source_named(source) if isinstance(source, str) else None
+    if named is None and readers.UNWRITABLE.search(str(source)):
+        raise InvalidSource(
+            f"{printable(str(source))}: its name has control characters or is not UTF-8; rename it"
+        )
+    if named is None and not os.path.exists(source):
+        known = sorted(source_files())
+        raise InvalidSource(
+            f"no source {str(source)!r}{nearest(str(source), known)}; there are: "
+            f"{', '.join(known)}, or the path of a folder of URDFs"
+        )
+    return named
+
+
 def _pool(
     source: str | Path, category: str, objects: int | None, ids: Collection[str]
 ) -> list[ObjectRef]:
-    """All objects of a category; of a procedural one, so many and those called `ids`."""
+    """All objects of a category; of one whose objects are made, so many and those called `ids`."""
     named = _named(source)
     if named is None:
-        return _folder_refs(Path(source), category)
-    own = _category(named, category)
-    if named.file.reader == "procedural":
-        return _procedural_refs(named, own, objects, ids)
-    found = of_category(sorted_models(named.file.reader, named.folder), named.file, own)
-    refs = _refs(found, named.file.categories[own], named.name, own, named.folder)
-    if not refs:
-        raise InvalidSource(
-            f"no model of {own!r} under {named.folder}; {named.yaml.parent}/README.md says how to"
-            " get them"
-        )
-    return refs
+        return pool.of_path(Path(source), category)
+    return pool.of_named(named, category, objects, ids)
 
 
 def _chosen(
@@ -211,297 +251,31 @@ def _check_ids(wanted: Collection[str], known: list[str], category: str) -> None
             raise InvalidSource(f"no object {name!r} of {category!r}{hint}")
 
 
-def _take(left: dict[str, int], split: str) -> bool:
-    """Take one of `split` where any is left."""
-    left[split] -= 1
-    return left[split] >= 0
-
-
-def settings(ref: ObjectRef) -> CategorySettings:
-    """What the source says about the object's category.
-
-    A folder whose models look like PartNet-Mobility's or Shape2Motion's gets that source's words;
-    a model of another name those for what its meta.json calls it.
-    """
-    named = _named(ref.source)
-    if named is not None:
-        return named.file.categories[_category(named, ref.category)]
-    like = _source(layout(ref.location))
-    if like is None:
-        return CategorySettings()
-    names = (own_name(like.file, name) for name in (ref.category, model_category(ref.location)))
-    own = next(filter(None, names), None)
-    return like.file.categories[own] if own else CategorySettings()
-
-
-def clips_to_limits(source: str) -> bool:
-    """Whether joints stay inside the limits of the URDF where the recipe leaves it to the source:
-    those of models that others made do."""
-    named = _named(source)
-    return named is None or named.file.clip_to_limits
-
-
-def is_procedural(source: str) -> bool:
-    """Whether the source's objects are made by our own generators."""
-    named = _named(source)
-    return named is not None and named.file.reader == "procedural"
-
-
-def licence(source: str) -> str:
-    """The licence of a source's models; "not stated" for a plain folder."""
-    named = _named(source)
-    return named.file.licence if named else "not stated"
-
-
-def load(ref: ObjectRef) -> ArticulatedObject:
-    """Read one object; a procedural one is written first where it is not there yet.
-
-    Its digest covers what source.yaml says of how it stands and moves.
-
-    Raises:
-        InvalidSource: anything amiss with its files.
-        MachineFault, MemoryError: the disk does not answer, or the like.
-    """
-    own = settings(ref)
-    obj = _read(ref, own) if is_procedural(ref.source) else _read_distrustfully(ref, own)
-    if own.said() == CategorySettings().said():
-        return obj
-    digest = hashlib.sha256(f"{obj.sha256} {own.said()}".encode()).hexdigest()
-    return replace(obj, sha256=digest)
-
-
-def _read_distrustfully(ref: ObjectRef, own: CategorySettings) -> ArticulatedObject:
-    """A stranger's model: whatever a reader meets that nobody thought of is the model's fault, so
-    that it takes no other object along."""
-    name = printable(str(ref.location))
-    if _UNWRITABLE.search(str(ref.location)):
-        raise InvalidSource(
-            f"{name}: its name has control characters or is not UTF-8; rename the file or folder"
-        )
-    if len(ref.object_id.encode()) > MAX_NAME_BYTES:
-        raise InvalidSource(f"{name}: its id has more than {MAX_NAME_BYTES} bytes; shorten names")
-    try:
-        obj = _read(ref, own)
-    except (ArticugenError, MemoryError):
-        raise
-    except Exception as error:
-        raise machine_fault(error) or InvalidSource(
-            f"{name}: cannot be read ({printable(f'{type(error).__name__}: {error}')[:200]}); leave"
-            " it out and report it, please"
-        ) from error
-    return replace(obj, notes=tuple(map(printable, obj.notes)))
-
-
-def _read(ref: ObjectRef, own: CategorySettings) -> ArticulatedObject:
-    named = _named(ref.source)
-    reader = named.file.reader if named else layout(ref.location)
-    if reader in ("partnet_mobility", "shape2motion"):
-        module = importlib.import_module(f"articugen.sources.{reader}")
-        return module.load(ref.location, ref, own)
-    from articugen.sources.urdf import load_urdf  # noqa: PLC0415 - slow to import, not always used
-
-    path = ref.location
-    if named and reader == "procedural":
-        from articugen.sources import procedural  # noqa: PLC0415
-
-        path = procedural.write_object(
-            ref.category, ref.object_id, ref.location, messy=named.file.messy
-        )
-    return load_urdf(
-        path,
-        object_id=ref.object_id,
-        category=ref.category,
-        source=ref.source,
-        root=ref.root,
-        T_world_root=transform(rotation_about((0, 0, 1), np.radians(own.yaw_degrees))),
-    )
-
-
-@dataclass(frozen=True)
-class _Named:
-    """A source.yaml and the folder of its models."""
-
-    name: str
-    yaml: Path
-    file: SourceFile
-    folder: Path
-
-
-def _source_files() -> dict[str, Path]:
-    """Every source.yaml by the source's name; $ARTICUGEN_SOURCES goes first."""
-    found: dict[str, Path] = {}
-    for root in filter(None, (_own_sources(), SOURCES)):
-        for path in sorted(root.glob("*/source.yaml")):
-            found.setdefault(path.parent.name, path)
-    return found
-
-
-def _own_sources() -> Path | None:
-    """The folder that $ARTICUGEN_SOURCES names, or None."""
-    text = os.environ.get("ARTICUGEN_SOURCES")
-    if not text:
-        return None
-    if not Path(text).is_dir():
-        raise InvalidSource(f"ARTICUGEN_SOURCES={text} is not a folder; correct or unset it")
-    return Path(text)
-
-
-def _source(name: str) -> _Named | None:
-    path = _source_files().get(name)
-    if path is None:
-        return None
-    file = read_source_file(path)
-    own = _own_sources()
-    if file.path is not None:
-        folder = path.parent / file.path
-    elif own and (own / name).is_dir():
-        folder = own / name
-    elif file.reader == "procedural" and path.is_relative_to(SOURCES):
-        folder = model_folder(name)
-    else:
-        folder = path.parent
-    return _Named(name, path, file, folder)
-
-
-def _named(source: str | Path) -> _Named | None:
-    """The named source, or None for the path of something that exists."""
-    named = _source(source) if isinstance(source, str) else None
-    if named is None and _UNWRITABLE.search(str(source)):
-        raise InvalidSource(
-            f"{printable(str(source))}: its name has control characters or is not UTF-8; rename it"
-        )
-    if named is None and not os.path.exists(source):
-        known = sorted(_source_files())
-        raise InvalidSource(
-            f"no source {str(source)!r}{nearest(str(source), known)}; there are: "
-            f"{', '.join(known)}, or the path of a folder of URDFs"
-        )
-    return named
-
-
-def _category(named: _Named, category: str) -> str:
-    """The source's own name of a category."""
-    own = own_name(named.file, category)
-    if own is None:
-        raise unknown(f"source {named.name!r}", category, list(named.file.categories))
-    return own
-
-
-def _categories_there(source: str | Path, named: _Named | None) -> list[str]:
+def _categories_there(source: str | Path, named: NamedSource | None) -> list[str]:
     """The categories of which there are models, or can be made."""
     if named is None:
-        return kinds_there(_mixed(Path(source)), _partnet())
-    return [c.name for c in _info(named.name).categories if c.train + c.test]
+        return kinds_there(pool.mixed(Path(source)), common_categories())
+    return [c.name for c in _info(named).categories if c.train + c.test]
 
 
-def _meant(source: str | Path, named: _Named | None, name: str) -> str:
+def _meant(source: str | Path, named: NamedSource | None, name: str) -> str:
     """The category that somebody calls `name`. A folder of the user's own takes any name; where its
-    models are PartNet-Mobility's, they are called as there."""
+    models tell theirs, they are called as in PartNet-Mobility."""
     if named is not None:
-        return _category(named, name)
-    own = own_name(_partnet(), name)
+        return named.category(name)
+    own = own_name(common_categories(), name)
     path = Path(source)
-    sorted_out = own and path.is_dir() and any(f.kinds for f in _mixed(path))
+    sorted_out = own and path.is_dir() and any(f.kinds for f in pool.mixed(path))
     return own if own and sorted_out else name
 
 
-def _info(name: str) -> SourceInfo:
-    named = _source(name)
-    assert named is not None
-    reader, models = named.file.reader, []
-    if reader != "procedural":
-        models = sorted_models(reader, named.folder)
-    categories = []
-    for category, own in named.file.categories.items():
-        if reader == "procedural":
-            refs = _procedural_refs(named, category, None, ())
-        else:
-            found = of_category(models, named.file, category)
-            refs = _refs(found, own, name, category, named.folder)
-        splits = [ref.split for ref in refs]
-        categories.append(CategoryInfo(category, splits.count("train"), splits.count("test")))
+def _info(named: NamedSource) -> SourceInfo:
+    splits = {n: [ref.split for ref in refs] for n, refs in pool.of_every_category(named).items()}
     return SourceInfo(
-        name,
+        named.name,
         named.file.origin,
         named.file.licence,
         named.file.frame,
         named.folder,
-        tuple(categories),
+        tuple(CategoryInfo(n, s.count("train"), s.count("test")) for n, s in splits.items()),
     )
-
-
-def _procedural_refs(
-    named: _Named, category: str, objects: int | None, ids: Collection[str]
-) -> list[ObjectRef]:
-    """The first objects, as many as the source has or as are asked for, and those named by `ids`.
-
-    Object i is always of the same split, however many are asked for.
-    """
-    own = named.file.categories[category]
-    assert isinstance(own.train, int)
-    assert isinstance(own.test, int)
-    total = own.train + own.test
-    numbers = [int(name[-4:]) for name in ids if re.fullmatch(rf"{category}_[0-9]{{4}}", name)]
-    left = split_sizes(objects or total, own.train, own.test)
-    refs: list[ObjectRef] = []
-    i = 0
-    while max(left.values()) > 0 or i <= max(numbers, default=-1):
-        split = "test" if (i + 1) * own.test // total > i * own.test // total else "train"
-        if _take(left, split) or i in numbers:
-            name = f"{category}_{i:04d}"
-            refs.append(
-                ObjectRef(named.name, category, name, split, named.folder / category / name)
-            )
-        i += 1
-    return refs
-
-
-def _refs(
-    found: Sequence[Found], own: CategorySettings, source: str, category: str, base: Path
-) -> list[ObjectRef]:
-    """Objects with their splits; those that the category's lists leave out are left out."""
-    found = sorted(distinct(found, base), key=lambda f: f.object_id)
-    splits = assign_splits({f.object_id: f.group for f in found}, own.train, own.test)
-    return [
-        ObjectRef(source, category, f.object_id, splits[f.object_id], f.location, f.root)
-        for f in found
-        if f.object_id in splits
-    ]
-
-
-def _folder_refs(path: Path, category: str) -> list[ObjectRef]:
-    if path.is_file():
-        if path.suffix.lower() != ".urdf":
-            raise InvalidSource(f"{path}: is not a .urdf file; name one, or a folder of them")
-        found = [Found(path.stem, path, path.stem)]
-    elif layout(path) != "urdf":
-        found = [Found(path.name, path, path.name)]
-    elif (path / category).is_dir():
-        found = any_models(path / category)
-    else:
-        found = _of_category(_mixed(path), path, category)
-    if not found:
-        raise InvalidSource(
-            f"{path}: holds no URDF; put each model there as <id>.urdf or <id>/<any name>.urdf"
-        )
-    return _refs(found, CategorySettings(), str(path), category, path)
-
-
-def _mixed(path: Path) -> list[Found]:
-    like = _partnet()
-    return mixed_models(path, lambda name: own_name(like, name) is not None)
-
-
-def _partnet() -> SourceFile | None:
-    """PartNet-Mobility's categories, whose names are those that folders of models have."""
-    like = _source("partnet_mobility")
-    return like.file if like else None
-
-
-def _of_category(found: list[Found], path: Path, category: str) -> list[Found]:
-    """Leave out models that are known to be of other categories; any name will do for others."""
-    kept = of_category(found, _partnet(), category)
-    told = [f for f in found if f.kinds]
-    if told and not kept:
-        raise unknown(str(path), category, sorted({f.kinds[0] for f in told}))
-    return kept + [f for f in found if not f.kinds]

@@ -8,6 +8,7 @@ data has no limit.
 
 from collections.abc import Iterator
 from dataclasses import replace
+from os.path import isdir, isfile
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -15,14 +16,14 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from articugen.errors import InvalidSource
-from articugen.geometry import rotation_about, transform
+from articugen.geometry import transform
 from articugen.portable import norm
 from articugen.records import ArticulatedObject, Floats, Joint, JointKind, Link, Mesh
+from articugen.sources.folders import meta_category, visible
 from articugen.sources.mesh_formats import check_size
 from articugen.sources.meshes import read_mesh
 from articugen.sources.model_files import MAX_NAME_BYTES, MAX_TEXT_BYTES, ModelFiles, quoted
-from articugen.sources.registry import ObjectRef
-from articugen.sources.source_file import CategorySettings
+from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.urdf import load_urdf
 from articugen.sources.urdf_check import MAX_LINKS, MAX_NUMBER
 
@@ -59,24 +60,36 @@ class _Dof(BaseModel):
     children: tuple["_Dof", ...] | None = ()
 
 
-def load(folder: Path, ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
-    """One model, with limits of -inf and inf where the data set has none.
+def detect(path: Path) -> Found | None:
+    """The model that a folder of the raw layout is; one of the URDF form looks like any URDF's."""
+    return _found(path) if isfile(path / _ATTRIBUTES) and isdir(path / "part_objs") else None
 
-    Args:
-        folder: the model's folder.
-        ref: which object it is.
-        settings: what source.yaml says of its category.
+
+def find(base: Path) -> list[Found]:
+    """The folders in `base` that hold a model in either form."""
+    return [
+        _found(folder)
+        for folder in visible(base)
+        if any(isfile(path) for form in (_ATTRIBUTES, "*.urdf") for path in folder.glob(form))
+    ]
+
+
+def _found(folder: Path) -> Found:
+    return Found(folder.name, folder, folder.name, category=meta_category(folder))
+
+
+def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
+    """One model, with limits of -inf and inf where the data set has none.
 
     Raises:
         InvalidSource: anything amiss in the folder, or a spiral joint.
     """
-    turn = transform(rotation_about((0.0, 0.0, 1.0), np.radians(settings.yaw_degrees)))
-    if (folder / _ATTRIBUTES).is_file():
-        return _load_raw(folder, ref, turn)
-    return _load_urdf_form(folder, ref, turn)
+    raw = (ref.location / _ATTRIBUTES).is_file()
+    return (_load_raw if raw else _load_urdf_form)(ref, settings.turn)
 
 
-def _load_urdf_form(folder: Path, ref: ObjectRef, turn: Floats) -> ArticulatedObject:
+def _load_urdf_form(ref: ObjectRef, turn: Floats) -> ArticulatedObject:
+    folder = ref.location
     variants = sorted(_named_like(folder, "urdf"), key=lambda path: (len(path.name), path.name))
     if not variants:
         raise InvalidSource(f"{folder}: has neither {_ATTRIBUTES} nor a .urdf file; add one")
@@ -105,7 +118,8 @@ def _says_no_limit(joint: Joint) -> bool:
     return np.allclose((-joint.lower, joint.upper), _NO_LIMIT, rtol=0.0, atol=1e-4)
 
 
-def _load_raw(folder: Path, ref: ObjectRef, turn: Floats) -> ArticulatedObject:
+def _load_raw(ref: ObjectRef, turn: Floats) -> ArticulatedObject:
+    folder = ref.location
     files = ModelFiles(folder)
     path = folder / _ATTRIBUTES
     try:

@@ -1,70 +1,14 @@
 """The schema of `urdf_sources/<source>/source.yaml`, which describes one source."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-from pydantic import (
-    Field,
-    NonNegativeInt,
-    ValidationError,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from articugen.errors import InvalidSource
 from articugen.recipe_files import Section, nearest, read_yaml
-from articugen.sources.procedural import CATEGORIES
-
-Reader = Literal["urdf", "procedural", "partnet_mobility", "shape2motion"]
-Share = Annotated[NonNegativeInt, Field(le=1_000_000)] | tuple[str, ...] | None
-
-
-class CategorySettings(Section):
-    """What a source says about one of its categories.
-
-    Attributes:
-        canonical: the joint value that is the canonical pose: 0, the lower or the upper limit.
-        movable: which joints move, as patterns with * and ? on the joint's name or its child link's
-            semantic, in the order in which parts are numbered; () means all of them, in the order
-            of the file.
-        yaw_degrees: turns the model about the world's z so that its joints point as
-            docs/conventions.md says.
-        train, test: how many objects each split has, or their ids. Ids of one split alone leave the
-            other objects to the other split; without either, a hash of the id decides, about 8 : 2.
-        model_cat: the names of this category in PartNet-Mobility's meta.json.
-        aliases: what else people call it.
-    """
-
-    canonical: Literal["zero", "lower", "upper"] = "zero"
-    movable: tuple[str, ...] = ()
-    yaw_degrees: float = Field(default=0.0, ge=-360.0, le=360.0)
-    train: Share = None
-    test: Share = None
-    model_cat: tuple[str, ...] = ()
-    aliases: tuple[str, ...] = ()
-
-    def said(self) -> str:
-        """What of it decides how an object stands and moves, as text."""
-        return self.model_dump_json(include={"canonical", "movable", "yaw_degrees"})
-
-    @field_validator("train", "test", mode="before")
-    @classmethod
-    def _ids_are_text(cls, value: object) -> object:
-        if isinstance(value, list) and not all(isinstance(item, str) for item in value):
-            raise ValueError('ids are text, in quotes: "10040"')
-        return value
-
-    @model_validator(mode="after")
-    def _splits_make_sense(self) -> "CategorySettings":
-        if isinstance(self.train, int) != isinstance(self.test, int):
-            raise ValueError("train and test are both numbers, or neither is")
-        if self.train == 0 and self.test == 0:
-            raise ValueError("train and test are both 0")
-        if isinstance(self.train, tuple) and isinstance(self.test, tuple):
-            both = sorted(set(self.train) & set(self.test))
-            if both:
-                raise ValueError(f"object {both[0]!r} is in train and in test")
-        return self
+from articugen.sources.readers import Maker, check_name, names, reader
+from articugen.sources.refs import CategorySettings
 
 
 class SourceFile(Section):
@@ -74,9 +18,9 @@ class SourceFile(Section):
         origin: who made the models and where they are obtained.
         licence: under which terms.
         frame: the frame and unit of the models as they come, in words.
-        reader: the module under articugen/sources that reads them.
+        reader: the layout they are in, a name of `readers.READERS` or of another package's.
         clip_to_limits: whether recipes that leave it to the source stay inside the URDF's limits.
-        messy: (procedural only) write the objects as real data come.
+        messy: (procedural only) write the objects as badly as real data come.
         path: the folder of the models, absolute or relative to source.yaml; by default
             $ARTICUGEN_SOURCES/<source> where that exists, else the folder of source.yaml.
         categories: by name; of procedural objects, those that there are if not given.
@@ -85,7 +29,7 @@ class SourceFile(Section):
     origin: str
     licence: str
     frame: str
-    reader: Reader = "urdf"
+    reader: str = "urdf"
     clip_to_limits: bool = True
     messy: bool = False
     path: Path | None = None
@@ -93,17 +37,35 @@ class SourceFile(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _procedural_has_its_own(cls, data: Any) -> Any:
-        if isinstance(data, dict) and data.get("reader") == "procedural":
-            return {"categories": CATEGORIES, **data}
-        return data
+    def _a_maker_knows_its_categories(cls, data: Any) -> Any:
+        name = data.get("reader") if isinstance(data, dict) else None
+        own = reader(name) if name in names() else None
+        return {"categories": own.CATEGORIES, **data} if isinstance(own, Maker) else data
+
+    @field_validator("reader")
+    @classmethod
+    def _reader_is_known(cls, name: str) -> str:
+        try:
+            check_name(name)
+        except InvalidSource as error:
+            raise ValueError(str(error)) from None
+        return name
+
+    @property
+    def maker(self) -> Maker | None:
+        """The reader, where it makes its objects on demand.
+
+        Raises:
+            BrokenPlugin: it is another package's and cannot be used.
+        """
+        own = reader(self.reader)
+        return own if isinstance(own, Maker) else None
 
     @model_validator(mode="after")
-    def _procedural_has_counts(self) -> "SourceFile":
-        if self.reader == "procedural":
-            for name, category in self.categories.items():
-                if not isinstance(category.train, int):
-                    raise ValueError(f"categories.{name}: a procedural category needs counts")
+    def _made_objects_are_counted(self) -> "SourceFile":
+        for name, category in self.categories.items() if self.maker else ():
+            if not isinstance(category.train, int):
+                raise ValueError(f"categories.{name}: a {self.reader} category needs counts")
         return self
 
 

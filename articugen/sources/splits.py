@@ -4,7 +4,7 @@ import hashlib
 import os
 from collections.abc import Mapping
 
-from articugen.sources.source_file import Share
+from articugen.sources.refs import Share
 
 TEST_FRACTION = 0.2
 """Of the objects of a source that says nothing about splits."""
@@ -41,6 +41,12 @@ def split_sizes(objects: int, train: int, test: int) -> dict[str, int]:
     if train and test and objects > 1:
         count = min(max(count, 1), objects - 1)
     return {"train": objects - count, "test": count}
+
+
+def take(left: dict[str, int], split: str) -> bool:
+    """Take one of `split` where any is left."""
+    left[split] -= 1
+    return left[split] >= 0
 
 
 def _test_groups(groups: set[str], fraction: float) -> set[str]:

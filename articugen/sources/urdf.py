@@ -12,7 +12,6 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
-import yourdfpy
 from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
 from articugen.errors import InvalidSource
@@ -113,6 +112,8 @@ def _take_origin(element: Any) -> Floats:
 
 def _parse(checked: Any) -> Any:
     """yourdfpy's records of a tree that has passed every check."""
+    import yourdfpy  # noqa: PLC0415 - takes a second, and many commands read no model
+
     clean = io.BytesIO(etree.tostring(checked))
     return yourdfpy.URDF.load(clean, build_scene_graph=False, load_meshes=False).robot
 

@@ -167,8 +167,8 @@ class Outcome(_Record):
 
     @model_validator(mode="after")
     def _is_one_of_four(self) -> "Outcome":
-        told = (self.made, self.rejected, self.skipped, self.failed)
-        if (self.made is None) != (self.shard is None) or sum(o is not None for o in told) != 1:
+        kinds = (self.made, self.rejected, self.skipped, self.failed)
+        if (self.made is None) != (self.shard is None) or sum(o is not None for o in kinds) != 1:
             raise ValueError(
                 "an outcome is an object with its shard, or why there is none: one of the two"
             )
@@ -275,16 +275,16 @@ class Manifest(_Record):
         if content_of(self.objects) != self.content_sha256:
             raise ValueError("content_sha256 is not the digest of the objects'")
         held = Counter({shard.name: shard.instances for shard in self.shards})
-        told = Counter[str]()
+        listed = Counter[str]()
         for entry in self.objects:
-            told[entry.shard] += entry.instances
-        if held != told or len(held) != len(self.shards):
-            raise ValueError("objects and shards do not tell of the same instances")
+            listed[entry.shard] += entry.instances
+        if held != listed or len(held) != len(self.shards):
+            raise ValueError("objects and shards do not list the same instances")
         if self.failed and not self.shortfall:
             raise ValueError("objects failed, but the set is said to be whole")
-        told_of = Counter((key.split, key.object_id) for key in self.keys)
-        if told_of and told_of.most_common(1)[0][1] > 1:
-            raise ValueError(f"object {told_of.most_common(1)[0][0][1]} is told of twice")
+        times = Counter((key.split, key.object_id) for key in self.keys)
+        if times and times.most_common(1)[0][1] > 1:
+            raise ValueError(f"object {times.most_common(1)[0][0][1]} is listed twice")
         if self.digest() != self.manifest_sha256:
             raise ValueError("manifest_sha256 is not the digest of the rest: it was edited")
         return self

@@ -234,7 +234,7 @@ class Shard:
         buffers = {name: column.buffer() for name, column in columns.items()}
         content: list[tuple[str, int, str]] = []
         for index, object_id in enumerate(self.object_ids()):
-            with self._telling_damage("an instance"):
+            with self._as_damage("an instance"):
                 row = {name: column.row(index, buffers[name]) for name, column in columns.items()}
             digest = instance_sha256(object_id, row.items())
             content.append((object_id, int(row["state_index"]), digest))
@@ -271,11 +271,11 @@ class Shard:
         return self._stored[name]
 
     def _rows(self, name: str, rows: Sequence[int]) -> NDArray[Any]:
-        with self._telling_damage(name):
+        with self._as_damage(name):
             return self._column(name).rows(rows)
 
     @contextmanager
-    def _telling_damage(self, what: str) -> Iterator[None]:
+    def _as_damage(self, what: str) -> Iterator[None]:
         try:
             yield
         except (OSError, RuntimeError, ValueError) as error:

@@ -99,7 +99,7 @@ def verify(folder: Path, *, jobs: int = 1, on_shard: Callable[[str], None] | Non
     except CorruptShard as error:
         return Report((Finding("manifest", str(error)), *_leftovers(folder)), 0, 0)
     findings = [*_manifest_findings(manifest), *_strays(folder, manifest), *_leftovers(folder)]
-    look = partial(_shard_findings, folder, _told_attributes(manifest))
+    look = partial(_shard_findings, folder, _expected_attributes(manifest))
     contents = [[o for o in manifest.objects if o.shard == s.name] for s in manifest.shards]
     looked = workers.in_order(
         look,
@@ -201,32 +201,32 @@ def _recipe_of(text: str) -> Recipe | None:
     return recipe if recipe.text() == text else None
 
 
-def _told_attributes(manifest: Manifest) -> dict[str, str | int]:
+def _expected_attributes(manifest: Manifest) -> dict[str, str | int]:
     """What the manifest says of every shard's attributes."""
     recipe = _recipe_of(manifest.recipe)
-    told: dict[str, str | int] = {
+    expected: dict[str, str | int] = {
         "category": manifest.category,
         "source": manifest.source,
         "licence": manifest.licence,
         "seed": manifest.seed,
     }
-    return told | ({"recipe": recipe.for_one_object().text()} if recipe else {})
+    return expected | ({"recipe": recipe.for_one_object().text()} if recipe else {})
 
 
 def _shard_findings(
-    folder: Path, about: dict[str, str | int], told: tuple[ShardEntry, list[ObjectEntry]]
+    folder: Path, about: dict[str, str | int], recorded: tuple[ShardEntry, list[ObjectEntry]]
 ) -> tuple[list[Finding], bool]:
     """What is wrong with one shard, and whether all that is not as recorded is a group `user`.
 
     A file that is not the one recorded is looked into as well. With such a group it may be another:
-    then its attributes and the digests of its content tell whether the rest is what it was.
+    then its attributes and the digests of its content say whether the rest is what it was.
     """
-    entry, objects = told
+    entry, objects = recorded
     path = folder / entry.name
     if not path.is_file():
         sentence = "the manifest lists this shard, the folder lacks it"
         return [Finding("missing", sentence, entry.name)], False
-    other = [Finding("checksum", "not the file that the manifest tells of", entry.name)]
+    other = [Finding("checksum", "not the file that the manifest records", entry.name)]
     try:
         if entry.is_of(path):
             other = []
@@ -245,18 +245,18 @@ def _shard_findings(
 
 
 def _attribute_findings(
-    shard: Shard, told: dict[str, str | int], objects: list[ObjectEntry]
+    shard: Shard, expected: dict[str, str | int], objects: list[ObjectEntry]
 ) -> Iterator[Finding]:
     about, name = dict(shard.attributes), shard.path.name
-    wanted = {attribute: {value} for attribute, value in told.items() if attribute in about}
+    wanted = {attribute: {value} for attribute, value in expected.items() if attribute in about}
     wanted["recipe_sha256"] = {hashlib.sha256(str(about["recipe"]).encode()).hexdigest()}
     wanted["split"] = {entry.key.split for entry in objects}
     wanted["generator"] = {entry.key.generator for entry in objects}
     about.setdefault("generator", about["articugen_version"])  # where earlier versions wrote it
     for attribute, values in wanted.items():
         if {about[attribute]} != values:
-            expected = " or ".join(sorted(map(str, values)))
-            yield Finding("attributes", f"{attribute} is {about[attribute]}, not {expected}", name)
+            right = " or ".join(sorted(map(str, values)))
+            yield Finding("attributes", f"{attribute} is {about[attribute]}, not {right}", name)
 
 
 def _content_findings(
@@ -265,11 +265,11 @@ def _content_findings(
     name, content = shard.path.name, shard.content()
     if len(content) != entry.instances:
         yield Finding("content", f"{len(content)} instances, not {entry.instances}", name)
-    told = {o.key.object_id: o.content_sha256 for o in objects}
-    for object_id in sorted(told.keys() | {instance[0] for instance in content}):
+    recorded = {o.key.object_id: o.content_sha256 for o in objects}
+    for object_id in sorted(recorded.keys() | {instance[0] for instance in content}):
         mine = [instance for instance in content if instance[0] == object_id]
-        if content_sha256(mine) != told.get(object_id):
-            yield Finding("content", "not the content that the manifest tells of", name, object_id)
+        if content_sha256(mine) != recorded.get(object_id):
+            yield Finding("content", "not the content that the manifest records", name, object_id)
 
 
 def _geometry_findings(shard: Shard) -> Iterator[Finding]:

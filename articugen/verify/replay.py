@@ -8,8 +8,8 @@ import numpy as np
 
 from articugen import articulation
 from articugen.errors import ArticugenError, InvalidSource
+from articugen.fusion import pixel_width
 from articugen.fusion.export import check_format, export
-from articugen.fusion.field import pixel_width
 from articugen.fusion.isosurface import extract_mesh
 from articugen.instance import Prepared, make_instance, pose, prepare
 from articugen.pipeline import generator_of
@@ -19,26 +19,13 @@ from articugen.seeding import generator
 from articugen.sources import registry
 from articugen.store.manifest import Manifest, ObjectEntry
 from articugen.store.shards import open_shard
+from articugen.verify.bounds import BEHIND, IN_FRONT, on_level
 from articugen.verify.dataset import Finding
-from articugen.verify.invariants import Bound
-
-IN_FRONT, BEHIND = 0.1 / 256, 0.5 / 256
-"""The zero level passes between a surface point moved out by the one and in by the other: within
-half a voxel of 1/256. Out less, so that a wall close by is not met first."""
-
-MOST_OFF_LEVEL = 0.05
-"""Share of surface points that may lie off the zero level: beside edges finer than a voxel. The
-most in sound sets with views of 128 pixels and more was 0.031, of a thin faucet."""
-
-OFF_LEVEL_PER_PIXEL = 8.0
-"""With coarse views more may: so many times the width of a pixel, in the unit frame. What is finer
-than a pixel (a sheet's edge, a slot) no view need see. The most in sound sets was five times. Of a
-surface a voxel beside the level half and more is off it."""
 
 
 @dataclass(frozen=True)
-class Sample:
-    """An instance to make again."""
+class StoredInstance:
+    """An instance of a data set: the state of an object, and the shard that holds it."""
 
     entry: ObjectEntry
     state_index: int
@@ -80,12 +67,12 @@ def replay(folder: Path, count: int) -> Iterator[Finding | None]:
         ArticugenError: as `prepared_again`.
     """
     manifest = Manifest.read(folder)
-    for sample in _samples(manifest, count):
-        object_id = sample.entry.key.object_id
+    for chosen in _chosen(manifest, count):
+        object_id = chosen.entry.key.object_id
         prepared = prepared_again(manifest, object_id)
-        with open_shard(folder / sample.entry.shard) as shard:
-            stored = shard.instance(sample.state_index)
-        place = (sample.entry.shard, object_id, sample.state_index)
+        with open_shard(folder / chosen.entry.shard) as shard:
+            stored = shard.instance(chosen.state_index)
+        place = (chosen.entry.shard, object_id, chosen.state_index)
         for check, sentence in _differences(prepared, stored):
             yield Finding(check, sentence, *place)
         yield None
@@ -107,12 +94,12 @@ def write_mesh(folder: Path, object_id: str, state_index: int, resolution: int, 
     return len(mesh.faces)
 
 
-def _samples(manifest: Manifest, count: int) -> list[Sample]:
+def _chosen(manifest: Manifest, count: int) -> list[StoredInstance]:
     """`count` instances, spread over the objects; always the same ones."""
     rng = generator(manifest.seed, manifest.content_sha256, "replay")
     order = rng.permutation(len(manifest.objects))
     chosen = [manifest.objects[order[n % len(order)]] for n in range(count)] if len(order) else []
-    return [Sample(entry, int(rng.integers(entry.instances))) for entry in chosen]
+    return [StoredInstance(entry, int(rng.integers(entry.instances))) for entry in chosen]
 
 
 def _differences(prepared: Prepared, stored: Instance) -> Iterator[tuple[str, str]]:
@@ -131,9 +118,7 @@ def beside_level(prepared: Prepared, stored: Instance) -> Iterator[str]:
     normals = stored.surface_normals / 127.0
     before = fields.whole.is_free(points + IN_FRONT * normals)
     behind = ~fields.whole.is_free(points - BEHIND * normals)
-    on_level = int((before & behind).sum())
-    most = max(MOST_OFF_LEVEL, OFF_LEVEL_PER_PIXEL * pixel_width(prepared.views))
-    bound = Bound(least=max(1.0 - most, 0.5), sound=0.98, faulty=0.5)
-    if bound.refuses(on_level, len(points)):
-        off = 1.0 - on_level / len(points)
+    agree = int((before & behind).sum())
+    if on_level(pixel_width(prepared.views)).refuses(agree, len(points)):
+        off = 1.0 - agree / len(points)
         yield f"{off:.1%} of its surface points lie off the field's zero level"

@@ -21,7 +21,8 @@ from articugen.errors import MissingDriver, MissingExtra
 from articugen.geometry import bounds
 from articugen.recipe import ViewSettings
 from articugen.records import LabelledMesh, Views
-from articugen.rendering import BACKENDS, render
+from articugen.rendering import render
+from articugen.rendering.backends import BACKENDS
 from articugen.rendering.views import fusion_views
 
 SIZES = (128, 256, 640)

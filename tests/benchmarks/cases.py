@@ -34,7 +34,7 @@ from articugen.records import (
 )
 from articugen.sources import registry
 from articugen.sources.procedural.truth import Truth, _meets_box, _meets_cell, load_truth
-from articugen.sources.registry import ObjectRef
+from articugen.sources.refs import ObjectRef
 
 Bools = NDArray[np.bool_]
 Inside = Callable[[Floats], Bools]

@@ -74,7 +74,7 @@ def material(made: Instance, exact: Scene, fields: fusion.PosedFields) -> Row:
     return row
 
 
-def _surface(made: Instance, exact: Scene, whole: fusion.Field | fusion.PosedSolids) -> Row:
+def _surface(made: Instance, exact: Scene, whole: fusion.FusedField | fusion.PosedSolids) -> Row:
     """How many surface points there are, how many have their part's exact solid behind them, how
     far they are at most from where the field changes its sign."""
     points, normals = dequantize(made.surface_points), made.surface_normals / 127.0
@@ -89,7 +89,9 @@ def _surface(made: Instance, exact: Scene, whole: fusion.Field | fusion.PosedSol
     }
 
 
-def off_level(field: fusion.Field | fusion.PosedSolids, points: Floats, normals: Floats) -> Floats:
+def off_level(
+    field: fusion.FusedField | fusion.PosedSolids, points: Floats, normals: Floats
+) -> Floats:
     """(n,) no more than so far, in voxels, is each point from a change of the field's sign.
 
     The sign is asked at the point and at `PROBES` to both sides; two that differ have a change

@@ -94,7 +94,7 @@ def uniformity(recipe: Recipe, drawer: Model, points: int) -> list[Row]:
 def _uniform(
     mesh: LabelledMesh,
     seen: NDArray,
-    field: fusion.Field | fusion.PosedSolids,
+    field: fusion.FusedField | fusion.PosedSolids,
     points: int,
     visible: Any,
 ) -> Row:

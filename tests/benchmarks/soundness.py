@@ -3,8 +3,9 @@
 Makes N objects of three instances each, with recipes as different as people write them: every rule,
 fine and coarse views, many samples and few. They are the bundled ones, clean and messy, and, where
 ARTICUGEN_REAL_MODELS names a folder, what lies in its collections. All are judged as `verify` and
-`verify --replay` would. Prints what was refused, and the least share that each bound there
-met where there was enough to refuse it. Exit status 1 if anything was refused.
+`verify --replay` would. Prints what was refused, the most that anything was off beside each
+tolerance, and the least share that each bound met where there was enough to refuse it: the margins
+of articugen/verify/bounds.py. Exit status 1 if anything was refused.
 """
 
 import argparse
@@ -15,6 +16,10 @@ from dataclasses import dataclass
 from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from articugen import articulation
 from articugen.errors import InvalidSource, NotOfCategory
@@ -23,6 +28,7 @@ from articugen.recipe import Recipe, load_recipe
 from articugen.records import Instance
 from articugen.sources import registry
 from articugen.verify import invariants, replay
+from articugen.verify.bounds import TOLERANCES, Tolerance
 
 CATEGORIES = ("drawer", "eyeglasses", "laptop", "oven", "washing_machine")
 
@@ -59,6 +65,19 @@ class Made:
         """What `verify` and `verify --replay` would say of it."""
         found = [str(fault) for fault in invariants.faults(self.rows, self.recipe)]
         return found + [s for row in self.rows for s in replay.beside_level(self.prepared, row)]
+
+    def most_off(self) -> dict[str, float]:
+        """By tolerance, the most that anything was off."""
+        most: dict[str, float] = {}
+
+        def noting(tolerance: Tolerance, off: ArrayLike) -> NDArray[np.bool_]:
+            name = next(name for name, known in TOLERANCES.items() if known is tolerance)
+            most[name] = max(most.get(name, 0.0), float(np.max(off, initial=0.0)))
+            return np.asarray(off) > tolerance.most
+
+        with patch.object(Tolerance, "exceeded_by", noting):
+            list(invariants.faults(self.rows, self.recipe))
+        return most
 
     def least_shares(self) -> dict[str, float]:
         """By bound, of the shares that could have been refused."""
@@ -130,6 +149,7 @@ def main() -> int:
     parser.add_argument("--sets", type=int, default=230, help="so many objects")
     asked = parser.parse_args()
     least: dict[str, tuple[float, str]] = {}
+    most: dict[str, tuple[float, str]] = {}
     refused = made = 0
     for one in islice(made_sets(), asked.sets):
         made += 1
@@ -139,7 +159,12 @@ def main() -> int:
             print(f"REFUSED {one.name}: {sentence}")  # noqa: T201
         for bound, lowest in one.least_shares().items():
             least[bound] = min(least.get(bound, (1.0, "")), (lowest, one.name))
-    print(f"{made} sets, {refused} refused; the least share by bound:")  # noqa: T201
+        for tolerance, off in one.most_off().items():
+            most[tolerance] = max(most.get(tolerance, (0.0, "")), (off, one.name))
+    print(f"{made} sets, {refused} refused; the most that was off by tolerance:")  # noqa: T201
+    for tolerance, (off, name) in sorted(most.items()):
+        print(f"  {tolerance:14} {off:.2g} in {name}")  # noqa: T201
+    print("the least share by bound:")  # noqa: T201
     for bound, (lowest, name) in sorted(least.items()):
         print(f"  {bound:14} {lowest:.3f} in {name}")  # noqa: T201
     return min(refused, 1)

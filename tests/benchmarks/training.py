@@ -28,9 +28,11 @@ import torch
 
 from articugen.learning import loop
 from articugen.learning.dataset import PackedSplit
-from articugen.learning.ppd import objective, settings
+from articugen.learning.method import load_recipe
+from articugen.learning.ppd import objective
 from articugen.learning.ppd.descent import Descent
 from articugen.learning.ppd.model import PPD
+from articugen.learning.recipe import TrainRecipe
 from articugen.store.manifest import this_commit, this_machine
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
@@ -92,7 +94,7 @@ def _in_a_process(name: str, device: str, folder: str, asked: argparse.Namespace
 
 def _measured(name: str, device: str, folder: str, iterations: int, threads: int) -> Row:
     torch.set_num_threads(threads)
-    recipe = settings.load_train_recipe(name)
+    recipe = load_recipe(name)
     stage = recipe.schedule.stages[0].model_copy(update={"iterations": WARM_UP + iterations})
     plan = recipe.schedule.model_copy(update={"stages": (stage,)})
     data = recipe.data.model_copy(update={"validation_objects": 0})
@@ -119,7 +121,7 @@ def _measured(name: str, device: str, folder: str, iterations: int, threads: int
 
 
 def _clocked(
-    recipe: settings.TrainRecipe,
+    recipe: TrainRecipe,
     device: str,
     folder: str,
     wait: Callable[[], None],

@@ -11,46 +11,49 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from articugen.errors import CorruptShard
 from articugen.learning.evaluation import metrics
 from articugen.learning.evaluation.metrics import NO_LABEL, Ints
-from articugen.learning.evaluation.surfaces import Floats, distance, sample
-from articugen.learning.ppd.reconstruct import PRISMATIC, REVOLUTE, Reconstruction
-from articugen.records import Instance, dequantize, is_material
+from articugen.learning.evaluation.reconstruction import PRISMATIC, REVOLUTE, Reconstruction
+from articugen.learning.evaluation.results import (
+    Evaluation,
+    JointError,
+    JointLine,
+    JointState,
+    Kind,
+    LeftOut,
+)
+from articugen.learning.evaluation.surfaces import distance, sample
+from articugen.records import Floats, Instance, dequantize, is_material
 from articugen.seeding import generator
 from articugen.store.manifest import Manifest
 from articugen.store.shards import open_shard
 
 Reconstruct = Callable[[Instance], Reconstruction]
-_Rows = list[dict[str, Any]]
 
 DIAGONAL = float(np.sqrt(3.0))
-KINDS = {REVOLUTE: "revolute", PRISMATIC: "prismatic"}
-STATE_DEGREES = (5.0, 10.0, 15.0, 20.0, 30.0)
-STATE_LENGTHS = (0.025, 0.05, 0.1, 0.2)
-DIRECTION_DEGREES = (5.0, 10.0, 15.0, 20.0, 30.0)
-AXIS_LENGTHS = (0.025, 0.05, 0.1, 0.2)
+KINDS: dict[int, Kind] = {REVOLUTE: "revolute", PRISMATIC: "prismatic"}
+DEGREES = (5.0, 10.0, 15.0, 20.0, 30.0)
+LENGTHS = (0.025, 0.05, 0.1, 0.2)
+"""Within how much a joint counts as right (Appendix E)."""
 
 
 @dataclass(frozen=True)
 class Protocol:
-    """How much is looked at.
+    """How much is measured, and against what.
 
     Attributes:
         points: surface points a true part.
         label_poses: whether the canonical poses of training objects vote, or all of them.
-        label_objects, test_states: at most so many training objects, and random states of a test
-            object; None means all.
+        test_states: at most so many random states of a test object; None means all.
         f_threshold: of the F-score, in the unit frame; the paper names none.
         surface_samples: points on the predicted surface for F-score and Chamfer-L1.
-        occupancy: what the reconstruction IoU compares with, as `DataSettings.occupancy`.
+        occupancy: what the reconstruction IoU compares with: what is `visible`, or `material`.
     """
 
     points: int = 1000
     label_poses: str = "canonical"
-    label_objects: int | None = None
     test_states: int | None = None
     f_threshold: float = 0.01
     surface_samples: int = 8192
@@ -59,18 +62,35 @@ class Protocol:
 
 @dataclass
 class Tally:
-    """Every measured number, by its name; what was predicted of each joint."""
+    """What has been measured so far, by votes (P, K) that are cast already."""
 
+    votes: Floats
+    objects: int = 0
     values: dict[str, list[float]] = field(default_factory=dict)
-    joint_states: _Rows = field(default_factory=list)
-    joint_errors: _Rows = field(default_factory=list)
+    joint_states: list[JointState] = field(default_factory=list)
+    joint_errors: list[JointError] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.labels = metrics.labels_from(self.votes)
+        self.dominant = metrics.dominant_labels(self.votes)
 
     def add(self, **values: float) -> None:
         for name, value in values.items():
             self.values.setdefault(name, []).append(value)
 
-    def means(self) -> dict[str, float]:
-        return {name: float(np.mean(values)) for name, values in self.values.items()}
+    def evaluation(self, left_out: LeftOut | None = None) -> Evaluation:
+        return Evaluation(
+            means={name: float(np.mean(values)) for name, values in self.values.items()},
+            votes=tuple(tuple(row) for row in self.votes.tolist()),
+            labels=tuple(self.labels.tolist()),
+            dominant=tuple(self.dominant.tolist()),
+            objects=self.objects,
+            instances=len(self.values.get("label_iou", [])),
+            left_out=left_out,
+            joint_states=tuple(self.joint_states),
+            joint_lines=tuple(_joint_lines(self.joint_states)),
+            joint_errors=tuple(self.joint_errors),
+        )
 
 
 def evaluate(
@@ -80,49 +100,33 @@ def evaluate(
     *,
     category: str | None = None,
     on_object: Callable[[str], None] = lambda _: None,
-) -> dict[str, Any]:
+) -> Evaluation:
     """Evaluate on the test objects of a data set.
+
+    What needs joints or motions is measured where the reconstructions have them. There is a
+    `reconstruction_iou` where the data set has a grid of the reconstructions' resolution.
 
     Args:
         category: what the data set must be of.
-
-    Returns:
-        `means` of every metric over all test instances, `votes` (P, K), `labels` and `dominant`
-        of the predicted parts, how many `objects` and `instances` there were; `joint_states`,
-        what the dominant parts say of every joint, and the `joint_lines` through them;
-        `joint_errors`, null where the joint failed. There is a `reconstruction_iou` where the data
-        set has a grid of the reconstructions' resolution.
 
     Raises:
         CorruptShard: the data set has no training or no test object, or is of another category.
     """
     check_splits(data, category)
-    table = label_votes(data, reconstruct, protocol, on_object)
-    label, dominant = metrics.labels_from(table), metrics.dominant_labels(table)
-    tally, objects = Tally(), 0
-    for instances in objects_of(data, "test", protocol.test_states):
-        canonical, *posed = instances
-        objects += 1
+    tally = Tally(label_votes(data, reconstruct, protocol, on_object))
+    for canonical, *posed in objects_of(data, "test", protocol.test_states):
+        tally.objects += 1
         first = reconstruct(canonical)
-        _shape_metrics(tally, canonical, first, label, protocol)
-        tally.joint_states += _joint_states(canonical, first, dominant)
+        _measure_shape(tally, canonical, first, protocol)
+        _note_joint_states(tally, canonical, first)
         for instance in posed:
             found = reconstruct(instance)
-            _shape_metrics(tally, instance, found, label, protocol)
-            tally.joint_states += _joint_states(instance, found, dominant)
-            _motion_metrics(tally, (canonical, instance), (first, found), label, dominant, protocol)
+            _measure_shape(tally, instance, found, protocol)
+            _note_joint_states(tally, instance, found)
+            _measure_motion(tally, (canonical, instance), (first, found), protocol)
+            _measure_joints(tally, (canonical, instance), (first, found))
         on_object(canonical.object_id)
-    return {
-        "means": tally.means(),
-        "votes": table.tolist(),
-        "labels": label.tolist(),
-        "dominant": dominant.tolist(),
-        "objects": objects,
-        "instances": len(tally.values["label_iou"]),
-        "joint_states": tally.joint_states,
-        "joint_lines": _joint_lines(tally.joint_states),
-        "joint_errors": tally.joint_errors,
-    }
+    return tally.evaluation()
 
 
 def check_splits(data: Path, category: str | None) -> None:
@@ -143,9 +147,7 @@ def label_votes(
     """(P, K) the votes of the training instances, summed."""
     states = 0 if protocol.label_poses == "canonical" else None
     table: Floats | None = None
-    for count, instances in enumerate(objects_of(data, "train", states)):
-        if count == protocol.label_objects:
-            break
+    for instances in objects_of(data, "train", states):
         for instance in instances:
             points, true = surface_of(instance, protocol.points)
             found = reconstruct(instance)
@@ -153,7 +155,7 @@ def label_votes(
             ballot = metrics.votes(near, true, found.parts, len(instance.part_motion))
             table = ballot if table is None else table + ballot
         on_object(instances[0].object_id)
-    assert table is not None  # check_splits has seen to it
+    assert table is not None  # check_splits looked first
     return table
 
 
@@ -179,12 +181,12 @@ def surface_of(instance: Instance, count: int) -> tuple[Floats, Ints]:
     return dequantize(instance.surface_points[kept]), part[kept]
 
 
-def _shape_metrics(
-    tally: Tally, instance: Instance, found: Reconstruction, label: Ints, protocol: Protocol
+def _measure_shape(
+    tally: Tally, instance: Instance, found: Reconstruction, protocol: Protocol
 ) -> None:
     points, true = surface_of(instance, protocol.points)
     near = metrics.nearest_part(points, found.triangles, found.part, found.parts)
-    named = np.where(near == NO_LABEL, NO_LABEL, label[near])
+    named = np.where(near == NO_LABEL, NO_LABEL, tally.labels[near])
     tally.add(label_iou=metrics.label_iou(named, true))
     grid = instance.occupancy.get(len(found.occupied))
     if grid is not None:
@@ -195,7 +197,7 @@ def _shape_metrics(
     to_true = np.full(1, DIAGONAL)
     if len(found.whole):
         rng = generator(0, "evaluate", instance.object_id, instance.state_index)
-        drawn = _points_on(found.whole, protocol.surface_samples, rng)
+        drawn = sample(found.whole, protocol.surface_samples, rng)
         to_true = distance(drawn, np.repeat(surface[:, None], 3, axis=1))
     tally.add(
         chamfer_l1=metrics.chamfer_l1(to_true, to_predicted),
@@ -204,18 +206,16 @@ def _shape_metrics(
     )
 
 
-def _points_on(triangles: Floats, count: int, rng: np.random.Generator) -> Floats:
-    if np.ptp(triangles, axis=1).max() == 0.0:  # stored points in the place of triangles
-        return triangles[:, 0]
-    return sample(triangles, count, rng)
+def motions(first: Reconstruction, found: Reconstruction) -> dict[str, Floats]:
+    """(P, 4, 4) how parts moved, by each reading that the method allows: joint, transform."""
+    readings = {"joint": first.joint_motion_to(found), "transform": first.motion_to(found)}
+    return {name: motion for name, motion in readings.items() if motion is not None}
 
 
-def _motion_metrics(
+def _measure_motion(
     tally: Tally,
     instances: tuple[Instance, Instance],
     found: tuple[Reconstruction, Reconstruction],
-    label: Ints,
-    dominant: Ints,
     protocol: Protocol,
 ) -> None:
     canonical, instance = instances
@@ -223,23 +223,24 @@ def _motion_metrics(
     T_true = instance.part_motion
     still = np.tile(np.eye(4), (len(points), 1, 1))
     tally.add(epe_nothing_moves=metrics.endpoint_error(points, true, T_true, still))
-    posed = np.einsum("nij,nj->ni", T_true[true, :3, :3], points) + T_true[true, :3, 3]
-    motions = {
-        "joint": found[0].joint_motion_to(found[1]),
-        "transform": found[0].motion_to(found[1]),
-    }
-    for which, names in (("all", label), ("dominant", dominant)):
-        carrier = carriers(posed, true, found[1], names)
-        for reading, motion in motions.items():
+    for which, names in (("all", tally.labels), ("dominant", tally.dominant)):
+        carrier = carriers(points, true, T_true, found[1], names)
+        for reading, motion in motions(*found).items():
             T = np.where((carrier == NO_LABEL)[:, None, None], np.eye(4), motion[carrier])
             error = metrics.endpoint_error(points, true, T_true, T)
             tally.add(**{f"epe_{reading}_{which}": error})
-    for j, kind in enumerate(canonical.joint_kind.tolist()):
-        _joint_metrics(tally, instances, found, np.flatnonzero(label == j + 1), j, kind)
 
 
-def carriers(posed: Floats, true: Ints, found: Reconstruction, label: Ints) -> Ints:
-    """(n,) the predicted part of a point's own label that is nearest to it; NO_LABEL if none is."""
+def carriers(
+    points: Floats, true: Ints, T_true: Floats, found: Reconstruction, label: Ints
+) -> Ints:
+    """(n,) the predicted part of a point's own label that is nearest to where the point has moved;
+    NO_LABEL if there is none.
+
+    Args:
+        points: (n, 3) in the canonical pose; `true` (n,) their parts, which T_true (K, 4, 4) moves.
+    """
+    posed = np.einsum("nij,nj->ni", T_true[true, :3, :3], points) + T_true[true, :3, 3]
     carrier = np.full(len(posed), NO_LABEL)
     for k in np.unique(true):
         mine, parts = np.flatnonzero(true == k), np.flatnonzero(label == k)
@@ -251,73 +252,72 @@ def carriers(posed: Floats, true: Ints, found: Reconstruction, label: Ints) -> I
     return carrier
 
 
-def _joint_states(instance: Instance, found: Reconstruction, dominant: Ints) -> _Rows:
-    """Of every joint its true state and, as predicted, that of the dominant part; null if that is
-    of another kind."""
-    rows: _Rows = []
+def _note_joint_states(tally: Tally, instance: Instance, found: Reconstruction) -> None:
+    if found.joints is None:
+        return
     for j, kind in enumerate(instance.joint_kind.tolist()):
-        parts = [i for i in np.flatnonzero(dominant == j + 1) if found.kind[i] == kind]
-        rows.append({
-            "object": instance.object_id, "state_index": instance.state_index, "joint": j,
-            "kind": KINDS[kind], "true": float(instance.joint_state[j]),
-            "predicted": float(found.state[parts[0]]) if parts else None,
-        })  # fmt: skip
-    return rows
+        parts = np.flatnonzero((tally.dominant == j + 1) & (found.joints.kind == kind))
+        predicted = float(found.joints.state[parts[0]]) if len(parts) else None
+        true = float(instance.joint_state[j])
+        tally.joint_states.append(JointState(**_which(instance, j), true=true, predicted=predicted))
 
 
-def _joint_lines(states: _Rows) -> _Rows:
-    """Of each joint the line through its predicted states over the true ones; null if none is."""
-    lines: _Rows = []
-    for joint, kind in sorted({(row["joint"], row["kind"]) for row in states}):
-        rows = [r for r in states if (r["joint"], r["kind"]) == (joint, kind)]
-        seen = [(r["true"], r["predicted"]) for r in rows if r["predicted"] is not None]
-        line = metrics.line_through(*np.array(seen, np.float64).reshape(-1, 2).T)
-        slope, offset, residual = line or (None, None, None)
-        lines.append({
-            "joint": joint, "kind": kind, "states": len(rows), "predicted": len(seen),
-            "slope": slope, "offset": offset, "residual": residual,
-        })  # fmt: skip
-    return lines
+def _which(instance: Instance, joint: int) -> dict[str, Any]:
+    """Whose record it is, of a joint of an instance."""
+    kind = KINDS[int(instance.joint_kind[joint])]
+    place = {"object": instance.object_id, "state_index": instance.state_index}
+    return {**place, "joint": joint, "kind": kind}
 
 
-def _joint_metrics(
+def _joint_lines(states: list[JointState]) -> Iterator[JointLine]:
+    groups: dict[tuple[int, Kind], list[JointState]] = {}
+    for state in states:
+        groups.setdefault((state.joint, state.kind), []).append(state)
+    for (joint, kind), mine in sorted(groups.items(), key=lambda group: group[0]):
+        known = [(s.true, s.predicted) for s in mine if s.predicted is not None]
+        line = metrics.line_through(*np.array(known, np.float64).reshape(-1, 2).T)
+        fit = dict(zip(("slope", "offset", "residual"), line or (None,) * 3, strict=True))
+        yield JointLine(joint=joint, kind=kind, states=len(mine), predicted=len(known), **fit)
+
+
+def _measure_joints(
     tally: Tally,
     instances: tuple[Instance, Instance],
     found: tuple[Reconstruction, Reconstruction],
-    parts: NDArray[np.intp],
-    joint: int,
-    kind: int,
 ) -> None:
-    """Appendix E: right where one part is assigned, of the same kind, its error below a threshold.
-
-    A line has two directions: where the predicted one points the other way, states count the other
-    way too.
-    """
-    name = KINDS[kind]
+    """Appendix E: right where one part of the same kind is assigned, its error below a limit."""
+    first, joints = (each.joints for each in found)
+    if first is None or joints is None:
+        return
     canonical, instance = instances
-    one = len(parts) == 1
-    same = one and found[0].kind[parts[0]] == kind
-    tally.add(assigned_parts=float(len(parts)), type_accuracy=100.0 * same)
-    state = direction = axis = np.inf
-    if same:
-        i = parts[0]
-        u, v = found[1].direction[i], instance.joint_axis[joint]
-        change = (found[1].state[i] - found[0].state[i]) * (1.0 if np.dot(u, v) >= 0 else -1.0)
-        state = abs(change - (instance.joint_state[joint] - canonical.joint_state[joint]))
-        direction = metrics.angle_between_lines(u, v)
-        axis = metrics.line_distance(found[1].pivot[i], u, instance.joint_pivot[joint], v)
-    tally.joint_errors.append({
-        "object": instance.object_id, "state_index": instance.state_index, "joint": joint,
-        "kind": name, "state": float(state) if same else None,
-        "direction": float(direction) if same else None,
-        "axis": float(axis) if same and kind == REVOLUTE else None,
-    })  # fmt: skip
-    limits: list[tuple[str, float, tuple[float, ...]]]
-    if kind == REVOLUTE:
-        limits = [("state", float(np.degrees(state)), STATE_DEGREES), ("axis", axis, AXIS_LENGTHS)]
-    else:
-        limits = [("state", state, STATE_LENGTHS)]
-    limits.append(("direction", float(np.degrees(direction)), DIRECTION_DEGREES))
-    for what, error, thresholds in limits:
-        for limit in thresholds:
-            tally.add(**{f"{name}_{what}_below_{limit:g}": 100.0 * (error < limit)})
+    for j, kind in enumerate(instance.joint_kind.tolist()):
+        parts = np.flatnonzero(tally.labels == j + 1)
+        same = len(parts) == 1 and int(first.kind[parts[0]]) == kind
+        tally.add(assigned_parts=float(len(parts)), type_accuracy=100.0 * same)
+        state = direction = axis = None
+        if same:
+            i = parts[0]
+            u, v = joints.direction[i], instance.joint_axis[j]
+            # a line has two directions: by the other one, states count the other way
+            change = (joints.state[i] - first.state[i]) * (1.0 if np.dot(u, v) >= 0 else -1.0)
+            state = float(abs(change - (instance.joint_state[j] - canonical.joint_state[j])))
+            direction = metrics.angle_between_lines(u, v)
+            if kind == REVOLUTE:
+                axis = metrics.line_distance(joints.pivot[i], u, instance.joint_pivot[j], v)
+        error = JointError(**_which(instance, j), state=state, direction=direction, axis=axis)
+        tally.joint_errors.append(error)
+        tally.add(**_right(error))
+
+
+def _right(error: JointError) -> dict[str, float]:
+    """100 or 0: whether a joint is right by each quantity within each limit."""
+    angle, length = (np.degrees(1.0), DEGREES), (1.0, LENGTHS)
+    limits = {"state": length, "direction": angle}
+    if error.kind == "revolute":
+        limits = {"state": angle, "axis": length, "direction": angle}
+    return {
+        f"{error.kind}_{what}_below_{limit:g}": 100.0 * (value is not None and unit * value < limit)
+        for what, (unit, thresholds) in limits.items()
+        for value in (getattr(error, what),)
+        for limit in thresholds
+    }

@@ -32,8 +32,8 @@ def votes(nearest: Ints, true_part: Ints, parts: int, true_parts: int) -> Floats
     A true part counts the same however large it is.
     """
     table = np.zeros((parts, true_parts))
-    seen = nearest != NO_LABEL
-    np.add.at(table, (nearest[seen], true_part[seen]), 1.0)
+    found = nearest != NO_LABEL
+    np.add.at(table, (nearest[found], true_part[found]), 1.0)
     count = np.bincount(true_part, minlength=true_parts)
     return table / np.maximum(count, 1)
 

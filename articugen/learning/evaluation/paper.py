@@ -1,15 +1,16 @@
-"""The numbers printed in the paper, and which of its rows a run belongs to.
+"""The numbers printed in the paper, as they are printed.
 
 They were measured on the paper's data, so they are a yardstick, not a target to equal.
 """
-
-from articugen.learning.ppd.settings import TrainRecipe
 
 CATEGORIES = ("drawer", "eyeglasses", "oven", "laptop", "washing_machine")
 """The columns of Tables 2 to 4, followed there by their mean."""
 
 METHODS = ("PPD", "BAE", "BSP-Net", "NSD", "NPCS")
 """NPCS is supervised."""
+
+METHOD = "ppd"
+"""The name here of the paper's own method, which Tables 5 and 6 are about."""
 
 Row = tuple[str, str, str, str, str, str]
 
@@ -72,22 +73,3 @@ ABLATION = {
 INPUTS = {"complete": ("31.42", "80.99", "2.903"), "depth": ("28.99", "80.65", "3.203")}
 """Table 6: F-score, label IoU and EPE, means of the five categories, as printed (Tables 4 and 5
 have another F-score and another EPE)."""
-
-
-def variant(recipe: TrainRecipe) -> str:
-    """What Table 5 calls a model trained by this recipe; "w/o A, B" where it has no such row."""
-    losses, model = recipe.losses, recipe.model
-    off = [
-        name
-        for name, is_on in (
-            ("L_vol", losses.vol),
-            ("L_dev", losses.dev),
-            ("L_loc", losses.loc),
-            ("L_var", losses.var_state or losses.var_pivot),
-            ("L_adv_g", losses.adv_g),
-            ("CS", model.common_shape),
-            ("CP", model.common_pose),
-        )
-        if not is_on
-    ]
-    return f"w/o {', '.join(off)}" if off else COMPLETE

@@ -1,108 +1,12 @@
-"""Surfaces of sampled fields, and distances to them.
+"""Points on triangles, and distances to them."""
 
-Marching tetrahedra: six tetrahedra a cell, linear along edges, watertight, no ambiguous case
-(Doi and Koide 1991). Grids are indexed [x, y, z] with samples at (i + 0.5) / R - 0.5.
-"""
-
-import itertools
 import math
-from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from articugen.geometry import points_on_triangles
-
-Floats = NDArray[np.float64]
-
-_CORNERS = np.array(list(itertools.product((0, 1), repeat=3)))
-# Each monotone path from corner (0, 0, 0) to (1, 1, 1) is a tetrahedron; neighbours fit together.
-_TETRAHEDRA = np.array(
-    [
-        [0, 1 << (2 - a), (1 << (2 - a)) + (1 << (2 - b)), 7]
-        for a, b, _ in itertools.permutations(range(3))
-    ]
-)
-# For each pattern of the inside corners of a tetrahedron: triangles, as its crossed edges.
-_EDGES = {
-    1: [[(0, 1), (0, 2), (0, 3)]],
-    2: [[(1, 0), (1, 2), (1, 3)]],
-    4: [[(2, 0), (2, 1), (2, 3)]],
-    8: [[(3, 0), (3, 1), (3, 2)]],
-    3: [[(0, 2), (0, 3), (1, 3)], [(0, 2), (1, 3), (1, 2)]],
-    5: [[(0, 1), (0, 3), (2, 3)], [(0, 1), (2, 3), (2, 1)]],
-    9: [[(0, 1), (0, 2), (3, 2)], [(0, 1), (3, 2), (3, 1)]],
-}
-_EDGES |= {15 - pattern: triangles for pattern, triangles in list(_EDGES.items())}
-
-
-@dataclass(frozen=True)
-class Triangles:
-    """A triangle mesh: `vertices` (V, 3), `faces` (F, 3), normals to where the field is low."""
-
-    vertices: Floats
-    faces: NDArray[np.int64]
-
-    @property
-    def corners(self) -> Floats:
-        """(F, 3, 3)."""
-        return self.vertices[self.faces]
-
-
-def surface(field: Floats) -> Triangles:
-    """The surface field = 0 of a grid (R, R, R); inside is above 0, and nothing is beyond the grid.
-
-    The vertices are in the unit frame; those on the grid's border lie up to half a voxel outside
-    the outermost samples.
-    """
-    R = len(field)
-    if not (field > 0.0).any():
-        return Triangles(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
-    low = -max(float(np.abs(field).max()), 1.0)
-    padded = np.pad(field, 1, constant_values=low)
-    n = R + 2
-    inside = padded > 0.0
-    cell = np.zeros((n - 1,) * 3, np.uint8)
-    for x, y, z in _CORNERS:
-        cell += inside[x : n - 1 + x, y : n - 1 + y, z : n - 1 + z]
-    mixed = np.argwhere((cell > 0) & (cell < 8))
-    corner = mixed[:, None] + _CORNERS
-    at = (corner[..., 0] * n + corner[..., 1]) * n + corner[..., 2]
-    tetrahedra = at[:, _TETRAHEDRA].reshape(-1, 4)
-    flat = padded.ravel()
-    pattern = (flat[tetrahedra] > 0.0) @ np.array([1, 2, 4, 8])
-    ends = [
-        np.stack([np.stack([mine[:, a], mine[:, b]], 1) for a, b in triangle], 1)
-        for code, triangles in _EDGES.items()
-        for mine in (tetrahedra[pattern == code],)
-        for triangle in triangles
-    ]
-    edges = np.sort(np.concatenate(ends).reshape(-1, 2), axis=1)
-    keys, faces = np.unique(edges[:, 0] * n**3 + edges[:, 1], return_inverse=True)
-    faces, unique = faces.reshape(-1, 3), np.stack(np.divmod(keys, n**3), 1)
-    value = flat[unique]
-    share = value[:, :1] / (value[:, :1] - value[:, 1:])
-    position = np.stack(np.unravel_index(unique, (n, n, n)), -1).astype(np.float64)
-    vertices = (position[:, 0] * (1.0 - share) + position[:, 1] * share - 0.5) / R - 0.5
-    return Triangles(vertices, _outwards(vertices, faces, edges.reshape(-1, 3, 2), flat, n, R))
-
-
-def _outwards(
-    vertices: Floats,
-    faces: NDArray[np.int64],
-    edges: NDArray[np.int64],
-    flat: Floats,
-    n: int,
-    R: int,
-) -> NDArray[np.int64]:
-    """The faces turned so that normals lead from inside to outside."""
-    position = np.stack(np.unravel_index(edges, (n, n, n)), -1)
-    inner_first = flat[edges[..., 0]] > 0.0
-    step = (position[:, :, 1] - position[:, :, 0]) * np.where(inner_first, 1, -1)[..., None]
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    wrong = (np.cross(b - a, c - a) * step.sum(1)).sum(1) < 0.0
-    return np.where(wrong[:, None], faces[:, ::-1], faces)
+from articugen.records import Floats
 
 
 def sample(triangles: Floats, count: int, rng: np.random.Generator) -> Floats:

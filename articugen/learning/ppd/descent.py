@@ -7,7 +7,8 @@ from torch import Tensor, nn
 
 from articugen.errors import TrainingDiverged
 from articugen.learning import processes
-from articugen.learning.ppd.objective import Terms
+from articugen.learning.method import Terms
+from articugen.learning.tensors import adam_state, load_adam
 
 
 class Descent:
@@ -19,10 +20,16 @@ class Descent:
 
     Args:
         patient: note instead of asking; what a GPU gets if not given.
+        rate: the recipe's key of the learning rate, which errors name.
     """
 
-    def __init__(self, network: nn.Module, patient: bool | None = None) -> None:
-        self.network = network
+    def __init__(
+        self,
+        network: nn.Module,
+        patient: bool | None = None,
+        rate: str = "schedule.learning_rate",
+    ) -> None:
+        self.network, self.rate = network, rate
         device = next(network.parameters()).device.type
         # One call for all parameters; the other devices have no such kernel.
         self.adam = torch.optim.Adam(network.parameters(), fused=device in ("cpu", "cuda"))
@@ -48,7 +55,7 @@ class Descent:
         if self.patient:
             self._note(iteration, tuple(terms), values)
         elif not bool(values.isfinite().all()):
-            raise _diverged(iteration, _blame(self.network, again()))
+            raise self._diverged(iteration, _blame(self.network, again()))
         for group in self.adam.param_groups:
             group["lr"] = rate
         self.adam.step()
@@ -62,7 +69,7 @@ class Descent:
         if any(bad):
             named = [name for name, is_bad in zip(self._names, bad, strict=False) if is_bad]
             what = f"the loss {' and '.join(named)}" if named else "the gradient of some term"
-            raise _diverged(int(iteration), what)
+            raise self._diverged(int(iteration), what)
 
     def _note(self, iteration: int, names: tuple[str, ...], values: Tensor) -> None:
         """Keep (iteration, which values are not finite) of the first that has any."""
@@ -71,12 +78,19 @@ class Descent:
         self._names = names
         self._noted = now if before is None else torch.where(before[1:].any(), before, now)
 
+    def _diverged(self, iteration: int, what: str) -> TrainingDiverged:
+        return TrainingDiverged(
+            f"iteration {iteration + 1}: {what} is not a finite number; lower {self.rate} or that "
+            "term's weight, and resume from the last checkpoint"
+        )
 
-def _diverged(iteration: int, what: str) -> TrainingDiverged:
-    return TrainingDiverged(
-        f"iteration {iteration + 1}: {what} is not a finite number; lower schedule.learning_rate "
-        "or that term's weight, and resume from the last checkpoint"
-    )
+    def state(self) -> dict[str, Tensor]:
+        """Where Adam stands."""
+        return adam_state(self.adam, self.network)
+
+    def load(self, state: dict[str, Tensor]) -> None:
+        """Go on from another one's `state`."""
+        load_adam(self.adam, self.network, state)
 
 
 def _blame(network: nn.Module, terms: Terms) -> str:

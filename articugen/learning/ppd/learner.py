@@ -1,79 +1,178 @@
-"""What a run carries from one iteration to the next: two networks, and where their Adams stand."""
+"""How PPD learns: the model and the discriminator, each with where its Adam stands."""
+
+from __future__ import annotations
 
 from functools import partial
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
+from torch import Tensor
+from torch.nn.functional import binary_cross_entropy_with_logits
 
-from articugen.learning.dataset import Batch
+from articugen.learning.dataset import Batch, BatchSpec, PackedSplit, unpacked, voxel_centres
+from articugen.learning.evaluation.reconstruction import Reconstruction
+from articugen.learning.method import Learner, Terms
 from articugen.learning.ppd import objective
 from articugen.learning.ppd.descent import Descent
 from articugen.learning.ppd.discriminator import Discriminator
-from articugen.learning.ppd.model import PPD
-from articugen.learning.ppd.objective import Terms
-from articugen.learning.ppd.settings import TrainRecipe
+from articugen.learning.ppd.model import PPD, Prediction
+from articugen.learning.ppd.reconstruct import Meshes, reconstruction_of
+from articugen.learning.ppd.settings import PPDRecipe
+from articugen.learning.tensors import made
+from articugen.records import Floats
+
+if TYPE_CHECKING:
+    from articugen.learning.evaluation.figures.draw import Drawable
+
+VALIDATION_GRID = 32
+VALIDATION_INSTANCES = 64
 
 
-class Learner:
-    """The model and the discriminator, new or to be loaded into.
+class Predictor(Learner):
+    """What a PPD model makes of clouds.
 
-    Args:
-        weights_seed: decides the weights, whatever the device.
+    Attributes:
+        points: so many points of a cloud are looked at; None means all.
+        residual_direction: whether r^z counts.
     """
 
-    def __init__(self, recipe: TrainRecipe, weights_seed: int, device: torch.device) -> None:
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(weights_seed)
-            self.model, self.critic = PPD(recipe.model), Discriminator()
+    settings: PPDRecipe  # pyright: ignore[reportIncompatibleVariableOverride]
+    model: PPD
+    points: int | None
+    residual_direction: bool
+
+    def predict(self, cloud: Floats) -> Prediction:
+        """Of one cloud (n, 3), a batch of one."""
+        device = next(self.model.parameters()).device
+        given = torch.as_tensor(cloud[: self.points], dtype=torch.float32, device=device)[None]
+        with torch.no_grad():
+            return self.model(given, residual_direction=self.residual_direction)
+
+    def reconstruct(
+        self, cloud: Floats, *, resolution: int, meshes: Meshes | None = None
+    ) -> Reconstruction:
+        """Part i's surface encloses where its field is above 0 and the greatest of all, unless
+        `meshes` says otherwise."""
+        return reconstruction_of(self.model, self.predict(cloud), resolution, meshes)
+
+    def drawable(self, resolution: int) -> Drawable:
+        from articugen.learning.ppd.drawing import drawable  # noqa: PLC0415
+
+        return drawable(self, resolution)
+
+
+class PPDLearner(Predictor):
+    """The first two stages.
+
+    Args:
+        seed: decides the weights, whatever the device.
+    """
+
+    def __init__(self, settings: PPDRecipe, seed: int, device: torch.device) -> None:
+        self.settings = settings
+        self.inputs = BatchSpec.of(
+            settings.data,
+            grids=(VALIDATION_GRID,) if settings.data.validation_objects else (),
+            joints=(len(settings.model.revolute), len(settings.model.prismatic)),
+        )
+        with made(seed, device):
+            self.model, self.discriminator = PPD(settings.model), Discriminator()
         self.model.to(device)
-        self.critic.to(device)
-        self.weigh = recipe.losses
-        self.begin_stage()
+        self.discriminator.to(device)
+        self.points = settings.data.surface_points
+        self._at(0)
+        self._begin_stage()
 
-    def begin_stage(self) -> None:
+    def _at(self, iteration: int) -> None:
+        self.iteration = iteration
+        stage = self.settings.schedule.stage_at(iteration)
+        self.residual_direction = stage.residual_direction
+
+    def _begin_stage(self) -> None:
         """New Adams, as the release has in each stage."""
-        self.descent, self.critic_descent = Descent(self.model), Descent(self.critic)
+        self.descent = Descent(self.model)
+        self.discriminator_descent = Descent(self.discriminator)
 
-    def learn(
-        self,
-        batch: Batch,
-        rng: torch.Generator | None,
-        *,
-        iteration: int,
-        rate: float,
-        residual_direction: bool,
-    ) -> Terms:
-        """One step of the discriminator and one of the model; every term, weighted.
-
-        Args:
-            rng: of the batch's device, for joint states and mixtures.
-            iteration: named in errors.
-            rate: the learning rate.
-            residual_direction: whether r^z counts.
-
-        Raises:
-            TrainingDiverged: a term or gradient is not finite.
-        """
-        predict = partial(self.model, batch.cloud, residual_direction=residual_direction)
+    def learn(self, batch: Batch, rng: torch.Generator | None, *, iteration: int) -> Terms:
+        """One step of the discriminator and one of the model."""
+        plan, weigh = self.settings.schedule, self.settings.losses
+        if plan.index_at(iteration) != plan.index_at(self.iteration):
+            self._begin_stage()
+        self._at(iteration)
+        rate = plan.rate_at(iteration)
+        predict = partial(self.model, batch.cloud, residual_direction=self.residual_direction)
         predicted = predict()
-        posed, critic_terms = None, {}
-        if self.weigh.adv_g:
-            posed = objective.random_pose(self.model, predicted, batch, self.weigh, rng)
-            judge = partial(objective.discriminator_terms, self.critic, batch, posed, self.weigh)
-            critic_terms = judge()
-            self.critic_descent.step(critic_terms, judge, iteration, rate)
+        posed, judged = None, {}
+        if weigh.adv_g:
+            posed = objective.random_pose(self.model, predicted, batch, weigh, rng)
+            judge = partial(objective.discriminator_terms, self.discriminator, batch, posed, weigh)
+            judged = judge()
+            self.discriminator_descent.step(judged, judge, iteration, rate)
         minimize = partial(
             objective.generator_terms,
             self.model,
             batch=batch,
-            weigh=self.weigh,
-            critic=self.critic,
+            weigh=weigh,
+            discriminator=self.discriminator,
             posed=posed,
         )
         terms = minimize(predicted)
         self.descent.step(terms, lambda: minimize(predict()), iteration, rate)
-        return terms | critic_terms
+        return terms | judged
 
     def check(self) -> None:
-        """Raise TrainingDiverged for what a GPU has only noted so far."""
-        self.critic_descent.check()
+        self.discriminator_descent.check()
         self.descent.check()
+
+    def validate(self, held_out: PackedSplit) -> dict[str, float]:
+        """How well the surface points of held-out objects are reconstructed."""
+        clouds = held_out.surface[:, : self.points]
+        return validation(self.model, clouds, held_out, self.residual_direction)
+
+    def state(self) -> dict[str, Any]:
+        return {
+            "iteration": self.iteration,
+            "model": self.model.state_dict(),
+            "discriminator": self.discriminator.state_dict(),
+            "adam": self.descent.state(),
+            "discriminator_adam": self.discriminator_descent.state(),
+        }
+
+    def load(self, state: dict[str, Any]) -> None:
+        self._at(max(state["iteration"], 0))
+        self.model.load_state_dict(state["model"])
+        self.discriminator.load_state_dict(state["discriminator"])
+        self.descent.load(state["adam"])
+        self.discriminator_descent.load(state["discriminator_adam"])
+
+
+@torch.no_grad()
+def validation(
+    model: PPD, clouds: Tensor, held_out: PackedSplit, residual_direction: bool
+) -> dict[str, float]:
+    """How well unseen objects are reconstructed on their 32^3 grid, parts composed by the maximum.
+
+    `rec` is the mean binary cross-entropy, `iou` the mean over instances of |A and B| / |A or B|.
+
+    Args:
+        clouds: (I, n, 3) as they are stored, what the model sees of each instance.
+    """
+    model.eval()
+    count = min(VALIDATION_INSTANCES, len(held_out))
+    entropy, overlap = [], []
+    cells = torch.arange(VALIDATION_GRID**3, device=clouds.device)
+    points = voxel_centres(cells, VALIDATION_GRID)[None]
+    for row in np.linspace(0, len(held_out) - 1, count).astype(int):
+        occupied = held_out.grids[VALIDATION_GRID][row] > 0
+        predicted = model(unpacked(clouds[row : row + 1]), residual_direction=residual_direction)
+        fields = model.fields(predicted.shape, model.motion(predicted.pose), points)
+        logit = fields.product.amax(1)[0]
+        entropy.append(binary_cross_entropy_with_logits(logit, occupied.to(logit.dtype)))
+        both, either = (logit > 0) & occupied, (logit > 0) | occupied
+        overlap.append(both.sum() / either.sum().clamp(min=1))
+    model.train()
+    return {
+        "rec": float(torch.stack(entropy).mean()),
+        "iou": float(torch.stack(overlap).mean()),
+    }

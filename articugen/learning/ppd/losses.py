@@ -178,7 +178,7 @@ def _std(state: Tensor) -> Tensor:
     return (state.var(0) + 1e-7).sqrt()
 
 
-def critic(fake: Tensor, real: Tensor) -> Tensor:
+def discriminator_score(fake: Tensor, real: Tensor) -> Tensor:
     """Eq. 8, first term: E[D(fake)] - E[D(real)] from scores (B,)."""
     return fake.mean() - real.mean()
 

@@ -25,6 +25,7 @@ from articugen.learning.ppd.shape import (
     TEMPLATE,
     WIDTH,
     Encoder,
+    Grouped,
     PartLogits,
     Quantizer,
     ShapeCode,
@@ -188,13 +189,13 @@ class _CommonPivot(nn.Module):
             _Residual(parts, c, 12, norm_groups=parts), _Residual(parts, 12, 6, norm_groups=parts)
         )
         self.norm_out = nn.GroupNorm(parts, parts * 6)
-        self.linear_out = _GroupedLinear(parts, 6, 3)
+        self.linear_out = Grouped(parts, 6, 3, "linear")
 
     def forward(self, z_common: Tensor) -> tuple[Tensor, tuple[Tensor, Tensor]]:
         before = self.linear_in(leaky_relu(self.norm_in(z_common), 0.2))
         quantized, code = self.quantizer(before)
         hidden = leaky_relu(self.norm_out(self.blocks(quantized)), 0.2)
-        return self.linear_out(hidden).view(len(z_common), self.parts, 3), (before, code)
+        return self.linear_out.flat(hidden).view(len(z_common), self.parts, 3), (before, code)
 
 
 class _Residual(nn.Module):
@@ -206,30 +207,15 @@ class _Residual(nn.Module):
     def __init__(self, groups: int, n_in: int, n_out: int, norm_groups: int) -> None:
         super().__init__()
         self.norm_0 = nn.GroupNorm(norm_groups, groups * n_in)
-        self.linear_0 = _GroupedLinear(groups, n_in, n_in)
+        self.linear_0 = Grouped(groups, n_in, n_in, "linear")
         self.norm_1 = nn.GroupNorm(norm_groups, groups * n_in)
-        self.linear_1 = _GroupedLinear(groups, n_in, n_out)
+        self.linear_1 = Grouped(groups, n_in, n_out, "linear")
         nn.init.zeros_(self.linear_1.weight)
-        same = n_in == n_out
-        self.shortcut = nn.Identity() if same else _GroupedLinear(groups, n_in, n_out, bias=False)
+        self.shortcut = None
+        if n_in != n_out:
+            self.shortcut = Grouped(groups, n_in, n_out, "linear", bias=False)
 
     def forward(self, x: Tensor) -> Tensor:
-        hidden = self.linear_0(self.norm_0(x).relu())
-        return self.shortcut(x) + self.linear_1(self.norm_1(hidden).relu())
-
-
-class _GroupedLinear(nn.Module):
-    """A linear layer for each group of channels: (B, G in) to (B, G out); starts as nn.Linear."""
-
-    def __init__(self, groups: int, n_in: int, n_out: int, bias: bool = True) -> None:
-        super().__init__()
-        bound = 1.0 / math.sqrt(n_in)
-        self.weight = nn.Parameter(torch.empty(groups, n_out, n_in).uniform_(-bound, bound))
-        self.bias = (
-            nn.Parameter(torch.empty(groups, n_out).uniform_(-bound, bound)) if bias else None
-        )
-
-    def forward(self, x: Tensor) -> Tensor:
-        G, _, n_in = self.weight.shape
-        out = torch.einsum("goi,bgi->bgo", self.weight, x.view(len(x), G, n_in))
-        return (out if self.bias is None else out + self.bias).flatten(1)
+        hidden = self.linear_0.flat(self.norm_0(x).relu())
+        short = x if self.shortcut is None else self.shortcut.flat(x)
+        return short + self.linear_1.flat(self.norm_1(hidden).relu())

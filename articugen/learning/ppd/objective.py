@@ -10,13 +10,12 @@ from torch import Tensor
 
 from articugen.learning import processes
 from articugen.learning.dataset import Batch
+from articugen.learning.method import Terms
 from articugen.learning.ppd import losses
 from articugen.learning.ppd.discriminator import Discriminator
 from articugen.learning.ppd.model import PPD, Pose, Prediction
 from articugen.learning.ppd.settings import LossSettings
 from articugen.learning.ppd.shape import PartLogits, ShapeCode, gather_points
-
-Terms = dict[str, Tensor]
 
 
 @dataclass(frozen=True)
@@ -61,19 +60,21 @@ def _composed(model: PPD, prediction: Prediction, state: Tensor, points: Tensor)
 
 
 def discriminator_terms(
-    critic: Discriminator, batch: Batch, posed: RandomPose, weigh: LossSettings
+    discriminator: Discriminator, batch: Batch, posed: RandomPose, weigh: LossSettings
 ) -> Terms:
     """L_adv_d (Eq. 8)."""
     fake = torch.cat([batch.points, posed.occupancy[..., None]], 2)
     real = torch.cat([batch.points, batch.occupied[..., None].to(fake.dtype)], 2)
-    weights = critic.weights()
+    weights = discriminator.weights()
 
     def score(clouds: Tensor) -> Tensor:
-        return critic.score(gather_points(clouds, critic.decisive(clouds, weights)), weights)
+        return discriminator.score(
+            gather_points(clouds, discriminator.decisive(clouds, weights)), weights
+        )
 
     penalty = losses.gradient_penalty(score, fake, real, posed.mix)
     return {
-        "critic": weigh.adv_d * losses.critic(score(fake), score(real)),
+        "adv_d": weigh.adv_d * losses.discriminator_score(score(fake), score(real)),
         "gradient_penalty": weigh.gradient_penalty * penalty,
     }
 
@@ -83,10 +84,10 @@ def generator_terms(
     prediction: Prediction,
     batch: Batch,
     weigh: LossSettings,
-    critic: Discriminator | None = None,
+    discriminator: Discriminator | None = None,
     posed: RandomPose | None = None,
 ) -> Terms:
-    """Everything the model itself minimises; L_adv_g where there are a critic and random poses."""
+    """Everything the model itself minimises; L_adv_g where there are random poses."""
     fields = model.fields(prediction.shape, model.motion(prediction.pose), batch.points)
     terms: Terms = {"rec": weigh.rec * losses.reconstruction(fields.product, batch.occupied)}
     if weigh.rec_common and model.settings.common_shape:
@@ -101,8 +102,8 @@ def generator_terms(
     if weigh.loc:
         terms["loc"] = weigh.loc * _location(model, prediction.pose, fields, batch, weigh)
     terms |= _variation(model, prediction.pose, weigh)
-    if weigh.adv_g and critic is not None and posed is not None:
-        terms["adv_g"] = weigh.adv_g * _adversarial(model, critic, prediction, batch, posed)
+    if weigh.adv_g and discriminator is not None and posed is not None:
+        terms["adv_g"] = weigh.adv_g * _adversarial(model, discriminator, prediction, batch, posed)
     return terms
 
 
@@ -195,13 +196,17 @@ def _variation(model: PPD, pose: Pose, weigh: LossSettings) -> Terms:
 
 
 def _adversarial(
-    model: PPD, critic: Discriminator, prediction: Prediction, batch: Batch, posed: RandomPose
+    model: PPD,
+    discriminator: Discriminator,
+    prediction: Prediction,
+    batch: Batch,
+    posed: RandomPose,
 ) -> Tensor:
     """L_adv_g (Eq. 9); only the points that decide the score are evaluated with a graph."""
-    weights = critic.weights()
+    weights = discriminator.weights()
     cloud = torch.cat([batch.points, posed.occupancy[..., None]], 2)
-    decisive = gather_points(batch.points, critic.decisive(cloud, weights))
+    decisive = gather_points(batch.points, discriminator.decisive(cloud, weights))
     occupancy = _composed(model, prediction, posed.state, decisive)
     return losses.generator_score(
-        critic.score(torch.cat([decisive, occupancy[..., None]], 2), weights)
+        discriminator.score(torch.cat([decisive, occupancy[..., None]], 2), weights)
     )

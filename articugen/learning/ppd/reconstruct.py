@@ -1,21 +1,24 @@
 """What a trained model says of one cloud: part surfaces, joints, and how parts moved."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from articugen.geometry import invert_rigid, rotation_about, transform
+from articugen.geometry import invert_rigid
 from articugen.learning.dataset import voxel_centres
-from articugen.learning.evaluation.surfaces import Floats, surface
+from articugen.learning.evaluation.reconstruction import (
+    FIXED,
+    PRISMATIC,
+    REVOLUTE,
+    PartJoints,
+    Reconstruction,
+)
 from articugen.learning.ppd.model import PPD, Prediction
-from articugen.learning.runs import Checkpoint
-from articugen.records import Instance, dequantize
-
-FIXED, REVOLUTE, PRISMATIC = 0, 1, 2
+from articugen.marching_cubes import zero_level
+from articugen.records import Floats
 
 Meshes = Callable[[Floats], tuple[list[Floats], Floats]]
 """From the parts' logits (P, R, R, R) to the triangles of each part, and those of the whole."""
@@ -25,79 +28,10 @@ _BLOCK = 1 << 15
 _DENSE = 64
 
 
-@dataclass(frozen=True, eq=False)
-class Reconstruction:
-    """Parts and joints of one posed shape; P parts, the unit frame, radians.
-
-    Attributes:
-        triangles, part: (F, 3, 3) the surfaces of all parts, (F,) whose each is.
-        whole: (G, 3, 3) the surface of the whole.
-        occupied: (R, R, R) whether a voxel's centre lies in any part; R = 0 where that is unknown.
-        kind: (P,) FIXED, REVOLUTE or PRISMATIC.
-        state: (P,) joint states, 0 for fixed parts.
-        pivot, direction: (P, 3).
-        T_part: (P, 4, 4) the transform B_i of each part from its rest frame.
-    """
-
-    triangles: Floats
-    part: NDArray[np.int64]
-    whole: Floats
-    occupied: NDArray[np.bool_]
-    kind: NDArray[np.int64]
-    state: Floats
-    pivot: Floats
-    direction: Floats
-    T_part: Floats
-
-    @property
-    def parts(self) -> int:
-        return len(self.kind)
-
-    def motion_to(self, posed: "Reconstruction") -> Floats:
-        """Transform-only reading of how parts moved: B_i(posed) B_i(here)^-1, (P, 4, 4)."""
-        return posed.T_part @ invert_rigid(self.T_part)
-
-    def joint_motion_to(self, posed: "Reconstruction") -> Floats:
-        """Joint-aware reading: this shape's axes and the difference of states, (P, 4, 4)."""
-        motion = np.tile(np.eye(4), (self.parts, 1, 1))
-        change = posed.state - self.state
-        for i in np.flatnonzero(self.kind == REVOLUTE):
-            R = rotation_about(self.direction[i], change[i])
-            motion[i] = transform(R, self.pivot[i] - R @ self.pivot[i])
-        for i in np.flatnonzero(self.kind == PRISMATIC):
-            motion[i, :3, 3] = change[i] * self.direction[i]
-        return motion
-
-
-def reconstruct(
-    model: PPD,
-    cloud: Floats,
-    resolution: int,
-    *,
-    residual_direction: bool = True,
-    meshes: Meshes | None = None,
-) -> Reconstruction:
-    """Reconstruct the shape of a cloud (n, 3) in the unit frame on a grid of `resolution`^3.
-
-    A part's surface encloses where its field is above 0 and the greatest of all, unless `meshes`
-    says otherwise.
-    """
-    predicted = predict(model, cloud, residual_direction)
-    return reconstruction_of(model, predicted, resolution, meshes)
-
-
-@torch.no_grad()
-def predict(model: PPD, cloud: Floats, residual_direction: bool = True) -> Prediction:
-    """What the model makes of one cloud (n, 3), a batch of one."""
-    device = next(model.parameters()).device
-    given = torch.as_tensor(cloud, dtype=torch.float32, device=device)[None]
-    return model(given, residual_direction=residual_direction)
-
-
 def reconstruction_of(
     model: PPD, predicted: Prediction, resolution: int, meshes: Meshes | None = None
 ) -> Reconstruction:
-    """`reconstruct` from a prediction that is there already."""
+    """Parts and joints of one predicted shape, its surfaces from a grid of `resolution`^3."""
     settings, pose = model.settings, predicted.pose
     logits = part_logits(model, predicted, resolution)
     surfaces, whole = (meshes or _meshes)(logits)
@@ -112,11 +46,14 @@ def reconstruction_of(
         part=np.repeat(np.arange(J + 1), [len(s) for s in surfaces]),
         whole=whole,
         occupied=logits.max(0) > 0.0,
-        kind=np.array([FIXED] + [REVOLUTE] * R + [PRISMATIC] * (J - R)),
-        state=np.append(0.0, pose.state[0].double().cpu().numpy()),
-        pivot=pose.pivot[0].double().cpu().numpy(),
-        direction=np.concatenate([[[0, 0, 1.0]], pose.direction[0].double().cpu().numpy()]),
+        parts=J + 1,
         T_part=invert_rigid(T_inverse),
+        joints=PartJoints(
+            kind=np.array([FIXED] + [REVOLUTE] * R + [PRISMATIC] * (J - R)),
+            state=np.append(0.0, pose.state[0].double().cpu().numpy()),
+            pivot=pose.pivot[0].double().cpu().numpy(),
+            direction=np.concatenate([[[0, 0, 1.0]], pose.direction[0].double().cpu().numpy()]),
+        ),
     )
 
 
@@ -161,36 +98,9 @@ def _beside_surfaces(logits: Floats) -> NDArray[np.bool_]:
     return (least != most)[1:-1, 1:-1, 1:-1]
 
 
-def reconstruction_from(
-    checkpoint: Checkpoint,
-    resolution: int,
-    meshes: Meshes | None = None,
-    *,
-    model: PPD | None = None,
-) -> Callable[[Floats], Reconstruction]:
-    """What its model makes of a cloud, of as many points as it was trained on.
-
-    Args:
-        model: use this one in its place: that for partial clouds.
-    """
-    recipe = checkpoint.recipe
-    if model is None:
-        model, most = checkpoint.generator(), recipe.data.surface_points
-    else:
-        most = None
-    residual = checkpoint.residual_direction
-
-    def of_cloud(cloud: Floats) -> Reconstruction:
-        return reconstruct(
-            model, cloud[:most], resolution, residual_direction=residual, meshes=meshes
-        )
-
-    return of_cloud
-
-
 def _meshes(logits: Floats) -> tuple[list[Floats], Floats]:
-    own = [surface(field).corners for field in _own_fields(logits)]
-    return own, surface(logits.max(0)).corners
+    own = [zero_level(field).triangles for field in _own_fields(logits)]
+    return own, zero_level(logits.max(0)).triangles
 
 
 def _own_fields(logits: Floats) -> Floats:
@@ -198,26 +108,3 @@ def _own_fields(logits: Floats) -> Floats:
     first, second = torch.from_numpy(logits).topk(2, dim=0).values.numpy()
     greatest_other = np.where(logits == first, second, first)
     return np.minimum(logits, logits - greatest_other)
-
-
-def truth(instance: Instance, resolution: int = 32) -> Reconstruction:
-    """The ground truth in the place of a prediction; its surfaces are the stored points.
-
-    Args:
-        resolution: of the stored grid that tells what is occupied, if there is such a grid.
-    """
-    grid = instance.occupancy.get(resolution, np.zeros((0, 0, 0), np.uint8))
-    points = dequantize(instance.surface_points)
-    J = len(instance.joint_kind)
-    triangles = np.repeat(points[:, None], 3, axis=1)
-    return Reconstruction(
-        triangles=triangles,
-        part=instance.surface_part.astype(np.int64),
-        whole=triangles,
-        occupied=grid > 0,
-        kind=np.append(FIXED, instance.joint_kind).astype(np.int64),
-        state=np.append(0.0, instance.joint_state),
-        pivot=np.concatenate([np.zeros((1, 3)), instance.joint_pivot]),
-        direction=np.concatenate([[[0, 0, 1.0]], instance.joint_axis]).reshape(J + 1, 3),
-        T_part=instance.part_motion,
-    )

@@ -8,9 +8,9 @@ F-score, Chamfer-L1 or the accuracy of joints, so there are none.
 """
 
 import dataclasses
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -22,13 +22,17 @@ from articugen.learning.evaluation.evaluate import (
     carriers,
     check_splits,
     label_votes,
+    motions,
     objects_of,
     surface_of,
 )
-from articugen.learning.evaluation.metrics import NO_LABEL, Ints
-from articugen.learning.evaluation.surfaces import Floats, sample, surface
-from articugen.learning.ppd.reconstruct import Reconstruction
-from articugen.records import Instance
+from articugen.learning.evaluation.metrics import NO_LABEL
+from articugen.learning.evaluation.reconstruction import Reconstruction
+from articugen.learning.evaluation.results import Evaluation, LeftOut
+from articugen.learning.evaluation.surfaces import sample
+from articugen.learning.ppd.learner import Predictor
+from articugen.marching_cubes import zero_level
+from articugen.records import Floats, Instance
 from articugen.seeding import generator
 
 RESOLUTION = 64
@@ -46,18 +50,23 @@ def release_meshes(logits: Floats) -> tuple[list[Floats], Floats]:
     inside = 0.5 * np.tanh(0.5 * logits)  # the sigmoid less 0.5
     owner = logits.argmax(0)
     each = [np.where(owner == i, part, _OUTSIDE) for i, part in enumerate(inside)]
-    parts = [surface(part).corners - 1.0 / R for part in each]
-    return parts, surface(inside.max(0)).corners - 1.0 / R
+    parts = [zero_level(part).triangles - 1.0 / R for part in each]
+    return parts, zero_level(inside.max(0)).triangles - 1.0 / R
 
 
-def evaluate_as_release(
+def reconstruct(learner: Predictor, cloud: Floats, resolution: int) -> Reconstruction:
+    """What is measured here."""
+    return learner.reconstruct(cloud, resolution=resolution, meshes=release_meshes)
+
+
+def evaluate(
     data: Path,
     reconstruct: Reconstruct,
     protocol: Protocol = WHOLE,
     *,
     category: str | None = None,
     on_object: Callable[[str], None] = lambda _: None,
-) -> dict[str, Any]:
+) -> Evaluation:
     """Evaluate on the test objects of a data set, by the release's rules.
 
     Args:
@@ -65,41 +74,30 @@ def evaluate_as_release(
         protocol: its `points` are also how many are sampled on a predicted part.
 
     Returns:
-        What `evaluate` returns, with fewer means; `left_out` counts the instances without label
-        IoU and EPE, and the true parts that no EPE counts.
+        What `evaluate` returns, with fewer means, without joints, and with `left_out`: the
+        instances without label IoU and EPE, and the true parts that no EPE counts.
 
     Raises:
         CorruptShard: the data set has no training or no test object, or is of another category.
     """
     check_splits(data, category)
 
-    def see(instance: Instance) -> Reconstruction:
+    def in_points(instance: Instance) -> Reconstruction:
         rng = generator(0, "release", instance.object_id, instance.state_index)
         return as_points(reconstruct(instance), protocol.points, rng)
 
-    table = label_votes(data, see, protocol, on_object)
-    label = metrics.labels_from(table)
-    tally, objects = Tally(), 0
-    left_out = {"instances_label_iou": 0, "instances_epe": 0, "parts_epe": 0}
+    tally = Tally(label_votes(data, in_points, protocol, on_object))
+    left_out: Counter[str] = Counter()
     for canonical, *posed in objects_of(data, "test", protocol.test_states):
-        objects += 1
-        first = see(canonical)
-        _label_iou(tally, left_out, canonical, first, label, protocol)
+        tally.objects += 1
+        first = in_points(canonical)
+        _label_iou(tally, left_out, canonical, first, protocol)
         for instance in posed:
-            found = see(instance)
-            _label_iou(tally, left_out, instance, found, label, protocol)
-            _epe(tally, left_out, (canonical, instance), (first, found), label, protocol)
+            found = in_points(instance)
+            _label_iou(tally, left_out, instance, found, protocol)
+            _epe(tally, left_out, (canonical, instance), (first, found), protocol)
         on_object(canonical.object_id)
-    return {
-        "protocol": "release",
-        "means": tally.means(),
-        "votes": table.tolist(),
-        "labels": label.tolist(),
-        "dominant": metrics.dominant_labels(table).tolist(),
-        "objects": objects,
-        "instances": len(tally.values.get("label_iou", [])),
-        "left_out": left_out,
-    }
+    return tally.evaluation(LeftOut(**left_out))
 
 
 def as_points(found: Reconstruction, count: int, rng: np.random.Generator) -> Reconstruction:
@@ -118,10 +116,9 @@ def as_points(found: Reconstruction, count: int, rng: np.random.Generator) -> Re
 
 def _label_iou(
     tally: Tally,
-    left_out: dict[str, int],
+    left_out: Counter[str],
     instance: Instance,
     found: Reconstruction,
-    label: Ints,
     protocol: Protocol,
 ) -> None:
     if not len(found.triangles):
@@ -129,31 +126,25 @@ def _label_iou(
         return
     points, true = surface_of(instance, protocol.points)
     near = metrics.nearest_part(points, found.triangles, found.part, found.parts)
-    tally.add(label_iou=metrics.label_iou(label[near], true))
+    tally.add(label_iou=metrics.label_iou(tally.labels[near], true))
 
 
 def _epe(
     tally: Tally,
-    left_out: dict[str, int],
+    left_out: Counter[str],
     instances: tuple[Instance, Instance],
     found: tuple[Reconstruction, Reconstruction],
-    label: Ints,
     protocol: Protocol,
 ) -> None:
     canonical, instance = instances
     points, true = surface_of(canonical, protocol.points)
     T_true = instance.part_motion
-    posed = np.einsum("nij,nj->ni", T_true[true, :3, :3], points) + T_true[true, :3, 3]
-    carrier = carriers(posed, true, found[1], label)
-    seen = carrier != NO_LABEL
-    left_out["parts_epe"] += len(np.unique(true)) - len(np.unique(true[seen]))
-    if not seen.any() or not len(found[1].triangles):
+    carrier = carriers(points, true, T_true, found[1], tally.labels)
+    kept = carrier != NO_LABEL
+    left_out["parts_epe"] += len(np.unique(true)) - len(np.unique(true[kept]))
+    if not kept.any() or not len(found[1].triangles):
         left_out["instances_epe"] += 1
         return
-    motions = {
-        "joint": found[0].joint_motion_to(found[1]),
-        "transform": found[0].motion_to(found[1]),
-    }
-    for reading, motion in motions.items():
-        error = metrics.endpoint_error(points[seen], true[seen], T_true, motion[carrier[seen]])
+    for reading, motion in motions(*found).items():
+        error = metrics.endpoint_error(points[kept], true[kept], T_true, motion[carrier[kept]])
         tally.add(**{f"epe_{reading}_all": error})

@@ -1,25 +1,21 @@
-"""Training recipes: everything that decides a run, read from recipes/ppd_*.yaml.
+"""PPD's recipes, recipes/ppd_*.yaml: what they have besides those of any method.
 
-A recipe may say `extends: <name>`; unknown keys are refused with the nearest valid name. What a key
-takes from the paper and what from the authors' release is listed in docs/ppd.md.
+What a key takes from the paper and what from the authors' release is listed in docs/ppd.md.
 """
 
-import hashlib
 import math
-from itertools import pairwise
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-import yaml
 from pydantic import Field, model_validator
 
-from articugen.recipe_files import Section as _Section
-from articugen.recipe_files import find, resolved, validated
+from articugen.learning.evaluation.paper import COMPLETE
+from articugen.learning.recipe import Schedule, Seeds, Stage, TrainRecipe
+from articugen.recipe_files import Section
 
 Direction = tuple[float, float, float]
 
 
-class ModelSettings(_Section):
+class ModelSettings(Section):
     """The parts and how they move.
 
     Attributes:
@@ -64,7 +60,7 @@ class ModelSettings(_Section):
         return 1 + self.joints
 
 
-class LossSettings(_Section):
+class LossSettings(Section):
     """Weights (lambda in the paper) and forms; a weight of 0 switches a term off.
 
     Attributes:
@@ -96,94 +92,28 @@ class LossSettings(_Section):
     most_prismatic: float = Field(default=0.4, gt=0)
 
 
-class Stage(_Section):
+class PPDStage(Stage):
     """A stretch of training; Adam starts afresh in each.
 
     Attributes:
-        resolution: of the grid of indicator values.
-        iterations: how many.
         residual_direction: r = r^c + r^z (the paper's second stage), else r = r^c.
     """
 
-    resolution: int = Field(ge=1, le=256)
-    iterations: int = Field(ge=0)
     residual_direction: bool = False
 
 
-class DataSettings(_Section):
-    """What one sample of a batch is made of.
-
-    Attributes:
-        surface_points: the encoder's input.
-        grid_points, uniform_points, near_points: points with an indicator value: of the stage's
-            grid, anywhere in the cube, near the surface.
-        occupancy: what is 1 there: `visible`, what no view sees free (the paper's); or `material`,
-            the parts' own solids without the space that they enclose, the same in every pose.
-        validation_objects: how many objects of the training split are held out; at most a quarter.
-    """
-
-    surface_points: int = Field(default=4096, ge=1)
-    grid_points: int = Field(default=4096, ge=0)
-    uniform_points: int = Field(default=0, ge=0)
-    near_points: int = Field(default=0, ge=0)
-    occupancy: Literal["visible", "material"] = "visible"
-    validation_objects: int = Field(default=4, ge=0)
-
-    @model_validator(mode="after")
-    def _has_points_in_the_volume(self) -> "DataSettings":
-        if self.grid_points + self.uniform_points == 0:
-            raise ValueError("grid_points or uniform_points must be more than 0: L_vol needs them")
-        return self
-
-
-class Schedule(_Section):
-    """How long and how fast.
-
-    Attributes:
-        learning_rate: of both Adams.
-        final_learning_rate: where a cosine leads to by the end; null keeps it constant.
-        validate_every, save_every, log_every: iterations.
-    """
-
-    batch: int = Field(default=18, ge=2)
-    learning_rate: float = Field(default=1e-4, gt=0)
-    final_learning_rate: float | None = Field(default=None, gt=0)
-    stages: tuple[Stage, ...] = (
-        Stage(resolution=16, iterations=99_000),
-        Stage(resolution=32, iterations=49_000, residual_direction=True),
+class PPDSchedule(Schedule):
+    stages: tuple[PPDStage, ...] = (  # pyright: ignore[reportIncompatibleVariableOverride]
+        PPDStage(resolution=16, iterations=99_000),
+        PPDStage(resolution=32, iterations=49_000, residual_direction=True),
     )
-    validate_every: int = Field(default=1000, ge=1)
-    save_every: int = Field(default=1000, ge=1)
-    log_every: int = Field(default=10, ge=1)
 
-    @property
-    def iterations(self) -> int:
-        return sum(stage.iterations for stage in self.stages)
-
-    def at(self, iteration: int) -> tuple[int, Stage]:
-        """The index of the stage that iteration (from 0) belongs to, and the stage."""
-        first = 0
-        for index, stage in enumerate(self.stages):
-            first += stage.iterations
-            if iteration < first:
-                return index, stage
-        return len(self.stages) - 1, self.stages[-1]
+    def stage_at(self, iteration: int) -> PPDStage:
+        """The stage that an iteration (from 0) belongs to."""
+        return self.stages[self.index_at(iteration)]
 
 
-class Seeds(_Section):
-    """How many seeds race, since one alone may find no parts at all.
-
-    Attributes:
-        count: how many start; 1 is no race.
-        halve_at: after each of these iterations the worse half of the seeds still running is
-            dropped, by the loss on the objects held out; of those that finish the best wins.
-    """
-
-    count: int = Field(default=1, ge=1, le=64)
-    halve_at: tuple[int, ...] = ()
-
-
-class DepthSettings(_Section):
+class DepthSettings(Section):
     """The third stage: an encoder for what one depth camera sees.
 
     Attributes:
@@ -192,71 +122,51 @@ class DepthSettings(_Section):
     """
 
     iterations: int = Field(default=50_000, ge=1)
-    batch: int = Field(default=32, ge=1)
+    batch: int = Field(default=32, ge=2)
     learning_rate: float = Field(default=1e-3, gt=0)
 
 
-class TrainRecipe(_Section):
-    """One training recipe, resolved. See the sections for the meaning of each key."""
+class PPDRecipe(TrainRecipe):
+    """A recipe of PPD, resolved. The defaults are the text of the paper."""
 
-    name: str
+    method: Literal["ppd"] = "ppd"  # pyright: ignore[reportIncompatibleVariableOverride]
     model: ModelSettings = ModelSettings()
     losses: LossSettings = LossSettings()
-    data: DataSettings = DataSettings()
-    schedule: Schedule = Schedule()
+    schedule: PPDSchedule = PPDSchedule()  # pyright: ignore[reportIncompatibleVariableOverride]
     depth: DepthSettings = DepthSettings()
-    seeds: Seeds = Seeds()
 
     @model_validator(mode="after")
-    def _seeds_are_compared(self) -> "TrainRecipe":
-        validate_every = self.schedule.validate_every
-        if self.seeds.count > 1 and not self.data.validation_objects:
-            raise ValueError("several seeds need data.validation_objects to choose by")
-        for before, at in pairwise((0, *self.seeds.halve_at, self.schedule.iterations)):
-            if self.seeds.count > 1 and not (before < at and before % validate_every == 0):
-                raise ValueError(
-                    "seeds.halve_at must be ascending, before the last iteration, and multiples of "
-                    f"schedule.validate_every ({validate_every})"
-                )
+    def _has_points_in_the_volume(self) -> "PPDRecipe":
+        if self.data.grid_points + self.data.uniform_points == 0:
+            raise ValueError(
+                "data.grid_points or uniform_points must be more than 0: L_vol needs them"
+            )
         return self
 
-    def with_seeds(self, count: int) -> "TrainRecipe":
-        """This recipe with another number of seeds.
+    @property
+    def variant(self) -> str:
+        """What Table 5 calls a model trained by it; "w/o A, B" where it has no such row."""
+        losses, model = self.losses, self.model
+        parts = {
+            "L_vol": losses.vol,
+            "L_dev": losses.dev,
+            "L_loc": losses.loc,
+            "L_var": losses.var_state or losses.var_pivot,
+            "L_adv_g": losses.adv_g,
+            "CS": model.common_shape,
+            "CP": model.common_pose,
+        }
+        off = [name for name, is_on in parts.items() if not is_on]
+        return f"w/o {', '.join(off)}" if off else COMPLETE
 
-        Raises:
-            InvalidRecipe: they cannot be compared.
-        """
-        seeds = {**self.seeds.model_dump(), "count": count}
-        return parse_train_recipe(self.model_dump() | {"seeds": seeds}, "--seeds")
-
-    def same_but_seeds(self, other: "TrainRecipe") -> bool:
-        """Whether the other decides the same runs, however many of them race."""
-        return self.sha256() == other.model_copy(update={"seeds": self.seeds}).sha256()
-
-    def text(self) -> str:
-        """The resolved recipe as YAML, every key spelt out."""
-        return yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)
-
-    def sha256(self) -> str:
-        """The digest of what decides a run: all but the name."""
-        return hashlib.sha256(self.model_dump_json(exclude={"name"}).encode()).hexdigest()
-
-
-def load_train_recipe(name: str | Path) -> TrainRecipe:
-    """The training recipe `name`: a name under recipes/, or a path.
-
-    Raises:
-        InvalidRecipe: no such recipe, bad YAML, an unknown key or a bad value.
-    """
-    path = find(str(name), learner=True)
-    data = resolved(path, lambda base: find(base, learner=True))
-    return parse_train_recipe({"name": path.stem} | data, str(path))
-
-
-def parse_train_recipe(data: dict[str, Any], where: str) -> TrainRecipe:
-    """A recipe from plain data; `where` is named in errors.
-
-    Raises:
-        InvalidRecipe: an unknown key or a bad value.
-    """
-    return validated(TrainRecipe, data, where)
+    def third_stage(self) -> "PPDRecipe":
+        """The recipe of the encoder for depth input."""
+        plan, rate = self.depth, self.depth.learning_rate
+        schedule = {
+            "batch": plan.batch,
+            "learning_rate": rate,
+            "final_learning_rate": 0.01 * rate,
+            "stages": (PPDStage(resolution=1, iterations=plan.iterations),),
+        }
+        own = {"schedule": self.schedule.model_copy(update=schedule), "seeds": Seeds()}
+        return self.model_copy(update=own)

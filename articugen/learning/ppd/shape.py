@@ -212,7 +212,7 @@ class ShapeDecoder(nn.Module):
     ) -> Tensor:
         """(B, 2 P, n): F^{s,c} of all parts, then F^{s,z}."""
         # The motion is part of the first layer: W (A x + t) + b = (W A) x + (W t + b).
-        W, b = _FREQUENCY * self.coordinate.weight, _FREQUENCY * self.coordinate.bias
+        W, b = self.coordinate.times(_FREQUENCY)
         moved = (W @ rotation).flatten(1, 2)
         shift = ((W @ offset[..., None])[..., 0] + b).flatten(1)
         x = torch.baddbmm(shift[..., None], moved, points.mT).sin()
@@ -227,34 +227,53 @@ class Grouped(nn.Module):
 
     Args:
         rule: "sine" starts weights as SIREN does (Sitzmann et al. 2020), U(+-sqrt(6 / in) / 30);
-            "latent" by Kaiming's normal / 100. Biases as torch's linear layers, and U(+-1 / in).
+            "latent" by Kaiming's normal / 100, biases U(+-1 / in); "linear" as torch's layers.
         bound: U(+-bound) for the weights instead.
     """
 
     def __init__(
-        self, groups: int, n_in: int, n_out: int, rule: str = "sine", bound: float | None = None
+        self,
+        groups: int,
+        n_in: int,
+        n_out: int,
+        rule: Literal["sine", "latent", "linear"] = "sine",
+        bound: float | None = None,
+        bias: bool = True,
     ) -> None:
         super().__init__()
         self.weight = nn.Parameter(torch.empty(groups, n_out, n_in))
-        self.bias = nn.Parameter(torch.empty(groups, n_out))
+        self.bias = nn.Parameter(torch.empty(groups, n_out)) if bias else None
+        plain = 1.0 / math.sqrt(n_in)  # of torch's layers
         if rule == "latent":
             nn.init.normal_(self.weight, std=math.sqrt(2.0 / n_in) / 100.0)
-            nn.init.uniform_(self.bias, -1.0 / n_in, 1.0 / n_in)
         else:
-            bound = bound or math.sqrt(6.0 / n_in) / _FREQUENCY
+            bound = bound or (plain if rule == "linear" else math.sqrt(6.0 / n_in) / _FREQUENCY)
             nn.init.uniform_(self.weight, -bound, bound)
-            nn.init.uniform_(self.bias, -1.0 / math.sqrt(n_in), 1.0 / math.sqrt(n_in))
+        if self.bias is not None:
+            spread = 1.0 / n_in if rule == "latent" else plain
+            nn.init.uniform_(self.bias, -spread, spread)
 
     def forward(self, x: Tensor) -> Tensor:
-        return self._affine(x, self.weight, self.bias)
+        return self._affine(x, 1.0)
 
     def sine(self, x: Tensor) -> Tensor:
         """sin(30 (W x + b)); the factor goes into the small weights, not over the activations."""
-        return self._affine(x, _FREQUENCY * self.weight, _FREQUENCY * self.bias).sin()
+        return self._affine(x, _FREQUENCY).sin()
 
-    @staticmethod
-    def _affine(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    def flat(self, x: Tensor) -> Tensor:
+        """One vector a group, side by side: (B, G in) to (B, G out)."""
+        G, _, n_in = self.weight.shape
+        out = torch.einsum("goi,bgi->bgo", self.weight, x.view(len(x), G, n_in))
+        return (out if self.bias is None else out + self.bias).flatten(1)
+
+    def times(self, factor: float) -> tuple[Tensor, Tensor]:
+        """Weight and bias, multiplied; of a layer that has a bias."""
+        assert self.bias is not None
+        return factor * self.weight, factor * self.bias
+
+    def _affine(self, x: Tensor, factor: float) -> Tensor:
         B, G, n_in, n = x.shape
-        W = weight.expand(B, -1, -1, -1).reshape(B * G, -1, n_in)
-        b = bias.expand(B, -1, -1).reshape(B * G, -1, 1)
+        W, b = self.times(factor)
+        W = W.expand(B, -1, -1, -1).reshape(B * G, -1, n_in)
+        b = b.expand(B, -1, -1).reshape(B * G, -1, 1)
         return torch.baddbmm(b, W, x.reshape(B * G, n_in, n)).view(B, G, -1, n)

@@ -1,39 +1,33 @@
-"""The figures of an evaluation, as PNG: shapes, interpolations, part fields, curves, joints."""
+"""The figures of an evaluation, as PNG: curves, joints, part fields, shapes, interpolations."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from articugen.inspection.layout import save
 from articugen.inspection.portrait import COLOURS, best_azimuth
-from articugen.inspection.shading import Picture
 from articugen.learning.evaluation.evaluate import objects_of
 from articugen.learning.evaluation.figures import plots
 from articugen.learning.evaluation.figures.shapes import (
     Names,
-    between,
     by_opening,
     evenly,
     interpolations,
     reconstructions,
 )
-from articugen.learning.evaluation.surfaces import Floats
-from articugen.learning.ppd.reconstruct import (
-    REVOLUTE,
-    logits_at,
-    predict,
-    reconstruction_from,
-    reconstruction_of,
-)
-from articugen.learning.runs import Checkpoint, RunFolder
-from articugen.records import Instance, dequantize
+from articugen.learning.evaluation.reconstruction import REVOLUTE, Reconstruction
+from articugen.learning.evaluation.results import Evaluation
+from articugen.records import Floats, Instance, dequantize
 
 OBJECTS = 3
 INSTANCES = 16
 """Of each object so many are read, from its canonical pose to its widest."""
+
+STEPS = 5
+"""Of an interpolation, its ends included."""
 
 SLICE = 256
 """Pixels along a slice of the fields."""
@@ -41,100 +35,111 @@ SLICE = 256
 NEAR = 0.01
 """Surface points so near a slice are drawn in it."""
 
+Opening = tuple[Floats, Floats, Floats]
+"""Clouds (n, 3) of one object: closed, half open and wide open."""
+
+
+@dataclass(frozen=True)
+class Between:
+    """Reconstructions from one shape to another, and from the closed to the widest joint state.
+
+    Attributes:
+        first: the index of the object whose pose is held, and whose joints move.
+    """
+
+    first: int
+    shapes: Sequence[Reconstruction]
+    states: Sequence[Reconstruction]
+
+
+@dataclass(frozen=True)
+class Drawable:
+    """A trained model, as far as it can be drawn; what a method cannot do is None and is left out.
+
+    Attributes:
+        reconstruct: of a cloud (n, 3).
+        part_fields: of a cloud and points (m, 3), the probability (P, m) that each part is there.
+        interpolate: between two of these objects, in so many steps.
+        parts: what each predicted part is called; by its number if not given.
+        titles: of curves, by the name of a loss term or "held-out <name>"; the name if not given.
+    """
+
+    reconstruct: Callable[[Floats], Reconstruction]
+    part_fields: Callable[[Floats, Floats], Floats] | None = None
+    interpolate: Callable[[Sequence[Opening], int], Between] | None = None
+    parts: Sequence[str] = ()
+    titles: Mapping[str, str] = field(default_factory=dict)
+
 
 def draw_figures(
     folder: Path,
-    run: RunFolder,
+    metrics: Sequence[dict[str, Any]],
     data: Path,
-    checkpoint: Checkpoint,
-    result: dict[str, Any],
-    *,
-    resolution: int,
+    model: Drawable,
+    result: Evaluation,
 ) -> Iterator[Path]:
     """Draw every figure into `folder` and yield its path when it is there.
 
     Args:
-        run: whose metrics are the training curves.
+        metrics: the records of the run's metrics.jsonl, for the training curves.
         data: the data set whose test objects are drawn.
-        result: what `evaluate` has returned for this checkpoint.
-        resolution: of the meshes' grid.
+        result: what `evaluate` has returned for this model.
 
     Raises:
         ArticugenError: a file cannot be written.
     """
-    names = Names(result["labels"], result["dominant"])
+    names = Names(result.labels, result.dominant)
     objects = [
         evenly(by_opening(instances), INSTANCES) for instances in objects_of(data, "test", None)
     ]
     path = folder / "curves.png"
-    plots.curves(run.metrics(), path)
+    plots.curves(metrics, path, model.titles)
     yield path
-    path = folder / "joints.png"
-    plots.joints(result, COLOURS, path)
-    yield path
-    path = folder / "fields.png"
-    _fields(path, checkpoint, _half_open(objects[0]), names)
-    yield path
+    if result.joint_states:
+        path = folder / "joints.png"
+        plots.joints(result, COLOURS, path)
+        yield path
+    if model.part_fields:
+        path = folder / "fields.png"
+        _fields(path, model, _half_open(objects[0]), names)
+        yield path
     path = folder / "reconstructions.png"
-    see = reconstruction_from(checkpoint, resolution)
     some = evenly(objects, OBJECTS)
     azimuth = best_azimuth([instances[-1] for instances in some])
-    save(reconstructions(some, lambda i: see(dequantize(i.surface_points)), names, azimuth), path)
+    save(reconstructions(some, lambda i: model.reconstruct(_cloud(i)), names, azimuth), path)
     yield path
-    path = folder / "interpolations.png"
-    save(_interpolations(checkpoint, objects, names, azimuth, resolution), path)
-    yield path
+    if model.interpolate:
+        path = folder / "interpolations.png"
+        openings = [(_cloud(o[0]), _cloud(_half_open(o)), _cloud(o[-1])) for o in objects]
+        found = model.interpolate(openings, STEPS)
+        held = _half_open(objects[found.first])
+        save(interpolations(found.shapes, found.states, names, held, azimuth), path)
+        yield path
 
 
 def _half_open(instances: Sequence[Instance]) -> Instance:
     return instances[len(instances) // 2]
 
 
-def _cloud(checkpoint: Checkpoint, instance: Instance) -> Floats:
-    return dequantize(instance.surface_points[: checkpoint.recipe.data.surface_points])
+def _cloud(instance: Instance) -> Floats:
+    return dequantize(instance.surface_points)
 
 
-def _interpolations(
-    checkpoint: Checkpoint,
-    objects: Sequence[Sequence[Instance]],
-    names: Names,
-    azimuth: float,
-    resolution: int,
-) -> Picture:
-    """Between the two objects whose shape codes differ most; from closed to wide open."""
-    model, residual = checkpoint.generator(), checkpoint.residual_direction
-    clouds = [_cloud(checkpoint, _half_open(instances)) for instances in objects]
-    codes = torch.cat([predict(model, cloud, residual).shape.detail.flatten(1) for cloud in clouds])
-    one, other = divmod(int(torch.cdist(codes, codes).argmax()), len(codes))
-    first = objects[one]
-    opening = (_cloud(checkpoint, first[0]), _cloud(checkpoint, first[-1]))
-    shapes, states = (
-        [reconstruction_of(model, prediction, resolution) for prediction in row]
-        for row in between(model, (clouds[one], clouds[other]), opening, residual)
-    )
-    return interpolations(shapes, states, names, first[0], azimuth)
-
-
-def _fields(path: Path, checkpoint: Checkpoint, instance: Instance, names: Names) -> None:
+def _fields(path: Path, model: Drawable, instance: Instance, names: Names) -> None:
     """A slice through all part fields, across the first joint's axis or along its slide."""
+    assert model.part_fields
     normal, offset = cutting_plane(instance)
     across = [axis for axis in range(3) if axis != normal]
     at = (np.arange(SLICE) + 0.5) / SLICE - 0.5
     points = np.full((SLICE, SLICE, 3), offset)
     points[..., across[0]], points[..., across[1]] = np.meshgrid(at, at, indexing="ij")
-    model = checkpoint.generator()
-    predicted = predict(model, _cloud(checkpoint, instance), checkpoint.residual_direction)
-    logits = logits_at(model, predicted, torch.from_numpy(points.reshape(-1, 3)))
-    fields = 1.0 / (1.0 + np.exp(-np.clip(logits, -50.0, 50.0)))
-    surface = dequantize(instance.surface_points)
+    surface = _cloud(instance)
+    fields = model.part_fields(surface, points.reshape(-1, 3))
     near = np.abs(surface[:, normal] - offset) < NEAR
-    settings = checkpoint.recipe.model
-    revolute, prismatic = len(settings.revolute), len(settings.prismatic)
-    kinds = ["fixed"] + ["revolute"] * revolute + ["prismatic"] * prismatic
     plots.slices(
         fields.reshape(-1, SLICE, SLICE),
         names.colours,
-        [f"part {i}, {kind}" for i, kind in enumerate(kinds)],
+        model.parts or [f"part {i}" for i in range(len(fields))],
         (surface[near][:, across], instance.surface_part[near].astype(np.int64), COLOURS),
         ("xyz"[across[0]], "xyz"[across[1]]),
         path,

@@ -1,14 +1,17 @@
 """Plots of plain numbers: training curves, joint accuracy, slices of part fields."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from articugen.errors import ArticugenError, MissingExtra
+from articugen.learning.evaluation.results import Evaluation, JointError, JointLine, JointState
+from articugen.records import Floats
 
 try:
     from matplotlib.axes import Axes
@@ -18,33 +21,20 @@ try:
 except ImportError:
     raise MissingExtra("matplotlib", "ppd") from None
 
-Floats = NDArray[np.float64]
-
 INK, GREY, BLUE = "#333333", "#8a8a8a", "#4477aa"
-
-TERMS = {
-    "rec": "$L_{rec}$",
-    "rec_common": "$L_{rec}$, category-common",
-    "vol": "$L_{vol}$",
-    "vq": "$L_{vq}$",
-    "dev": "$L_{dev}$",
-    "loc": "$L_{loc}$",
-    "var_state": "$L_{var}$, joint states",
-    "var_pivot": "$L_{var}$, pivots",
-    "adv_g": "$L_{adv_g}$",
-    "adv_d": "$L_{adv_d}$",
-    "gradient_penalty": "gradient penalty",
-}
 
 DEGREES = np.linspace(0.0, 30.0, 121)
 LENGTHS = np.linspace(0.0, 0.2, 121)
 
 
-def curves(metrics: Sequence[dict[str, Any]], path: Path) -> None:
+def curves(
+    metrics: Sequence[dict[str, Any]], path: Path, titles: Mapping[str, str] = MappingProxyType({})
+) -> None:
     """Every loss term and what was measured on held-out objects, against the iteration.
 
     Args:
         metrics: the records of a run's metrics.jsonl.
+        titles: of some curves, in the place of their names.
     """
     panels, borders = curve_panels(metrics)
     columns = min((5, 4), key=lambda columns: -len(panels) % columns)
@@ -52,7 +42,7 @@ def curves(metrics: Sequence[dict[str, Any]], path: Path) -> None:
     end = max((r["iteration"] for r in metrics), default=1)
     for axis, (title, iterations, values, is_loss) in zip(axes, panels, strict=False):
         _curve(axis, np.array(iterations), np.array(values), is_loss)
-        _title(axis, title, INK if is_loss else BLUE)
+        _title(axis, titles.get(title, title), INK if is_loss else BLUE)
         axis.set_xlim(0, 1.02 * end)
         for stage, border in enumerate(borders):
             axis.axvline(border, color=GREY, linewidth=0.8, linestyle=(0, (3, 3)))
@@ -67,20 +57,16 @@ def curves(metrics: Sequence[dict[str, Any]], path: Path) -> None:
 def curve_panels(
     metrics: Sequence[dict[str, Any]],
 ) -> tuple[list[tuple[str, list[int], list[float], bool]], list[int]]:
-    """(title, iterations, values, whether it is a loss) of each curve; where stages end."""
-    told = [record for record in metrics if "terms" in record]
-    checked = [record for record in metrics if "validation" in record]
+    """(name, iterations, values, whether it is a loss) of each curve; where stages end."""
     panels: list[tuple[str, list[int], list[float], bool]] = []
-    for name in dict.fromkeys(str(name) for record in told for name in record["terms"]):
-        mine = [record for record in told if name in record["terms"]]
-        values = [record["terms"][name] for record in mine]
-        panels.append((TERMS.get(name, name), [r["iteration"] for r in mine], values, True))
-    for name, title in (("rec", "held-out cross-entropy"), ("iou", "held-out IoU")):
-        mine = [record for record in checked if name in record["validation"]]
-        values = [record["validation"][name] for record in mine]
-        if mine:
-            panels.append((title, [r["iteration"] for r in mine], values, False))
-    return panels, [a["iteration"] for a, b in pairwise(told) if a["stage"] != b["stage"]]
+    for key, before in (("terms", ""), ("validation", "held-out ")):
+        records = [record for record in metrics if key in record]
+        for name in dict.fromkeys(str(name) for record in records for name in record[key]):
+            mine = [record for record in records if name in record[key]]
+            values = [record[key][name] for record in mine]
+            panels.append((before + name, [r["iteration"] for r in mine], values, not before))
+    learned = [record for record in metrics if "terms" in record]
+    return panels, [a["iteration"] for a, b in pairwise(learned) if a["stage"] != b["stage"]]
 
 
 def _curve(axis: Axes, iterations: NDArray[np.int64], values: Floats, is_loss: bool) -> None:
@@ -112,26 +98,26 @@ def accuracy(errors: Sequence[float | None], thresholds: Floats) -> Floats:
     return 100.0 * np.searchsorted(known, thresholds, side="left") / max(len(errors), 1)
 
 
-def joints(result: dict[str, Any], colours: Sequence[str], path: Path) -> None:
+def joints(result: Evaluation, colours: Sequence[str], path: Path) -> None:
     """Predicted against true joint states, and the share of joints right within a threshold.
 
     Args:
-        result: of `evaluate`.
+        result: with joint states.
         colours: of part 0, 1, ...; joint j has that of part j + 1.
     """
     kinds = [
         kind
         for kind in ("revolute", "prismatic")
-        if any(row["kind"] == kind for row in result["joint_states"])
+        if any(state.kind == kind for state in result.joint_states)
     ]
     axes = _grid(4 * len(kinds), 4, width=3.0, height=2.75)
     for row, kind in enumerate(kinds):
         scatter, *panels = axes[4 * row : 4 * row + 4]
         angle = kind == "revolute"
-        states = [r for r in result["joint_states"] if r["kind"] == kind]
-        lines = [line for line in result["joint_lines"] if line["kind"] == kind]
+        states = [s for s in result.joint_states if s.kind == kind]
+        lines = [line for line in result.joint_lines if line.kind == kind]
         _states(scatter, states, lines, colours, angle)
-        errors = [r for r in result["joint_errors"] if r["kind"] == kind]
+        errors = [e for e in result.joint_errors if e.kind == kind]
         wanted = ("state", "direction", "axis") if angle else ("state", "direction")
         for axis, what in zip(panels, wanted, strict=False):
             _accuracy(axis, errors, what, what == "direction" or (angle and what == "state"))
@@ -146,24 +132,23 @@ _NAMES = {"state": "joint state", "direction": "direction", "axis": "distance of
 
 def _states(
     axis: Axes,
-    rows: Sequence[dict[str, Any]],
-    lines: Sequence[dict[str, Any]],
+    states: Sequence[JointState],
+    lines: Sequence[JointLine],
     colours: Sequence[str],
     angle: bool,
 ) -> None:
     unit, symbol = (np.degrees(1.0), "°") if angle else (1.0, "")
     texts = []
     for line in lines:
-        joint = line["joint"]
-        seen = [r for r in rows if r["joint"] == joint and r["predicted"] is not None]
-        true = unit * np.array([row["true"] for row in seen])
-        predicted = unit * np.array([row["predicted"] for row in seen])
-        colour = colours[(joint + 1) % len(colours)]
+        mine = [s for s in states if s.joint == line.joint]
+        known = [(s.true, s.predicted) for s in mine if s.predicted is not None]
+        true, predicted = unit * np.array(known, np.float64).reshape(-1, 2).T
+        colour = colours[(line.joint + 1) % len(colours)]
         axis.scatter(true, predicted, s=9, color=colour, alpha=0.5, linewidths=0)
-        if line["slope"] is None:
-            texts.append((f"joint {joint}: none predicted" if not seen else "", colour))
+        if line.slope is None or line.offset is None or line.residual is None:
+            texts.append((f"joint {line.joint}: none predicted" if not known else "", colour))
             continue
-        slope, offset, residual = line["slope"], unit * line["offset"], unit * line["residual"]
+        slope, offset, residual = line.slope, unit * line.offset, unit * line.residual
         ends = np.array([true.min(), true.max()])
         axis.plot(ends, slope * ends + offset, color=colour, linewidth=1.2)
         digits = 1 if angle else 3
@@ -182,10 +167,10 @@ def _with_room_above(limits: tuple[float, float], lines: int) -> tuple[float, fl
     return low, high + 0.1 * lines * (high - low)
 
 
-def _accuracy(axis: Axes, rows: Sequence[dict[str, Any]], what: str, angle: bool) -> None:
+def _accuracy(axis: Axes, joints: Sequence[JointError], what: str, angle: bool) -> None:
     thresholds = DEGREES if angle else LENGTHS
     unit = np.degrees(1.0) if angle else 1.0
-    errors = [None if row[what] is None else unit * row[what] for row in rows]
+    errors = [None if e is None else unit * e for e in (getattr(j, what) for j in joints)]
     failed = 100.0 * sum(e is None for e in errors) / max(len(errors), 1)
     axis.plot(thresholds, accuracy(errors, thresholds), color=BLUE, linewidth=1.6)
     if failed:

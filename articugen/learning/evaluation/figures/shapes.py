@@ -1,10 +1,9 @@
-"""Pictures of what a model reconstructs: beside the truth, and between two shapes or states."""
+"""Pictures of what a learner reconstructs: beside the truth, and between two shapes or states."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from articugen.inspection.layout import Caption, Row, sheet
 from articugen.inspection.portrait import (
@@ -17,14 +16,11 @@ from articugen.inspection.portrait import (
 from articugen.inspection.shading import Picture
 from articugen.inspection.solids import Solid, arrow
 from articugen.learning.evaluation.figures.colours import part_colours, shaded
-from articugen.learning.evaluation.surfaces import Floats
-from articugen.learning.ppd.model import PPD, Prediction
-from articugen.learning.ppd.reconstruct import PRISMATIC, REVOLUTE, Reconstruction
-from articugen.records import Instance, dequantize
+from articugen.learning.evaluation.reconstruction import FIXED, REVOLUTE, Reconstruction
+from articugen.records import Floats, Instance, dequantize
 
 Reconstruct = Callable[[Instance], Reconstruction]
 
-STEPS = 5
 POOLED = 16
 _CUBE = np.array([[-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]])
 
@@ -62,7 +58,7 @@ def evenly(items: Sequence, count: int) -> list:
 
 def reconstructions(
     objects: Sequence[Sequence[Instance]],
-    see: Reconstruct,
+    reconstruct: Reconstruct,
     names: Names,
     azimuth: float,
     *,
@@ -78,7 +74,7 @@ def reconstructions(
     rows: list[Row] = []
     for instances in objects:
         drawn = evenly(instances, states)
-        found = [see(instance) for instance in drawn]
+        found = [reconstruct(instance) for instance in drawn]
         discs = pooled(evenly(instances, POOLED))
         axes = [_true_axes(instance) for instance in drawn]
         points = np.concatenate(
@@ -87,43 +83,40 @@ def reconstructions(
         )
         camera = tile_camera(points, azimuth)
         floor = float(min(dequantize(i.surface_points)[:, 2].min() for i in drawn))
-        rows.append(Row(
-            f"{drawn[0].object_id}: ground truth",
-            [
-                portrait(discs, i, camera, floor, beside=solid)
-                for i, solid in zip(drawn, axes, strict=True)
-            ],
-            [_caption(i, i.joint_state - drawn[0].joint_state) for i in drawn],
-        ))  # fmt: skip
-        rows.append(Row(
-            f"{drawn[0].object_id}: reconstruction",
-            [
-                solid_portrait(
-                    Solid(f.triangles, f.part, names.colours), camera, floor,
-                    beside=_predicted_axes(i, f, names),
-                )
-                for i, f in zip(drawn, found, strict=True)
-            ],
-            [
-                _caption(i, _changes(i, found[0], f, names))
-                for i, f in zip(drawn, found, strict=True)
-            ],
-        ))  # fmt: skip
+        pairs = list(zip(drawn, axes, strict=True))
+        true = [portrait(discs, i, camera, floor, beside=solid) for i, solid in pairs]
+        moved = [_caption(i, i.joint_state - drawn[0].joint_state) for i in drawn]
+        rows.append(Row(f"{drawn[0].object_id}: ground truth", true, moved))
+        pairs = list(zip(drawn, found, strict=True))
+        predicted = [
+            solid_portrait(_solid(f, names), camera, floor, beside=_predicted_axes(i, f, names))
+            for i, f in pairs
+        ]
+        moved = [_caption(i, _changes(i, found[0], f, names)) for i, f in pairs]
+        rows.append(Row(f"{drawn[0].object_id}: reconstruction", predicted, moved))
     return sheet(rows)
+
+
+def _solid(found: Reconstruction, names: Names) -> Solid:
+    return Solid(found.triangles, found.part, names.colours)
 
 
 def _changes(
     instance: Instance, first: Reconstruction, found: Reconstruction, names: Names
 ) -> list[float | None]:
-    """How far each joint has moved by the prediction, positive about the true axis."""
+    """How far each joint has moved by the prediction, positive about the true axis; None where no
+    part stands for it, and nothing at all where the method knows no joints."""
     changes: list[float | None] = []
+    if first.joints is None or found.joints is None:
+        return changes
     for j, kind in enumerate(instance.joint_kind.tolist()):
         i = names.part_of(j)
-        if i is None or found.kind[i] != kind:
+        if i is None or found.joints.kind[i] != kind:
             changes.append(None)
             continue
-        same_way = np.dot(found.direction[i], instance.joint_axis[j]) >= 0
-        changes.append(float(found.state[i] - first.state[i]) * (1.0 if same_way else -1.0))
+        same_way = np.dot(found.joints.direction[i], instance.joint_axis[j]) >= 0
+        change = float(found.joints.state[i] - first.joints.state[i])
+        changes.append(change if same_way else -change)
     return changes
 
 
@@ -154,15 +147,13 @@ def _true_axes(instance: Instance) -> Solid:
 def _predicted_axes(instance: Instance, found: Reconstruction, names: Names) -> Solid:
     """The axes of the dominant parts, as long as the true ones would be there."""
     points, part = dequantize(instance.surface_points), instance.surface_part
-    axes = []
+    joints, axes = found.joints, []
     for j in range(len(instance.joint_kind)):
         i = names.part_of(j)
-        if i is not None and found.kind[i] in (REVOLUTE, PRISMATIC):
-            colour = colour_of(j + 1)
-            of_part = points[part == j + 1]
-            axes.append(
-                _axis(found.kind[i], found.pivot[i], found.direction[i], points, of_part, colour)
-            )
+        if joints is None or i is None or joints.kind[i] == FIXED:
+            continue
+        kind, pivot, direction = joints.kind[i], joints.pivot[i], joints.direction[i]
+        axes.append(_axis(kind, pivot, direction, points, points[part == j + 1], colour_of(j + 1)))
     return Solid.joined(axes)
 
 
@@ -179,43 +170,6 @@ def _axis(
     )
 
 
-def between(
-    model: PPD,
-    clouds: tuple[Floats, Floats],
-    opening: tuple[Floats, Floats],
-    residual_direction: bool,
-) -> tuple[list[Prediction], list[Prediction]]:
-    """Predictions between two shapes in the pose of the first, and between two joint states.
-
-    The latent of the shape goes straight from one cloud's to the other's, and the states likewise.
-
-    Args:
-        clouds: (n, 3) each, one object and another.
-        opening: of the first object, closed and wide open.
-    """
-    device = next(model.parameters()).device
-    shares = torch.linspace(0.0, 1.0, STEPS).tolist()
-
-    def encoded(cloud: Floats) -> torch.Tensor:
-        return model.encoder(torch.as_tensor(cloud, dtype=torch.float32, device=device)[None])
-
-    def decoded(latent: torch.Tensor) -> Prediction:
-        return model.decode(latent, residual_direction=residual_direction)
-
-    with torch.no_grad():
-        first, other = (encoded(cloud) for cloud in clouds)
-        low, high = (decoded(encoded(cloud)).pose.state for cloud in opening)
-        held = decoded(first)
-        shapes = [
-            replace(held, shape=decoded(torch.lerp(first, other, share)).shape) for share in shares
-        ]
-        states = [
-            replace(held, pose=replace(held.pose, state=torch.lerp(low, high, share)))
-            for share in shares
-        ]
-    return shapes, states
-
-
 def interpolations(
     shapes: Sequence[Reconstruction],
     states: Sequence[Reconstruction],
@@ -226,19 +180,20 @@ def interpolations(
     """Two rows: the shape between two objects, and the joint states of one.
 
     Args:
-        instance: the first object: its kinds of joints and its scale are told.
+        instance: the first object in the pose that is held: its joints and its scale.
     """
     middle = [f"{100 * share:.0f} %" for share in np.linspace(0.0, 1.0, len(shapes))[1:-1]]
-    captions: list[list[Caption]] = [
-        [[(text, "")] for text in ("one object", *middle, "another")],
-        [_caption(instance, _changes(instance, states[0], f, names)) for f in states],
-    ]
-    titles = ("shape interpolated, pose held", "joint state interpolated, shape held")
+    shares: list[Caption] = [[(text, "")] for text in ("one object", *middle, "another")]
+    moved = [_caption(instance, _changes(instance, states[0], f, names)) for f in states]
     points = np.concatenate([f.triangles.reshape(-1, 3) for f in (*shapes, *states)])
     points = points if len(points) else _CUBE
     camera, floor = tile_camera(points, azimuth), float(points[:, 2].min())
-    rows = []
-    for title, row, told in zip(titles, (shapes, states), captions, strict=True):
-        solids = [Solid(f.triangles, f.part, names.colours) for f in row]
-        rows.append(Row(title, [solid_portrait(s, camera, floor) for s in solids], told))
-    return sheet(rows)
+
+    def row(title: str, found: Sequence[Reconstruction], captions: Sequence[Caption]) -> Row:
+        pictures = [solid_portrait(_solid(f, names), camera, floor) for f in found]
+        return Row(title, pictures, captions)
+
+    return sheet([
+        row("shape interpolated, pose held", shapes, shares),
+        row("joint state interpolated, shape held", states, moved),
+    ])  # fmt: skip

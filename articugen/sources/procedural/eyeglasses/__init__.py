@@ -87,7 +87,7 @@ def build(rng: np.random.Generator) -> Model:
     if shape.style == "shield":
         face, outer = _shield(rng, shape)
     else:
-        right, outer = _eye(rng, shape), _outer_point(shape)
+        right, outer = _eye(shape), _outer_point(shape)
         middle = [*_bridge(rng, shape), *_nose_pads(rng, shape)]
         face = [*right, *(s.mirrored(1) for s in right), *middle]
     across = _hinge_across(shape, face)
@@ -172,7 +172,7 @@ def _draw(rng: np.random.Generator) -> _Shape:
     )
 
 
-def _eye(rng: np.random.Generator, s: _Shape) -> list[Solid]:
+def _eye(s: _Shape) -> list[Solid]:
     """The right lens and what holds it."""
     t = s.lens_thickness if s.style != "rimless" else max(s.lens_thickness, 1.8 * MM)
     lens = s.placed(along_x(prism(s.lens, -t / 2, t / 2, panel=True)))

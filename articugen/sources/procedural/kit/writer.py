@@ -18,6 +18,7 @@ middle, which has no thickness at all: `thickness` is then that of the panel it 
 
 import json
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -96,13 +97,14 @@ def _write_meshes(
         (folder / name).write_text(obj_text(meshes))
         return [name]
     names = []
-    closed = [s for s, as_sheet in zip(link.solids, sheets, strict=True) if not as_sheet]
+    cells = _Cells.of(s for s, as_sheet in zip(link.solids, sheets, strict=True) if not as_sheet)
     for k, (solid, as_sheet) in enumerate(zip(link.solids, sheets, strict=True)):
         if as_sheet and solid.sheet is not None:
             vertices = solid.sheet.drawn.reshape(-1, 3)
             faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
         else:
-            vertices, faces = solid.vertices, _seen_faces(solid, k, closed)
+            # Every second solid keeps all its faces, so that no two drop their common one.
+            vertices, faces = solid.vertices, cells.seen_faces(solid) if k % 2 else solid.faces
         if len(faces) == 0:
             continue
         both = np.stack([faces, faces[:, ::-1]], axis=1).reshape(-1, 3)
@@ -111,28 +113,40 @@ def _write_meshes(
     return names
 
 
-def _seen_faces(solid: Solid, index: int, others: Iterable[Solid]) -> NDArray[np.int32]:
-    """The faces of a solid without those that lie wholly on or in a cell of another solid.
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """The convex cells of several solids: whose each is, its planes (m, 4), its box (C, 2, 3)."""
 
-    Every second solid keeps all its faces, as in real data, so that no two drop their common one.
-    """
-    if index % 2 == 0:
-        return solid.faces
-    corners = solid.vertices[solid.faces]
-    normals = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= norm(normals)[:, None]
-    outside = corners + 1e-6 * normals[:, None]
-    hidden = np.zeros(len(corners), bool)
-    for other in others:
-        if other is solid:
-            continue
-        for planes, (low, high) in zip(other.half_spaces, other.cell_bounds, strict=True):
-            near = np.all((outside >= low - 1e-7) & (outside <= high + 1e-7), axis=(1, 2))
-            near &= ~hidden
+    owners: tuple[Solid, ...]
+    planes: tuple[Array, ...]
+    boxes: Array
+
+    @staticmethod
+    def of(solids: Iterable[Solid]) -> "_Cells":
+        cells = [
+            (s, *cell) for s in solids for cell in zip(s.half_spaces, s.cell_bounds, strict=True)
+        ]
+        owners, planes, boxes = zip(*cells, strict=True) if cells else ((), (), ())
+        return _Cells(owners, planes, np.array(boxes).reshape(-1, 2, 3))
+
+    def seen_faces(self, solid: Solid) -> NDArray[np.int32]:
+        """The faces of a solid without those that lie wholly on or in a cell of another solid."""
+        corners = solid.vertices[solid.faces]
+        normals = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= norm(normals)[:, None]
+        outside = corners + 1e-6 * normals[:, None]
+        lowest, highest = outside.min(axis=(0, 1)) - 1e-6, outside.max(axis=(0, 1)) + 1e-6
+        meets = np.all((self.boxes[:, 0] <= highest) & (self.boxes[:, 1] >= lowest), axis=1)
+        hidden = np.zeros(len(corners), bool)
+        for c in np.flatnonzero(meets):
+            if self.owners[c] is solid:
+                continue
+            planes, (low, high) = self.planes[c], self.boxes[c]
+            near = np.all((outside >= low - 1e-7) & (outside <= high + 1e-7), axis=(1, 2)) & ~hidden
             if near.any():
                 over = product(outside[near], planes[:, :3].T) - planes[:, 3]
                 hidden[np.flatnonzero(near)[np.all(over <= 1e-7, axis=(1, 2))]] = True
-    return solid.faces[~hidden]
+        return solid.faces[~hidden]
 
 
 def _urdf(model: Model, object_id: str, files: dict[str, list[str]], R: Array, messy: bool) -> str:

@@ -1,0 +1,94 @@
+"""What a learner says of one cloud: part surfaces and, where it knows them, motions and joints."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.geometry import invert_rigid, rotation_about, transform
+from articugen.records import Floats, Instance, dequantize
+
+FIXED, REVOLUTE, PRISMATIC = 0, 1, 2
+KIND_NAMES = ("fixed", "revolute", "prismatic")
+
+
+@dataclass(frozen=True, eq=False)
+class PartJoints:
+    """The joint that each of P parts hangs on; the unit frame, radians.
+
+    Attributes:
+        kind: (P,) FIXED, REVOLUTE or PRISMATIC.
+        state: (P,) joint states, 0 for fixed parts.
+        pivot, direction: (P, 3) a point on the axis, and its unit direction.
+    """
+
+    kind: NDArray[np.int64]
+    state: Floats
+    pivot: Floats
+    direction: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """The parts of one posed shape, in the unit frame.
+
+    Attributes:
+        triangles, part: (F, 3, 3) the surfaces of all parts, (F,) whose each is.
+        whole: (G, 3, 3) the surface of the whole.
+        occupied: (R, R, R) whether a voxel's centre lies in any part; R = 0 where that is unknown.
+        parts: P, how many parts there can be; the same for all shapes of a learner.
+        T_part: (P, 4, 4) the rigid transform of each part from a rest frame that is the same in
+            every pose; None of a method that knows no motion.
+        joints: None of a method that knows none.
+    """
+
+    triangles: Floats
+    part: NDArray[np.int64]
+    whole: Floats
+    occupied: NDArray[np.bool_]
+    parts: int
+    T_part: Floats | None = None
+    joints: PartJoints | None = None
+
+    def motion_to(self, posed: "Reconstruction") -> Floats | None:
+        """How parts moved by their transforms, T(posed) T(here)^-1: (P, 4, 4)."""
+        if self.T_part is None or posed.T_part is None:
+            return None
+        return posed.T_part @ invert_rigid(self.T_part)
+
+    def joint_motion_to(self, posed: "Reconstruction") -> Floats | None:
+        """How parts moved by this shape's axes and the difference of joint states: (P, 4, 4)."""
+        if self.joints is None or posed.joints is None:
+            return None
+        mine, motion = self.joints, np.tile(np.eye(4), (self.parts, 1, 1))
+        change = posed.joints.state - mine.state
+        for i in np.flatnonzero(mine.kind == REVOLUTE):
+            R = rotation_about(mine.direction[i], change[i])
+            motion[i] = transform(R, mine.pivot[i] - R @ mine.pivot[i])
+        for i in np.flatnonzero(mine.kind == PRISMATIC):
+            motion[i, :3, 3] = change[i] * mine.direction[i]
+        return motion
+
+
+def truth(instance: Instance, resolution: int = 32) -> Reconstruction:
+    """The ground truth in the place of a prediction; its surfaces are the stored points.
+
+    Args:
+        resolution: of the stored grid that tells what is occupied, if there is such a grid.
+    """
+    grid = instance.occupancy.get(resolution, np.zeros((0, 0, 0), np.uint8))
+    triangles = np.repeat(dequantize(instance.surface_points)[:, None], 3, axis=1)
+    return Reconstruction(
+        triangles=triangles,
+        part=instance.surface_part.astype(np.int64),
+        whole=triangles,
+        occupied=grid > 0,
+        parts=len(instance.part_motion),
+        T_part=instance.part_motion,
+        joints=PartJoints(
+            kind=np.append(FIXED, instance.joint_kind).astype(np.int64),
+            state=np.append(0.0, instance.joint_state),
+            pivot=np.concatenate([np.zeros((1, 3)), instance.joint_pivot]),
+            direction=np.concatenate([[[0, 0, 1.0]], instance.joint_axis]),
+        ),
+    )

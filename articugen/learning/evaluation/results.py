@@ -1,0 +1,150 @@
+"""What an evaluation found, as records that are written to and read from JSON."""
+
+import json
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from articugen.errors import InvalidCheckpoint
+from articugen.store.files import UnfitFile, read_regular, write_atomically
+
+FILE = "evaluation.json"
+MOST_BYTES = 1 << 28
+"""That an evaluation may have."""
+
+Kind = Literal["revolute", "prismatic"]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
+
+
+class _OfJoint(_Record):
+    """Of one joint, counted from 0, of one instance; radians, or lengths in the unit frame."""
+
+    object: str
+    state_index: int
+    joint: int
+    kind: Kind
+
+
+class JointState(_OfJoint):
+    """The true state, and that predicted by the part that stands for the joint; None where there is
+    no such part, or its joint is of another kind."""
+
+    true: float
+    predicted: float | None
+
+
+class JointError(_OfJoint):
+    """How far a predicted joint is off since the canonical pose; None where the joint failed.
+
+    `direction` is the angle between the axes, `axis` the distance between those of revolute joints.
+    """
+
+    state: float | None
+    direction: float | None
+    axis: float | None
+
+
+class JointLine(_Record):
+    """The line through a joint's predicted over its true states; None where there is none.
+
+    Of so many `states`, so many are `predicted`; `residual` is the root mean square.
+    """
+
+    joint: int
+    kind: Kind
+    states: int
+    predicted: int
+    slope: float | None
+    offset: float | None
+    residual: float | None
+
+
+class LeftOut(_Record):
+    """How many instances and true parts the release's protocol does not count."""
+
+    instances_label_iou: int = 0
+    instances_epe: int = 0
+    parts_epe: int = 0
+
+
+class Evaluation(_Record):
+    """What was measured on the test objects of a data set.
+
+    Attributes:
+        means: of every metric over all test instances; what a method does not know is not there.
+        votes: (P, K) of the training instances, from which `labels` and `dominant` follow.
+        labels, dominant: (P,) the true part that each predicted part stands for, -1 for none; the
+            latter names each true part once at most.
+        objects, instances: how many were evaluated.
+        left_out: of the release's protocol alone.
+        joint_states, joint_lines, joint_errors: empty for a method without joints.
+    """
+
+    means: dict[str, float]
+    votes: tuple[tuple[float, ...], ...]
+    labels: tuple[int, ...]
+    dominant: tuple[int, ...]
+    objects: int
+    instances: int
+    left_out: LeftOut | None = None
+    joint_states: tuple[JointState, ...] = ()
+    joint_lines: tuple[JointLine, ...] = ()
+    joint_errors: tuple[JointError, ...] = ()
+
+
+class EvaluatedRun(_Record):
+    """Which run was evaluated, and how.
+
+    Attributes:
+        method: whose run it is; the paper's ablation is of `paper.METHOD` alone.
+        variant: the row of Table 5 that it belongs to.
+        resolution: of the grid of its meshes.
+    """
+
+    method: str = "ppd"
+    category: str
+    recipe: str
+    variant: str
+    seed: int
+    iterations: int
+    commit: str | None = None
+    protocol: str = "paper"
+    label_poses: Literal["canonical", "all"] = "canonical"
+    resolution: int
+
+
+class RunEvaluation(Evaluation):
+    """The evaluation of a run, and that with depth input where the run has an encoder for it."""
+
+    run: EvaluatedRun
+    depth_input: Evaluation | None = None
+
+    def write(self, folder: Path) -> None:
+        """Write evaluation.json, which `read_evaluation` reads."""
+        fields = {k: v for k, v in self.model_dump(mode="json").items() if v is not None}
+        text = json.dumps({"run": fields.pop("run"), **fields}, indent=1)
+        write_atomically(folder / FILE, f"{text}\n".encode())
+
+
+def read_evaluation(run: Path) -> RunEvaluation:
+    """The evaluation, by the paper's protocol, in a run's folder.
+
+    Raises:
+        InvalidCheckpoint: there is none, or it is damaged.
+    """
+    path = run / "evaluation" / FILE
+    cure = f"make it with: articugen evaluate {run}"
+    try:
+        return RunEvaluation.model_validate_json(read_regular(path, MOST_BYTES))
+    except UnfitFile as error:
+        raise InvalidCheckpoint(f"{path}: {error.strerror}; move it away and {cure}") from None
+    except OSError:
+        raise InvalidCheckpoint(f"{path}: there is no such evaluation; {cure}") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        what = ": ".join([".".join(map(str, first["loc"])), first["msg"]]).removeprefix(": ")
+        raise InvalidCheckpoint(f"{path}: not an evaluation ({what}); {cure}") from None

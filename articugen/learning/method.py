@@ -1,0 +1,214 @@
+"""The seam for learners: what a method has to be, so that all else here works for it.
+
+A method is one folder beside this file, or another package: one loop trains it, one kind of run
+folder keeps it, seeds race, evaluation judges it, and the commands take it by name. Nothing here
+imports a method; METHODS and entry points of the group `articugen.methods` say where they are, as
+`<module>:<attribute>`, and what is named there is imported when it is asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from articugen.errors import ArticugenError, InvalidRecipe
+from articugen.learning.recipe import TrainRecipe
+from articugen.recipe_files import find, nearest, resolved, resolved_mapping, validated
+
+if TYPE_CHECKING:
+    import torch
+
+    from articugen.learning.dataset import Batch, BatchSpec, PackedSplit
+    from articugen.learning.evaluation.figures.draw import Drawable
+    from articugen.learning.evaluation.reconstruction import Reconstruction
+    from articugen.learning.evaluation.results import Evaluation
+    from articugen.records import Floats
+
+GROUP = "articugen.methods"
+
+METHODS = {"ppd": "articugen.learning.ppd.method:PPD_METHOD"}
+"""Ours by name; those of other packages are found by their entry points."""
+
+DEFAULT = "ppd"
+
+Terms = dict[str, "torch.Tensor"]
+"""What an iteration minimised: scalars by name, weighted."""
+
+
+class Learner(Protocol):
+    """Something that learns from batches. Inherit from this: what has a body need not be given."""
+
+    settings: TrainRecipe
+    """The recipe that it follows."""
+
+    inputs: BatchSpec
+    """What batches and held-out objects must hold."""
+
+    def begin(self, training: PackedSplit) -> None:
+        """Look at all training instances once, before the first iteration."""
+
+    def learn(
+        self, batch: Batch, rng: torch.Generator | None, *, iteration: int
+    ) -> Mapping[str, torch.Tensor]:
+        """One step; every term of the loss, without a graph or with one.
+
+        Args:
+            batch: this process's share of it.
+            rng: of the batch's device, for whatever is drawn besides; the same in every process.
+            iteration: from 0; the recipe's schedule says the rate and the stage. At a stage's first
+                iteration whatever a stage starts with is made anew.
+
+        Raises:
+            TrainingDiverged: something is not finite; nothing is spoilt by it.
+        """
+        ...
+
+    def check(self) -> None:
+        """Raise TrainingDiverged for what was only noted so far, so as not to wait for a GPU."""
+
+    def validate(self, held_out: PackedSplit) -> dict[str, float]:
+        """What objects that were held out say; by the first number, a loss, the best is chosen."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """Tensors, numbers and texts in nested dicts: all that `load` needs to go on exactly.
+
+        Keys, shapes and types are the same at any time, also of a learner that is new.
+        """
+        ...
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Go on from another one's `state`; it was compared with this one's."""
+        ...
+
+    def reconstruct(self, cloud: Floats, *, resolution: int) -> Reconstruction:
+        """What it makes of one cloud (n, 3) in the unit frame, on a grid of `resolution`^3."""
+        ...
+
+    def drawable(self, resolution: int) -> Drawable:
+        """What figures ask of it; without a body of one's own shapes and curves alone are drawn."""
+        from articugen.learning.evaluation.figures.draw import Drawable  # noqa: PLC0415
+
+        return Drawable(lambda cloud: self.reconstruct(cloud, resolution=resolution))
+
+
+@dataclass(frozen=True)
+class Yardstick:
+    """One way to be measured, for `articugen evaluate --protocol <name>`.
+
+    Attributes:
+        resolution: of the grid, unless said otherwise.
+        reconstruct: (learner, cloud, resolution), what is measured.
+        evaluate: as `evaluation.evaluate.evaluate`.
+    """
+
+    resolution: int
+    reconstruct: Callable[[Any, Floats, int], Reconstruction]
+    evaluate: Callable[..., Evaluation]
+
+
+class Method(Protocol):
+    """A way to learn. Inherit from this: what has a body need not be given."""
+
+    name: str
+    recipe: str
+    """The recipe where none is named: a name under recipes/, or a path."""
+
+    Settings: type[TrainRecipe]
+    """Its recipes: a TrainRecipe with sections of its own, stages and their flags included."""
+
+    def start(self, settings: Any, *, seed: int, device: torch.device) -> Learner:
+        """A new learner.
+
+        Args:
+            settings: a recipe, of the kind `Settings`.
+            seed: decides its weights, whatever the device; any integer below 2^63.
+            device: `meta` asks for shapes alone, to compare a stored state with.
+        """
+        ...
+
+    def start_depth(self, first: Any, *, seed: int, device: torch.device) -> Learner:
+        """A learner for what one depth camera sees, beside one that is trained.
+
+        Raises:
+            ArticugenError: there is none.
+        """
+        raise ArticugenError(f"method {self.name}: has no learner for depth input; leave it out")
+
+    def yardsticks(self) -> Mapping[str, Yardstick]:
+        """How it is measured elsewhere, by the protocol's name; `paper` is there for all."""
+        return {}
+
+
+def method_names() -> list[str]:
+    """All there are."""
+    return sorted(METHODS | {entry.name: "" for entry in entry_points(group=GROUP)})
+
+
+def find_method(name: str) -> Method:
+    """The method `name`.
+
+    Raises:
+        InvalidRecipe: there is none, or it cannot be imported.
+        MissingExtra: it needs a library that is not installed.
+    """
+    found = {entry.name: entry for entry in entry_points(group=GROUP)}
+    found |= {own: EntryPoint(own, value, GROUP) for own, value in METHODS.items()}
+    if name not in found:
+        names = method_names()
+        raise InvalidRecipe(
+            f"no method {name!r}{nearest(name, names)}; there are: {', '.join(names)}"
+        )
+    try:
+        return found[name].load()
+    except (ImportError, AttributeError) as error:
+        raise InvalidRecipe(
+            f"method {name}: {found[name].value} cannot be imported ({error}); install it again"
+        ) from None
+
+
+def load_recipe(
+    asked: str | Path | Mapping[str, Any] | TrainRecipe | None = None, *, method: str | None = None
+) -> TrainRecipe:
+    """A training recipe.
+
+    Args:
+        asked: a name under recipes/, a path, a mapping that may say `extends`, or one that is
+            resolved already; None is what the method has for that.
+        method: whose recipe it must be; None is whosever it is.
+
+    Raises:
+        InvalidRecipe: no such recipe or method, bad YAML, an unknown key, a bad value, or a recipe
+            of another method.
+    """
+    if isinstance(asked, TrainRecipe):
+        recipe, where = asked, asked.name
+    elif isinstance(asked, Mapping):
+        data, where = resolved_mapping(asked, _learner_recipe), "the recipe"
+        recipe = parse_recipe({"name": "own"} | data, where)
+    else:
+        path = _learner_recipe(str(asked or find_method(method or DEFAULT).recipe))
+        data, where = resolved(path, _learner_recipe), str(path)
+        recipe = parse_recipe({"name": path.stem} | data, where)
+    if method is not None and recipe.method != method:
+        raise InvalidRecipe(
+            f"{where}: is of method {recipe.method}, not {method}; name a recipe of that"
+        )
+    return recipe
+
+
+def _learner_recipe(name: str) -> Path:
+    return find(name, learner=True)
+
+
+def parse_recipe(data: dict[str, Any], where: str) -> TrainRecipe:
+    """A recipe from plain data; `where` is named in errors.
+
+    Raises:
+        InvalidRecipe: an unknown key, a bad value, or no such method.
+    """
+    name = data.get("method", DEFAULT) if isinstance(data, dict) else DEFAULT
+    return validated(find_method(str(name)).Settings, data, where)

@@ -1,0 +1,99 @@
+"""What figures ask of PPD: its part fields, and shapes and poses between those of two clouds."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from articugen.learning.evaluation.figures.draw import Between, Drawable, Opening
+from articugen.learning.evaluation.reconstruction import KIND_NAMES
+from articugen.learning.ppd.learner import Predictor
+from articugen.learning.ppd.model import PPD, Prediction
+from articugen.learning.ppd.reconstruct import logits_at, reconstruction_of
+from articugen.records import Floats
+
+TITLES = {
+    "rec": "$L_{rec}$",
+    "rec_common": "$L_{rec}$, category-common",
+    "vol": "$L_{vol}$",
+    "vq": "$L_{vq}$",
+    "dev": "$L_{dev}$",
+    "loc": "$L_{loc}$",
+    "var_state": "$L_{var}$, joint states",
+    "var_pivot": "$L_{var}$, pivots",
+    "adv_g": "$L_{adv_g}$",
+    "adv_d": "$L_{adv_d}$",
+    "gradient_penalty": "gradient penalty",
+    "held-out rec": "held-out cross-entropy",
+    "held-out iou": "held-out IoU",
+}
+"""Of the curves."""
+
+
+def drawable(learner: Predictor, resolution: int) -> Drawable:
+    """A trained model as the figures take it; meshes on a grid of `resolution`^3."""
+    model, residual, most = learner.model, learner.residual_direction, learner.points
+    settings = learner.settings.model
+    kinds = [KIND_NAMES[0]]
+    kinds += [KIND_NAMES[1]] * len(settings.revolute) + [KIND_NAMES[2]] * len(settings.prismatic)
+
+    def part_fields(cloud: Floats, points: Floats) -> Floats:
+        logits = logits_at(model, learner.predict(cloud), torch.from_numpy(points))
+        return 1.0 / (1.0 + np.exp(-np.clip(logits, -50.0, 50.0)))
+
+    def interpolate(openings: Sequence[Opening], steps: int) -> Between:
+        first, shapes, states = between(
+            model, [[cloud[:most] for cloud in opening] for opening in openings], steps, residual
+        )
+        shapes, states = (
+            [reconstruction_of(model, prediction, resolution) for prediction in row]
+            for row in (shapes, states)
+        )
+        return Between(first, shapes, states)
+
+    return Drawable(
+        reconstruct=lambda cloud: learner.reconstruct(cloud, resolution=resolution),
+        part_fields=part_fields,
+        interpolate=interpolate,
+        parts=[f"part {i}, {kind}" for i, kind in enumerate(kinds)],
+        titles=TITLES,
+    )
+
+
+@torch.no_grad()
+def between(
+    model: PPD, openings: Sequence[Sequence[Floats]], steps: int, residual_direction: bool
+) -> tuple[int, list[Prediction], list[Prediction]]:
+    """From the two objects whose shape codes differ most, the index of the one; predictions between
+    their shapes, in its pose, and between its own joint states.
+
+    The latent of the shape goes straight from one cloud's to the other's, and the states likewise.
+
+    Args:
+        openings: of each object a cloud (n, 3) closed, half open and wide open.
+    """
+    device = next(model.parameters()).device
+
+    def encoded(cloud: Floats) -> Tensor:
+        return model.encoder(torch.as_tensor(cloud, dtype=torch.float32, device=device)[None])
+
+    def decoded(latent: Tensor) -> Prediction:
+        return model.decode(latent, residual_direction=residual_direction)
+
+    latents = [encoded(half) for _, half, _ in openings]
+    codes = torch.cat([decoded(latent).shape.detail.flatten(1) for latent in latents])
+    first, other = divmod(int(torch.cdist(codes, codes).argmax()), len(codes))
+    held = decoded(latents[first])
+    low, high = (decoded(encoded(openings[first][at])).pose.state for at in (0, -1))
+    shares = torch.linspace(0.0, 1.0, steps).tolist()
+
+    def at_shape(share: float) -> Prediction:
+        latent = torch.lerp(latents[first], latents[other], share)
+        return replace(held, shape=decoded(latent).shape)
+
+    def at_state(share: float) -> Prediction:
+        return replace(held, pose=replace(held.pose, state=torch.lerp(low, high, share)))
+
+    return first, [at_shape(share) for share in shares], [at_state(share) for share in shares]

@@ -1,0 +1,157 @@
+"""Training recipes: everything that decides a run, whatever the method, read from YAML.
+
+A recipe may say `extends: <name>`; unknown keys are refused with the nearest valid name. A method
+adds sections of its own (`learning/ppd/settings.py`); `method` says whose recipe it is.
+"""
+
+import hashlib
+import math
+from itertools import pairwise
+from typing import Any, Literal, TypeVar
+
+import yaml
+from pydantic import Field, model_validator
+
+from articugen.recipe_files import Section, validated
+
+Recipe = TypeVar("Recipe", bound="TrainRecipe")
+
+
+class DataSettings(Section):
+    """What one sample of a batch is made of.
+
+    Attributes:
+        surface_points: the encoder's input.
+        grid_points, uniform_points, near_points: points with an indicator value: of the stage's
+            grid, anywhere in the cube, near the surface.
+        occupancy: what is 1 there: `visible`, what no view sees free (the paper's); or `material`,
+            the parts' own solids without the space that they enclose, the same in every pose.
+        validation_objects: how many objects of the training split are held out; at most a quarter.
+    """
+
+    surface_points: int = Field(default=4096, ge=1)
+    grid_points: int = Field(default=4096, ge=0)
+    uniform_points: int = Field(default=0, ge=0)
+    near_points: int = Field(default=0, ge=0)
+    occupancy: Literal["visible", "material"] = "visible"
+    validation_objects: int = Field(default=4, ge=0)
+
+
+class Stage(Section):
+    """A stretch of training.
+
+    Attributes:
+        resolution: of the grid of indicator values.
+        iterations: how many.
+    """
+
+    resolution: int = Field(ge=1, le=256)
+    iterations: int = Field(ge=0)
+
+
+class Schedule(Section):
+    """How long and how fast.
+
+    Attributes:
+        learning_rate: of Adam.
+        final_learning_rate: where a cosine leads to by the end; null keeps it constant.
+        validate_every, save_every, log_every: iterations.
+    """
+
+    batch: int = Field(default=18, ge=2)
+    learning_rate: float = Field(default=1e-4, gt=0)
+    final_learning_rate: float | None = Field(default=None, gt=0)
+    stages: tuple[Stage, ...]
+    validate_every: int = Field(default=1000, ge=1)
+    save_every: int = Field(default=1000, ge=1)
+    log_every: int = Field(default=10, ge=1)
+
+    @property
+    def iterations(self) -> int:
+        return sum(stage.iterations for stage in self.stages)
+
+    def index_at(self, iteration: int) -> int:
+        """The index of the stage that an iteration (from 0) belongs to."""
+        last = len(self.stages) - 1
+        return next((i for i in range(last) if iteration < self.first_of(i + 1)), last)
+
+    def first_of(self, index: int) -> int:
+        """The first iteration of a stage."""
+        return sum(stage.iterations for stage in self.stages[:index])
+
+    def rate_at(self, iteration: int) -> float:
+        """The learning rate of an iteration."""
+        if self.final_learning_rate is None:
+            return self.learning_rate
+        share = 0.5 * (1.0 + math.cos(math.pi * iteration / max(self.iterations - 1, 1)))
+        return self.final_learning_rate + share * (self.learning_rate - self.final_learning_rate)
+
+
+class Seeds(Section):
+    """How many seeds race, since one alone may find no parts at all.
+
+    Attributes:
+        count: how many start; 1 is no race.
+        halve_at: after each of these iterations the worse half of the seeds still running is
+            dropped, by the loss on the objects held out; of those that finish the best wins.
+    """
+
+    count: int = Field(default=1, ge=1, le=64)
+    halve_at: tuple[int, ...] = ()
+
+
+class TrainRecipe(Section):
+    """One training recipe, resolved: what every method has. See the sections for each key.
+
+    Attributes:
+        method: a name of `learning.method.METHODS`, or of an entry point.
+    """
+
+    name: str
+    method: str
+    data: DataSettings = DataSettings()
+    schedule: Schedule
+    seeds: Seeds = Seeds()
+
+    @property
+    def variant(self) -> str:
+        """In which row of a table of ablations it belongs."""
+        return self.method
+
+    @model_validator(mode="after")
+    def _seeds_are_compared(self: Recipe) -> Recipe:
+        validate_every = self.schedule.validate_every
+        if self.seeds.count > 1 and not self.data.validation_objects:
+            raise ValueError("several seeds need data.validation_objects to choose by")
+        for before, at in pairwise((0, *self.seeds.halve_at, self.schedule.iterations)):
+            if self.seeds.count > 1 and not (before < at and before % validate_every == 0):
+                raise ValueError(
+                    "seeds.halve_at must be ascending, before the last iteration, and multiples of "
+                    f"schedule.validate_every ({validate_every})"
+                )
+        return self
+
+    def with_seeds(self: Recipe, count: int) -> Recipe:
+        """This recipe with another number of seeds.
+
+        Raises:
+            InvalidRecipe: they cannot be compared.
+        """
+        seeds = {**self.seeds.model_dump(), "count": count}
+        return validated(type(self), self.model_dump() | {"seeds": seeds}, "--seeds")
+
+    def same_but_seeds(self, other: "TrainRecipe") -> bool:
+        """Whether the other decides the same runs, however many of them race."""
+        return self.sha256() == other.model_copy(update={"seeds": self.seeds}).sha256()
+
+    def text(self) -> str:
+        """The resolved recipe as YAML, every key spelt out."""
+        return yaml.safe_dump(self.plain(), sort_keys=False)
+
+    def plain(self) -> dict[str, Any]:
+        """The resolved recipe as plain data."""
+        return self.model_dump(mode="json")
+
+    def sha256(self) -> str:
+        """The digest of what decides a run: all but the name."""
+        return hashlib.sha256(self.model_dump_json(exclude={"name"}).encode()).hexdigest()

@@ -1,0 +1,33 @@
+"""What readers look at in a folder of models; nothing here opens a model."""
+
+import json
+import os
+from os.path import isdir
+from pathlib import Path
+
+from articugen.errors import InvalidSource
+from articugen.sources.model_files import MAX_TEXT_BYTES, read_source, unreadable
+
+
+def visible(base: Path) -> list[Path]:
+    """What lies in a folder, by name, hidden things left out; of no folder nothing.
+
+    Raises:
+        InvalidSource: it cannot be listed.
+        MachineFault, MemoryError: the disk does not answer, or the like.
+    """
+    if not isdir(base):
+        return []
+    try:
+        return sorted(base / name for name in os.listdir(base) if not name.startswith("."))
+    except OSError as error:
+        raise unreadable(base, error) from error
+
+
+def meta_category(folder: Path) -> str:
+    """The category that the meta.json of a model's folder gives, as PartNet-Mobility's do; ""
+    where it gives none."""
+    try:
+        return str(json.loads(read_source(folder / "meta.json", MAX_TEXT_BYTES))["model_cat"])
+    except (InvalidSource, ValueError, KeyError, TypeError, RecursionError):
+        return ""

@@ -1,0 +1,173 @@
+"""All objects that a source has of a category, each with its split."""
+
+from collections.abc import Collection, Sequence
+from os.path import exists
+from pathlib import Path
+
+from articugen.errors import InvalidSource, printable
+from articugen.sources import readers
+from articugen.sources.categories import of_category, own_name, unknown
+from articugen.sources.discovery import any_models, distinct, mixed_models, sorted_models
+from articugen.sources.named import NamedSource, common_categories
+from articugen.sources.readers import Maker
+from articugen.sources.refs import CategorySettings, Found, ObjectRef
+from articugen.sources.splits import assign_splits, split_sizes, take
+
+
+def of_named(
+    named: NamedSource, category: str, objects: int | None, ids: Collection[str]
+) -> list[ObjectRef]:
+    """The objects of a named source; of one that makes them, so many and those called `ids`.
+
+    Raises:
+        InvalidSource: no such category, or no model of it.
+    """
+    own = named.category(category)
+    maker = named.file.maker
+    if maker:
+        return _made(named, maker, own, objects, ids)
+    refs = _found(named, sorted_models(named.file.reader, named.folder), own)
+    if not refs:
+        raise InvalidSource(
+            f"no model of {own!r} under {named.folder}; {named.yaml.parent}/README.md says how to"
+            " get them"
+        )
+    return refs
+
+
+def of_every_category(named: NamedSource) -> dict[str, list[ObjectRef]]:
+    """The objects of each category of a named source, though there be none."""
+    maker, every = named.file.maker, named.file.categories
+    if maker:
+        return {own: _made(named, maker, own, None, ()) for own in every}
+    models = sorted_models(named.file.reader, named.folder)
+    return {own: _found(named, models, own) for own in every}
+
+
+def of_path(path: Path, category: str) -> list[ObjectRef]:
+    """The objects of a file, or of a folder that no source.yaml describes.
+
+    Raises:
+        InvalidSource: there is none; models that tell their category, all another.
+    """
+    single = readers.detect(path)
+    if single:
+        found = [single]
+    elif path.is_file():
+        raise InvalidSource(f"{path}: is not a .urdf file; name one, or a folder of them")
+    elif (path / category).is_dir():
+        found = any_models(path / category)
+    else:
+        found = _of_category(mixed(path), path, category)
+    if not found:
+        raise InvalidSource(
+            f"{path}: holds no URDF; put each model there as <id>.urdf or <id>/<any name>.urdf"
+        )
+    return _with_splits(found, CategorySettings(), str(path), category, path)
+
+
+def model_at(path: str | Path, category: str = "") -> ObjectRef:
+    """The one model at a path: a file, a model's folder, or a folder that holds nothing but one.
+
+    Args:
+        category: what to take it for; by default what it says itself, else "object".
+
+    Raises:
+        InvalidSource: there is none, or several.
+    """
+    path = Path(path)
+    if not exists(path):
+        raise InvalidSource(f"{printable(str(path))}: there is no such file or folder; correct it")
+    own = readers.detect(path)
+    found = [own] if own else any_models(path)
+    if not found:
+        raise InvalidSource(
+            f"{printable(str(path))}: is no model, nor a folder of one; name a .urdf file, or a "
+            f"model's folder ({', '.join(readers.names())})"
+        )
+    if len(found) > 1:
+        raise InvalidSource(
+            f"{printable(str(path))}: holds {len(found)} models; name one, such as "
+            f"{printable(str(found[0].location))}"
+        )
+    (one,) = _with_splits(
+        found, CategorySettings(), str(path), category or found[0].category or "object", path
+    )
+    return one
+
+
+def mixed(path: Path) -> list[Found]:
+    """Every model in a folder that no source.yaml describes."""
+    like = common_categories()
+    return mixed_models(path, lambda name: own_name(like, name) is not None)
+
+
+def _of_category(found: list[Found], path: Path, category: str) -> list[Found]:
+    """Leave out models that are known to be of other categories; any name will do for others."""
+    kept = of_category(found, common_categories(), category)
+    known = [f for f in found if f.kinds]
+    if known and not kept:
+        raise unknown(str(path), category, sorted({f.kinds[0] for f in known}))
+    return kept + [f for f in found if not f.kinds]
+
+
+def _found(named: NamedSource, models: Collection[Found], own: str) -> list[ObjectRef]:
+    """Those of `models` that are of the category."""
+    found = of_category(models, named.file, own)
+    return _with_splits(found, named.file.categories[own], named.name, own, named.folder)
+
+
+def _with_splits(
+    found: Sequence[Found], own: CategorySettings, source: str, category: str, base: Path
+) -> list[ObjectRef]:
+    """Objects with their splits; those that the category's lists leave out are left out."""
+    found = sorted(distinct(found, base), key=lambda f: f.object_id)
+    splits = assign_splits({f.object_id: f.group for f in found}, own.train, own.test)
+    return [
+        ObjectRef(
+            source,
+            category,
+            f.object_id,
+            splits[f.object_id],
+            f.location,
+            f.root,
+            reader=f.reader,
+            own_category=f.category,
+        )
+        for f in found
+        if f.object_id in splits
+    ]
+
+
+def _made(
+    named: NamedSource, maker: Maker, category: str, objects: int | None, ids: Collection[str]
+) -> list[ObjectRef]:
+    """The first objects, as many as the source has or as are asked for, and those named by `ids`.
+
+    Object i is always of the same split, however many are asked for.
+    """
+    own = named.file.categories[category]
+    assert isinstance(own.train, int)
+    assert isinstance(own.test, int)
+    total = own.train + own.test
+    numbers = {i for name in ids if (i := maker.index_of(category, name)) is not None}
+    left = split_sizes(objects or total, own.train, own.test)
+    refs: list[ObjectRef] = []
+    i = 0
+    while max(left.values()) > 0 or i <= max(numbers, default=-1):
+        split = "test" if (i + 1) * own.test // total > i * own.test // total else "train"
+        if take(left, split) or i in numbers:
+            name = maker.object_id(category, i)
+            refs.append(
+                ObjectRef(
+                    named.name,
+                    category,
+                    name,
+                    split,
+                    named.folder / category / name,
+                    reader=named.file.reader,
+                    messy=named.file.messy,
+                )
+            )
+        i += 1
+    return refs

@@ -1,0 +1,179 @@
+"""The layouts in which models come, one reader each.
+
+A layout is one file beside this one and one line of READERS; or one file in another package, which
+names it as an entry point of the group `articugen.readers`: see docs/extending.md.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+from articugen import plugins
+from articugen.errors import ArticugenError, InvalidSource, machine_fault, printable
+from articugen.recipe_files import nearest
+from articugen.records import ArticulatedObject
+from articugen.sources import partnet_mobility, shape2motion, urdf_files
+from articugen.sources.model_files import MAX_NAME_BYTES
+from articugen.sources.procedural import reader as procedural
+from articugen.sources.refs import CategorySettings, Found, ObjectRef
+
+
+class Reader(Protocol):
+    """One layout; a module with these three functions is one."""
+
+    def detect(self, path: Path) -> Found | None:
+        """The model that a file or folder is, as it is named in a folder of others; None where it
+        is none of this layout. Asked of everything in a folder: a look at a few names must do."""
+        ...
+
+    def find(self, base: Path) -> list[Found]:
+        """The models in a folder of a source whose source.yaml names this reader; mostly what
+        `detect` makes of each thing in it."""
+        ...
+
+    def load(self, ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
+        """Read one.
+
+        Args:
+            settings: what the source says of its category; `turn` is its T_world_root.
+
+        Raises:
+            InvalidSource: anything amiss with its files; one sentence with file and cure.
+        """
+        ...
+
+
+@runtime_checkable
+class Maker(Reader, Protocol):
+    """A reader whose objects are made on demand, any number of each category.
+
+    Attributes:
+        CATEGORIES: what it can make, of a source.yaml that names no categories: how many objects
+            each split has unless more are asked for.
+    """
+
+    CATEGORIES: Mapping[str, Mapping[str, int]]
+
+    def object_id(self, category: str, index: int) -> str:
+        """The id of object number `index`, from 0."""
+        ...
+
+    def index_of(self, category: str, object_id: str) -> int | None:
+        """The number of the object of that id; None where there is none."""
+        ...
+
+
+READERS: dict[str, Reader] = {
+    "partnet_mobility": partnet_mobility,
+    "shape2motion": shape2motion,
+    "urdf": urdf_files,
+    "procedural": procedural,
+}
+"""By the name that source.yaml gives; where two detect the same, the first one has it."""
+
+UNWRITABLE = re.compile("[\x00-\x1f\x7f\ud800-\udfff]")
+"""What no manifest can hold of a path."""
+
+_OTHERS = plugins.Group("articugen.readers", ("detect", "find", "load"))
+
+
+def names() -> tuple[str, ...]:
+    """Of all readers, ours and other packages'."""
+    return (*READERS, *_OTHERS.names(tuple(READERS)))
+
+
+def check_name(name: str) -> None:
+    """
+    Raises:
+        InvalidSource: there is no reader of that name.
+    """
+    if name not in READERS and name not in names():
+        hint = nearest(name, list(names()))
+        raise InvalidSource(f"no reader {name!r}{hint}; there are: {', '.join(names())}")
+
+
+def reader(name: str) -> Reader:
+    """The reader of that name, ours or another package's.
+
+    Raises:
+        InvalidSource: there is none.
+        BrokenPlugin: the other package's cannot be used.
+    """
+    check_name(name)
+    return READERS[name] if name in READERS else _OTHERS.load(name)
+
+
+def detect(path: Path) -> Found | None:
+    """The model that a file or folder is, by the first reader that says so.
+
+    Raises:
+        InvalidSource: another package's reader fails at it.
+    """
+    for name, each in _all().items():
+        try:
+            found = each.detect(path)
+        except Exception as error:
+            raise _failed(name, path, error) from error
+        if found:
+            return replace(found, reader=name)
+    return None
+
+
+def find(name: str, base: Path) -> list[Found]:
+    """The models in `base` that the reader of that name finds.
+
+    Raises:
+        InvalidSource, BrokenPlugin: as `reader` and `detect`.
+    """
+    try:
+        return [replace(found, reader=name) for found in reader(name).find(base)]
+    except Exception as error:
+        raise _failed(name, base, error) from error
+
+
+def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
+    """Read one object with its reader. Of a stranger's model whatever nobody thought of is the
+    model's fault, so that it takes no other object along.
+
+    Raises:
+        InvalidSource: anything amiss with its name or files.
+        BrokenPlugin: the reader is another package's and cannot be used.
+        MachineFault, MemoryError: the disk does not answer, or the like.
+    """
+    own = reader(ref.reader)
+    if isinstance(own, Maker):
+        return own.load(ref, settings)
+    where = printable(str(ref.location))
+    if UNWRITABLE.search(str(ref.location)):
+        raise InvalidSource(
+            f"{where}: its name has control characters or is not UTF-8; rename the file or folder"
+        )
+    if len(ref.object_id.encode()) > MAX_NAME_BYTES:
+        raise InvalidSource(f"{where}: its id has more than {MAX_NAME_BYTES} bytes; shorten names")
+    try:
+        obj = own.load(ref, settings)
+    except (ArticugenError, MemoryError):
+        raise
+    except Exception as error:
+        raise machine_fault(error) or InvalidSource(
+            f"{where}: cannot be read ({printable(f'{type(error).__name__}: {error}')[:200]}); "
+            "leave it out and report it, please"
+        ) from error
+    return replace(obj, notes=tuple(map(printable, obj.notes)))
+
+
+def _all() -> Mapping[str, Reader]:
+    return READERS | _OTHERS.load_all(tuple(READERS))
+
+
+def _failed(name: str, path: Path, error: Exception) -> Exception:
+    """What to raise where a reader raised `error` as it looked at `path`."""
+    if isinstance(error, ArticugenError | MemoryError):
+        return error
+    reason = printable(f"{type(error).__name__}: {error}")[:200]
+    return machine_fault(error) or InvalidSource(
+        f"{printable(str(path))}: the reader {name!r} cannot look at it ({reason}); leave it out "
+        "and report it, please"
+    )

@@ -1,0 +1,118 @@
+"""What readers find and are given: where an object lies, and what its source says of it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, NonNegativeInt, field_validator, model_validator
+
+from articugen.geometry import Array, rotation_about, transform
+from articugen.recipe_files import Section
+
+Share = Annotated[NonNegativeInt, Field(le=1_000_000)] | tuple[str, ...] | None
+
+
+@dataclass(frozen=True)
+class Found:
+    """A model on the disk.
+
+    Attributes:
+        object_id: what it is called; `discovery.distinct` sees to it that no two share a name.
+        location: the file or folder that its reader wants.
+        group: objects of one group, which may share meshes, stay in one split.
+        root: the folder that the object's files may not leave; None means the reader's default.
+        category: what the model itself says that it is; "" where it does not.
+        folder: the name of the folder of its category, where it lies in one.
+        reader: the name of its layout in `readers.READERS`; filled in there.
+    """
+
+    object_id: str
+    location: Path
+    group: str
+    root: Path | None = None
+    category: str = ""
+    folder: str = ""
+    reader: str = ""
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """What its category is called: by its folder, then by itself, where either says."""
+        return tuple(filter(None, (self.folder, self.category)))
+
+
+@dataclass(frozen=True)
+class ObjectRef:
+    """Where one object comes from; cheap and picklable.
+
+    Attributes:
+        source: a source's name or the path of a file or folder.
+        category: what it was asked for as.
+        split: "train" or "test".
+        location, root, reader: as in `Found`.
+        own_category: what the model itself says that it is; "" where it does not.
+        messy: of objects that are made, whether as badly as real ones come.
+    """
+
+    source: str
+    category: str
+    object_id: str
+    split: str
+    location: Path
+    root: Path | None = None
+    reader: str = "urdf"
+    own_category: str = ""
+    messy: bool = False
+
+
+class CategorySettings(Section):
+    """What a source says about one of its categories.
+
+    Attributes:
+        canonical: the joint value that is the canonical pose: 0, the lower or the upper limit.
+        movable: which joints move, as patterns with * and ? on the joint's name or its child link's
+            semantic, in the order in which parts are numbered; () means all of them, in the order
+            of the file.
+        yaw_degrees: turns the model about the world's z so that its joints point as
+            docs/conventions.md says.
+        train, test: how many objects each split has, or their ids. Ids of one split alone leave the
+            other objects to the other split; without either, a hash of the id decides, about 8 : 2.
+        model_cat: the names of this category in PartNet-Mobility's meta.json.
+        aliases: what else people call it.
+    """
+
+    canonical: Literal["zero", "lower", "upper"] = "zero"
+    movable: tuple[str, ...] = ()
+    yaw_degrees: float = Field(default=0.0, ge=-360.0, le=360.0)
+    train: Share = None
+    test: Share = None
+    model_cat: tuple[str, ...] = ()
+    aliases: tuple[str, ...] = ()
+
+    @property
+    def turn(self) -> Array:
+        """(4, 4) the turn by `yaw_degrees`: the T_world_root of its models."""
+        return transform(rotation_about((0.0, 0.0, 1.0), np.radians(self.yaw_degrees)))
+
+    def said(self) -> str:
+        """What of it decides how an object stands and moves, as text."""
+        return self.model_dump_json(include={"canonical", "movable", "yaw_degrees"})
+
+    @field_validator("train", "test", mode="before")
+    @classmethod
+    def _ids_are_text(cls, value: object) -> object:
+        if isinstance(value, list) and not all(isinstance(item, str) for item in value):
+            raise ValueError('ids are text, in quotes: "10040"')
+        return value
+
+    @model_validator(mode="after")
+    def _splits_make_sense(self) -> "CategorySettings":
+        if isinstance(self.train, int) != isinstance(self.test, int):
+            raise ValueError("train and test are both numbers, or neither is")
+        if self.train == 0 and self.test == 0:
+            raise ValueError("train and test are both 0")
+        if isinstance(self.train, tuple) and isinstance(self.test, tuple):
+            both = sorted(set(self.train) & set(self.test))
+            if both:
+                raise ValueError(f"object {both[0]!r} is in train and in test")
+        return self

@@ -1,0 +1,47 @@
+"""Plain URDFs, as people keep them: a file a model, or somewhere in the model's own folder."""
+
+from os.path import isdir
+from pathlib import Path
+
+from articugen.records import ArticulatedObject
+from articugen.sources.folders import visible
+from articugen.sources.refs import CategorySettings, Found, ObjectRef
+from articugen.sources.urdf import load_urdf
+
+
+def detect(path: Path) -> Found | None:
+    """The model that a URDF file is; what is no regular file is refused when it is read."""
+    if path.suffix.lower() == ".urdf" and not isdir(path):
+        return Found(path.stem, path, path.stem)
+    return None
+
+
+def find(base: Path) -> list[Found]:
+    """URDF files directly in `base`, and those up to three folders deep in a folder of it."""
+    return [model for child in visible(base) for model in find_at(child)]
+
+
+def find_at(child: Path) -> list[Found]:
+    """The model that a file is, or the models up to three folders deep in a folder."""
+    if not isdir(child):
+        own = detect(child)
+        return [own] if own else []
+    deep = [p for d in ("*", "*/*", "*/*/*") for p in sorted(child.glob(d)) if detect(p)]
+    found = []
+    for urdf in deep:
+        inside = urdf.relative_to(child).with_suffix("").parts
+        name = child.name if len(deep) == 1 else ".".join((child.name, *inside))
+        found.append(Found(name, urdf, child.name, root=child))
+    return found
+
+
+def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
+    """Read one; see `urdf.load_urdf`."""
+    return load_urdf(
+        ref.location,
+        object_id=ref.object_id,
+        category=ref.category,
+        source=ref.source,
+        root=ref.root,
+        T_world_root=settings.turn,
+    )

@@ -1,0 +1,249 @@
+"""What is exact within one object's instances, and has to be right to its last digits."""
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from articugen.geometry import apply, rotation_about, transform
+from articugen.recipe import Recipe
+from articugen.records import (
+    ENCLOSED,
+    STORED_KINDS,
+    Floats,
+    Instance,
+    JointKind,
+    dequantize,
+    is_material,
+)
+from articugen.verify.bounds import (
+    FEWEST_FOR_EXTENT,
+    FIXED_POINT,
+    INSIDE_CUBE,
+    LEAST_EXTENT,
+    TOLERANCES,
+)
+
+# Values.
+
+
+def _numbers(row: Instance, _: Recipe) -> Iterator[str]:
+    limits = ("joint_lower", "joint_upper")
+    for name, array in row.arrays().items():
+        if name in limits or isinstance(array, str | tuple):  # names are no numbers
+            continue
+        if not np.isfinite(array).all():
+            yield f"{name} has numbers that are not finite"
+    if (
+        np.isnan([row.joint_lower, row.joint_upper]).any()
+        or (row.joint_lower > row.joint_upper).any()
+    ):
+        yield "joint_lower and joint_upper are not ranges"
+    if not row.scale > 0.0:
+        yield f"scale is {row.scale}"
+    if not np.isin(row.joint_kind, STORED_KINDS).all():
+        yield f"joint_kind is none of {', '.join(f'{k:d} {k}' for k in STORED_KINDS)}"
+    own = np.arange(1, len(row.joint_kind) + 1)
+    if (row.joint_parent > len(own)).any() or (row.joint_parent == own).any():
+        yield "joint_parent names a part that is not there, or the joint's own"
+
+
+def _counts(row: Instance, recipe: Recipe) -> Iterator[str]:
+    ask = recipe.sampling
+    wanted = {
+        "surface_points": (ask.surface_points,),
+        "uniform_points": (ask.uniform_points,),
+        "near_points": (ask.near_points,),
+        "partial_points": (ask.partial_views, ask.partial_points),
+    }
+    for name, shape in wanted.items():
+        have = getattr(row, name).shape[:-1]
+        if have != shape:
+            yield f"{name} has {have} points where the recipe asks for {shape}"
+    grids = {"occupancy": ask.grids, "coverage": ask.grids if ask.coverage else ()}
+    for name, resolutions in grids.items():
+        have = sorted(getattr(row, name))
+        if have != sorted(resolutions):
+            yield f"{name} has grids {have}, not {sorted(resolutions)}"
+
+
+def _labels(row: Instance, recipe: Recipe) -> Iterator[str]:
+    parts = len(row.part_motion)
+    enclosed = recipe.fusion.rule != "rigid"
+    labels = {"uniform_label": row.uniform_label, "near_label": row.near_label}
+    labels |= {f"occupancy_{r}": grid for r, grid in row.occupancy.items()}
+    for name, label in labels.items():
+        known = label[label != ENCLOSED] if enclosed else label
+        if known.size and known.max() > parts:
+            yield f"{name} has label {known.max()} of {parts} parts"
+    for name in ("surface_part", "partial_part"):
+        part = getattr(row, name)
+        if part.size and part.max() >= parts:
+            yield f"{name} has part {part.max()} of {parts} parts"
+
+
+def _normals(row: Instance, _: Recipe) -> Iterator[str]:
+    length = np.linalg.norm(row.surface_normals / 127.0, axis=1)
+    off = TOLERANCES["normal"].exceeded_by(np.abs(length - 1.0))
+    if off.any():
+        yield f"{off.sum()} surface normals are not of unit length ({length[off][0]:.3f})"
+
+
+def _joint_range(row: Instance, _: Recipe) -> Iterator[str]:
+    if row.state_index == 0:  # the canonical pose may lie outside of what is sampled
+        return
+    beyond = np.maximum(row.joint_lower - row.joint_state, row.joint_state - row.joint_upper)
+    for j in np.flatnonzero(TOLERANCES["range"].exceeded_by(beyond)):
+        yield (
+            f"joint {j} is at {row.joint_state[j]:.6g}, outside of its range "
+            f"{row.joint_lower[j]:.6g} to {row.joint_upper[j]:.6g}"
+        )
+
+
+# Geometry.
+
+
+def _rigid(row: Instance, _: Recipe) -> Iterator[str]:
+    for name in ("part_motion", "partial_T_camera_world"):
+        T = getattr(row, name)
+        R = T[:, :3, :3]
+        skew = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0)
+        bad = TOLERANCES["unit"].exceeded_by(skew)
+        bad |= (np.linalg.det(R) < 0.0) | (T[:, 3] != (0, 0, 0, 1)).any(axis=1)
+        if bad.any():
+            yield f"{name}[{np.argmax(bad)}] is not a rigid motion"
+
+
+def _motion(row: Instance, _: Recipe) -> Iterator[str]:
+    if _moved(row.part_motion[0]):
+        yield "part_motion[0] is not the identity: the fixed part moves"
+    for j, axis in enumerate(row.joint_axis):
+        if TOLERANCES["unit"].exceeded_by(abs(np.linalg.norm(axis) - 1.0)):
+            yield f"joint_axis[{j}] is not of unit length"
+            continue
+        expected = _joint_motion(row, j) @ row.part_motion[row.joint_parent[j]]
+        error = np.abs(expected - row.part_motion[j + 1]).max()
+        if TOLERANCES["motion"].exceeded_by(error):
+            yield f"part_motion[{j + 1}] differs by {error:.2g} from what its joint does"
+
+
+def _moved(part_motion: Floats) -> bool:
+    """Whether any of the (..., 4, 4) motions is one."""
+    return bool(TOLERANCES["unit"].exceeded_by(np.abs(part_motion - np.eye(4)).max()))
+
+
+def _joint_motion(row: Instance, j: int) -> Floats:
+    """(4, 4) what joint j at its state does to what hangs on it, unit frame."""
+    axis, pivot, q = row.joint_axis[j], row.joint_pivot[j], row.joint_state[j]
+    if row.joint_kind[j] == JointKind.PRISMATIC:
+        return transform(translation=q * axis)
+    R = rotation_about(axis, q)
+    return transform(R, pivot - R @ pivot)
+
+
+def _inside_box(row: Instance, recipe: Recipe) -> Iterator[str]:
+    half = 0.5 * (1.0 - recipe.padding) + recipe.fusion.sheet_thickness
+    occupied = dequantize(row.uniform_points[row.uniform_label > 0])
+    for name, points, tolerance in (
+        ("surface_points", dequantize(row.surface_points), "box"),
+        ("occupied uniform_points", occupied, "occupied box"),
+    ):
+        beyond = np.abs(points).max(axis=1, initial=0.0) - half
+        out = TOLERANCES[tolerance].exceeded_by(beyond)
+        if out.any():
+            yield f"{out.sum()} {name} lie outside of the box of half edge {half:.4f}"
+
+
+def _cameras(row: Instance, recipe: Recipe) -> Iterator[str]:
+    size = recipe.sampling.partial_resolution
+    for c, (fx, fy, cx, cy) in enumerate(row.partial_intrinsics):
+        points = dequantize(row.partial_points[c])
+        points = points[(np.abs(points) < INSIDE_CUBE).all(axis=1)]
+        x, y, z = apply(row.partial_T_camera_world[c], points).T
+        if not (fx > 0.0 and fy > 0.0 and (z > 0.0).all()):
+            yield f"camera {c} has points behind it, or no focal length"
+            continue
+        u, v = fx * x / z + cx, fy * y / z + cy
+        pixel, rounding = np.stack([u, v]), FIXED_POINT * max(fx, fy) / z
+        outside = np.maximum(-pixel, pixel - size) - rounding
+        off_centre = np.abs(pixel - np.floor(pixel) - 0.5) - rounding
+        if TOLERANCES["pixel"].exceeded_by(outside).any():
+            yield f"camera {c} has points outside of its image of {size} x {size}"
+        elif TOLERANCES["pixel"].exceeded_by(off_centre).any():
+            yield f"camera {c} has points that are not on the ray of a pixel's centre"
+
+
+# The instances of one object.
+
+
+def _states(rows: Sequence[Instance], _: Recipe) -> Iterator[tuple[int | None, str]]:
+    states = [row.state_index for row in rows]
+    if len(set(states)) != len(states) or 0 not in states:
+        yield None, "state_index repeats, or the canonical pose, 0, is missing"
+    for row in rows:
+        if row.state_index == 0:
+            if row.joint_state.any():
+                yield 0, "the canonical pose has joints that are not at 0"
+            if _moved(row.part_motion):
+                yield 0, "the canonical pose has parts that moved"
+
+
+def _shared(rows: Sequence[Instance], _: Recipe) -> Iterator[tuple[int | None, str]]:
+    first = rows[0]
+    for name in ("center", "scale", "joint_kind", "joint_parent", "joint_lower", "joint_upper"):
+        for row in rows:
+            if not np.array_equal(getattr(row, name), getattr(first, name)):
+                yield row.state_index, f"{name} differs from the object's other instances"
+    fixed = first.joint_parent == 0
+    for row in rows:
+        for name in ("joint_axis", "joint_pivot"):
+            off = np.abs(getattr(row, name)[fixed] - getattr(first, name)[fixed])
+            if TOLERANCES["fixed joint"].exceeded_by(off).any():
+                yield row.state_index, f"{name} of a joint on the fixed part moves"
+
+
+def _fills_box(rows: Sequence[Instance], recipe: Recipe) -> Iterator[tuple[int | None, str]]:
+    points = dequantize(np.concatenate([row.surface_points for row in rows]))
+    if len(points) < FEWEST_FOR_EXTENT:
+        return
+    extent = np.ptp(points, axis=0).max()
+    if extent < LEAST_EXTENT * (1.0 - recipe.padding):
+        yield None, f"all instances together extend over {extent:.3f}, not {1 - recipe.padding:.3f}"
+
+
+def _fixed_part(rows: Sequence[Instance], _: Recipe) -> Iterator[tuple[int | None, str]]:
+    """Where part 0 has material in one pose it has in all, or a moving part's lies in it."""
+    for resolution, first in rows[0].occupancy.items():
+        held = first == 1
+        for row in rows[1:]:
+            grid = row.occupancy.get(resolution, first)
+            gone = (held & ~is_material(grid)) | ((grid == 1) & ~is_material(first))
+            if gone.any():
+                yield (
+                    row.state_index,
+                    f"{gone.sum()} voxels of occupancy_{resolution} are material of part 0, which "
+                    f"never moves, in this pose or in that of instance {rows[0].state_index} alone",
+                )
+
+
+InstanceCheck = Callable[[Instance, Recipe], Iterator[str]]
+ObjectCheck = Callable[[Sequence[Instance], Recipe], Iterator[tuple[int | None, str]]]
+
+VALUE_CHECKS: dict[str, InstanceCheck] = {
+    "numbers": _numbers,
+    "counts": _counts,
+    "labels": _labels,
+}
+GEOMETRY_CHECKS: dict[str, InstanceCheck] = {
+    "normals": _normals,
+    "joint range": _joint_range,
+    "rigid": _rigid,
+    "motion": _motion,
+    "box": _inside_box,
+    "cameras": _cameras,
+}
+OBJECT_CHECKS: dict[str, ObjectCheck] = {
+    "states": _states,
+    "shared": _shared,
+    "fills box": _fills_box,
+    "fixed part": _fixed_part,
+}

@@ -1,0 +1,281 @@
+"""What is sampled within one object's instances: the shares of places where samples agree."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.geometry import apply, invert_rigid, voxel_centres
+from articugen.recipe import Recipe
+from articugen.records import FREE, Floats, Instance, dequantize, is_material
+from articugen.verify.bounds import (
+    ANY_SURFACE,
+    BOUNDS,
+    CLOSE,
+    MOST_NOISE,
+    NEAR,
+    OFF_PLANE,
+    SAME_SURFACE,
+    STEEPEST,
+)
+
+
+@dataclass(frozen=True)
+class Share:
+    """`agree` of `judged` places agree; `sentence` says with what, {share} in it how many."""
+
+    bound: str
+    sentence: str
+    agree: int
+    judged: int
+
+    @property
+    def is_refused(self) -> bool:
+        return BOUNDS[self.bound].refuses(self.agree, self.judged)
+
+    @property
+    def could_be_refused(self) -> bool:
+        """Whether so many places were judged that it would be refused if none agreed."""
+        return BOUNDS[self.bound].refuses(0, self.judged)
+
+    def in_words(self) -> str:
+        return self.sentence.format(share=f"{self.agree / self.judged:.0%}")
+
+
+def _share(bound: str, sentence: str, agree: NDArray[np.bool_]) -> Share:
+    return Share(bound, sentence, int(agree.sum()), agree.size)
+
+
+def _grids_agree(row: Instance, _: Recipe) -> Iterator[Share]:
+    """A query point far from the surface is in a cell whose centre is on its side of it.
+
+    Nothing else is sure: a gap or a panel may lie between all centres of a grid, and enclosed space
+    may end without a surface.
+    """
+    surface = dequantize(row.surface_points)
+    points, label = (_some(each, 8000) for each in _queries(row))
+    for resolution, grid in sorted(row.occupancy.items()):
+        reach = math.hypot(0.5 * math.sqrt(3.0) / resolution, _spacing(len(surface)))
+        away = _nearest(surface, points, reach) < 0
+        for what, judged in (("free", label == FREE), ("occupied", is_material(label))):
+            yield _share(
+                what,
+                f"occupancy_{resolution} agrees at {{share}} of the query points far from the "
+                f"surface that are {what}",
+                (_cells(grid, points[away & judged]) == FREE) == (what == "free"),
+            )
+
+
+def _grids_filled(row: Instance, _: Recipe) -> Iterator[Share]:
+    """Voxels of a part lie where other samples are occupied, close by by the same part.
+
+    The other way about proves nothing: a thin panel may lie between all voxels' centres.
+    """
+    points, label = _queries(row)
+    surface = dequantize(row.surface_points)
+    occupied = np.concatenate([points[label > 0], surface])
+    held = is_material(label)
+    solid = np.concatenate([points[held], surface])
+    own = np.concatenate([label[held], row.surface_part + np.uint8(1)])
+    for resolution, grid in sorted(row.occupancy.items()):
+        for part in range(len(row.part_motion)):
+            voxels = _some(np.flatnonzero(grid == part + 1), 400)
+            centres = voxel_centres(resolution, voxels)
+            yield _share(
+                "filling",
+                f"only {{share}} of the voxels of part {part} in occupancy_{resolution} are where "
+                "the points show anything",
+                _nearest(occupied, centres, _ball(len(row.uniform_points))) >= 0,
+            )
+            met = centres[_nearest(solid, centres, CLOSE) >= 0]
+            yield _share(
+                "parts",
+                f"only {{share}} of the voxels of part {part} in occupancy_{resolution} are "
+                "close to other samples of that part",
+                _nearest(solid[own == part + 1], met, 3.0 * CLOSE) >= 0,
+            )
+
+
+def _covered(row: Instance, _: Recipe) -> Iterator[Share]:
+    """The centre of a cell that is all inside is inside, and of one that is all free it is free.
+
+    But for films finer than the sub-samples that pass just through the centre.
+    """
+    for resolution, coverage in sorted(row.coverage.items()):
+        inside = row.occupancy[resolution] > 0
+        for value, wanted in ((255, True), (0, False)):
+            yield _share(
+                "coverage",
+                f"occupancy_{resolution} agrees at {{share}} of the cells of which "
+                f"coverage_{resolution} is {value}",
+                inside[coverage == value] == wanted,
+            )
+
+
+def _near(row: Instance, recipe: Recipe) -> Iterator[Share]:
+    """Points near the surface are near the surface points."""
+    if not len(row.surface_points):
+        return
+    surface, near = dequantize(row.surface_points), dequantize(_some(row.near_points))
+    reach = max(ANY_SURFACE, _spacing(len(surface))) + 4.0 * recipe.sampling.near_sigma
+    yield _share(
+        "near",
+        "only {share} of near_points are near surface_points",
+        _nearest(surface, near, reach) >= 0,
+    )
+
+
+def _zero_level(row: Instance, _: Recipe) -> Iterator[Share]:
+    """Just in front of a surface point is free, just behind it occupied.
+
+    Unless another part lies in front, whose own surface no view sees: a shut laptop's.
+    """
+    points, label = _queries(row)
+    surface = dequantize(row.surface_points)
+    nearest = _nearest(surface, points, NEAR)
+    points, label, nearest = points[nearest >= 0], label[nearest >= 0], nearest[nearest >= 0]
+    ahead = np.einsum("ni,ni->n", points - surface[nearest], row.surface_normals[nearest] / 127.0)
+    beside = np.linalg.norm(points - surface[nearest], axis=1)
+    clear = (np.abs(ahead) > OFF_PLANE) & (np.abs(ahead) > STEEPEST * beside)
+    own = row.surface_part[nearest] + 1
+    shown = (ahead < 0.0) | (label == FREE) | (label == own)
+    yield _share(
+        "zero level",
+        "surface_points bound what is occupied at {share} of the places one can tell",
+        ((label == FREE) == (ahead > 0.0))[clear & shown],
+    )
+    inside = clear & is_material(label) & (ahead < 0.0)  # thin walls enclose space close by
+    yield _share(
+        "inner part",
+        "surface_part agrees with the labels just inside at {share} of the places",
+        (label == own)[inside],
+    )
+
+
+def _partial_parts(row: Instance, recipe: Recipe) -> Iterator[Share]:
+    if recipe.sampling.depth_noise > MOST_NOISE or not len(row.surface_points):
+        return
+    surface, seen = dequantize(row.surface_points), dequantize(row.partial_points).reshape(-1, 3)
+    nearest = _nearest(surface, seen, SAME_SURFACE)
+    found = nearest >= 0
+    yield _share(
+        "partial parts",
+        "partial_part agrees with surface_part at {share} of the places",
+        row.partial_part.ravel()[found] == row.surface_part[nearest[found]],
+    )
+    yield _share(
+        "seen",
+        "only {share} of partial_points are near surface_points",
+        _nearest(surface, seen, max(ANY_SURFACE, _spacing(len(surface)))) >= 0,
+    )
+
+
+def flow_shares(row: Instance, canonical: Instance) -> Iterator[Share]:
+    """`part_motion` brings each part's surface back to where the canonical pose has something."""
+    if not canonical.occupancy or not len(canonical.surface_points):
+        return
+    surface, points = dequantize(canonical.surface_points), dequantize(row.surface_points)
+    grid = canonical.occupancy[max(canonical.occupancy)]
+    back = invert_rigid(row.part_motion)
+    for part in range(1, len(back)):
+        moved = apply(back[part], _some(points[row.surface_part == part]))
+        met = _nearest(surface, moved, max(ANY_SURFACE, _spacing(len(surface)))) >= 0
+        met[~met] = (_about(grid, moved[~met]) > 0).any(axis=1)
+        yield _share(
+            "flow",
+            f"part_motion[{part}] brings {{share}} of the part's surface back to the canonical "
+            "pose",
+            met,
+        )
+
+
+def _spacing(count: int) -> float:
+    """Within that of a place on a surface of area 3, the unit cube's in the middle of what objects
+    have, lies one of `count` surface points, but for a chance of exp(-6)."""
+    return math.sqrt(6.0 * 3.0 / (math.pi * max(count, 1)))
+
+
+def _ball(count: int) -> float:
+    """The radius of a ball in which one of `count` uniform points lies, but for exp(-6)."""
+    return max(ANY_SURFACE, (6.0 * 3.0 / (4.0 * math.pi * max(count, 1))) ** (1 / 3))
+
+
+def _cells(grid: NDArray[np.uint8], points: Floats) -> NDArray[np.uint8]:
+    """(n,) the label of the cell of the grid (R, R, R) that each point (n, 3) lies in."""
+    size = len(grid)
+    x, y, z = np.clip(((points + 0.5) * size).astype(int), 0, size - 1).T
+    return grid[x, y, z]
+
+
+ShareCheck = Callable[[Instance, Recipe], Iterator[Share]]
+
+SHARE_CHECKS: dict[str, ShareCheck] = {
+    "grids": _grids_agree,
+    "filling": _grids_filled,
+    "coverage": _covered,
+    "near": _near,
+    "zero level": _zero_level,
+    "partial parts": _partial_parts,
+}
+
+
+def _queries(row: Instance) -> tuple[Floats, NDArray[np.uint8]]:
+    """All query points (n, 3) in the unit frame and their labels."""
+    points = np.concatenate([row.uniform_points, row.near_points])
+    return dequantize(points), np.concatenate([row.uniform_label, row.near_label])
+
+
+def _some(rows: NDArray[Any], most: int = 1000) -> NDArray[Any]:
+    """At most so many of the rows, spread evenly: enough for a share."""
+    return rows[:: len(rows) // most + 1]
+
+
+@numba.njit(cache=True, nogil=True)
+def _about(grid, points):  # pragma: no cover - compiled
+    """(n, 8) the labels of the 8 voxels whose centres surround each point (n, 3)."""
+    size = len(grid)
+    labels = np.empty((len(points), 8), np.uint8)
+    for n in range(len(points)):
+        x, y, z = [int(np.floor((p + 0.5) * size - 0.5)) for p in points[n]]
+        for corner in range(8):
+            i = min(max(x + (corner & 1), 0), size - 1)
+            j = min(max(y + (corner >> 1 & 1), 0), size - 1)
+            k = min(max(z + (corner >> 2), 0), size - 1)
+            labels[n, corner] = grid[i, j, k]
+    return labels
+
+
+@numba.njit(cache=True, nogil=True)
+def _nearest(points, queries, radius):  # pragma: no cover - compiled
+    """(n,) the index of the point nearest to each query (n, 3) within `radius`, or -1.
+
+    Points are sorted into cells no smaller than `radius`, so that 27 of them are searched.
+    """
+    cells = max(1, min(64, int(1.0 / radius)))
+    head = np.full((cells, cells, cells), -1, np.int32)
+    following = np.empty(len(points), np.int32)
+    for i in range(len(points)):
+        x, y, z = [min(max(int((p + 0.5) * cells), 0), cells - 1) for p in points[i]]
+        following[i] = head[x, y, z]
+        head[x, y, z] = i
+    found = np.full(len(queries), -1, np.int64)
+    for k in range(len(queries)):
+        best = radius * radius
+        a, b, c = [min(max(int((q + 0.5) * cells), 0), cells - 1) for q in queries[k]]
+        for x in range(max(a - 1, 0), min(a + 2, cells)):
+            for y in range(max(b - 1, 0), min(b + 2, cells)):
+                for z in range(max(c - 1, 0), min(c + 2, cells)):
+                    i = head[x, y, z]
+                    while i >= 0:
+                        d = 0.0
+                        for axis in range(3):
+                            d += (points[i, axis] - queries[k, axis]) ** 2
+                        if d <= best:
+                            best = d
+                            found[k] = i
+                        i = following[i]
+    return found

@@ -1,0 +1,287 @@
+"""What other packages add: layouts and renderers; packages that are broken; any one model."""
+
+import json
+import logging
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from articugen import plugins
+from articugen.errors import BrokenPlugin, InvalidSource
+from articugen.recipe import ViewSettings
+from articugen.records import LabelledMesh
+from articugen.rendering import render
+from articugen.rendering.views import fusion_views
+from articugen.sources import readers, registry
+from articugen.sources.readers import READERS, Maker
+from articugen.sources.source_file import read_source_file
+
+URDF = """<robot name="r"><link name="a"><visual><geometry><box size="1 2 3"/></geometry></visual>
+</link><link name="b"/>
+<joint name="j" type="revolute"><parent link="a"/><child link="b"/></joint></robot>"""
+
+CHESTS = '''
+"""A made-up layout: a file <id>.chest holds the size of a box and how thick its lid is."""
+
+import numpy as np
+
+from articugen.geometry import transform
+from articugen.records import ArticulatedObject, Joint, JointKind, Link, Mesh
+from articugen.sources.folders import visible
+from articugen.sources.meshes import box
+from articugen.sources.model_files import ModelFiles
+from articugen.sources.refs import Found
+
+
+def detect(path):
+    if path.suffix != ".chest":
+        return None
+    return Found(path.stem, path, path.stem, category="Box" if "box" in path.stem else "")
+
+
+def find(base):
+    return [found for path in visible(base) if (found := detect(path))]
+
+
+def load(ref, settings):
+    files = ModelFiles(ref.location.parent)
+    x, y, z, lid = (float(word) for word in files.read(ref.location).split())
+    hinge = transform(translation=(-x / 2, 0, z / 2))
+    top = box((x, y, lid))
+    return ArticulatedObject(
+        object_id=ref.object_id,
+        category=ref.category,
+        links=(
+            Link("body", box((x, y, z))),
+            Link("lid", Mesh(top.vertices + (x / 2, 0, lid / 2), top.faces)),
+        ),
+        joints=(
+            Joint("hinge", JointKind.REVOLUTE, "body", "lid", hinge, np.array([0, -1.0, 0]), 0, 2),
+        ),
+        T_world_root=settings.turn,
+        sha256=files.sha256(),
+        source=ref.source,
+    )
+'''
+
+Install = Callable[..., None]
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
+    """Puts a package where Python finds it, as pip would: its module and its entry points."""
+    site = tmp_path / "site"
+    site.mkdir()
+    monkeypatch.syspath_prepend(site)
+
+    def put(package: str, module: str, code: str, group: str = "readers", **points: str) -> None:
+        (site / f"{module}.py").write_text(code)
+        folder = site / f"{package}-1.0.dist-info"
+        folder.mkdir()
+        (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+        lines = [f"[articugen.{group}]", *(f"{name} = {value}" for name, value in points.items())]
+        (folder / "entry_points.txt").write_text("\n".join(lines) + "\n")
+        plugins.forget()
+        monkeypatch.delitem(sys.modules, module, raising=False)
+
+    yield put
+    monkeypatch.undo()
+    plugins.forget()
+
+
+def chests(folder: Path, *names: str) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        (folder / f"{name}.chest").write_text("0.6 0.4 0.3 0.05")
+    return folder
+
+
+def test_a_package_adds_a_layout(install: Install, tmp_path: Path) -> None:
+    install("chest-maker", "chests", CHESTS, chest="chests")
+    folder = chests(tmp_path / "models", "a", "b")
+    (folder / "c.urdf").write_text(URDF)
+    refs = registry.object_refs(folder, "chest")
+    assert [(ref.object_id, ref.reader) for ref in refs] == [
+        ("a", "chest"), ("b", "chest"), ("c", "urdf")
+    ]  # fmt: skip
+    obj = registry.load(refs[0])
+    assert (obj.object_id, obj.category, obj.source) == ("a", "chest", str(folder))
+    assert [link.name for link in obj.links] == ["body", "lid"]
+    np.testing.assert_array_equal(np.ptp(obj.links[0].mesh.vertices, axis=0), [0.6, 0.4, 0.3])
+    single = registry.load_path(folder / "b.chest")
+    assert (single.object_id, single.category) == ("b", "object")
+    assert single.sha256 != obj.sha256, "the name of the file counts"
+
+
+def test_it_is_as_good_as_ours_in_folders_and_in_source_files(
+    install: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    install("chest-maker", "chests", CHESTS, chest="chests")
+    folder = chests(tmp_path / "mixed", "box1", "plain")
+    chests(folder / "trunk", "one", "two")
+    assert registry.categories(str(folder), ["all"]) == ("box", "trunk")
+    assert [r.object_id for r in registry.object_refs(folder, "box")] == ["box1", "plain"]
+
+    own = chests(tmp_path / "own" / "mine" / "box", "a", "b").parent
+    (own / "source.yaml").write_text(
+        "{origin: x, licence: x, frame: x, reader: chest, categories: {box: {yaw_degrees: 90}}}"
+    )
+    monkeypatch.setenv("ARTICUGEN_SOURCES", str(own.parent))
+    ref = registry.object_refs("mine", "box")[0]
+    turned = registry.load(ref).T_world_root[:3, :3]
+    np.testing.assert_allclose(turned @ [1, 0, 0], [0, 1, 0], atol=1e-12)
+
+
+def test_a_run_is_planned_with_it(install: Install, tmp_path: Path) -> None:
+    """By the command line and its worker, processes that know nothing but what is installed."""
+    install("chest-maker", "chests", CHESTS, chest="chests")
+    folder = chests(tmp_path / "models", "a", "b")
+    shown = subprocess.run(
+        [
+            *(sys.executable, "-c", "from articugen.cli import main; main()", "generate"),
+            *("--category", "chest", "--source", str(folder), "--recipe", "quick", "--dry-run"),
+            *("--jobs", "1", "--out", str(tmp_path / "data")),
+        ],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert shown.returncode == 0, shown.stderr
+    assert "2 objects" in " ".join(shown.stdout.split())
+
+
+def test_packages_that_cannot_be_used_are_named_once_and_break_no_other(
+    install: Install, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    install("broken-one", "raises", "raise RuntimeError('odd\\nthing')", sad="raises")
+    install("halfway", "half", "detect = find = print", half="half")
+    install("gone", "nothing", "", away="nowhere_at_all")
+    install("thief", "steals", CHESTS, urdf="steals")
+    install("chest-maker", "chests", CHESTS, chest="chests")
+    folder = chests(tmp_path / "models", "a")
+    with caplog.at_level(logging.WARNING, "articugen"):
+        for _ in range(2):
+            assert [r.object_id for r in registry.object_refs(folder, "x")] == ["a"]
+    said = sorted(caplog.messages)
+    assert len(said) == 4, said
+    assert all("\n" not in line for line in said)
+    assert "package broken-one: its entry point 'sad' of articugen.readers cannot be" in said[0]
+    assert "RuntimeError: odd thing); mend or uninstall it" in said[0]
+    assert "package gone: its entry point 'away'" in said[1]
+    assert "package halfway: its entry point 'half' " in said[2]
+    assert "is half, which has no load;" in said[2]
+    assert "package thief: its entry point 'urdf' of articugen.readers is left out" in said[3]
+    for name, sentence in (("sad", "package broken-one"), ("half", "package halfway")):
+        with pytest.raises(BrokenPlugin, match=sentence):
+            readers.reader(name)
+    assert readers.reader("urdf") is READERS["urdf"]
+    path = tmp_path / "source.yaml"
+    path.write_text("{origin: x, licence: x, frame: x, reader: sad, categories: {a: {}}}")
+    with pytest.raises(BrokenPlugin, match="package broken-one"):
+        read_source_file(path)
+
+
+def test_of_two_packages_with_one_name_the_first_counts(
+    install: Install, caplog: pytest.LogCaptureFixture
+) -> None:
+    for package in ("b-chests", "a-chests"):
+        install(package, package[0], CHESTS, chest=package[0])
+    with caplog.at_level(logging.WARNING, "articugen"):
+        assert readers.reader("chest").__name__ == "a"  # type: ignore[attr-defined]
+    (line,) = caplog.messages
+    assert "package b-chests" in line
+    assert "a-chests has one of that name" in line
+
+
+def test_a_reader_that_raises_as_it_looks_is_one_sentence(install: Install, tmp_path: Path) -> None:
+    install("clumsy", "clumsy", "load = find = detect = lambda path: 1 / 0", clumsy="clumsy")
+    (tmp_path / "a.txt").write_text("")
+    with pytest.raises(InvalidSource, match=r"a\.txt: the reader 'clumsy' cannot look .*ZeroDiv"):
+        readers.detect(tmp_path / "a.txt")
+    with pytest.raises(InvalidSource, match="the reader 'clumsy' cannot look at it"):
+        readers.find("clumsy", tmp_path)
+
+
+def test_the_name_of_no_reader_has_its_nearest(tmp_path: Path) -> None:
+    path = tmp_path / "source.yaml"
+    path.write_text("{origin: x, licence: x, frame: x, reader: shape2moton, categories: {a: {}}}")
+    with pytest.raises(InvalidSource, match="reader: no reader 'shape2moton'; did you mean 'shape"):
+        read_source_file(path)
+
+
+def test_ours_say_what_they_are() -> None:
+    assert [name for name, each in READERS.items() if isinstance(each, Maker)] == ["procedural"]
+    for each in READERS.values():
+        assert each.detect(Path(__file__)) is None
+        assert each.find(Path(__file__).parent) == []
+
+
+def test_a_package_adds_a_renderer(install: Install) -> None:
+    code = (
+        "from articugen.rendering import rasterizer\n"
+        "from articugen.rendering.backends import Backend\n"
+        "def render(mesh, views): return rasterizer.render(mesh, views)\n"
+        "TABLE = Backend('fancy', tells_faces=True)\n"
+    )
+    install("fancy-renderer", "fancy", code, group="backends", fancy="fancy:TABLE")
+    assert ViewSettings.model_validate({"backend": "fancy"}).backend == "fancy"
+    mesh = LabelledMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], np.zeros(1, np.uint8))
+    views = fusion_views(ViewSettings(count=4, resolution=16), np.array([[0, 0, 0], [1, 1, 1]]))
+    theirs = render(mesh, views, backend="fancy")
+    np.testing.assert_array_equal(theirs.depth, render(mesh, views).depth)
+    install("no-renderer", "dull", "render = 1", group="backends", dull="dull")
+    with pytest.raises(BrokenPlugin, match=r"package no-renderer: .* has no render_parts"):
+        render(mesh, views, backend="dull")
+
+
+# --- any one model by its path
+
+
+def test_one_model_by_its_path(tmp_path: Path) -> None:
+    urdf = tmp_path / "lamp" / "urdf" / "lamp.urdf"
+    urdf.parent.mkdir(parents=True)
+    urdf.write_text(URDF)
+    partnet = tmp_path / "100"
+    partnet.mkdir()
+    shutil.copy(urdf, partnet / "mobility.urdf")
+    (partnet / "meta.json").write_text(json.dumps({"model_cat": "Oven"}))
+    raw = tmp_path / "200"
+    (raw / "part_objs").mkdir(parents=True)
+    (raw / "part_objs" / "none_motion.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    root = {"dof_name": "r", "motion_type": "none", "center": [0, 0, 0], "direction": [0, 0, 0]}
+    (raw / "motion_attributes.json").write_text(json.dumps(root))
+    for path, object_id, category in (
+        (urdf, "lamp", "object"),
+        (urdf.parent, "lamp", "object"),
+        (urdf.parent.parent, "urdf", "object"),
+        (partnet, "100", "Oven"),
+        (raw, "200", "object"),
+    ):
+        obj = registry.load_path(path)
+        assert (obj.object_id, obj.category) == (object_id, category)
+        assert registry.load_path(str(path), "thing").category == "thing"
+    turned = registry.load_path(partnet).T_world_root
+    assert turned[0, 0] == -1.0, "what source.yaml says of ovens"
+
+
+def test_what_is_no_single_model_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidSource, match=r"nowhere: there is no such file or folder"):
+        registry.load_path(tmp_path / "nowhere")
+    with pytest.raises(
+        InvalidSource, match=r"is no model, nor a folder of one; name a \.urdf file"
+    ):
+        registry.load_path(tmp_path)
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.urdf").write_text(URDF)
+    with pytest.raises(InvalidSource, match=r"holds 2 models; name one, such as .*a\.urdf"):
+        registry.load_path(tmp_path)
+    with pytest.raises(InvalidSource, match="is no model"):
+        registry.load_path(__file__)

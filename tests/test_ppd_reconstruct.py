@@ -1,0 +1,91 @@
+"""What PPD's model says of a cloud: surfaces where its field is zero, and what lies between two."""
+
+import numpy as np
+import pytest
+from instances import hinged_box
+
+torch = pytest.importorskip("torch", reason="PPD needs torch")
+
+from articugen.geometry import apply  # noqa: E402
+from articugen.learning.evaluation.surfaces import distance  # noqa: E402
+from articugen.learning.ppd import reconstruct as reconstruction  # noqa: E402
+from articugen.learning.ppd.drawing import between  # noqa: E402
+from articugen.learning.ppd.model import PPD  # noqa: E402
+from articugen.learning.ppd.reconstruct import part_logits, reconstruction_of  # noqa: E402
+from articugen.learning.ppd.settings import ModelSettings  # noqa: E402
+from articugen.records import dequantize  # noqa: E402
+
+torch.set_num_threads(1)
+
+
+@pytest.mark.parametrize("part_frame", ["world", "joint"])
+def test_a_model_s_surfaces_lie_where_its_field_is_zero(part_frame):
+    torch.manual_seed(1)
+    model = PPD(ModelSettings(part_frame=part_frame, coordinate_bound=1 / 3)).eval()
+    (instance,) = hinged_box([(0.3, 0.1)])
+    cloud = dequantize(instance.surface_points)
+
+    def predict():
+        with torch.no_grad():
+            return model(torch.as_tensor(cloud, dtype=torch.float32)[None])
+
+    middling = np.median(part_logits(model, predict(), 16).max(0))
+    with torch.no_grad():  # F^{s,z} is halved by the common field, so half of the cube gets free
+        model.shape.head_2.bias[8:] -= 2.0 * middling
+    found = reconstruction_of(model, predict(), 16)
+    assert len(found.whole)
+    assert len(set(found.part.tolist())) > 1
+    # A surface of the whole is the surface of some part, to within the grid's error.
+    middle = found.whole.mean(1)[::20]
+    assert distance(middle, found.triangles).max() < 1 / 16
+    # A voxel is occupied where the field of any part is above 0 at its centre.
+    logits = part_logits(model, predict(), 16)
+    assert 0.1 < found.occupied.mean() < 0.9
+    np.testing.assert_array_equal(found.occupied, (logits > 0).any(0))
+    # T_part is what `fields` undoes.
+    pose = model(torch.as_tensor(cloud, dtype=torch.float32)[None]).pose
+    local = model.motion(pose).apply(torch.tensor([[[0.1, 0.2, 0.3]]]))[0, :, 0].detach().numpy()
+    for i in range(8):
+        np.testing.assert_allclose(apply(found.T_part[i], local[i]), [0.1, 0.2, 0.3], atol=1e-5)
+
+
+def test_interpolation_holds_what_it_holds():
+    torch.manual_seed(0)
+    model = PPD(ModelSettings()).eval()
+    clouds = [dequantize(i.surface_points) for i in hinged_box()]
+    openings = [(clouds[1], clouds[0], clouds[3]), (clouds[0], clouds[2], clouds[2])]
+    first, shapes, states = between(model, openings, 5, True)
+    openings = openings if first == 0 else openings[::-1]
+    one, other, low, high = (
+        model(torch.as_tensor(cloud, dtype=torch.float32)[None])
+        for cloud in (openings[0][1], openings[1][1], openings[0][0], openings[0][2])
+    )
+    assert len(shapes) == len(states) == 5
+    torch.testing.assert_close(shapes[0].shape.detail, one.shape.detail)
+    torch.testing.assert_close(shapes[-1].shape.detail, other.shape.detail)
+    assert not torch.equal(shapes[2].shape.detail, one.shape.detail)
+    for prediction in shapes:
+        torch.testing.assert_close(prediction.pose.state, one.pose.state)
+    torch.testing.assert_close(states[0].pose.state, low.pose.state)
+    torch.testing.assert_close(states[-1].pose.state, high.pose.state)
+    for prediction in states:
+        torch.testing.assert_close(prediction.shape.detail, one.shape.detail)
+
+
+def test_a_fine_grid_need_only_be_evaluated_near_surfaces(monkeypatch):
+    asked = []
+
+    def balls(_model, _predicted, points):
+        asked.append(len(points))
+        p = points.double().numpy()
+        at = [[0.0, 0.1, 0.0], [0.2, -0.2, 0.1]]
+        return np.stack([20.0 * (0.2 - np.linalg.norm(p - c, axis=1)) for c in at])
+
+    monkeypatch.setattr(reconstruction, "logits_at", balls)
+    monkeypatch.setattr(reconstruction, "_DENSE", 16)
+    fine = reconstruction._meshes(part_logits(None, None, 32))
+    assert sum(asked) < 0.5 * 32**3
+    monkeypatch.setattr(reconstruction, "_DENSE", 17)
+    dense = reconstruction._meshes(part_logits(None, None, 32))
+    for a, b in zip([*fine[0], fine[1]], [*dense[0], dense[1]], strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-9)
