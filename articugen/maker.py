@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from articugen import articulation, fusion
 from articugen.articulation import Canonical
 from articugen.errors import InvalidArgument, InvalidSource
-from articugen.fusion.export import export
 from articugen.fusion.isosurface import extract_mesh
 from articugen.instance import Prepared, make_instance, pose, prepare
+from articugen.mesh_file import export
 from articugen.recipe import Recipe, load_recipe
 from articugen.recipe_files import nearest
 from articugen.records import (

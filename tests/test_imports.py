@@ -37,6 +37,7 @@ WITH_TORCH = {"store.torch_dataset"} | {
 MAY_IMPORT: dict[str, set[str]] = {
     # the vocabulary
     "errors": set(),
+    "mesh_file": {"errors", "records"},
     "bundled": set(),
     "plugins": {"errors"},
     "ply": set(),
@@ -87,14 +88,14 @@ MAY_IMPORT: dict[str, set[str]] = {
     "verify.invariants": VOCABULARY | {"verify.exact", "verify.sampled"},
     "verify.dataset": VOCABULARY | {"store", "verify.invariants", "workers"},
     "verify.replay": VOCABULARY
-    | {"store", "sources", "articulation", "fusion", "instance", "pipeline", "verify"},
+    | {"store", "sources", "articulation", "fusion", "instance", "pipeline", "verify", "mesh_file"},
     "verify.check": {"pipeline", "verify"},
     "inspection": VOCABULARY | {"store", "rendering"},
     "learning": VOCABULARY
     | {"store", "inspection", "marching_cubes", "workers", "model_text", "ply"},
     "learning.evaluation": VOCABULARY | {"store", "inspection"},
     # the door, for notebooks
-    "maker": VOCABULARY | STAGES | {"instance", "store.rows"},
+    "maker": VOCABULARY | STAGES | {"instance", "mesh_file", "store.rows"},
     "notebook": VOCABULARY | {"store", "inspection"},
     "api": VOCABULARY | {"pipeline", "sources", "store"},
     "cli": {
@@ -119,7 +120,7 @@ FOREIGN: dict[str, set[str]] = {
     "platformdirs": {"bundled"},
     "yourdfpy": {"sources.urdf"},
     "lxml": {"sources.urdf", "sources.xml_strict"},
-    "trimesh": {"sources.mesh_formats", "fusion.export", "learning.clouds"},
+    "trimesh": {"sources.mesh_formats", "mesh_file", "learning.clouds"},
     "PIL": {"inspection.layout", "inspection.shading"},
     "matplotlib": {"learning.evaluation.figures.plots"},
     "typer": {"cli.data", "cli.learn"},

@@ -254,7 +254,7 @@ class Shard:
             offset[chunk.chunk_offset[0]] = chunk.byte_offset
             size[chunk.chunk_offset[0]] = 0 if chunk.filter_mask else chunk.size
 
-        with self._telling_damage(name):
+        with self._as_damage(name):
             if column.row_bytes:
                 column.dataset.chunk_iter(note)
                 if size.min() <= chunks.CHECKSUM_BYTES:

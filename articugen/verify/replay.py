@@ -9,9 +9,9 @@ import numpy as np
 from articugen import articulation
 from articugen.errors import ArticugenError, InvalidSource
 from articugen.fusion import pixel_width
-from articugen.fusion.export import check_format, export
 from articugen.fusion.isosurface import extract_mesh
 from articugen.instance import Prepared, make_instance, pose, prepare
+from articugen.mesh_file import check_format, export
 from articugen.pipeline import generator_of
 from articugen.recipe import Recipe
 from articugen.records import Instance, dequantize
