@@ -232,7 +232,7 @@ def _width(name: str) -> int:
     return 1 if name.endswith(("_part", "_label")) else 3
 
 
-@pytest.mark.parametrize("points", [512, 700, 2])
+@pytest.mark.parametrize("points", [512, 700, 8, 2])
 def test_each_point_is_as_likely_as_any_other(points):
     counts = np.zeros(2048)
     rng = np.random.default_rng(0)

@@ -378,7 +378,9 @@ def _some(there: int, count: int, rng: np.random.Generator) -> NDArray[np.intp]:
     if rest or not count:
         return rng.choice(there, count, replace=False, shuffle=False)
     if 256 % each == 0:  # many times faster, and as even
-        return np.arange(0, there, each) + rng.integers(0, 256, count, np.uint8) % np.uint8(each)
+        return np.arange(0, there, each) + (
+            rng.integers(0, 256, count, np.uint8) & np.uint8(each - 1)
+        )
     return np.arange(0, there, each) + rng.integers(0, each, count)
 
 
