@@ -109,7 +109,18 @@ def resolve(
 
 def canonical_state(obj: ArticulatedObject) -> JointState:
     """All drivers at 0, driven joints where that puts them (0 too, in a resolved object)."""
-    return _driven_state(obj, {})
+    return driven_state(obj, {})
+
+
+def driven_state(obj: ArticulatedObject, drivers: Mapping[str, float]) -> JointState:
+    """The state in which each driver has its value (rad or m, 0 where not given) and the others
+    follow. Limits are not applied."""
+    q = np.zeros(len(obj.moving_joints))
+    by_name = {joint.name: joint for joint in obj.joints}
+    for k, joint in enumerate(obj.moving_joints):
+        driver, multiplier, offset = _driver(by_name, joint)
+        q[k] = multiplier * drivers.get(driver, 0.0) + offset
+    return JointState(q)
 
 
 def sample_joint_state(obj: ArticulatedObject, *, rng: np.random.Generator) -> JointState:
@@ -118,7 +129,7 @@ def sample_joint_state(obj: ArticulatedObject, *, rng: np.random.Generator) -> J
     Draws one number a driver, in part order.
     """
     drivers = [joint for joint in obj.moving_joints if joint.mimic is None]
-    return _driven_state(obj, {j.name: rng.uniform(j.lower, j.upper) for j in drivers})
+    return driven_state(obj, {j.name: rng.uniform(j.lower, j.upper) for j in drivers})
 
 
 def forward_kinematics(obj: ArticulatedObject, state: JointState) -> PosedObject:
@@ -279,16 +290,6 @@ def _driver(by_name: Mapping[str, Joint], joint: Joint) -> tuple[str, float, flo
         joint = by_name[mimic.joint]
         seen[joint.name] = None
     return joint.name, multiplier, offset
-
-
-def _driven_state(obj: ArticulatedObject, drivers: dict[str, float]) -> JointState:
-    """The state in which each driver has its value (0 where not given) and the others follow."""
-    q = np.zeros(len(obj.moving_joints))
-    by_name = {joint.name: joint for joint in obj.joints}
-    for k, joint in enumerate(obj.moving_joints):
-        driver, multiplier, offset = _driver(by_name, joint)
-        q[k] = multiplier * drivers.get(driver, 0.0) + offset
-    return JointState(q)
 
 
 def _planned(joint: Joint, plan: _Plan) -> Joint:

@@ -16,6 +16,10 @@ class InvalidRecipe(ArticugenError):
     """A recipe file or a command-line setting makes no sense."""
 
 
+class InvalidArgument(ArticugenError, ValueError):
+    """A function is asked for what there is not: a field, a split, a joint, a state."""
+
+
 class RejectedInstance(ArticugenError):
     """One object or instance cannot be made into data; the others can."""
 

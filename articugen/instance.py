@@ -107,11 +107,15 @@ class Prepared:
         return generator(self.seed, self.obj.category, self.obj.object_id, *path)
 
 
-def prepare(obj: ResolvedObject, recipe: Recipe, seed: int) -> Prepared:
+def prepare(
+    obj: ResolvedObject, recipe: Recipe, seed: int, *, reach: Sequence[JointState] = ()
+) -> Prepared:
     """Everything that the instances of `obj` share.
 
     Args:
         obj: what `articulation.resolve` makes of an object and the recipe.
+        reach: states besides the recipe's that the views must hold as well, the unit frame need
+            not.
 
     Raises:
         RejectedInstance: the object has no faces, or too many parts.
@@ -135,6 +139,8 @@ def prepare(obj: ResolvedObject, recipe: Recipe, seed: int) -> Prepared:
     mesh = LabelledMesh.joined([part.mesh for part in parts])
     if not len(mesh.faces):
         raise RejectedInstance("the object has no faces: those of its links have no area")
+    further = [articulation.forward_kinematics(obj, state) for state in reach]
+    motions = np.stack([articulation.part_motions(p, posed[0]) for p in (*posed, *further)])
     views = fusion_views(recipe.views, swept_box(mesh, unit.rigid_to_unit(motions)))
     static = _render(parts[0].mesh, views, recipe)
     fixed = fusion.seen_by(static, parts[0], recipe.fusion)

@@ -8,9 +8,9 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
@@ -18,7 +18,7 @@ from pydantic import AfterValidator, Field, model_validator
 from articugen.bundled import RECIPES
 from articugen.errors import InvalidRecipe, printable
 from articugen.recipe_files import Section as _Section
-from articugen.recipe_files import find, resolved, validated
+from articugen.recipe_files import find, resolved, resolved_mapping, validated
 from articugen.rendering import backends
 from articugen.store import schema
 
@@ -290,21 +290,27 @@ def check_category(name: str) -> None:
         )
 
 
-def load_recipe(name: str | Path | None, category: str) -> Recipe:
-    """The recipe `name` (a name under recipes/, a path, or None for the category's own).
+def load_recipe(given: "str | Path | Mapping[str, Any] | Recipe | None", category: str) -> Recipe:
+    """The recipe `given`: a name under recipes/, a path, the keys of such a file, a recipe, which
+    is taken as it is, or None for the category's own.
 
     A category without a recipe of its own gets recipes/default.yaml.
 
     Raises:
         InvalidRecipe: no such recipe, bad YAML, an unknown key or a bad value.
     """
-
+    if isinstance(given, Recipe):
+        return given
     check_category(category)
 
     def base_of(base: str) -> Path:
         return _category_recipe(category) if base == "category" else find(base, learner=False)
 
-    path = _category_recipe(category) if name is None else find(str(name), learner=False)
+    if isinstance(given, Mapping):
+        where = "the recipe that is given"
+        data = {"name": "own"} | resolved_mapping(given, base_of)
+        return validated(Recipe, data, where)
+    path = _category_recipe(category) if given is None else find(str(given), learner=False)
     data = resolved(path, base_of)
     return validated(Recipe, {"name": path.stem} | data, str(path))
 

@@ -23,7 +23,7 @@ VOCABULARY = {
 
 STAGES = {"articulation", "swept", "rendering", "fusion", "sampling", "sources"}
 
-WITH_TORCH = {
+WITH_TORCH = {"store.torch_dataset"} | {
     f"learning.{name}"
     for name in (
         "commands", "dataset", "loop", "processes", "race", "runs", "tensors",
@@ -38,6 +38,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     # the vocabulary
     "errors": set(),
     "jit": set(),
+    "mesh_file": {"errors", "records"},
     "bundled": set(),
     "plugins": {"errors"},
     "ply": set(),
@@ -75,22 +76,31 @@ MAY_IMPORT: dict[str, set[str]] = {
     "store.schema": set(),
     "store.chunks": set(),
     "store.shards": {"errors", "records", "store.files", "store.schema", "store.chunks"},
+    "store.rows": {"errors", "geometry", "records", "store.schema"},
+    "store.dataset": VOCABULARY
+    | {"store.manifest", "store.rows", "store.shards", "store.torch_dataset"},
+    "store.torch_dataset": {"errors"},
     "store.manifest": {"errors", "store.files", "store.schema", "store.shards"},
     "store.journal": {"errors", "store.files", "store.manifest", "store.shards"},
     "store.cleaning": {"store.journal"},
     # what reads it
-    "verify": set(),
+    "verify": {"verify.check"},
     "verify.bounds": set(),
     "verify.exact": VOCABULARY | {"verify.bounds"},
     "verify.sampled": VOCABULARY | {"verify.bounds"},
     "verify.invariants": VOCABULARY | {"verify.exact", "verify.sampled"},
     "verify.dataset": VOCABULARY | {"store", "verify.invariants", "workers"},
     "verify.replay": VOCABULARY
-    | {"store", "sources", "articulation", "fusion", "instance", "pipeline", "verify"},
+    | {"store", "sources", "articulation", "fusion", "instance", "pipeline", "verify", "mesh_file"},
+    "verify.check": {"pipeline", "verify"},
     "inspection": VOCABULARY | {"store", "rendering"},
     "learning": VOCABULARY
     | {"store", "inspection", "marching_cubes", "workers", "model_text", "ply"},
     "learning.evaluation": VOCABULARY | {"store", "inspection"},
+    # the door, for notebooks
+    "maker": VOCABULARY | STAGES | {"instance", "mesh_file", "store.rows"},
+    "notebook": VOCABULARY | {"store", "inspection"},
+    "api": VOCABULARY | {"pipeline", "sources", "store"},
     "cli": {
         "compiling",
         "errors",
@@ -115,7 +125,7 @@ FOREIGN: dict[str, set[str]] = {
     "platformdirs": {"bundled"},
     "yourdfpy": {"sources.urdf"},
     "lxml": {"sources.urdf", "sources.xml_strict"},
-    "trimesh": {"sources.mesh_formats", "verify.replay", "learning.clouds"},
+    "trimesh": {"sources.mesh_formats", "mesh_file", "learning.clouds"},
     "PIL": {"inspection.layout", "inspection.shading"},
     "matplotlib": {"learning.evaluation.figures.plots"},
     "typer": {"cli.data", "cli.learn"},
@@ -211,6 +221,34 @@ def test_help_waits_for_no_heavy_library() -> None:
     ).stdout.split()
     assert "typer" in loaded
     assert not {"numpy", "numba", "h5py", "trimesh", "yourdfpy", "pydantic"} & set(loaded)
+
+
+def test_the_door_is_lazy_and_gives_what_it_names() -> None:
+    code = (
+        "import sys, time; began = time.perf_counter(); import articugen as ag\n"
+        "print(time.perf_counter() - began, *sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    seconds, *loaded = done.stdout.split()
+    assert float(seconds) < 1.0  # 0.02 where nothing else runs
+    ours = {name for name in loaded if name.startswith("articugen")}
+    assert ours == {"articugen"}
+    assert not {"numpy", "numba", "h5py", "pydantic"} & set(loaded)
+    assert set(articugen.__all__) == set(articugen._HOME) <= set(dir(articugen))
+    for name in set(articugen.__all__) - {"train", "evaluate"}:
+        assert callable(getattr(articugen, name)), name
+    with pytest.raises(AttributeError, match="no attribute 'opne'"):
+        _ = articugen.opne
+
+
+@pytest.mark.parametrize("first", ["", "import articugen.verify.dataset\n"])
+def test_a_package_that_is_called_like_a_function_can_be_called(first: str) -> None:
+    code = (
+        f"{first}import articugen as ag; import articugen.verify.check as module\n"
+        "print(ag.verify('.').ok)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout == "False\n", done.stderr
 
 
 def test_the_core_needs_no_optional_library() -> None:

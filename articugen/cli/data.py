@@ -352,20 +352,14 @@ def verify(
     """Check checksums, schema, value ranges and geometry of data sets."""
     sound = True
     with _said_in_one_sentence():
-        from articugen.pipeline import default_jobs
         from articugen.store.journal import data_sets
-        from articugen.verify.dataset import verify as verify_folder
+        from articugen.verify.check import check
 
         for folder in data_sets(path):
-            report = verify_folder(folder, jobs=jobs or default_jobs())
-            findings = list(report.findings)
-            if again and report.ok:
-                from articugen.verify.replay import replay
-
-                findings += [finding for finding in replay(folder, again) if finding]
-            for finding in findings:
+            report = check(folder, replay=again, jobs=jobs)
+            for finding in report.findings:
                 out.print(f"[red]✗[/] {folder}: {escape(str(finding))}", soft_wrap=True)
-            if not findings:
+            if report.ok:
                 replayed = f"; {again} came out the same, made again" if again else ""
                 more = len(report.extended)
                 theirs = f"; {more} with a group 'user', which was not looked at" if more else ""
@@ -374,7 +368,7 @@ def verify(
                     f" are as they were made{theirs}{replayed}",
                     soft_wrap=True,
                 )
-            sound = sound and not findings
+            sound = sound and report.ok
     if not sound:
         raise typer.Exit(FAILED)
 

@@ -240,6 +240,27 @@ class Shard:
             content.append((object_id, int(row["state_index"]), digest))
         return tuple(content)
 
+    def stored(self, name: str) -> "Stored":
+        """Where the rows of a data set lie, to read them without HDF5 once the shard is closed.
+
+        Raises:
+            CorruptShard: not every row has a chunk of its own.
+            KeyError: the shard has no such data set.
+        """
+        column = self._column(name)
+        offset, size = np.zeros(len(self), np.int64), np.zeros(len(self), np.int64)
+
+        def note(chunk: Any) -> None:
+            offset[chunk.chunk_offset[0]] = chunk.byte_offset
+            size[chunk.chunk_offset[0]] = 0 if chunk.filter_mask else chunk.size
+
+        with self._as_damage(name):
+            if column.row_bytes:
+                column.dataset.chunk_iter(note)
+                if size.min() <= chunks.CHECKSUM_BYTES:
+                    raise ValueError("a chunk without its checksum")
+        return Stored(column.shape, column.dtype, column.compressed, offset, size)
+
     def stored_bytes(self, name: str) -> int:
         """What a data set takes in the file, after compression, without its index."""
         return self._column(name).dataset.get_storage_size()
@@ -326,6 +347,41 @@ class _Column:
         if skipped:
             raise ValueError("a chunk without its checksum")
         return chunks.decoded(chunk, size, compressed=self.compressed)
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """Where each row of a data set lies in its file: read so, any number of shards take no HDF5
+    handle, which is slow to open and neither process nor thread may share.
+
+    Attributes:
+        shape: (N, ...).
+        dtype: of what is stored.
+        compressed: whether with gzip.
+        offset, size: (N,) bytes: where the chunk of each row begins, and how long it is.
+    """
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    compressed: bool
+    offset: NDArray[np.int64]
+    size: NDArray[np.int64]
+
+    def row(self, handle: int, row: int) -> NDArray[Any]:
+        """(...) read-only, from a file that is open for reading; its checksum is looked at.
+
+        Raises:
+            OSError, ValueError: damaged.
+        """
+        row_bytes = math.prod(self.shape[1:]) * self.dtype.itemsize
+        if not row_bytes:
+            return np.zeros(self.shape[1:], self.dtype)
+        size = min(int(self.size[row]), chunks.most_bytes(row_bytes))
+        chunk = memoryview(os.pread(handle, size, int(self.offset[row])))
+        if len(chunk) <= chunks.CHECKSUM_BYTES:
+            raise ValueError("cut short")
+        data = chunks.decoded(chunk, row_bytes, compressed=self.compressed)
+        return np.frombuffer(data, self.dtype).reshape(self.shape[1:])
 
 
 class _Disk(io.RawIOBase):

@@ -61,7 +61,7 @@ def _plain(name: str) -> str:
     return name if name.isprintable() else ascii(name)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Report:
     """What `verify` found, and how much it looked at.
 
@@ -78,6 +78,12 @@ class Report:
     @property
     def ok(self) -> bool:
         return not self.findings
+
+    def __repr__(self) -> str:
+        count = len(self.findings)
+        found = "ok" if self.ok else f"{count} finding{'s' * (count != 1)}"
+        about = f"Report({found}: {self.shards} shards, {self.instances:,} instances)"
+        return "\n".join([about, *(f"  {finding}" for finding in self.findings)])
 
 
 def verify(folder: Path, *, jobs: int = 1, on_shard: Callable[[str], None] | None = None) -> Report:

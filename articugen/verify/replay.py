@@ -5,13 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 from articugen import articulation
 from articugen.errors import ArticugenError, InvalidSource
 from articugen.fusion import pixel_width
 from articugen.fusion.isosurface import extract_mesh
 from articugen.instance import Prepared, make_instance, pose, prepare
+from articugen.mesh_file import check_format, export
 from articugen.pipeline import generator_of
 from articugen.recipe import Recipe
 from articugen.records import Instance, dequantize
@@ -21,8 +21,6 @@ from articugen.store.manifest import Manifest, ObjectEntry
 from articugen.store.shards import open_shard
 from articugen.verify.bounds import BEHIND, IN_FRONT, on_level
 from articugen.verify.dataset import Finding
-
-MESH_FORMATS = (".ply", ".obj", ".stl", ".glb")
 
 
 @dataclass(frozen=True)
@@ -86,17 +84,13 @@ def write_mesh(folder: Path, object_id: str, state_index: int, resolution: int, 
     Raises:
         ArticugenError: as `prepared_again`; no such state; the file cannot be written.
     """
-    if path.suffix not in MESH_FORMATS:
-        raise ArticugenError(f"{path}: choose one of {', '.join(MESH_FORMATS)}")
+    check_format(path)
     prepared = prepared_again(Manifest.read(folder), object_id)
     if state_index >= len(prepared.states):
         raise ArticugenError(f"{object_id} has the states 0 to {len(prepared.states) - 1}")
     _, fields = pose(prepared, state_index)
     mesh = extract_mesh(fields.whole, resolution)
-    try:
-        trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(path)
-    except OSError as error:
-        raise ArticugenError(f"{path}: cannot be written: {error.strerror}") from None
+    export(mesh, path)
     return len(mesh.faces)
 
 

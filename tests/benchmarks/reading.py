@@ -3,6 +3,9 @@
 Prints CPU time of a batch of random rows, all fields and the points of one kind alone: of the same
 instances as a shard, as one .npz an instance and as a shard read through h5py. They take turns, so
 that a busy machine slows all alike. Without SHARD, of a made-up one with the default counts.
+
+Then batches as a learner takes them, of 4,096 surface points in the unit frame and their labels:
+instances a second of one core, from a warm page cache.
 """
 
 import argparse
@@ -18,11 +21,15 @@ import h5py
 import numpy as np
 
 from articugen.recipe import Sampling
+from articugen.store.dataset import open as open_data_set
 from articugen.store.shards import Shard, open_shard, write_shard
 from tests.instances import SMALL, hinged_box
 
 BATCH = 18
 TURNS = 15
+
+POINTS = 4096
+LEARNT = ("surface_points", "surface_part")
 
 Batch = dict[str, Any]
 
@@ -41,6 +48,44 @@ def main() -> None:
                 for way, spent in seconds.items():
                     ratio = spent / seconds["npz"]
                     print(f"  {way:10} {1e3 * spent:6.1f} ms of CPU, {ratio:.2f} of npz")  # noqa: T201
+        for stored in (POINTS, 2 * POINTS):
+            (own := Path(folder) / str(stored)).mkdir()
+            path = _made_up(own, surface_points=stored, grids=(8,))
+            seconds = as_learnt(path, own)
+            print(f"{BATCH} random rows as float32, {POINTS} of {stored} surface points, labels:")  # noqa: T201
+            for way, spent in seconds.items():
+                ratio = spent / seconds["npz"]
+                print(f"  {way:10} {BATCH / spent:6,.0f} instances/s, {ratio:.2f} of npz's time")  # noqa: T201
+
+
+def as_learnt(path: Path, folder: Path) -> dict[str, float]:
+    """The median CPU seconds of a batch of some points, as floats, of random rows."""
+    data = open_data_set(path)
+    files = [folder / f"{n}.npz" for n in range(len(data))]
+    for file, row in zip(files, data, strict=True):
+        np.savez(file, **{name: row.stored(name) for name in LEARNT})
+
+    def from_npz() -> Batch:
+        rng = np.random.default_rng(0)
+        points, part = [], []
+        for n in rng.choice(len(files), BATCH, replace=False):
+            with np.load(files[n]) as file:
+                stored, label = (file[name] for name in LEARNT)
+            if len(label) > POINTS:
+                some = rng.choice(len(label), POINTS, replace=False, shuffle=False)
+                stored, label = stored[some], label[some]
+            points.append(stored.astype(np.float32) / np.float32(65535) - np.float32(0.5))
+            part.append(label)
+        return {"surface_points": np.stack(points), "surface_part": np.stack(part)}
+
+    def from_shard() -> Batch:
+        return data.batch(BATCH, LEARNT, points=POINTS, rng=0)
+
+    ours, theirs = from_shard(), from_npz()
+    assert {n: (a.shape, a.dtype) for n, a in ours.items()} == {
+        n: (a.shape, a.dtype) for n, a in theirs.items()
+    }
+    return _medians({"npz": from_npz, "articugen": from_shard})
 
 
 def measured(shard: Shard, plain: h5py.File, names: list[str], folder: Path) -> dict[str, float]:
@@ -68,6 +113,10 @@ def measured(shard: Shard, plain: h5py.File, names: list[str], folder: Path) -> 
     for read in ways.values():
         for name, array in read().items():
             np.testing.assert_array_equal(array, expected[name])
+    return _medians(ways)
+
+
+def _medians(ways: dict[str, Callable[[], Batch]]) -> dict[str, float]:
     seconds: dict[str, list[float]] = {way: [] for way in ways}
     for _ in range(TURNS):
         for way, read in ways.items():
@@ -77,8 +126,9 @@ def measured(shard: Shard, plain: h5py.File, names: list[str], folder: Path) -> 
     return {way: statistics.median(spent) for way, spent in seconds.items()}
 
 
-def _made_up(folder: Path) -> Path:
-    recipe = SMALL.model_copy(update={"sampling": Sampling(partial_resolution=64)})
+def _made_up(folder: Path, **sampling: Any) -> Path:
+    ask = Sampling(partial_resolution=64, **sampling)
+    recipe = SMALL.model_copy(update={"sampling": ask})
     states = np.random.default_rng(0).uniform(0.0, (1.7, 0.3), (2 * BATCH, 2))
     rows = hinged_box([(float(angle), float(slide)) for angle, slide in states], recipe=recipe)
     about = {"category": "box", "split": "train", "recipe": "", "recipe_sha256": "", "seed": 0}

@@ -1,0 +1,548 @@
+"""A data set as a sequence of rows: `open` it, take slices and splits, draw batches.
+
+Nothing is read before it is asked for, and then only the chunks that hold it. Shards are not kept
+open: where the rows of a field lie is noted once (`shards.Stored`), and a few files are held to
+read from, so that a data set may have any number of shards, be used by threads, survive a fork and
+be sent to other processes.
+"""
+
+import os
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, overload
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from articugen.errors import CorruptShard, InvalidArgument, machine_fault
+from articugen.recipe import Recipe
+from articugen.recipe_files import nearest
+from articugen.store import schema
+from articugen.store.manifest import MANIFEST_NAME, Manifest
+from articugen.store.rows import Row, in_units, is_scaled, texts
+from articugen.store.shards import Attribute, Stored, open_shard
+
+if TYPE_CHECKING:
+    from articugen.store.torch_dataset import TorchDataSet
+
+Rng = int | np.random.Generator | None
+"""A seed, a generator, or None for other numbers each time."""
+
+DEFAULT_FIELDS = ("surface_points", "surface_part")
+
+_OPEN_FILES = 64
+_POINT_SYMBOLS = ("S", "U", "K", "M")
+"""The letters of schema.SYMBOLS that count points, of which a batch may hold fewer."""
+
+
+def open(path: str | Path) -> "DataSet":
+    """Open a data set: its folder, or one of its shards. Of a folder that is not finished, and has
+    no manifest yet, what is there.
+
+    Raises:
+        CorruptShard: there is none, or it is damaged.
+    """
+    path = Path(path)
+    if path.is_file():
+        shelf = _Shelf(path, (_entry_of(path),), None)
+    elif (path / MANIFEST_NAME).exists():
+        manifest = Manifest.read(path)
+        shelf = _Shelf(path, tuple(_entries(path, manifest)), manifest)
+    else:
+        shelf = _Shelf(path, tuple(map(_entry_of, _shards_in(path))), None)
+    rows = [np.arange(entry.instances) for entry in shelf.entries] or [np.arange(0)]
+    shard = np.repeat(np.arange(len(rows)), list(map(len, rows)))
+    return DataSet(shelf, np.stack([shard, np.concatenate(rows)], axis=1))
+
+
+class DataSet(Sequence[Row]):
+    """Instances of a data set, or some of them: `data[7]` is a `Row`, `data[10:20]` a `DataSet`.
+
+    They are in the order of the shards' names: test objects before training ones.
+    """
+
+    draw: ClassVar[Callable[["DataSet"], str] | None] = None
+    """Makes HTML of it for a notebook; `articugen.notebook`, which may draw, puts it here."""
+
+    def __init__(self, shelf: "_Shelf", where: NDArray[np.int64]) -> None:
+        """Made by `open`; `where` (n, 2) holds the shard and the row of each instance."""
+        self._shelf, self._where = shelf, where
+
+    @property
+    def path(self) -> Path:
+        """What was opened."""
+        return self._shelf.path
+
+    @property
+    def manifest(self) -> Manifest | None:
+        """What its makers say of the whole data set; None of a single shard."""
+        return self._shelf.manifest
+
+    @cached_property
+    def shards(self) -> tuple[Path, ...]:
+        """The files that hold these instances."""
+        return tuple(self._shelf.entries[i].path for i in np.unique(self._where[:, 0]))
+
+    @cached_property
+    def category(self) -> str:
+        return str(self._attributes()["category"])
+
+    @cached_property
+    def recipe(self) -> Recipe:
+        """What it was made by.
+
+        Raises:
+            CorruptShard: by a recipe of another version.
+        """
+        manifest = self.manifest
+        try:
+            text = manifest.recipe if manifest else self._attributes()["recipe"]
+            return Recipe.model_validate_json(str(text))
+        except ValidationError:
+            raise CorruptShard(
+                f"{self.path}: its recipe is of another version of articugen; read it there"
+            ) from None
+
+    @cached_property
+    def objects(self) -> tuple[str, ...]:
+        """The ids of its objects, in the order of their first instances."""
+        return tuple(dict.fromkeys(self._object_ids()))
+
+    @cached_property
+    def splits(self) -> Mapping[str, int]:
+        """How many instances of each split it holds."""
+        entries = self._shelf.entries
+        return dict(Counter(entries[i].split for i in self._where[:, 0].tolist()))
+
+    @cached_property
+    def fields(self) -> Mapping[str, tuple[int, ...]]:
+        """The shape of each field of its first instance; `J` and `P` may differ between objects."""
+        return {n: shape[1:] for n, shape in self._shelf.about(self._first())[0].items()}
+
+    def split(self, name: str) -> "DataSet":
+        """Its instances of one split, "train" say.
+
+        Raises:
+            InvalidArgument: there is none.
+        """
+        if name not in self.splits:
+            there = list(self.splits)
+            raise InvalidArgument(
+                f"{self.path}: no instance is of split {name!r}{nearest(name, there)}; there are: "
+                f"{', '.join(there) or 'no instances at all'}"
+            )
+        mine = [entry.split == name for entry in self._shelf.entries]
+        return DataSet(self._shelf, self._where[np.array(mine)[self._where[:, 0]]])
+
+    def of(self, *objects: str) -> "DataSet":
+        """The instances of these objects alone.
+
+        Raises:
+            InvalidArgument: there is no such object.
+        """
+        for name in objects:
+            if name not in self.objects:
+                known = list(self.objects)
+                raise InvalidArgument(
+                    f"{self.path}: no object {name!r}{nearest(name, known)}; `objects` lists them"
+                )
+        return self[np.isin(self._object_ids(), objects)]
+
+    def __fspath__(self) -> str:
+        """Its path, for functions that take a data set's folder: `train`, `verify` and the like.
+
+        Raises:
+            InvalidArgument: it is only some of the instances, which is not what they would see.
+        """
+        whole = sum(entry.instances for entry in self._shelf.entries)
+        if len(self) != whole:
+            raise InvalidArgument(
+                f"{self.path}: these are {len(self):,} of {whole:,} instances; give the whole data "
+                "set, the splits are chosen there"
+            )
+        return str(self.path)
+
+    def __len__(self) -> int:
+        return len(self._where)
+
+    @overload
+    def __getitem__(self, index: int) -> Row: ...
+    @overload
+    def __getitem__(self, index: slice | Sequence[int] | NDArray[Any]) -> "DataSet": ...
+    def __getitem__(self, index: Any) -> Any:
+        """A row for a number; a data set for a slice, numbers, or one bool an instance.
+
+        Raises:
+            IndexError: there is no such instance.
+        """
+        if isinstance(index, slice):
+            return DataSet(self._shelf, self._where[index])
+        at = np.asarray(index)
+        if at.ndim == 1 and (at.dtype.kind in "iub" or not len(at)):
+            return DataSet(self._shelf, self._where[at if len(at) else []])
+        if at.ndim or at.dtype.kind not in "iu":
+            raise TypeError(f"instances are counted by whole numbers, not by {index!r}")
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"{self.path}: no instance {index}, there are {len(self)}")
+        shard, row = self._where[int(index)].tolist()
+        entry, (shapes, about) = self._shelf.entries[shard], self._shelf.about(shard)
+        return Row(
+            partial(self._shelf.read, shard, row),
+            shapes,
+            split=entry.split,
+            category=str(about["category"]),
+        )
+
+    def __iter__(self) -> Iterator[Row]:
+        return (self[i] for i in range(len(self)))
+
+    def batch(
+        self,
+        which: int | Sequence[int] | NDArray[Any],
+        fields: Sequence[str] = DEFAULT_FIELDS,
+        *,
+        points: int | None = None,
+        rng: Rng = None,
+        raw: bool = False,
+    ) -> dict[str, NDArray[Any]]:
+        """Some fields of some instances, each (n, ...).
+
+        Args:
+            which: how many, drawn without repeats; or which, by their numbers.
+            fields: names as in `fields` and docs/format.md.
+            points: so many of the stored points of an instance, drawn without repeats, each as
+                likely as any other; what belongs to the same points (normals, parts, labels)
+                stays with them. None takes all, in the order they are stored in.
+            rng: for what is drawn; the same seed draws the same.
+            raw: leave whole numbers as they are stored. Otherwise points come as float32 in the
+                unit frame, normals and coverage as float32 too. Labels are uint8, all else float64.
+
+        Raises:
+            InvalidArgument: there are fewer instances or points, no such field, or it is not of the
+                same shape in all of these instances, as of objects with unlike numbers of joints.
+            CorruptShard: the bytes fail their checksum.
+        """
+        rng = np.random.default_rng(rng)
+        where, fields = self._drawn(which, rng), list(dict.fromkeys(fields))
+        kinds = [_kind_of_points(name) for name in fields]
+        floats = {name for name in fields if is_scaled(name) and not raw}
+        batch: dict[str, NDArray[Any]] = {}
+        for n, (shard, row) in enumerate(where.tolist()):
+            stored = self._shelf.read(shard, row, fields)
+            if points is not None:
+                stored = _some_of_each(stored, kinds, points, rng)
+                if stored is None:
+                    raise self._too_few(shard, fields, points)
+            for name, array in zip(fields, stored, strict=True):
+                if n == 0:
+                    dtype = np.float32 if name in floats else array.dtype
+                    batch[name] = np.empty((len(where), *array.shape), dtype)
+                if batch[name].shape[1:] != array.shape:
+                    raise self._ragged(name, where[[0, n]])
+                if name in floats:
+                    in_units(name, array, out=batch[name][n])
+                else:
+                    batch[name][n] = array
+        return {name: _as_text(name, array) for name, array in batch.items()}
+
+    def torch(
+        self, *, fields: Sequence[str] = DEFAULT_FIELDS, points: int | None = None
+    ) -> "TorchDataSet":
+        """A map-style torch Dataset of dicts of tensors, for any DataLoader.
+
+        Points are drawn anew each time, by torch's own generator: `torch.manual_seed` decides them,
+        and a DataLoader's workers draw different ones. Points, normals and numbers of joints are
+        float32, labels uint8, `state_index` int64.
+
+        Args:
+            fields, points: see `batch`.
+
+        Raises:
+            MissingExtra: torch is not installed.
+            InvalidArgument: no such field, or fewer points.
+        """
+        from articugen.store.torch_dataset import torch_dataset  # noqa: PLC0415 - torch is optional
+
+        if len(self):
+            self.batch([0], fields, points=points, rng=0)  # what cannot be had is said here
+        return torch_dataset(self, tuple(fields), points)
+
+    def _drawn(self, which: Any, rng: np.random.Generator) -> NDArray[np.int64]:
+        """(n, 2) the places of the instances that a batch asks for."""
+        if isinstance(which, int | np.integer):
+            if not 1 <= which <= len(self):
+                raise InvalidArgument(
+                    f"{self.path}: a batch of {which} different instances out of {len(self)}; ask "
+                    "for fewer, or give their numbers"
+                )
+            which = rng.choice(len(self), int(which), replace=False)
+        where = self[np.asarray(which)]._where
+        if not len(where):
+            raise InvalidArgument(f"{self.path}: a batch of no instances; ask for one at least")
+        return where
+
+    def _too_few(self, shard: int, fields: Sequence[str], points: int) -> InvalidArgument:
+        shapes = self._shelf.about(shard)[0]
+        have = {n: shapes[n][1 + kind[1]] for n in fields if (kind := _kind_of_points(n))}
+        name = min(have, key=lambda name: have[name])
+        return InvalidArgument(
+            f"{self._shelf.entries[shard].path}: {points} points of {name}, which has {have[name]} "
+            "an instance; ask for fewer, or make the data set with more"
+        )
+
+    def _ragged(self, name: str, where: NDArray[np.int64]) -> InvalidArgument:
+        (one, shape), (other, unlike) = (
+            (
+                texts(self._shelf.read(shard, row, ["object_id"])[0]),
+                self._shelf.about(shard)[0][name][1:],
+            )
+            for shard, row in where.tolist()
+        )
+        return InvalidArgument(
+            f"{self.path}: {name} is {shape} in {one} and {unlike} in {other}, which do not stack; "
+            "take objects of like joints with of(...), or read rows one by one"
+        )
+
+    def _object_ids(self) -> list[str]:
+        return [self._shelf.entries[s].object_ids[row] for s, row in self._where.tolist()]
+
+    def _first(self) -> int:
+        if not len(self):
+            raise InvalidArgument(f"{self.path}: these are no instances; take more of them")
+        return int(self._where[0, 0])
+
+    def _attributes(self) -> Mapping[str, Attribute]:
+        return self._shelf.about(self._first())[1]
+
+    def __repr__(self) -> str:
+        if not len(self):
+            return f"DataSet({self.path}: no instances)"
+        per_split = ", ".join(f"{count:,} {split}" for split, count in self.splits.items())
+        objects = f"{len(self.objects)} object{'s' * (len(self.objects) != 1)}"
+        clouds = {stem: self.fields.get(f"{stem}_points", (0,))[:-1] for stem in _CLOUDS}
+        said = [f"{n} {' x '.join(map(str, s))}" for n, s in clouds.items() if s and 0 not in s]
+        grids = [n.removeprefix("occupancy_") for n in self.fields if n.startswith("occupancy_")]
+        said += [f"grids {', '.join(sorted(grids, key=int))}"] if grids else []
+        return (
+            f"DataSet({self.path}: {self.category}, {len(self):,} instances ({per_split}) of "
+            f"{objects}\n  points: {', '.join(said)})"
+        )
+
+    def _repr_html_(self) -> str | None:
+        return self.draw() if self.draw and len(self) else None
+
+
+_CLOUDS = ("surface", "uniform", "near", "partial")
+
+
+def _kind_of_points(name: str) -> tuple[str, int] | None:
+    """The letter that counts a field's points, and the axis of an instance that they are on."""
+    field = schema.field_of(name)
+    letters = enumerate(field.shape[1:] if field else ())
+    return next(((str(s), axis) for axis, s in letters if s in _POINT_SYMBOLS), None)
+
+
+def _some_of_each(
+    stored: Sequence[NDArray[Any]],
+    kinds: Sequence[tuple[str, int] | None],
+    points: int,
+    rng: np.random.Generator,
+) -> list[NDArray[Any]] | None:
+    """Fields of an instance with `points` of each kind of its points; None where it has fewer."""
+    drawn: dict[str, NDArray[np.intp]] = {}
+    chosen: list[NDArray[Any]] = []
+    for array, kind in zip(stored, kinds, strict=True):
+        if kind is None or array.shape[kind[1]] == points:
+            chosen.append(array)
+            continue
+        symbol, axis = kind
+        if not 0 <= points <= array.shape[axis]:
+            return None
+        if symbol not in drawn:
+            drawn[symbol] = _some(array.shape[axis], points, rng)
+        chosen.append(array.take(drawn[symbol], axis))
+    return chosen
+
+
+def _some(there: int, count: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """`count` different numbers below `there`, each as likely as any other.
+
+    Where they divide, one of each run of neighbours: stored points are independent of their order,
+    so that this is as random a sample of the shape, and takes a sixth of the time.
+    """
+    each, rest = divmod(there, max(count, 1))
+    if rest or not count:
+        return rng.choice(there, count, replace=False, shuffle=False)
+    if 256 % each == 0:  # many times faster, and as even
+        return np.arange(0, there, each) + (
+            rng.integers(0, 256, count, np.uint8) & np.uint8(each - 1)
+        )
+    return np.arange(0, there, each) + rng.integers(0, each, count)
+
+
+def _as_text(name: str, array: NDArray[Any]) -> NDArray[Any]:
+    field = schema.field_of(name)
+    return np.char.decode(array, "utf-8") if field and field.dtype == "S" else array
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """A shard of a data set; `object_ids` of its rows."""
+
+    path: Path
+    split: str
+    object_ids: Sequence[str]
+
+    @property
+    def instances(self) -> int:
+        return len(self.object_ids)
+
+
+def _entries(folder: Path, manifest: Manifest) -> Iterator[_Entry]:
+    """As the manifest tells; a shard of one object need not be opened for it."""
+    inside: dict[str, list[Any]] = {}
+    for entry in manifest.objects:
+        inside.setdefault(entry.shard, []).append(entry.key)
+    for shard in manifest.shards:
+        keys = inside[shard.name]
+        if len(keys) == 1:
+            ids = _Same(keys[0].object_id, shard.instances)
+            yield _Entry(folder / shard.name, keys[0].split, ids)
+        else:
+            yield _entry_of(folder / shard.name)
+
+
+class _Same(Sequence[str]):
+    """One text, so many times."""
+
+    def __init__(self, text: str, count: int) -> None:
+        self._text, self._count = text, count
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._text
+
+
+def _entry_of(path: Path) -> _Entry:
+    with open_shard(path) as shard:
+        return _Entry(path, str(shard.attributes["split"]), shard.object_ids())
+
+
+def _shards_in(folder: Path) -> list[Path]:
+    """
+    Raises:
+        CorruptShard: there is none.
+    """
+    if not folder.is_dir():
+        raise CorruptShard(f"{folder}: there is no such shard or folder; make it with generate")
+    shards = sorted(folder.glob("*.h5"))
+    if not shards:
+        inside = sorted(path.parent.name for path in folder.glob(f"*/{MANIFEST_NAME}"))
+        cure = f"open one of: {', '.join(inside)}" if inside else "make one with generate"
+        raise CorruptShard(f"{folder}: holds no shard; {cure}")
+    return shards
+
+
+def _kind(name: str) -> str:
+    """What a field is of: surface, joint, ...; "" for what there is one of in an instance."""
+    field = schema.field_of(name)
+    return name.partition("_")[0] if field and len(field.shape) > 1 and field.shape[1] != 3 else ""
+
+
+class _Handle:
+    """A file that is open for reading until nobody holds this."""
+
+    def __init__(self, path: Path) -> None:
+        self.number = os.open(path, os.O_RDONLY)
+
+    def __del__(self, close: Callable[[int], None] = os.close) -> None:
+        if hasattr(self, "number"):
+            close(self.number)
+
+
+class _Shelf:
+    """The shards of a data set, shared by all that is taken from it."""
+
+    def __init__(self, path: Path, entries: tuple[_Entry, ...], manifest: Manifest | None) -> None:
+        self.path, self.entries, self.manifest = path, entries, manifest
+        self._forget()
+
+    def _forget(self) -> None:
+        self._about: dict[int, tuple[Mapping[str, tuple[int, ...]], Mapping[str, Attribute]]] = {}
+        self._stored: dict[tuple[int, str], Stored] = {}
+        self._seen: dict[int, tuple[int, ...]] = {}
+        self._handles: dict[int, _Handle] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"path": self.path, "entries": self.entries, "manifest": self.manifest}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._forget()
+
+    def about(self, shard: int) -> tuple[Mapping[str, tuple[int, ...]], Mapping[str, Attribute]]:
+        """(N, ...) shapes of the data sets of a shard, and its attributes."""
+        if shard not in self._about:
+            self._learn(shard, ())
+        return self._about[shard]
+
+    def read(self, shard: int, row: int, names: Sequence[str]) -> list[NDArray[Any]]:
+        """Some fields of an instance as they are stored, read-only.
+
+        Raises:
+            InvalidArgument: there is no such field.
+            CorruptShard: damaged, or another shard since it was first read.
+        """
+        if not all((shard, name) in self._stored for name in names):
+            self._learn(shard, names)
+        handle = self._handle(shard)
+        try:
+            return [self._stored[shard, name].row(handle.number, row) for name in names]
+        except (OSError, ValueError) as error:
+            raise machine_fault(error) or CorruptShard(
+                f"{self.entries[shard].path}: damaged ({error}); make it again or fetch it again"
+            ) from error
+
+    def _learn(self, shard: int, names: Iterable[str]) -> None:
+        """Note where the rows of some fields lie, and of those that are mostly read with them."""
+        path = self.entries[shard].path
+        with open_shard(path) as opened:
+            self._about[shard] = (dict(opened.fields), dict(opened.attributes))
+            for name in names:
+                if name not in opened.fields:
+                    known = list(opened.fields)
+                    raise InvalidArgument(
+                        f"{path}: no field {name!r}{nearest(name, known)}; there are: "
+                        f"{', '.join(known)}"
+                    )
+            kinds = set(map(_kind, names))
+            for name in opened.fields:
+                if _kind(name) in kinds:
+                    self._stored[shard, name] = opened.stored(name)
+        if len(opened) != self.entries[shard].instances:
+            raise CorruptShard(f"{path}: not the shard that the manifest tells of; see verify")
+
+    def _handle(self, shard: int) -> _Handle:
+        handle = self._handles.get(shard)
+        if handle is None:
+            path = self.entries[shard].path
+            try:
+                handle = _Handle(path)
+                about = os.fstat(handle.number)
+            except OSError as error:
+                raise machine_fault(error) or CorruptShard(
+                    f"{path}: cannot be opened ({error.strerror})"
+                ) from error
+            seen = (about.st_ino, about.st_size, about.st_mtime_ns)
+            if self._seen.setdefault(shard, seen) != seen:
+                raise CorruptShard(f"{path}: was made again since; open the data set anew")
+            while len(self._handles) >= _OPEN_FILES:
+                self._handles.pop(next(iter(self._handles)), None)
+            self._handles[shard] = handle
+        return handle

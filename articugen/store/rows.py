@@ -1,0 +1,358 @@
+"""One instance as people want it: points in the unit frame, joints with names, field by field.
+
+A `Row` reads a field when it is asked for, and once. `in_units` brings what is stored to floats;
+what docs/format.md calls a label, a part or a name comes as it is.
+"""
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.errors import InvalidArgument
+from articugen.geometry import apply, invert_rigid
+from articugen.records import JointKind
+from articugen.store import schema
+
+Float32 = NDArray[np.float32]
+Floats = NDArray[np.float64]
+Labels = NDArray[np.uint8]
+
+_UNITS = {"1/65535": (1 / 65535, -0.5), "1/127": (1 / 127, 0.0), "1/255": (1 / 255, 0.0)}
+"""For numbers that are stored whole, by the schema's unit: x = stored * step + first."""
+
+
+def is_scaled(name: str) -> bool:
+    """Whether a field is stored in whole numbers that `in_units` makes floats of."""
+    field = schema.field_of(name)
+    return field is not None and field.unit in _UNITS
+
+
+def in_units(name: str, stored: NDArray[Any], out: Float32 | None = None) -> Float32:
+    """What is stored of a field with `is_scaled`, as float32: coordinates in the unit frame,
+    components of normals, shares of a cell. Exact to 6e-8."""
+    field = schema.field_of(name)
+    assert field is not None
+    step, first = _UNITS[field.unit]
+    out = np.multiply(stored, np.float32(step), out=out, dtype=np.float32)
+    return np.add(out, np.float32(first), out=out) if first else out
+
+
+def texts(stored: Any) -> Any:
+    """A text as str, an array of them as a tuple, whatever they are stored as."""
+    if isinstance(stored, np.ndarray):
+        return tuple(map(texts, stored)) if stored.ndim else texts(stored[()])
+    return stored.decode() if isinstance(stored, bytes) else stored
+
+
+@dataclass(frozen=True, eq=False)
+class RowJoint:
+    """A joint of an instance.
+
+    Attributes:
+        name: in the model's file; "" where the shard has none.
+        kind: "revolute" (or continuous) or "prismatic".
+        state: how far from the canonical pose: radians, or lengths of the unit frame.
+        lower, upper: the range that states are sampled from, likewise.
+        axis, pivot: (3,) unit direction, and a point on the axis, as posed, unit frame.
+        parent, part: the part that it hangs on, and the part that it moves.
+    """
+
+    name: str
+    kind: str
+    state: float
+    lower: float
+    upper: float
+    axis: Floats
+    pivot: Floats
+    parent: int
+    part: int
+
+    def __repr__(self) -> str:
+        def said(value: float) -> str:
+            return f"{np.degrees(value):.1f}°" if self.kind == "revolute" else f"{value:.3f}"
+
+        where = f"{said(self.state)} of {said(self.lower)} to {said(self.upper)}"
+        return f"Joint({self.name or 'part ' + str(self.part)!r}, {self.kind}, {where})"
+
+
+@dataclass(frozen=True, eq=False)
+class RowPart:
+    """A part of an instance: the names of its first link, and `motion` (4, 4), the rigid motion
+    from the canonical pose, unit frame."""
+
+    name: str
+    semantic: str
+    motion: Floats
+
+
+class _Group:
+    """Fields whose names begin alike."""
+
+    def __init__(self, row: "Row", stem: str) -> None:
+        self._row, self.stem = row, stem
+
+    def _floats(self, name: str) -> Float32:
+        name = f"{self.stem}_{name}"
+        return in_units(name, self._row.stored(name))
+
+    def _plain(self, name: str) -> NDArray[Any]:
+        return self._row.stored(f"{self.stem}_{name}")
+
+    @cached_property
+    def points(self) -> Float32:
+        """(..., 3) float32, unit frame."""
+        return self._floats("points")
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(points {_span(self.points)})"
+
+
+class RowSurface(_Group):
+    """Surface points: `points` (S, 3) float32, unit frame, uniform by area; their `normals` (S, 3)
+    float32, outward, of unit length to 0.7 %; the `part` (S,) each belongs to."""
+
+    @cached_property
+    def normals(self) -> Float32:
+        return self._floats("normals")
+
+    @property
+    def part(self) -> Labels:
+        return self._plain("part")
+
+
+class RowQueries(_Group):
+    """Query points: `points` (U, 3) float32, unit frame; `label` (U,) uint8: 0 free, k + 1 material
+    of part k, 255 enclosed."""
+
+    @property
+    def label(self) -> Labels:
+        return self._plain("label")
+
+
+class RowPartial(_Group):
+    """What C depth cameras see: `points` (C, M, 3) float32, unit frame; the `part` (C, M) of each;
+    `T_camera_world` (C, 4, 4) from the unit frame to the camera's; `intrinsics` (C, 4): fx, fy, cx,
+    cy in pixels."""
+
+    @property
+    def part(self) -> Labels:
+        return self._plain("part")
+
+    @property
+    def T_camera_world(self) -> Floats:  # noqa: N802 - T_a_b is a name here
+        return self._plain("T_camera_world")
+
+    @property
+    def intrinsics(self) -> Floats:
+        return self._plain("intrinsics")
+
+
+class RowGrids(Mapping[int, NDArray[Any]]):
+    """Grids by their resolution, read when asked for: (R, R, R), indexed [x, y, z]."""
+
+    def __init__(self, row: "Row", stem: str) -> None:
+        self._row, self._stem = row, stem
+        names = (name for name in row.fields if name.rpartition("_")[0] == stem)
+        self._resolutions = sorted(map(schema.resolution_of, names))
+
+    def __getitem__(self, resolution: int) -> NDArray[Any]:
+        if resolution not in self._resolutions:
+            there = ", ".join(map(str, self._resolutions)) or "none"
+            raise KeyError(f"no {self._stem} grid of {resolution}; there are: {there}")
+        name = f"{self._stem}_{resolution}"
+        stored = self._row.stored(name)
+        return in_units(name, stored) if is_scaled(name) else stored
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._resolutions)
+
+    def __len__(self) -> int:
+        return len(self._resolutions)
+
+    def __repr__(self) -> str:
+        return f"Grids({', '.join(f'{r}³' for r in self)})"
+
+
+class Row:
+    """One object at one joint state. Lengths are in the unit frame; see docs/format.md.
+
+    Attributes:
+        fields: the names of what is stored of it.
+        split: "train" or "test"; "" where it is in no data set.
+        category: what it is, "laptop" say.
+    """
+
+    draw: ClassVar[Callable[["Row"], str] | None] = None
+    """Makes HTML of a row for a notebook; `articugen.notebook`, which may draw, puts it here."""
+
+    def __init__(
+        self,
+        read: Callable[[Sequence[str]], Sequence[Any]],
+        fields: Collection[str],
+        *,
+        split: str = "",
+        category: str = "",
+    ) -> None:
+        """
+        Args:
+            read: gives what is stored of several fields; called once for each field.
+        """
+        self._read = read
+        self._known: dict[str, Any] = {}
+        self.fields = tuple(sorted(fields))
+        self.split, self.category = split, category
+
+    def stored(self, name: str) -> Any:
+        """A field as it is stored: an array, read-only, or text; see docs/format.md.
+
+        Raises:
+            InvalidArgument: there is no such field.
+            CorruptShard: the bytes fail their checksum.
+        """
+        if name not in self.fields:
+            raise InvalidArgument(
+                f"{self.object_id}: no field {name!r} is stored; there are: "
+                f"{', '.join(self.fields)}"
+            )
+        if name not in self._known:
+            self._learn([name])
+        return self._known[name]
+
+    def _learn(self, names: Sequence[str]) -> None:
+        left = [name for name in names if name in self.fields and name not in self._known]
+        for name, value in zip(left, self._read(left) if left else (), strict=True):
+            field = schema.field_of(name)
+            self._known[name] = texts(value) if field and field.dtype == "S" else value
+
+    @property
+    def object_id(self) -> str:
+        return self._one("object_id")
+
+    @property
+    def state_index(self) -> int:
+        """0 is the canonical pose."""
+        return int(self._one("state_index"))
+
+    @property
+    def center(self) -> Floats:
+        """(3,) metres: x_world = x_unit * scale + center."""
+        return self._one("center")
+
+    @property
+    def scale(self) -> float:
+        """Metres that the unit frame's unit is long."""
+        return float(self._one("scale"))
+
+    def _one(self, name: str) -> Any:
+        self._learn([name])
+        return self._known[name]
+
+    def to_metres(self, points: NDArray[Any]) -> Floats:
+        """Unit-frame points (..., 3) in the model's own frame, metres."""
+        return np.asarray(points, np.float64) * self.scale + self.center
+
+    @cached_property
+    def surface(self) -> RowSurface:
+        return RowSurface(self, "surface")
+
+    @cached_property
+    def uniform(self) -> RowQueries:
+        """Points uniform in the unit cube, with labels."""
+        return RowQueries(self, "uniform")
+
+    @cached_property
+    def near(self) -> RowQueries:
+        """Points near the surface, with labels."""
+        return RowQueries(self, "near")
+
+    @cached_property
+    def partial(self) -> RowPartial:
+        return RowPartial(self, "partial")
+
+    @cached_property
+    def grids(self) -> RowGrids:
+        """Labels at voxel centres by resolution: `row.grids[64]` (64, 64, 64) uint8."""
+        return RowGrids(self, "occupancy")
+
+    @cached_property
+    def coverage(self) -> RowGrids:
+        """The share of each voxel that is inside, float32 in [0, 1], by resolution."""
+        return RowGrids(self, "coverage")
+
+    @cached_property
+    def joints(self) -> tuple[RowJoint, ...]:
+        """Joint j moves part j + 1."""
+        names = ("name", "kind", "state", "lower", "upper", "axis", "pivot", "parent")
+        self._learn([f"joint_{name}" for name in names])
+        each: dict[str, Any] = {name: self._known.get(f"joint_{name}") for name in names}
+        each["name"] = each["name"] or ("",) * len(each["kind"])
+        return tuple(
+            RowJoint(
+                name=each["name"][j],
+                kind=str(JointKind(kind)),
+                state=float(each["state"][j]),
+                lower=float(each["lower"][j]),
+                upper=float(each["upper"][j]),
+                axis=each["axis"][j],
+                pivot=each["pivot"][j],
+                parent=int(each["parent"][j]),
+                part=j + 1,
+            )
+            for j, kind in enumerate(each["kind"])
+        )
+
+    @cached_property
+    def parts(self) -> tuple[RowPart, ...]:
+        """Part 0 is the fixed one."""
+        self._learn(["part_motion", "part_name", "part_semantic"])
+        motion = self._known["part_motion"]
+        none = ("",) * len(motion)
+        named = (self._known.get(f"part_{name}") or none for name in ("name", "semantic"))
+        return tuple(map(RowPart, *named, motion))
+
+    def flow_to(self, other: "Row") -> Float32:
+        """(S, 3) float32: where each of its surface points moves to when the object takes the joint
+        state of `other`, less where it is; unit frame.
+
+        Raises:
+            InvalidArgument: `other` is of another object or in another unit frame.
+        """
+        same_frame = self.scale == other.scale and np.array_equal(self.center, other.center)
+        if self.object_id != other.object_id or not same_frame:
+            raise InvalidArgument(
+                f"{self.object_id} does not flow to {other.object_id}: they are not one object in "
+                "one unit frame; take both from one data set, or from one Maker"
+            )
+        back, forth = (np.stack([p.motion for p in row.parts]) for row in (self, other))
+        points, part = np.asarray(self.surface.points, np.float64), self.surface.part
+        flow = np.zeros_like(points)
+        for k, (T_own, T_other) in enumerate(zip(invert_rigid(back), forth, strict=True)):
+            mine = part == k
+            flow[mine] = apply(T_other, apply(T_own, points[mine])) - points[mine]
+        return flow.astype(np.float32)
+
+    def __repr__(self) -> str:
+        split = f", {self.split}" if self.split else ""
+        head = f"{type(self).__name__}({self.object_id} [{self.state_index}]{split})"
+        clouds = [g for g in (self.surface, self.uniform, self.near) if len(g)]
+        lines = [f"  {group.stem:8} {_span(group.points)}" for group in clouds]
+        return "\n".join([head, *(f"  {joint!r}" for joint in self.joints), *lines])
+
+    def _repr_html_(self) -> str | None:
+        return self.draw() if self.draw else None
+
+
+def _span(points: Float32) -> str:
+    """Shape and box of points: (8192, 3) in [-0.45, 0.45] x [...] x [...]."""
+    flat = points.reshape(-1, 3)
+    if not len(flat):
+        return f"{points.shape}"
+    ends = zip(flat.min(axis=0), flat.max(axis=0), strict=True)
+    return f"{points.shape} in " + " x ".join(f"[{low:.2f}, {high:.2f}]" for low, high in ends)

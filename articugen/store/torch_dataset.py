@@ -1,0 +1,70 @@
+"""A data set for torch's DataLoader: the only file of the store that imports torch."""
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.errors import MissingExtra
+
+try:
+    import torch
+    from torch.utils.data import Dataset
+except ImportError:
+    raise MissingExtra("torch", "ppd") from None
+
+Sample = dict[str, Any]
+
+
+class Batches(Protocol):
+    """What batches come from: a `store.dataset.DataSet`."""
+
+    def __len__(self) -> int: ...
+    def batch(
+        self, which: Any, fields: Sequence[str], *, points: int | None, rng: Any
+    ) -> dict[str, NDArray[Any]]: ...
+
+
+class TorchDataSet(Dataset):
+    """Instances as dicts of tensors; see `DataSet.torch`. It can be sent to worker processes."""
+
+    def __init__(self, data: Batches, fields: tuple[str, ...], points: int | None) -> None:
+        self.data, self.fields, self.points = data, fields, points
+
+    def __len__(self) -> int:
+        return len(self.data)
+
+    def __getitem__(self, index: int) -> Sample:
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"no instance {index}, there are {len(self)}")
+        return self.__getitems__([index])[0]
+
+    def __getitems__(self, indices: Sequence[int]) -> list[Sample]:
+        """Several at once, as a DataLoader asks for them."""
+        seed = int(torch.randint(2**62, ()))
+        batch = self.data.batch(indices, self.fields, points=self.points, rng=seed)
+        tensors = {name: _tensor(array) for name, array in batch.items()}
+        return [{name: array[n] for name, array in tensors.items()} for n in range(len(indices))]
+
+    def __repr__(self) -> str:
+        points = "all" if self.points is None else self.points
+        return f"TorchDataSet({len(self):,} instances, {', '.join(self.fields)}, {points} points)"
+
+
+def torch_dataset(data: Batches, fields: tuple[str, ...], points: int | None) -> TorchDataSet:
+    """The instances of `data`; fields and points as in `DataSet.batch`."""
+    return TorchDataSet(data, fields, points)
+
+
+def _tensor(array: NDArray[Any]) -> Any:
+    """Torch's like of an array; of text, which it has none for, the array's lists."""
+    if array.dtype.kind == "U":
+        return array.tolist()
+    if array.dtype == np.float64:
+        return torch.from_numpy(array.astype(np.float32))
+    return torch.from_numpy(array if array.dtype.itemsize == 1 else _known(array))
+
+
+def _known(array: NDArray[Any]) -> NDArray[Any]:
+    return array.astype(np.int64) if array.dtype.kind == "u" else array

@@ -1,0 +1,132 @@
+"""README's lines run as they stand there, in a folder that has what they name; the functions."""
+
+import inspect
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from instances import SMALL
+from ppd_data import write_boxes
+from test_maker import CABINET, TINY
+
+import articugen as ag
+from articugen.errors import ArticugenError, InvalidArgument
+from articugen.recipe import Sampling
+
+README = Path(__file__).parents[1] / "README.md"
+
+TRAINING = {
+    "extends": "ppd_quick",
+    "data": {"surface_points": 256, "uniform_points": 128, "near_points": 128,
+             "validation_objects": 1},
+    "schedule": {"batch": 3, "stages": [{"resolution": 16, "iterations": 3}], "validate_every": 3},
+    "seeds": {"count": 1, "halve_at": []},
+}  # fmt: skip
+
+
+def readme_blocks() -> list[str]:
+    """The Python of README's section "From Python"."""
+    section = README.read_text(encoding="utf-8").partition("\n## From Python\n")[2]
+    return re.findall(r"```python\n(.*?)```", section.partition("\n## ")[0], re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What README names: data/laptop, though its objects are boxes, and models of one's own."""
+    folder = tmp_path_factory.mktemp("home")
+    sampling = Sampling(grids=(8, 16, 32), partial_views=1, partial_resolution=64)
+    recipe = SMALL.model_copy(update={"sampling": sampling})
+    write_boxes(folder / "data" / "laptop", train=6, test=1, category="laptop", recipe=recipe)
+    (folder / "my" / "urdfs").mkdir(parents=True)
+    for name in ("cabinet.urdf", "urdfs/first.urdf"):
+        (folder / "my" / name).write_text(CABINET)
+    return folder
+
+
+def test_the_lines_of_the_readme_run(folder, monkeypatch):
+    pytest.importorskip("torch", reason="one of the lines needs torch")
+    monkeypatch.chdir(folder)
+    for module in ("pipeline", "verify.check"):  # to start workers takes longer than the work
+        monkeypatch.setattr(f"articugen.{module}.default_jobs", lambda: 0)
+    first, second = readme_blocks()
+    names: dict[str, object] = {}
+    exec(compile(first, "README.md", "exec"), names)
+    assert names["row"].surface.points.shape == (8192, 3)
+    assert names["batch"]["surface_points"].shape == (16, 8192, 3)
+    assert names["loader"][0]["surface_part"].shape == (4096,)
+    assert names["labels"].shape == (8192,)
+    assert names["flow"].shape == (8192, 3)
+    assert (folder / "door.ply").stat().st_size > 1000
+    made = ag.open("data/cabinet")
+    assert (len(made), made.objects) == (11, ("first",))
+    assert made.recipe.views.count == 50
+    names["ag"] = _TrainsBriefly()
+    exec(compile(second, "README.md", "exec"), names)
+
+
+class _TrainsBriefly:
+    """`articugen`, but what README trains in minutes takes three iterations."""
+
+    def train(self, data, recipe):
+        assert recipe == "ppd_quick"
+        return ag.train(data, recipe=TRAINING)
+
+    def evaluate(self, run, data):
+        result = ag.evaluate(run, data, resolution=8, states=1)
+        assert (result.objects, result.instances) == (1, 2)
+
+
+def test_functions_say_what_they_take():
+    for function, words in (
+        (ag.generate, ("category", "source", "out", "recipe", "seed", "jobs")),
+        (ag.open, ("path",)),
+        (ag.load, ("source", "object_id", "category")),
+        (ag.Maker, ("obj", "recipe", "seed")),
+    ):
+        assert set(words) <= set(inspect.signature(function).parameters)
+        assert inspect.getdoc(function)
+
+
+def test_generate_goes_on_replaces_and_refuses(folder, tmp_path):
+    models = shutil.copytree(folder / "my" / "urdfs", tmp_path / "models")
+    (models / "second.urdf").write_text(CABINET)
+
+    def make(states=0, **options):
+        recipe = TINY | {"articulation": {"states": states}}
+        return ag.generate("cabinet", models, tmp_path, recipe, jobs=0, **options)
+
+    told = []
+    data = make(tell=told.append, ids=["first"])
+    assert ([report.reused for report in told], data.objects) == ([False], ("first",))
+    told.clear()
+    assert len(make(tell=told.append)) == 2
+    assert [(report.object_id, report.reused) for report in told] == [
+        ("first", True), ("second", False)]  # fmt: skip
+    with pytest.raises(ArticugenError, match=r"recipe has changed.*or pass replace=True"):
+        make(states=1)
+    assert len(make(states=1, replace=True)) == 4
+    report = ag.verify(tmp_path / "cabinet", replay=1, jobs=1)
+    assert report.ok
+    assert repr(report) == "Report(ok: 2 shards, 4 instances)"
+    assert ag.verify(ag.open(tmp_path / "cabinet"), jobs=1).ok
+    shard = ag.open(tmp_path / "cabinet").shards[0]
+    shutil.copy(shard, shard.with_name("train-00009.h5"))
+    report = ag.verify(tmp_path / "cabinet", jobs=1)
+    assert not report.ok
+    assert "Report(1 finding: " in repr(report)
+    assert "train-00009.h5" in repr(report)
+    with pytest.raises(InvalidArgument, match="'all' means 5 data sets"):
+        ag.generate("all", out=tmp_path)
+
+
+def test_what_was_made_is_where_its_model_is(folder, tmp_path):
+    """A data set, a maker and the model's own frame agree about one object."""
+    data = ag.generate("cabinet", folder / "my" / "urdfs", tmp_path, TINY, jobs=0, ids=["first"])
+    maker = ag.Maker(ag.load(folder / "my" / "urdfs", "first", category="cabinet"), TINY)
+    row = data[1]
+    made = maker.at({name: value for name, value in maker[1].state.items() if name != "lock"})
+    np.testing.assert_allclose(made.parts[1].motion, row.parts[1].motion, atol=1e-12)
+    np.testing.assert_array_equal(made.labels(row.uniform.points), row.uniform.label)
+    assert np.abs(row.flow_to(made)).max() < 1e-6
