@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from articugen.geometry import apply
 from articugen.portable import turned
+from articugen.store.schema import FIELDS, Field, written_shape
 
 Floats = NDArray[np.float64]
 
@@ -438,31 +439,10 @@ class Instance:
 
     def __post_init__(self) -> None:
         J = len(self.joint_kind)
-        S, U, N = len(self.surface_points), len(self.uniform_points), len(self.near_points)
-        C, M = self.partial_points.shape[:2]
-        _freeze(
-            self,
-            center=(np.float64, (3,)),
-            joint_kind=(np.uint8, (J,)),
-            joint_parent=(np.uint8, (J,)),
-            joint_state=(np.float64, (J,)),
-            joint_lower=(np.float64, (J,)),
-            joint_upper=(np.float64, (J,)),
-            joint_axis=(np.float64, (J, 3)),
-            joint_pivot=(np.float64, (J, 3)),
-            part_motion=(np.float64, (J + 1, 4, 4)),
-            surface_points=(np.uint16, (S, 3)),
-            surface_normals=(np.int8, (S, 3)),
-            surface_part=(np.uint8, (S,)),
-            uniform_points=(np.uint16, (U, 3)),
-            uniform_label=(np.uint8, (U,)),
-            near_points=(np.uint16, (N, 3)),
-            near_label=(np.uint8, (N,)),
-            partial_points=(np.uint16, (C, M, 3)),
-            partial_part=(np.uint8, (C, M)),
-            partial_T_camera_world=(np.float64, (C, 4, 4)),
-            partial_intrinsics=(np.float64, (C, 4)),
-        )
+        known = {"N": 1, "J": J, "P": J + 1}
+        for described in FIELDS:
+            if not described.is_grid and described.dtype != "S" and described.shape != ("N",):
+                self._freeze_as(described, known)
         for name in GRIDS:
             for resolution, grid in getattr(self, name).items():
                 if grid.shape != (resolution,) * 3 or grid.dtype != np.uint8:
@@ -471,6 +451,18 @@ class Instance:
             texts = getattr(self, name)
             if texts is not None and len(texts) != count:
                 raise ValueError(f"Instance.{name}: {len(texts)} names, not {count}")
+
+    def _freeze_as(self, described: Field, known: dict[str, int]) -> None:
+        """Set an array read-only, as the schema describes it, if it is there."""
+        given = getattr(self, described.name)
+        if given is None and described.optional:
+            return
+        array = np.array(given, described.dtype, order="C")
+        if not described.fits(described.name, (1, *array.shape), known):
+            wanted = f"{written_shape(described)} with {known}"
+            raise ValueError(f"Instance.{described.name}: shape {(1, *array.shape)}, not {wanted}")
+        array.flags.writeable = False
+        object.__setattr__(self, described.name, array)
 
     def arrays(self) -> dict[str, Any]:
         """Every field that it has, by its name in a shard; grids as `occupancy_<resolution>`."""

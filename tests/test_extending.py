@@ -1,7 +1,8 @@
 """The snippets of docs/extending.md do what the page says: each section in a folder of its own.
 
-A block ```python title="name.py" is written to that file; any other ```python block is executed, in
-order, all blocks of a section in one process.
+A block ```python title="name.py" is written to that file; a block ```diff title="articugen/name.py"
+changes that file of a copy of the package; any other ```python block is executed, in order, all
+blocks of a section in one process.
 """
 
 import os
@@ -12,9 +13,12 @@ from pathlib import Path
 
 import pytest
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "extending.md"
+import articugen
 
-_BLOCK = re.compile(r'^```python(?: title="([^"]+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
+PACKAGE = Path(articugen.__file__).parent
+PAGE = PACKAGE.parent / "docs" / "extending.md"
+
+_BLOCK = re.compile(r'^```(python|diff)(?: title="([^"]+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
 
 
 def sections() -> dict[str, str]:
@@ -22,21 +26,54 @@ def sections() -> dict[str, str]:
     return {title: text for title, _, text in (part.partition("\n") for part in parts)}
 
 
+def package_in(folder: Path) -> None:
+    """The package, as links: kernels that are compiled already serve it as well."""
+    (folder / "articugen").mkdir(exist_ok=True)
+    for path in PACKAGE.iterdir():
+        link = folder / "articugen" / path.name
+        if path.name == "store":  # its files may be changed, too
+            link.mkdir()
+            for inner in path.glob("*.py"):
+                (link / inner.name).symlink_to(inner)
+        else:
+            link.symlink_to(path)
+
+
+def change(path: Path, hunk: str) -> None:
+    """Apply one block of a diff: its lines lie together in the file, once."""
+    lines = [line for line in hunk.splitlines() if not line.startswith("@@")]
+    before, after = (
+        "".join(line[1:] + "\n" for line in lines if line[:1] in (" ", sign)) for sign in "-+"
+    )
+    text = path.read_text(encoding="utf-8")
+    assert text.count(before) == 1, f"{path.name} has not, or not once:\n{before}"
+    path.unlink()  # which may be a link
+    path.write_text(text.replace(before, after), encoding="utf-8")
+
+
 @pytest.mark.parametrize("title", sections())
 def test_the_snippets_of_a_section_run(title: str, tmp_path: Path) -> None:
+    if title == "A learner":
+        pytest.importorskip("torch", reason="learners need torch")
     blocks = _BLOCK.findall(sections()[title])
     assert blocks, "a section without a snippet shows nothing"
-    for name, code in blocks:
-        if name:
+    if any(kind == "diff" for kind, *_ in blocks):
+        package_in(tmp_path)
+    for kind, name, code in blocks:
+        if kind == "diff":
+            change(tmp_path / name, code)
+        elif name:
             path = tmp_path / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(code, encoding="utf-8")
     script = tmp_path / "page.py"
-    script.write_text("\n".join(code for name, code in blocks if not name), encoding="utf-8")
+    run = [code for kind, name, code in blocks if kind == "python" and not name]
+    script.write_text("\n".join(run), encoding="utf-8")
+    environment = {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(PACKAGE.parent), *sys.path])}
     done = subprocess.run(
-        [sys.executable, "-W", "error", script.name],
+        [sys.executable, "-B", "-W", "error", script.name],
         cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        env={**os.environ, **environment},
         capture_output=True,
         text=True,
         check=False,

@@ -46,7 +46,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "portable": set(),
     "seeding": set(),
     "geometry": {"portable"},
-    "records": {"geometry", "portable"},
+    "records": {"geometry", "portable", "store.schema"},
     "model_text": set(),
     "marching_cubes": {"records"},
     "recipe_files": {"bundled", "errors", "store.files"},
