@@ -9,19 +9,63 @@ from articugen import pipeline
 from articugen.errors import ArticugenError, InvalidArgument
 from articugen.pipeline import Job, ObjectReport
 from articugen.recipe import Recipe, load_recipe
+from articugen.recipe_files import with_settings
 from articugen.sources import registry
 from articugen.store.dataset import DataSet
 from articugen.store.dataset import open as open_data_set
 
 Folder = str | os.PathLike[str]
+RecipeLike = str | Path | Mapping[str, Any] | Recipe | None
+
+
+def jobs_of(
+    categories: Sequence[str],
+    source: Folder,
+    out: Folder,
+    recipe: RecipeLike,
+    *,
+    changes: Sequence[str] = (),
+    seed: int = 0,
+    objects: int | None = None,
+    ids: Sequence[str] = (),
+    exclude: Sequence[str] = (),
+    states: int | None = None,
+    movable: Sequence[str] = (),
+    canonical: str | None = None,
+    max_rejected: float | None = None,
+    jobs: int | None = None,
+) -> list[Job]:
+    """The data sets that are asked for, one a category; see `generate` for what each means.
+
+    Raises:
+        ArticugenError: no such source, category, object or recipe.
+    """
+    source = os.fspath(source)
+    names = registry.categories(source, categories)
+    return [
+        Job(
+            source=source,
+            category=name,
+            recipe=with_settings(load_recipe(recipe, name), changes)
+            .with_counts(objects=objects, states=states, max_rejected=max_rejected)
+            .with_articulation(movable=movable, canonical=canonical),
+            seed=seed,
+            out=Path(out) / name,
+            jobs=pipeline.default_jobs() if jobs is None else jobs,
+            ids=own,
+            exclude=out_of,
+        )
+        for name, (own, out_of) in registry.share_out(source, names, ids, exclude).items()
+    ]
 
 
 def generate(
     category: str,
     source: Folder = "procedural",
     out: Folder = "data",
-    recipe: str | Path | Mapping[str, Any] | Recipe | None = None,
+    recipe: RecipeLike = None,
     *,
+    changes: Sequence[str] = (),
     seed: int = 0,
     objects: int | None = None,
     ids: Sequence[str] = (),
@@ -41,6 +85,7 @@ def generate(
         source: a source's name, or a folder of models.
         out: the data set goes to the folder <out>/<category>.
         recipe: a name, a path, the keys of a recipe, or None for the category's own.
+        changes: other values than the recipe's, each `section.key=value`.
         seed: the master seed; 0 is one like any other.
         objects, states: so many, instead of the recipe's number.
         ids, exclude: these objects alone; but not these.
@@ -55,24 +100,14 @@ def generate(
             more were rejected than the recipe allows.
         KeyboardInterrupt: finished objects are kept; the same call goes on after them.
     """
-    source = os.fspath(source)
-    names = registry.categories(source, [category])
-    if len(names) != 1:
-        raise InvalidArgument(
-            f"{category!r} means {len(names)} data sets; make one after the other"
-        )
-    job = Job(
-        source=source,
-        category=names[0],
-        recipe=load_recipe(recipe, names[0])
-        .with_counts(objects=objects, states=states, max_rejected=max_rejected)
-        .with_articulation(movable=movable, canonical=canonical),
-        seed=seed,
-        out=Path(out) / names[0],
-        jobs=pipeline.default_jobs() if jobs is None else jobs,
-        ids=tuple(ids),
-        exclude=tuple(exclude),
-    )
+    todo = jobs_of(
+        [category], source, out, recipe,
+        changes=changes, seed=seed, objects=objects, ids=ids, exclude=exclude, states=states,
+        movable=movable, canonical=canonical, max_rejected=max_rejected, jobs=jobs,
+    )  # fmt: skip
+    if len(todo) != 1:
+        raise InvalidArgument(f"{category!r} means {len(todo)} data sets; make one after the other")
+    (job,) = todo
     with pipeline.started(job) as run:
         if run.plan.conflict and not replace:
             raise ArticugenError(f"{run.plan.conflict}, or pass replace=True")

@@ -95,13 +95,14 @@ MAY_IMPORT: dict[str, set[str]] = {
     "verify.check": {"pipeline", "verify"},
     "inspection": VOCABULARY | {"store", "rendering"},
     "learning": VOCABULARY
-    | {"store", "inspection", "marching_cubes", "workers", "model_text", "ply"},
+    | {"store", "inspection", "marching_cubes", "workers", "model_text", "plugins", "ply"},
     "learning.evaluation": VOCABULARY | {"store", "inspection"},
     # the door, for notebooks
     "maker": VOCABULARY | STAGES | {"instance", "mesh_file", "store.rows"},
     "notebook": VOCABULARY | {"store", "inspection"},
     "api": VOCABULARY | {"pipeline", "sources", "store"},
     "cli": {
+        "api",
         "compiling",
         "errors",
         "records",

@@ -7,8 +7,9 @@ import pytest
 from ppd_data import write_boxes
 from typer.testing import CliRunner
 
+from articugen import plugins
 from articugen.cli import app
-from articugen.errors import ArticugenError, InvalidCheckpoint, InvalidRecipe
+from articugen.errors import ArticugenError, BrokenPlugin, InvalidCheckpoint, InvalidRecipe
 from articugen.learning.method import find_method, load_recipe, method_names
 
 torch = pytest.importorskip("torch", reason="learning needs torch")
@@ -48,6 +49,9 @@ def installed(tmp_path, monkeypatch):
     )
     monkeypatch.syspath_prepend(str(about.parent))
     (tmp_path / "mine.yaml").write_text(RECIPE)
+    plugins.forget()
+    yield
+    plugins.forget()
 
 
 def articugen(*arguments: object) -> str:
@@ -63,7 +67,7 @@ def test_a_method_of_another_package_is_found_by_its_entry_point(tmp_path):
     assert load_recipe().name == "ppd_quick"
     with pytest.raises(InvalidRecipe, match="no method 'nearst'; did you mean 'nearest'"):
         find_method("nearst")
-    with pytest.raises(InvalidRecipe, match=r"method broken: .* cannot be imported"):
+    with pytest.raises(BrokenPlugin, match=r"package nearest: .*'broken' .* cannot be loaded"):
         find_method("broken")
     with pytest.raises(InvalidRecipe, match=r"mine\.yaml: is of method nearest, not ppd"):
         load_recipe(tmp_path / "mine.yaml", method="ppd")

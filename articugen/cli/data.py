@@ -220,28 +220,14 @@ def generate(
 ) -> None:
     """Make a data set, or what is missing of it: run it again to resume."""
     with _said_in_one_sentence(_KEPT):
-        from articugen import pipeline
-        from articugen.recipe import load_recipe
-        from articugen.recipe_files import with_settings
-        from articugen.sources import registry
+        from articugen.api import jobs_of
 
-        names = registry.categories(source, category)
-        shares = registry.share_out(source, names, _listed(ids), _listed(exclude))
-        todo = [
-            pipeline.Job(
-                source=source,
-                category=name,
-                recipe=with_settings(load_recipe(recipe, name), settings or ())
-                .with_counts(objects=objects, states=states, max_rejected=max_rejected)
-                .with_articulation(movable=_listed(movable), canonical=canonical),
-                seed=seed,
-                out=folder / name,
-                jobs=pipeline.default_jobs() if jobs is None else jobs,
-                ids=own,
-                exclude=out_of,
-            )
-            for name, (own, out_of) in shares.items()
-        ]
+        todo = jobs_of(
+            category, source, folder, recipe,
+            changes=settings or (), seed=seed, objects=objects, ids=_listed(ids),
+            exclude=_listed(exclude), states=states, movable=_listed(movable), canonical=canonical,
+            max_rejected=max_rejected, jobs=jobs,
+        )  # fmt: skip
     make = _made if len(todo) == 1 else _made_each
     status = make(*todo, dry_run=dry_run, replace=replace)
     if status:

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from articugen.errors import ArticugenError, InvalidRecipe
 from articugen.learning.recipe import TrainRecipe
+from articugen.plugins import Group
 from articugen.recipe_files import find, nearest, resolved, resolved_mapping, validated
 
 if TYPE_CHECKING:
@@ -27,12 +28,12 @@ if TYPE_CHECKING:
     from articugen.learning.evaluation.results import Evaluation
     from articugen.records import Floats
 
-GROUP = "articugen.methods"
-
 METHODS = {"ppd": "articugen.learning.ppd.method:PPD_METHOD"}
 """Ours by name; those of other packages are found by their entry points."""
 
 DEFAULT = "ppd"
+
+_OTHERS = Group("articugen.methods", needs=("name", "recipe", "Settings", "start"))
 
 Terms = dict[str, "torch.Tensor"]
 """What an iteration minimised: scalars by name, weighted."""
@@ -145,31 +146,25 @@ class Method(Protocol):
 
 def method_names() -> list[str]:
     """All there are."""
-    return sorted(METHODS | {entry.name: "" for entry in entry_points(group=GROUP)})
+    return sorted((*METHODS, *_OTHERS.names(tuple(METHODS))))
 
 
 def find_method(name: str) -> Method:
     """The method `name`.
 
     Raises:
-        InvalidRecipe: there is none, or it cannot be imported.
+        InvalidRecipe: there is none.
         MissingExtra: it needs a library that is not installed.
+        BrokenPlugin: it is another package's and cannot be used.
     """
-    if name in METHODS:
-        entry = EntryPoint(name, METHODS[name], GROUP)
-    else:
-        entry = next(iter(entry_points(group=GROUP, name=name)), None)
-    if entry is None:
-        names = method_names()
+    names = method_names()
+    if name not in names:
         raise InvalidRecipe(
             f"no method {name!r}{nearest(name, names)}; there are: {', '.join(names)}"
         )
-    try:
-        return entry.load()
-    except (ImportError, AttributeError) as error:
-        raise InvalidRecipe(
-            f"method {name}: {entry.value} cannot be imported ({error}); install it again"
-        ) from None
+    if name in METHODS:
+        return EntryPoint(name, METHODS[name], _OTHERS.name).load()
+    return _OTHERS.load(name)
 
 
 def load_recipe(
