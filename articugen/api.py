@@ -76,7 +76,7 @@ def generate(
     max_rejected: float | None = None,
     jobs: int | None = None,
     replace: bool = False,
-    tell: Callable[[ObjectReport], None] = lambda _: None,
+    on_object: Callable[[ObjectReport], None] = lambda _: None,
 ) -> DataSet:
     """Make a data set, or what is missing of it, and open it.
 
@@ -93,7 +93,7 @@ def generate(
         max_rejected: the recipe's max_rejected_fraction.
         jobs: worker processes, None for all cores; 0 works in this process, without limits.
         replace: whether data that was made in another way may be replaced.
-        tell: called for each object, those that were there already first.
+        on_object: called for each object, those that were there already first.
 
     Raises:
         ArticugenError: no such source, category or recipe; other data is there; objects failed, or
@@ -111,7 +111,7 @@ def generate(
     with pipeline.started(job) as run:
         if run.plan.conflict and not replace:
             raise ArticugenError(f"{run.plan.conflict}, or pass replace=True")
-        manifest = run.finish(tell)
+        manifest = run.finish(on_object)
     if manifest.shortfall:
         first = (*manifest.failed, *manifest.rejected, *manifest.skipped)[0]
         raise ArticugenError(f"{job.out}: {manifest.shortfall}; the first, {first.sentence}")

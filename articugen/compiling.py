@@ -92,7 +92,7 @@ def _folder() -> Path:
 
 def _processor() -> tuple[str, str]:
     """For which numba compiles."""
-    told = os.environ.get("NUMBA_CPU_NAME"), os.environ.get("NUMBA_CPU_FEATURES")
-    if None not in told:
-        return str(told[0]), str(told[1])
+    asked = os.environ.get("NUMBA_CPU_NAME"), os.environ.get("NUMBA_CPU_FEATURES")
+    if None not in asked:
+        return str(asked[0]), str(asked[1])
     return llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()

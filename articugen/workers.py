@@ -142,7 +142,7 @@ def serve(handle: int, parent: int) -> None:
             while True:
                 pipe.send(_answer(function, pipe.recv()))
         except (EOFError, OSError, MemoryError):
-            os._exit(1)  # nobody is there to be told
+            os._exit(1)  # nobody is there to be answered
 
 
 def _answer(function: Callable[[Any], Any], task: Any) -> tuple[str, Any]:

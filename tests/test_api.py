@@ -98,10 +98,10 @@ def test_generate_goes_on_replaces_and_refuses(folder, tmp_path):
         return ag.generate("cabinet", models, tmp_path, recipe, jobs=0, **options)
 
     told = []
-    data = make(tell=told.append, ids=["first"])
+    data = make(on_object=told.append, ids=["first"])
     assert ([report.reused for report in told], data.objects) == ([False], ("first",))
     told.clear()
-    assert len(make(tell=told.append)) == 2
+    assert len(make(on_object=told.append)) == 2
     assert [(report.object_id, report.reused) for report in told] == [
         ("first", True), ("second", False)]  # fmt: skip
     with pytest.raises(ArticugenError, match=r"recipe has changed.*or pass replace=True"):

@@ -44,7 +44,7 @@ def test_laptop_is_sound_and_its_parts_never_meet(name: str, tmp_path: Path) -> 
 def test_the_lid_opens_about_y_from_closed_to_135_degrees(tmp_path: Path) -> None:
     obj, _ = written("laptop", IDS[0], tmp_path / IDS[0])
     (hinge,) = obj.moving_joints
-    assert (hinge.kind, hinge.parent, hinge.child) == ("revolute", "body", "lid")
+    assert (str(hinge.kind), hinge.parent, hinge.child) == ("revolute", "body", "lid")
     np.testing.assert_array_equal(hinge.axis, (0, 1, 0))
     assert np.degrees((hinge.lower, hinge.upper)) == pytest.approx((0, 135))
     base, lid = (obj.links[obj.link_index[k]].mesh.vertices for k in ("body", "lid"))

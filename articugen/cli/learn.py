@@ -234,7 +234,7 @@ class _ProgressBar:
         self.bar = Bar(
             BarColumn(),
             TextColumn("{task.completed:.0f}/{task.total:.0f} iterations"),
-            TextColumn("{task.fields[told]}"),
+            TextColumn("{task.fields[state]}"),
             TimeRemainingColumn(),
             console=_err,
             disable=not (_err.is_terminal and is_first()),
@@ -250,14 +250,14 @@ class _ProgressBar:
 
     def _tell(self, progress: "Progress") -> None:
         if progress.seed not in self.tasks:
-            self.tasks[progress.seed] = self.bar.add_task("", total=None, told="")
+            self.tasks[progress.seed] = self.bar.add_task("", total=None, state="")
         task = self.tasks[progress.seed]
         who = "" if progress.seed is None else f"seed {progress.seed}: "
         self.bar.update(task, completed=progress.iteration, total=progress.iterations)
         if progress.terms:
             speed = self.bar.tasks[task].speed or 0.0
             name, value = next(iter(progress.terms.items()))
-            self.bar.update(task, told=f"{who}{name} {value:.3g}, {speed:.2f}/s")
+            self.bar.update(task, state=f"{who}{name} {value:.3g}, {speed:.2f}/s")
         if progress.validation:
             values = ", ".join(f"{k} {v:.4f}" for k, v in progress.validation.items())
             line = f"{who}{progress.iteration}/{progress.iterations} held-out objects: {values}"

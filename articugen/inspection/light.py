@@ -18,7 +18,7 @@ ENOUGH = 2500
 """Of a larger cloud about so many points stand for all where a sum goes over all."""
 
 DETAIL = 1.0
-"""What hides the sky within so many spacings of a coarse cloud is told by a fine one."""
+"""Within so many spacings of a coarse cloud a finer one says what hides the sky."""
 
 
 @dataclass(frozen=True, eq=False)

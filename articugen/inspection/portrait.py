@@ -14,7 +14,7 @@ from articugen.inspection.camera import Camera, framed
 from articugen.inspection.layout import TILE
 from articugen.inspection.light import SurfaceCloud
 from articugen.inspection.shading import SUPERSAMPLING, Picture, linear, shaded
-from articugen.inspection.solids import Solid, draw_solid, spread
+from articugen.inspection.solids import ColouredMesh, draw_solid, spread
 from articugen.inspection.surfels import OrientedPoints, Surfels, draw, surfels
 from articugen.records import Instance, dequantize
 
@@ -28,7 +28,7 @@ COLOURS = (
 """Of part 0, 1, ...: the first eight are pairs that readers with any colour vision tell apart
 (after Paul Tol), the others as far from them and from each other as calm colours can be."""
 
-NOTHING = Solid(np.zeros((0, 3, 3)), np.zeros(0, np.int64), ())
+NOTHING = ColouredMesh(np.zeros((0, 3, 3)), np.zeros(0, np.int64), ())
 
 AZIMUTHS = tuple(np.radians((-35.0, 35.0, 145.0, 215.0)))
 ELEVATION = float(np.radians(27.0))
@@ -79,7 +79,7 @@ def portrait(
     camera: Camera,
     floor: float,
     *,
-    beside: Solid = NOTHING,
+    beside: ColouredMesh = NOTHING,
 ) -> Picture:
     """An instance, drawn with the `pooled` discs of its object in the colours of its parts.
 
@@ -95,7 +95,7 @@ def portrait(
 
 
 def solid_portrait(
-    solid: Solid, camera: Camera, floor: float, *, beside: Solid = NOTHING
+    solid: ColouredMesh, camera: Camera, floor: float, *, beside: ColouredMesh = NOTHING
 ) -> Picture:
     """A mesh as `portrait` draws points; an empty picture where there is none."""
     seen = nearer(_drawn(solid, camera), _drawn(beside, camera))
@@ -103,7 +103,7 @@ def solid_portrait(
     return shaded(seen, camera, coarse, fine, floor)
 
 
-def _drawn(solid: Solid, camera: Camera) -> tuple[Array, Array, Array]:
+def _drawn(solid: ColouredMesh, camera: Camera) -> tuple[Array, Array, Array]:
     return draw_solid(solid, _palette(solid.colours), camera)
 
 

@@ -23,7 +23,7 @@ _PLACES = 1 << 18
 
 
 @dataclass(frozen=True, eq=False)
-class Solid:
+class ColouredMesh:
     """Coloured triangles.
 
     Attributes:
@@ -37,10 +37,10 @@ class Solid:
     colours: Sequence[str]
 
     @staticmethod
-    def joined(solids: Sequence["Solid"]) -> "Solid":
+    def joined(solids: Sequence["ColouredMesh"]) -> "ColouredMesh":
         """All of them in one."""
         first = np.cumsum([0] + [len(solid.colours) for solid in solids])
-        return Solid(
+        return ColouredMesh(
             np.concatenate([np.zeros((0, 3, 3)), *(solid.triangles for solid in solids)]),
             np.concatenate([
                 np.zeros(0, np.int64), *(s.group + n for s, n in zip(solids, first, strict=False))
@@ -49,7 +49,7 @@ class Solid:
         )  # fmt: skip
 
 
-def arrow(tail: Array, tip: Array, radius: float, colour: str) -> Solid:
+def arrow(tail: Array, tip: Array, radius: float, colour: str) -> ColouredMesh:
     """A shaft with a cone at its `tip`, of 24 sides."""
     along = _unit(tip - tail)
     side = look_along(along)[0, :3]
@@ -63,10 +63,10 @@ def arrow(tail: Array, tip: Array, radius: float, colour: str) -> Solid:
         a, b, c, d = low, np.roll(low, -1, 0), np.roll(high, -1, 0), high
         triangles += [np.stack([a, b, c], 1), np.stack([a, c, d], 1)]
     group = np.repeat(np.arange(4), 2 * 24)
-    return Solid(np.concatenate(triangles), group, [colour] * 4)
+    return ColouredMesh(np.concatenate(triangles), group, [colour] * 4)
 
 
-def draw_solid(solid: Solid, values: Array, camera: Camera) -> tuple[Array, Array, Array]:
+def draw_solid(solid: ColouredMesh, values: Array, camera: Camera) -> tuple[Array, Array, Array]:
     """A solid, all of it in front of the camera, as that sees it.
 
     Args:

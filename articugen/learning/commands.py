@@ -254,15 +254,15 @@ class Predicted:
 
     def lines(self) -> list[str]:
         """Each part that has a surface; kind and state of its joint, in the cloud's own unit."""
-        joints, told = self.found.joints, []
+        joints, lines = self.found.joints, []
         for i in sorted(set(self.found.part.tolist())):
             if joints is None:
-                told.append(f"part {i}")
+                lines.append(f"part {i}")
                 continue
             kind = str(JointKind(joints.kind[i]))
             unit = self.cloud.frame.scale if kind == "prismatic" else 1.0
-            told.append(f"part {i}: {kind}, state {joints.state[i] * unit:.3f}")
-        return told
+            lines.append(f"part {i}: {kind}, state {joints.state[i] * unit:.3f}")
+        return lines
 
 
 def predict(

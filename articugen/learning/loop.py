@@ -36,7 +36,7 @@ from articugen.store.manifest import Manifest
 
 @dataclass(frozen=True)
 class Progress:
-    """What is told of an iteration; `terms` and `validation` only where they were computed."""
+    """What is reported of an iteration; `terms` and `validation` only where they were computed."""
 
     iteration: int
     iterations: int
@@ -182,15 +182,15 @@ def follow(course: Course, stop_after: int | None, on_progress: Tell) -> RunFold
 
             done = course.iteration = iteration + 1
             last = done == plan.iterations
-            tells = done % plan.log_every == 0 or last
+            logs = done % plan.log_every == 0 or last
             validates = len(course.held_out) > 0 and (done % plan.validate_every == 0 or last)
             saves = done % plan.save_every == 0 or last or done == stop_after
-            if tells or validates or saves:
+            if logs or validates or saves:
                 learner.check()
-            told = _values(terms) if tells else None
-            if told:
+            values = _values(terms) if logs else None
+            if values:
                 seconds = round(time.perf_counter() - course.since, 2)
-                about = {"terms": told, "learning_rate": plan.rate_at(iteration)}
+                about = {"terms": values, "learning_rate": plan.rate_at(iteration)}
                 log({"iteration": done, "stage": stage, **about, "seconds": seconds})
             checked = None
             if validates and course.run.writes:
@@ -203,7 +203,7 @@ def follow(course: Course, stop_after: int | None, on_progress: Tell) -> RunFold
                 saves = True
             if saves:
                 course.keep(course.files.latest)
-            on_progress(Progress(done, plan.iterations, told, checked))
+            on_progress(Progress(done, plan.iterations, values, checked))
     processes.wait()
     return course.run
 
@@ -234,9 +234,9 @@ def split_objects(object_ids: Iterable[str], held_out: int) -> tuple[list[str], 
 def new_run(
     recipe: TrainRecipe, category: str, data: Path, runs: Path, seed: int, name: str | None = None
 ) -> RunFolder:
-    """A new run's folder, which tells what it is trained on."""
-    told = {"folder": str(data), "content_sha256": Manifest.read(data).content_sha256}
-    return RunFolder.new(runs, recipe, category=category, seed=seed, data=told, name=name)
+    """A new run's folder, which says what it is trained on."""
+    source = {"folder": str(data), "content_sha256": Manifest.read(data).content_sha256}
+    return RunFolder.new(runs, recipe, category=category, seed=seed, data=source, name=name)
 
 
 def _run_and_start(

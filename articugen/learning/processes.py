@@ -104,9 +104,9 @@ def wait() -> None:
 
 
 def of_first(make: Callable[[], str]) -> str:
-    """What the first process makes, told to all."""
+    """What the first process makes, handed to all."""
     if count() == 1:
         return make()
-    told = [make() if is_first() else ""]
-    dist.broadcast_object_list(told)
-    return told[0]
+    made = [make() if is_first() else ""]
+    dist.broadcast_object_list(made)
+    return made[0]

@@ -62,8 +62,8 @@ class Heat:
                 )
             except TrainingDiverged:
                 return None
-        told = [r for r in RunFolder(path).metrics() if r["iteration"] == self.stop]
-        found = [r["validation"] for r in told if r.get("validation")]
+        there = [r for r in RunFolder(path).metrics() if r["iteration"] == self.stop]
+        found = [r["validation"] for r in there if r.get("validation")]
         if not found:
             raise InvalidCheckpoint(
                 f"{path / METRICS}: lacks the validation at iteration {self.stop}; delete {path} "
@@ -111,8 +111,8 @@ def race(
             reached = crew.in_order([heat(seed=s, stop=stop) for s in racing])
             score = dict(zip(racing, reached, strict=True))
             racing = best_half(score, last=stop == recipe.schedule.iterations)
-            told = {str(s): found for s, found in score.items()}
-            rounds.append({"iteration": stop, "validation": told, "go_on": racing})
+            reached_by = {str(s): found for s, found in score.items()}
+            rounds.append({"iteration": stop, "validation": reached_by, "go_on": racing})
             _note(run, rounds)
             if not racing:
                 raise TrainingDiverged(
@@ -143,8 +143,8 @@ def best_half(score: dict[int, dict[str, float] | None], *, last: bool) -> list[
 def _note(run: RunFolder, rounds: list[dict[str, Any]], **more: Any) -> None:
     scores = [score for each in rounds for score in each["validation"].values() if score]
     by = f"validation {next(iter(scores[0]))}" if scores else "validation"
-    told = {"chosen_by": by, "rounds": rounds, **more}
-    write_atomically(run.path / RACE, (json.dumps(told, indent=1) + "\n").encode())
+    record = {"chosen_by": by, "rounds": rounds, **more}
+    write_atomically(run.path / RACE, (json.dumps(record, indent=1) + "\n").encode())
 
 
 @contextmanager

@@ -229,7 +229,7 @@ class RunFolder:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.writes = processes.is_first()
-        """Of several processes one writes; what the others are told to write is dropped."""
+        """Of several processes one writes; what the others are to write is dropped."""
 
     def __fspath__(self) -> str:
         return str(self.path)
@@ -379,8 +379,8 @@ class RunFolder:
         if not os.path.lexists(path):
             return []
         lines = _read(path).split(b"\n")[:-1]
-        told = ((f"{path}: line {n}", line) for n, line in enumerate(lines, start=1))
-        return [_parsed(_Line, line, at).model_dump(exclude_unset=True) for at, line in told]
+        numbered = ((f"{path}: line {n}", line) for n, line in enumerate(lines, start=1))
+        return [_parsed(_Line, line, at).model_dump(exclude_unset=True) for at, line in numbered]
 
     def forget_after(self, iteration: int, name: str = METRICS) -> None:
         """Drop metrics of later iterations."""

@@ -129,23 +129,23 @@ def check_like(found: Any, wanted: Any, path: Path, name: str = "") -> None:
 
 def digest(state: dict[str, Any]) -> str:
     """The SHA-256 of all in nested dicts."""
-    told = hashlib.sha256()
+    hashed = hashlib.sha256()
 
     def tell(name: str, value: Any) -> None:
         if isinstance(value, dict):
             for key in sorted(value):
                 tell(f"{name}.{key}", value[key])
         else:
-            told.update(f"{name}\0".encode())
+            hashed.update(f"{name}\0".encode())
             if isinstance(value, Tensor):
-                told.update(
+                hashed.update(
                     value.cpu().contiguous().reshape(-1).view(torch.uint8).numpy().tobytes()
                 )
             else:
-                told.update(repr(value).encode())
+                hashed.update(repr(value).encode())
 
     tell("", state)
-    return told.hexdigest()
+    return hashed.hexdigest()
 
 
 @contextmanager

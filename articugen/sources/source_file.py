@@ -76,15 +76,8 @@ def read_source_file(path: Path) -> SourceFile:
     Raises:
         InvalidSource: unreadable, not YAML, an unknown key (with the nearest valid one), bad value.
     """
-    return _checked(path, yaml_bytes(path, InvalidSource))
-
-
-@lru_cache(64)
-def _checked(path: Path, data: bytes) -> SourceFile:
-    """What a source.yaml of these bytes says: they are parsed once, not once for each object."""
-    parsed = parsed_yaml(data, str(path), InvalidSource)
     try:
-        return SourceFile.model_validate(parsed)
+        return SourceFile.model_validate(_parsed(str(path), yaml_bytes(path, InvalidSource)))
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
@@ -94,3 +87,9 @@ def _checked(path: Path, data: bytes) -> SourceFile:
             raise InvalidSource(f"{path}: unknown key {where!r}{hint}") from None
         message = first["msg"].removeprefix("Value error, ")
         raise InvalidSource(f"{path}: {where or 'the file'}: {message}") from None
+
+
+@lru_cache(64)
+def _parsed(path: str, data: bytes) -> Any:
+    """What these bytes say: they are parsed once, not once for each object."""
+    return parsed_yaml(data, path, InvalidSource)

@@ -79,8 +79,8 @@ class Key(_Record):
             return f"the seed was {made.seed}, is {self.seed}"
         if made.generator != self.generator:
             was, now = set(made.generator.split(", ")), set(self.generator.split(", "))
-            told = (", ".join(sorted(one - other)) for one, other in ((was, now), (now, was)))
-            return "the code makes other data: it was {}, is {}".format(*told)
+            numbers = (", ".join(sorted(one - other)) for one, other in ((was, now), (now, was)))
+            return "the code makes other data: it was {}, is {}".format(*numbers)
         return None
 
 

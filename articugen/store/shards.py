@@ -387,7 +387,7 @@ class Stored:
 class _Disk(io.RawIOBase):
     """The file that HDF5 writes to; the disk's first fault is kept as it was.
 
-    HDF5 would make other errors of it, and more of them when it closes: it is told that all is well
+    HDF5 would make other errors of it, and more of them when it closes: it hears that all is well
     from then on, and the fault is raised once it is done.
     """
 

@@ -16,7 +16,7 @@ class Descent:
 
     On a CPU a step that would spoil the weights is refused and the term to blame is named. To ask a
     GPU is to wait for it, so there it is noted on the device which terms were not finite first, and
-    `check` asks where something is told or kept anyway.
+    `check` asks where something is logged or kept anyway.
 
     Args:
         patient: note instead of asking; what a GPU gets if not given.

@@ -3,7 +3,7 @@
 A model is made once and read many times, by several processes. Its folder holds a seal: what the
 model is, the version of its shapes, and a digest of each of its files. A folder whose seal does not
 fit is written again. A writer works in a hidden folder beside it, which it holds locked, so that
-what a killed writer left is told from what a living one still needs.
+what a killed writer left differs from what a living one still needs.
 """
 
 import errno

@@ -14,7 +14,7 @@ from articugen.inspection.portrait import (
     tile_camera,
 )
 from articugen.inspection.shading import Picture
-from articugen.inspection.solids import Solid, arrow
+from articugen.inspection.solids import ColouredMesh, arrow
 from articugen.learning.evaluation.figures.colours import part_colours, shaded
 from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.records import Floats, Instance, JointKind, dequantize
@@ -97,8 +97,8 @@ def reconstructions(
     return sheet(rows)
 
 
-def _solid(found: Reconstruction, names: Names) -> Solid:
-    return Solid(found.triangles, found.part, names.colours)
+def _solid(found: Reconstruction, names: Names) -> ColouredMesh:
+    return ColouredMesh(found.triangles, found.part, names.colours)
 
 
 def _changes(
@@ -134,9 +134,9 @@ def _caption(instance: Instance, changes: Sequence[float | None] | Floats) -> Ca
     return texts
 
 
-def _true_axes(instance: Instance) -> Solid:
+def _true_axes(instance: Instance) -> ColouredMesh:
     points, part = dequantize(instance.surface_points), instance.surface_part
-    return Solid.joined([
+    return ColouredMesh.joined([
         _axis(kind, pivot, axis, points, points[part == j + 1], colour_of(j + 1))
         for j, (kind, pivot, axis) in enumerate(
             zip(instance.joint_kind, instance.joint_pivot, instance.joint_axis, strict=True)
@@ -144,7 +144,7 @@ def _true_axes(instance: Instance) -> Solid:
     ])  # fmt: skip
 
 
-def _predicted_axes(instance: Instance, found: Reconstruction, names: Names) -> Solid:
+def _predicted_axes(instance: Instance, found: Reconstruction, names: Names) -> ColouredMesh:
     """The axes of the dominant parts, as long as the true ones would be there."""
     points, part = dequantize(instance.surface_points), instance.surface_part
     joints, axes = found.joints, []
@@ -154,12 +154,12 @@ def _predicted_axes(instance: Instance, found: Reconstruction, names: Names) -> 
             continue
         kind, pivot, direction = joints.kind[i], joints.pivot[i], joints.direction[i]
         axes.append(_axis(kind, pivot, direction, points, points[part == j + 1], colour_of(j + 1)))
-    return Solid.joined(axes)
+    return ColouredMesh.joined(axes)
 
 
 def _axis(
     kind: int, pivot: Floats, axis: Floats, points: Floats, of_part: Floats, colour: str
-) -> Solid:
+) -> ColouredMesh:
     """Through the pivot and all of the part, or out of a sliding part."""
     mine = of_part if len(of_part) else points
     through = pivot if kind == JointKind.REVOLUTE else mine.mean(0)
