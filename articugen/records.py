@@ -387,9 +387,13 @@ class DepthMaps:
 
     def __post_init__(self) -> None:
         shape = (len(self.views), self.views.height, self.views.width)
-        for name, array in (("depth", self.depth), ("face", self.face)):
-            if array is not None and array.shape != shape:
+        for name, kind in (("depth", np.float32), ("face", np.int32)):
+            array = getattr(self, name)
+            if array is None:
+                continue
+            if array.shape != shape:
                 raise ValueError(f"DepthMaps.{name}: shape {array.shape}, not {shape}")
+            object.__setattr__(self, name, np.ascontiguousarray(array, kind))
 
 
 def _no_grids() -> Mapping[int, NDArray[np.uint8]]:

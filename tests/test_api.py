@@ -16,6 +16,7 @@ from articugen.errors import ArticugenError, InvalidArgument
 from articugen.recipe import Sampling
 
 README = Path(__file__).parents[1] / "README.md"
+FORMAT = README.parent / "docs" / "format.md"
 
 TRAINING = {
     "extends": "ppd_quick",
@@ -26,10 +27,9 @@ TRAINING = {
 }  # fmt: skip
 
 
-def readme_blocks() -> list[str]:
-    """The Python of README's section "From Python"."""
-    section = README.read_text(encoding="utf-8").partition("\n## From Python\n")[2]
-    return re.findall(r"```python\n(.*?)```", section.partition("\n## ")[0], re.DOTALL)
+def blocks(page: Path) -> list[str]:
+    """The Python of a page."""
+    return re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
 
 
 @pytest.fixture(scope="module")
@@ -38,11 +38,23 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("home")
     sampling = Sampling(grids=(8, 16, 32), partial_views=1, partial_resolution=64)
     recipe = SMALL.model_copy(update={"sampling": sampling})
-    write_boxes(folder / "data" / "laptop", train=6, test=1, category="laptop", recipe=recipe)
+    wanted = {"train": 2, "test": 1, "states": 8, "category": "laptop", "recipe": recipe}
+    write_boxes(folder / "data" / "laptop", **wanted)
     (folder / "my" / "urdfs").mkdir(parents=True)
     for name in ("cabinet.urdf", "urdfs/first.urdf"):
         (folder / "my" / name).write_text(CABINET)
     return folder
+
+
+def test_plain_h5py_reads_shards_as_the_pages_say(folder, tmp_path, monkeypatch):
+    shutil.copytree(folder / "data", tmp_path / "data")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {"scores": np.zeros(9)}
+    for block in (blocks(README)[0], *blocks(FORMAT)):
+        exec(compile(block, "page", "exec"), names)
+    row = ag.open("data/laptop/train-00000.h5")[7]
+    np.testing.assert_allclose(names["points"], row.surface.points, atol=1e-6)
+    assert names["angle"][0] == row.joints[0].state
 
 
 def test_the_lines_of_the_readme_run(folder, monkeypatch):
@@ -50,7 +62,7 @@ def test_the_lines_of_the_readme_run(folder, monkeypatch):
     monkeypatch.chdir(folder)
     for module in ("pipeline", "verify.check"):  # to start workers takes longer than the work
         monkeypatch.setattr(f"articugen.{module}.default_jobs", lambda: 0)
-    first, second = readme_blocks()
+    _, first, second = blocks(README)
     names: dict[str, object] = {}
     exec(compile(first, "README.md", "exec"), names)
     assert names["row"].surface.points.shape == (8192, 3)

@@ -50,7 +50,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "model_text": set(),
     "marching_cubes": {"records"},
     "recipe_files": {"bundled", "errors", "store.files"},
-    "rendering.backends": {"plugins", "recipe_files", "records"},
+    "rendering.backends": {"errors", "plugins", "recipe_files", "records"},
     "recipe": {"bundled", "errors", "recipe_files", "rendering.backends", "store.schema"},
     # the stages, none of which knows another
     **dict.fromkeys(STAGES, VOCABULARY),

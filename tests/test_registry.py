@@ -4,6 +4,7 @@ import errno
 import os
 import pickle
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 
 from articugen.bundled import SOURCES
 from articugen.errors import InvalidSource, MachineFault
-from articugen.sources import registry
+from articugen.sources import registry, urdf_files
 from articugen.sources.folders import meta_category
 from articugen.sources.procedural import CATEGORIES
 from articugen.sources.refs import CategorySettings, ObjectRef
@@ -548,3 +549,25 @@ def test_every_real_model_loads(monkeypatch, named):
                 assert len(obj.moving_joints) > 0
                 assert all(np.isfinite(link.mesh.vertices).all() for link in obj.links)
     assert loaded == {"partnet_mobility": 19, "shape2motion": 2 if named else 4}
+
+
+@pytest.mark.parametrize(
+    ("harm", "reason"),
+    [
+        (lambda o: replace(o, links=(replace(o.links[0], mesh=_far(o)), *o.links[1:])), "link"),
+        (lambda o: replace(o, joints=(replace(o.joints[0], upper=np.nan),)), "its range is"),
+        (lambda o: replace(o, joints=(replace(o.joints[0], lower=1.0, upper=0.5),)), "its range"),
+    ],
+)
+def test_what_a_reader_makes_is_looked_at(tmp_path: Path, monkeypatch, harm, reason: str) -> None:
+    """Whoever wrote the reader: numbers that nobody can work with are the model's fault."""
+    (ref,) = object_refs(add(tmp_path / "box.urdf").parent, "box")
+    sound = load(ref)
+    monkeypatch.setattr(urdf_files, "load", lambda *_: harm(sound))
+    with pytest.raises(InvalidSource, match=rf"box\.urdf: .*{reason}"):
+        load(ref)
+
+
+def _far(obj):
+    mesh = obj.links[0].mesh
+    return replace(mesh, vertices=mesh.vertices * np.inf)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen import plugins
+from articugen.errors import BrokenPlugin
 from articugen.recipe_files import nearest
 from articugen.records import DepthMaps, LabelledMesh, Views
 
@@ -25,6 +26,10 @@ class Overlay(Protocol):
     def draw(self, mesh: LabelledMesh, *, closed: NDArray[np.bool_], first_face: int) -> DepthMaps:
         """The faces seen, which hold until the next call; face f of `mesh` is `first_face + f`."""
         ...
+
+
+HINTS = ("closed", "keep_depth")
+"""What a module's `render` may take besides; see `Backend.render`."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +68,17 @@ class Backend:
 
         Raises:
             MissingExtra, MissingDriver: what it needs is not there.
+            BrokenPlugin: there is no such module or function, or it gives no faces after all.
             ValueError: a part of the mesh does not lie in front of a pinhole camera.
         """
         offered = {"closed": closed, "keep_depth": keep_depth}
-        return self._module().render(mesh, views, **{k: offered[k] for k in self.takes})
+        maps = self._module().render(mesh, views, **{k: offered[k] for k in self.takes})
+        if self.tells_faces and maps.face is None:
+            raise BrokenPlugin(
+                f"renderer {self.module}: gives no faces though its line in the table says "
+                "tells_faces=True; give them, or leave that out"
+            )
+        return maps
 
     def render_parts(
         self, mesh: LabelledMesh, views: Views, *, closed: NDArray[np.bool_] | None = None
@@ -89,8 +101,22 @@ class Backend:
         """What draws over the maps of part 0; None where the backend has no such thing."""
         return importlib.import_module(self.overlay).Overlay(static) if self.overlay else None
 
+    def __post_init__(self) -> None:
+        if unknown := set(self.takes) - set(HINTS):
+            raise ValueError(f"takes={self.takes}: there is no {unknown}, only {HINTS}")
+
     def _module(self) -> ModuleType:
-        return importlib.import_module(self.module)
+        try:
+            module = importlib.import_module(self.module)
+        except ModuleNotFoundError as error:
+            if error.name != self.module:
+                raise
+            raise BrokenPlugin(
+                f"renderer {self.module}: there is no such module; correct its line in the table"
+            ) from None
+        if not hasattr(module, "render"):
+            raise BrokenPlugin(f"renderer {self.module}: has no function render; add one")
+        return module
 
 
 BACKENDS: dict[str, Backend] = {

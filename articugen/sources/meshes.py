@@ -110,7 +110,13 @@ def checked(vertices: NDArray[np.floating], faces: NDArray[np.integer], path: Pa
 
 
 def box(size: ArrayLike) -> Mesh:
-    """A closed box of edge lengths `size` (3,), centred on the origin."""
+    """A closed box of edge lengths `size` (3,), centred on the origin.
+
+    Raises:
+        ValueError: a length is not above 0.
+    """
+    if not (np.asarray(size) > 0.0).all():
+        raise ValueError(f"a box of the size {np.asarray(size)}; each length must be above 0")
     corners = np.array([[(i >> 2) & 1, (i >> 1) & 1, i & 1] for i in range(8)]) - 0.5
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     return Mesh(

@@ -10,6 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+import numpy as np
+
 from articugen import plugins
 from articugen.errors import ArticugenError, InvalidSource, machine_fault, printable
 from articugen.recipe_files import nearest
@@ -18,6 +20,9 @@ from articugen.sources import partnet_mobility, shape2motion, urdf_files
 from articugen.sources.model_files import MAX_NAME_BYTES
 from articugen.sources.procedural import reader as procedural
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
+
+MAX_METRES = 1e6
+"""How far from its link's origin anything may lie."""
 
 
 class Reader(Protocol):
@@ -157,11 +162,45 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
     except (ArticugenError, MemoryError):
         raise
     except Exception as error:
+        reason = printable(f"{type(error).__name__}: {error}")[:200]
+        cure = "correct it" if isinstance(error, ValueError) else "report it, please"
         raise machine_fault(error) or InvalidSource(
-            f"{where}: cannot be read ({printable(f'{type(error).__name__}: {error}')[:200]}); "
-            "leave it out and report it, please"
+            f"{where}: cannot be read ({reason}); leave it out, or {cure}"
         ) from error
+    check_sound(obj, where)
     return replace(obj, notes=tuple(map(printable, obj.notes)))
+
+
+def check_sound(obj: ArticulatedObject, where: str) -> None:
+    """Whatever a reader makes: its numbers are finite, of a size that floats can work with, and
+    ranges have their ends in order.
+
+    Raises:
+        InvalidSource: they are not.
+    """
+    for link in obj.links:
+        if not (np.abs(link.mesh.vertices) <= MAX_METRES).all():
+            raise InvalidSource(
+                f"{where}: link {printable(link.name)}: a coordinate is not finite, or beyond "
+                f"{MAX_METRES:,.0f} metres; correct it"
+            )
+        faces = link.mesh.faces
+        if faces.size and not 0 <= faces.min() <= faces.max() < len(link.mesh.vertices):
+            raise InvalidSource(
+                f"{where}: link {printable(link.name)}: a face names a vertex that is not there; "
+                "correct it"
+            )
+    for joint in obj.joints:
+        if not (np.abs(joint.T_parent_joint) <= MAX_METRES).all():
+            raise InvalidSource(
+                f"{where}: joint {printable(joint.name)}: where it stands is not finite, or beyond "
+                f"{MAX_METRES:,.0f} metres; correct it"
+            )
+        if not joint.lower <= joint.upper:
+            raise InvalidSource(
+                f"{where}: joint {printable(joint.name)}: its range is {joint.lower:g} to "
+                f"{joint.upper:g}; name the lesser end first"
+            )
 
 
 def _all() -> Mapping[str, Reader]:
