@@ -23,14 +23,21 @@ MAX_EXTENDED = 16
 """Files that a recipe may extend, one the other."""
 _MAX_DIGITS = 40  # of a number
 
-LEARNER = "ppd_"
-"""What the names of training recipes begin with; those of data recipes do not."""
+LEARNER_KEYS = {"method", "schedule"}
+"""One of these is in every training recipe, or in one that it extends; in no recipe of data."""
 
 
 def known(*, learner: bool) -> list[str]:
-    """The names of the recipes under recipes/, of data or of the learner."""
-    names = sorted(path.stem for path in RECIPES.glob("*.yaml"))
-    return [name for name in names if name.startswith(LEARNER) == learner]
+    """The names of the recipes under recipes/, of data or of learners."""
+    return [path.stem for path in sorted(RECIPES.glob("*.yaml")) if _is_learner(path) == learner]
+
+
+def _is_learner(path: Path) -> bool:
+    data = read_yaml(path, InvalidRecipe)
+    if not isinstance(data, dict) or LEARNER_KEYS & data.keys():
+        return isinstance(data, dict)
+    base = RECIPES / f"{data.get('extends')}.yaml"
+    return base.is_file() and base != path and _is_learner(base)
 
 
 def find(name: str, *, learner: bool) -> Path:

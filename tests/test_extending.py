@@ -1,6 +1,6 @@
 """The snippets of docs/extending.md do what the page says: each section in a folder of its own.
 
-A block ```python title="name.py" is written to that file; a block ```diff title="articugen/name.py"
+A block with a title, ```python title="name.py", is that file; ```diff title="articugen/name.py"
 changes that file of a copy of the package; any other ```python block is executed, in order, all
 blocks of a section in one process.
 """
@@ -18,7 +18,9 @@ import articugen
 PACKAGE = Path(articugen.__file__).parent
 PAGE = PACKAGE.parent / "docs" / "extending.md"
 
-_BLOCK = re.compile(r'^```(python|diff)(?: title="([^"]+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
+_BLOCK = re.compile(
+    r'^```(python|diff|yaml)(?: title="([^"]+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL
+)
 
 
 def sections() -> dict[str, str]:

@@ -266,7 +266,7 @@ def test_stale_data_are_named_and_replaced(folder, change, why):
         assert [journal.finished(k) for k in keys(**change)] == [None] * 4
         told = journal.conflict(keys(**change))
         assert told is not None
-        assert f"3 shards of an earlier run will be replaced or removed ({why}: 3)" in told
+        assert f"3 shards of an earlier run will be replaced or removed (3 since {why})" in told
         assert journal.conflict(keys()) is None
     assert len(run(folder, keys(**change))) == 4
     assert names_in(folder) == sorted([*COMPLETE, "mine.h5"])
@@ -299,7 +299,7 @@ def test_damaged_shard_is_made_again(complete, folder, harm):
 def test_fewer_and_more_objects(complete, folder):
     few = [k for k in keys() if k.object_id in ("box-1", "box-2")]
     with Journal(folder) as journal:
-        assert "this run does not ask for it: 1" in (journal.conflict(few) or "")
+        assert "1 since this run does not ask for it" in (journal.conflict(few) or "")
     run(folder, [*few, key("box-9")])
     assert run(folder, few) == []
     assert names_in(folder) == ["manifest.json", "test-00000.h5", "train-00001.h5"]

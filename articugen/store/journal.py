@@ -141,10 +141,10 @@ class Journal:
                 reasons[reason] += 1
         if not reasons:
             return None
-        why = ", ".join(f"{reason}: {count}" for reason, count in reasons.most_common())
+        why = ", ".join(f"{count} since {reason}" for reason, count in reasons.most_common())
         return (
             f"{self.folder}: {sum(reasons.values())} shards of an earlier run will be replaced or "
-            f"removed ({why}); to keep them, choose another output folder"
+            f"removed ({why}); choose another output folder, which keeps them"
         )
 
     def shard_names(self, keys: Sequence[Key]) -> dict[Key, str]:

@@ -9,7 +9,7 @@ import importlib
 import re
 from pathlib import Path
 
-from articugen.content import MODELS
+from articugen.content import model_version
 from articugen.errors import InvalidSource
 from articugen.seeding import generator
 from articugen.sources.procedural.cache import stored
@@ -62,5 +62,5 @@ def write_object(category: str, object_id: str, folder: Path, *, messy: bool = F
         write_model(model, work, object_id=object_id, category=category, messy=messy)
 
     identity = {"object_id": object_id, "category": category, "messy": messy}
-    identity["content_version"] = MODELS.get(category, 0)
+    identity["content_version"] = model_version(category)
     return stored(folder, identity, write) / URDF_NAME
