@@ -142,6 +142,13 @@ def test_every_seed_builds_convex_cells_of_sane_size(generator, seed: int):
     assert all(t >= 0.01 * opened for t in sheets)
 
 
+@pytest.mark.parametrize("seed", [4, 59, 151, 175])
+def test_washing_machines_whose_outlines_would_cross_are_drawn_again(seed: int) -> None:
+    model = washing_machine.build(np.random.default_rng(seed))
+    for solid in (s for link in model.links for s in link.solids):
+        assert len(solid.half_spaces) == len(solid.cells)
+
+
 def extent_when_open(model: Model) -> float:
     """The longest side of the box around the object closed and fully open."""
     points = []
