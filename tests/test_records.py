@@ -21,7 +21,6 @@ from articugen.records import (
     dequantize,
     quantize,
 )
-from articugen.store import schema
 
 TRIANGLE = Mesh(np.eye(3), np.array([[0, 1, 2]]))
 
@@ -177,11 +176,10 @@ def test_an_instance_lists_every_field_once_with_one_entry_a_grid() -> None:
     grids = {32: np.zeros((32,) * 3, np.uint8), 16: np.zeros((16,) * 3, np.uint8)}
     own = {f.name for f in fields(Instance)} - {"occupancy", "coverage"}
     names = {"joint_name": ("a",), "part_name": ("b", "c"), "part_semantic": ("", "")}
-    absent = {f.name for f in schema.FIELDS if f.optional and f.name in own} - set(names)
     grid_names = {"occupancy_16", "occupancy_32", "coverage_32"}
     full = bare_instance(occupancy=grids, coverage={32: grids[32]}, **names)
-    assert set(full.arrays()) == (own - absent) | grid_names
-    assert set(bare_instance().arrays()) == own - absent - set(names)
+    assert set(full.arrays()) == own | grid_names
+    assert set(bare_instance().arrays()) == own - set(names)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,8 @@ from rich.console import Console
 from rich.markup import escape
 
 from articugen import __version__
-from articugen.cli.learn import register as register_ppd
+from articugen.cli.learn import Changes
+from articugen.cli.learn import register as register_learning
 from articugen.errors import ArticugenError, printable
 
 if TYPE_CHECKING:
@@ -140,15 +141,7 @@ def generate(
             "--recipe", "-r", help="A name under recipes/ or a file.", show_default="category's"
         ),
     ] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="SECTION.KEY=VALUE",
-            help="Another value than the recipe's, as YAML; may be given several times.",
-            show_default="none",
-        ),
-    ] = None,
+    changes: Changes = None,
     objects: Annotated[
         int | None,
         typer.Option(
@@ -224,7 +217,7 @@ def generate(
 
         todo = jobs_of(
             category, source, folder, recipe,
-            changes=settings or (), seed=seed, objects=objects, ids=_listed(ids),
+            changes=changes or (), seed=seed, objects=objects, ids=_listed(ids),
             exclude=_listed(exclude), states=states, movable=_listed(movable), canonical=canonical,
             max_rejected=max_rejected, jobs=jobs,
         )  # fmt: skip
@@ -400,4 +393,4 @@ def mesh(
         out.print(f"{output}: {faces:,} faces, unit frame", soft_wrap=True)
 
 
-register_ppd(app, _said_in_one_sentence)
+register_learning(app, _said_in_one_sentence)

@@ -20,6 +20,17 @@ if TYPE_CHECKING:
 
 Said = Callable[..., AbstractContextManager[None]]
 
+Changes = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="SECTION.KEY=VALUE",
+        help="Another value than the recipe's, as YAML; may be given several times.",
+        show_default="none",
+    ),
+]
+"""An option of every command that takes a recipe."""
+
 _said: Said
 _out = Console(highlight=False)
 _err = Console(stderr=True, highlight=False)
@@ -59,15 +70,7 @@ def train(
         str | None,
         typer.Option("--method", "-m", help="What learns.", show_default="the recipe's, else ppd"),
     ] = None,
-    changes: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="SECTION.KEY=VALUE",
-            help="Another value than the recipe's, as YAML; may be given several times.",
-            show_default="none",
-        ),
-    ] = None,
+    changes: Changes = None,
     runs: Annotated[Path, typer.Option(help="Runs go to <runs>/<category>/<number>.")] = Path(
         "runs"
     ),
