@@ -186,6 +186,18 @@ def test_stop_and_resume_gives_the_same_curve_and_weights(boxes, tmp_path, whole
     assert digest(one.state) == digest(two.state)
 
 
+@pytest.mark.parametrize("optimiser", ["soap", "muon"])
+def test_so_it_does_with_the_other_optimisers(boxes, tmp_path, whole, optimiser):
+    plan = TINY.schedule.model_copy(update={"optimiser": optimiser})
+    recipe = TINY.model_copy(update={"schedule": plan})
+    full = start(boxes, tmp_path, recipe)
+    part = start(boxes, tmp_path, recipe, stop_after=2)
+    resumed = start(boxes, tmp_path, recipe, resume=part.path)
+    assert curve(resumed) == curve(full) != curve(whole)
+    one, two = (read_checkpoint(run.path / LATEST) for run in (full, resumed))
+    assert digest(one.state) == digest(two.state)
+
+
 def test_the_seed_decides(boxes, tmp_path):
     one, two, other = (start(boxes, tmp_path, seed=s, stop_after=1) for s in (0, 0, 1))
     assert curve(one) == curve(two)

@@ -1,4 +1,4 @@
-"""How PPD learns: the model and the discriminator, each with where its Adam stands."""
+"""How PPD learns: the model and the discriminator, each with where its optimiser stands."""
 
 from __future__ import annotations
 
@@ -90,9 +90,10 @@ class PPDLearner(Predictor):
         self.residual_direction = stage.residual_direction
 
     def _begin_stage(self) -> None:
-        """New Adams, as the release has in each stage."""
-        self.descent = Descent(self.model)
-        self.discriminator_descent = Descent(self.discriminator)
+        """Optimisers start afresh in each stage, as in the release."""
+        optimiser = self.settings.schedule.optimiser
+        self.descent = Descent(self.model, optimiser)
+        self.discriminator_descent = Descent(self.discriminator, optimiser)
 
     def learn(self, batch: Batch, rng: torch.Generator | None, *, iteration: int) -> Terms:
         """One step of the discriminator and one of the model."""

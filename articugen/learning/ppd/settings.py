@@ -93,7 +93,7 @@ class LossSettings(Section):
 
 
 class PPDStage(Stage):
-    """A stretch of training; Adam starts afresh in each.
+    """A stretch of training; the optimiser starts afresh in each.
 
     Attributes:
         residual_direction: r = r^c + r^z (the paper's second stage), else r = r^c.
@@ -164,6 +164,7 @@ class PPDRecipe(TrainRecipe):
         plan, rate = self.depth, self.depth.learning_rate
         schedule = {
             "batch": plan.batch,
+            "optimiser": "adam",
             "learning_rate": rate,
             "final_learning_rate": 0.01 * rate,
             "stages": (PPDStage(resolution=1, iterations=plan.iterations),),
