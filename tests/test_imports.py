@@ -27,7 +27,8 @@ WITH_TORCH = {"store.torch_dataset"} | {
     f"learning.{name}"
     for name in (
         "commands", "dataset", "loop", "optimisers", "processes", "race", "runs", "tensors",
-        "ppd.depth", "ppd.descent", "ppd.discriminator", "ppd.drawing", "ppd.kinematics",
+        "ppd.depth", "ppd.descent", "ppd.discriminator", "ppd.drawing", "ppd.fused",
+        "ppd.kinematics",
         "ppd.learner",
         "ppd.losses", "ppd.model", "ppd.objective", "ppd.reconstruct", "ppd.release", "ppd.shape",
     )
@@ -65,7 +66,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     # what leads through them
     "instance": VOCABULARY | STAGES,
     "workers": {"errors"},
-    "rehearsal": VOCABULARY | STAGES | {"inspection"},
+    "rehearsal": VOCABULARY | STAGES | {"inspection", "learning.ppd.sine_kernels"},
     "compiling": {"bundled", "workers", "rehearsal"},
     "estimate": {"store.manifest", "recipe"},
     "pipeline": VOCABULARY
@@ -96,6 +97,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "inspection": VOCABULARY | {"store", "rendering"},
     "learning": VOCABULARY
     | {"store", "inspection", "marching_cubes", "workers", "model_text", "plugins", "ply"},
+    "learning.ppd.sine_kernels": {"jit"},
     "learning.evaluation": VOCABULARY | {"store", "inspection"},
     # the door, for notebooks
     "maker": VOCABULARY | STAGES | {"instance", "mesh_file", "store.rows"},

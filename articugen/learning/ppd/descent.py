@@ -34,6 +34,7 @@ class Descent:
         self.network, self.rate = network, rate
         device = next(network.parameters()).device.type
         self.optimiser = optimiser_of(optimiser, network)
+        self._parameters = list(network.parameters())  # found once: to walk a network takes long
         self.patient = device != "cpu" if patient is None else patient
         self._names: tuple[str, ...] = ()
         self._noted: Tensor | None = None
@@ -47,9 +48,10 @@ class Descent:
         Raises:
             TrainingDiverged: a term or its gradient is not finite; no step is made.
         """
-        self.network.zero_grad()
+        for parameter in self._parameters:
+            parameter.grad = None
         torch.stack(list(terms.values())).sum().backward()
-        gradients = [p.grad for p in self.network.parameters() if p.grad is not None]
+        gradients = [p.grad for p in self._parameters if p.grad is not None]
         processes.average(gradients)
         size = torch.nn.utils.get_total_norm(gradients)
         values = torch.stack([*(value.detach() for value in terms.values()), size])

@@ -110,27 +110,14 @@ def generator_terms(
 def _volume(
     model: PPD, shape: ShapeCode, fields: PartLogits, batch: Batch, weigh: LossSettings
 ) -> Tensor:
-    """L_vol over the points that are spread evenly.
+    """L_vol over the points that are spread evenly."""
 
-    On a CPU the unmoved fields get a graph only where they are positive: elsewhere relu leaves no
-    gradient.
-    """
+    def positive(of: PartLogits) -> Tensor:
+        logit = of.product if weigh.vol_logit == "product" else of.instance
+        return processes.mean(losses.relu_volume(logit[..., : batch.spread]))
 
-    def logit(of: PartLogits) -> Tensor:
-        return of.product if weigh.vol_logit == "product" else of.instance
-
-    moved = processes.mean(losses.relu_volume(logit(fields)[..., : batch.spread]))
-    points = batch.points[:, : batch.spread]
-    if points.device.type != "cpu":
-        still = losses.relu_volume(logit(model.still(shape, points)))
-        return losses.volume(moved, processes.mean(still))
-    with torch.no_grad():
-        greatest = logit(model.still(shape, points)).amax(1)
-        most = max(int((greatest > 0).sum(1).max()), 1)
-        chosen = greatest.topk(most, dim=1, sorted=False).indices
-    some = logit(model.still(shape, gather_points(points, chosen)))
-    still = losses.relu_volume(some) * (most / batch.spread)
-    return losses.volume(moved, processes.mean(still))
+    still = model.still(shape, batch.points[:, : batch.spread])
+    return losses.volume(positive(fields), positive(still))
 
 
 def _quantization(model: PPD, prediction: Prediction, weigh: LossSettings) -> Tensor:

@@ -13,6 +13,7 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
+from articugen.learning.ppd.fused import can_fuse, sine_parts
 from articugen.learning.ppd.kinematics import InverseMotion
 from articugen.learning.ppd.settings import ModelSettings
 
@@ -200,22 +201,29 @@ class ShapeDecoder(nn.Module):
 
     def forward(self, code: ShapeCode, motion: InverseMotion, points: Tensor) -> PartLogits:
         """The fields of all parts at points (B, n, 3), each part moved by its own motion."""
-        both = one_by_one(
-            self._heads, code.template, code.detail, motion.rotation, motion.offset, points
-        )
+        # The motion is part of the first layer: W (A x + t) + b = (W A) x + (W t + b).
+        W, b = self.coordinate.times(_FREQUENCY)
+        moved, shift = W @ motion.rotation, (W @ motion.offset[..., None])[..., 0] + b
+        given = points, moved, shift, code.template, code.detail
+        if can_fuse(points):
+            both = sine_parts(*given, *self._weights())
+        else:
+            both = one_by_one(self._heads, *given)
         common, instance = both.chunk(2, 1)
         product = instance * common.sigmoid() if self.common_shape else instance
         return PartLogits(common, instance, product)
 
+    def _weights(self) -> list[Tensor]:
+        """Weights and biases of all layers but the first, with the factors of their sines."""
+        layers = self.trunk_0, self.trunk_1, self.head_0, self.head_1
+        each = [*(layer.times(_FREQUENCY) for layer in layers), self.head_2.times(1.0)]
+        return [tensor for pair in each for tensor in pair]
+
     def _heads(
-        self, template: Tensor, detail: Tensor, rotation: Tensor, offset: Tensor, points: Tensor
+        self, points: Tensor, moved: Tensor, shift: Tensor, template: Tensor, detail: Tensor
     ) -> Tensor:
         """(B, 2 P, n): F^{s,c} of all parts, then F^{s,z}."""
-        # The motion is part of the first layer: W (A x + t) + b = (W A) x + (W t + b).
-        W, b = self.coordinate.times(_FREQUENCY)
-        moved = (W @ rotation).flatten(1, 2)
-        shift = ((W @ offset[..., None])[..., 0] + b).flatten(1)
-        x = torch.baddbmm(shift[..., None], moved, points.mT).sin()
+        x = torch.baddbmm(shift.flatten(1)[..., None], moved.flatten(1, 2), points.mT).sin()
         x = x.view(*template.shape, -1) + template[..., None]
         x = self.trunk_1.sine(self.trunk_0.sine(x))
         x = torch.cat([x, x + detail[..., None]], 1)
