@@ -17,6 +17,7 @@ from articugen.inspection.camera import framed
 from articugen.inspection.light import SurfaceCloud, occlusion_in_detail
 from articugen.inspection.surfels import OrientedPoints, draw, surfels
 from articugen.learning.ppd import sine_kernels
+from articugen.learning.ppd.greatest import greatest
 from articugen.recipe import Fusion
 from articugen.records import DepthMaps, LabelledMesh, Views
 from articugen.rendering import rasterizer
@@ -90,7 +91,8 @@ def light() -> None:
     occlusion_in_detail(np.eye(3), np.eye(3), cloud, cloud)
 
 
-def sines() -> None:
+def networks() -> None:
+    greatest(np.zeros((1, 1, 1), np.float32), np.zeros((1, 1), np.int64))
     P, c = 1, 4
     layers = [(P, 12, c), (P, 6, 12), (2 * P, 12, 6), (2 * P, c, 12), (2 * P, 1, c)]
     shapes = [(1, 1, 3), (1, P, c, 3), (1, P, c), (1, P, c), (1, P, 6)]

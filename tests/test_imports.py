@@ -66,7 +66,9 @@ MAY_IMPORT: dict[str, set[str]] = {
     # what leads through them
     "instance": VOCABULARY | STAGES,
     "workers": {"errors"},
-    "rehearsal": VOCABULARY | STAGES | {"inspection", "learning.ppd.sine_kernels"},
+    "rehearsal": VOCABULARY
+    | STAGES
+    | {"inspection", "learning.ppd.greatest", "learning.ppd.sine_kernels"},
     "compiling": {"bundled", "workers", "rehearsal"},
     "estimate": {"store.manifest", "recipe"},
     "pipeline": VOCABULARY
@@ -97,6 +99,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "inspection": VOCABULARY | {"store", "rendering"},
     "learning": VOCABULARY
     | {"store", "inspection", "marching_cubes", "workers", "model_text", "plugins", "ply"},
+    "learning.ppd.greatest": {"jit"},
     "learning.ppd.sine_kernels": {"jit"},
     "learning.evaluation": VOCABULARY | {"store", "inspection"},
     # the door, for notebooks
