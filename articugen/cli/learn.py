@@ -47,7 +47,7 @@ def register(app: typer.Typer, said_in_one_sentence: Said) -> None:
     )(train)
     app.command(epilog="Example: articugen train-depth runs/laptop --data data/laptop")(train_depth)
     app.command(epilog="Example: articugen evaluate runs/laptop --data data/laptop")(evaluate)
-    app.command(epilog="Example: articugen tables runs/*")(tables)
+    app.command(epilog="Example: articugen tables runs/* --figure examples.png")(tables)
     app.command(
         epilog="Examples:\n\narticugen predict runs/laptop data/laptop/test-00000.h5 --row 3\n\n"
         "articugen predict runs/laptop cloud.ply --fit --out rig"
@@ -156,10 +156,9 @@ def evaluate(
         str, typer.Option(help="Whose poses vote for labels: canonical or all.")
     ] = "canonical",
     states: Annotated[
-        int | None,
-        typer.Option(min=1, help="Random states a test object.", show_default="all"),
-    ] = None,
-    figures: Annotated[bool, typer.Option(help="Draw figures as well (minutes).")] = True,
+        int, typer.Option(min=0, help="Random states a test object; 0 means all, as in the paper.")
+    ] = 8,
+    figures: Annotated[bool, typer.Option(help="Draw figures as well.")] = True,
     threads: Annotated[int, typer.Option(min=0, help="CPU threads; 0 leaves it to torch.")] = 0,
 ) -> None:
     """Evaluate a run's last checkpoint on the test objects, as the paper does."""
@@ -174,7 +173,7 @@ def evaluate(
                 protocol=protocol,
                 resolution=resolution,
                 label_poses=label_poses,
-                states=states,
+                states=states or None,
                 threads=threads,
                 on_object=lambda name: status.update(f"evaluated {name}"),
             )
@@ -189,12 +188,29 @@ def evaluate(
 
 def tables(
     runs: Annotated[list[Path], typer.Argument(help="Folders of runs that were evaluated.")],
+    figure: Annotated[
+        Path | None,
+        typer.Option(help="Draw a test object of each run in three states into this PNG as well."),
+    ] = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(
+            "--data",
+            "-d",
+            help="For --figure: a data set, or a folder with one named after each category.",
+            show_default="what each run was trained on",
+        ),
+    ] = None,
 ) -> None:
     """Print the paper's tables over several evaluated runs: categories, ablations, inputs."""
     with _said():
         from articugen.learning import commands
 
         _out.print(commands.tables(runs), soft_wrap=True, markup=False)
+        if figure:
+            with _err.status("drawing ..."):
+                commands.draw_examples(runs, figure, data)
+            _out.print(f"drawn: {figure}", soft_wrap=True)
 
 
 def predict(

@@ -16,7 +16,7 @@ except ImportError:
 
 from articugen.learning import loop, processes, tensorboard
 from articugen.learning.clouds import Cloud, cloud_of_file, cloud_of_shard, seen_by_a_camera
-from articugen.learning.evaluation.evaluate import Protocol
+from articugen.learning.evaluation.evaluate import Protocol, check_splits
 from articugen.learning.evaluation.evaluate import evaluate as evaluate_as_paper
 from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.evaluation.report import markdown
@@ -35,6 +35,10 @@ from articugen.store.manifest import Manifest
 
 FolderLike = str | os.PathLike[str]
 RecipeLike = str | Path | Mapping[str, Any] | TrainRecipe
+
+STATES = 8
+"""Random states of a test object that are evaluated, unless said otherwise: objects differ more
+than the states of one, so more of these take longer and tell little."""
 
 FEW_OBJECTS = 20
 """Fewer than the smallest category's 24."""
@@ -153,7 +157,7 @@ def evaluate(
     protocol: str = "paper",
     resolution: int | None = None,
     label_poses: str = "canonical",
-    states: int | None = None,
+    states: int | None = STATES,
     threads: int = 0,
     on_object: Callable[[str], None] = lambda _: None,
 ) -> RunEvaluation:
@@ -165,7 +169,7 @@ def evaluate(
         protocol: `paper`, or one of the method's own.
         resolution: of the meshes' grid; None is the protocol's.
         label_poses: whose poses vote for labels, `canonical` or `all`.
-        states: random states a test object; None is all.
+        states: random states a test object; None is all, as in the paper.
         threads: of the CPU; 0 leaves it to torch.
         on_object: called with the name of each object that was evaluated.
 
@@ -202,8 +206,10 @@ def evaluate(
     if (folder / DEPTH.latest).is_file():
         depth = depth_learner(folder, point)
         by_depth = measure(lambda i: by.reconstruct(depth, seen_by_a_camera(i), resolution))
-    asked = {"protocol": protocol, "label_poses": label_poses, "resolution": resolution}
-    evaluated = EvaluatedRun(**point.about(), **asked)
+    evaluated = EvaluatedRun(
+        **point.about(), protocol=protocol, label_poses=label_poses, states=states,
+        resolution=resolution,
+    )  # fmt: skip
     result = RunEvaluation(run=evaluated, depth_input=by_depth, **dict(found))
     out = evaluation_folder(folder, protocol)
     out.mkdir(exist_ok=True)
@@ -236,6 +242,38 @@ def draw(run: FolderLike, data: FolderLike, result: RunEvaluation) -> Iterator[P
 def tables(runs: Sequence[FolderLike]) -> str:
     """The paper's tables over several evaluated runs: categories, ablations, inputs."""
     return written([read_evaluation(newest(run)) for run in runs])
+
+
+def draw_examples(
+    runs: Sequence[FolderLike], path: FolderLike, data: FolderLike | None = None
+) -> Path:
+    """Draw a test object of each evaluated run in three states: the truth above, its reconstruction
+    below.
+
+    Args:
+        runs: as `tables` takes them.
+        path: of the picture, a PNG.
+        data: a data set, or a folder with one named after each category; None is what each run was
+            trained on.
+
+    Raises:
+        InvalidCheckpoint: a run cannot be read, or was not evaluated.
+        CorruptShard: a data set has no test object, or is of another category.
+        ArticugenError: the picture cannot be written.
+    """
+    from articugen.learning.evaluation.figures import draw as figures  # noqa: PLC0415
+
+    examples = []
+    for folder in map(newest, runs):
+        result, point = read_evaluation(folder), read_checkpoint(folder / LATEST)
+        own = Path(data or RunFolder(folder).about()["data"]["folder"])
+        own = own / point.category if data and (own / point.category).is_dir() else own
+        check_splits(own, point.category)
+        model = point.learner().drawable(min(4 * result.run.resolution, 128))
+        title = f"{point.category}, {point.recipe.name}"
+        examples.append(figures.Example(title, own, model, result))
+    figures.draw_examples(Path(path), examples)
+    return Path(path)
 
 
 @dataclass(frozen=True)

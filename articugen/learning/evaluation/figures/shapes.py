@@ -63,6 +63,7 @@ def reconstructions(
     azimuth: float,
     *,
     states: int = 4,
+    title: str = "",
 ) -> Picture:
     """For each object a row of its true instances and one of their reconstructions.
 
@@ -70,6 +71,7 @@ def reconstructions(
 
     Args:
         objects: the instances of each, `by_opening`.
+        title: of the rows, in the place of the objects' names.
     """
     rows: list[Row] = []
     for instances in objects:
@@ -86,14 +88,15 @@ def reconstructions(
         pairs = list(zip(drawn, axes, strict=True))
         true = [portrait(discs, i, camera, floor, beside=solid) for i, solid in pairs]
         moved = [_caption(i, i.joint_state - drawn[0].joint_state) for i in drawn]
-        rows.append(Row(f"{drawn[0].object_id}: ground truth", true, moved))
+        name = title or drawn[0].object_id
+        rows.append(Row(f"{name}: ground truth", true, moved))
         pairs = list(zip(drawn, found, strict=True))
         predicted = [
             solid_portrait(_solid(f, names), camera, floor, beside=_predicted_axes(i, f, names))
             for i, f in pairs
         ]
         moved = [_caption(i, _changes(i, found[0], f, names)) for i, f in pairs]
-        rows.append(Row(f"{drawn[0].object_id}: reconstruction", predicted, moved))
+        rows.append(Row(f"{name}: reconstruction", predicted, moved))
     return sheet(rows)
 
 
@@ -114,9 +117,7 @@ def _changes(
         if i is None or found.joints.kind[i] != kind:
             changes.append(None)
             continue
-        same_way = np.dot(found.joints.direction[i], instance.joint_axis[j]) >= 0
-        change = float(found.joints.state[i] - first.joints.state[i])
-        changes.append(change if same_way else -change)
+        changes.append(found.joints.change_since(first.joints, i, instance.joint_axis[j]))
     return changes
 
 
