@@ -68,9 +68,9 @@ else
 	@echo "Choose one: make depth CATEGORY=laptop" >&2; exit 2
 endif
 
-evaluate: $(learner)  ## evaluate the newest run of CATEGORY= on its test objects (PROTOCOL=release)
+evaluate: $(learner)  ## evaluate the newest run of CATEGORY= on its test objects (PROTOCOL=release STATES=0)
 ifdef CATEGORY
-	@$(articugen) evaluate "$(RUNS)/$(CATEGORY)" --data "$(OUT)/$(CATEGORY)" $(if $(PROTOCOL),--protocol "$(PROTOCOL)")
+	@$(articugen) evaluate "$(RUNS)/$(CATEGORY)" --data "$(OUT)/$(CATEGORY)" $(if $(PROTOCOL),--protocol "$(PROTOCOL)") $(if $(STATES),--states "$(STATES)")
 else
 	@echo "Choose one: make evaluate CATEGORY=laptop" >&2; exit 2
 endif

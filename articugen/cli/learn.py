@@ -203,6 +203,8 @@ def tables(
     ] = None,
 ) -> None:
     """Print the paper's tables over several evaluated runs: categories, ablations, inputs."""
+    if data and not figure:
+        raise typer.BadParameter("--data is what --figure draws; name that too")
     with _said():
         from articugen.learning import commands
 

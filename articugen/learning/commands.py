@@ -270,7 +270,7 @@ def draw_examples(
         own = own / point.category if data and (own / point.category).is_dir() else own
         check_splits(own, point.category)
         model = point.learner().drawable(min(4 * result.run.resolution, 128))
-        title = f"{point.category}, {point.recipe.name}"
+        title = f"{point.category.replace('_', ' ')}, {point.recipe.name}"
         examples.append(figures.Example(title, own, model, result))
     figures.draw_examples(Path(path), examples)
     return Path(path)

@@ -103,8 +103,9 @@ def evaluate(
 ) -> Evaluation:
     """Evaluate on the test objects of a data set.
 
-    What needs joints or motions is measured where the reconstructions have them. There is a
-    `reconstruction_iou` where the data set has a grid of the reconstructions' resolution.
+    What needs joints or motions is measured where the reconstructions have them. Means that are
+    called `matched_*` are those of pose estimators, see `matched`. There is a `reconstruction_iou`
+    where the data set has a grid of the reconstructions' resolution.
 
     Args:
         category: what the data set must be of.

@@ -24,7 +24,7 @@ from articugen.records import Floats, Instance, JointKind, dequantize
 
 OBJECTS = 3
 INSTANCES = 16
-"""Of each object so many are read, from its canonical pose to its widest."""
+"""Of each object so many are read, the canonical one among them."""
 
 EXAMPLE_STATES = 3
 """Of the one object that stands for its category."""
@@ -92,9 +92,7 @@ def draw_figures(
         ArticugenError: a file cannot be written.
     """
     names = Names(result.labels, result.dominant)
-    objects = [
-        evenly(by_opening(instances), INSTANCES) for instances in objects_of(data, "test", None)
-    ]
+    objects = [by_opening(instances) for instances in objects_of(data, "test", INSTANCES - 1)]
     path = folder / "curves.png"
     plots.curves(metrics, path, model.titles)
     yield path
@@ -143,7 +141,7 @@ def draw_examples(path: Path, examples: Sequence[Example]) -> None:
     """
     sheets = []
     for example in examples:
-        instances = evenly(by_opening(next(objects_of(example.data, "test", None))), INSTANCES)
+        instances = by_opening(next(objects_of(example.data, "test", INSTANCES - 1)))
         model, names = example.model, Names(example.result.labels, example.result.dominant)
         azimuth = best_azimuth([instances[-1]])
         sheets.append(

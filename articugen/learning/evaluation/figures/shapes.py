@@ -21,7 +21,7 @@ from articugen.records import Floats, Instance, JointKind, dequantize
 
 Reconstruct = Callable[[Instance], Reconstruction]
 
-POOLED = 16
+POOLED = 8
 _CUBE = np.array([[-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]])
 
 
