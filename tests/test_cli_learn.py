@@ -67,7 +67,10 @@ def test_evaluate_predict(folder, monkeypatch):
     assert done.exit_code == 0, done.output
     assert re.search(r"\| 2 \| label IoU, % \| box \| \*\*\d+\.\d\d\*\* \|  \|", done.output)
     drawn = []
-    for given in ((), ("--data", data)):
+    (folder / "sets").mkdir()
+    (folder / "sets" / "box").symlink_to(data)
+    monkeypatch.setattr("articugen.learning.evaluation.figures.draw.EXAMPLE_STATES", 1)
+    for given in ((), ("--data", folder / "sets")):
         drawn.append(folder / f"examples-{len(given)}.png")
         done = articugen("tables", runs / "box", "--figure", drawn[-1], *given)
         assert done.exit_code == 0, done.output

@@ -37,8 +37,8 @@ FolderLike = str | os.PathLike[str]
 RecipeLike = str | Path | Mapping[str, Any] | TrainRecipe
 
 STATES = 8
-"""Random states of a test object that are evaluated, unless said otherwise: objects differ more
-than the states of one, so more of these take longer and tell little."""
+"""Random states of a test object that are evaluated, unless said otherwise: label IoU differs
+more between objects than between states (docs/ppd.md), so more take longer and tell little."""
 
 FEW_OBJECTS = 20
 """Fewer than the smallest category's 24."""
