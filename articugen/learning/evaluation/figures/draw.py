@@ -147,7 +147,7 @@ def draw_examples(path: Path, examples: Sequence[Example]) -> None:
         sheets.append(
             reconstructions(
                 [instances], lambda i, model=model: model.reconstruct(_cloud(i)), names, azimuth,
-                states=EXAMPLE_STATES, title=example.title,
+                states=EXAMPLE_STATES, title=example.title, pool=INSTANCES,
             )
         )  # fmt: skip
     save(in_columns(sheets, 1 if len(sheets) <= EXAMPLE_STATES else 2), path)

@@ -64,6 +64,7 @@ def reconstructions(
     *,
     states: int = 4,
     title: str = "",
+    pool: int = POOLED,
 ) -> Picture:
     """For each object a row of its true instances and one of their reconstructions.
 
@@ -72,12 +73,13 @@ def reconstructions(
     Args:
         objects: the instances of each, `by_opening`.
         title: of the rows, in the place of the objects' names.
+        pool: of so many instances the points make the true surface: more are slower and smoother.
     """
     rows: list[Row] = []
     for instances in objects:
         drawn = evenly(instances, states)
         found = [reconstruct(instance) for instance in drawn]
-        discs = pooled(evenly(instances, POOLED))
+        discs = pooled(evenly(instances, pool))
         axes = [_true_axes(instance) for instance in drawn]
         points = np.concatenate(
             [dequantize(i.surface_points) for i in drawn]
