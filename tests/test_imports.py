@@ -26,9 +26,10 @@ STAGES = {"articulation", "swept", "rendering", "fusion", "sampling", "sources"}
 WITH_TORCH = {"store.torch_dataset"} | {
     f"learning.{name}"
     for name in (
-        "commands", "dataset", "loop", "processes", "race", "runs", "tensors",
+        "benchmark", "commands", "dataset", "loop", "processes", "race", "runs", "safetensors",
+        "study", "tensors", "together",
         "ppd.depth", "ppd.descent", "ppd.discriminator", "ppd.drawing", "ppd.kinematics",
-        "ppd.learner",
+        "ppd.learner", "ppd.many",
         "ppd.losses", "ppd.model", "ppd.objective", "ppd.reconstruct", "ppd.release", "ppd.shape",
     )
 }  # fmt: skip

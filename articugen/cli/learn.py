@@ -49,6 +49,11 @@ def register(app: typer.Typer, said_in_one_sentence: Said) -> None:
     app.command(epilog="Example: articugen evaluate runs/laptop --data data/laptop")(evaluate)
     app.command(epilog="Example: articugen tables runs/*")(tables)
     app.command(
+        epilog="Examples:\n\narticugen study --budget 40\n\n"
+        "articugen study --categories laptop,oven --recipe ppd_quick --budget 10\n\n"
+        "articugen study --quick --device cpu --categories laptop"
+    )(study)
+    app.command(
         epilog="Examples:\n\narticugen predict runs/laptop data/laptop/test-00000.h5 --row 3\n\n"
         "articugen predict runs/laptop cloud.ply --fit --out rig"
     )(predict)
@@ -195,6 +200,59 @@ def tables(
         from articugen.learning import commands
 
         _out.print(commands.tables(runs), soft_wrap=True, markup=False)
+
+
+def study(
+    categories: Annotated[
+        str, typer.Option("--categories", "-c", help="Bundled ones, joined by commas, or all.")
+    ] = "all",
+    data: Annotated[
+        Path, typer.Option("--data", "-d", help="Sets are <data>/<category>, made if missing.")
+    ] = Path("data"),
+    out: Annotated[
+        Path, typer.Option(help="What is worth keeping goes there; checkpoints to <out>-work.")
+    ] = Path("study"),
+    budget: Annotated[float, typer.Option(min=0.1, help="Minutes, of all calls together.")] = 40.0,
+    recipe: Annotated[
+        str, typer.Option("--recipe", "-r", help="What all seeds follow; shortened to fit.")
+    ] = "ppd_hour",
+    changes: Changes = None,
+    seeds: Annotated[int, typer.Option(min=1, max=64, help="How many race a category.")] = 64,
+    device: Annotated[str, typer.Option(help="cuda, cuda:1 or cpu.")] = "cuda",
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Next to nothing of everything: does it work?")
+    ] = False,
+) -> None:
+    """Measure a device, race seeds, train, evaluate: all categories, one folder. Resumable."""
+    with _said("interrupted; the same command goes on where it stood"):
+        from articugen import api
+        from articugen.learning import study as studies
+        from articugen.learning.method import load_recipe
+        from articugen.recipe_files import with_settings
+        from articugen.sources import registry
+
+        def make_data(category: str, folder: Path) -> None:
+            small = {"recipe": "quick", "objects": 6, "states": 4} if quick else {"states": 40}
+            api.generate(category, out=folder.parent, **small)
+
+        asked = studies.Asked(
+            categories=registry.categories("procedural", [categories]),
+            data=data,
+            recipe=with_settings(load_recipe(recipe), changes or ()),
+            seeds=seeds,
+            minutes=budget,
+            device=device,
+            quick=quick,
+        )
+        if quick:
+            asked = studies.made_quick(asked)
+        made = studies.study(
+            asked,
+            out,
+            make_data=make_data,
+            say=lambda line: _err.print(line, soft_wrap=True, markup=False),
+        )
+        _out.print(f"written: {made}/README.md", soft_wrap=True)
 
 
 def predict(

@@ -27,7 +27,7 @@ from articugen.learning.method import Yardstick, find_method, load_recipe
 from articugen.learning.predict import write_rig
 from articugen.learning.race import race
 from articugen.learning.recipe import TrainRecipe
-from articugen.learning.runs import DEPTH, LATEST, RunFolder, depth_learner, read_checkpoint
+from articugen.learning.runs import DEPTH, RunFolder, depth_learner, read_run
 from articugen.recipe_files import with_settings
 from articugen.records import JointKind, dequantize
 from articugen.store.files import write_atomically
@@ -181,7 +181,7 @@ def evaluate(
     if label_poses not in ("canonical", "all"):
         raise ArticugenError(f"--label-poses {label_poses}: canonical or all")
     folder = newest(run)
-    point = read_checkpoint(folder / LATEST)
+    point = read_run(folder)
     yardsticks = {"paper": _PAPER, **find_method(point.recipe.method).yardsticks()}
     if protocol not in yardsticks:
         raise ArticugenError(f"--protocol {protocol}: {' or '.join(yardsticks)}")
@@ -227,7 +227,7 @@ def draw(run: FolderLike, data: FolderLike, result: RunEvaluation) -> Iterator[P
     from articugen.learning.evaluation.figures.draw import draw_figures  # noqa: PLC0415
 
     folder = newest(run)
-    learner = read_checkpoint(folder / LATEST).learner()
+    learner = read_run(folder).learner()
     model = learner.drawable(min(4 * result.run.resolution, 128))
     out, metrics = evaluation_folder(folder), RunFolder(folder).metrics()
     yield from draw_figures(out, metrics, Path(data), model, result)
@@ -295,7 +295,7 @@ def predict(
     """
     prepare()
     folder, cloud = newest(run), Path(cloud)
-    point = read_checkpoint(folder / LATEST)
+    point = read_run(folder)
     if cloud.suffix == ".h5":
         eye = camera if depth else None
         given = cloud_of_shard(cloud, row, category=point.category, camera=eye)

@@ -21,6 +21,9 @@ from articugen.records import FREE, is_material
 from articugen.store.manifest import Manifest
 from articugen.store.shards import Shard, open_shard
 
+Chance = torch.Generator | Sequence[torch.Generator] | None
+"""Where a batch's random numbers come from."""
+
 
 @dataclass(frozen=True)
 class BatchSpec:
@@ -134,14 +137,13 @@ class PackedSplit:
             partial=change(self.partial),
         )
 
-    def batch(
-        self, rows: Sequence[int], spec: BatchSpec, resolution: int, rng: torch.Generator | None
-    ) -> Batch:
+    def batch(self, rows: Sequence[int], spec: BatchSpec, resolution: int, rng: Chance) -> Batch:
         """A batch of the instances `rows`; points are drawn without replacement.
 
         Args:
             resolution: of the grid that `grid_points` are drawn from.
-            rng: of the device that the split lies on; None for torch's own.
+            rng: of the device that the split lies on; None for torch's own. Several draw for an
+                equal share of the rows each, what each would draw for a batch of its share.
         """
         at = index_on(self.surface.device, rows)
         cloud, where = self._clouds(at, spec, rng)
@@ -163,13 +165,13 @@ class PackedSplit:
         occupied = torch.cat(labels, 1) > 0
         return Batch(at, unpacked(cloud), part, torch.cat(points, 1), occupied, spread)
 
-    def _clouds(
-        self, at: Tensor, spec: BatchSpec, rng: torch.Generator | None
-    ) -> tuple[Tensor, Tensor]:
+    def _clouds(self, at: Tensor, spec: BatchSpec, rng: Chance) -> tuple[Tensor, Tensor]:
         """The stored clouds (B, n, 3) of some instances, and the places of their points (B, n)."""
         if spec.partial:
             B, cameras = len(at), self.partial.shape[1]
-            camera = torch.randint(cameras, (B,), generator=rng, device=at.device)
+            camera = drawn(
+                rng, B, lambda g, n: torch.randint(cameras, (n,), generator=g, device=at.device)
+            )
             seen = self.partial[at, camera]
             return seen, torch.arange(seen.shape[1], device=at.device).expand(B, -1)
         return _some(self.surface[at], spec.surface_points, rng)
@@ -181,7 +183,14 @@ def index_on(device: torch.device, rows: Sequence[int]) -> Tensor:
     return at.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else at.to(device)
 
 
-def _some(rows: Tensor, count: int, rng: torch.Generator | None) -> tuple[Tensor, Tensor]:
+def drawn(rng: Chance, rows: int, draw: Callable[[torch.Generator | None, int], Tensor]) -> Tensor:
+    """What `draw` gives for some rows: by each of several generators for its share of them."""
+    if rng is None or isinstance(rng, torch.Generator):
+        return draw(rng, rows)
+    return torch.cat([draw(each, rows // len(rng)) for each in rng])
+
+
+def _some(rows: Tensor, count: int, rng: Chance) -> tuple[Tensor, Tensor]:
     """`count` entries along axis 1 of (B, n, ...), drawn anew for each row, and their places.
 
     All n of them stay in order: nothing that uses a batch depends on the order of its points.
@@ -189,7 +198,7 @@ def _some(rows: Tensor, count: int, rng: torch.Generator | None) -> tuple[Tensor
     B, n = rows.shape[:2]
     if count in (0, n):
         return rows[:, :count], torch.arange(count, device=rows.device).expand(B, count)
-    order = torch.rand(B, n, generator=rng, device=rows.device)
+    order = drawn(rng, B, lambda g, b: torch.rand(b, n, generator=g, device=rows.device))
     where = order.topk(count, dim=1, sorted=False).indices
     each = torch.arange(B, device=rows.device)[:, None]
     return rows[each, where], where

@@ -8,7 +8,7 @@ imports a method; METHODS and entry points of the group `articugen.methods` say 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -96,6 +96,27 @@ class Learner(Protocol):
         return Drawable(lambda cloud: self.reconstruct(cloud, resolution=resolution))
 
 
+class Team(Protocol):
+    """Several learners of one recipe, a seed each, that take their steps at once."""
+
+    def learn(self, batch: Batch, *, iteration: int) -> Mapping[str, torch.Tensor]:
+        """One step of each; every term of the loss, a number a learner, (S,).
+
+        Args:
+            batch: the batches of all of them, one after the other.
+            iteration: as `Learner.learn`.
+        """
+        ...
+
+    def diverged(self) -> list[bool]:
+        """Which of them have met a number that is not finite; that harms no other."""
+        ...
+
+    def hand_out(self) -> None:
+        """Let each learner stand where it would if it had taken the steps alone."""
+        ...
+
+
 @dataclass(frozen=True)
 class Yardstick:
     """One way to be measured, for `articugen evaluate --protocol <name>`.
@@ -130,6 +151,13 @@ class Method(Protocol):
             device: `meta` asks for shapes alone, to compare a stored state with.
         """
         ...
+
+    weights: tuple[str, ...] | None = None
+    """The entries of a learner's `state` that predictions need; None is all of them."""
+
+    def team(self, learners: Sequence[Any]) -> Team | None:
+        """Those learners as a team, where they can be one: seeds on a GPU race together then."""
+        return None
 
     def start_depth(self, first: Any, *, seed: int, device: torch.device) -> Learner:
         """A learner for what one depth camera sees, beside one that is trained.

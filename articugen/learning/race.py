@@ -3,13 +3,13 @@
 Who goes on is decided by the loss on the objects of the training split that are held out, never by
 test objects (successive halving: Jamieson and Talwalkar 2016). Each seed is an ordinary run, which
 stops and resumes exactly, so that the outcome depends neither on interruptions nor on how many
-processes take part.
+processes take part. On a GPU all seeds learn at once (`together`), which rounds otherwise.
 """
 
 import json
 import math
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,8 +20,10 @@ import torch
 
 from articugen.errors import InvalidCheckpoint, TrainingDiverged
 from articugen.learning.loop import Tell, new_run, train
+from articugen.learning.method import find_method
 from articugen.learning.recipe import TrainRecipe
 from articugen.learning.runs import BEST, LATEST, METRICS, RunFolder, read_checkpoint
+from articugen.learning.together import train_together
 from articugen.store.files import write_atomically
 from articugen.workers import Crew, report
 
@@ -42,11 +44,9 @@ class Heat:
 
     def run(self) -> dict[str, float] | None:
         """Train from where the seed stands to `stop`; returns the validation there."""
-        path = self.folder / str(self.seed)
-        started = (path / LATEST).is_file()
-        if not started:
-            shutil.rmtree(path, ignore_errors=True)
-        if not started or read_checkpoint(path / LATEST).iteration < self.stop:
+        if not self.is_done():
+            path = self.folder / str(self.seed)
+            started = (path / LATEST).is_file()
             try:
                 train(
                     self.recipe,
@@ -62,6 +62,20 @@ class Heat:
                 )
             except TrainingDiverged:
                 return None
+        return self.reached()
+
+    def is_done(self) -> bool:
+        """Whether the seed stands at `stop`, or beyond; one that has no checkpoint yet starts
+        afresh."""
+        path = self.folder / str(self.seed)
+        if (path / LATEST).is_file():
+            return read_checkpoint(path / LATEST).iteration >= self.stop
+        shutil.rmtree(path, ignore_errors=True)
+        return False
+
+    def reached(self) -> dict[str, float]:
+        """The validation at `stop`."""
+        path = self.folder / str(self.seed)
         there = [r for r in RunFolder(path).metrics() if r["iteration"] == self.stop]
         found = [r["validation"] for r in there if r.get("validation")]
         if not found:
@@ -80,8 +94,10 @@ def race(
     runs: Path,
     seed: int = 0,
     resume: Path | None = None,
+    stop_after: int | None = None,
     device: str = "cpu",
     jobs: int = 1,
+    at_once: bool | None = None,
     on_progress: Tell = lambda _: None,
 ) -> RunFolder:
     """Train `recipe.seeds.count` seeds from `seed` on, halving them, and keep the best.
@@ -89,12 +105,15 @@ def race(
     Args:
         recipe, category, data, runs, device: as `train` takes them.
         resume: the folder of a race to go on with instead of a new one.
+        stop_after: stop when who goes on after this iteration is decided, as an interruption would.
         jobs: seeds that are trained at a time, each in a process and on one thread of its own. The
             outcome is the same whatever it is.
+        at_once: all seeds in one loop of this process; None is where the device is no CPU and the
+            method can.
         on_progress: called after each iteration of each seed.
 
     Returns:
-        The race's folder, with the winner's checkpoints and metrics.
+        The race's folder, with the winner's checkpoints and metrics once it is over.
 
     Raises:
         TrainingDiverged: no seed was left.
@@ -106,9 +125,15 @@ def race(
     heat = partial(Heat, recipe, category, data, run.path / "seeds", device=device)
     racing = list(range(seed, seed + recipe.seeds.count))
     rounds: list[dict[str, Any]] = []
+    run_heats = (
+        _at_once if at_once or (at_once is None and can_run_at_once(recipe, device)) else None
+    )
     with _crew(jobs, on_progress) as crew:
         for stop in (*recipe.seeds.halve_at, recipe.schedule.iterations):
-            reached = crew.in_order([heat(seed=s, stop=stop) for s in racing])
+            if stop_after is not None and stop > stop_after:
+                return run
+            heats = [heat(seed=s, stop=stop) for s in racing]
+            reached = run_heats(heats, on_progress) if run_heats else crew.in_order(heats)
             score = dict(zip(racing, reached, strict=True))
             racing = best_half(score, last=stop == recipe.schedule.iterations)
             reached_by = {str(s): found for s, found in score.items()}
@@ -123,6 +148,30 @@ def race(
         write_atomically(run.path / name, own.read_bytes())
     _note(run, rounds, winner=racing[0])
     return run
+
+
+def can_run_at_once(recipe: TrainRecipe, device: str) -> bool:
+    """Whether all seeds learn at once on a device, if nobody says otherwise."""
+    if torch.device(device).type == "cpu":
+        return False
+    method, meta = find_method(recipe.method), torch.device("meta")
+    return method.team([method.start(recipe, seed=0, device=meta)]) is not None
+
+
+def _at_once(heats: Sequence[Heat], tell: Tell) -> list[dict[str, float] | None]:
+    """What all heats' seeds reach, trained in one loop."""
+    first = heats[0]
+    lost = train_together(
+        first.recipe,
+        category=first.category,
+        data=first.data,
+        runs=first.folder,
+        seeds=[heat.seed for heat in heats if not heat.is_done()],
+        stop_after=first.stop,
+        device=first.device,
+        on_progress=tell,
+    )
+    return [None if heat.seed in lost else heat.reached() for heat in heats]
 
 
 def best_half(score: dict[int, dict[str, float] | None], *, last: bool) -> list[int]:

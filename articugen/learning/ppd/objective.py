@@ -15,7 +15,7 @@ from articugen.learning.ppd import losses
 from articugen.learning.ppd.discriminator import Discriminator
 from articugen.learning.ppd.model import PPD, Pose, Prediction
 from articugen.learning.ppd.settings import LossSettings
-from articugen.learning.ppd.shape import PartLogits, ShapeCode, gather_points
+from articugen.learning.ppd.shape import PartLogits, ShapeCode, gather_points, spares
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def _volume(
 
     moved = processes.mean(losses.relu_volume(logit(fields)[..., : batch.spread]))
     points = batch.points[:, : batch.spread]
-    if points.device.type != "cpu":
+    if not spares(points):
         still = losses.relu_volume(logit(model.still(shape, points)))
         return losses.volume(moved, processes.mean(still))
     with torch.no_grad():

@@ -6,7 +6,9 @@ of the plain network, for a tenth of the work and memory.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Literal
 
@@ -30,13 +32,34 @@ def gather_points(points: Tensor, index: Tensor) -> Tensor:
     return points.gather(1, index[..., None].expand(-1, -1, points.shape[-1]))
 
 
+_whole = ContextVar("whole", default=False)
+
+
+@contextmanager
+def whole_batches() -> Iterator[None]:
+    """Within, a CPU takes the ways of a GPU: batches as they are, nothing that asks for a number.
+
+    Both give the same numbers; `torch.vmap` cannot go the CPU's own ways.
+    """
+    before = _whole.set(True)
+    try:
+        yield
+    finally:
+        _whole.reset(before)
+
+
+def spares(x: Tensor) -> bool:
+    """Whether a few samples and points at a time are fastest, as they are on a CPU."""
+    return x.device.type == "cpu" and not _whole.get()
+
+
 def one_by_one(function: Callable[..., Tensor], *batches: Tensor) -> Tensor:
     """`function` of batches, on a CPU one sample after the other.
 
     A sample's activations stay in the cache and their memory is used again for the next one's,
     which makes the decoders four times as fast; a GPU takes the batch as it is.
     """
-    if batches[0].device.type != "cpu":
+    if not spares(batches[0]):
         return function(*batches)
     samples = zip(*(batch.split(1) for batch in batches), strict=True)
     return torch.cat([function(*sample) for sample in samples])
@@ -77,7 +100,7 @@ class Encoder(nn.Module):
 
     def forward(self, cloud: Tensor) -> Tensor:
         """The latent (B, 512) of clouds (B, n, 3), whatever the order of their points."""
-        most = 128 if cloud.device.type == "cpu" else 3 * 128  # of what `_decisive` keeps
+        most = 128 if spares(cloud) else 3 * 128  # of what `_decisive` keeps
         if torch.is_grad_enabled() and cloud.shape[1] > most:
             cloud = gather_points(cloud, self._decisive(cloud))
         return self.latent(self._each(cloud)[-1].amax(1).relu())
@@ -90,7 +113,7 @@ class Encoder(nn.Module):
         index = one_by_one(
             lambda c: torch.cat([argmax_of_points(each) for each in self._each(c)], 1), cloud
         )
-        return distinct(index) if index.device.type == "cpu" else index
+        return distinct(index) if spares(index) else index
 
     def _each(self, cloud: Tensor) -> list[Tensor]:
         """What each block makes of each point: (B, n, 128).
