@@ -232,8 +232,10 @@ def study(
         from articugen.sources import registry
 
         def make_data(category: str, folder: Path) -> None:
-            small = {"recipe": "quick", "objects": 6, "states": 4} if quick else {"states": 40}
-            api.generate(category, out=folder.parent, **small)
+            if quick:
+                api.generate(category, out=folder.parent, recipe="quick", objects=6, states=4)
+            else:
+                api.generate(category, out=folder.parent, states=40)
 
         asked = studies.Asked(
             categories=registry.categories("procedural", [categories]),

@@ -45,8 +45,7 @@ class Heat:
     def run(self) -> dict[str, float] | None:
         """Train from where the seed stands to `stop`; returns the validation there."""
         if not self.is_done():
-            path = self.folder / str(self.seed)
-            started = (path / LATEST).is_file()
+            path, started = self.folder / str(self.seed), self.is_started()
             try:
                 train(
                     self.recipe,
@@ -65,13 +64,17 @@ class Heat:
         return self.reached()
 
     def is_done(self) -> bool:
-        """Whether the seed stands at `stop`, or beyond; one that has no checkpoint yet starts
-        afresh."""
+        """Whether the seed stands at `stop`, or beyond."""
+        if not self.is_started():
+            return False
+        return read_checkpoint(self.folder / str(self.seed) / LATEST).iteration >= self.stop
+
+    def is_started(self) -> bool:
+        """Whether there is a checkpoint to go on from; without one nothing is left of the seed."""
         path = self.folder / str(self.seed)
-        if (path / LATEST).is_file():
-            return read_checkpoint(path / LATEST).iteration >= self.stop
-        shutil.rmtree(path, ignore_errors=True)
-        return False
+        if not (path / LATEST).is_file():
+            shutil.rmtree(path, ignore_errors=True)
+        return (path / LATEST).is_file()
 
     def reached(self) -> dict[str, float]:
         """The validation at `stop`."""
@@ -161,12 +164,14 @@ def can_run_at_once(recipe: TrainRecipe, device: str) -> bool:
 def _at_once(heats: Sequence[Heat], tell: Tell) -> list[dict[str, float] | None]:
     """What all heats' seeds reach, trained in one loop."""
     first = heats[0]
+    for heat in heats:
+        heat.is_started()
     lost = train_together(
         first.recipe,
         category=first.category,
         data=first.data,
         runs=first.folder,
-        seeds=[heat.seed for heat in heats if not heat.is_done()],
+        seeds=[heat.seed for heat in heats],
         stop_after=first.stop,
         device=first.device,
         on_progress=tell,

@@ -105,8 +105,21 @@ class _Line(_Told):
     seconds: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
 
 
+class _OfWeights(_Told):
+    """The texts in the header of the weights, each of them JSON.
+
+    Attributes:
+        state: what the learner's state has besides tensors, by its way there.
+    """
+
+    category: str
+    seed: int
+    iteration: int = Field(ge=0)
+    recipe: dict[str, Any]
+    state: dict[str, Any]
+
+
 Told = TypeVar("Told", bound=BaseModel)
-Kind = TypeVar("Kind")
 
 
 @dataclass(frozen=True)
@@ -146,10 +159,14 @@ class Checkpoint:
         chosen = find_method(self.recipe.method).weights or tuple(self.state)
         values = _flat({name: self.state[name] for name in chosen})
         tensors = {name: value for name, value in values.items() if isinstance(value, Tensor)}
-        other = {name: value for name, value in values.items() if name not in tensors}
-        about = {"category": self.category, "seed": self.seed, "iteration": self.iteration}
-        about |= {"recipe": self.recipe.plain(), "state": other}
-        texts = {name: json.dumps(value) for name, value in about.items()}
+        about = _OfWeights(
+            category=self.category,
+            seed=self.seed,
+            iteration=self.iteration,
+            recipe=self.recipe.plain(),
+            state={name: value for name, value in values.items() if name not in tensors},
+        )
+        texts = {name: json.dumps(value) for name, value in about.model_dump().items()}
         write_safetensors(path, tensors, {"format": WEIGHTS_FORMAT, **texts})
 
     def learner(self, device: torch.device = CPU) -> Learner:
@@ -199,26 +216,21 @@ def _read_weights(path: Path) -> Checkpoint:
     if texts.get("format") != WEIGHTS_FORMAT:
         raise InvalidCheckpoint(f"{path}: not weights of articugen's")
     try:
-        about = {name: json.loads(text) for name, text in texts.items() if name != "format"}
-        recipe = parse_recipe(about["recipe"], str(path))
-        named = (("category", str), ("seed", int), ("iteration", int), ("state", dict))
-        category, seed, iteration, other = (_of(kind, about[name]) for name, kind in named)
-    except (ValueError, KeyError, TypeError, RecursionError, InvalidRecipe):
+        about = _OfWeights.model_validate(
+            {n: json.loads(texts[n]) for n in _OfWeights.model_fields}
+        )
+        recipe = parse_recipe(about.recipe, str(path))
+    except (ValueError, KeyError, RecursionError, InvalidRecipe):
         raise InvalidCheckpoint(f"{path}: weights that lack something; {CURE}") from None
     method = find_method(recipe.method)
     state = method.start(recipe, seed=0, device=CPU).state()
     chosen = method.weights or tuple(state)
-    found, wanted = tensors | other, _flat({name: state[name] for name in chosen})
+    found, wanted = tensors | about.state, _flat({name: state[name] for name in chosen})
     check_like(found, wanted, path)
     if not all(bool(tensor.isfinite().all()) for tensor in tensors.values()):
         raise InvalidCheckpoint(f"{path}: holds numbers that are not finite; {CURE}")
-    return Checkpoint(recipe, category, seed, iteration, math.inf, "", _filled(state, found))
-
-
-def _of(kind: type[Kind], value: object) -> Kind:
-    if type(value) is not kind:
-        raise TypeError(f"{value!r} is no {kind.__name__}")
-    return value
+    told, full = (about.category, about.seed, about.iteration), _filled(state, found)
+    return Checkpoint(recipe, *told, best=math.inf, beside="", state=full)
 
 
 def _flat(state: dict[str, Any], within: str = "") -> dict[str, Any]:

@@ -6,6 +6,7 @@ are many times as large, lie beside it in `<folder>-work`.
 """
 
 import json
+import os
 import platform
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -87,10 +88,10 @@ def made_quick(asked: Asked) -> Asked:
     data["data"] |= points | {"grid_points": 0, "validation_objects": 1}
     data["schedule"] |= {"batch": 3}
     for stage in data["schedule"]["stages"]:
-        stage |= {"iterations": 4, "resolution": 16}
+        stage |= {"iterations": 2, "resolution": 16}
     data["seeds"] |= {"count": 1, "halve_at": ()}
     recipe = validated(type(asked.recipe), data, "--quick")
-    return replace(asked, recipe=recipe, seeds=min(asked.seeds, 6), quick=True)
+    return replace(asked, recipe=recipe, seeds=min(asked.seeds, 5), quick=True)
 
 
 @dataclass
@@ -154,17 +155,23 @@ class Journal:
     def step(self, name: str, say: Say) -> Iterator[None]:
         """A step, noted once it is done; what cannot be done is noted as such."""
         say(f"{name} ...")
-        began = time.monotonic()
+        began, sentence = time.monotonic(), ""
         try:
             yield
         except MachineFault:
             raise
         except ArticugenError as error:
-            self.failed[name] = str(error)
+            sentence = str(error)
             say(f"{name}: {error}")
+        self.ended(name, time.monotonic() - began, sentence)
+
+    def ended(self, name: str, seconds: float, sentence: str = "") -> None:
+        """Note that a step is done, or, with a sentence, that it cannot be."""
+        self.failed.pop(name, None)
+        if sentence:
+            self.failed[name] = sentence
         else:
-            self.failed.pop(name, None)
-            self.steps[name] = round(time.monotonic() - began, 2)
+            self.steps[name] = round(seconds, 2)
         self.write()
 
     def to_do(self, name: str, *after: str) -> bool:
@@ -255,6 +262,12 @@ def _bench(asked: Asked, category: str, say: Say) -> list[Pace]:
     return rows
 
 
+def _paces(asked: Asked, journal: Journal) -> dict[int, Pace]:
+    """Those of the study's own recipe, by how many seeds run."""
+    own = journal.bench[-len(_field(asked.seeds)) :]
+    return {p.seeds: p for p in own}
+
+
 def _field(seeds: int) -> list[int]:
     """How many seeds run, from halving to halving."""
     counts = [seeds]
@@ -265,7 +278,7 @@ def _field(seeds: int) -> list[int]:
 
 def _plan(asked: Asked, journal: Journal) -> dict[str, Any]:
     """How many iterations a category gets, and from how many seeds: as many as fit."""
-    paces = {p.seeds: p for p in journal.bench if p.recipe == asked.recipe.name and not p.failed}
+    paces = {count: p for count, p in _paces(asked, journal).items() if not p.failed}
     counts = _field(asked.seeds)
     while len(counts) > 1 and counts[0] not in paces:  # it did not fit into the memory
         counts = counts[1:]
@@ -321,18 +334,16 @@ def _train(asked: Asked, journal: Journal, category: str, work: Path, out: Path,
     recipe = planned_recipe(asked.recipe, plan["seeds"], plan["iterations"])
     runs = work / category
     begun = [p for p in sorted(runs.glob("*")) if p.name.isdecimal() and (p / "run.json").is_file()]
-    halvings = recipe.seeds.halve_at
-    stop = None if leg == "train" else halvings[-2] if len(halvings) > 1 else 0
-    at_once = next((p.at_once for p in journal.bench if p.seeds == plan["seeds"]), None)
+    early = (*recipe.seeds.halve_at[-2:], 0)[0]
     run = race(
         recipe,
         category=category,
         data=asked.data / category,
         runs=runs,
         resume=begun[-1] if begun else None,
-        stop_after=stop,
+        stop_after=early if leg == "race" else None,
         device=asked.device,
-        at_once=at_once,
+        at_once=_paces(asked, journal)[plan["seeds"]].at_once,
         on_progress=lambda _: journal.beat(),
     )
     if leg == "train":
@@ -364,12 +375,15 @@ class _Judged:
     run: Path
     data: Path
     quick: bool
+    threads: int
 
     def judge(self) -> str:
         """Evaluate it and draw its figures; the sentence of what went wrong, or nothing."""
         try:
-            small = {"resolution": 8, "states": 1} if self.quick else {"states": 8}
-            result = commands.evaluate(self.run, self.data, threads=1, **small)
+            resolution, states = (8, 1) if self.quick else (None, 8)
+            result = commands.evaluate(
+                self.run, self.data, resolution=resolution, states=states, threads=self.threads
+            )
             if not self.quick:
                 list(commands.draw(self.run, self.data, result))
         except MachineFault:
@@ -381,23 +395,17 @@ class _Judged:
 
 def _evaluate(asked: Asked, journal: Journal, out: Path, say: Say) -> None:
     """Evaluate what is trained, all categories at a time."""
-    todo = {
-        f"evaluate {c}": _Judged(out / c, asked.data / c, asked.quick)
-        for c in asked.categories
-        if journal.to_do(f"evaluate {c}", f"train {c}")
-    }
-    if not todo:
+    left = [c for c in asked.categories if journal.to_do(f"evaluate {c}", f"train {c}")]
+    if not left:
         return
+    threads = max((os.cpu_count() or 1) // len(left), 1)
+    todo = {f"evaluate {c}": _Judged(out / c, asked.data / c, asked.quick, threads) for c in left}
     say(f"{', '.join(todo)} ...")
     began = time.monotonic()
     at_a_time = 0 if asked.quick else len(todo)
     sentences = workers.in_order(_Judged.judge, list(todo.values()), workers=at_a_time)
     for name, sentence in zip(todo, sentences, strict=True):
-        with journal.step(name, say):
-            if sentence:
-                raise ArticugenError(sentence)
-        if name in journal.steps:
-            journal.steps[name] = round(time.monotonic() - began, 2)
+        journal.ended(name, time.monotonic() - began, sentence)
 
 
 def _write_report(asked: Asked, journal: Journal, out: Path) -> None:

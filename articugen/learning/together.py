@@ -54,6 +54,7 @@ def train_together(
         courses.append(
             begun(learner, *splits, category, data, runs, seed, resume=resume, name=str(seed))
         )
+    courses = [course for course in courses if course.iteration < stop_after]
     courses.sort(key=lambda course: course.iteration)
     diverged: set[int] = set()
     for _, some in groupby(courses, key=lambda course: course.iteration):

@@ -73,9 +73,9 @@ class Many(Team):
 
         residual_direction = self.settings.schedule.stage_at(self.iteration).residual_direction
 
-        def of_one(weights: dict[str, Tensor], *own: Tensor) -> Terms:
+        def of_one(weights: Mapping[str, Tensor], *own: Tensor) -> Terms:
             told = (*own, batch.spread, residual_direction)
-            return functional_call(self.objective, weights, told)
+            return functional_call(self.objective, dict(weights), told)
 
         weights = {f"model.{name}": value for name, value in self.stack.named_parameters()}
         shares = [
