@@ -175,21 +175,23 @@ class PackedSplit:
             rng: of the device that the split lies on; None for torch's own.
         """
         at = index_on(self.surface.device, rows)
+        each = at[:, None]
         cloud, where = self._clouds(at, spec, rng)
-        part = self.part[at].gather(1, where) if spec.parts else self.part[at]
+        part = self.part[each, where] if spec.parts else self.part[at]
         points: list[Tensor] = []
         occupied: list[Tensor] = []
         if spec.grid_points:
-            grid, where = _some(self.grids[resolution][at], spec.grid_points, rng)
+            grid = self.grids[resolution]
+            where = _places(at, grid.shape[1], spec.grid_points, rng)
             points.append(voxel_centres(where, resolution))
-            occupied.append(grid > 0)
+            occupied.append(grid[each, where] > 0)
         for wanted, (stored, label) in (
             (spec.uniform_points, self.uniform),
             (spec.near_points, self.near),
         ):
-            some, where = _some(stored[at], wanted, rng)
-            points.append(unpacked(some))
-            occupied.append(label[at].gather(1, where) > 0)
+            where = _places(at, stored.shape[1], wanted, rng)
+            points.append(unpacked(stored[each, where]))
+            occupied.append(label[each, where] > 0)
         for wanted, some in ((spec.band_points, self.band), (spec.varying_points, self.varying)):
             if wanted:
                 centres, inside = some.draw(at, wanted, rng)
@@ -209,7 +211,8 @@ class PackedSplit:
             camera = torch.randint(cameras, (B,), generator=rng, device=at.device)
             seen = self.partial[at, camera]
             return seen, torch.arange(seen.shape[1], device=at.device).expand(B, -1)
-        return _some(self.surface[at], spec.surface_points, rng)
+        where = _places(at, self.surface.shape[1], spec.surface_points, rng)
+        return self.surface[at[:, None], where], where
 
 
 def index_on(device: torch.device, rows: Sequence[int]) -> Tensor:
@@ -218,18 +221,15 @@ def index_on(device: torch.device, rows: Sequence[int]) -> Tensor:
     return at.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else at.to(device)
 
 
-def _some(rows: Tensor, count: int, rng: torch.Generator | None) -> tuple[Tensor, Tensor]:
-    """`count` entries along axis 1 of (B, n, ...), drawn anew for each row, and their places.
+def _places(at: Tensor, n: int, count: int, rng: torch.Generator | None) -> Tensor:
+    """(B, count) which `count` of n stored points, drawn anew for each row.
 
     All n of them stay in order: nothing that uses a batch depends on the order of its points.
     """
-    B, n = rows.shape[:2]
     if count in (0, n):
-        return rows[:, :count], torch.arange(count, device=rows.device).expand(B, count)
-    order = torch.rand(B, n, generator=rng, device=rows.device)
-    where = order.topk(count, dim=1, sorted=False).indices
-    each = torch.arange(B, device=rows.device)[:, None]
-    return rows[each, where], where
+        return torch.arange(count, device=at.device).expand(len(at), count)
+    order = torch.rand(len(at), n, generator=rng, device=at.device)
+    return order.topk(count, dim=1, sorted=False).indices
 
 
 def unpacked(stored: Tensor) -> Tensor:
