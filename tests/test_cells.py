@@ -1,6 +1,9 @@
 """Query points at voxels where an object's poses differ, and in the band around one pose."""
 
 import dataclasses
+from contextlib import nullcontext
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -9,13 +12,14 @@ from ppd_data import write_boxes
 
 from articugen.errors import CorruptShard
 from articugen.records import is_material
-from articugen.store.shards import open_shard, write_shard
+from articugen.store.shards import Shard, open_shard, write_shard
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen.learning import cells  # noqa: E402
 from articugen.learning.cells import LabelledCells, voxel_centres  # noqa: E402
 from articugen.learning.dataset import BatchSpec, load_split  # noqa: E402
+from articugen.learning.fitness import check_fixed_part  # noqa: E402
 
 ASK = BatchSpec(
     surface_points=100, grid_points=40, near_points=30, band_points=60, varying_points=50
@@ -244,6 +248,28 @@ def test_poses_that_cannot_be_compared_are_refused_in_one_sentence(tmp_path, edi
     with pytest.raises(CorruptShard, match=f"train-00000.h5: {said}") as told:
         load_split(tmp_path, "train", ASK, [8])
     assert "; " in str(told.value)  # what to do about it
+
+
+@pytest.mark.parametrize("emptied", [[0], [1], [0, 1]])
+def test_coarse_grids_that_hold_nothing_tell_nothing_of_frames(tmp_path, emptied):
+    def edit(rows):
+        none = {8: np.zeros((8, 8, 8), np.uint8)}
+        return [
+            dataclasses.replace(row, occupancy={**row.occupancy, **none}) if i in emptied else row
+            for i, row in enumerate(rows)
+        ]
+
+    write_again(tmp_path, edit)
+    assert len(load_split(tmp_path, "train", ASK, [8])) == 2
+
+
+def test_labels_of_the_first_format_tell_nothing_of_frames(tmp_path):
+    """There enclosed space was labelled as the fixed part, and opens with a door."""
+    grid = np.stack([row.occupancy[32] for row in shifted(hinged_box()[:2])])
+    for version in (1, 2):
+        shard = SimpleNamespace(path=tmp_path, attributes={"schema_version": version})
+        with pytest.raises(CorruptShard) if version == 2 else nullcontext():
+            check_fixed_part(cast(Shard, shard), np.array(["a", "a"]), grid)
 
 
 def test_one_pose_is_enough_where_none_are_compared(tmp_path):

@@ -19,7 +19,7 @@ from articugen.learning import cells, processes
 from articugen.learning.cells import LabelledCells, voxel_centres
 from articugen.learning.fitness import check_fixed_part, check_shard, check_varies
 from articugen.learning.recipe import DataSettings
-from articugen.records import FREE, is_material
+from articugen.records import ENCLOSED, FREE
 from articugen.store.manifest import Manifest
 from articugen.store.shards import Shard, open_shard
 
@@ -330,8 +330,8 @@ def _read(
 
 
 def _told(label: NDArray[np.uint8], spec: BatchSpec) -> NDArray[np.uint8]:
-    """The labels without those that the recipe does not call occupied."""
-    return np.where(is_material(label), label, FREE) if spec.occupancy == "material" else label
+    """The labels, free where the recipe does not call it occupied."""
+    return np.where(label == ENCLOSED, FREE, label) if spec.occupancy == "material" else label
 
 
 def _grid(
@@ -343,7 +343,7 @@ def _grid(
 ) -> NDArray[np.uint8]:
     """(n, R, R, R) such labels; somewhere every instance is occupied."""
     grid = shard.read(f"occupancy_{resolution}")
-    check_fixed_part(shard.path, names, grid)
+    check_fixed_part(shard, names, grid)
     grid = _told(grid, spec)
     _fill_empty(grid, surface, resolution)
     return grid
