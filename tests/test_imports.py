@@ -26,7 +26,7 @@ STAGES = {"articulation", "swept", "rendering", "fusion", "sampling", "sources"}
 WITH_TORCH = {"store.torch_dataset"} | {
     f"learning.{name}"
     for name in (
-        "commands", "dataset", "loop", "optimisers", "processes", "race", "runs", "tensors",
+        "cells", "commands", "dataset", "loop", "optimisers", "processes", "race", "runs", "tensors",
         "ppd.depth", "ppd.descent", "ppd.discriminator", "ppd.drawing", "ppd.kinematics",
         "ppd.learner",
         "ppd.losses", "ppd.model", "ppd.objective", "ppd.reconstruct", "ppd.release", "ppd.shape",

@@ -110,8 +110,25 @@ def test_the_paper_s_recipe_has_the_paper_s_numbers():
 
 
 def test_the_paper_s_text_is_the_default():
+    """But for what is called occupied: material, unless a recipe says otherwise."""
     paper = load_recipe("ppd_paper")
-    assert paper.sha256() == PPDRecipe(name="default").sha256()
+    assert paper.sha256() == PPDRecipe(name="p", data=DataSettings(occupancy="visible")).sha256()
+
+
+@pytest.mark.parametrize(
+    ("name", "occupancy"),
+    [
+        ("ppd_paper", "visible"),
+        ("ppd_release", "visible"),
+        ("ppd_quick", "material"),
+        ("ppd_hour", "material"),
+    ],
+)
+def test_our_recipes_learn_material_and_the_paper_s_what_is_not_seen_free(name, occupancy):
+    data = load_recipe(name).data
+    assert data.occupancy == occupancy
+    if occupancy == "visible":
+        assert (data.band_points, data.varying_points) == (0, 0)
 
 
 @pytest.mark.parametrize("name", known(learner=True))

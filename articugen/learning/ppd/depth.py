@@ -30,8 +30,9 @@ class DepthLearner(Predictor):
 
     def __init__(self, first: PPDLearner, seed: int, device: torch.device) -> None:
         self.settings = first.settings.third_stage()
-        none = {"grid_points": 0, "uniform_points": 0, "near_points": 0}
-        self.inputs = replace(first.inputs, **none, joints=None, partial=True)
+        kinds = ("grid", "uniform", "near", "band", "varying")
+        none = {f"{kind}_points": 0 for kind in kinds}
+        self.inputs = replace(first.inputs, **none, joints=None, poses=False, partial=True)
         self.points = None
         self.residual_direction = first.residual_direction
         self.teacher = first.model.encoder
