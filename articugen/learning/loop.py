@@ -168,7 +168,7 @@ def follow(course: Course, stop_after: int | None, on_progress: Tell) -> RunFold
     """The loop: from where the course stands to its schedule's end, or to `stop_after`."""
     learner, training, seed = course.learner, course.training, course.seed
     plan, method = learner.settings.schedule, learner.settings.method
-    learner.begin(training)
+    learner.begin(training, course.run.path.parent)
     with course.run.metrics_from(course.iteration, course.files) as log:
         for iteration in range(
             course.iteration, min(plan.iterations, stop_after or plan.iterations)

@@ -7,6 +7,7 @@ stay as they are.
 
 import copy
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -42,7 +43,7 @@ class DepthLearner(Predictor):
         self.model.encoder = self.student
         self.descent = Descent(self.student, rate="depth.learning_rate")
 
-    def begin(self, training: PackedSplit) -> None:
+    def begin(self, training: PackedSplit, beside: Path) -> None:
         self.wanted = self._wanted(training)
 
     def learn(self, batch: Batch, rng: torch.Generator | None, *, iteration: int) -> Terms:

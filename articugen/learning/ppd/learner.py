@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,10 +15,10 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 from articugen.learning.dataset import Batch, BatchSpec, PackedSplit, unpacked, voxel_centres
 from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.method import Learner, Terms
-from articugen.learning.ppd import objective
+from articugen.learning.ppd import objective, warm_start
 from articugen.learning.ppd.descent import Descent
 from articugen.learning.ppd.discriminator import Discriminator
-from articugen.learning.ppd.model import PPD, Prediction
+from articugen.learning.ppd.model import PPD, Pose, Prediction
 from articugen.learning.ppd.reconstruct import Meshes, reconstruction_of
 from articugen.learning.ppd.settings import PPDRecipe
 from articugen.learning.tensors import made
@@ -95,6 +97,27 @@ class PPDLearner(Predictor):
         self.descent = Descent(self.model, optimiser)
         self.discriminator_descent = Descent(self.discriminator, optimiser)
 
+    def begin(self, training: PackedSplit, beside: Path) -> None:
+        """Find the joints of the training objects, if a warm start is still to be made."""
+        if self._aims():
+            found, rows = warm_start.discovered(training, beside)
+            device = training.surface.device
+            self.targets = warm_start.targets(found, rows, self.settings.model, device)
+
+    def _aims(self) -> bool:
+        return self.iteration < self.settings.warm_start.iterations
+
+    def _aim(self, batch: Batch) -> Callable[[Pose, Tensor], Terms]:
+        """What a warm start asks of the prediction for a batch."""
+        aim = self.targets.of(batch.rows)
+        return partial(
+            warm_start.aim_terms,
+            owner=aim.owner(batch.points, batch.occupied),
+            aim=aim,
+            weigh=self.settings.warm_start,
+            revolute=len(self.settings.model.revolute),
+        )
+
     def learn(self, batch: Batch, rng: torch.Generator | None, *, iteration: int) -> Terms:
         """One step of the discriminator and one of the model."""
         plan, weigh = self.settings.schedule, self.settings.losses
@@ -117,6 +140,7 @@ class PPDLearner(Predictor):
             weigh=weigh,
             discriminator=self.discriminator,
             posed=posed,
+            aim=self._aim(batch) if self._aims() else None,
         )
         terms = minimize(predicted)
         self.descent.step(terms, lambda: minimize(predict()), iteration, rate)
