@@ -284,6 +284,8 @@ def test_objects_whose_joints_lie_otherwise_than_most_are_told():
     assert apart(most | {"both": both}) == ["both"]
     assert apart({"a": (hinge, y), "b": (hinge, z)}) == ["a", "b"]
     assert apart({"alone": (hinge, y)}) == []
+    still = (np.zeros(0, np.uint8), np.zeros((0, 3)))
+    assert apart({"a": still, "b": still, "c": (hinge, y), "d": (hinge, y)}) == []
 
 
 def test_what_lies_otherwise_is_a_hint_before_training(folder, tmp_path):

@@ -145,8 +145,9 @@ def lying_otherwise(folder: Path) -> list[str]:
 
 def apart(along: Mapping[str, tuple[NDArray[np.uint8], NDArray[np.float64]]]) -> list[str]:
     """Of objects with kinds (J,) and unit directions (J, 3) of their joints those that have no
-    direction, within 30 degrees, with half of the others in common."""
-    found = []
+    direction, within 30 degrees, with half of the others in common; what has no joint is left out.
+    """
+    along, found = {name: joints for name, joints in along.items() if len(joints[0])}, []
     for name, (kind, axis) in along.items():
         same = [
             bool(((np.abs(axis @ to.T) > COS_30) & (kind[:, None] == of)).any())
