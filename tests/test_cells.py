@@ -18,8 +18,9 @@ torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen.learning import cells  # noqa: E402
 from articugen.learning.cells import LabelledCells, voxel_centres  # noqa: E402
+from articugen.learning.commands import hints  # noqa: E402
 from articugen.learning.dataset import BatchSpec, load_split  # noqa: E402
-from articugen.learning.fitness import check_fixed_part  # noqa: E402
+from articugen.learning.fitness import apart, check_fixed_part, lying_otherwise  # noqa: E402
 
 ASK = BatchSpec(
     surface_points=100, grid_points=40, near_points=30, band_points=60, varying_points=50
@@ -270,6 +271,37 @@ def test_labels_of_the_first_format_tell_nothing_of_frames(tmp_path):
         shard = SimpleNamespace(path=tmp_path, attributes={"schema_version": version})
         with pytest.raises(CorruptShard) if version == 2 else nullcontext():
             check_fixed_part(cast(Shard, shard), np.array(["a", "a"]), grid)
+
+
+def test_objects_whose_joints_lie_otherwise_than_most_are_told():
+    hinge, slide = np.array([1], np.uint8), np.array([2], np.uint8)
+    y, z = np.array([[0.0, 1.0, 0.0]]), np.array([[0.0, 0.0, 1.0]])
+    tilted = np.array([[0.0, np.cos(0.5), np.sin(0.5)]])  # 29 degrees
+    most = {f"{i}": (hinge, y) for i in range(3)} | {"opposite": (hinge, -y)}
+    assert apart(most | {"tilted": (hinge, tilted)}) == []
+    assert apart(most | {"lying": (hinge, z), "drawer": (slide, y)}) == ["lying", "drawer"]
+    both = (np.array([1, 2], np.uint8), np.concatenate([z, y]))
+    assert apart(most | {"both": both}) == ["both"]
+    assert apart({"a": (hinge, y), "b": (hinge, z)}) == ["a", "b"]
+    assert apart({"alone": (hinge, y)}) == []
+    still = (np.zeros(0, np.uint8), np.zeros((0, 3)))
+    assert apart({"a": still, "b": still, "c": (hinge, y), "d": (hinge, y)}) == []
+
+
+def test_what_lies_otherwise_is_a_hint_before_training(folder, tmp_path):
+    assert lying_otherwise(folder) == []
+
+    write_boxes(tmp_path, train=3, test=1, states=1)
+    path = tmp_path / "train-00001.h5"
+    with open_shard(path) as shard:
+        rows, about = [shard.instance(i) for i in range(len(shard))], dict(shard.attributes)
+    turned = [dataclasses.replace(row, joint_axis=row.joint_axis[:, [2, 0, 1]]) for row in rows]
+    write_shard(path, turned, about)
+    assert lying_otherwise(tmp_path) == ["box-1"]
+    (hint,) = [h for h in hints(tmp_path) if "along other axes" in h]
+    assert (
+        "the joints of 1 of the 3 training objects lie along other axes than most (box-1);" in hint
+    )
 
 
 def test_one_pose_is_enough_where_none_are_compared(tmp_path):

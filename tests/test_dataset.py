@@ -14,7 +14,13 @@ from articugen.store.shards import open_shard, write_shard
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen import geometry  # noqa: E402
-from articugen.learning.dataset import BatchSpec, load_split, unpacked, voxel_centres  # noqa: E402
+from articugen.learning.dataset import (  # noqa: E402
+    BatchSpec,
+    _places,
+    load_split,
+    unpacked,
+    voxel_centres,
+)
 
 ASK = BatchSpec(
     surface_points=300, grid_points=200, uniform_points=100, near_points=50, joints=(3, 4)
@@ -90,6 +96,19 @@ def test_a_batch_depends_on_its_generator_alone(packed):
     assert torch.equal(one.cloud, two.cloud)
     assert torch.equal(one.points, two.points)
     assert not torch.equal(one.cloud, other.cloud)
+
+
+@pytest.mark.parametrize(("n", "count"), [(40, 30), (40, 10), (41, 10), (43, 3), (7, 1)])
+def test_every_stored_point_is_taken_as_often_and_none_twice(n, count):
+    """One in n / count draws, within five standard deviations, whatever the way of drawing."""
+    draws = 20_000
+    places = _places(torch.zeros(draws, dtype=torch.long), n, count, rng())
+    assert places.shape == (draws, count)
+    assert (places.sort(dim=1).values.diff(dim=1) > 0).all()
+    share = count / n
+    seen = torch.bincount(places.flatten(), minlength=n) / draws
+    assert len(seen) == n
+    assert float((seen - share).abs().max()) < 5 * (share * (1 - share) / draws) ** 0.5
 
 
 def test_a_whole_grid_is_taken_as_it_is(packed):

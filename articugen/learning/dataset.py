@@ -23,6 +23,9 @@ from articugen.records import ENCLOSED, FREE
 from articugen.store.manifest import Manifest
 from articugen.store.shards import Shard, open_shard
 
+FEW = 4
+"""Where at most one in so many stored points is taken, one comes from each of equal stretches."""
+
 
 @dataclass(frozen=True)
 class BatchSpec:
@@ -224,12 +227,20 @@ def index_on(device: torch.device, rows: Sequence[int]) -> Tensor:
 def _places(at: Tensor, n: int, count: int, rng: torch.Generator | None) -> Tensor:
     """(B, count) which `count` of n stored points, drawn anew for each row.
 
-    All n of them stay in order: nothing that uses a batch depends on the order of its points.
+    All n of them stay in order: nothing that uses a batch depends on the order of its points. Of
+    few each comes from a stretch of its own, on a ring that is turned at random: no number is drawn
+    for a point that is not taken.
     """
     if count in (0, n):
         return torch.arange(count, device=at.device).expand(len(at), count)
-    order = torch.rand(len(at), n, generator=rng, device=at.device)
-    return order.topk(count, dim=1, sorted=False).indices
+    if count * FEW > n:
+        order = torch.rand(len(at), n, generator=rng, device=at.device)
+        return order.topk(count, dim=1, sorted=False).indices
+    begin = torch.arange(count, device=at.device) * n // count
+    width = torch.arange(1, count + 1, device=at.device) * n // count - begin
+    share = torch.rand(len(at), count, generator=rng, device=at.device)
+    turn = torch.randint(n, (len(at), 1), generator=rng, device=at.device)
+    return (begin + (share * width).long() + turn) % n
 
 
 def unpacked(stored: Tensor) -> Tensor:

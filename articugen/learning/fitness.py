@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,13 +12,16 @@ from numpy.typing import NDArray
 
 from articugen.errors import CorruptShard
 from articugen.records import is_material
-from articugen.store.shards import Shard
+from articugen.store.manifest import Manifest
+from articugen.store.shards import Shard, open_shard
 
 if TYPE_CHECKING:
     from articugen.learning.dataset import BatchSpec
 
 KINDS = ("revolute", "prismatic")
 """Of joints: kinds 1 and 2, and the keys of PPD's directions."""
+
+COS_30 = math.cos(math.radians(30.0))
 
 SAME = 1e-6
 """Numbers of the unit frame that differ by less are the same."""
@@ -122,6 +126,37 @@ def check_varies(path: Path, names: NDArray[Any], varying: Sequence[NDArray[np.b
                 f"{path}: no cell of occupancy_{len(mask)} differs between the poses of {name}; "
                 "make the data set again with wider joint ranges, or set data.varying_points to 0"
             )
+
+
+def lying_otherwise(folder: Path) -> list[str]:
+    """The training objects none of whose joints goes along one of the same kind, whatever its
+    sense, of half of the other training objects.
+
+    It may be what they are, as a machine that is loaded from above; or they lie in another frame.
+    """
+    manifest, along = Manifest.read(folder), {}
+    for name in sorted({o.shard for o in manifest.objects if o.key.split == "train"}):
+        with open_shard(folder / name) as shard:
+            canonical = int(shard.read("state_index").argmin())
+            kind, axis = (shard.read(n, canonical) for n in ("joint_kind", "joint_axis"))
+            along[shard.object_ids()[canonical]] = kind, axis
+    return apart(along)
+
+
+def apart(along: Mapping[str, tuple[NDArray[np.uint8], NDArray[np.float64]]]) -> list[str]:
+    """Of objects with kinds (J,) and unit directions (J, 3) of their joints those that have no
+    direction, within 30 degrees, with half of the others in common; what has no joint is left out.
+    """
+    along, found = {name: joints for name, joints in along.items() if len(joints[0])}, []
+    for name, (kind, axis) in along.items():
+        same = [
+            bool(((np.abs(axis @ to.T) > COS_30) & (kind[:, None] == of)).any())
+            for other, (of, to) in along.items()
+            if other != name
+        ]
+        if same and 2 * sum(same) < len(same):
+            found.append(name)
+    return found
 
 
 def _check_poses(shard: Shard) -> None:

@@ -23,6 +23,7 @@ from articugen.learning.runs import (
     DEPTH,
     LATEST,
     MAIN,
+    META,
     Checkpoint,
     Files,
     RunFolder,
@@ -217,6 +218,12 @@ def split_for(
     everything = load_split(data, "train", spec, {*grids, *spec.grids}, category=category)
     kept, held_out = split_objects(everything.object_id, recipe.data.validation_objects)
     return everything.of(kept).to(device), everything.of(held_out).to(device)
+
+
+def check_data(recipe: TrainRecipe, category: str, data: Path) -> None:
+    """Raise CorruptShard where `train` would, before a run's folder is made."""
+    learner = find_method(recipe.method).start(recipe, seed=0, device=META)
+    split_for(learner, data, category, torch.device("cpu"))
 
 
 def split_objects(object_ids: Iterable[str], held_out: int) -> tuple[list[str], list[str]]:
