@@ -32,6 +32,9 @@ _AGREES = 0.6
 _SLIDES_FIRST = 1.05
 """A slide has two parameters fewer than a turn and is preferred where both explain as much."""
 
+_FAR_TURNS = 0.03
+"""By this share a radian, turns by less are preferred: a plate may as well have been turned over."""
+
 _BESIDE = np.cos(np.radians([30.0, 12.0]))
 _PLAIN = 1.03
 """A coordinate axis is preferred to one beside it (slides: by 30 degrees, turns: by 12), if it
@@ -172,7 +175,9 @@ class _Found:
         it is wrong of its own points."""
         mine = grown.follow & self.left
         gain = grown.right[:, mine].sum() - 2.0 * grown.wrong[:, mine].sum()
-        return float(gain * (1.0 if grown.joint.turns else _SLIDES_FIRST))
+        if grown.joint.turns:
+            return float(gain * (1.0 - _FAR_TURNS * np.abs(grown.joint.states).mean()))
+        return float(gain * _SLIDES_FIRST)
 
     def _patches(self) -> list[NDArray[np.intp]]:
         """Of the movers that nothing explains yet: patches of neighbours about points that are far

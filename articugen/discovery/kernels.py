@@ -333,12 +333,12 @@ def normal_equations(
                     J[4, r] = a[r]
                     J[0, r], J[1, r] = s * joint[2, r], s * joint[3, r]
                     J[2, r], J[3, r] = 0.0, 0.0
-            across = rx * nx + ry * ny + rz * nz
+            gap = rx * nx + ry * ny + rz * nz
             for u in range(5):
                 row = u if u < 4 else 4 + k
                 ju = J[u, 0] * nx + J[u, 1] * ny + J[u, 2] * nz
                 along = J[u, 0] * rx + J[u, 1] * ry + J[u, 2] * rz
-                g[row] += weight * ((1.0 - share) * ju * across + share * along)
+                g[row] += weight * ((1.0 - share) * ju * gap + share * along)
                 for v in range(u + 1):
                     jv = J[v, 0] * nx + J[v, 1] * ny + J[v, 2] * nz
                     both = J[u, 0] * J[v, 0] + J[u, 1] * J[v, 1] + J[u, 2] * J[v, 2]
