@@ -22,6 +22,9 @@ from articugen.records import Floats, JointKind
 Ints = NDArray[np.int64]
 
 _PATCHES, _PATCH = 16, 48
+_MOVERS = 800
+"""So many of the points that have left are looked at."""
+
 _RIGHT, _WRONG = 0.4, 0.2
 """Of the poses in which a point has left, a joint that it follows is right in this share at least,
 and wrong in this share at most."""
@@ -139,7 +142,7 @@ class _Found:
     def __init__(self, seen: Change) -> None:
         self.seen = seen
         self.search = Search(seen)
-        self.movers = some(np.flatnonzero(seen.movers), 2000)
+        self.movers = some(np.flatnonzero(seen.movers), _MOVERS)
         self.part = seen.start[self.movers]
         self.gone = seen.gone[:, self.movers]
         self.left = np.ones(len(self.movers), bool)
