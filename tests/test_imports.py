@@ -94,8 +94,11 @@ MAY_IMPORT: dict[str, set[str]] = {
     | {"store", "sources", "articulation", "fusion", "instance", "pipeline", "verify", "mesh_file"},
     "verify.check": {"pipeline", "verify"},
     "inspection": VOCABULARY | {"store", "rendering"},
+    # joints found from several poses, for learners and for a command of its own
+    "discovery": VOCABULARY,
     "learning": VOCABULARY
-    | {"store", "inspection", "marching_cubes", "workers", "model_text", "plugins", "ply"},
+    | {"store", "inspection", "marching_cubes", "workers", "model_text", "plugins", "ply"}
+    | {"discovery"},
     "learning.evaluation": VOCABULARY | {"store", "inspection"},
     # the door, for notebooks
     "maker": VOCABULARY | STAGES | {"instance", "mesh_file", "store.rows"},

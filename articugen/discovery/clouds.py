@@ -39,27 +39,31 @@ def cell_of(cloud: Floats) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """`points` (n, 3) with unit `normals` (n, 3) of either sign, zeros where none can be told."""
+    """`points` (n, 3) with unit `normals` (n, 3) of either sign, zeros where none can be told, and
+    how well each tells of a shift, `stiffness` (n, 3, 3)."""
 
     points: Floats
     normals: Floats
+    stiffness: Floats
 
     def __len__(self) -> int:
         return len(self.points)
 
     def __getitem__(self, which: Any) -> "Surface":
-        return Surface(self.points[which], self.normals[which])
+        return Surface(self.points[which], self.normals[which], self.stiffness[which])
 
     @staticmethod
     def bare(points: Floats) -> "Surface":
-        """Points of which no normals are known."""
-        return Surface(points, np.zeros_like(points))
+        """Points of which nothing else is known."""
+        return Surface(
+            points, np.zeros_like(points), np.broadcast_to(np.eye(3), (len(points), 3, 3))
+        )
 
     @staticmethod
     def estimated(points: Floats, of: "Cells", near: float) -> "Surface":
-        """Points with the normals of the cloud `of` (one pose) around them."""
-        found = kernels.normals(points, of.points, of.starts, 0, 1.8 * near)
-        return Surface(points, found)
+        """Points with what the cloud `of` (one pose) around them tells."""
+        normals, stiffness = kernels.shapes(points, of.points, of.starts, 0, 1.8 * near)
+        return Surface(points, normals, stiffness)
 
 
 @dataclass(frozen=True, eq=False)

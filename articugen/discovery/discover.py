@@ -22,6 +22,9 @@ from articugen.records import Floats, JointKind
 Ints = NDArray[np.int64]
 
 _PATCHES, _PATCH = 16, 48
+_MOVERS = 800
+"""So many of the points that have left are looked at."""
+
 _RIGHT, _WRONG = 0.4, 0.2
 """Of the poses in which a point has left, a joint that it follows is right in this share at least,
 and wrong in this share at most."""
@@ -31,6 +34,9 @@ _AGREES = 0.6
 
 _SLIDES_FIRST = 1.05
 """A slide has two parameters fewer than a turn and is preferred where both explain as much."""
+
+_FAR_TURNS = 0.03
+"""By this share a radian, turns by less are preferred: a plate may as well have been turned over."""
 
 _BESIDE = np.cos(np.radians([30.0, 12.0]))
 _PLAIN = 1.03
@@ -136,7 +142,7 @@ class _Found:
     def __init__(self, seen: Change) -> None:
         self.seen = seen
         self.search = Search(seen)
-        self.movers = some(np.flatnonzero(seen.movers), 2000)
+        self.movers = some(np.flatnonzero(seen.movers), _MOVERS)
         self.part = seen.start[self.movers]
         self.gone = seen.gone[:, self.movers]
         self.left = np.ones(len(self.movers), bool)
@@ -172,7 +178,9 @@ class _Found:
         it is wrong of its own points."""
         mine = grown.follow & self.left
         gain = grown.right[:, mine].sum() - 2.0 * grown.wrong[:, mine].sum()
-        return float(gain * (1.0 if grown.joint.turns else _SLIDES_FIRST))
+        if grown.joint.turns:
+            return float(gain * (1.0 - _FAR_TURNS * np.abs(grown.joint.states).mean()))
+        return float(gain * _SLIDES_FIRST)
 
     def _patches(self) -> list[NDArray[np.intp]]:
         """Of the movers that nothing explains yet: patches of neighbours about points that are far

@@ -11,9 +11,6 @@ from articugen.discovery.clouds import Cells, Surface
 from articugen.discovery.search import Candidate, motions, plane_across
 from articugen.records import Floats
 
-_ALONG = 0.1
-"""How much of a point's distance along the surface counts, of that across it all does."""
-
 _FLAT_FRONT = 10.0
 """What slides is often flat, and says little of where across it goes: it is damped the more."""
 
@@ -45,10 +42,10 @@ def fitted(
     for _ in range(rounds):
         across = plane_across(joint.axis)
         H, g = kernels.normal_equations(
-            part.points, part.normals, motions(joint), joint.turns,
+            part.points, part.normals, part.stiffness, motions(joint), joint.turns,
             np.concatenate([joint.axis[None], joint.pivot[None], across]),
             cells.points, cells.normals, cells.starts, reach,
-            cells.across(reach), _ALONG,
+            cells.across(reach),
         )  # fmt: skip
         H[:held], H[:, :held], g[:held] = 0.0, 0.0, 0.0
         scale = max(H.diagonal().max(), 1e-9)

@@ -15,6 +15,9 @@ CELLS = 32
 VOTES = 64
 """Cells along an edge of the grid that votes are looked up in."""
 
+ALONG = 0.02
+"""How much a point's distance counts along the surface or the rod that it is on; across it 1."""
+
 FLAT = 0.05
 """Of points on a plane, the variance across it is at most this share of the least along it."""
 
@@ -132,9 +135,11 @@ def spacing(queries, points, starts, pose, reach):
 
 
 @helper
-def _least(C, v):
-    """Into `v` (3,), the eigenvector of the symmetric (3, 3) `C` with the least eigenvalue, zeros
-    where that is not much less than the others: Jacobi's rotations. `C` is destroyed."""
+def _shape(C, normal, stiffness):
+    """Jacobi's rotations of the symmetric (3, 3) covariance `C`, which is destroyed: into `normal`
+    (3,) the direction of least variance, zeros where that is not much less than the others; into
+    `stiffness` (3, 3) how well the points tell of a shift: 1 along directions in which they spread
+    little, ALONG where they spread most."""
     V = np.eye(3)
     for _ in range(8):
         for p in range(2):
@@ -161,15 +166,22 @@ def _least(C, v):
         if C[k, k] < C[least, least]:
             least = k
     smaller = min(C[(least + 1) % 3, (least + 1) % 3], C[(least + 2) % 3, (least + 2) % 3])
+    most = max(C[0, 0], C[1, 1], C[2, 2], 1e-30)
     for k in range(3):
-        v[k] = V[k, least] if C[least, least] < FLAT * smaller else 0.0
+        normal[k] = V[k, least] if C[least, least] < FLAT * smaller else 0.0
+    stiffness[:] = 0.0
+    for e in range(3):
+        weight = max(1.0 - 2.0 * C[e, e] / most, ALONG)
+        for i in range(3):
+            for j in range(3):
+                stiffness[i, j] += weight * V[i, e] * V[j, e]
 
 
 @kernel
-def normals(queries, points, starts, pose, reach):
-    """(n, 3) unit normals, of either sign, of the plane through what is within `reach` of each;
-    zeros where that is no plane."""
-    out = np.zeros((len(queries), 3))
+def shapes(queries, points, starts, pose, reach):
+    """Of what is within `reach` of each query: (n, 3) the unit normal, of either sign, of the plane
+    through it, zeros where that is no plane; (n, 3, 3) its stiffness, see `_shape`."""
+    out, stiffness = np.zeros((len(queries), 3)), np.zeros((len(queries), 3, 3))
     C = np.zeros((3, 3))
     for i in range(len(queries)):
         x, y, z = queries[i, 0], queries[i, 1], queries[i, 2]
@@ -204,8 +216,8 @@ def normals(queries, points, starts, pose, reach):
             C[1, 2] -= sy * sz / count
             C[2, 2] -= sz * sz / count
         C[1, 0], C[2, 0], C[2, 1] = C[0, 1], C[0, 2], C[1, 2]
-        _least(C, out[i])
-    return out
+        _shape(C, out[i], stiffness[i])
+    return out, stiffness
 
 
 @kernel
@@ -266,23 +278,14 @@ def profile(queries, query_normals, turned_steps, points, normals, starts, pose,
 
 @kernel
 def normal_equations(
-    queries,
-    query_normals,
-    motions,
-    turns,
-    joint,
-    points,
-    normals,
-    starts,
-    reach,
-    across,
-    tangential,
-):
+    queries, query_normals, stiffness, motions, turns, joint,
+    points, normals, starts, reach, across,
+):  # fmt: skip
     """Gauss and Newton's system for a joint and its states: each moved point against what is
-    nearest to it in the pose, across its own surface, and by the share `tangential` along it.
+    nearest to it in the pose, by its own stiffness, as in generalised ICP (Segal et al. 2009).
 
     Args:
-        queries, query_normals: (m, 3) of pose 0.
+        queries, query_normals, stiffness: (m, 3), (m, 3), (m, 3, 3) of pose 0.
         motions: (K, 3, 4) of each pose.
         turns: whether it is a revolute joint.
         joint: (4, 3) axis, pivot, and two unit vectors that span the plane across the axis.
@@ -294,7 +297,7 @@ def normal_equations(
     """
     K = len(motions)
     H, g = np.zeros((4 + K, 4 + K)), np.zeros(4 + K)
-    J = np.zeros((5, 3))
+    J, B, S = np.zeros((6, 3)), np.zeros((6, 3)), np.zeros(3)
     a, c = joint[0], joint[1]
     for k in range(K):
         M = motions[k]
@@ -311,7 +314,6 @@ def normal_equations(
                 continue
             weight = (1.0 - d / (reach * reach)) ** 2
             rx, ry, rz = x - points[at, 0], y - points[at, 1], z - points[at, 2]
-            share = tangential if nx * nx + ny * ny + nz * nz > 0.5 else 1.0
             if turns:
                 qx, qy, qz = x - c[0], y - c[1], z - c[2]
                 ox, oy, oz = p[0] - c[0], p[1] - c[1], p[2] - c[2]
@@ -333,17 +335,20 @@ def normal_equations(
                     J[4, r] = a[r]
                     J[0, r], J[1, r] = s * joint[2, r], s * joint[3, r]
                     J[2, r], J[3, r] = 0.0, 0.0
-            across = rx * nx + ry * ny + rz * nz
+            J[5, 0], J[5, 1], J[5, 2] = rx, ry, rz
+            W = stiffness[i]
+            for u in range(6):  # in the frame of pose 0
+                jx, jy, jz = J[u, 0], J[u, 1], J[u, 2]
+                for r in range(3):
+                    B[u, r] = M[0, r] * jx + M[1, r] * jy + M[2, r] * jz
             for u in range(5):
                 row = u if u < 4 else 4 + k
-                ju = J[u, 0] * nx + J[u, 1] * ny + J[u, 2] * nz
-                along = J[u, 0] * rx + J[u, 1] * ry + J[u, 2] * rz
-                g[row] += weight * ((1.0 - share) * ju * across + share * along)
+                for r in range(3):
+                    S[r] = weight * (W[r, 0] * B[u, 0] + W[r, 1] * B[u, 1] + W[r, 2] * B[u, 2])
+                g[row] += S[0] * B[5, 0] + S[1] * B[5, 1] + S[2] * B[5, 2]
                 for v in range(u + 1):
-                    jv = J[v, 0] * nx + J[v, 1] * ny + J[v, 2] * nz
-                    both = J[u, 0] * J[v, 0] + J[u, 1] * J[v, 1] + J[u, 2] * J[v, 2]
-                    value = weight * ((1.0 - share) * ju * jv + share * both)
                     column = v if v < 4 else 4 + k
+                    value = S[0] * B[v, 0] + S[1] * B[v, 1] + S[2] * B[v, 2]
                     H[row, column] += value
                     if row != column:
                         H[column, row] += value
