@@ -26,8 +26,8 @@ STAGES = {"articulation", "swept", "rendering", "fusion", "sampling", "sources"}
 WITH_TORCH = {"store.torch_dataset"} | {
     f"learning.{name}"
     for name in (
-        "benchmark", "commands", "dataset", "loop", "processes", "race", "runs", "safetensors",
-        "study", "tensors", "together",
+        "benchmark", "cells", "commands", "dataset", "loop", "optimisers", "processes", "race",
+        "runs", "safetensors", "study", "tensors", "together",
         "ppd.depth", "ppd.descent", "ppd.discriminator", "ppd.drawing", "ppd.kinematics",
         "ppd.learner", "ppd.many",
         "ppd.losses", "ppd.model", "ppd.objective", "ppd.reconstruct", "ppd.release", "ppd.shape",
@@ -95,8 +95,11 @@ MAY_IMPORT: dict[str, set[str]] = {
     | {"store", "sources", "articulation", "fusion", "instance", "pipeline", "verify", "mesh_file"},
     "verify.check": {"pipeline", "verify"},
     "inspection": VOCABULARY | {"store", "rendering"},
+    # joints found from several poses, for learners and for a command of its own
+    "discovery": VOCABULARY,
     "learning": VOCABULARY
-    | {"store", "inspection", "marching_cubes", "workers", "model_text", "plugins", "ply"},
+    | {"store", "inspection", "marching_cubes", "workers", "model_text", "plugins", "ply"}
+    | {"discovery"},
     "learning.evaluation": VOCABULARY | {"store", "inspection"},
     # the door, for notebooks
     "maker": VOCABULARY | STAGES | {"instance", "mesh_file", "store.rows"},

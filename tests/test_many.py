@@ -9,7 +9,7 @@ from ppd_data import write_boxes
 
 from articugen.errors import InvalidRecipe
 from articugen.learning.method import find_method, load_recipe
-from articugen.learning.ppd.settings import PPDRecipe
+from articugen.learning.ppd.settings import ModelSettings, PPDRecipe
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
@@ -17,6 +17,7 @@ from articugen.learning.dataset import load_split  # noqa: E402
 from articugen.learning.loop import train  # noqa: E402
 from articugen.learning.ppd.learner import PPDLearner  # noqa: E402
 from articugen.learning.ppd.many import Many  # noqa: E402
+from articugen.learning.ppd.warm_start import CELLS, Targets  # noqa: E402
 from articugen.learning.race import can_run_at_once, race  # noqa: E402
 from articugen.learning.runs import LATEST, METRICS, RunFolder, read_checkpoint  # noqa: E402
 from articugen.learning.tensors import check_like, digest  # noqa: E402
@@ -98,6 +99,9 @@ FORMS = {
         "losses": {"loc_form": "paper", "var_form": "paper", "vq_form": "norm", "dev_form": "paper"}
     },
     "without common pose": {"losses": {"vol_logit": "instance"}, "model": {"common_pose": False}},
+    "Muon": {"schedule": {"optimiser": "muon"}},
+    "SOAP": {"schedule": {"optimiser": "soap"}},
+    "a warm start": {"warm_start": {"iterations": 4}, "data": {"varying_points": 20}},
     "in the world, few decisive points": {
         "model": {"part_frame": "world"},
         "data": {"surface_points": 500, "uniform_points": 30, "grid_points": 30},
@@ -107,14 +111,19 @@ FORMS = {
 
 @pytest.mark.parametrize("name", FORMS)
 def test_in_double_precision_there_is_no_difference(boxes, name):
-    """Over both stages, handed out and stacked again in between."""
+    """Over both stages, handed out and stacked again in between. SOAP's first bases are any where a
+    gradient's rank is not full: rounding chooses."""
+    near = 2e-2 if name == "SOAP" else 1e-9
     recipe = tiny(**FORMS[name])
     alone, joined = (
         [PPDLearner(recipe, seed, torch.device("cpu")) for seed in SEEDS] for _ in range(2)
     )
     for learner in (*alone, *joined):
         learner.model.double()
+        learner._begin_stage()  # optimisers of double precision too
     split = load_split(boxes, "train", alone[0].inputs, [8, 16])
+    for learner in (*alone, *joined):
+        learner.targets = some_targets(len(split), recipe.model)
     team = Many(joined)
     for iteration in range(8):
         if iteration in (3, 6):
@@ -131,14 +140,27 @@ def test_in_double_precision_there_is_no_difference(boxes, name):
             wanted = learner.learn(double(own), rng, iteration=iteration)
             assert found.keys() == wanted.keys()
             for term, value in wanted.items():
-                torch.testing.assert_close(found[term][s], value, rtol=1e-9, atol=1e-12)
+                torch.testing.assert_close(found[term][s], value, rtol=near, atol=near)
     team.hand_out()
     assert team.diverged() == [False] * 2
     for one, other in zip(alone, joined, strict=True):
         wanted, state = one.state(), other.state()
         check_like(state, wanted, Path("handed out"))
         for weight, value in wanted["model"].items():
-            torch.testing.assert_close(state["model"][weight], value, rtol=1e-6, atol=1e-9)
+            torch.testing.assert_close(state["model"][weight], value, rtol=1e3 * near, atol=near)
+
+
+def some_targets(instances: int, model: ModelSettings) -> Targets:
+    """What a warm start might have found, though not in these boxes."""
+    some, J = torch.Generator().manual_seed(0), model.joints
+
+    def of(*shape: int) -> torch.Tensor:
+        return torch.rand(instances, *shape, generator=some, dtype=torch.float64)
+
+    return Targets(
+        (of(J) > 0.5).double(), 0.1 + 0.5 * of(J), of(J, 3), of(J, 3) - 0.5, of(J + 1, 3, 3),
+        of(J + 1, 3) - 0.5, (3 * of(J + 1)).long(), torch.rand(3, CELLS**3, generator=some),
+    )  # fmt: skip
 
 
 def double(batch):

@@ -41,22 +41,38 @@ class Pace:
 
 
 def pace(
-    recipe: TrainRecipe, *, category: str, data: Path, device: str, seeds: int, seconds: float
+    recipe: TrainRecipe,
+    *,
+    category: str,
+    data: Path,
+    beside: Path,
+    device: str,
+    seeds: int,
+    seconds: float,
 ) -> Pace:
-    """Let some seeds learn on a data set for about so many seconds; nothing is kept.
+    """Let some seeds learn on a data set for about so many seconds.
 
     What a recipe asks and the data or the device do not have is the pace's `failed`.
+
+    Args:
+        beside: a folder for what learners keep of the data, see `Learner.begin`.
     """
     where = torch.device(device)
     try:
-        return _measured(recipe, category, data, where, seeds, seconds)
+        return _measured(recipe, category, data, beside, where, seeds, seconds)
     except (ArticugenError, torch.OutOfMemoryError) as error:
         told = "out of memory" if isinstance(error, torch.OutOfMemoryError) else str(error)
         return Pace(recipe.name, seeds, failed=told)
 
 
 def _measured(
-    recipe: TrainRecipe, category: str, data: Path, where: torch.device, seeds: int, seconds: float
+    recipe: TrainRecipe,
+    category: str,
+    data: Path,
+    beside: Path,
+    where: torch.device,
+    seeds: int,
+    seconds: float,
 ) -> Pace:
     method, plan = find_method(recipe.method), recipe.schedule
     began = time.perf_counter()
@@ -65,9 +81,8 @@ def _measured(
         for s in range(seeds)
     ]
     training, held_out = split_for(learners[0], data, category, where)
-    for learner in learners:
-        learner.begin(training)
     team = method.team(learners) if seeds > 1 else None
+    (team or learners[0]).begin(training, beside)
     begin_seconds = time.perf_counter() - began
     wait = _forget_peak(where)
     chances = [torch.Generator(where) for _ in (learners if team else learners[:1])]

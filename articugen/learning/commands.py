@@ -22,6 +22,7 @@ from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.evaluation.report import markdown
 from articugen.learning.evaluation.report import tables as written
 from articugen.learning.evaluation.results import EvaluatedRun, RunEvaluation, read_evaluation
+from articugen.learning.fitness import lying_otherwise
 from articugen.learning.loop import Tell
 from articugen.learning.method import Yardstick, find_method, load_recipe
 from articugen.learning.predict import write_rig
@@ -313,6 +314,12 @@ def hints(data: FolderLike) -> list[str]:
         found.append(
             f"{data}: {count} training objects show that all works, but teach little that carries "
             "over to others; for that make the full data set, without RECIPE=quick or OBJECTS="
+        )
+    if others := lying_otherwise(Path(data)):
+        found.append(
+            f"{data}: the joints of {len(others)} of the {count} training objects lie along other "
+            f"axes than most ({', '.join(others[:3])}{', ...' if others[3:] else ''}); a category "
+            "is learnt in a frame that its objects share, so turn those that lie turned by mistake"
         )
     return found if tensorboard.is_installed() else [*found, tensorboard.MISSING]
 

@@ -27,6 +27,7 @@ from articugen.learning.runs import (
     DEPTH,
     LATEST,
     MAIN,
+    META,
     Checkpoint,
     Files,
     RunFolder,
@@ -233,7 +234,7 @@ def follow(course: Course, stop_after: int | None, on_progress: Tell) -> RunFold
     """The loop: from where the course stands to its schedule's end, or to `stop_after`."""
     learner, training = course.learner, course.training
     plan = learner.settings.schedule
-    learner.begin(training)
+    learner.begin(training, course.run.path.parent)
     with course.run.metrics_from(course.iteration, course.files) as log:
         for iteration in range(
             course.iteration, min(plan.iterations, stop_after or plan.iterations)
@@ -263,6 +264,12 @@ def split_for(
     everything = load_split(data, "train", spec, {*grids, *spec.grids}, category=category)
     kept, held_out = split_objects(everything.object_id, recipe.data.validation_objects)
     return everything.of(kept).to(device), everything.of(held_out).to(device)
+
+
+def check_data(recipe: TrainRecipe, category: str, data: Path) -> None:
+    """Raise CorruptShard where `train` would, before a run's folder is made."""
+    learner = find_method(recipe.method).start(recipe, seed=0, device=META)
+    split_for(learner, data, category, torch.device("cpu"))
 
 
 def split_objects(object_ids: Iterable[str], held_out: int) -> tuple[list[str], list[str]]:

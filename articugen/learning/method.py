@@ -48,8 +48,12 @@ class Learner(Protocol):
     inputs: BatchSpec
     """What batches and held-out objects must hold."""
 
-    def begin(self, training: PackedSplit) -> None:
-        """Look at all training instances once, before the first iteration."""
+    def begin(self, training: PackedSplit, beside: Path) -> None:
+        """Look at all training instances once, before the first iteration of each process.
+
+        Args:
+            beside: a folder that several runs share, for what is worth keeping of it.
+        """
 
     def learn(
         self, batch: Batch, rng: torch.Generator | None, *, iteration: int
@@ -98,6 +102,9 @@ class Learner(Protocol):
 
 class Team(Protocol):
     """Several learners of one recipe, a seed each, that take their steps at once."""
+
+    def begin(self, training: PackedSplit, beside: Path) -> None:
+        """As `Learner.begin`, once for all of them."""
 
     def learn(self, batch: Batch, *, iteration: int) -> Mapping[str, torch.Tensor]:
         """One step of each; every term of the loss, a number a learner, (S,).

@@ -19,7 +19,7 @@ from typing import Any
 import torch
 
 from articugen.errors import InvalidCheckpoint, TrainingDiverged
-from articugen.learning.loop import Tell, new_run, train
+from articugen.learning.loop import Tell, check_data, new_run, train
 from articugen.learning.method import find_method
 from articugen.learning.recipe import TrainRecipe
 from articugen.learning.runs import BEST, LATEST, METRICS, RunFolder, read_checkpoint
@@ -122,8 +122,10 @@ def race(
         TrainingDiverged: no seed was left.
         Others as `train`.
     """
-    run = new_run(recipe, category, data, runs, seed) if resume is None else RunFolder(resume)
-    if resume is not None and run.recipe().sha256() != recipe.sha256():
+    if resume is None:
+        check_data(recipe, category, data)
+        run = new_run(recipe, category, data, runs, seed)
+    elif (run := RunFolder(resume)).recipe().sha256() != recipe.sha256():
         raise InvalidCheckpoint(f"{resume}: was started with another recipe; start a new run")
     heat = partial(Heat, recipe, category, data, run.path / "seeds", device=device)
     racing = list(range(seed, seed + recipe.seeds.count))

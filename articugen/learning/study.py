@@ -212,7 +212,7 @@ def study(asked: Asked, out: Path, *, make_data: MakeData, say: Say = lambda _: 
     make(first)
     if journal.to_do("bench", f"data {first}"):
         with journal.step("bench", say):
-            journal.bench = _bench(asked, first, say)
+            journal.bench = _bench(asked, first, work, say)
     for category in others:
         make(category)
     for category in asked.categories:
@@ -247,17 +247,17 @@ def facts(device: str) -> dict[str, Any]:
     return found
 
 
-def _bench(asked: Asked, category: str, say: Say) -> list[Pace]:
+def _bench(asked: Asked, category: str, work: Path, say: Say) -> list[Pace]:
     """The pace of the known recipes, and that of the study's with as many seeds as race at a
     time."""
     seconds = 0.1 if asked.quick else 5.0
-    told = {"category": category, "data": asked.data / category, "device": asked.device}
+    told = {"category": category, "data": asked.data / category, "beside": work}
     known = () if asked.quick else BENCHED
     todo = [(load_recipe(name), 1) for name in known]
     todo += [(asked.recipe, count) for count in _field(asked.seeds)]
     rows = []
     for recipe, count in todo:
-        rows.append(pace(recipe, **told, seeds=count, seconds=seconds))
+        rows.append(pace(recipe, **told, device=asked.device, seeds=count, seconds=seconds))
         say(pace_table(rows[-1:]).splitlines()[-1])
     return rows
 

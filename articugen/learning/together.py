@@ -74,8 +74,7 @@ def follow_together(
     plan, training = first.learner.settings.schedule, first.training
     device = training.surface.device
     chances = [torch.Generator(device) for _ in courses]
-    for course in courses:
-        course.learner.begin(training)
+    team.begin(training, first.run.path.parent)
     with ExitStack() as stack:
         logs = [stack.enter_context(c.run.metrics_from(c.iteration, c.files)) for c in courses]
         for iteration in range(first.iteration, min(plan.iterations, stop_after)):

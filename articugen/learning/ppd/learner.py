@@ -1,8 +1,10 @@
-"""How PPD learns: the model and the discriminator, each with where its Adam stands."""
+"""How PPD learns: the model and the discriminator, each with where its optimiser stands."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,10 +15,10 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 from articugen.learning.dataset import Batch, BatchSpec, PackedSplit, unpacked, voxel_centres
 from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.method import Learner, Terms
-from articugen.learning.ppd import objective
+from articugen.learning.ppd import objective, warm_start
 from articugen.learning.ppd.descent import Descent
 from articugen.learning.ppd.discriminator import Discriminator
-from articugen.learning.ppd.model import PPD, Prediction
+from articugen.learning.ppd.model import PPD, Pose, Prediction
 from articugen.learning.ppd.reconstruct import Meshes, reconstruction_of
 from articugen.learning.ppd.settings import PPDRecipe
 from articugen.learning.tensors import made
@@ -81,25 +83,50 @@ class PPDLearner(Predictor):
         self.model.to(device)
         self.discriminator.to(device)
         self.points = settings.data.surface_points
-        self._at(0)
+        self.at(0)
         self._begin_stage()
 
-    def _at(self, iteration: int) -> None:
+    def at(self, iteration: int) -> None:
+        """Stand at an iteration: its stage's flags hold."""
         self.iteration = iteration
         stage = self.settings.schedule.stage_at(iteration)
         self.residual_direction = stage.residual_direction
 
     def _begin_stage(self) -> None:
-        """New Adams, as the release has in each stage."""
-        self.descent = Descent(self.model)
-        self.discriminator_descent = Descent(self.discriminator)
+        """Optimisers start afresh in each stage, as in the release."""
+        optimiser = self.settings.schedule.optimiser
+        self.descent = Descent(self.model, optimiser)
+        self.discriminator_descent = Descent(self.discriminator, optimiser)
+
+    def begin(self, training: PackedSplit, beside: Path) -> None:
+        """Find the joints of the training objects, if a warm start is still to be made."""
+        if self._aims():
+            found, rows = warm_start.discovered(training, beside)
+            device = training.surface.device
+            self.targets = warm_start.targets(found, rows, self.settings.model, device)
+
+    def _aims(self) -> bool:
+        return self.iteration < self.settings.warm_start.iterations
+
+    def aim(self, batch: Batch) -> Callable[[Pose, Tensor], Terms] | None:
+        """What a warm start asks of the prediction for a batch, while there is one."""
+        if not self._aims():
+            return None
+        aim = self.targets.of(batch.rows)
+        return partial(
+            warm_start.aim_terms,
+            owner=aim.owner(batch.points, batch.occupied),
+            aim=aim,
+            weigh=self.settings.warm_start,
+            revolute=len(self.settings.model.revolute),
+        )
 
     def learn(self, batch: Batch, rng: torch.Generator | None, *, iteration: int) -> Terms:
         """One step of the discriminator and one of the model."""
         plan, weigh = self.settings.schedule, self.settings.losses
         if plan.index_at(iteration) != plan.index_at(self.iteration):
             self._begin_stage()
-        self._at(iteration)
+        self.at(iteration)
         rate = plan.rate_at(iteration)
         predict = partial(self.model, batch.cloud, residual_direction=self.residual_direction)
         predicted = predict()
@@ -116,6 +143,7 @@ class PPDLearner(Predictor):
             weigh=weigh,
             discriminator=self.discriminator,
             posed=posed,
+            aim=self.aim(batch),
         )
         terms = minimize(predicted)
         self.descent.step(terms, lambda: minimize(predict()), iteration, rate)
@@ -140,7 +168,7 @@ class PPDLearner(Predictor):
         }
 
     def load(self, state: dict[str, Any]) -> None:
-        self._at(max(state["iteration"], 0))
+        self.at(max(state["iteration"], 0))
         self.model.load_state_dict(state["model"])
         self.discriminator.load_state_dict(state["discriminator"])
         self.descent.load(state["adam"])

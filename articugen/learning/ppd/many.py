@@ -10,20 +10,21 @@ states.
 """
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call, vmap
 
-from articugen.learning.dataset import Batch
+from articugen.learning.dataset import Batch, PackedSplit
 from articugen.learning.method import Team, Terms
+from articugen.learning.optimisers import Optimiser, optimiser_of
 from articugen.learning.ppd import objective
-from articugen.learning.ppd.descent import Descent
 from articugen.learning.ppd.learner import PPDLearner
 from articugen.learning.ppd.model import PPD
-from articugen.learning.ppd.settings import LossSettings, PPDRecipe
+from articugen.learning.ppd.settings import PPDRecipe
 from articugen.learning.ppd.shape import whole_batches
 
 
@@ -45,39 +46,42 @@ class Many(Team):
         self.learners = learners
         self.settings, self.iteration = learners[0].settings, learners[0].iteration
         self.stack = _stacked([learner.model for learner in learners])
-        self.objective = _Objective(learners[0].model, self.settings.losses)
+        self.objective = _Objective(learners[0])
         like = next(self.stack.parameters())
         self.unsound = torch.zeros(len(learners), dtype=torch.bool, device=like.device)
-        self.descent = self._new_descent()
+        self.optimiser = self._new_optimiser()
         own = [learner.descent.state() for learner in learners]
-        self.descent.load(_joined(own, self.descent.state()))
+        self.optimiser.load(_joined(own, self.optimiser.state()))
 
-    def _new_descent(self) -> Descent:
-        return Descent(self.stack, patient=True)
+    def _new_optimiser(self) -> Optimiser:
+        return optimiser_of(self.settings.schedule.optimiser, self.stack)
+
+    def begin(self, training: PackedSplit, beside: Path) -> None:
+        """The first learner looks for all: what it finds does not hang on the seed."""
+        self.learners[0].begin(training, beside)
 
     def learn(self, batch: Batch, *, iteration: int) -> Terms:
         plan = self.settings.schedule
         if plan.index_at(iteration) != plan.index_at(self.iteration):
-            self.descent = self._new_descent()
+            self.optimiser = self._new_optimiser()
         self.iteration = iteration
+        self.learners[0].at(iteration)
         terms = self._terms(batch)
         noted = torch.stack([value.detach() for value in terms.values()])
         self.unsound |= ~noted.isfinite().all(0)
-        sums = {name: value.sum() for name, value in terms.items()}
-        self.descent.step(sums, lambda: sums, iteration, plan.rate_at(iteration))
+        self.stack.zero_grad()
+        torch.stack(list(terms.values())).sum().backward()
+        self.optimiser.step(plan.rate_at(iteration))
         return terms
 
     def _terms(self, batch: Batch) -> Terms:
         """What each seed minimises, (S,) each, of its share of the batch."""
         S = len(self.learners)
 
-        residual_direction = self.settings.schedule.stage_at(self.iteration).residual_direction
-
         def of_one(weights: Mapping[str, Tensor], *own: Tensor) -> Terms:
-            told = (*own, batch.spread, residual_direction)
-            return functional_call(self.objective, dict(weights), told)
+            return functional_call(self.objective, dict(weights), (*own, batch.spread))
 
-        weights = {f"model.{name}": value for name, value in self.stack.named_parameters()}
+        weights = {f"model.{name}": value for name, value in self._weights()}
         shares = [
             x.unflatten(0, (S, len(batch.rows) // S))
             for x in (batch.rows, batch.cloud, batch.part, batch.points, batch.occupied)
@@ -87,12 +91,18 @@ class Many(Team):
 
     def diverged(self) -> list[bool]:
         found = self.unsound.clone()
-        for value in self.stack.parameters():
+        for _, value in self._weights():
             found |= ~value.detach().flatten(1).isfinite().all(1)
         return found.tolist()
 
+    def _weights(self) -> Iterator[tuple[str, Tensor]]:
+        """All weights by name, (S, ...)."""
+        own = dict(self.learners[0].model.named_parameters())
+        for name, value in self.stack.named_parameters():
+            yield name, value.view(-1, *own[name].shape)
+
     def hand_out(self) -> None:
-        adam, weights = self.descent.state(), self.stack.state_dict()
+        adam, weights = self.optimiser.state(), self.stack.state_dict()
         for seed, learner in enumerate(self.learners):
             own = learner.state()
             mine = {"iteration": self.iteration, "model": _share(weights, own["model"], seed)}
@@ -100,11 +110,11 @@ class Many(Team):
 
 
 class _Objective(nn.Module):
-    """What one model minimises, as a module whose weights can be given from outside."""
+    """What one learner's model minimises, as a module whose weights can be given from outside."""
 
-    def __init__(self, model: PPD, weigh: LossSettings) -> None:
+    def __init__(self, learner: PPDLearner) -> None:
         super().__init__()
-        self.model, self.weigh = model, weigh
+        self.learner, self.model = learner, learner.model
 
     def forward(
         self,
@@ -114,20 +124,25 @@ class _Objective(nn.Module):
         points: Tensor,
         occupied: Tensor,
         spread: int,
-        residual_direction: bool,
     ) -> Terms:
-        batch = Batch(rows, cloud, part, points, occupied, spread)
-        predicted = self.model(cloud, residual_direction=residual_direction)
-        return objective.generator_terms(self.model, predicted, batch, self.weigh)
+        batch, learner = Batch(rows, cloud, part, points, occupied, spread), self.learner
+        predicted = self.model(cloud, residual_direction=learner.residual_direction)
+        weigh, aim = learner.settings.losses, learner.aim(batch)
+        return objective.generator_terms(self.model, predicted, batch, weigh, aim=aim)
 
 
 def _stacked(models: Sequence[PPD]) -> PPD:
-    """A model by name alone, every parameter of which is that of all `models`, (S, ...)."""
+    """A model by name alone, every parameter of which is that of all `models`.
+
+    Matrices get a first axis more, as groups are; vectors stand one after the other, since
+    optimisers would take them for a matrix.
+    """
     stack = copy.deepcopy(models[0])
     each = [dict(model.named_parameters()) for model in models]
     for name in each[0]:
         module, _, own = name.rpartition(".")
-        together = torch.stack([parameters[name].detach() for parameters in each])
+        join = torch.cat if each[0][name].dim() == 1 else torch.stack
+        together = join([parameters[name].detach() for parameters in each])
         setattr(stack.get_submodule(module), own, nn.Parameter(together))
     return stack
 

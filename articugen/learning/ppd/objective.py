@@ -3,6 +3,7 @@
 Terms are weighted and named; a recipe's weight of 0 leaves a term out and costs nothing.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -86,10 +87,14 @@ def generator_terms(
     weigh: LossSettings,
     discriminator: Discriminator | None = None,
     posed: RandomPose | None = None,
+    aim: Callable[[Pose, Tensor], Terms] | None = None,
 ) -> Terms:
-    """Everything the model itself minimises; L_adv_g where there are random poses."""
+    """Everything the model itself minimises; L_adv_g where there are random poses, and what a warm
+    start asks of pose and fields (B, P, n) where there is an `aim`."""
     fields = model.fields(prediction.shape, model.motion(prediction.pose), batch.points)
-    terms: Terms = {"rec": weigh.rec * losses.reconstruction(fields.product, batch.occupied)}
+    terms: Terms = {}
+    if weigh.rec:
+        terms["rec"] = weigh.rec * losses.reconstruction(fields.product, batch.occupied)
     if weigh.rec_common and model.settings.common_shape:
         common = losses.reconstruction(fields.common, batch.occupied)
         terms["rec_common"] = weigh.rec_common * common
@@ -102,6 +107,8 @@ def generator_terms(
     if weigh.loc:
         terms["loc"] = weigh.loc * _location(model, prediction.pose, fields, batch, weigh)
     terms |= _variation(model, prediction.pose, weigh)
+    if aim:
+        terms |= aim(prediction.pose, fields.product)
     if weigh.adv_g and discriminator is not None and posed is not None:
         terms["adv_g"] = weigh.adv_g * _adversarial(model, discriminator, prediction, batch, posed)
     return terms

@@ -92,8 +92,30 @@ class LossSettings(Section):
     most_prismatic: float = Field(default=0.4, gt=0)
 
 
+class WarmStart(Section):
+    """Targets for the first iterations, see `warm_start`; what the paper does not have.
+
+    They come from what changes between the poses of an object, and so use more than the paper does:
+    which instances are of one object.
+
+    Attributes:
+        iterations: how many are aimed; 0 is no warm start.
+        parts: weight of each part's field against whose the occupied points are.
+        rarity: how much more the points of parts weigh that own few: (others / own)^rarity.
+        state, direction, pivot: weights of how far these are off: amounts, 1 - cos, and the square
+            of the distance between axis and pivot.
+    """
+
+    iterations: int = Field(default=0, ge=0)
+    parts: float = Field(default=0.01, ge=0)
+    rarity: float = Field(default=0.5, ge=0)
+    state: float = Field(default=20.0, ge=0)
+    direction: float = Field(default=20.0, ge=0)
+    pivot: float = Field(default=200.0, ge=0)
+
+
 class PPDStage(Stage):
-    """A stretch of training; Adam starts afresh in each.
+    """A stretch of training; the optimiser starts afresh in each.
 
     Attributes:
         residual_direction: r = r^c + r^z (the paper's second stage), else r = r^c.
@@ -132,6 +154,7 @@ class PPDRecipe(TrainRecipe):
     method: Literal["ppd"] = "ppd"  # pyright: ignore[reportIncompatibleVariableOverride]
     model: ModelSettings = ModelSettings()
     losses: LossSettings = LossSettings()
+    warm_start: WarmStart = WarmStart()
     schedule: PPDSchedule = PPDSchedule()  # pyright: ignore[reportIncompatibleVariableOverride]
     depth: DepthSettings = DepthSettings()
 
@@ -164,6 +187,7 @@ class PPDRecipe(TrainRecipe):
         plan, rate = self.depth, self.depth.learning_rate
         schedule = {
             "batch": plan.batch,
+            "optimiser": "adam",
             "learning_rate": rate,
             "final_learning_rate": 0.01 * rate,
             "stages": (PPDStage(resolution=1, iterations=plan.iterations),),
