@@ -72,12 +72,12 @@ def degrees_between(a: Floats, b: Sequence[float]) -> float:
     return float(np.degrees(np.arccos(np.clip(a @ way, -1.0, 1.0))))
 
 
-LID = ((0.03, 0.44, 0.44), (0.03, 0.0, 0.0))
+LID = ((0.03, 0.44, 0.44), (0.05, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("axis", [(0.0, 1.0, 0.0), (0.0, 0.12, 1.0)])
 def test_a_door_is_found_with_its_axis_its_pivot_and_its_angles(axis: Sequence[float]) -> None:
-    pivot = (0.02, 0.0, -0.22) if axis[1] == 1.0 else (0.02, -0.22, 0.0)
+    pivot = (0.05, 0.0, -0.22) if axis[1] == 1.0 else (0.05, -0.22, 0.0)
     states = np.array([0.0, 0.5, 1.3, 0.9, 1.7, 0.3, 1.1])[:, None]
     found = discover(posed([(LID, turn(axis, pivot))], states))
     (joint,) = found.joints
@@ -85,7 +85,7 @@ def test_a_door_is_found_with_its_axis_its_pivot_and_its_angles(axis: Sequence[f
     assert degrees_between(joint.axis, axis) < 1.0
     assert line_distance(found, 0, axis, pivot) < 0.01
     assert np.abs(joint.states - states[:, 0]).max() < 0.02
-    assert joint.score > 0.8
+    assert joint.score > 0.7
     truth = np.repeat([0, 1], [3000, 900])
     assert (found.part == truth).mean() > 0.97
     moved = apply(found.motion(4)[1], found.points[truth == 1])
@@ -95,7 +95,9 @@ def test_a_door_is_found_with_its_axis_its_pivot_and_its_angles(axis: Sequence[f
 
 def test_two_hinges_are_two_joints() -> None:
     sides = (-0.24, 0.24)
-    arms = [(((0.45, 0.03, 0.06), (0.225, y, 0.0)), turn((0, 0, 1.0), (0.0, y, 0.0))) for y in sides]
+    arms = [
+        (((0.45, 0.03, 0.06), (0.225, y, 0.0)), turn((0, 0, 1.0), (0.0, y, 0.0))) for y in sides
+    ]
     rng = np.random.default_rng(1)
     states = np.concatenate([np.zeros((1, 2)), rng.uniform(0.1, 1.4, (7, 2)) * [1.0, -1.0]])
     found = discover(posed(arms, states))
@@ -122,17 +124,17 @@ def test_three_drawers_are_three_slides() -> None:
 
 
 def test_two_poses_are_enough_and_any_frame_will_do() -> None:
-    motion = turn((0, 1, 0), (0.02, 0, -0.22))
+    motion = turn((0, 1, 0), (0.05, 0, -0.22))
     clouds = posed([(LID, motion)], np.array([[0.0], [1.2]]))
     (joint,) = discover([7.0 * cloud + [3.0, 0.0, -2.0] for cloud in clouds]).joints
     assert joint.kind is JointKind.REVOLUTE
     assert degrees_between(joint.axis, (0, 1, 0)) < 3.0
-    assert np.linalg.norm((joint.pivot - [3.14, 0, -3.54])[[0, 2]]) < 0.2
+    assert np.linalg.norm((joint.pivot - [3.35, 0, -3.54])[[0, 2]]) < 0.2
     assert abs(joint.states[1] - 1.2) < 0.05
 
 
 def test_the_same_poses_give_the_same_joints() -> None:
-    clouds = posed([(LID, turn((0, 1, 0), (0.02, 0, -0.22)))], np.array([[0.0], [1.2], [0.4]]))
+    clouds = posed([(LID, turn((0, 1, 0), (0.05, 0, -0.22)))], np.array([[0.0], [1.2], [0.4]]))
     one, again = discover(clouds), discover(clouds)
     assert np.array_equal(one.part, again.part)
     for a, b in zip(one.joints, again.joints, strict=True):

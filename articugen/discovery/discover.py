@@ -36,7 +36,13 @@ _SLIDES_FIRST = 1.05
 """A slide has two parameters fewer than a turn and is preferred where both explain as much."""
 
 _FAR_TURNS = 0.03
-"""By this share a radian, turns by less are preferred: a plate may as well have been turned over."""
+"""By this share a radian lesser turns are preferred: a plate may as well have been turned over."""
+
+_STAYS = 0.1
+"""By this share of `near` a joint must bring a point nearer to the poses than it is if it stays."""
+
+_SURE = 0.2
+"""A point is sure of its part where the next is farther from the poses by this share of `near`."""
 
 _BESIDE = np.cos(np.radians([30.0, 12.0]))
 _PLAIN = 1.03
@@ -289,9 +295,9 @@ class _Found:
 
     def _refitted(self, joint: Candidate, core: NDArray[np.intp]) -> Candidate:
         tilts = np.abs(joint.axis).max() < 1.0
-        for reach in (2.5, 1.5, 1.0):
+        for reach in (2.5, 1.5, 1.0, 1.0):
             joint = fitted(
-                joint, self.part[core], self.seen.poses, reach * self.seen.near, 5, tilts=tilts
+                joint, self.part[core], self.seen.poses, reach * self.seen.near, 8, tilts=tilts
             )
         return joint
 
@@ -312,8 +318,12 @@ class _Found:
 
 def _agreement(seen: Change, joints: list[Candidate], surface: Surface) -> NDArray[np.bool_]:
     """(1 + J, S, n) whether points agree with what stays, and with each joint, in each pose."""
-    moved = (still(len(seen.chosen)), *(motions(joint) for joint in joints))
-    return np.array([seen.poses.met(surface, M, seen.near) for M in moved])
+    return np.array([seen.poses.met(surface, M, seen.near) for M in _moved(seen, joints)])
+
+
+def _moved(seen: Change, joints: list[Candidate]) -> list[Floats]:
+    """(S, 3, 4) what stays and what each joint moves in the searched poses."""
+    return [still(len(seen.chosen)), *(motions(joint) for joint in joints)]
 
 
 def _told(seen: Change, joints: list[Candidate], points: Floats) -> Discovery:
@@ -329,14 +339,16 @@ def _told(seen: Change, joints: list[Candidate], points: Floats) -> Discovery:
 
 
 def _labels(seen: Change, joints: list[Candidate], surface: Surface) -> Ints:
-    """(n,) of each point what it agrees with in most poses; where that is a tie, as most of its
+    """(n,) of each point what leaves it nearest to the poses; where that is a tie, as most of its
     neighbours that are sure."""
     if not joints:
         return np.zeros(len(surface), np.int64)
-    shares = _agreement(seen, joints, surface).mean(1)
-    best = shares.argmax(0)
-    ranked = np.sort(shares, axis=0)
-    sure = ranked[-1] - ranked[-2] >= 0.2
+    far = [seen.poses.distances(surface, M, seen.near) for M in _moved(seen, joints)]
+    cost = np.minimum(far, seen.near).mean(1) / seen.near
+    cost[1:] += _STAYS
+    best = cost.argmin(0)
+    ranked = np.sort(cost, axis=0)
+    sure = ranked[1] - ranked[0] >= _SURE
     about = _as_neighbours(surface.points, best, sure, len(joints) + 1, seen.near)
     return np.where(sure, best, about)
 

@@ -11,13 +11,15 @@ from articugen.discovery.clouds import Cells, Surface
 from articugen.discovery.search import Candidate, motions, plane_across
 from articugen.records import Floats
 
-_FLAT_FRONT = 10.0
+_DAMPED = {True: 1e-4, False: 2e-2}
 """What slides is often flat, and says little of where across it goes: it is damped the more."""
 
 _WANDERS = 0.7
 """Pivots farther out than this are no better than slides."""
 
 STEPS = 160
+_PEAKS = 3
+"""Of each pose so many states are made exact, before the best is taken."""
 
 
 def fitted(
@@ -49,8 +51,8 @@ def fitted(
         )  # fmt: skip
         H[:held], H[:, :held], g[:held] = 0.0, 0.0, 0.0
         scale = max(H.diagonal().max(), 1e-9)
-        damped = 1.0 if joint.turns else _FLAT_FRONT
-        H[np.diag_indices(len(H))] += damped * (0.002 * H.diagonal() + 1e-5 * scale)
+        damped = _DAMPED[joint.turns]
+        H[np.diag_indices(len(H))] += damped * (H.diagonal() + 0.005 * scale)
         step = np.clip(-np.linalg.solve(H, g), -0.2, 0.2)
         joint = _moved(joint, across, step)
         if np.abs(step).max() < 1e-5:
@@ -77,24 +79,38 @@ def states_of(joint: Candidate, part: Surface, cells: Cells, near: float) -> Flo
         steps = np.linspace(-np.pi, np.pi, STEPS, endpoint=False)
     else:
         steps = np.linspace(-1.0, 1.0, STEPS + 1)
-    M, wide = motions(joint, steps), 1.5 * near
-    rough = [
-        kernels.profile(
-            part.points,
-            part.normals,
-            M,
-            cells.points,
-            cells.normals,
-            cells.starts,
-            k,
-            wide,
-            cells.across(wide),
-        ).argmax()
-        for k in range(len(cells))
-    ]
-    exact = replace(joint, states=steps[rough])
-    exact = fitted(exact, part, cells, 2.0 * near, 3, states_alone=True)
-    return fitted(exact, part, cells, near, 4, states_alone=True).states
+    wide = 1.5 * near
+    heights = _profiles(joint, steps, part, cells, wide)
+    found, fit = [], []
+    for _ in range(_PEAKS):
+        peak = heights.argmax(1)
+        exact = replace(joint, states=steps[peak])
+        for reach in (2.0 * near, near):
+            exact = fitted(exact, part, cells, reach, 4, states_alone=True)
+        found.append(exact.states)
+        fit.append(_fit(exact, part, cells, near))
+        for k, at in enumerate(peak):
+            heights[k, max(at - 2, 0) : at + 3] = -1.0
+    return np.choose(np.argmax(fit, axis=0), found)
+
+
+def _profiles(joint: Candidate, steps: Floats, part: Surface, cells: Cells, reach: float) -> Floats:
+    """(K, T) how well the part lies on each pose at each step of the joint."""
+    M = motions(joint, steps)
+    return np.array([_profile(M, part, cells, k, reach) for k in range(len(cells))])
+
+
+def _fit(joint: Candidate, part: Surface, cells: Cells, reach: float) -> Floats:
+    """(K,) how well the part lies on each pose at the joint's state of it."""
+    M = motions(joint)
+    return np.array([_profile(M[[k]], part, cells, k, reach)[0] for k in range(len(cells))])
+
+
+def _profile(M: Floats, part: Surface, cells: Cells, pose: int, reach: float) -> Floats:
+    return kernels.profile(
+        part.points, part.normals, M, cells.points, cells.normals, cells.starts, pose, reach,
+        cells.across(reach),
+    )  # fmt: skip
 
 
 def some(which: NDArray[np.intp], most: int) -> NDArray[np.intp]:

@@ -135,7 +135,7 @@ def spacing(queries, points, starts, pose, reach):
 
 
 @helper
-def _shape(C, normal, stiffness):
+def _shape(C, normal, stiffness):  # noqa: PLR0912 - two rotations a line each
     """Jacobi's rotations of the symmetric (3, 3) covariance `C`, which is destroyed: into `normal`
     (3,) the direction of least variance, zeros where that is not much less than the others; into
     `stiffness` (3, 3) how well the points tell of a shift: 1 along directions in which they spread
@@ -277,7 +277,7 @@ def profile(queries, query_normals, turned_steps, points, normals, starts, pose,
 
 
 @kernel
-def normal_equations(
+def normal_equations(  # noqa: PLR0912
     queries, query_normals, stiffness, motions, turns, joint,
     points, normals, starts, reach, across,
 ):  # fmt: skip
