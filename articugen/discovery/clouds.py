@@ -153,8 +153,8 @@ def change(poses: Sequence[Any]) -> Change:
     chosen = _spread(left)
     start = Surface.estimated(clouds[0], first, near)
     surfaces = [_surface(clouds[k], near) for k in chosen]
-    poses = Cells.of(surfaces, near)
-    gone = ~poses.met(start, still(len(chosen)), near)
+    searched = Cells.of(surfaces, near)
+    gone = ~searched.met(start, still(len(chosen)), near)
     movers = _movers(clouds[0], gone, near)
     if movers.sum() < max(12, 0.002 * len(movers)):
         raise InvalidArgument(
@@ -163,8 +163,8 @@ def change(poses: Sequence[Any]) -> Change:
         )
     stays = Cells.of([start[~movers]], near)
     new = [_new(surface, stays, near) for surface in surfaces]
-    targets = Cells.of(_rare(new, poses, near), near)
-    return Change(frame, clouds, near, start, first, chosen, poses, targets, gone, movers)
+    targets = Cells.of(_rare(new, searched, near), near)
+    return Change(frame, clouds, near, start, first, chosen, searched, targets, gone, movers)
 
 
 def still(count: int) -> Floats:
