@@ -21,7 +21,7 @@ from articugen.records import Floats, JointKind
 
 Ints = NDArray[np.int64]
 
-_PATCHES, _PATCH = 16, 48
+_PATCHES, _PATCH = 12, 48
 _MOVERS = 800
 """So many of the points that have left are looked at."""
 
@@ -219,7 +219,7 @@ class _Found:
         which = self.movers[patch]
         turns = [turn for axis in np.eye(3) for turn in self.search.turns(which, axis, 3)]
         turns.sort(key=lambda each: -each[0])
-        return [joint for _, joint in turns[:5] + self.search.slides(which, 2)]
+        return [joint for _, joint in turns[:4] + self.search.slides(which, 2)]
 
     def _seed(self, joint: Candidate, patch: NDArray[np.intp]) -> _Grown:
         near, core = self.seen.near, some(patch, 60)
