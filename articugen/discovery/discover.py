@@ -49,6 +49,9 @@ _PLAIN = 1.03
 """A coordinate axis is preferred to one beside it (slides: by 30 degrees, turns: by 12), if it
 explains about as much."""
 
+_ALONE = 0.25
+"""Of what a joint explains, this share at least no other joint does."""
+
 _GROWN = 24
 """So many candidates grow, of those that patches vote for."""
 
@@ -253,14 +256,15 @@ class _Found:
     def _revoted(self, joint: Candidate, core: NDArray[np.intp], *, tilts: bool) -> _Grown:
         near, poses = self.seen.near, self.seen.poses
         best = None
-        for _ in range(2):
+        for _ in range(3):
             joint = replace(joint, states=states_of(joint, self.part[core], poses, near))
             for reach in (2.0 * near, near):
                 joint = fitted(joint, self.part[core], poses, reach, 4, tilts=tilts)
             now = self._explained(joint, near)
             if best is None or self._gain(now) > self._gain(best):
                 best = now
-            again = some(np.flatnonzero(now.follow & self.left), 160)
+            around = self._explained(joint, 2.0 * near).follow & self.left
+            again = some(np.flatnonzero(around), 160)
             if len(again) < 12:
                 break
             core = again
@@ -306,13 +310,16 @@ class _Found:
         joints = list(joints)
         while joints:
             hits = _agreement(self.seen, joints, self.part)[1:] & self.gone
-            alone = [
-                (hits[j] & ~np.delete(hits, j, axis=0).any(0)).sum() for j in range(len(joints))
-            ]
-            least = int(np.argmin(alone))
-            if alone[least] >= 0.5 * _WORTH * self.gone.sum():
+            whole = hits.sum((1, 2))
+            alone = np.array(
+                [(hits[j] & ~np.delete(hits, j, axis=0).any(0)).sum() for j in range(len(joints))]
+            )
+            needed = np.minimum(
+                alone / (0.5 * _WORTH * self.gone.sum()), alone / (_ALONE * np.maximum(whole, 1))
+            )
+            if needed.min() >= 1.0:
                 break
-            joints.pop(least)
+            joints.pop(int(needed.argmin()))
         return joints
 
 
