@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ppd_data import write_boxes
 from typer.testing import CliRunner
 
 import articugen as ag
@@ -15,7 +16,6 @@ from articugen.errors import InvalidArgument
 from articugen.found_joints import axes_apart, discover_all
 from articugen.geometry import apply, rotation_about, transform
 from articugen.records import Floats, JointKind
-from tests.ppd_data import write_boxes
 from tests.shapes import box
 
 Motion = Callable[[float], Floats]
@@ -119,7 +119,7 @@ def test_two_hinges_are_two_joints() -> None:
 
 def test_three_drawers_are_three_slides() -> None:
     heights = (-0.16, 0.0, 0.16)
-    fronts = [(((0.03, 0.46, 0.14), (0.02, 0.0, z)), slide((1.0, 0, 0))) for z in heights]
+    fronts = [(((0.06, 0.46, 0.14), (0.04, 0.0, z)), slide((1.0, 0, 0))) for z in heights]
     rng = np.random.default_rng(2)
     states = np.concatenate([np.zeros((1, 3)), rng.uniform(0.02, 0.4, (8, 3))])
     found = discover(posed(fronts, states))

@@ -49,14 +49,15 @@ _PLAIN = 1.03
 """A coordinate axis is preferred to one beside it (slides: by 30 degrees, turns: by 12), if it
 explains about as much."""
 
-_ALONE = 0.25
-"""Of what a joint explains, this share at least no other joint does."""
+_ALONE = 0.15
+"""Of what a joint explains of points that it explains best, no other does this share at least."""
 
 _GROWN = 24
 """So many candidates grow, of those that patches vote for."""
 
-_GROWS = (2.0, 2.0, 2.0, 2.0, 1.5, 1.0)
-"""How far a point may be from where it should land, as a candidate grows, in `Change.near`."""
+_GROWS, _WIDE = (2.0, 2.0, 2.0, 2.0, 1.5), 0.015
+"""How far a point may be from where it should land, as a candidate grows: so many times `near`, or
+`_WIDE` where that is more."""
 
 _WORTH = 0.04
 """A joint explains at least this share of all that has left."""
@@ -231,12 +232,12 @@ class _Found:
 
     def _grow(self, grown: _Grown) -> _Grown:
         near, targets, joint, follow = self.seen.near, self.seen.targets, grown.joint, grown.follow
-        for reach in _GROWS:
+        for reach in (*(grows * max(near, _WIDE) for grows in _GROWS), near):
             core = some(np.flatnonzero(follow & self.left), 200)
             if len(core) < 12:
                 break
-            joint = fitted(joint, self.part[core], targets, reach * near, 3)
-            follow = self._explained(joint, reach * near).follow
+            joint = fitted(joint, self.part[core], targets, reach, 3)
+            follow = self._explained(joint, reach).follow
         return self._explained(joint, near)
 
     def _polished(self, grown: _Grown) -> _Grown:
@@ -255,15 +256,16 @@ class _Found:
 
     def _revoted(self, joint: Candidate, core: NDArray[np.intp], *, tilts: bool) -> _Grown:
         near, poses = self.seen.near, self.seen.poses
+        wide = max(near, _WIDE)
         best = None
         for _ in range(3):
             joint = replace(joint, states=states_of(joint, self.part[core], poses, near))
-            for reach in (2.0 * near, near):
+            for reach in (2.0 * wide, near):
                 joint = fitted(joint, self.part[core], poses, reach, 4, tilts=tilts)
             now = self._explained(joint, near)
             if best is None or self._gain(now) > self._gain(best):
                 best = now
-            around = self._explained(joint, 2.0 * near).follow & self.left
+            around = self._explained(joint, 2.0 * wide).follow & self.left
             again = some(np.flatnonzero(around), 160)
             if len(again) < 12:
                 break
@@ -309,11 +311,10 @@ class _Found:
         """Without those that explain too little that no other joint does."""
         joints = list(joints)
         while joints:
-            hits = _agreement(self.seen, joints, self.part)[1:] & self.gone
-            whole = hits.sum((1, 2))
-            alone = np.array(
-                [(hits[j] & ~np.delete(hits, j, axis=0).any(0)).sum() for j in range(len(joints))]
-            )
+            hits = (_agreement(self.seen, joints, self.part)[1:] & self.gone).sum(1)
+            others = [np.delete(hits, j, axis=0).max(0, initial=0) for j in range(len(joints))]
+            whole = np.where(hits >= others, hits, 0).sum(1)
+            alone = np.maximum(hits - others, 0).sum(1)
             needed = np.minimum(
                 alone / (0.5 * _WORTH * self.gone.sum()), alone / (_ALONE * np.maximum(whole, 1))
             )
