@@ -300,12 +300,22 @@ class _Found:
         return joints
 
     def _refitted(self, joint: Candidate, core: NDArray[np.intp]) -> Candidate:
-        tilts = np.abs(joint.axis).max() < 1.0
-        for reach in (2.5, 1.5, 1.0, 1.0):
-            joint = fitted(
-                joint, self.part[core], self.seen.poses, reach * self.seen.near, 8, tilts=tilts
-            )
-        return joint
+        """Fitted to these points; a slide along the coordinate axis beside its own, where that
+        agrees with them as well."""
+        part, poses, near = self.part[core], self.seen.poses, self.seen.near
+
+        def refit(joint: Candidate, tilts: bool) -> tuple[Candidate, int]:
+            for reach in (2.5, 1.5, 1.0, 1.0):
+                joint = fitted(joint, part, poses, reach * near, 8, tilts=tilts)
+            return joint, int(poses.met(part, motions(joint), near).sum())
+
+        nearest = int(np.abs(joint.axis).argmax())
+        plain = np.eye(3)[nearest] * np.sign(joint.axis[nearest])
+        as_it_is, hits = refit(joint, tilts=np.abs(joint.axis).max() < 1.0)
+        if joint.turns or np.abs(joint.axis[nearest]) < _BESIDE[0]:
+            return as_it_is
+        snapped, as_many = refit(replace(joint, axis=plain), tilts=False)
+        return snapped if as_many * _PLAIN >= hits else as_it_is
 
     def _needed(self, joints: list[Candidate]) -> list[Candidate]:
         """Without those that explain too little that no other joint does."""
