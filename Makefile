@@ -24,12 +24,13 @@ replace = $(if $(REPLACE),--replace)
 option = $(if $($(1)),--$(2) "$($(1))")
 
 .DEFAULT_GOAL := help
-.PHONY: help dataset inspect verify train depth evaluate test check format bench accuracy bench-reading bench-train backends learner clean
+.PHONY: help dataset inspect verify train depth evaluate gpu-study test check format bench accuracy bench-reading bench-train backends learner clean
 
 help:  ## list the targets
 	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1"
 	@echo "     IDS= EXCLUDE= MOVABLE= CANONICAL= MAX_REJECTED= SET=]; CATEGORY=laptop,oven or all for several"
 	@echo "make train CATEGORY=laptop [RECIPE=ppd_quick SET= SEED= SEEDS= OUT= RUNS=]; make evaluate CATEGORY=laptop"
+	@echo "make gpu-study [CATEGORY=all RECIPE=ppd_hour SET= SEEDS=64 BUDGET=40 DEVICE=cuda OUT= STUDY=study QUICK=1]"
 	@echo
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  \1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
 	@echo
@@ -68,12 +69,15 @@ else
 	@echo "Choose one: make depth CATEGORY=laptop" >&2; exit 2
 endif
 
-evaluate: $(learner)  ## evaluate the newest run of CATEGORY= on its test objects (PROTOCOL=release)
+evaluate: $(learner)  ## evaluate the newest run of CATEGORY= on its test objects (PROTOCOL=release STATES=0)
 ifdef CATEGORY
-	@$(articugen) evaluate "$(RUNS)/$(CATEGORY)" --data "$(OUT)/$(CATEGORY)" $(if $(PROTOCOL),--protocol "$(PROTOCOL)")
+	@$(articugen) evaluate "$(RUNS)/$(CATEGORY)" --data "$(OUT)/$(CATEGORY)" $(if $(PROTOCOL),--protocol "$(PROTOCOL)") $(if $(STATES),--states "$(STATES)")
 else
 	@echo "Choose one: make evaluate CATEGORY=laptop" >&2; exit 2
 endif
+
+gpu-study: $(learner)  ## on a GPU: measure it, race seeds, train, evaluate; again goes on
+	@$(articugen) study --categories "$(or $(CATEGORY),all)" --data "$(OUT)" --out "$(or $(STUDY),study)" --recipe "$(or $(RECIPE),ppd_hour)" $(settings) --device "$(or $(DEVICE),cuda)" $(if $(SEEDS),--seeds "$(SEEDS)") $(if $(BUDGET),--budget "$(BUDGET)") $(if $(QUICK),--quick)
 
 test: $(testing)  ## run the tests; those of absent optional backends are skipped
 	@$(VENV)/bin/python -m pytest $(ARGS)

@@ -18,6 +18,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from articugen.api import generate
     from articugen.errors import ArticugenError
+    from articugen.found_joints import discover
     from articugen.learning.commands import evaluate, train
     from articugen.maker import Made, Maker, Model, load
     from articugen.notebook import DataSet, Row, open
@@ -32,6 +33,7 @@ _HOME = {
     "Model": "maker",
     "Recipe": "recipe",
     "Row": "notebook",
+    "discover": "found_joints",
     "evaluate": "learning.commands",
     "generate": "api",
     "load": "maker",
@@ -50,6 +52,7 @@ __all__ = [
     "Model",
     "Recipe",
     "Row",
+    "discover",
     "evaluate",
     "generate",
     "load",

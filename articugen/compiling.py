@@ -23,13 +23,14 @@ from articugen.bundled import CACHE
 PARTS = {
     "generate": ("views", "drawing", "rays", "solids", "boxes", "files"),
     "inspect": ("discs", "light", "drawing"),
+    "train": ("networks",),
 }
 """For each command the parts of `rehearsal` that it needs; first those that take longest."""
 
 _PACKAGE = Path(__file__).resolve().parent
 _KERNELS = (
-    "fusion", "inspection", "jit.py", "rehearsal.py", "rendering", "sources/obj_kernel.py",
-    "swept.py",
+    "fusion", "inspection", "jit.py", "learning/ppd/greatest.py", "learning/ppd/sine_kernels.py",
+    "rehearsal.py", "rendering", "sources/obj_kernel.py", "swept.py",
 )  # fmt: skip
 
 

@@ -16,6 +16,8 @@ from articugen.geometry import look_along
 from articugen.inspection.camera import framed
 from articugen.inspection.light import SurfaceCloud, occlusion_in_detail
 from articugen.inspection.surfels import OrientedPoints, draw, surfels
+from articugen.learning.ppd import sine_kernels
+from articugen.learning.ppd.greatest import greatest
 from articugen.recipe import Fusion
 from articugen.records import DepthMaps, LabelledMesh, Views
 from articugen.rendering import rasterizer
@@ -87,3 +89,15 @@ def discs() -> None:
 def light() -> None:
     cloud = SurfaceCloud(np.eye(3), np.eye(3), np.ones(3))
     occlusion_in_detail(np.eye(3), np.eye(3), cloud, cloud)
+
+
+def networks() -> None:
+    greatest(np.zeros((1, 1, 1), np.float32), np.zeros((1, 1), np.int64))
+    P, c = 1, 4
+    layers = [(P, 12, c), (P, 6, 12), (2 * P, 12, 6), (2 * P, c, 12), (2 * P, 1, c)]
+    shapes = [(1, 1, 3), (1, P, c, 3), (1, P, c), (1, P, c), (1, P, 6)]
+    shapes += [shape for layer in layers for shape in (layer, layer[:2])]
+    given = [np.zeros(shape, np.float32) for shape in shapes]
+    out = np.zeros((1, 2 * P, 1), np.float32)
+    sine_kernels.forward(*given, 0, P, out)
+    sine_kernels.backward(*given, 0, P, out, *given[1:])

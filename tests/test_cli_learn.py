@@ -66,6 +66,24 @@ def test_evaluate_predict(folder, monkeypatch):
     done = articugen("tables", runs / "box")
     assert done.exit_code == 0, done.output
     assert re.search(r"\| 2 \| label IoU, % \| box \| \*\*\d+\.\d\d\*\* \|  \|", done.output)
+    drawn = []
+    (folder / "sets").mkdir()
+    (folder / "sets" / "box").symlink_to(data)
+    monkeypatch.setattr("articugen.learning.evaluation.figures.draw.EXAMPLE_STATES", 1)
+    for given in ((), ("--data", folder / "sets")):
+        drawn.append(folder / f"examples-{len(given)}.png")
+        done = articugen("tables", runs / "box", "--figure", drawn[-1], *given)
+        assert done.exit_code == 0, done.output
+        assert "drawn: " in done.output
+    assert drawn[0].read_bytes() == drawn[1].read_bytes()
+    assert articugen("tables", runs / "box", "--data", data).exit_code == 2
+    for wrong, said in (
+        (("--figure", folder / "none" / "x.png"), "x.png: cannot be written"),
+        (("--figure", drawn[0], "--data", folder / "none"), "none/manifest.json"),
+    ):
+        done = articugen("tables", runs / "box", *wrong)
+        assert done.exit_code == 1
+        assert said in done.output.replace("\n", "")
     shard = data / "test-00002.h5"
     done = articugen("predict", runs / "box", shard, "--out", folder / "rig", "--resolution", 16)
     assert done.exit_code in (0, 1), done.output

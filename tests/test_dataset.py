@@ -14,7 +14,13 @@ from articugen.store.shards import open_shard, write_shard
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen import geometry  # noqa: E402
-from articugen.learning.dataset import BatchSpec, load_split, unpacked, voxel_centres  # noqa: E402
+from articugen.learning.dataset import (  # noqa: E402
+    BatchSpec,
+    _places,
+    load_split,
+    unpacked,
+    voxel_centres,
+)
 
 ASK = BatchSpec(
     surface_points=300, grid_points=200, uniform_points=100, near_points=50, joints=(3, 4)
@@ -49,7 +55,7 @@ def test_everything_of_the_split_is_there(packed):
     assert len(packed) == 16
     assert sorted(set(packed.object_id)) == [f"box-{i}" for i in range(4)]
     assert packed.state_index.tolist() == [0, 1, 2, 3] * 4
-    assert packed.bytes == 16 * (2048 * 6 + 512 + 1024 * 7 + 2048 * 7)
+    assert packed.bytes == 16 * (8 + 2048 * 6 + 512 + 1024 * 7 + 2048 * 7 + 2 * 8)
 
 
 def test_fixed_point_is_unpacked_exactly():
@@ -92,6 +98,19 @@ def test_a_batch_depends_on_its_generator_alone(packed):
     assert not torch.equal(one.cloud, other.cloud)
 
 
+@pytest.mark.parametrize(("n", "count"), [(40, 30), (40, 10), (41, 10), (43, 3), (7, 1)])
+def test_every_stored_point_is_taken_as_often_and_none_twice(n, count):
+    """One in n / count draws, within five standard deviations, whatever the way of drawing."""
+    draws = 20_000
+    places = _places(torch.zeros(draws, dtype=torch.long), n, count, rng())
+    assert places.shape == (draws, count)
+    assert (places.sort(dim=1).values.diff(dim=1) > 0).all()
+    share = count / n
+    seen = torch.bincount(places.flatten(), minlength=n) / draws
+    assert len(seen) == n
+    assert float((seen - share).abs().max()) < 5 * (share * (1 - share) / draws) ** 0.5
+
+
 def test_a_whole_grid_is_taken_as_it_is(packed):
     ask = BatchSpec(surface_points=10, grid_points=512)
     batch = packed.batch([0], ask, 8, rng())
@@ -110,6 +129,12 @@ def test_some_objects_alone(packed):
     assert set(some.object_id) == {"box-2"}
     assert torch.equal(some.surface, packed.surface[8:12])
     assert torch.equal(some.near[1], packed.near[1][8:12])
+    assert packed.object_index.tolist() == [i for i in range(4) for _ in range(4)]
+    two = packed.of(["box-3", "box-1"])
+    assert two.object_index.tolist() == [0] * 4 + [1] * 4
+    assert two.poses_of("box-3").tolist() == [4, 5, 6, 7]
+    backwards = dataclasses.replace(packed, state_index=packed.state_index[::-1].copy())
+    assert backwards.poses_of("box-2").tolist() == [11, 10, 9, 8]
 
 
 def test_what_is_not_asked_for_is_not_kept(folder):
@@ -127,7 +152,7 @@ def test_what_is_not_asked_for_is_not_kept(folder):
         ({"resolutions": [64]}, "has no occupancy_64; add 64 to sampling.grids"),
         (
             {"ask": dataclasses.replace(ASK, joints=(3, 0))},
-            "1 revolute and 1 prismatic joints, the recipe's model 3 and 0",
+            "has a prismatic joint, the recipe's model no part that could move so",
         ),
         ({"ask": BatchSpec(surface_points=5000)}, "has 2048 surface_points an instance"),
     ],

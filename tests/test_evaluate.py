@@ -38,6 +38,10 @@ def test_the_truth_scores_full_marks(boxes):
     assert means["assigned_parts"] == 1.0
     assert means["type_accuracy"] == 100.0
     assert means["reconstruction_iou"] == 1.0
+    matched = {name: value for name, value in means.items() if name.startswith("matched")}
+    assert matched.pop("matched_part_iou") == 1.0
+    assert len(matched) == 4 + 4
+    assert max(matched.values()) == pytest.approx(0.0, abs=1e-6)
     assert [(line.joint, line.kind) for line in result.joint_lines] == [
         (0, "revolute"),
         (1, "prismatic"),
@@ -68,6 +72,9 @@ def test_nothing_predicted_counts_as_failed(boxes):
     assert means["no_surface"] == 1.0
     assert means["epe_joint_all"] == means["epe_transform_all"] == means["epe_nothing_moves"]
     assert means["chamfer_l1"] == pytest.approx(math.sqrt(3))
+    assert means["matched_part_iou"] == 0.0
+    assert means["matched_direction_degrees"] == 90.0
+    assert means["matched_pivot_distance"] == pytest.approx(math.sqrt(3))
 
 
 def test_an_axis_that_points_the_other_way_is_as_good(boxes):
@@ -130,13 +137,27 @@ def test_a_method_without_joints_has_no_numbers_of_joints(boxes):
     full = evaluate(boxes, exactly, FEW)
     segments = evaluate(boxes, lambda i: replace(exactly(i), joints=None, T_part=None), FEW)
     shape = {"label_iou", "reconstruction_iou", "chamfer_l1", "f_score", "no_surface"}
-    assert set(segments.means) == shape | {"epe_nothing_moves"}
+    assert set(segments.means) == shape | {"epe_nothing_moves", "matched_part_iou"}
     assert segments.means == {name: full.means[name] for name in segments.means}
     assert segments.joint_states == segments.joint_lines == segments.joint_errors == ()
     assert (segments.labels, segments.votes) == (full.labels, full.votes)
     motions = evaluate(boxes, lambda i: replace(exactly(i), joints=None), FEW)
     assert motions.means["epe_transform_all"] == pytest.approx(0.0, abs=1e-15)
-    assert not any(name.startswith(("epe_joint", "assigned")) for name in motions.means)
+    assert motions.means["matched_rotation_degrees_all"] == pytest.approx(0.0, abs=1e-6)
+    of_joints = ("epe_joint", "assigned", "matched_direction", "matched_pivot", "matched_state")
+    assert not any(name.startswith(of_joints) for name in motions.means)
+
+
+def test_parts_may_have_other_numbers_in_every_instance(boxes):
+    """Votes label by number; matching does not, so it alone is right here."""
+
+    def renumbered(instance):
+        found = truth(instance)
+        return replace(found, part=(found.part + instance.state_index) % 3)
+
+    means = evaluate(boxes, renumbered, FEW).means
+    assert means["matched_part_iou"] == 1.0
+    assert means["label_iou"] < 0.6
 
 
 def test_all_poses_can_vote(boxes):

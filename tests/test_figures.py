@@ -13,12 +13,18 @@ pytest.importorskip("matplotlib", reason="figures need matplotlib")
 from PIL import Image
 
 from articugen.geometry import apply
-from articugen.inspection.layout import CAPTION, MARGIN, TILE
+from articugen.inspection.layout import CAPTION, MARGIN, TILE, in_columns
 from articugen.inspection.portrait import COLOURS
 from articugen.learning.evaluation.evaluate import objects_of
 from articugen.learning.evaluation.figures import plots
 from articugen.learning.evaluation.figures.colours import UNNAMED, part_colours
-from articugen.learning.evaluation.figures.draw import Drawable, cutting_plane, draw_figures
+from articugen.learning.evaluation.figures.draw import (
+    Drawable,
+    Example,
+    cutting_plane,
+    draw_examples,
+    draw_figures,
+)
 from articugen.learning.evaluation.figures.shapes import Names, by_opening, reconstructions
 from articugen.learning.evaluation.reconstruction import Reconstruction, truth
 from articugen.learning.evaluation.results import (
@@ -69,6 +75,36 @@ def test_the_truth_as_a_prediction_looks_like_the_truth():
     swapped = Names([0, 2, 1], [0, 2, 1])
     _, wrong = tiles(reconstructions([instances], solid_truth, swapped, FROM_ABOVE, states=2))
     assert (np.abs(true - wrong).max(-1) > 40).mean() > 0.04
+
+
+def test_sheets_stand_in_rows_of_so_many():
+    one, two, three = (
+        Image.new("RGB", size, colour)
+        for size, colour in (((8, 5), "red"), ((6, 9), "green"), ((8, 4), "blue"))
+    )
+    pixels = np.asarray(in_columns([one, two, three], 2))
+    assert pixels.shape == (9 + 4, 2 * 8, 3)
+    np.testing.assert_array_equal(pixels[:5, :8], np.asarray(one))
+    np.testing.assert_array_equal(pixels[:9, 8:14], np.asarray(two))
+    np.testing.assert_array_equal(pixels[9:, :8], np.asarray(three))
+    assert (pixels[9:, 8:] == 255).all()
+
+
+def test_a_test_object_of_each_run_stands_in_one_picture(tmp_path):
+    """The first test object from its canonical pose to its widest, drawn as figures draw it."""
+    data = write_boxes(tmp_path / "boxes", train=1, test=2, states=2)
+    instances, _ = objects_of(data, "test", None)
+    clouds = {dequantize(i.surface_points).tobytes(): i for i in instances}
+    model = Drawable(lambda cloud: solid_truth(clouds[cloud.tobytes()]))
+    result = Evaluation(
+        means={}, votes=(), labels=(0, 1, 2), dominant=(0, 1, 2), objects=1, instances=1
+    )
+    draw_examples(tmp_path / "examples.png", [Example("boxes", data, model, result)])
+    with Image.open(tmp_path / "examples.png") as picture:
+        true, predicted = tiles(picture.convert("RGB"))
+    assert len(true) == 3
+    assert (np.abs(true - predicted).max(-1) > 40).mean() < 0.02
+    assert np.abs(true[0] - true[2]).max() > 100  # they move
 
 
 def test_nothing_predicted_is_drawn_as_nothing():

@@ -26,9 +26,10 @@ STAGES = {"articulation", "swept", "rendering", "fusion", "sampling", "sources"}
 WITH_TORCH = {"store.torch_dataset"} | {
     f"learning.{name}"
     for name in (
-        "commands", "dataset", "loop", "processes", "race", "runs", "tensors",
-        "ppd.depth", "ppd.descent", "ppd.discriminator", "ppd.drawing", "ppd.kinematics",
-        "ppd.learner",
+        "benchmark", "cells", "commands", "dataset", "loop", "optimisers", "processes", "race",
+        "runs", "safetensors", "study", "tensors", "together",
+        "ppd.depth", "ppd.descent", "ppd.discriminator", "ppd.drawing", "ppd.fused",
+        "ppd.kinematics", "ppd.learner", "ppd.many", "ppd.warm_start",
         "ppd.losses", "ppd.model", "ppd.objective", "ppd.reconstruct", "ppd.release", "ppd.shape",
     )
 }  # fmt: skip
@@ -65,7 +66,9 @@ MAY_IMPORT: dict[str, set[str]] = {
     # what leads through them
     "instance": VOCABULARY | STAGES,
     "workers": {"errors"},
-    "rehearsal": VOCABULARY | STAGES | {"inspection"},
+    "rehearsal": VOCABULARY
+    | STAGES
+    | {"inspection", "learning.ppd.greatest", "learning.ppd.sine_kernels"},
     "compiling": {"bundled", "workers", "rehearsal"},
     "estimate": {"store.manifest", "recipe"},
     "pipeline": VOCABULARY
@@ -94,15 +97,23 @@ MAY_IMPORT: dict[str, set[str]] = {
     | {"store", "sources", "articulation", "fusion", "instance", "pipeline", "verify", "mesh_file"},
     "verify.check": {"pipeline", "verify"},
     "inspection": VOCABULARY | {"store", "rendering"},
+    # joints found from several poses, for learners and for a command of its own
+    "discovery": VOCABULARY,
     "learning": VOCABULARY
-    | {"store", "inspection", "marching_cubes", "workers", "model_text", "plugins", "ply"},
+    | {"store", "inspection", "marching_cubes", "workers", "model_text", "plugins", "ply"}
+    | {"discovery"},
+    "learning.ppd.greatest": {"jit"},
+    "learning.ppd.sine_kernels": {"jit"},
     "learning.evaluation": VOCABULARY | {"store", "inspection"},
     # the door, for notebooks
     "maker": VOCABULARY | STAGES | {"instance", "mesh_file", "store.rows"},
     "notebook": VOCABULARY | {"store", "inspection"},
     "api": VOCABULARY | {"pipeline", "sources", "store"},
+    "found_joints": VOCABULARY | {"discovery", "store", "learning.clouds"},
     "cli": {
         "api",
+        "found_joints",
+        "discovery",
         "compiling",
         "errors",
         "records",
@@ -129,8 +140,15 @@ FOREIGN: dict[str, set[str]] = {
     "trimesh": {"sources.mesh_formats", "mesh_file", "learning.clouds"},
     "PIL": {"inspection.layout", "inspection.shading"},
     "matplotlib": {"learning.evaluation.figures.plots"},
-    "typer": {"cli.data", "cli.learn"},
-    "rich": {"cli.data", "cli.console", "cli.learn", "inspection.summary", "inspection.tables"},
+    "typer": {"cli.data", "cli.discover", "cli.learn"},
+    "rich": {
+        "cli.data",
+        "cli.console",
+        "cli.discover",
+        "cli.learn",
+        "inspection.summary",
+        "inspection.tables",
+    },
     "open3d": {"rendering.embree"},
     "pyrender": {"rendering.opengl"},
     "OpenGL": {"rendering.opengl"},

@@ -1,5 +1,6 @@
 """Distances against a fine sampling, metrics by hand."""
 
+import itertools
 import math
 
 import numpy as np
@@ -71,6 +72,32 @@ def test_one_dominant_part_a_label():
     assert metrics.dominant_labels(table).tolist() == [0, 1, -1, -1]
 
 
+@settings(deadline=None, max_examples=150)
+@given(
+    gain=st.integers(1, 4).flatmap(
+        lambda rows: st.integers(1, 5).flatmap(
+            lambda columns: st.lists(
+                st.lists(st.integers(0, 6), min_size=columns, max_size=columns),
+                min_size=rows, max_size=rows,
+            )
+        )
+    )
+)  # fmt: skip
+def test_no_other_assignment_gains_more(gain):
+    gain = np.array(gain, float)
+    found = metrics.assigned(gain)
+    kept = np.flatnonzero(found != metrics.NO_LABEL)
+    assert len(set(found[kept].tolist())) == len(kept)
+    assert (gain[kept, found[kept]] > 0).all()
+    rows, columns = gain.shape
+    padded = np.pad(gain, ((0, 0), (0, rows)))  # a row may have no column
+    best = max(
+        sum(padded[row, column] for row, column in enumerate(order))
+        for order in itertools.permutations(range(columns + rows), rows)
+    )
+    assert gain[kept, found[kept]].sum() == best
+
+
 def test_label_iou_by_hand():
     true, predicted = np.array([0, 0, 0, 1, 1]), np.array([0, 0, 1, 1, -1])
     assert metrics.label_iou(predicted, true) == pytest.approx((2 / 3 + 1 / 3) / 2)
@@ -113,9 +140,36 @@ def test_reconstruction_scores_by_hand():
     assert metrics.f_score(to_true + 1, to_predicted + 1, 0.1) == 0.0
 
 
+@settings(deadline=None, max_examples=30)
+@given(seed=st.integers(0, 10**6), count=st.integers(1, 400))
+def test_distance_to_many_triangles_is_that_to_the_nearest(seed, count):
+    """The tree, against each triangle alone, and against plain distances between points."""
+    rng = np.random.default_rng(seed)
+    triangles = rng.normal(size=(count, 1, 3)) * [1.0, 0.3, 0.01] + 0.1 * rng.normal(
+        size=(count, 3, 3)
+    )
+    triangles[::7] = triangles[:1]  # several in one place
+    points = rng.normal(size=(9, 3))
+    alone = np.min([distance(points, one[None]) for one in triangles[:60]], axis=0)
+    np.testing.assert_array_equal(distance(points, triangles[:60]), alone)
+    corners = np.repeat(triangles[:, :1], 3, axis=1)
+    plain = np.linalg.norm(points[:, None] - triangles[:, 0], axis=2).min(1)
+    np.testing.assert_allclose(distance(points, corners), plain, atol=1e-12)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 1e-3, 10.0, 90.0, 179.9, 180.0])
+def test_rotations_differ_by_what_lies_between(degrees):
+    R = rotation_about((0.36, 0.48, 0.8), 1.1)
+    turned = R @ rotation_about((0.0, 0.6, 0.8), math.radians(degrees))
+    assert math.degrees(metrics.angle_between_rotations(R, turned)) == pytest.approx(
+        degrees, abs=1e-6
+    )
+
+
 def test_lines():
     x, y, z = np.eye(3)
     assert metrics.angle_between_lines(x, -x) == 0.0
     assert metrics.angle_between_lines(x, (x + y) / math.sqrt(2)) == pytest.approx(math.pi / 4)
     assert metrics.line_distance(0 * x, x, 2 * z, y) == pytest.approx(2.0)
     assert metrics.line_distance(0 * x, x, 3 * x + y, -x) == pytest.approx(1.0)
+    assert metrics.point_to_line(5 * x + 3 * y + 4 * z, 2 * x, -x) == pytest.approx(5.0)

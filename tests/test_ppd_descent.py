@@ -62,3 +62,18 @@ def test_what_is_asked_at_once_is_not_stepped():
     with pytest.raises(TrainingDiverged, match="iteration 1: the loss near is not a finite"):
         Descent(net).step(spoilt, lambda: spoilt, 0, 0.1)
     assert torch.equal(net.weight, before)
+
+
+@pytest.mark.parametrize("spoil", [(), ("far",)])
+def test_terms_may_end_without_what_they_were_being_forgotten(spoil):
+    """As those of a warm start do."""
+    net, descent = steps(True, [(), spoil])
+    term = {"near": net.weight.square().sum()}
+    if spoil:
+        with pytest.raises(TrainingDiverged, match="iteration 2: the loss far is not a finite"):
+            descent.step(term, dict, 2, 0.1)
+    else:
+        descent.step(term, dict, 2, 0.1)
+        descent.step({"near": net.weight.sum() * NAN}, dict, 3, 0.1)
+        with pytest.raises(TrainingDiverged, match="iteration 4: the loss near is not a finite"):
+            descent.check()

@@ -55,6 +55,7 @@ def boxes(tmp_path_factory):
 def test_an_iteration_stays_on_its_device(boxes, name, residual):
     recipe = load_recipe(name)
     some = {"surface_points": 500, "grid_points": 200, "uniform_points": 100, "near_points": 100}
+    some |= {"band_points": 60, "varying_points": 50}
     stages = recipe.schedule.stages[1:] if residual else recipe.schedule.stages[:1]
     recipe = recipe.model_copy(
         update={

@@ -89,9 +89,13 @@ def test_the_encoder_s_shortcut_changes_neither_value_nor_gradient(count):
 
 
 @settings(deadline=None, max_examples=40)
-@given(count=st.integers(1, 300), levels=st.integers(1, 1000))
-def test_the_argmax_by_blocks_is_an_argmax(count, levels):
-    x = torch.randint(levels, (2, count, 5)).double() - levels
+@given(
+    count=st.integers(1, 300),
+    levels=st.integers(1, 1000),
+    kind=st.sampled_from([torch.float32, torch.float64]),
+)
+def test_the_argmax_by_blocks_is_an_argmax(count, levels, kind):
+    x = torch.randint(levels, (2, count, 5)).to(kind) - levels
     found = argmax_of_points(x)
     assert torch.equal(x.gather(1, found[:, None])[:, 0], x.amax(1))
 

@@ -75,17 +75,43 @@ def test_interpolation_holds_what_it_holds():
 def test_a_fine_grid_need_only_be_evaluated_near_surfaces(monkeypatch):
     asked = []
 
-    def balls(_model, _predicted, points):
+    def balls(_model, _predicted, points, parts=slice(None)):
+        """Two balls, and a part that is nowhere."""
         asked.append(len(points))
         p = points.double().numpy()
-        at = [[0.0, 0.1, 0.0], [0.2, -0.2, 0.1]]
-        return np.stack([20.0 * (0.2 - np.linalg.norm(p - c, axis=1)) for c in at])
+        at, radius = [[0.0, 0.1, 0.0], [0.2, -0.2, 0.1], [0.0, 0.0, 0.0]], [0.2, 0.2, -0.1]
+        far = [r - np.linalg.norm(p - c, axis=1) for c, r in zip(at, radius, strict=True)]
+        return 20.0 * np.stack(far)[parts]
 
     monkeypatch.setattr(reconstruction, "logits_at", balls)
-    monkeypatch.setattr(reconstruction, "_DENSE", 16)
-    fine = reconstruction._meshes(part_logits(None, None, 32))
+    parts, fine = reconstruction.logits_near_surfaces(None, None, 32, 16)
+    assert parts.tolist() == [0, 1]
     assert sum(asked) < 0.5 * 32**3
-    monkeypatch.setattr(reconstruction, "_DENSE", 17)
-    dense = reconstruction._meshes(part_logits(None, None, 32))
-    for a, b in zip([*fine[0], fine[1]], [*dense[0], dense[1]], strict=True):
+    own, whole = reconstruction._meshes(fine)
+    (*both, nowhere), union = reconstruction._meshes(part_logits(None, None, 32))
+    for a, b in zip([*own, whole], [*both, union], strict=True):
         np.testing.assert_allclose(a, b, atol=1e-9)
+    assert not len(nowhere)
+
+
+def test_some_parts_alone_have_the_fields_that_they_have_among_all():
+    torch.manual_seed(3)
+    model = PPD(ModelSettings()).eval()
+    with torch.no_grad():
+        predicted = model(torch.rand(1, 64, 3) - 0.5)
+    points, some = torch.rand(5000, 3) - 0.5, np.array([1, 4, 7])  # in more than one block
+    every = reconstruction.logits_at(model, predicted, points)
+    alone = reconstruction.logits_at(model, predicted, points, some)
+    np.testing.assert_allclose(alone, every[some], atol=1e-5)
+    assert np.abs(every).max() > 0.01
+
+
+def test_nothing_anywhere_has_no_surface_at_any_resolution():
+    torch.manual_seed(0)
+    model = PPD(ModelSettings()).eval()
+    with torch.no_grad():
+        model.shape.head_2.bias[8:] -= 100.0
+        found = reconstruction_of(model, model(torch.rand(1, 64, 3) - 0.5), 16, dense=8)
+    assert not len(found.whole)
+    assert not len(found.triangles)
+    assert found.occupied.shape == (16, 16, 16)

@@ -60,6 +60,25 @@ def test_the_paper_s_numbers_stand_beside_ours():
     assert not any(name[1] == "Chamfer-L1 x 100" for name in told)  # not measured, not shown
 
 
+def test_pose_estimators_have_a_table_of_their_own_with_blanks_for_what_is_not_known():
+    known = {
+        "matched_part_iou": 0.9, "matched_rotation_degrees_all": 5.5,
+        "matched_direction_degrees": 4.0, "matched_pivot_distance": 0.0312,
+    }  # fmt: skip
+    segments = result(method="bae", variant="bae")
+    segments = segments.model_copy(update={"means": {"matched_part_iou": 0.5}})
+    text = tables([result(**known), result("oven"), segments])
+    lines = {
+        line.split(" | ")[0]: [cell.strip(" *") for cell in line.strip("|").split("|")]
+        for line in text.splitlines()
+    }
+    assert lines["| laptop, ppd"][1:3] == ["90.0", "5.50"]
+    assert lines["| laptop, ppd"][6:] == ["4.00", "3.12", "", ""]
+    assert lines["| laptop, bae"][1:] == ["50.0", *[""] * 8]
+    assert "| oven, ppd" not in lines  # evaluated before there were such measures
+    assert "as SCAPO and OP-Align measure" not in tables([result("oven")])
+
+
 def test_labels_by_all_poses_have_their_own_table():
     told = rows(tables([result(poses="all")]))
     assert told["8", "label IoU, %", "laptop"][1] == "86.80"

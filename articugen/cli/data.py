@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from articugen import __version__
+from articugen.cli.discover import register as register_discover
 from articugen.cli.learn import Changes
 from articugen.cli.learn import register as register_learning
 from articugen.errors import ArticugenError, printable
@@ -393,4 +394,5 @@ def mesh(
         out.print(f"{output}: {faces:,} faces, unit frame", soft_wrap=True)
 
 
+register_discover(app, _said_in_one_sentence)
 register_learning(app, _said_in_one_sentence)

@@ -47,7 +47,12 @@ def register(app: typer.Typer, said_in_one_sentence: Said) -> None:
     )(train)
     app.command(epilog="Example: articugen train-depth runs/laptop --data data/laptop")(train_depth)
     app.command(epilog="Example: articugen evaluate runs/laptop --data data/laptop")(evaluate)
-    app.command(epilog="Example: articugen tables runs/*")(tables)
+    app.command(epilog="Example: articugen tables runs/* --figure examples.png")(tables)
+    app.command(
+        epilog="Examples:\n\narticugen study --budget 40\n\n"
+        "articugen study --categories laptop,oven --recipe ppd_quick --budget 10\n\n"
+        "articugen study --quick --device cpu --categories laptop"
+    )(study)
     app.command(
         epilog="Examples:\n\narticugen predict runs/laptop data/laptop/test-00000.h5 --row 3\n\n"
         "articugen predict runs/laptop cloud.ply --fit --out rig"
@@ -156,10 +161,9 @@ def evaluate(
         str, typer.Option(help="Whose poses vote for labels: canonical or all.")
     ] = "canonical",
     states: Annotated[
-        int | None,
-        typer.Option(min=1, help="Random states a test object.", show_default="all"),
-    ] = None,
-    figures: Annotated[bool, typer.Option(help="Draw figures as well (minutes).")] = True,
+        int, typer.Option(min=0, help="Random states a test object; 0 means all, as in the paper.")
+    ] = 8,
+    figures: Annotated[bool, typer.Option(help="Draw figures as well.")] = True,
     threads: Annotated[int, typer.Option(min=0, help="CPU threads; 0 leaves it to torch.")] = 0,
 ) -> None:
     """Evaluate a run's last checkpoint on the test objects, as the paper does."""
@@ -174,7 +178,7 @@ def evaluate(
                 protocol=protocol,
                 resolution=resolution,
                 label_poses=label_poses,
-                states=states,
+                states=states or None,
                 threads=threads,
                 on_object=lambda name: status.update(f"evaluated {name}"),
             )
@@ -189,12 +193,86 @@ def evaluate(
 
 def tables(
     runs: Annotated[list[Path], typer.Argument(help="Folders of runs that were evaluated.")],
+    figure: Annotated[
+        Path | None,
+        typer.Option(help="Draw a test object of each run in three states into this PNG as well."),
+    ] = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(
+            "--data",
+            "-d",
+            help="For --figure: a data set, or a folder with one named after each category.",
+            show_default="what each run was trained on",
+        ),
+    ] = None,
 ) -> None:
     """Print the paper's tables over several evaluated runs: categories, ablations, inputs."""
+    if data and not figure:
+        raise typer.BadParameter("--data is what --figure draws; name that too")
     with _said():
         from articugen.learning import commands
 
         _out.print(commands.tables(runs), soft_wrap=True, markup=False)
+        if figure:
+            with _err.status("drawing ..."):
+                commands.draw_examples(runs, figure, data)
+            _out.print(f"drawn: {figure}", soft_wrap=True)
+
+
+def study(
+    categories: Annotated[
+        str, typer.Option("--categories", "-c", help="Bundled ones, joined by commas, or all.")
+    ] = "all",
+    data: Annotated[
+        Path, typer.Option("--data", "-d", help="Sets are <data>/<category>, made if missing.")
+    ] = Path("data"),
+    out: Annotated[
+        Path, typer.Option(help="What is worth keeping goes there; checkpoints to <out>-work.")
+    ] = Path("study"),
+    budget: Annotated[float, typer.Option(min=0.1, help="Minutes, of all calls together.")] = 40.0,
+    recipe: Annotated[
+        str, typer.Option("--recipe", "-r", help="What all seeds follow; shortened to fit.")
+    ] = "ppd_hour",
+    changes: Changes = None,
+    seeds: Annotated[int, typer.Option(min=1, max=64, help="How many race a category.")] = 64,
+    device: Annotated[str, typer.Option(help="cuda, cuda:1 or cpu.")] = "cuda",
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Next to nothing of everything: does it work?")
+    ] = False,
+) -> None:
+    """Measure a device, race seeds, train, evaluate: all categories, one folder. Resumable."""
+    with _said("interrupted; the same command goes on where it stood"):
+        from articugen import api
+        from articugen.learning import study as studies
+        from articugen.learning.method import load_recipe
+        from articugen.recipe_files import with_settings
+        from articugen.sources import registry
+
+        def make_data(category: str, folder: Path) -> None:
+            if quick:
+                api.generate(category, out=folder.parent, recipe="quick", objects=6, states=4)
+            else:
+                api.generate(category, out=folder.parent, states=40)
+
+        asked = studies.Asked(
+            categories=registry.categories("procedural", [categories]),
+            data=data,
+            recipe=with_settings(load_recipe(recipe), changes or ()),
+            seeds=seeds,
+            minutes=budget,
+            device=device,
+            quick=quick,
+        )
+        if quick:
+            asked = studies.made_quick(asked)
+        made = studies.study(
+            asked,
+            out,
+            make_data=make_data,
+            say=lambda line: _err.print(line, soft_wrap=True, markup=False),
+        )
+        _out.print(f"written: {made}/README.md", soft_wrap=True)
 
 
 def predict(
@@ -257,6 +335,8 @@ class _ProgressBar:
         task = self.tasks[progress.seed]
         who = "" if progress.seed is None else f"seed {progress.seed}: "
         self.bar.update(task, completed=progress.iteration, total=progress.iterations)
+        if progress.said:
+            self.bar.update(task, state=progress.said)
         if progress.terms:
             speed = self.bar.tasks[task].speed or 0.0
             name, value = next(iter(progress.terms.items()))

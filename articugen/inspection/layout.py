@@ -44,6 +44,18 @@ def sheet(rows: Sequence[Row]) -> Picture:
     return canvas
 
 
+def in_columns(sheets: Sequence[Picture], columns: int) -> Picture:
+    """Sheets in rows of so many, each as far from the next as its margin says."""
+    width = max(sheet.width for sheet in sheets)
+    rows = [sheets[at : at + columns] for at in range(0, len(sheets), columns)]
+    heights = [max(sheet.height for sheet in row) for row in rows]
+    canvas = Image.new("RGB", (width * min(columns, len(sheets)), sum(heights)), PAPER)
+    for r, row in enumerate(rows):
+        for c, sheet in enumerate(row):
+            canvas.paste(sheet, (c * width, sum(heights[:r])))
+    return canvas
+
+
 def save(picture: Picture, path: Path) -> None:
     """Write a PNG.
 

@@ -99,22 +99,31 @@ def cloud_of_file(path: Path, *, fit: bool = False) -> Cloud:
     Raises:
         InvalidSource: it cannot be read, or is no cloud to make sense of.
     """
-    read = _READERS.get(path.suffix.lower())
-    if read is None:
-        known = ", ".join(_READERS)
-        raise InvalidSource(f"{path}: neither a shard (.h5) nor points ({known})")
-    try:
-        stored = np.asarray(read(path.read_bytes()), np.float64)
-    except OSError as error:
-        raise InvalidSource(f"{path}: cannot be read ({error.strerror})") from None
-    except Exception as error:  # whatever a parser meets in a broken file
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
-        raise InvalidSource(f"{path}: broken ({reason})") from None
+    stored = numbers_of_file(path)
     name = str(path)
     points = _finite(stored, name)
     frame = _box_frame(points, name) if fit else UNIT
     points = generator(0, "cloud").permutation(checked(frame.to_unit(points), name))
     return Cloud(points, frame, _hint(points, name))
+
+
+def numbers_of_file(path: Path) -> Floats:
+    """The array that a PLY, .npy, .npz or .xyz file holds, whatever its shape, in its own frame.
+
+    Raises:
+        InvalidSource: it cannot be read.
+    """
+    read = _READERS.get(path.suffix.lower())
+    if read is None:
+        known = ", ".join(_READERS)
+        raise InvalidSource(f"{path}: neither a shard (.h5) nor points ({known})")
+    try:
+        return np.asarray(read(path.read_bytes()), np.float64)
+    except OSError as error:
+        raise InvalidSource(f"{path}: cannot be read ({error.strerror})") from None
+    except Exception as error:  # whatever a parser meets in a broken file
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise InvalidSource(f"{path}: broken ({reason})") from None
 
 
 def checked(cloud: Floats, name: str) -> Floats:

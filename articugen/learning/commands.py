@@ -16,18 +16,19 @@ except ImportError:
 
 from articugen.learning import loop, processes, tensorboard
 from articugen.learning.clouds import Cloud, cloud_of_file, cloud_of_shard, seen_by_a_camera
-from articugen.learning.evaluation.evaluate import Protocol
+from articugen.learning.evaluation.evaluate import Protocol, check_splits
 from articugen.learning.evaluation.evaluate import evaluate as evaluate_as_paper
 from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.evaluation.report import markdown
 from articugen.learning.evaluation.report import tables as written
 from articugen.learning.evaluation.results import EvaluatedRun, RunEvaluation, read_evaluation
+from articugen.learning.fitness import lying_otherwise
 from articugen.learning.loop import Tell
 from articugen.learning.method import Yardstick, find_method, load_recipe
 from articugen.learning.predict import write_rig
 from articugen.learning.race import race
 from articugen.learning.recipe import TrainRecipe
-from articugen.learning.runs import DEPTH, LATEST, RunFolder, depth_learner, read_checkpoint
+from articugen.learning.runs import DEPTH, RunFolder, depth_learner, read_run
 from articugen.recipe_files import with_settings
 from articugen.records import JointKind, dequantize
 from articugen.store.files import write_atomically
@@ -35,6 +36,10 @@ from articugen.store.manifest import Manifest
 
 FolderLike = str | os.PathLike[str]
 RecipeLike = str | Path | Mapping[str, Any] | TrainRecipe
+
+STATES = 8
+"""Random states of a test object that are evaluated, unless said otherwise: label IoU differs
+more between objects than between states (docs/ppd.md), so more take longer and tell little."""
 
 FEW_OBJECTS = 20
 """Fewer than the smallest category's 24."""
@@ -153,7 +158,7 @@ def evaluate(
     protocol: str = "paper",
     resolution: int | None = None,
     label_poses: str = "canonical",
-    states: int | None = None,
+    states: int | None = STATES,
     threads: int = 0,
     on_object: Callable[[str], None] = lambda _: None,
 ) -> RunEvaluation:
@@ -165,7 +170,7 @@ def evaluate(
         protocol: `paper`, or one of the method's own.
         resolution: of the meshes' grid; None is the protocol's.
         label_poses: whose poses vote for labels, `canonical` or `all`.
-        states: random states a test object; None is all.
+        states: random states a test object; None is all, as in the paper.
         threads: of the CPU; 0 leaves it to torch.
         on_object: called with the name of each object that was evaluated.
 
@@ -181,7 +186,7 @@ def evaluate(
     if label_poses not in ("canonical", "all"):
         raise ArticugenError(f"--label-poses {label_poses}: canonical or all")
     folder = newest(run)
-    point = read_checkpoint(folder / LATEST)
+    point = read_run(folder)
     yardsticks = {"paper": _PAPER, **find_method(point.recipe.method).yardsticks()}
     if protocol not in yardsticks:
         raise ArticugenError(f"--protocol {protocol}: {' or '.join(yardsticks)}")
@@ -202,8 +207,10 @@ def evaluate(
     if (folder / DEPTH.latest).is_file():
         depth = depth_learner(folder, point)
         by_depth = measure(lambda i: by.reconstruct(depth, seen_by_a_camera(i), resolution))
-    asked = {"protocol": protocol, "label_poses": label_poses, "resolution": resolution}
-    evaluated = EvaluatedRun(**point.about(), **asked)
+    evaluated = EvaluatedRun(
+        **point.about(), protocol=protocol, label_poses=label_poses, states=states,
+        resolution=resolution,
+    )  # fmt: skip
     result = RunEvaluation(run=evaluated, depth_input=by_depth, **dict(found))
     out = evaluation_folder(folder, protocol)
     out.mkdir(exist_ok=True)
@@ -227,7 +234,7 @@ def draw(run: FolderLike, data: FolderLike, result: RunEvaluation) -> Iterator[P
     from articugen.learning.evaluation.figures.draw import draw_figures  # noqa: PLC0415
 
     folder = newest(run)
-    learner = read_checkpoint(folder / LATEST).learner()
+    learner = read_run(folder).learner()
     model = learner.drawable(min(4 * result.run.resolution, 128))
     out, metrics = evaluation_folder(folder), RunFolder(folder).metrics()
     yield from draw_figures(out, metrics, Path(data), model, result)
@@ -236,6 +243,38 @@ def draw(run: FolderLike, data: FolderLike, result: RunEvaluation) -> Iterator[P
 def tables(runs: Sequence[FolderLike]) -> str:
     """The paper's tables over several evaluated runs: categories, ablations, inputs."""
     return written([read_evaluation(newest(run)) for run in runs])
+
+
+def draw_examples(
+    runs: Sequence[FolderLike], path: FolderLike, data: FolderLike | None = None
+) -> Path:
+    """Draw a test object of each evaluated run in three states: the truth above, its reconstruction
+    below.
+
+    Args:
+        runs: as `tables` takes them.
+        path: of the picture, a PNG.
+        data: a data set, or a folder with one named after each category; None is what each run was
+            trained on.
+
+    Raises:
+        InvalidCheckpoint: a run cannot be read, or was not evaluated.
+        CorruptShard: a data set has no test object, or is of another category.
+        ArticugenError: the picture cannot be written.
+    """
+    from articugen.learning.evaluation.figures import draw as figures  # noqa: PLC0415
+
+    examples = []
+    for folder in map(newest, runs):
+        result, point = read_evaluation(folder), read_checkpoint(folder / LATEST)
+        own = Path(data or RunFolder(folder).about()["data"]["folder"])
+        own = own / point.category if data and (own / point.category).is_dir() else own
+        check_splits(own, point.category)
+        model = point.learner().drawable(min(4 * result.run.resolution, 128))
+        title = f"{point.category.replace('_', ' ')}, {point.recipe.name}"
+        examples.append(figures.Example(title, own, model, result))
+    figures.draw_examples(Path(path), examples)
+    return Path(path)
 
 
 @dataclass(frozen=True)
@@ -295,7 +334,7 @@ def predict(
     """
     prepare()
     folder, cloud = newest(run), Path(cloud)
-    point = read_checkpoint(folder / LATEST)
+    point = read_run(folder)
     if cloud.suffix == ".h5":
         eye = camera if depth else None
         given = cloud_of_shard(cloud, row, category=point.category, camera=eye)
@@ -313,6 +352,12 @@ def hints(data: FolderLike) -> list[str]:
         found.append(
             f"{data}: {count} training objects show that all works, but teach little that carries "
             "over to others; for that make the full data set, without RECIPE=quick or OBJECTS="
+        )
+    if others := lying_otherwise(Path(data)):
+        found.append(
+            f"{data}: the joints of {len(others)} of the {count} training objects lie along other "
+            f"axes than most ({', '.join(others[:3])}{', ...' if others[3:] else ''}); a category "
+            "is learnt in a frame that its objects share, so turn those that lie turned by mistake"
         )
     return found if tensorboard.is_installed() else [*found, tensorboard.MISSING]
 

@@ -15,11 +15,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from articugen.errors import CorruptShard
-from articugen.learning import processes
+from articugen.learning import cells, processes
+from articugen.learning.cells import Chance, LabelledCells, drawn, uniform, voxel_centres
+from articugen.learning.fitness import check_fixed_part, check_shard, check_varies
 from articugen.learning.recipe import DataSettings
-from articugen.records import FREE, is_material
+from articugen.records import ENCLOSED, FREE
 from articugen.store.manifest import Manifest
 from articugen.store.shards import Shard, open_shard
+
+FEW = 4
+"""Where at most one in so many stored points is taken, one comes from each of equal stretches."""
 
 
 @dataclass(frozen=True)
@@ -27,22 +32,29 @@ class BatchSpec:
     """What a learner must be given; nothing else is read or unpacked.
 
     Attributes:
-        surface_points, grid_points, uniform_points, near_points, occupancy: as `DataSettings`.
+        surface_points, grid_points, uniform_points, near_points, band_points, varying_points,
+            occupancy: as `DataSettings`.
         grids: resolutions of grids that `Learner.validate` reads, besides those of the stages.
         parts: whether the true parts of surface points are wanted.
         partial: whether clouds are what one depth camera sees, another one each time.
         joints: (revolute, prismatic) joints an object may have at most; None is any number.
+        poses: whether several poses of each object are compared; for `varying_points` they are.
+        voxels: whether the voxels of the finest grid are wanted as well.
     """
 
     surface_points: int
     grid_points: int = 0
     uniform_points: int = 0
     near_points: int = 0
-    occupancy: str = "visible"
+    band_points: int = 0
+    varying_points: int = 0
+    occupancy: str = "material"
     grids: tuple[int, ...] = ()
     parts: bool = False
     partial: bool = False
     joints: tuple[int, int] | None = None
+    poses: bool = False
+    voxels: bool = False
 
     @staticmethod
     def of(data: DataSettings, **more: Any) -> "BatchSpec":
@@ -61,7 +73,7 @@ class Batch:
         points: (B, m, 3) query points.
         occupied: (B, m) bool, their indicator values.
         spread: the first so many query points are spread evenly over the cube, the others lie near
-            the surface.
+            the surface, in the band around it, and where the object's poses differ, in this order.
     """
 
     rows: Tensor
@@ -86,21 +98,29 @@ class PackedSplit:
 
     Attributes:
         object_id: (I,) names.
+        object_index: (I,) which of the split's objects, 0 for the first of them.
         state_index: (I,) 0 is the canonical pose.
         surface: (I, S, 3).
         part: (I, S) the parts of the surface points; (I, 0) unless asked for.
         grids: (I, R^3) labels by resolution, above 0 where the recipe calls it occupied.
         uniform, near: ((I, K, 3) coordinates, (I, K) such labels).
+        voxels: (I, R^3 / 8) one bit for each voxel of the finest grid, whether it is occupied; (I, 0)
+            unless asked for. R is `band.resolution`.
+        band, varying: voxels around this pose's material, and those that differ between poses.
         partial: (I, C, M, 3) what each of C depth cameras sees; C = 0 unless asked for.
     """
 
     object_id: NDArray[Any]
+    object_index: Tensor
     state_index: NDArray[np.uint32]
     surface: Tensor
     part: Tensor
     grids: dict[int, Tensor]
     uniform: tuple[Tensor, Tensor]
     near: tuple[Tensor, Tensor]
+    voxels: Tensor
+    band: LabelledCells
+    varying: LabelledCells
     partial: Tensor
 
     def __len__(self) -> int:
@@ -109,15 +129,30 @@ class PackedSplit:
     @property
     def bytes(self) -> int:
         """What the tensors take."""
-        tensors = (self.surface, self.part, *self.grids.values(), *self.uniform, *self.near)
-        return sum(t.numel() * t.element_size() for t in (*tensors, self.partial))
+        tensors = [self.object_index, self.surface, self.part, *self.grids.values()]
+        tensors += [*self.uniform, *self.near, self.voxels, self.partial]
+        for some in (self.band, self.varying):
+            tensors += [some.index, some.count]
+        return sum(t.numel() * t.element_size() for t in tensors)
+
+    def poses_of(self, name: str) -> NDArray[np.intp]:
+        """The rows of an object, by their state: its canonical pose, where it is there, comes
+        first."""
+        rows = np.flatnonzero(self.object_id == name)
+        return rows[np.argsort(self.state_index[rows], kind="stable")]
 
     def of(self, objects: Iterable[str]) -> "PackedSplit":
         """The instances of these objects alone."""
         rows = np.flatnonzero(np.isin(self.object_id, list(objects)))
         at = torch.from_numpy(rows)
         some = self._with(lambda tensor: tensor[at])
-        return replace(some, object_id=self.object_id[rows], state_index=self.state_index[rows])
+        object_id = self.object_id[rows]
+        return replace(
+            some,
+            object_id=object_id,
+            object_index=_numbered(object_id).to(at.device),
+            state_index=self.state_index[rows],
+        )
 
     def to(self, device: torch.device) -> "PackedSplit":
         """The same in the memory of a device."""
@@ -126,53 +161,66 @@ class PackedSplit:
     def _with(self, change: Callable[[Tensor], Tensor]) -> "PackedSplit":
         return replace(
             self,
+            object_index=change(self.object_index),
             surface=change(self.surface),
             part=change(self.part),
             grids={resolution: change(grid) for resolution, grid in self.grids.items()},
             uniform=(change(self.uniform[0]), change(self.uniform[1])),
             near=(change(self.near[0]), change(self.near[1])),
+            voxels=change(self.voxels),
+            band=self.band.changed(change),
+            varying=self.varying.changed(change),
             partial=change(self.partial),
         )
 
-    def batch(
-        self, rows: Sequence[int], spec: BatchSpec, resolution: int, rng: torch.Generator | None
-    ) -> Batch:
-        """A batch of the instances `rows`; points are drawn without replacement.
+    def batch(self, rows: Sequence[int], spec: BatchSpec, resolution: int, rng: Chance) -> Batch:
+        """A batch of the instances `rows`; points are drawn without replacement, but for `band` and
+        `varying`.
 
         Args:
             resolution: of the grid that `grid_points` are drawn from.
-            rng: of the device that the split lies on; None for torch's own.
+            rng: of the device that the split lies on; None for torch's own. Several draw for an
+                equal share of the rows each, what each would draw for a batch of its share.
         """
         at = index_on(self.surface.device, rows)
+        each = at[:, None]
         cloud, where = self._clouds(at, spec, rng)
-        part = self.part[at].gather(1, where) if spec.parts else self.part[at]
+        part = self.part[each, where] if spec.parts else self.part[at]
         points: list[Tensor] = []
-        labels: list[Tensor] = []
+        occupied: list[Tensor] = []
         if spec.grid_points:
-            grid, where = _some(self.grids[resolution][at], spec.grid_points, rng)
+            grid = self.grids[resolution]
+            where = _places(at, grid.shape[1], spec.grid_points, rng)
             points.append(voxel_centres(where, resolution))
-            labels.append(grid)
+            occupied.append(grid[each, where] > 0)
         for wanted, (stored, label) in (
             (spec.uniform_points, self.uniform),
             (spec.near_points, self.near),
         ):
-            some, where = _some(stored[at], wanted, rng)
-            points.append(unpacked(some))
-            labels.append(label[at].gather(1, where))
+            where = _places(at, stored.shape[1], wanted, rng)
+            points.append(unpacked(stored[each, where]))
+            occupied.append(label[each, where] > 0)
+        for wanted, some in ((spec.band_points, self.band), (spec.varying_points, self.varying)):
+            if wanted:
+                centres, inside = some.draw(at, wanted, rng)
+                points.append(centres)
+                occupied.append(inside)
         spread = spec.grid_points + spec.uniform_points
-        occupied = torch.cat(labels, 1) > 0
-        return Batch(at, unpacked(cloud), part, torch.cat(points, 1), occupied, spread)
+        return Batch(
+            at, unpacked(cloud), part, torch.cat(points, 1), torch.cat(occupied, 1), spread
+        )
 
-    def _clouds(
-        self, at: Tensor, spec: BatchSpec, rng: torch.Generator | None
-    ) -> tuple[Tensor, Tensor]:
+    def _clouds(self, at: Tensor, spec: BatchSpec, rng: Chance) -> tuple[Tensor, Tensor]:
         """The stored clouds (B, n, 3) of some instances, and the places of their points (B, n)."""
         if spec.partial:
             B, cameras = len(at), self.partial.shape[1]
-            camera = torch.randint(cameras, (B,), generator=rng, device=at.device)
+            camera = drawn(
+                rng, B, lambda g, n: torch.randint(cameras, (n,), generator=g, device=at.device)
+            )
             seen = self.partial[at, camera]
             return seen, torch.arange(seen.shape[1], device=at.device).expand(B, -1)
-        return _some(self.surface[at], spec.surface_points, rng)
+        where = _places(at, self.surface.shape[1], spec.surface_points, rng)
+        return self.surface[at[:, None], where], where
 
 
 def index_on(device: torch.device, rows: Sequence[int]) -> Tensor:
@@ -181,18 +229,23 @@ def index_on(device: torch.device, rows: Sequence[int]) -> Tensor:
     return at.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else at.to(device)
 
 
-def _some(rows: Tensor, count: int, rng: torch.Generator | None) -> tuple[Tensor, Tensor]:
-    """`count` entries along axis 1 of (B, n, ...), drawn anew for each row, and their places.
+def _places(at: Tensor, n: int, count: int, rng: Chance) -> Tensor:
+    """(B, count) which `count` of n stored points, drawn anew for each row.
 
-    All n of them stay in order: nothing that uses a batch depends on the order of its points.
+    All n of them stay in order: nothing that uses a batch depends on the order of its points. Of
+    few each comes from a stretch of its own, on a ring that is turned at random: no number is drawn
+    for a point that is not taken.
     """
-    B, n = rows.shape[:2]
     if count in (0, n):
-        return rows[:, :count], torch.arange(count, device=rows.device).expand(B, count)
-    order = torch.rand(B, n, generator=rng, device=rows.device)
-    where = order.topk(count, dim=1, sorted=False).indices
-    each = torch.arange(B, device=rows.device)[:, None]
-    return rows[each, where], where
+        return torch.arange(count, device=at.device).expand(len(at), count)
+    if count * FEW > n:
+        order = uniform(rng, len(at), n, at.device)
+        return order.topk(count, dim=1, sorted=False).indices
+    begin = torch.arange(count, device=at.device) * n // count
+    width = torch.arange(1, count + 1, device=at.device) * n // count - begin
+    share = uniform(rng, len(at), count, at.device)
+    turn = drawn(rng, len(at), lambda g, b: torch.randint(n, (b, 1), generator=g, device=at.device))
+    return (begin + (share * width).long() + turn) % n
 
 
 def unpacked(stored: Tensor) -> Tensor:
@@ -200,11 +253,10 @@ def unpacked(stored: Tensor) -> Tensor:
     return (stored.int() & 0xFFFF).float() / 65535.0 - 0.5
 
 
-def voxel_centres(index: Tensor, resolution: int) -> Tensor:
-    """(..., 3) the centres of voxels from flat indices (...) of a grid [x, y, z]."""
-    x = index // (resolution * resolution)
-    at = torch.stack([x, index // resolution % resolution, index % resolution], -1)
-    return (at + 0.5) / resolution - 0.5
+def _numbered(names: NDArray[Any]) -> Tensor:
+    """(I,) the number of each name, in the order of their first appearance."""
+    number = {name: i for i, name in enumerate(dict.fromkeys(names.tolist()))}
+    return torch.tensor([number[name] for name in names.tolist()], dtype=torch.long)
 
 
 def load_split(
@@ -225,7 +277,8 @@ def load_split(
 
     Raises:
         CorruptShard: no such data set or split, another category, too few points, no such grid, no
-            clouds of depth cameras, no joint, more joints than the learner can hold.
+            clouds of depth cameras, no joint, more joints than the learner can hold, poses of an
+            object that share no frame or, where poses are compared, an object that has but one.
     """
     manifest = Manifest.read(folder)
     if category is not None and manifest.category != category:
@@ -237,38 +290,43 @@ def load_split(
             f"{folder}: has no object in split {split!r}, only in: {', '.join(have)}"
         )
     about = {"split": split, "category": manifest.category}
-    shards = [_read(folder / name, about, spec, sorted(set(resolutions))) for name in names]
+    is_fine = spec.band_points or spec.varying_points or spec.voxels
+    finest = _finest(folder / names[0]) if is_fine else 0
+    wanted = sorted(set(resolutions))
+    shards = [_read(folder / name, about, spec, wanted, finest) for name in names]
     try:
         joined = {name: np.concatenate([shard[name] for shard in shards]) for name in shards[0]}
     except ValueError:
         raise CorruptShard(f"{folder}: shards of different shapes; make them again") from None
     grids = {int(n.rpartition("_")[2]): n for n in joined if n.startswith("occupancy_")}
-    for resolution, name in grids.items():
-        _fill_empty(joined[name], joined["surface_points"], resolution)
     return PackedSplit(
         joined["object_id"],
+        _numbered(joined["object_id"]),
         joined["state_index"],
         _tensor(joined["surface_points"]),
         _tensor(joined["surface_part"]),
         {r: _tensor(joined[name]).flatten(1) for r, name in grids.items()},
         (_tensor(joined["uniform_points"]), _tensor(joined["uniform_label"])),
         (_tensor(joined["near_points"]), _tensor(joined["near_label"])),
+        _tensor(joined["voxels"]),
+        LabelledCells(finest, _tensor(joined["band"]), _tensor(joined["band_count"])),
+        LabelledCells(finest, _tensor(joined["varying"]), _tensor(joined["varying_count"])),
         _tensor(joined["partial_points"]),
     )
 
 
 def _read(
-    path: Path, about: dict[str, str], spec: BatchSpec, resolutions: list[int]
+    path: Path, about: dict[str, str], spec: BatchSpec, resolutions: list[int], finest: int
 ) -> dict[str, NDArray[Any]]:
+    """What is packed of a shard, by name; `finest` is the grid that cells are chosen from, or 0."""
     with open_shard(path) as shard:
         for name, should in about.items():
             if shard.attributes[name] != should:
                 raise CorruptShard(
                     f"{path}: is of {name} {shard.attributes[name]!r}, the manifest says {should!r}"
                 )
-        _check(shard, spec, resolutions)
-        grids = [f"occupancy_{resolution}" for resolution in resolutions]
-        row = {name: shard.read(name) for name in ("state_index", "surface_points", *grids)}
+        check_shard(shard, spec, sorted({*resolutions, finest} - {0}))
+        row = {name: shard.read(name) for name in ("state_index", "surface_points")}
         wanted = {
             "surface_part": spec.parts,
             "uniform_points": spec.uniform_points,
@@ -278,11 +336,69 @@ def _read(
             "partial_points": spec.partial,
         }
         row |= {name: shard.read(name) if w else _none(shard, name) for name, w in wanted.items()}
-        if spec.occupancy == "material":
-            for name, array in row.items():
-                if name.endswith("_label") or name.startswith("occupancy_"):
-                    row[name] = np.where(is_material(array), array, FREE)
-        return {"object_id": np.array(shard.object_ids()), **row}
+        for name in ("uniform_label", "near_label"):
+            row[name] = _told(row[name], spec)
+        names = np.array(shard.object_ids())
+        grids = {r: _grid(shard, r, names, row["surface_points"], spec) for r in resolutions}
+        fine = grids.get(finest)
+        if finest and fine is None:
+            fine = _grid(shard, finest, names, row["surface_points"], spec)
+        row |= {f"occupancy_{r}": grid for r, grid in grids.items()}
+        return {"object_id": names, **row, **_cells(names, row["state_index"], fine, spec, path)}
+
+
+def _told(label: NDArray[np.uint8], spec: BatchSpec) -> NDArray[np.uint8]:
+    """The labels, free where the recipe does not call it occupied."""
+    return np.where(label == ENCLOSED, FREE, label) if spec.occupancy == "material" else label
+
+
+def _grid(
+    shard: Shard,
+    resolution: int,
+    names: NDArray[Any],
+    surface: NDArray[np.uint16],
+    spec: BatchSpec,
+) -> NDArray[np.uint8]:
+    """(n, R, R, R) such labels; somewhere every instance is occupied."""
+    grid = shard.read(f"occupancy_{resolution}")
+    check_fixed_part(shard, names, grid)
+    grid = _told(grid, spec)
+    _fill_empty(grid, surface, resolution)
+    return grid
+
+
+def _cells(
+    names: NDArray[Any],
+    states: NDArray[np.uint32],
+    grid: NDArray[np.uint8] | None,
+    spec: BatchSpec,
+    path: Path,
+) -> dict[str, NDArray[Any]]:
+    """The cells that query points are drawn at, as `LabelledCells` holds them."""
+    bits = np.packbits(grid > 0).reshape(len(names), -1) if grid is not None and spec.voxels else None
+    row = {"voxels": np.zeros((len(names), 0), np.uint8) if bits is None else bits}
+    for kind, wanted in (("band", spec.band_points), ("varying", spec.varying_points)):
+        row[kind], row[f"{kind}_count"] = cells.none(len(names))
+        if grid is not None and wanted:
+            occupied = grid > 0
+            chosen = cells.CHOOSE[kind](occupied, names)
+            if kind == "varying":
+                check_varies(path, names, chosen)
+            row[kind], row[f"{kind}_count"] = cells.pack(kind, chosen, occupied, names, states)
+    return row
+
+
+def _finest(path: Path) -> int:
+    """The resolution of the grid that cells are chosen from."""
+    with open_shard(path) as shard:
+        grids = [int(n.rpartition("_")[2]) for n in shard.fields if n.startswith("occupancy_")]
+    fit = [resolution for resolution in grids if resolution <= cells.FINEST]
+    if not fit:
+        raise CorruptShard(
+            f"{path}: has no grid of {cells.FINEST} or less, which data.band_points and "
+            f"varying_points need; add {cells.FINEST} to sampling.grids and make the data set again"
+        )
+    return max(fit)
 
 
 def _none(shard: Shard, name: str) -> NDArray[Any]:
@@ -290,29 +406,6 @@ def _none(shard: Shard, name: str) -> NDArray[Any]:
     shape = shard.fields[name]
     dtype = np.uint16 if name.endswith("_points") else np.uint8
     return np.zeros((shape[0], 0, *shape[2:]), dtype)
-
-
-def _check(shard: Shard, spec: BatchSpec, resolutions: list[int]) -> None:
-    """Raise CorruptShard where something is not there that the learner must be given."""
-    path = shard.path
-    _check_joints(shard, spec.joints)
-    if spec.partial and 0 in shard.fields["partial_points"]:
-        raise CorruptShard(
-            f"{path}: has no partial clouds; set sampling.partial_views and make the data set again"
-        )
-    for name in ("surface_points", "uniform_points", "near_points"):
-        have, count = shard.fields[name][1], getattr(spec, name)
-        if have < count:
-            raise CorruptShard(
-                f"{path}: has {have} {name} an instance, the recipe asks for {count}; "
-                "make the data set with more, or lower data in the training recipe"
-            )
-    for resolution in resolutions:
-        if f"occupancy_{resolution}" not in shard.fields:
-            raise CorruptShard(
-                f"{path}: has no occupancy_{resolution}; add {resolution} to sampling.grids and "
-                "make the data set again"
-            )
 
 
 def _fill_empty(grid: NDArray[np.uint8], surface: NDArray[np.uint16], resolution: int) -> None:
@@ -328,20 +421,6 @@ def _fill_empty(grid: NDArray[np.uint8], surface: NDArray[np.uint16], resolution
     for row in np.flatnonzero(~grid.any(axis=(1, 2, 3))):
         x, y, z = (surface[row].astype(np.int64) * resolution // 65536).T
         grid[row, x, y, z] = 1
-
-
-def _check_joints(shard: Shard, joints: tuple[int, int] | None) -> None:
-    if joints is None:
-        return
-    kind = shard.read("joint_kind")
-    if not kind.size:
-        raise CorruptShard(f"{shard.path}: has no joint; what never moves teaches no parts")
-    have = (int((kind == 1).sum(1).max()), int((kind == 2).sum(1).max()))
-    if have[0] > joints[0] or have[1] > joints[1]:
-        raise CorruptShard(
-            f"{shard.path}: an object has {have[0]} revolute and {have[1]} prismatic joints, the "
-            f"recipe's model {joints[0]} and {joints[1]} such parts; add directions to model"
-        )
 
 
 def _tensor(array: NDArray[Any]) -> Tensor:

@@ -9,20 +9,25 @@ import math
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from articugen.errors import InvalidCheckpoint
 from articugen.learning import processes
 from articugen.learning.dataset import PackedSplit, load_split
 from articugen.learning.method import Learner, find_method
-from articugen.learning.recipe import TrainRecipe
+from articugen.learning.recipe import Schedule, TrainRecipe
 from articugen.learning.runs import (
     DEPTH,
     LATEST,
     MAIN,
+    META,
     Checkpoint,
     Files,
     RunFolder,
@@ -44,9 +49,12 @@ class Progress:
     validation: dict[str, float] | None = None
     seed: int | None = None
     """Which of the seeds that race, if any do."""
+    said: str = ""
+    """What is done before the first iteration, where that takes time."""
 
 
 Tell = Callable[[Progress], None]
+Log = Callable[[dict[str, Any]], None]
 
 
 @dataclass
@@ -84,6 +92,69 @@ class Course:
         self.run.keep(Checkpoint.of(self.learner, self.category, self.seed, self.iteration,
                                     self.best, self.beside), name)  # fmt: skip
 
+    def rows(self, iteration: int) -> list[int]:
+        """The instances of an iteration's batch."""
+        plan = self.learner.settings.schedule
+        return batch_rows(iteration, plan.batch, len(self.training), self.seed, self._method)
+
+    def seed_at(self, iteration: int) -> int:
+        """Of everything that an iteration draws."""
+        return draw(self.seed, self._method, self.stream, iteration)
+
+    def note(
+        self, iteration: int, terms: dict[str, float] | None, due: "Due", log: Log
+    ) -> dict[str, float] | None:
+        """Note that an iteration is done: what is due is logged, validated, kept.
+
+        Returns:
+            What the objects that are held out say, if they were asked.
+        """
+        plan = self.learner.settings.schedule
+        self.iteration = iteration + 1
+        if terms:
+            seconds = round(time.perf_counter() - self.since, 2)
+            about = {"terms": terms, "learning_rate": plan.rate_at(iteration)}
+            stage = plan.index_at(iteration)
+            log({"iteration": self.iteration, "stage": stage, **about, "seconds": seconds})
+        checked, saves = None, due.saves
+        if due.validates and self.run.writes:
+            checked = self.learner.validate(self.held_out)
+            log({"iteration": self.iteration, "validation": checked})
+        if checked and (loss := next(iter(checked.values()))) < self.best:
+            self.best = loss
+            if self.files.best:
+                self.keep(self.files.best)
+            saves = True
+        if saves:
+            self.keep(self.files.latest)
+        return checked
+
+    @property
+    def _method(self) -> str:
+        return self.learner.settings.method
+
+
+@dataclass(frozen=True)
+class Due:
+    """What has to be done after an iteration."""
+
+    logs: bool
+    validates: bool
+    saves: bool
+
+    @staticmethod
+    def after(iteration: int, plan: Schedule, stop_after: int | None, held_out: int) -> "Due":
+        """As a schedule says; `held_out` is how many instances there are to validate on."""
+        done, last = iteration + 1, iteration + 1 == plan.iterations
+        return Due(
+            logs=done % plan.log_every == 0 or last,
+            validates=held_out > 0 and (done % plan.validate_every == 0 or last),
+            saves=done % plan.save_every == 0 or last or done == stop_after,
+        )
+
+    def __bool__(self) -> bool:
+        return self.logs or self.validates or self.saves
+
 
 def train(
     recipe: TrainRecipe,
@@ -120,10 +191,7 @@ def train(
     method = find_method(recipe.method)
     learner = method.start(recipe, seed=draw(seed, recipe.method, "weights"), device=where)
     splits = split_for(learner, data, category, where)
-    run, start = _run_and_start(recipe, category, data, runs, seed, resume, name)
-    course = Course(learner, *splits, run, category, seed)
-    if start:
-        course.go_on_from(start)
+    course = begun(learner, *splits, category, data, runs, seed, resume, name)
     return follow(course, stop_after, on_progress)
 
 
@@ -166,44 +234,29 @@ def train_depth(
 
 def follow(course: Course, stop_after: int | None, on_progress: Tell) -> RunFolder:
     """The loop: from where the course stands to its schedule's end, or to `stop_after`."""
-    learner, training, seed = course.learner, course.training, course.seed
-    plan, method = learner.settings.schedule, learner.settings.method
-    learner.begin(training)
+    learner, training = course.learner, course.training
+    plan = learner.settings.schedule
+    learner.begin(
+        training,
+        course.run.path.parent,
+        lambda said: on_progress(Progress(course.iteration, plan.iterations, said=said)),
+    )
     with course.run.metrics_from(course.iteration, course.files) as log:
         for iteration in range(
             course.iteration, min(plan.iterations, stop_after or plan.iterations)
         ):
-            stage = plan.index_at(iteration)
             rng = torch.Generator(training.surface.device)
-            rng.manual_seed(draw(seed, method, course.stream, iteration))
-            rows = batch_rows(iteration, plan.batch, len(training), seed, method)
-            batch = training.batch(rows, learner.inputs, plan.stages[stage].resolution, rng)
+            rng.manual_seed(course.seed_at(iteration))
+            resolution = plan.stages[plan.index_at(iteration)].resolution
+            batch = training.batch(course.rows(iteration), learner.inputs, resolution, rng)
             terms = learner.learn(batch.share(), rng, iteration=iteration)
 
-            done = course.iteration = iteration + 1
-            last = done == plan.iterations
-            logs = done % plan.log_every == 0 or last
-            validates = len(course.held_out) > 0 and (done % plan.validate_every == 0 or last)
-            saves = done % plan.save_every == 0 or last or done == stop_after
-            if logs or validates or saves:
+            due = Due.after(iteration, plan, stop_after, len(course.held_out))
+            if due:
                 learner.check()
-            values = _values(terms) if logs else None
-            if values:
-                seconds = round(time.perf_counter() - course.since, 2)
-                about = {"terms": values, "learning_rate": plan.rate_at(iteration)}
-                log({"iteration": done, "stage": stage, **about, "seconds": seconds})
-            checked = None
-            if validates and course.run.writes:
-                checked = learner.validate(course.held_out)
-                log({"iteration": done, "validation": checked})
-            if checked and (loss := next(iter(checked.values()))) < course.best:
-                course.best = loss
-                if course.files.best:
-                    course.keep(course.files.best)
-                saves = True
-            if saves:
-                course.keep(course.files.latest)
-            on_progress(Progress(done, plan.iterations, values, checked))
+            values = _values(terms) if due.logs else None
+            checked = course.note(iteration, values, due, log)
+            on_progress(Progress(course.iteration, plan.iterations, values, checked))
     processes.wait()
     return course.run
 
@@ -217,6 +270,19 @@ def split_for(
     everything = load_split(data, "train", spec, {*grids, *spec.grids}, category=category)
     kept, held_out = split_objects(everything.object_id, recipe.data.validation_objects)
     return everything.of(kept).to(device), everything.of(held_out).to(device)
+
+
+def look(
+    recipe: TrainRecipe, category: str, data: Path
+) -> Callable[[Path, Callable[[str], None]], None]:
+    """Raise CorruptShard where `train` would, before a run's folder is made.
+
+    Returns:
+        `Learner.begin` on the training instances, for all seeds of a race at once.
+    """
+    learner = find_method(recipe.method).start(recipe, seed=0, device=META)
+    training, _ = split_for(learner, data, category, torch.device("cpu"))
+    return partial(learner.begin, training)
 
 
 def split_objects(object_ids: Iterable[str], held_out: int) -> tuple[list[str], list[str]]:
@@ -237,6 +303,25 @@ def new_run(
     """A new run's folder, which says what it is trained on."""
     source = {"folder": str(data), "content_sha256": Manifest.read(data).content_sha256}
     return RunFolder.new(runs, recipe, category=category, seed=seed, data=source, name=name)
+
+
+def begun(
+    learner: Learner,
+    training: PackedSplit,
+    held_out: PackedSplit,
+    category: str,
+    data: Path,
+    runs: Path,
+    seed: int,
+    resume: Path | None = None,
+    name: str | None = None,
+) -> Course:
+    """The course of a new run, or of one to go on with, as `train` takes them."""
+    run, start = _run_and_start(learner.settings, category, data, runs, seed, resume, name)
+    course = Course(learner, training, held_out, run, category, seed)
+    if start:
+        course.go_on_from(start)
+    return course
 
 
 def _run_and_start(
@@ -282,6 +367,13 @@ def batch_rows(iteration: int, batch: int, count: int, seed: int, method: str) -
     at = iteration * batch
     while len(rows) < batch:
         epoch, offset = divmod(at + len(rows), count)
-        order = seeded(seed, method, "epoch", epoch).permutation(count)
+        order = _epoch(epoch, count, seed, method)
         rows += order[offset : offset + batch - len(rows)].tolist()
     return rows
+
+
+@lru_cache(maxsize=256)
+def _epoch(epoch: int, count: int, seed: int, method: str) -> NDArray[np.int64]:
+    order = seeded(seed, method, "epoch", epoch).permutation(count)
+    order.flags.writeable = False
+    return order

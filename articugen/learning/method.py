@@ -8,7 +8,7 @@ imports a method; METHODS and entry points of the group `articugen.methods` say 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -48,8 +48,15 @@ class Learner(Protocol):
     inputs: BatchSpec
     """What batches and held-out objects must hold."""
 
-    def begin(self, training: PackedSplit) -> None:
-        """Look at all training instances once, before the first iteration."""
+    def begin(
+        self, training: PackedSplit, beside: Path, tell: Callable[[str], None] = lambda _: None
+    ) -> None:
+        """Look at all training instances, before the first iteration of every start.
+
+        Args:
+            beside: a folder that several runs share, for what is worth keeping of it.
+            tell: called with a sentence on what takes time.
+        """
 
     def learn(
         self, batch: Batch, rng: torch.Generator | None, *, iteration: int
@@ -96,6 +103,30 @@ class Learner(Protocol):
         return Drawable(lambda cloud: self.reconstruct(cloud, resolution=resolution))
 
 
+class Team(Protocol):
+    """Several learners of one recipe, a seed each, that take their steps at once."""
+
+    def begin(self, training: PackedSplit, beside: Path) -> None:
+        """As `Learner.begin`, once for all of them."""
+
+    def learn(self, batch: Batch, *, iteration: int) -> Mapping[str, torch.Tensor]:
+        """One step of each; every term of the loss, a number a learner, (S,).
+
+        Args:
+            batch: the batches of all of them, one after the other.
+            iteration: as `Learner.learn`.
+        """
+        ...
+
+    def diverged(self) -> list[bool]:
+        """Which of them have met a number that is not finite; that harms no other."""
+        ...
+
+    def hand_out(self) -> None:
+        """Let each learner stand where it would if it had taken the steps alone."""
+        ...
+
+
 @dataclass(frozen=True)
 class Yardstick:
     """One way to be measured, for `articugen evaluate --protocol <name>`.
@@ -130,6 +161,13 @@ class Method(Protocol):
             device: `meta` asks for shapes alone, to compare a stored state with.
         """
         ...
+
+    weights: tuple[str, ...] | None = None
+    """The entries of a learner's `state` that predictions need; None is all of them."""
+
+    def team(self, learners: Sequence[Any]) -> Team | None:
+        """Those learners as a team, where they can be one: seeds on a GPU race together then."""
+        return None
 
     def start_depth(self, first: Any, *, seed: int, device: torch.device) -> Learner:
         """A learner for what one depth camera sees, beside one that is trained.

@@ -3,13 +3,13 @@
 Who goes on is decided by the loss on the objects of the training split that are held out, never by
 test objects (successive halving: Jamieson and Talwalkar 2016). Each seed is an ordinary run, which
 stops and resumes exactly, so that the outcome depends neither on interruptions nor on how many
-processes take part.
+processes take part. On a GPU all seeds learn at once (`together`), which rounds otherwise.
 """
 
 import json
 import math
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,9 +19,11 @@ from typing import Any
 import torch
 
 from articugen.errors import InvalidCheckpoint, TrainingDiverged
-from articugen.learning.loop import Tell, new_run, train
+from articugen.learning.loop import Progress, Tell, look, new_run, train
+from articugen.learning.method import find_method
 from articugen.learning.recipe import TrainRecipe
 from articugen.learning.runs import BEST, LATEST, METRICS, RunFolder, read_checkpoint
+from articugen.learning.together import train_together
 from articugen.store.files import write_atomically
 from articugen.workers import Crew, report
 
@@ -42,11 +44,8 @@ class Heat:
 
     def run(self) -> dict[str, float] | None:
         """Train from where the seed stands to `stop`; returns the validation there."""
-        path = self.folder / str(self.seed)
-        started = (path / LATEST).is_file()
-        if not started:
-            shutil.rmtree(path, ignore_errors=True)
-        if not started or read_checkpoint(path / LATEST).iteration < self.stop:
+        if not self.is_done():
+            path, started = self.folder / str(self.seed), self.is_started()
             try:
                 train(
                     self.recipe,
@@ -62,6 +61,24 @@ class Heat:
                 )
             except TrainingDiverged:
                 return None
+        return self.reached()
+
+    def is_done(self) -> bool:
+        """Whether the seed stands at `stop`, or beyond."""
+        if not self.is_started():
+            return False
+        return read_checkpoint(self.folder / str(self.seed) / LATEST).iteration >= self.stop
+
+    def is_started(self) -> bool:
+        """Whether there is a checkpoint to go on from; without one nothing is left of the seed."""
+        path = self.folder / str(self.seed)
+        if not (path / LATEST).is_file():
+            shutil.rmtree(path, ignore_errors=True)
+        return (path / LATEST).is_file()
+
+    def reached(self) -> dict[str, float]:
+        """The validation at `stop`."""
+        path = self.folder / str(self.seed)
         there = [r for r in RunFolder(path).metrics() if r["iteration"] == self.stop]
         found = [r["validation"] for r in there if r.get("validation")]
         if not found:
@@ -80,8 +97,10 @@ def race(
     runs: Path,
     seed: int = 0,
     resume: Path | None = None,
+    stop_after: int | None = None,
     device: str = "cpu",
     jobs: int = 1,
+    at_once: bool | None = None,
     on_progress: Tell = lambda _: None,
 ) -> RunFolder:
     """Train `recipe.seeds.count` seeds from `seed` on, halving them, and keep the best.
@@ -89,28 +108,41 @@ def race(
     Args:
         recipe, category, data, runs, device: as `train` takes them.
         resume: the folder of a race to go on with instead of a new one.
+        stop_after: stop when who goes on after this iteration is decided, as an interruption would.
         jobs: seeds that are trained at a time, each in a process and on one thread of its own. The
             outcome is the same whatever it is.
+        at_once: all seeds in one loop of this process; None is where the device is no CPU and the
+            method can.
         on_progress: called after each iteration of each seed.
 
     Returns:
-        The race's folder, with the winner's checkpoints and metrics.
+        The race's folder, with the winner's checkpoints and metrics once it is over.
 
     Raises:
         TrainingDiverged: no seed was left.
         Others as `train`.
     """
-    run = new_run(recipe, category, data, runs, seed) if resume is None else RunFolder(resume)
-    if resume is not None and run.recipe().sha256() != recipe.sha256():
+    begin = look(recipe, category, data)
+    if resume is None:
+        run = new_run(recipe, category, data, runs, seed)
+    elif (run := RunFolder(resume)).recipe().sha256() != recipe.sha256():
         raise InvalidCheckpoint(f"{resume}: was started with another recipe; start a new run")
-    heat = partial(Heat, recipe, category, data, run.path / "seeds", device=device)
+    seeds, total = run.path / "seeds", recipe.schedule.iterations
+    begin(seeds, lambda said: on_progress(Progress(0, total, said=said)))
+    heat = partial(Heat, recipe, category, data, seeds, device=device)
     racing = list(range(seed, seed + recipe.seeds.count))
     rounds: list[dict[str, Any]] = []
+    run_heats = (
+        _at_once if at_once or (at_once is None and can_run_at_once(recipe, device)) else None
+    )
     with _crew(jobs, on_progress) as crew:
-        for stop in (*recipe.seeds.halve_at, recipe.schedule.iterations):
-            reached = crew.in_order([heat(seed=s, stop=stop) for s in racing])
+        for stop in (*recipe.seeds.halve_at, total):
+            if stop_after is not None and stop > stop_after:
+                return run
+            heats = [heat(seed=s, stop=stop) for s in racing]
+            reached = run_heats(heats, on_progress) if run_heats else crew.in_order(heats)
             score = dict(zip(racing, reached, strict=True))
-            racing = best_half(score, last=stop == recipe.schedule.iterations)
+            racing = best_half(score, last=stop == total)
             reached_by = {str(s): found for s, found in score.items()}
             rounds.append({"iteration": stop, "validation": reached_by, "go_on": racing})
             _note(run, rounds)
@@ -123,6 +155,32 @@ def race(
         write_atomically(run.path / name, own.read_bytes())
     _note(run, rounds, winner=racing[0])
     return run
+
+
+def can_run_at_once(recipe: TrainRecipe, device: str) -> bool:
+    """Whether all seeds learn at once on a device, if nobody says otherwise."""
+    if torch.device(device).type == "cpu":
+        return False
+    method, meta = find_method(recipe.method), torch.device("meta")
+    return method.team([method.start(recipe, seed=0, device=meta)]) is not None
+
+
+def _at_once(heats: Sequence[Heat], tell: Tell) -> list[dict[str, float] | None]:
+    """What all heats' seeds reach, trained in one loop."""
+    first = heats[0]
+    for heat in heats:
+        heat.is_started()
+    lost = train_together(
+        first.recipe,
+        category=first.category,
+        data=first.data,
+        runs=first.folder,
+        seeds=[heat.seed for heat in heats],
+        stop_after=first.stop,
+        device=first.device,
+        on_progress=tell,
+    )
+    return [None if heat.seed in lost else heat.reached() for heat in heats]
 
 
 def best_half(score: dict[int, dict[str, float] | None], *, last: bool) -> list[int]:

@@ -24,8 +24,13 @@ class DataSettings(Section):
         surface_points: the encoder's input.
         grid_points, uniform_points, near_points: points with an indicator value: of the stage's
             grid, anywhere in the cube, near the surface.
-        occupancy: what is 1 there: `visible`, what no view sees free (the paper's); or `material`,
-            the parts' own solids without the space that they enclose, the same in every pose.
+        band_points: centres of voxels within three of this pose's material and of free space, along
+            each axis; half of them occupied.
+        varying_points: centres of voxels whose label differs between the poses of this object; half
+            of them occupied in this pose. More than the paper uses: that poses are of one object.
+            Voxels of both are of the data's finest grid up to 64^3.
+        occupancy: what is 1 there: `material`, the parts' own solids without the space that they
+            enclose, the same in every pose; or `visible`, what no view sees free (the paper's).
         validation_objects: how many objects of the training split are held out; at most a quarter.
     """
 
@@ -33,7 +38,9 @@ class DataSettings(Section):
     grid_points: int = Field(default=4096, ge=0)
     uniform_points: int = Field(default=0, ge=0)
     near_points: int = Field(default=0, ge=0)
-    occupancy: Literal["visible", "material"] = "visible"
+    band_points: int = Field(default=0, ge=0)
+    varying_points: int = Field(default=0, ge=0)
+    occupancy: Literal["visible", "material"] = "material"
     validation_objects: int = Field(default=4, ge=0)
 
 
@@ -53,12 +60,15 @@ class Schedule(Section):
     """How long and how fast.
 
     Attributes:
-        learning_rate: of Adam.
+        optimiser: `adam`, the paper's; `soap` (Vyas et al. 2024) or `muon` (Jordan 2024), see
+            learning/optimisers.py.
+        learning_rate: of the optimiser; SOAP and Muon want about three times Adam's.
         final_learning_rate: where a cosine leads to by the end; null keeps it constant.
         validate_every, save_every, log_every: iterations.
     """
 
     batch: int = Field(default=18, ge=2)
+    optimiser: Literal["adam", "soap", "muon"] = "adam"
     learning_rate: float = Field(default=1e-4, gt=0)
     final_learning_rate: float | None = Field(default=None, gt=0)
     stages: tuple[Stage, ...]
@@ -94,10 +104,12 @@ class Seeds(Section):
         count: how many start; 1 is no race.
         halve_at: after each of these iterations the worse half of the seeds still running is
             dropped, by the loss on the objects held out; of those that finish the best wins.
+        chosen_by: which number of the learner's validation is that loss; its first if not given.
     """
 
     count: int = Field(default=1, ge=1, le=64)
     halve_at: tuple[int, ...] = ()
+    chosen_by: str = ""
 
 
 class TrainRecipe(Section):

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from articugen.errors import InvalidCheckpoint
 from articugen.store.files import UnfitFile, read_regular, write_atomically
@@ -156,26 +156,3 @@ def made(seed: int, device: torch.device) -> Iterator[None]:
     with torch.random.fork_rng(devices=[]), at_first:
         torch.manual_seed(seed)
         yield
-
-
-def adam_state(adam: torch.optim.Adam, network: nn.Module) -> dict[str, Any]:
-    """Where an Adam stands, by the names of its network's parameters; new ones count 0 steps."""
-    named, at = dict(network.named_parameters()), adam.state
-    none = torch.zeros(())
-    return {
-        "step": {n: at[p]["step"].detach().cpu() if p in at else none for n, p in named.items()},
-        **{
-            moment: {n: at[p][moment] if p in at else torch.zeros_like(p) for n, p in named.items()}
-            for moment in ("exp_avg", "exp_avg_sq")
-        },
-    }
-
-
-def load_adam(adam: torch.optim.Adam, network: nn.Module, state: dict[str, Any]) -> None:
-    """Go on from an `adam_state`."""
-    names = [name for name, _ in network.named_parameters()]
-    each = {
-        index: {what: state[what][name].clone() for what in ("step", "exp_avg", "exp_avg_sq")}
-        for index, name in enumerate(names)
-    }
-    adam.load_state_dict({"state": each, "param_groups": adam.state_dict()["param_groups"]})

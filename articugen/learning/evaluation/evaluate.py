@@ -14,7 +14,8 @@ import numpy as np
 
 from articugen.errors import CorruptShard
 from articugen.learning.evaluation import metrics
-from articugen.learning.evaluation.metrics import NO_LABEL, Ints
+from articugen.learning.evaluation.matched import Matching, joint_errors, matching, pose_errors
+from articugen.learning.evaluation.metrics import DIAGONAL, NO_LABEL, Ints
 from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.evaluation.results import (
     Evaluation,
@@ -32,7 +33,6 @@ from articugen.store.shards import open_shard
 
 Reconstruct = Callable[[Instance], Reconstruction]
 
-DIAGONAL = float(np.sqrt(3.0))
 KINDS: dict[int, Kind] = {JointKind.REVOLUTE: "revolute", JointKind.PRISMATIC: "prismatic"}
 DEGREES = (5.0, 10.0, 15.0, 20.0, 30.0)
 LENGTHS = (0.025, 0.05, 0.1, 0.2)
@@ -103,8 +103,9 @@ def evaluate(
 ) -> Evaluation:
     """Evaluate on the test objects of a data set.
 
-    What needs joints or motions is measured where the reconstructions have them. There is a
-    `reconstruction_iou` where the data set has a grid of the reconstructions' resolution.
+    What needs joints or motions is measured where the reconstructions have them. Means that are
+    called `matched_*` are those of pose estimators, see `matched`. There is a `reconstruction_iou`
+    where the data set has a grid of the reconstructions' resolution.
 
     Args:
         category: what the data set must be of.
@@ -121,10 +122,13 @@ def evaluate(
         _note_joint_states(tally, canonical, first)
         for instance in posed:
             found = reconstruct(instance)
-            _measure_shape(tally, instance, found, protocol)
+            matched = _measure_shape(tally, instance, found, protocol)
             _note_joint_states(tally, instance, found)
             _measure_motion(tally, (canonical, instance), (first, found), protocol)
             _measure_joints(tally, (canonical, instance), (first, found))
+            for errors in (pose_errors, joint_errors):
+                for name, error in errors((canonical, instance), (first, found), matched):
+                    tally.add(**{name: error})
         on_object(canonical.object_id)
     return tally.evaluation()
 
@@ -183,11 +187,15 @@ def surface_of(instance: Instance, count: int) -> tuple[Floats, Ints]:
 
 def _measure_shape(
     tally: Tally, instance: Instance, found: Reconstruction, protocol: Protocol
-) -> None:
+) -> Matching:
     points, true = surface_of(instance, protocol.points)
     near = metrics.nearest_part(points, found.triangles, found.part, found.parts)
     named = np.where(near == NO_LABEL, NO_LABEL, tally.labels[near])
-    tally.add(label_iou=metrics.label_iou(named, true))
+    matched = matching(near, true, instance, found.parts)
+    tally.add(
+        label_iou=metrics.label_iou(named, true),
+        matched_part_iou=float(np.nanmean(matched.iou)),
+    )
     grid = instance.occupancy.get(len(found.occupied))
     if grid is not None:
         true_grid = is_material(grid) if protocol.occupancy == "material" else grid > 0
@@ -204,6 +212,7 @@ def _measure_shape(
         f_score=100.0 * metrics.f_score(to_true, to_predicted, protocol.f_threshold),
         no_surface=float(not len(found.whole)),
     )
+    return matched
 
 
 def motions(first: Reconstruction, found: Reconstruction) -> dict[str, Floats]:
@@ -298,8 +307,7 @@ def _measure_joints(
         if same:
             i = parts[0]
             u, v = joints.direction[i], instance.joint_axis[j]
-            # a line has two directions: by the other one, states count the other way
-            change = (joints.state[i] - first.state[i]) * (1.0 if np.dot(u, v) >= 0 else -1.0)
+            change = joints.change_since(first, i, v)
             state = float(abs(change - (instance.joint_state[j] - canonical.joint_state[j])))
             direction = metrics.angle_between_lines(u, v)
             if kind == JointKind.REVOLUTE:

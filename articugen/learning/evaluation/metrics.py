@@ -13,7 +13,10 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 NO_LABEL = -1
-"""Of a predicted part that nothing voted for."""
+"""Of a predicted part that nothing voted for, and of a true part that none is assigned to."""
+
+DIAGONAL = float(np.sqrt(3.0))
+"""Of the unit cube: how far off what is missing is."""
 
 
 def nearest_part(points: Floats, triangles: Floats, part: Ints, parts: int) -> Ints:
@@ -51,6 +54,44 @@ def dominant_labels(table: Floats) -> Ints:
         best = np.where(label == k, table[:, k], -1.0).argmax()
         kept[best] = k
     return kept
+
+
+def assigned(gain: Floats) -> Ints:
+    """(K,) the column of each row of (K, P), no two the same, with the greatest sum of gains;
+    NO_LABEL where that gains nothing.
+
+    The Hungarian method: rows are taken in one after the other, each along the cheapest path of
+    changes (Kuhn 1955; with the potentials of Jonker and Volgenant 1987).
+    """
+    rows, columns = gain.shape
+    cost = np.zeros((rows, max(rows, columns)))
+    cost[:, :columns] = -gain
+    of_row, of_column = np.zeros(rows), np.zeros(cost.shape[1])  # potentials
+    owner = np.full(cost.shape[1], NO_LABEL)
+    for row in range(rows):
+        least, before = np.full(len(owner), np.inf), np.full(len(owner), NO_LABEL)
+        reached, column, here = np.zeros(len(owner), bool), NO_LABEL, row
+        while here != NO_LABEL:
+            away = cost[here] - of_row[here] - of_column
+            nearer = ~reached & (away < least)
+            least[nearer], before[nearer] = away[nearer], column
+            column = int(np.where(reached, np.inf, least).argmin())
+            step = least[column]
+            of_row[row] += step
+            of_row[owner[reached]] += step
+            of_column[reached] -= step
+            least[~reached] -= step
+            reached[column] = True
+            here = owner[column]
+        while column != NO_LABEL:
+            previous = before[column]
+            owner[column] = row if previous == NO_LABEL else owner[previous]
+            column = previous
+    found = np.full(rows, NO_LABEL)
+    for column in np.flatnonzero(owner[:columns] != NO_LABEL):
+        if gain[owner[column], column] > 0.0:
+            found[owner[column]] = column
+    return found
 
 
 def label_iou(predicted: Ints, true: Ints) -> float:
@@ -109,11 +150,24 @@ def angle_between_lines(u: Floats, v: Floats) -> float:
     return float(np.arctan2(np.linalg.norm(np.cross(u, v)), abs(np.dot(u, v))))
 
 
+def angle_between_rotations(R: Floats, S: Floats) -> float:
+    """Radians in [0, pi] by which one must turn to get from R to S, both (3, 3)."""
+    turn = R.T @ S
+    twist = turn - turn.T  # 2 sin(angle) [axis]
+    sine = 0.5 * np.linalg.norm([twist[2, 1], twist[0, 2], twist[1, 0]])
+    return float(np.arctan2(sine, 0.5 * (np.trace(turn) - 1.0)))
+
+
+def point_to_line(point: Floats, q: Floats, v: Floats) -> float:
+    """The distance from a point to the line q + t v; v of unit length."""
+    between = point - q
+    return float(np.linalg.norm(between - np.dot(between, v) * v))
+
+
 def line_distance(p: Floats, u: Floats, q: Floats, v: Floats) -> float:
     """The least distance between the lines p + t u and q + t v; u and v of unit length."""
     normal = np.cross(u, v)
     size = np.linalg.norm(normal)
     if size < 1e-9:
-        between = q - p
-        return float(np.linalg.norm(between - np.dot(between, u) * u))
+        return point_to_line(q, p, u)
     return float(abs(np.dot(q - p, normal)) / size)

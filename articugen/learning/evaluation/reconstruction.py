@@ -24,6 +24,12 @@ class PartJoints:
     pivot: Floats
     direction: Floats
 
+    def change_since(self, before: "PartJoints", part: int, axis: Floats) -> float:
+        """How far a part has moved, positive about `axis`: a line has two directions, and by the
+        other one states count the other way."""
+        change = float(self.state[part] - before.state[part])
+        return change if np.dot(self.direction[part], axis) >= 0 else -change
+
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:

@@ -14,6 +14,11 @@ OTHER_DATA = (
 
 MEANS = "In tables 5 and 6 EPE is joint-aware; the paper's columns are means of its categories."
 
+MATCHED = (
+    "Parts matched in every instance by the points they share, not by votes; lengths of the unit "
+    "frame; what has no part does not move, and its joint is 90° and the cube's diagonal off."
+)
+
 _LABELS = {"canonical": ("2", paper.LABEL_IOU), "all": ("8", paper.LABEL_IOU_ALL_POSES)}
 """By whose poses vote: the paper's table, and its numbers."""
 
@@ -26,6 +31,19 @@ _METRICS = (
     ("part type accuracy, %", 2, "9", "type_accuracy", 1.0, paper.TYPE_ACCURACY),
 )
 """Title, decimals, the paper's table, our name and factor, the paper's numbers."""
+
+_MATCHED = (
+    ("part IoU, %", 1, "matched_part_iou", 100.0),
+    ("rotation, °", 2, "matched_rotation_degrees_all", 1.0),
+    ("of moving parts", 2, "matched_rotation_degrees_moving", 1.0),
+    ("translation x 100", 2, "matched_translation_all", 100.0),
+    ("of moving parts", 2, "matched_translation_moving", 100.0),
+    ("joint direction, °", 2, "matched_direction_degrees", 1.0),
+    ("pivot x 100", 2, "matched_pivot_distance", 100.0),
+    ("state, °", 2, "matched_state_degrees", 1.0),
+    ("state x 100", 2, "matched_state_length", 100.0),
+)
+"""Title, decimals, our name and factor; `matched` says what they are."""
 
 _HEADERS = ("PPD, paper", "BAE", "BSP-Net", "NSD", "NPCS (supervised)")
 
@@ -46,7 +64,8 @@ def markdown(result: RunEvaluation) -> str:
     about = (
         f"{run.category}: {result.objects} test objects, {result.instances} instances. "
         f"Recipe {run.recipe} ({run.variant}), seed {run.seed}, {run.iterations} "
-        f"iterations; meshes on {run.resolution}^3, labels by {run.label_poses} poses."
+        f"iterations; meshes on {run.resolution}^3, labels by {run.label_poses} poses, "
+        f"{'all' if run.states is None else f'at most {run.states}'} random states an object."
     )
     return "\n".join([about, *_left_out(result), "", tables([result]).rstrip(), *_details(result)])
 
@@ -62,12 +81,12 @@ def tables(results: Sequence[RunEvaluation]) -> str:
     lines, of_ppd = _by_category(results), [r for r in results if r.run.method == paper.METHOD]
     if of_ppd:
         lines += [*_ablation(of_ppd), *_inputs(of_ppd)]
+    lines += _as_pose_estimators(results)
     return "\n".join([OTHER_DATA, *lines]) + "\n"
 
 
 def _by_category(results: Sequence[RunEvaluation]) -> list[str]:
-    best = sorted(results, key=lambda r: r.run.variant == paper.COMPLETE)
-    chosen = {(r.run.method, r.run.category): r for r in best}
+    chosen = _complete(results)
     methods = list(dict.fromkeys(r.run.method for r in results))
     here = [f"here: {method}" for method in methods] if len(methods) > 1 else ["here"]
     lines = ["", f"| {' | '.join(['table', 'metric', 'category', *here, *_HEADERS])} |"]
@@ -85,6 +104,29 @@ def _by_category(results: Sequence[RunEvaluation]) -> list[str]:
                 cells += [_printed(theirs, method, category) for method in paper.METHODS]
                 lines.append(f"| {' | '.join([table, title, category, *cells])} |")
     return [*lines, "", "\\* one part stands for the whole shape."]
+
+
+def _complete(results: Sequence[RunEvaluation]) -> dict[tuple[str, str], RunEvaluation]:
+    """By method and category, the complete model where there is one."""
+    best = sorted(results, key=lambda r: r.run.variant == paper.COMPLETE)
+    return {(r.run.method, r.run.category): r for r in best}
+
+
+def _as_pose_estimators(results: Sequence[RunEvaluation]) -> list[str]:
+    """A row for each method and category; blank where the method knows no motions or joints."""
+    chosen = {key: r for key, r in _complete(results).items() if "matched_part_iou" in r.means}
+    if not chosen:
+        return []
+    titles = ["as SCAPO and OP-Align measure", *(title for title, *_ in _MATCHED)]
+    lines = ["", f"| {' | '.join(titles)} |", "|---" + "|---:" * len(_MATCHED) + "|"]
+    for (method, category), result in sorted(chosen.items()):
+        means = result.means
+        cells = [
+            f"**{factor * means[name]:.{decimals}f}**" if name in means else ""
+            for _, decimals, name, factor in _MATCHED
+        ]
+        lines.append(f"| {' | '.join([f'{category}, {method}', *cells])} |")
+    return [*lines, "", MATCHED]
 
 
 def _with_means(values: dict[tuple[str, str], float]) -> dict[tuple[str, str], float]:

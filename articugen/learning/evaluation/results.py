@@ -102,6 +102,7 @@ class EvaluatedRun(_Record):
     Attributes:
         method: whose run it is; the paper's ablation is of `paper.METHOD` alone.
         variant: the row of Table 5 that it belongs to.
+        states: random ones of each test object; None is all.
         resolution: of the grid of its meshes.
     """
 
@@ -114,6 +115,7 @@ class EvaluatedRun(_Record):
     commit: str | None = None
     protocol: str = "paper"
     label_poses: Literal["canonical", "all"] = "canonical"
+    states: int | None = None
     resolution: int
 
 

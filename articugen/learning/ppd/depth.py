@@ -6,7 +6,9 @@ stay as they are.
 """
 
 import copy
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -30,8 +32,9 @@ class DepthLearner(Predictor):
 
     def __init__(self, first: PPDLearner, seed: int, device: torch.device) -> None:
         self.settings = first.settings.third_stage()
-        none = {"grid_points": 0, "uniform_points": 0, "near_points": 0}
-        self.inputs = replace(first.inputs, **none, joints=None, partial=True)
+        kinds = ("grid", "uniform", "near", "band", "varying")
+        none = {f"{kind}_points": 0 for kind in kinds}
+        self.inputs = replace(first.inputs, **none, joints=None, poses=False, partial=True)
         self.points = None
         self.residual_direction = first.residual_direction
         self.teacher = first.model.encoder
@@ -41,7 +44,9 @@ class DepthLearner(Predictor):
         self.model.encoder = self.student
         self.descent = Descent(self.student, rate="depth.learning_rate")
 
-    def begin(self, training: PackedSplit) -> None:
+    def begin(
+        self, training: PackedSplit, beside: Path, tell: Callable[[str], None] = lambda _: None
+    ) -> None:
         self.wanted = self._wanted(training)
 
     def learn(self, batch: Batch, rng: torch.Generator | None, *, iteration: int) -> Terms:

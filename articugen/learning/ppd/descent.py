@@ -8,17 +8,18 @@ from torch import Tensor, nn
 from articugen.errors import TrainingDiverged
 from articugen.learning import processes
 from articugen.learning.method import Terms
-from articugen.learning.tensors import adam_state, load_adam
+from articugen.learning.optimisers import optimiser_of
 
 
 class Descent:
-    """Adam for one network.
+    """The steps of one network.
 
     On a CPU a step that would spoil the weights is refused and the term to blame is named. To ask a
     GPU is to wait for it, so there it is noted on the device which terms were not finite first, and
     `check` asks where something is logged or kept anyway.
 
     Args:
+        optimiser: as recipes call it.
         patient: note instead of asking; what a GPU gets if not given.
         rate: the recipe's key of the learning rate, which errors name.
     """
@@ -26,13 +27,14 @@ class Descent:
     def __init__(
         self,
         network: nn.Module,
+        optimiser: str = "adam",
         patient: bool | None = None,
         rate: str = "schedule.learning_rate",
     ) -> None:
         self.network, self.rate = network, rate
         device = next(network.parameters()).device.type
-        # One call for all parameters; the other devices have no such kernel.
-        self.adam = torch.optim.Adam(network.parameters(), fused=device in ("cpu", "cuda"))
+        self.optimiser = optimiser_of(optimiser, network)
+        self._parameters = list(network.parameters())  # found once: to walk a network takes long
         self.patient = device != "cpu" if patient is None else patient
         self._names: tuple[str, ...] = ()
         self._noted: Tensor | None = None
@@ -46,9 +48,10 @@ class Descent:
         Raises:
             TrainingDiverged: a term or its gradient is not finite; no step is made.
         """
-        self.adam.zero_grad()
+        for parameter in self._parameters:
+            parameter.grad = None
         torch.stack(list(terms.values())).sum().backward()
-        gradients = [p.grad for p in self.network.parameters() if p.grad is not None]
+        gradients = [p.grad for p in self._parameters if p.grad is not None]
         processes.average(gradients)
         size = torch.nn.utils.get_total_norm(gradients)
         values = torch.stack([*(value.detach() for value in terms.values()), size])
@@ -56,9 +59,7 @@ class Descent:
             self._note(iteration, tuple(terms), values)
         elif not bool(values.isfinite().all()):
             raise self._diverged(iteration, _blame(self.network, again()))
-        for group in self.adam.param_groups:
-            group["lr"] = rate
-        self.adam.step()
+        self.optimiser.step(rate)
 
     def check(self) -> None:
         """Raise TrainingDiverged where a step since the last check was not finite."""
@@ -73,6 +74,8 @@ class Descent:
 
     def _note(self, iteration: int, names: tuple[str, ...], values: Tensor) -> None:
         """Keep (iteration, which values are not finite) of the first that has any."""
+        if names != self._names:  # a warm start's terms end; where they do a GPU is waited for
+            self.check()
         now = torch.cat([values.new_full((1,), iteration), (~values.isfinite()).to(values.dtype)])
         before = self._noted
         self._names = names
@@ -85,12 +88,12 @@ class Descent:
         )
 
     def state(self) -> dict[str, Tensor]:
-        """Where Adam stands."""
-        return adam_state(self.adam, self.network)
+        """Where the optimiser stands."""
+        return self.optimiser.state()
 
     def load(self, state: dict[str, Tensor]) -> None:
         """Go on from another one's `state`."""
-        load_adam(self.adam, self.network, state)
+        self.optimiser.load(state)
 
 
 def _blame(network: nn.Module, terms: Terms) -> str:

@@ -8,10 +8,14 @@ import torch
 from torch import Tensor
 
 from articugen.learning.evaluation.figures.draw import Between, Drawable, Opening
+from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.ppd.learner import Predictor
 from articugen.learning.ppd.model import PPD, Prediction
 from articugen.learning.ppd.reconstruct import logits_at, reconstruction_of
 from articugen.records import Floats, JointKind
+
+DENSE = 32
+"""What a grid of so many misses is not in the measured meshes either, so it is not drawn."""
 
 TITLES = {
     "rec": "$L_{rec}$",
@@ -38,6 +42,9 @@ def drawable(learner: Predictor, resolution: int) -> Drawable:
     revolute, prismatic = len(settings.revolute), len(settings.prismatic)
     kinds = [JointKind.FIXED, *[JointKind.REVOLUTE] * revolute, *[JointKind.PRISMATIC] * prismatic]
 
+    def drawn(prediction: Prediction) -> Reconstruction:
+        return reconstruction_of(model, prediction, resolution, dense=DENSE)
+
     def part_fields(cloud: Floats, points: Floats) -> Floats:
         logits = logits_at(model, learner.predict(cloud), torch.from_numpy(points))
         return 1.0 / (1.0 + np.exp(-np.clip(logits, -50.0, 50.0)))
@@ -46,14 +53,10 @@ def drawable(learner: Predictor, resolution: int) -> Drawable:
         first, shapes, states = between(
             model, [[cloud[:most] for cloud in opening] for opening in openings], steps, residual
         )
-        shapes, states = (
-            [reconstruction_of(model, prediction, resolution) for prediction in row]
-            for row in (shapes, states)
-        )
-        return Between(first, shapes, states)
+        return Between(first, [drawn(p) for p in shapes], [drawn(p) for p in states])
 
     return Drawable(
-        reconstruct=lambda cloud: learner.reconstruct(cloud, resolution=resolution),
+        reconstruct=lambda cloud: drawn(learner.predict(cloud)),
         part_fields=part_fields,
         interpolate=interpolate,
         parts=[f"part {i}, {kind!s}" for i, kind in enumerate(kinds)],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from articugen.learning.method import Method, Yardstick
@@ -13,17 +13,24 @@ if TYPE_CHECKING:
 
     from articugen.learning.ppd.depth import DepthLearner
     from articugen.learning.ppd.learner import PPDLearner
+    from articugen.learning.ppd.many import Many
 
 
 class PPDMethod(Method):
     name = "ppd"
     recipe = "ppd_quick"
     Settings = PPDRecipe
+    weights = ("iteration", "model")
 
     def start(self, settings: PPDRecipe, *, seed: int, device: torch.device) -> PPDLearner:
         from articugen.learning.ppd.learner import PPDLearner  # noqa: PLC0415
 
         return PPDLearner(settings, seed, device)
+
+    def team(self, learners: Sequence[PPDLearner]) -> Many | None:
+        from articugen.learning.ppd.many import Many, can_learn_at_once  # noqa: PLC0415
+
+        return Many(learners) if can_learn_at_once(learners[0].settings) else None
 
     def start_depth(self, first: PPDLearner, *, seed: int, device: torch.device) -> DepthLearner:
         from articugen.learning.ppd.depth import DepthLearner  # noqa: PLC0415

@@ -38,6 +38,7 @@ class Pose:
     """Joint parameters; B samples, P parts, J joints. The unit frame, radians.
 
     Attributes:
+        amount: (B, J) a_i, from which the states follow: any number.
         state: (B, J) s_i: revolute in (0, pi), prismatic in (0, 1).
         pivot: (B, P, 3) q_i = tanh(q^c_i + q^z_i) / 2; only those of revolute parts are used.
         pivot_common, pivot_residual: (B, P, 3) q^c_i and q^z_i, before the tanh.
@@ -47,6 +48,7 @@ class Pose:
         quantizer: (before, code), for L_vq.
     """
 
+    amount: Tensor
     state: Tensor
     pivot: Tensor
     pivot_common: Tensor
@@ -144,13 +146,7 @@ class PoseDecoder(nn.Module):
     def forward(self, z_pose: Tensor, z_common: Tensor, *, residual_direction: bool) -> Pose:
         B, P = len(z_pose), self.parts
         hidden = leaky_relu(self.residual(self.backbone(z_pose)), 0.2)
-        state = torch.cat(
-            [
-                math.pi * _from_zero_to_one(self.revolute_state(hidden)),
-                _from_zero_to_one(self.prismatic_state(hidden)),
-            ],
-            1,
-        )
+        amount = torch.cat([self.revolute_state(hidden), self.prismatic_state(hidden)], 1)
         pivot_residual = self.pivot(hidden).view(B, P, 3)
         pivot_common, quantizer = self.common_pivot(z_common)
         euler_common = self.common_euler.expand(B, P, 3)
@@ -159,7 +155,8 @@ class PoseDecoder(nn.Module):
         euler_residual = self.direction(hidden).view(B, P, 3) if residual_direction else None
         euler = euler_common if euler_residual is None else euler_common + euler_residual
         return Pose(
-            state=state,
+            amount=amount,
+            state=_widest(amount, self.revolute) * (0.5 * (torch.tanh(2.0 * amount) + 1.0)),
             pivot=0.5 * torch.tanh(pivot_common + pivot_residual),
             pivot_common=pivot_common,
             pivot_residual=pivot_residual,
@@ -171,8 +168,16 @@ class PoseDecoder(nn.Module):
         )
 
 
-def _from_zero_to_one(amount: Tensor) -> Tensor:
-    return 0.5 * (torch.tanh(2.0 * amount) + 1.0)
+def amount_of(state: Tensor, revolute: int) -> Tensor:
+    """The amounts a (B, J) of states inside their ranges, of which the first are revolute."""
+    return 0.5 * torch.atanh(2.0 * state / _widest(state, revolute) - 1.0)
+
+
+def _widest(states: Tensor, revolute: int) -> Tensor:
+    """(J,) how far states can go: pi, or 1 where a joint slides."""
+    most = torch.ones_like(states[0])
+    most[:revolute] = math.pi
+    return most
 
 
 class _CommonPivot(nn.Module):

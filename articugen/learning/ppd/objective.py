@@ -3,6 +3,7 @@
 Terms are weighted and named; a recipe's weight of 0 leaves a term out and costs nothing.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -15,7 +16,7 @@ from articugen.learning.ppd import losses
 from articugen.learning.ppd.discriminator import Discriminator
 from articugen.learning.ppd.model import PPD, Pose, Prediction
 from articugen.learning.ppd.settings import LossSettings
-from articugen.learning.ppd.shape import PartLogits, ShapeCode, gather_points
+from articugen.learning.ppd.shape import PartLogits, ShapeCode, gather_points, spares
 
 
 @dataclass(frozen=True)
@@ -86,10 +87,14 @@ def generator_terms(
     weigh: LossSettings,
     discriminator: Discriminator | None = None,
     posed: RandomPose | None = None,
+    aim: Callable[[Pose, Tensor], Terms] | None = None,
 ) -> Terms:
-    """Everything the model itself minimises; L_adv_g where there are random poses."""
+    """Everything the model itself minimises; L_adv_g where there are random poses, and what a warm
+    start asks of pose and fields (B, P, n) where there is an `aim`."""
     fields = model.fields(prediction.shape, model.motion(prediction.pose), batch.points)
-    terms: Terms = {"rec": weigh.rec * losses.reconstruction(fields.product, batch.occupied)}
+    terms: Terms = {}
+    if weigh.rec:
+        terms["rec"] = weigh.rec * losses.reconstruction(fields.product, batch.occupied)
     if weigh.rec_common and model.settings.common_shape:
         common = losses.reconstruction(fields.common, batch.occupied)
         terms["rec_common"] = weigh.rec_common * common
@@ -102,6 +107,8 @@ def generator_terms(
     if weigh.loc:
         terms["loc"] = weigh.loc * _location(model, prediction.pose, fields, batch, weigh)
     terms |= _variation(model, prediction.pose, weigh)
+    if aim:
+        terms |= aim(prediction.pose, fields.product)
     if weigh.adv_g and discriminator is not None and posed is not None:
         terms["adv_g"] = weigh.adv_g * _adversarial(model, discriminator, prediction, batch, posed)
     return terms
@@ -110,27 +117,14 @@ def generator_terms(
 def _volume(
     model: PPD, shape: ShapeCode, fields: PartLogits, batch: Batch, weigh: LossSettings
 ) -> Tensor:
-    """L_vol over the points that are spread evenly.
+    """L_vol over the points that are spread evenly."""
 
-    On a CPU the unmoved fields get a graph only where they are positive: elsewhere relu leaves no
-    gradient.
-    """
+    def positive(of: PartLogits) -> Tensor:
+        logit = of.product if weigh.vol_logit == "product" else of.instance
+        return processes.mean(losses.relu_volume(logit[..., : batch.spread]))
 
-    def logit(of: PartLogits) -> Tensor:
-        return of.product if weigh.vol_logit == "product" else of.instance
-
-    moved = processes.mean(losses.relu_volume(logit(fields)[..., : batch.spread]))
-    points = batch.points[:, : batch.spread]
-    if points.device.type != "cpu":
-        still = losses.relu_volume(logit(model.still(shape, points)))
-        return losses.volume(moved, processes.mean(still))
-    with torch.no_grad():
-        greatest = logit(model.still(shape, points)).amax(1)
-        most = max(int((greatest > 0).sum(1).max()), 1)
-        chosen = greatest.topk(most, dim=1, sorted=False).indices
-    some = logit(model.still(shape, gather_points(points, chosen)))
-    still = losses.relu_volume(some) * (most / batch.spread)
-    return losses.volume(moved, processes.mean(still))
+    still = model.still(shape, batch.points[:, : batch.spread])
+    return losses.volume(positive(fields), positive(still))
 
 
 def _quantization(model: PPD, prediction: Prediction, weigh: LossSettings) -> Tensor:

@@ -1,16 +1,22 @@
 """What a trained model says of one cloud: part surfaces, joints, and how parts moved."""
 
+import copy
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.nn import Parameter
 
 from articugen.geometry import invert_rigid
 from articugen.learning.dataset import voxel_centres
 from articugen.learning.evaluation.reconstruction import PartJoints, Reconstruction
+from articugen.learning.ppd.kinematics import InverseMotion
 from articugen.learning.ppd.model import PPD, Prediction
+from articugen.learning.ppd.shape import ShapeCode, ShapeDecoder
 from articugen.marching_cubes import zero_level
 from articugen.records import Floats, JointKind
 
@@ -18,16 +24,30 @@ Meshes = Callable[[Floats], tuple[list[Floats], Floats]]
 """From the parts' logits (P, R, R, R) to the triangles of each part, and those of the whole."""
 
 _NO_TRIANGLES = np.zeros((0, 3, 3))
-_BLOCK = 1 << 15
+_BLOCK, _LARGE_BLOCK = 1 << 11, 1 << 18
+"""Points at a time: on a CPU what the decoders make of them stays in the cache, which takes less
+than half of the time; on a GPU there are enough to keep it busy."""
+
 _DENSE = 64
 
 
 def reconstruction_of(
-    model: PPD, predicted: Prediction, resolution: int, meshes: Meshes | None = None
+    model: PPD,
+    predicted: Prediction,
+    resolution: int,
+    meshes: Meshes | None = None,
+    *,
+    dense: int = _DENSE,
 ) -> Reconstruction:
-    """Parts and joints of one predicted shape, its surfaces from a grid of `resolution`^3."""
+    """Parts and joints of one predicted shape, its surfaces from a grid of `resolution`^3.
+
+    Args:
+        meshes: what makes the surfaces; part i's encloses where its field is above 0 and the
+            greatest of all, unless that is given.
+        dense: see `logits_near_surfaces`.
+    """
     settings, pose = model.settings, predicted.pose
-    logits = part_logits(model, predicted, resolution)
+    parts, logits = logits_near_surfaces(model, predicted, resolution, dense)
     surfaces, whole = (meshes or _meshes)(logits)
     R, J = len(settings.revolute), settings.joints
     with torch.no_grad():
@@ -37,7 +57,7 @@ def reconstruction_of(
     T_inverse[:, :3, 3] = inverse.offset[0].double().cpu().numpy()
     return Reconstruction(
         triangles=np.concatenate([_NO_TRIANGLES, *surfaces]),
-        part=np.repeat(np.arange(J + 1), [len(s) for s in surfaces]),
+        part=np.repeat(parts, [len(s) for s in surfaces]),
         whole=whole,
         occupied=logits.max(0) > 0.0,
         parts=J + 1,
@@ -54,32 +74,77 @@ def reconstruction_of(
 
 
 def part_logits(model: PPD, predicted: Prediction, resolution: int) -> Floats:
-    """(P, R, R, R): the field of each part at the voxel centres, before the sigmoid.
+    """(P, R, R, R): the field of each part at the voxel centres, before the sigmoid."""
+    every = voxel_centres(torch.arange(resolution**3), resolution)
+    values = logits_at(model, predicted, every)
+    return values.reshape(-1, resolution, resolution, resolution)
 
-    Grids of 128^3 and finer are evaluated near surfaces only: what is far keeps its value on the
-    grid that is half as fine, which changes no surface that is seen there.
+
+def logits_near_surfaces(
+    model: PPD, predicted: Prediction, resolution: int, dense: int
+) -> tuple[NDArray[np.int64], Floats]:
+    """((k,), (k, R, R, R)): some parts, and their fields as `part_logits` gives them.
+
+    Grids of twice `dense` and finer are evaluated near surfaces only, and of parts alone that are
+    anywhere on the grid that is half as fine: what is far keeps its value there, which changes no
+    surface that is seen there, and so does leaving out a part that is nowhere.
     """
-    if resolution < 2 * _DENSE or resolution % 2:
-        every = voxel_centres(torch.arange(resolution**3), resolution)
-        values = logits_at(model, predicted, every)
-        return values.reshape(-1, resolution, resolution, resolution)
-    coarse = part_logits(model, predicted, resolution // 2)
-    fine = coarse.repeat(2, 1).repeat(2, 2).repeat(2, 3)
-    near = _beside_surfaces(coarse).repeat(2, 0).repeat(2, 1).repeat(2, 2)
-    cells = torch.from_numpy(np.flatnonzero(near))
-    fine[:, near] = logits_at(model, predicted, voxel_centres(cells, resolution))
-    return fine
+    if resolution < 2 * dense or resolution % 2:
+        logits = part_logits(model, predicted, resolution)
+        return np.arange(len(logits)), logits
+    parts, coarse = logits_near_surfaces(model, predicted, resolution // 2, dense)
+    there = coarse.reshape(len(coarse), -1).max(1) > 0.0
+    there[0] |= not there.any()
+    parts, coarse = parts[there], coarse[there]
+    fine, cells = _doubled(coarse), np.flatnonzero(_doubled(_beside_surfaces(coarse)[None]))
+    if not len(cells):
+        return parts, fine
+    centres = voxel_centres(torch.from_numpy(cells), resolution)
+    for field, values in zip(fine, logits_at(model, predicted, centres, parts), strict=True):
+        field.reshape(-1)[cells] = values
+    return parts, fine
+
+
+def _doubled(grids: NDArray[Any]) -> NDArray[Any]:
+    """Grids (P, R, R, R), each voxel as eight."""
+    P, R = grids.shape[:2]
+    fine = np.empty((P, R, 2, R, 2, R, 2), grids.dtype)
+    fine[:] = grids[:, :, None, :, None, :, None]
+    return fine.reshape(P, 2 * R, 2 * R, 2 * R)
 
 
 @torch.no_grad()
-def logits_at(model: PPD, predicted: Prediction, points: Tensor) -> Floats:
-    """(P, n): the field of each part at points (n, 3), before the sigmoid."""
-    inverse = model.motion(predicted.pose)
+def logits_at(
+    model: PPD, predicted: Prediction, points: Tensor, parts: NDArray[np.int64] | None = None
+) -> Floats:
+    """(P, n): the field of each part, or of these `parts`, at points (n, 3), before the sigmoid."""
+    decoder, code, inverse = model.shape, predicted.shape, model.motion(predicted.pose)
+    if parts is not None:
+        decoder, code, inverse = _of_parts(decoder, code, inverse, torch.from_numpy(parts))
+    block = _BLOCK if inverse.offset.device.type == "cpu" else _LARGE_BLOCK
     field = [
-        model.fields(predicted.shape, inverse, block[None].to(inverse.offset)).product[0]
-        for block in points.split(_BLOCK)
+        decoder(code, inverse, some[None].to(inverse.offset)).product[0]
+        for some in points.split(block)
     ]
     return torch.cat(field, 1).double().cpu().numpy()
+
+
+def _of_parts(
+    decoder: ShapeDecoder, code: ShapeCode, inverse: InverseMotion, parts: Tensor
+) -> tuple[ShapeDecoder, ShapeCode, InverseMotion]:
+    """The decoders of some parts alone, and what they are given."""
+    parts = parts.to(inverse.offset.device)
+    both, fewer = torch.cat([parts, decoder.parts + parts]), copy.deepcopy(decoder)
+    layers = {fewer.coordinate: parts, fewer.trunk_0: parts, fewer.trunk_1: parts}
+    heads = {fewer.head_0: both, fewer.head_1: both, fewer.head_2: both}
+    for layer, groups in (layers | heads).items():
+        assert layer.bias is not None
+        layer.weight, layer.bias = Parameter(layer.weight[groups]), Parameter(layer.bias[groups])
+    return (
+        fewer,
+        replace(code, template=code.template[:, parts], detail=code.detail[:, parts]),
+        InverseMotion(inverse.rotation[:, parts], inverse.offset[:, parts]),
+    )
 
 
 def _beside_surfaces(logits: Floats) -> NDArray[np.bool_]:
@@ -95,12 +160,17 @@ def _beside_surfaces(logits: Floats) -> NDArray[np.bool_]:
 
 
 def _meshes(logits: Floats) -> tuple[list[Floats], Floats]:
-    own = [zero_level(field).triangles for field in _own_fields(logits)]
-    return own, zero_level(logits.max(0)).triangles
-
-
-def _own_fields(logits: Floats) -> Floats:
-    """(P, R, R, R): above 0 where a part's field is, and exceeds every other part's."""
-    first, second = torch.from_numpy(logits).topk(2, dim=0).values.numpy()
-    greatest_other = np.where(logits == first, second, first)
-    return np.minimum(logits, logits - greatest_other)
+    """Part i is where its field is above 0, and exceeds every other part's."""
+    first, second = logits[0].copy(), np.full_like(logits[0], -np.inf)  # the greatest two
+    for field in logits[1:]:
+        np.maximum(second, np.minimum(first, field), out=second)
+        np.maximum(first, field, out=first)
+    own = []
+    for field in logits:
+        if not (field > 0.0).any():
+            own.append(_NO_TRIANGLES)
+            continue
+        lead = np.where(field == first, second, first)
+        np.subtract(field, lead, out=lead)
+        own.append(zero_level(np.minimum(field, lead, out=lead)).triangles)
+    return own, zero_level(first).triangles

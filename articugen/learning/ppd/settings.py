@@ -14,6 +14,10 @@ from articugen.recipe_files import Section
 
 Direction = tuple[float, float, float]
 
+MEASURED = ("rec", "moved")
+"""The losses on held-out objects that seeds can be chosen by: how well they are reconstructed, the
+default, and how well predicted motions carry one pose onto the others."""
+
 
 class ModelSettings(Section):
     """The parts and how they move.
@@ -92,8 +96,30 @@ class LossSettings(Section):
     most_prismatic: float = Field(default=0.4, gt=0)
 
 
+class WarmStart(Section):
+    """Targets for the first iterations, see `warm_start`; what the paper does not have.
+
+    They come from what changes between the poses of an object, and so use more than the paper does:
+    which instances are of one object.
+
+    Attributes:
+        iterations: how many are aimed; 0 is no warm start.
+        parts: weight of each part's field against whose the occupied points are.
+        rarity: how much more the points of parts weigh that own few: (others / own)^rarity.
+        state, direction, pivot: weights of how far these are off: amounts, 1 - cos, and the square
+            of the distance between axis and pivot.
+    """
+
+    iterations: int = Field(default=0, ge=0)
+    parts: float = Field(default=0.01, ge=0)
+    rarity: float = Field(default=0.5, ge=0)
+    state: float = Field(default=20.0, ge=0)
+    direction: float = Field(default=20.0, ge=0)
+    pivot: float = Field(default=200.0, ge=0)
+
+
 class PPDStage(Stage):
-    """A stretch of training; Adam starts afresh in each.
+    """A stretch of training; the optimiser starts afresh in each.
 
     Attributes:
         residual_direction: r = r^c + r^z (the paper's second stage), else r = r^c.
@@ -132,6 +158,7 @@ class PPDRecipe(TrainRecipe):
     method: Literal["ppd"] = "ppd"  # pyright: ignore[reportIncompatibleVariableOverride]
     model: ModelSettings = ModelSettings()
     losses: LossSettings = LossSettings()
+    warm_start: WarmStart = WarmStart()
     schedule: PPDSchedule = PPDSchedule()  # pyright: ignore[reportIncompatibleVariableOverride]
     depth: DepthSettings = DepthSettings()
 
@@ -141,6 +168,12 @@ class PPDRecipe(TrainRecipe):
             raise ValueError(
                 "data.grid_points or uniform_points must be more than 0: L_vol needs them"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _chooses_by_what_is_measured(self) -> "PPDRecipe":
+        if self.seeds.chosen_by not in ("", *MEASURED):
+            raise ValueError(f"seeds.chosen_by must be one of {', '.join(MEASURED)}")
         return self
 
     @property
@@ -164,6 +197,7 @@ class PPDRecipe(TrainRecipe):
         plan, rate = self.depth, self.depth.learning_rate
         schedule = {
             "batch": plan.batch,
+            "optimiser": "adam",
             "learning_rate": rate,
             "final_learning_rate": 0.01 * rate,
             "stages": (PPDStage(resolution=1, iterations=plan.iterations),),

@@ -6,13 +6,17 @@ of the plain network, for a tenth of the work and memory.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Literal
 
 import torch
 from torch import Tensor, nn
 
+from articugen.learning.ppd.fused import can_fuse, sine_parts
+from articugen.learning.ppd.greatest import greatest
 from articugen.learning.ppd.kinematics import InverseMotion
 from articugen.learning.ppd.settings import ModelSettings
 
@@ -30,13 +34,34 @@ def gather_points(points: Tensor, index: Tensor) -> Tensor:
     return points.gather(1, index[..., None].expand(-1, -1, points.shape[-1]))
 
 
+_whole = ContextVar("whole", default=False)
+
+
+@contextmanager
+def whole_batches() -> Iterator[None]:
+    """Within, a CPU takes the ways of a GPU: batches as they are, nothing that asks for a number.
+
+    Both give the same numbers; `torch.vmap` cannot go the CPU's own ways.
+    """
+    before = _whole.set(True)
+    try:
+        yield
+    finally:
+        _whole.reset(before)
+
+
+def spares(x: Tensor) -> bool:
+    """Whether a few samples and points at a time are fastest, as they are on a CPU."""
+    return x.device.type == "cpu" and not _whole.get()
+
+
 def one_by_one(function: Callable[..., Tensor], *batches: Tensor) -> Tensor:
     """`function` of batches, on a CPU one sample after the other.
 
     A sample's activations stay in the cache and their memory is used again for the next one's,
     which makes the decoders four times as fast; a GPU takes the batch as it is.
     """
-    if batches[0].device.type != "cpu":
+    if not spares(batches[0]):
         return function(*batches)
     samples = zip(*(batch.split(1) for batch in batches), strict=True)
     return torch.cat([function(*sample) for sample in samples])
@@ -45,9 +70,14 @@ def one_by_one(function: Callable[..., Tensor], *batches: Tensor) -> Tensor:
 def argmax_of_points(x: Tensor) -> Tensor:
     """(B, C) the place of a greatest point of each channel of (B, n, C).
 
-    By blocks of 64 points: torch finds maxima without their places ten times as fast.
+    Where torch looks, by blocks of 64 points: it finds maxima without their places ten times as
+    fast.
     """
     B, n, C = x.shape
+    if x.device.type == "cpu" and x.dtype == torch.float32:
+        out = torch.empty(B, C, dtype=torch.int64)
+        greatest(x.detach().contiguous().numpy(), out.numpy())
+        return out
     blocks = nn.functional.pad(x, (0, 0, 0, -n % 64), value=-torch.inf).view(B, -1, 64, C)
     block = blocks.amax(2).argmax(1)
     at = block[:, None, None].expand(B, 1, 64, C)
@@ -77,7 +107,7 @@ class Encoder(nn.Module):
 
     def forward(self, cloud: Tensor) -> Tensor:
         """The latent (B, 512) of clouds (B, n, 3), whatever the order of their points."""
-        most = 128 if cloud.device.type == "cpu" else 3 * 128  # of what `_decisive` keeps
+        most = 128 if spares(cloud) else 3 * 128  # of what `_decisive` keeps
         if torch.is_grad_enabled() and cloud.shape[1] > most:
             cloud = gather_points(cloud, self._decisive(cloud))
         return self.latent(self._each(cloud)[-1].amax(1).relu())
@@ -90,7 +120,7 @@ class Encoder(nn.Module):
         index = one_by_one(
             lambda c: torch.cat([argmax_of_points(each) for each in self._each(c)], 1), cloud
         )
-        return distinct(index) if index.device.type == "cpu" else index
+        return distinct(index) if spares(index) else index
 
     def _each(self, cloud: Tensor) -> list[Tensor]:
         """What each block makes of each point: (B, n, 128).
@@ -200,22 +230,29 @@ class ShapeDecoder(nn.Module):
 
     def forward(self, code: ShapeCode, motion: InverseMotion, points: Tensor) -> PartLogits:
         """The fields of all parts at points (B, n, 3), each part moved by its own motion."""
-        both = one_by_one(
-            self._heads, code.template, code.detail, motion.rotation, motion.offset, points
-        )
+        # The motion is part of the first layer: W (A x + t) + b = (W A) x + (W t + b).
+        W, b = self.coordinate.times(_FREQUENCY)
+        moved, shift = W @ motion.rotation, (W @ motion.offset[..., None])[..., 0] + b
+        given = points, moved, shift, code.template, code.detail
+        if spares(points) and can_fuse(points):
+            both = sine_parts(*given, *self._weights())
+        else:
+            both = one_by_one(self._heads, *given)
         common, instance = both.chunk(2, 1)
         product = instance * common.sigmoid() if self.common_shape else instance
         return PartLogits(common, instance, product)
 
+    def _weights(self) -> list[Tensor]:
+        """Weights and biases of all layers but the first, with the factors of their sines."""
+        layers = self.trunk_0, self.trunk_1, self.head_0, self.head_1
+        each = [*(layer.times(_FREQUENCY) for layer in layers), self.head_2.times(1.0)]
+        return [tensor for pair in each for tensor in pair]
+
     def _heads(
-        self, template: Tensor, detail: Tensor, rotation: Tensor, offset: Tensor, points: Tensor
+        self, points: Tensor, moved: Tensor, shift: Tensor, template: Tensor, detail: Tensor
     ) -> Tensor:
         """(B, 2 P, n): F^{s,c} of all parts, then F^{s,z}."""
-        # The motion is part of the first layer: W (A x + t) + b = (W A) x + (W t + b).
-        W, b = self.coordinate.times(_FREQUENCY)
-        moved = (W @ rotation).flatten(1, 2)
-        shift = ((W @ offset[..., None])[..., 0] + b).flatten(1)
-        x = torch.baddbmm(shift[..., None], moved, points.mT).sin()
+        x = torch.baddbmm(shift.flatten(1)[..., None], moved.flatten(1, 2), points.mT).sin()
         x = x.view(*template.shape, -1) + template[..., None]
         x = self.trunk_1.sine(self.trunk_0.sine(x))
         x = torch.cat([x, x + detail[..., None]], 1)

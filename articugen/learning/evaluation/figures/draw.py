@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from articugen.inspection.layout import save
+from articugen.inspection.layout import in_columns, save
 from articugen.inspection.portrait import COLOURS, best_azimuth
 from articugen.learning.evaluation.evaluate import objects_of
 from articugen.learning.evaluation.figures import plots
@@ -24,7 +24,10 @@ from articugen.records import Floats, Instance, JointKind, dequantize
 
 OBJECTS = 3
 INSTANCES = 16
-"""Of each object so many are read, from its canonical pose to its widest."""
+"""Of each object so many are read, the canonical one among them."""
+
+EXAMPLE_STATES = 3
+"""Of the one object that stands for its category."""
 
 STEPS = 5
 """Of an interpolation, its ends included."""
@@ -89,9 +92,7 @@ def draw_figures(
         ArticugenError: a file cannot be written.
     """
     names = Names(result.labels, result.dominant)
-    objects = [
-        evenly(by_opening(instances), INSTANCES) for instances in objects_of(data, "test", None)
-    ]
+    objects = [by_opening(instances) for instances in objects_of(data, "test", INSTANCES - 1)]
     path = folder / "curves.png"
     plots.curves(metrics, path, model.titles)
     yield path
@@ -115,6 +116,41 @@ def draw_figures(
         held = _half_open(objects[found.first])
         save(interpolations(found.shapes, found.states, names, held, azimuth), path)
         yield path
+
+
+@dataclass(frozen=True)
+class Example:
+    """A trained model, and the data set of which it shows the first test object.
+
+    Attributes:
+        title: of its rows.
+        result: what `evaluate` has returned for this model.
+    """
+
+    title: str
+    data: Path
+    model: Drawable
+    result: Evaluation
+
+
+def draw_examples(path: Path, examples: Sequence[Example]) -> None:
+    """Draw one test object of each, as it is above, its reconstruction below, into one picture.
+
+    Raises:
+        ArticugenError: `path` cannot be written.
+    """
+    sheets = []
+    for example in examples:
+        instances = by_opening(next(objects_of(example.data, "test", INSTANCES - 1)))
+        model, names = example.model, Names(example.result.labels, example.result.dominant)
+        azimuth = best_azimuth([instances[-1]])
+        sheets.append(
+            reconstructions(
+                [instances], lambda i, model=model: model.reconstruct(_cloud(i)), names, azimuth,
+                states=EXAMPLE_STATES, title=example.title, pool=INSTANCES,
+            )
+        )  # fmt: skip
+    save(in_columns(sheets, 1 if len(sheets) <= EXAMPLE_STATES else 2), path)
 
 
 def _half_open(instances: Sequence[Instance]) -> Instance:

@@ -21,7 +21,7 @@ from articugen.records import Floats, Instance, JointKind, dequantize
 
 Reconstruct = Callable[[Instance], Reconstruction]
 
-POOLED = 16
+POOLED = 8
 _CUBE = np.array([[-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]])
 
 
@@ -63,6 +63,8 @@ def reconstructions(
     azimuth: float,
     *,
     states: int = 4,
+    title: str = "",
+    pool: int = POOLED,
 ) -> Picture:
     """For each object a row of its true instances and one of their reconstructions.
 
@@ -70,12 +72,14 @@ def reconstructions(
 
     Args:
         objects: the instances of each, `by_opening`.
+        title: of the rows, in the place of the objects' names.
+        pool: of so many instances the points make the true surface: more are slower and smoother.
     """
     rows: list[Row] = []
     for instances in objects:
         drawn = evenly(instances, states)
         found = [reconstruct(instance) for instance in drawn]
-        discs = pooled(evenly(instances, POOLED))
+        discs = pooled(evenly(instances, pool))
         axes = [_true_axes(instance) for instance in drawn]
         points = np.concatenate(
             [dequantize(i.surface_points) for i in drawn]
@@ -86,14 +90,15 @@ def reconstructions(
         pairs = list(zip(drawn, axes, strict=True))
         true = [portrait(discs, i, camera, floor, beside=solid) for i, solid in pairs]
         moved = [_caption(i, i.joint_state - drawn[0].joint_state) for i in drawn]
-        rows.append(Row(f"{drawn[0].object_id}: ground truth", true, moved))
+        name = title or drawn[0].object_id
+        rows.append(Row(f"{name}: ground truth", true, moved))
         pairs = list(zip(drawn, found, strict=True))
         predicted = [
             solid_portrait(_solid(f, names), camera, floor, beside=_predicted_axes(i, f, names))
             for i, f in pairs
         ]
         moved = [_caption(i, _changes(i, found[0], f, names)) for i, f in pairs]
-        rows.append(Row(f"{drawn[0].object_id}: reconstruction", predicted, moved))
+        rows.append(Row(f"{name}: reconstruction", predicted, moved))
     return sheet(rows)
 
 
@@ -114,9 +119,7 @@ def _changes(
         if i is None or found.joints.kind[i] != kind:
             changes.append(None)
             continue
-        same_way = np.dot(found.joints.direction[i], instance.joint_axis[j]) >= 0
-        change = float(found.joints.state[i] - first.joints.state[i])
-        changes.append(change if same_way else -change)
+        changes.append(found.joints.change_since(first.joints, i, instance.joint_axis[j]))
     return changes
 
 

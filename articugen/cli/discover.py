@@ -1,0 +1,144 @@
+"""The command `discover`: it calls a function of `found_joints` and prints what that finds."""
+
+# Everything heavy is imported where it is used: --help should not wait for numba.
+# ruff: noqa: PLC0415
+import json
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from articugen.discovery import Discovery
+    from articugen.found_joints import ObjectJoints
+    from articugen.records import Floats
+
+Said = Callable[..., AbstractContextManager[None]]
+
+_said: Said
+_out = Console(highlight=False)
+_err = Console(stderr=True, highlight=False)
+
+
+def register(app: typer.Typer, said_in_one_sentence: Said) -> None:
+    """Add the command to the command line; `said_in_one_sentence` prints our errors."""
+    global _said  # noqa: PLW0603
+    _said = said_in_one_sentence
+    app.command(
+        epilog="Examples:\n\narticugen discover data/laptop\n\n"
+        "articugen discover closed.ply ajar.ply open.ply --json joints.json"
+    )(discover)
+
+
+def discover(
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            help="A data set's folder or a shard; or two or more poses of one object in one frame: "
+            "clouds (.ply, .npy, .npz, .xyz) or occupancy grids (.npy)."
+        ),
+    ],
+    poses: Annotated[
+        int | None,
+        typer.Option(min=2, help="So many poses of each object of a data set.", show_default="all"),
+    ] = None,
+    output: Annotated[Path | None, typer.Option("--json", help="Write the joints there.")] = None,
+) -> None:
+    """Find the joints of objects from several poses of each, without labels."""
+    with _said("interrupted"):
+        from articugen import found_joints
+        from articugen.store.files import write_atomically
+
+        found_joints.check_poses(paths)
+        if len(paths) > 1:
+            with _err.status("searching ..."):
+                found = found_joints.discover(paths)
+            _print("", found)
+            told: object = {"joints": found_joints.as_json(found)}
+        else:
+            objects = _of_data_set(paths[0], poses)
+            told = [
+                {"object": o.object_id, "why": o.why, "joints": found_joints.as_json(o.found)}
+                for o in objects
+            ]
+        if output is not None:
+            write_atomically(output, json.dumps(told, indent=1).encode())
+
+
+def _of_data_set(path: Path, poses: int | None) -> "list[ObjectJoints]":
+    from rich.progress import track
+
+    from articugen import found_joints
+
+    objects: list[ObjectJoints] = []
+
+    def tell(found: "ObjectJoints", _: int) -> None:
+        if found.found is None:
+            _out.print(f"[bold]{escape(found.object_id)}[/]  {escape(found.why)}", soft_wrap=True)
+        else:
+            _print(found.object_id, found.found)
+
+    data = found_joints.open_data_set(path)
+    for object_id in track(
+        data.objects, "", console=_err, transient=True, disable=not _err.is_terminal
+    ):
+        objects += found_joints.discover_all(data.of(object_id), poses=poses, on_object=tell)
+    _out.print(_summary(objects), soft_wrap=True)
+    return objects
+
+
+def _print(name: str, found: "Discovery") -> None:
+    if name:
+        _out.print(f"[bold]{escape(name)}[/]")
+    if found.joints:
+        _out.print(_table(found))
+    else:
+        _out.print("something moves, but no single joint explains it", soft_wrap=True)
+
+
+def _table(found: "Discovery") -> "Table":
+    import numpy as np
+
+    from articugen.inspection.tables import quiet_table
+    from articugen.records import JointKind
+
+    def vector(v: "Floats") -> str:
+        return " ".join(f"{x:.3f}" for x in np.round(v, 3) + 0.0)
+
+    table = quiet_table("joint", "axis", "pivot", "states", ">points", ">score")
+    for j, joint in enumerate(found.joints):
+        turns = joint.kind == JointKind.REVOLUTE
+        low, high = joint.states.min(), joint.states.max()
+        span = (
+            f"{np.degrees(low):.1f}° to {np.degrees(high):.1f}°"
+            if turns
+            else f"{low:.3f} to {high:.3f}"
+        )
+        points = f"{(found.part == j + 1).sum():,}"
+        table.add_row(
+            str(joint.kind), vector(joint.axis), vector(joint.pivot), span, points,
+            f"{joint.score:.2f}",
+        )  # fmt: skip
+    return table
+
+
+def _summary(objects: "Sequence[ObjectJoints]") -> str:
+    from articugen.found_joints import AXIS, PIVOT, mean_error, share
+
+    turned, slid = mean_error(objects, "turned"), mean_error(objects, "slid")
+    errors = [f"{turned * 57.29578:.2f} degrees"] if turned is not None else []
+    errors += [f"{slid:.4f} of the unit frame"] if slid is not None else []
+    seconds = sum(o.seconds for o in objects) / max(len(objects), 1)
+    return (
+        f"{len(objects)} objects, right in all joints: number {share(objects, 'count'):.0%}, "
+        f"kind {share(objects, 'kind'):.0%}, axis within {AXIS:g} degrees "
+        f"{share(objects, 'axis'):.0%}, pivot within {PIVOT:g} {share(objects, 'pivot'):.0%}; "
+        f"states off by {' and '.join(errors) or 'nothing that can be said'} on average; "
+        f"{seconds:.1f} s of CPU an object"
+    )

@@ -1,0 +1,271 @@
+"""Several poses of one object, prepared for the search: in one cube, sorted into cells, with what
+has left pose 0 and what is new elsewhere."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.discovery import kernels
+from articugen.errors import InvalidArgument
+from articugen.records import Floats, Normalization
+
+MOST_POINTS = 8192
+"""Points of a pose that are searched; more are thinned to so many."""
+
+SEARCHED = 8
+"""Poses that are searched, besides pose 0: as many as a vote has bytes."""
+
+_EDGE = 0.9
+_FEWEST_POINTS = 64
+_STAYS = 0.03
+"""Of a pose's points, at least so many lie where pose 0 has matter."""
+_ACROSS = 0.008
+"""Planes so near may be the same."""
+
+_TELLING, _COMMON = 4, 0.55
+"""Of so many poses or more, what this share of the others has at the same place is no news."""
+_NEAR = np.array([0.008, 0.05])
+
+
+def cell_of(cloud: Floats) -> NDArray[np.int64]:
+    """(n,) the number of the cell that each point is in; what is outside counts to the border."""
+    R = kernels.CELLS
+    at = np.clip(np.floor((cloud + 0.5) * R).astype(np.int64), 0, R - 1)
+    return (at[:, 0] * R + at[:, 1]) * R + at[:, 2]
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """`points` (n, 3) with unit `normals` (n, 3) of either sign, zeros where none can be told, and
+    how well each tells of a shift, `stiffness` (n, 3, 3)."""
+
+    points: Floats
+    normals: Floats
+    stiffness: Floats
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __getitem__(self, which: Any) -> "Surface":
+        return Surface(self.points[which], self.normals[which], self.stiffness[which])
+
+    @staticmethod
+    def bare(points: Floats) -> "Surface":
+        """Points of which nothing else is known."""
+        return Surface(
+            points, np.zeros_like(points), np.broadcast_to(np.eye(3), (len(points), 3, 3))
+        )
+
+    @staticmethod
+    def estimated(points: Floats, of: "Cells", near: float) -> "Surface":
+        """Points with what the cloud `of` (one pose) around them tells."""
+        normals, stiffness = kernels.shapes(points, of.points, of.starts, 0, 1.8 * near)
+        return Surface(points, normals, stiffness)
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Surfaces of K poses, each pose's points sorted by cell: `points`, `normals` (n, 3) and
+    `starts` (K, cells + 1); `near` as in `Change`."""
+
+    points: Floats
+    normals: Floats
+    starts: NDArray[np.int64]
+    near: float
+
+    @staticmethod
+    def of(surfaces: Sequence[Surface], near: float = 0.0) -> "Cells":
+        points, normals, starts, before = [], [], [], 0
+        for surface in surfaces:
+            cell = cell_of(surface.points)
+            order = np.argsort(cell, kind="stable")
+            points.append(surface.points[order])
+            normals.append(surface.normals[order])
+            starts.append(before + np.searchsorted(cell[order], np.arange(kernels.CELLS**3 + 1)))
+            before += len(surface)
+        return Cells(np.concatenate(points), np.concatenate(normals), np.array(starts), near)
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+    def distances(self, surface: Surface, motions: Floats, reach: float) -> NDArray[np.float32]:
+        """(K, n) from each pose, of points moved by `motions` (K, 3, 4)."""
+        return kernels.distances(
+            surface.points, surface.normals, motions, self.points, self.normals, self.starts, reach,
+            self.across(reach),
+        )  # fmt: skip
+
+    def across(self, reach: float) -> float:
+        """How far from plane to plane points within `reach` may be: planes are known better than
+        where on them a cloud has points."""
+        return max(reach - 0.6 * self.near, _ACROSS)
+
+    def met(self, surface: Surface, motions: Floats, reach: float) -> NDArray[np.bool_]:
+        """(K, n) whether points, moved by `motions` (K, 3, 4), lie on each pose."""
+        return self.distances(surface, motions, reach) <= reach
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What the poses of an object say, in the cube.
+
+    Attributes:
+        frame: leads from the clouds' own frame to the cube's.
+        clouds: of each pose, thinned.
+        near: two surfaces that are nearer than this may be the same.
+        start: pose 0, as it is in `clouds`; `first`: the same in cells, without normals.
+        chosen: (S,) the poses that are searched.
+        poses: those, in cells; `targets`: what of them is where nothing stays.
+        gone: (S, n) what of pose 0 is not in them.
+        movers: (n,) what of pose 0 has moved, for all one can see.
+    """
+
+    frame: Normalization
+    clouds: tuple[Floats, ...]
+    near: float
+    start: Surface
+    first: Cells
+    chosen: NDArray[np.intp]
+    poses: Cells
+    targets: Cells
+    gone: NDArray[np.bool_]
+    movers: NDArray[np.bool_]
+
+
+def change(poses: Sequence[Any]) -> Change:
+    """What changes between the poses of one object.
+
+    Raises:
+        InvalidArgument: there is one pose only, one is no cloud of points, they share no frame, or
+            nothing moves.
+    """
+    clouds = _checked(poses)
+    frame = _frame(clouds)
+    rng = np.random.default_rng(0)
+    clouds = tuple(_thinned(np.ascontiguousarray(frame.to_unit(cloud)), rng) for cloud in clouds)
+    first = Cells.of([Surface.bare(clouds[0])])
+    near = _nearness(clouds[0], first)
+    left = _left(clouds, near)
+    _check_frames(left)
+    chosen = _spread(left)
+    start = Surface.estimated(clouds[0], first, near)
+    surfaces = [_surface(clouds[k], near) for k in chosen]
+    searched = Cells.of(surfaces, near)
+    gone = ~searched.met(start, still(len(chosen)), near)
+    movers = _movers(clouds[0], gone, near)
+    if movers.sum() < max(12, 0.002 * len(movers)):
+        raise InvalidArgument(
+            f"nothing moves: all of pose 0 is where it was in the {len(clouds) - 1} other poses; "
+            "give poses in which a joint has another state"
+        )
+    stays = Cells.of([start[~movers]], near)
+    new = [_new(surface, stays, near) for surface in surfaces]
+    targets = Cells.of(_rare(new, searched, near), near)
+    return Change(frame, clouds, near, start, first, chosen, searched, targets, gone, movers)
+
+
+def still(count: int) -> Floats:
+    """(count, 3, 4) what moves nothing."""
+    return np.tile(np.eye(4)[:3], (count, 1, 1))
+
+
+def _surface(cloud: Floats, near: float) -> Surface:
+    return Surface.estimated(cloud, Cells.of([Surface.bare(cloud)]), near)
+
+
+def _checked(poses: Sequence[Any]) -> list[Floats]:
+    if len(poses) < 2:
+        raise InvalidArgument(
+            f"{len(poses)} pose of the object, which shows no motion; give two or more"
+        )
+    clouds = [np.asarray(pose, np.float64) for pose in poses]
+    for k, cloud in enumerate(clouds):
+        if cloud.ndim != 2 or cloud.shape[1] != 3:
+            raise InvalidArgument(f"pose {k}: numbers of shape {cloud.shape}, not points (n, 3)")
+        if len(cloud) < _FEWEST_POINTS:
+            raise InvalidArgument(
+                f"pose {k}: {len(cloud)} points are too few; give {_FEWEST_POINTS} or more"
+            )
+        if not np.isfinite(cloud).all():
+            raise InvalidArgument(f"pose {k}: some points are not finite numbers; remove them")
+    return clouds
+
+
+def _frame(clouds: Sequence[Floats]) -> Normalization:
+    low = np.min([cloud.min(0) for cloud in clouds], axis=0)
+    high = np.max([cloud.max(0) for cloud in clouds], axis=0)
+    return Normalization((low + high) / 2.0, max(float((high - low).max()), 1e-12) / _EDGE)
+
+
+def _thinned(cloud: Floats, rng: np.random.Generator) -> Floats:
+    if len(cloud) <= MOST_POINTS:
+        return cloud
+    return cloud[np.sort(rng.choice(len(cloud), MOST_POINTS, replace=False))]
+
+
+def _nearness(cloud: Floats, cells: Cells) -> float:
+    """How far a point may be from the points of its own surface: most are nearer to one another."""
+    some = cloud[:: max(len(cloud) // 2000, 1)]
+    gaps = kernels.spacing(some, cells.points, cells.starts, 0, 2.0 / kernels.CELLS)
+    return float(np.clip(1.25 * np.quantile(gaps, 0.97), *_NEAR))
+
+
+def _left(clouds: Sequence[Floats], near: float) -> Floats:
+    """(K - 1,) of some points of pose 0, which share has no matter of each other pose near it."""
+    some = Surface.bare(np.ascontiguousarray(clouds[0][:: max(len(clouds[0]) // 1000, 1)]))
+    return np.array(
+        [(~Cells.of([Surface.bare(c)]).met(some, still(1), near)).mean() for c in clouds[1:]]
+    )
+
+
+def _check_frames(left: Floats) -> None:
+    if left.max() > 1.0 - _STAYS:
+        k = int(left.argmax()) + 1
+        raise InvalidArgument(
+            f"pose {k} has next to nothing where pose 0 has matter: they share no frame, or no "
+            "part of the object stays; bring all poses into one frame, that of the fixed part"
+        )
+
+
+def _spread(left: Floats) -> NDArray[np.intp]:
+    """The poses to search, in order: of those in which most has left, evenly."""
+    if len(left) <= SEARCHED:
+        return np.arange(len(left)) + 1
+    order = np.argsort(-left, kind="stable")[: max(SEARCHED, int(0.8 * len(left)))]
+    picks = np.linspace(0, len(order) - 1, SEARCHED).round().astype(int)
+    return np.sort(order[picks]) + 1
+
+
+def _movers(cloud: Floats, gone: NDArray[np.bool_], near: float) -> NDArray[np.bool_]:
+    """(n,) points that have left in some poses, as most of those around them have."""
+    often = gone.sum(axis=0) >= max(1, round(len(gone) / 4))
+    return often & (_share_about(cloud, often, near) > 0.5)
+
+
+def _share_about(cloud: Floats, flags: NDArray[np.bool_], near: float) -> Floats:
+    """(n,) which share of the points around each has its flag set; its own does not count."""
+    cells = Cells.of([Surface.bare(cloud)])
+    values = flags[np.argsort(cell_of(cloud), kind="stable")].astype(np.float64)
+    found = kernels.about(cloud, values, cells.points, cells.starts, 0, 1.5 * near, True)
+    return found[:, 1] / np.maximum(found[:, 0], 1.0)
+
+
+def _new(surface: Surface, stays: Cells, near: float) -> Surface:
+    """The points of a pose that are where nothing stays, as most of those around them are."""
+    far = ~stays.met(surface, still(1), near)[0]
+    return surface[far & (_share_about(surface.points, far, near) > 0.4)]
+
+
+def _rare(new: Sequence[Surface], poses: Cells, near: float) -> list[Surface]:
+    """What is new in each pose without what most of the others have at the same place: insides that
+    an open door or drawer shows, which say nothing of how far it has moved."""
+    if len(new) < _TELLING:
+        return list(new)
+    others = [poses.met(surface, still(len(new)), near).sum(0) - 1 for surface in new]
+    return [
+        surface[there <= _COMMON * (len(new) - 1)]
+        for surface, there in zip(new, others, strict=True)
+    ]

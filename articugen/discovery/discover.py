@@ -1,0 +1,409 @@
+"""`discover`: several poses of one object in, its joints out, without labels.
+
+Patches of what has left pose 0 vote for joints (`search`). The best candidates are made exact and
+grow to all points that follow them (`fitting`). Then they are taken one after the other, the one
+that explains most of what is not yet explained first. In the end each point goes to the joint, or
+to the fixed part, that it agrees with in most poses, and each joint is fitted to its points.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.discovery import kernels
+from articugen.discovery.clouds import Cells, Change, Surface, cell_of, change, still
+from articugen.discovery.fitting import fitted, some, states_of
+from articugen.discovery.search import Candidate, Search, motions
+from articugen.records import Floats, JointKind
+
+Ints = NDArray[np.int64]
+
+_PATCHES, _PATCH = 12, 48
+_MOVERS = 800
+"""So many of the points that have left are looked at."""
+
+_RIGHT, _WRONG = 0.4, 0.2
+"""Of the poses in which a point has left, a joint that it follows is right in this share at least,
+and wrong in this share at most."""
+
+_AGREES = 0.6
+"""A joint is fitted to points that lie on something in this share of the poses, moved by it."""
+
+_SLIDES_FIRST = 1.05
+"""A slide has two parameters fewer than a turn and is preferred where both explain as much."""
+
+_FAR_TURNS = 0.03
+"""By this share a radian lesser turns are preferred: a plate may as well have been turned over."""
+
+_STAYS = 0.1
+"""By this share of `near` a joint must bring a point nearer to the poses than it is if it stays."""
+
+_SURE = 0.2
+"""A point is sure of its part where the next is farther from the poses by this share of `near`."""
+
+_BESIDE = np.cos(np.radians([30.0, 12.0]))
+_PLAIN = 1.03
+"""A coordinate axis is preferred to one beside it (slides: by 30 degrees, turns: by 12), if it
+explains about as much."""
+
+_ALONE = 0.15
+"""Of what a joint explains of points that it explains best, no other does this share at least."""
+
+_GROWN = 24
+"""So many candidates grow, of those that patches vote for."""
+
+_GROWS, _WIDE = (2.0, 2.0, 2.0, 2.0, 1.5), 0.015
+"""How far a point may be from where it should land, as a candidate grows: so many times `near`, or
+`_WIDE` where that is more."""
+
+_WORTH = 0.04
+"""A joint explains at least this share of all that has left."""
+
+
+@dataclass(frozen=True, eq=False)
+class FoundJoint:
+    """A joint, in the frame of the clouds.
+
+    Attributes:
+        kind: REVOLUTE or PRISMATIC.
+        axis: (3,) unit direction, such that the mean of `states` is not negative.
+        pivot: (3,) a point on the axis, beside its part; of a slide, the middle of the part.
+        states: (K,) of each pose, radians or lengths; 0 in pose 0.
+        score: which share of the part's points, where they have left, land on something new.
+    """
+
+    kind: JointKind
+    axis: Floats
+    pivot: Floats
+    states: Floats
+    score: float
+
+
+@dataclass(frozen=True, eq=False)
+class Discovery:
+    """What was found.
+
+    Attributes:
+        joints: that with most points first.
+        points: (n, 3) of pose 0, as given.
+        part: (n,) 0 for what stays, j + 1 for what joint j moves.
+    """
+
+    joints: tuple[FoundJoint, ...]
+    points: Floats
+    part: Ints
+
+    def motion(self, pose: int) -> Floats:
+        """(P, 4, 4) the rigid motion of each part from pose 0 to another; part 0 has the identity.
+        A point of part k at x in pose 0 is at `motion(pose)[k]` x in that pose."""
+        T = np.tile(np.eye(4), (len(self.joints) + 1, 1, 1))
+        for j, joint in enumerate(self.joints):
+            turns = joint.kind == JointKind.REVOLUTE
+            one = Candidate(turns, joint.axis, joint.pivot, joint.states[[pose]])
+            T[j + 1, :3] = motions(one)[0]
+        return T
+
+
+def discover(poses: Sequence[Any]) -> Discovery:
+    """Find the joints of one object from several poses of it.
+
+    All moving parts hang on a fixed one, which stays where it is; chains of joints are not looked
+    for. The same clouds give the same joints.
+
+    Args:
+        poses: K >= 2 clouds (n_k, 3) in one frame: points on the surface, or the centres of
+            occupied voxels. Joints are found from pose 0 to the others.
+
+    Raises:
+        InvalidArgument: there is one pose only, one is no cloud of points, they share no frame, or
+            nothing moves.
+    """
+    seen = change(poses)
+    found = _Found(seen)
+    found.look_for_joints()
+    joints = found.settled()
+    return _told(seen, joints, np.asarray(poses[0], np.float64))
+
+
+@dataclass(frozen=True, eq=False)
+class _Grown:
+    """A candidate with what it explains: of movers in the searched poses, the pairs where it is
+    `right` (S, m) and where it is `wrong` (S, m), and the movers that `follow` (m,) it."""
+
+    joint: Candidate
+    right: NDArray[np.bool_]
+    wrong: NDArray[np.bool_]
+    follow: NDArray[np.bool_]
+    polished: bool = False
+
+
+def _alike(one: _Grown, other: _Grown) -> bool:
+    """Whether two candidates explain nearly the same pairs."""
+    both, any_ = (one.right & other.right).sum(), (one.right | other.right).sum()
+    return one.joint.turns == other.joint.turns and both > 0.85 * any_
+
+
+class _Found:
+    """The search for joints, and what it has found so far."""
+
+    def __init__(self, seen: Change) -> None:
+        self.seen = seen
+        self.search = Search(seen)
+        self.movers = some(np.flatnonzero(seen.movers), _MOVERS)
+        self.part = seen.start[self.movers]
+        self.gone = seen.gone[:, self.movers]
+        self.left = np.ones(len(self.movers), bool)
+        self.joints: list[_Grown] = []
+
+    def look_for_joints(self) -> None:
+        worth = _WORTH * self.gone.sum()
+        pool: list[_Grown] = []
+        for _ in range(3):
+            if self.gone[:, self.left].sum() < 2.0 * worth:
+                break
+            pool += self._grown(self._patches())
+            if not self._taken(pool, worth):
+                break
+
+    def _taken(self, pool: list[_Grown], worth: float) -> bool:
+        """Take the candidates that explain most, one after the other; whether there was any."""
+        before = len(self.joints)
+        while pool:
+            gains = [self._gain(grown) for grown in pool]
+            best = int(np.argmax(gains))
+            if gains[best] < worth:
+                break
+            if pool[best].polished:
+                self.joints.append(pool.pop(best))
+                self.left &= ~self.joints[-1].follow
+            else:
+                pool[best] = self._polished(pool[best])
+        return len(self.joints) > before
+
+    def _gain(self, grown: _Grown) -> float:
+        """How many pairs of a point and a pose it explains that nothing yet does, less those where
+        it is wrong of its own points."""
+        mine = grown.follow & self.left
+        gain = grown.right[:, mine].sum() - 2.0 * grown.wrong[:, mine].sum()
+        if grown.joint.turns:
+            return float(gain * (1.0 - _FAR_TURNS * np.abs(grown.joint.states).mean()))
+        return float(gain * _SLIDES_FIRST)
+
+    def _patches(self) -> list[NDArray[np.intp]]:
+        """Of the movers that nothing explains yet: patches of neighbours about points that are far
+        from one another, and some of all."""
+        free = np.flatnonzero(self.left)
+        points = self.part.points[free]
+        far = np.full(len(free), np.inf)
+        at = int(((points - points.mean(0)) ** 2).sum(1).argmax())
+        size = _PATCH if len(self.gone) >= 4 else 2 * _PATCH
+        patches = [some(free, 200)]
+        for _ in range(_PATCHES):
+            squared = ((points - points[at]) ** 2).sum(1)
+            patches.append(free[np.sort(np.argsort(squared, kind="stable")[:size])])
+            far = np.minimum(far, squared)
+            at = int(far.argmax())
+        return patches
+
+    def _grown(self, patches: list[NDArray[np.intp]]) -> list[_Grown]:
+        """The candidates that patches vote for, each fitted to its patch; the best of them that are
+        not alike grow."""
+        seeds = [self._seed(joint, patch) for patch in patches for joint in self._voted(patch)]
+        seeds.sort(key=lambda seed: -self._gain(seed))
+        unlike: list[_Grown] = []
+        for seed in seeds:
+            if not any(_alike(seed, other) for other in unlike):
+                unlike.append(seed)
+        return [self._grow(seed) for seed in unlike[:_GROWN]]
+
+    def _voted(self, patch: NDArray[np.intp]) -> list[Candidate]:
+        which = self.movers[patch]
+        turns = [turn for axis in np.eye(3) for turn in self.search.turns(which, axis, 3)]
+        turns.sort(key=lambda each: -each[0])
+        return [joint for _, joint in turns[:4] + self.search.slides(which, 2)]
+
+    def _seed(self, joint: Candidate, patch: NDArray[np.intp]) -> _Grown:
+        near, core = self.seen.near, some(patch, 60)
+        joint = fitted(joint, self.part[core], self.seen.targets, 2 * near, 3)
+        return self._explained(joint, 2.0 * near)
+
+    def _grow(self, grown: _Grown) -> _Grown:
+        near, targets, joint, follow = self.seen.near, self.seen.targets, grown.joint, grown.follow
+        for reach in (*(grows * max(near, _WIDE) for grows in _GROWS), near):
+            core = some(np.flatnonzero(follow & self.left), 200)
+            if len(core) < 12:
+                break
+            joint = fitted(joint, self.part[core], targets, reach, 3)
+            follow = self._explained(joint, reach).follow
+        return self._explained(joint, near)
+
+    def _polished(self, grown: _Grown) -> _Grown:
+        """With the states voted anew by all that follow, and all of it fitted to them; about the
+        coordinate axis beside its own, where that explains as much."""
+        core = some(np.flatnonzero(grown.follow & self.left), 160)
+        if len(core) < 12:
+            return replace(grown, polished=True)
+        tried = [grown, self._revoted(grown.joint, core, tilts=True)]
+        nearest = int(np.abs(grown.joint.axis).argmax())
+        if np.abs(grown.joint.axis[nearest]) > _BESIDE[int(grown.joint.turns)]:
+            axis = np.eye(3)[nearest] * np.sign(grown.joint.axis[nearest])
+            tried.append(self._revoted(replace(grown.joint, axis=axis), core, tilts=False))
+        gains = [self._gain(each) * (1.0, 1.0, _PLAIN)[n] for n, each in enumerate(tried)]
+        return replace(tried[int(np.argmax(gains))], polished=True)
+
+    def _revoted(self, joint: Candidate, core: NDArray[np.intp], *, tilts: bool) -> _Grown:
+        near, poses = self.seen.near, self.seen.poses
+        wide = max(near, _WIDE)
+        best = None
+        for _ in range(3):
+            joint = replace(joint, states=states_of(joint, self.part[core], poses, near))
+            for reach in (2.0 * wide, near):
+                joint = fitted(joint, self.part[core], poses, reach, 4, tilts=tilts)
+            now = self._explained(joint, near)
+            if best is None or self._gain(now) > self._gain(best):
+                best = now
+            around = self._explained(joint, 2.0 * wide).follow & self.left
+            again = some(np.flatnonzero(around), 160)
+            if len(again) < 12:
+                break
+            core = again
+        assert best is not None
+        return best
+
+    def _explained(self, joint: Candidate, reach: float) -> _Grown:
+        """What a candidate explains: where a point has left and lands on something new it is right,
+        where it lands on nothing it is wrong; what was hidden in pose 0 and is there in most others
+        says neither."""
+        M = motions(joint)
+        right = self.seen.targets.met(self.part, M, reach) & self.gone
+        wrong = ~self.seen.poses.met(self.part, M, reach) & self.gone
+        left = np.maximum(self.gone.sum(0), 1)
+        follow = (wrong.sum(0) <= _WRONG * left) & (right.sum(0) >= _RIGHT * left)
+        return _Grown(joint, right, wrong, follow)
+
+    def settled(self) -> list[Candidate]:
+        """The joints, each fitted to the points that agree with it best; those that nobody needs
+        are dropped."""
+        joints = self._needed([grown.joint for grown in self.joints])
+        for _ in range(2):
+            shares = _agreement(self.seen, joints, self.part).mean(1)
+            best = shares.argmax(0)
+            for j, joint in enumerate(joints):
+                mine = np.flatnonzero((best == j + 1) & (shares[j + 1] >= _AGREES))
+                core = some(mine, 400)
+                if len(core) >= 12:
+                    joints[j] = self._refitted(joint, core)
+            joints = self._needed(joints)
+        return joints
+
+    def _refitted(self, joint: Candidate, core: NDArray[np.intp]) -> Candidate:
+        """Fitted to these points; a slide along the coordinate axis beside its own, where that
+        agrees with them as well."""
+        part, poses, near = self.part[core], self.seen.poses, self.seen.near
+
+        def refit(joint: Candidate, tilts: bool) -> tuple[Candidate, int]:
+            for reach in (2.5, 1.5, 1.0, 1.0):
+                joint = fitted(joint, part, poses, reach * near, 8, tilts=tilts)
+            return joint, int(poses.met(part, motions(joint), near).sum())
+
+        nearest = int(np.abs(joint.axis).argmax())
+        plain = np.eye(3)[nearest] * np.sign(joint.axis[nearest])
+        as_it_is, hits = refit(joint, tilts=np.abs(joint.axis).max() < 1.0)
+        if joint.turns or np.abs(joint.axis[nearest]) < _BESIDE[0]:
+            return as_it_is
+        snapped, as_many = refit(replace(joint, axis=plain), tilts=False)
+        return snapped if as_many * _PLAIN >= hits else as_it_is
+
+    def _needed(self, joints: list[Candidate]) -> list[Candidate]:
+        """Without those that explain too little that no other joint does."""
+        joints = list(joints)
+        while joints:
+            hits = (_agreement(self.seen, joints, self.part)[1:] & self.gone).sum(1)
+            others = [np.delete(hits, j, axis=0).max(0, initial=0) for j in range(len(joints))]
+            whole = np.where(hits >= others, hits, 0).sum(1)
+            alone = np.maximum(hits - others, 0).sum(1)
+            needed = np.minimum(
+                alone / (0.5 * _WORTH * self.gone.sum()), alone / (_ALONE * np.maximum(whole, 1))
+            )
+            if needed.min() >= 1.0:
+                break
+            joints.pop(int(needed.argmin()))
+        return joints
+
+
+def _agreement(seen: Change, joints: list[Candidate], surface: Surface) -> NDArray[np.bool_]:
+    """(1 + J, S, n) whether points agree with what stays, and with each joint, in each pose."""
+    return np.array([seen.poses.met(surface, M, seen.near) for M in _moved(seen, joints)])
+
+
+def _moved(seen: Change, joints: list[Candidate]) -> list[Floats]:
+    """(S, 3, 4) what stays and what each joint moves in the searched poses."""
+    return [still(len(seen.chosen)), *(motions(joint) for joint in joints)]
+
+
+def _told(seen: Change, joints: list[Candidate], points: Floats) -> Discovery:
+    """Labels, states of all poses and scores, in the frame of the clouds."""
+    cloud = np.ascontiguousarray(seen.frame.to_unit(points))
+    surface = Surface.estimated(cloud, seen.first, seen.near)
+    part = _labels(seen, joints, surface)
+    order = np.argsort([-(part == j + 1).sum() for j in range(len(joints))], kind="stable")
+    told = [_joint(seen, joints[j], surface[part == j + 1]) for j in order if (part == j + 1).any()]
+    number = np.zeros(len(joints) + 1, np.int64)
+    number[1 + order] = 1 + np.arange(len(joints))
+    return Discovery(tuple(told), points, number[part])
+
+
+def _labels(seen: Change, joints: list[Candidate], surface: Surface) -> Ints:
+    """(n,) of each point what leaves it nearest to the poses; where that is a tie, as most of its
+    neighbours that are sure."""
+    if not joints:
+        return np.zeros(len(surface), np.int64)
+    far = [seen.poses.distances(surface, M, seen.near) for M in _moved(seen, joints)]
+    cost = np.minimum(far, seen.near).mean(1) / seen.near
+    cost[1:] += _STAYS
+    best = cost.argmin(0)
+    ranked = np.sort(cost, axis=0)
+    sure = ranked[1] - ranked[0] >= _SURE
+    about = _as_neighbours(surface.points, best, sure, len(joints) + 1, seen.near)
+    return np.where(sure, best, about)
+
+
+def _as_neighbours(
+    cloud: Floats, label: Ints, sure: NDArray[np.bool_], count: int, near: float
+) -> Ints:
+    if not sure.any():
+        return label
+    cells = Cells.of([Surface.bare(cloud[sure])])
+    sorted_label = label[sure][np.argsort(cell_of(cloud[sure]), kind="stable")]
+    votes = np.array(
+        [
+            kernels.about(
+                cloud, (sorted_label == k) * 1.0, cells.points, cells.starts, 0, 2 * near, False
+            )[:, 1]
+            for k in range(count)
+        ]
+    )
+    return np.where(votes.sum(0) > 0, votes.argmax(0), label)
+
+
+def _joint(seen: Change, joint: Candidate, part: Surface) -> FoundJoint:
+    """The joint in the clouds' frame, with the states of all poses."""
+    core = part[some(np.arange(len(part)), 250)]
+    others = Cells.of([Surface.bare(cloud) for cloud in seen.clouds[1:]], seen.near)
+    states = np.concatenate([[0.0], states_of(joint, core, others, seen.near)])
+    sign = -1.0 if states.mean() < 0.0 else 1.0
+    gone = ~seen.poses.met(core, still(len(seen.chosen)), seen.near)
+    new = seen.targets.met(core, motions(joint), seen.near)
+    pivot = middle = part.points.mean(0)
+    if joint.turns:
+        pivot = joint.pivot + ((middle - joint.pivot) @ joint.axis) * joint.axis
+    return FoundJoint(
+        kind=JointKind.REVOLUTE if joint.turns else JointKind.PRISMATIC,
+        axis=sign * joint.axis,
+        pivot=seen.frame.to_world(pivot),
+        states=sign * states * (1.0 if joint.turns else seen.frame.scale),
+        score=float((gone & new).sum() / max(gone.sum(), 1)),
+    )

@@ -1,0 +1,355 @@
+"""The kernels of the search. Everything is in the cube [-0.5, 0.5]^3.
+
+`Cells` in `clouds.py` is what `points` and `starts` belong to: the points of several poses, each
+pose's sorted by the cell they are in, cells CELLS an edge; those of cell c of pose k are
+`points[starts[k, c] : starts[k, c + 1]]`.
+"""
+
+import numpy as np
+
+from articugen.jit import helper, kernel
+
+CELLS = 32
+"""Cells along an edge."""
+
+VOTES = 64
+"""Cells along an edge of the grid that votes are looked up in."""
+
+ALONG = 0.02
+"""How much a point's distance counts along the surface or the rod that it is on; across it 1."""
+
+FLAT = 0.05
+"""Of points on a plane, the variance across it is at most this share of the least along it."""
+
+FAR = 1e9
+"""The squared distance to where there is nothing."""
+
+
+LIKE = 0.85
+"""Cosine between the normals of two points that may be of one surface."""
+
+
+@helper
+def _nearest(points, normals, starts, pose, x, y, z, nx, ny, nz, reach, across):
+    """(index, squared distance) of the point of a pose that is nearest to (x, y, z) and may be of
+    the same surface, -1 if there is none within `reach`, and `across` from plane to plane. A normal
+    of zeros says nothing."""
+    best, at = reach * reach, -1
+    low_i = max(int(np.floor((x - reach + 0.5) * CELLS)), 0)
+    low_j = max(int(np.floor((y - reach + 0.5) * CELLS)), 0)
+    low_k = max(int(np.floor((z - reach + 0.5) * CELLS)), 0)
+    high_i = min(int(np.floor((x + reach + 0.5) * CELLS)), CELLS - 1)
+    high_j = min(int(np.floor((y + reach + 0.5) * CELLS)), CELLS - 1)
+    high_k = min(int(np.floor((z + reach + 0.5) * CELLS)), CELLS - 1)
+    if high_k < low_k:
+        return at, FAR
+    for i in range(low_i, high_i + 1):
+        for j in range(low_j, high_j + 1):
+            row = (i * CELLS + j) * CELLS
+            for n in range(starts[pose, row + low_k], starts[pose, row + high_k + 1]):
+                dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
+                d = dx * dx + dy * dy + dz * dz
+                if d > best or abs(dx * nx + dy * ny + dz * nz) > across:
+                    continue
+                along = abs(normals[n, 0] * nx + normals[n, 1] * ny + normals[n, 2] * nz)
+                if 1e-9 < along < LIKE:
+                    continue
+                best, at = d, n
+    return at, best if at >= 0 else FAR
+
+
+@kernel
+def distances(queries, query_normals, motions, points, normals, starts, reach, across):
+    """(K, n) the distance of each query point, moved as in each pose, from what may be of the same
+    surface in that pose; FAR beyond `reach`. `motions` (K, 3, 4)."""
+    out = np.empty((len(motions), len(queries)), np.float32)
+    for k in range(len(motions)):
+        M = motions[k]
+        for i in range(len(queries)):
+            p, q, r = queries[i, 0], queries[i, 1], queries[i, 2]
+            a, b, c = query_normals[i, 0], query_normals[i, 1], query_normals[i, 2]
+            at, d = _nearest(
+                points, normals, starts, k,
+                M[0, 0] * p + M[0, 1] * q + M[0, 2] * r + M[0, 3],
+                M[1, 0] * p + M[1, 1] * q + M[1, 2] * r + M[1, 3],
+                M[2, 0] * p + M[2, 1] * q + M[2, 2] * r + M[2, 3],
+                M[0, 0] * a + M[0, 1] * b + M[0, 2] * c,
+                M[1, 0] * a + M[1, 1] * b + M[1, 2] * c,
+                M[2, 0] * a + M[2, 1] * b + M[2, 2] * c,
+                reach, across,
+            )  # fmt: skip
+            out[k, i] = np.sqrt(d) if at >= 0 else FAR
+    return out
+
+
+@kernel
+def about(queries, values, points, starts, pose, reach, skip_self):
+    """(n, 2) of the points of a pose within `reach` of each query: how many, and the sum of their
+    `values`; `skip_self` leaves out those that are where the query is."""
+    out = np.zeros((len(queries), 2))
+    for i in range(len(queries)):
+        x, y, z = queries[i, 0], queries[i, 1], queries[i, 2]
+        low_i = max(int(np.floor((x - reach + 0.5) * CELLS)), 0)
+        low_j = max(int(np.floor((y - reach + 0.5) * CELLS)), 0)
+        low_k = max(int(np.floor((z - reach + 0.5) * CELLS)), 0)
+        high_i = min(int(np.floor((x + reach + 0.5) * CELLS)), CELLS - 1)
+        high_j = min(int(np.floor((y + reach + 0.5) * CELLS)), CELLS - 1)
+        high_k = min(int(np.floor((z + reach + 0.5) * CELLS)), CELLS - 1)
+        for a in range(low_i, high_i + 1):
+            for b in range(low_j, high_j + 1):
+                row = (a * CELLS + b) * CELLS
+                if high_k < low_k:
+                    continue
+                for n in range(starts[pose, row + low_k], starts[pose, row + high_k + 1]):
+                    dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
+                    d = dx * dx + dy * dy + dz * dz
+                    if d <= reach * reach and not (skip_self and d == 0.0):
+                        out[i, 0] += 1.0
+                        out[i, 1] += values[n]
+    return out
+
+
+@kernel
+def spacing(queries, points, starts, pose, reach):
+    """(n,) how far the nearest other point of the same cloud is; `reach` where none is nearer."""
+    out = np.empty(len(queries))
+    for i in range(len(queries)):
+        x, y, z = queries[i, 0], queries[i, 1], queries[i, 2]
+        best = reach * reach
+        low_i = max(int(np.floor((x - reach + 0.5) * CELLS)), 0)
+        low_j = max(int(np.floor((y - reach + 0.5) * CELLS)), 0)
+        low_k = max(int(np.floor((z - reach + 0.5) * CELLS)), 0)
+        high_i = min(int(np.floor((x + reach + 0.5) * CELLS)), CELLS - 1)
+        high_j = min(int(np.floor((y + reach + 0.5) * CELLS)), CELLS - 1)
+        high_k = min(int(np.floor((z + reach + 0.5) * CELLS)), CELLS - 1)
+        for a in range(low_i, high_i + 1):
+            for b in range(low_j, high_j + 1):
+                row = (a * CELLS + b) * CELLS
+                for n in range(starts[pose, row + low_k], starts[pose, row + high_k + 1]):
+                    dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
+                    d = dx * dx + dy * dy + dz * dz
+                    if 0.0 < d < best:
+                        best = d
+        out[i] = np.sqrt(best)
+    return out
+
+
+@helper
+def _shape(C, normal, stiffness):  # noqa: PLR0912 - two rotations a line each
+    """Jacobi's rotations of the symmetric (3, 3) covariance `C`, which is destroyed: into `normal`
+    (3,) the direction of least variance, zeros where that is not much less than the others; into
+    `stiffness` (3, 3) how well the points tell of a shift: 1 along directions in which they spread
+    little, ALONG where they spread most."""
+    V = np.eye(3)
+    for _ in range(8):
+        for p in range(2):
+            for q in range(p + 1, 3):
+                if abs(C[p, q]) < 1e-15:
+                    continue
+                theta = (C[q, q] - C[p, p]) / (2.0 * C[p, q])
+                t = 1.0 / (abs(theta) + np.sqrt(theta * theta + 1.0))
+                if theta < 0.0:
+                    t = -t
+                c = 1.0 / np.sqrt(t * t + 1.0)
+                s = t * c
+                for k in range(3):
+                    a, b = C[k, p], C[k, q]
+                    C[k, p], C[k, q] = c * a - s * b, s * a + c * b
+                for k in range(3):
+                    a, b = C[p, k], C[q, k]
+                    C[p, k], C[q, k] = c * a - s * b, s * a + c * b
+                for k in range(3):
+                    a, b = V[k, p], V[k, q]
+                    V[k, p], V[k, q] = c * a - s * b, s * a + c * b
+    least = 0
+    for k in range(1, 3):
+        if C[k, k] < C[least, least]:
+            least = k
+    smaller = min(C[(least + 1) % 3, (least + 1) % 3], C[(least + 2) % 3, (least + 2) % 3])
+    most = max(C[0, 0], C[1, 1], C[2, 2], 1e-30)
+    for k in range(3):
+        normal[k] = V[k, least] if C[least, least] < FLAT * smaller else 0.0
+    stiffness[:] = 0.0
+    for e in range(3):
+        weight = max(1.0 - 2.0 * C[e, e] / most, ALONG)
+        for i in range(3):
+            for j in range(3):
+                stiffness[i, j] += weight * V[i, e] * V[j, e]
+
+
+@kernel
+def shapes(queries, points, starts, pose, reach):
+    """Of what is within `reach` of each query: (n, 3) the unit normal, of either sign, of the plane
+    through it, zeros where that is no plane; (n, 3, 3) its stiffness, see `_shape`."""
+    out, stiffness = np.zeros((len(queries), 3)), np.zeros((len(queries), 3, 3))
+    C = np.zeros((3, 3))
+    for i in range(len(queries)):
+        x, y, z = queries[i, 0], queries[i, 1], queries[i, 2]
+        low_i = max(int(np.floor((x - reach + 0.5) * CELLS)), 0)
+        low_j = max(int(np.floor((y - reach + 0.5) * CELLS)), 0)
+        low_k = max(int(np.floor((z - reach + 0.5) * CELLS)), 0)
+        high_i = min(int(np.floor((x + reach + 0.5) * CELLS)), CELLS - 1)
+        high_j = min(int(np.floor((y + reach + 0.5) * CELLS)), CELLS - 1)
+        high_k = min(int(np.floor((z + reach + 0.5) * CELLS)), CELLS - 1)
+        C[:] = 0.0
+        sx = sy = sz = count = 0.0
+        for a in range(low_i, high_i + 1):
+            for b in range(low_j, high_j + 1):
+                row = (a * CELLS + b) * CELLS
+                for n in range(starts[pose, row + low_k], starts[pose, row + high_k + 1]):
+                    dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
+                    if dx * dx + dy * dy + dz * dz > reach * reach:
+                        continue
+                    count += 1.0
+                    sx, sy, sz = sx + dx, sy + dy, sz + dz
+                    C[0, 0] += dx * dx
+                    C[0, 1] += dx * dy
+                    C[0, 2] += dx * dz
+                    C[1, 1] += dy * dy
+                    C[1, 2] += dy * dz
+                    C[2, 2] += dz * dz
+        if count > 0.0:
+            C[0, 0] -= sx * sx / count
+            C[0, 1] -= sx * sy / count
+            C[0, 2] -= sx * sz / count
+            C[1, 1] -= sy * sy / count
+            C[1, 2] -= sy * sz / count
+            C[2, 2] -= sz * sz / count
+        C[1, 0], C[2, 0], C[2, 1] = C[0, 1], C[0, 2], C[1, 2]
+        _shape(C, out[i], stiffness[i])
+    return out, stiffness
+
+
+@kernel
+def votes(turned, offsets, weights, grid):
+    """For each of C candidates and each of eight poses, the step at which most points land.
+
+    Args:
+        turned: (T, m, 3) float32, the points at each of T steps, in cells of `grid`.
+        offsets: (C, T, 3) float32, what each candidate adds to them.
+        weights: (m,) uint64: byte k is 1 where the point counts in pose k.
+        grid: (VOTES^3,) uint64: byte k is 1 where pose k has something new. At most 255 points.
+
+    Returns:
+        (C, 8) the greatest number of points, and (C, 8) the step where it is reached first.
+    """
+    C, T = offsets.shape[0], offsets.shape[1]
+    most, step = np.zeros((C, 8), np.uint8), np.zeros((C, 8), np.int32)
+    for t in range(T):
+        Y = turned[t]
+        for c in range(C):
+            ox, oy, oz = offsets[c, t, 0], offsets[c, t, 1], offsets[c, t, 2]
+            total = np.uint64(0)
+            for m in range(len(Y)):
+                x, y, z = Y[m, 0] + ox, Y[m, 1] + oy, Y[m, 2] + oz
+                if 0.0 <= x < VOTES and 0.0 <= y < VOTES and 0.0 <= z < VOTES:
+                    total += grid[(int(x) * VOTES + int(y)) * VOTES + int(z)] & weights[m]
+            for k in range(8):
+                count = np.uint8(total >> np.uint64(8 * k) & np.uint64(255))
+                if count > most[c, k]:
+                    most[c, k], step[c, k] = count, t
+    return most, step
+
+
+@kernel
+def profile(queries, query_normals, turned_steps, points, normals, starts, pose, reach, across):
+    """(T,) how well query points (m, 3), moved by each of `turned_steps` (T, 3, 4), lie on a pose:
+    the sum over them of 1 - (d / reach)^2, 0 beyond it."""
+    out = np.zeros(len(turned_steps))
+    for t in range(len(turned_steps)):
+        M = turned_steps[t]
+        for i in range(len(queries)):
+            p, q, r = queries[i, 0], queries[i, 1], queries[i, 2]
+            a, b, c = query_normals[i, 0], query_normals[i, 1], query_normals[i, 2]
+            at, d = _nearest(
+                points, normals, starts, pose,
+                M[0, 0] * p + M[0, 1] * q + M[0, 2] * r + M[0, 3],
+                M[1, 0] * p + M[1, 1] * q + M[1, 2] * r + M[1, 3],
+                M[2, 0] * p + M[2, 1] * q + M[2, 2] * r + M[2, 3],
+                M[0, 0] * a + M[0, 1] * b + M[0, 2] * c,
+                M[1, 0] * a + M[1, 1] * b + M[1, 2] * c,
+                M[2, 0] * a + M[2, 1] * b + M[2, 2] * c,
+                reach, across,
+            )  # fmt: skip
+            if at >= 0:
+                out[t] += 1.0 - d / (reach * reach)
+    return out
+
+
+@kernel
+def normal_equations(  # noqa: PLR0912
+    queries, query_normals, stiffness, motions, turns, joint,
+    points, normals, starts, reach, across,
+):  # fmt: skip
+    """Gauss and Newton's system for a joint and its states: each moved point against what is
+    nearest to it in the pose, by its own stiffness, as in generalised ICP (Segal et al. 2009).
+
+    Args:
+        queries, query_normals, stiffness: (m, 3), (m, 3), (m, 3, 3) of pose 0.
+        motions: (K, 3, 4) of each pose.
+        turns: whether it is a revolute joint.
+        joint: (4, 3) axis, pivot, and two unit vectors that span the plane across the axis.
+        reach: what is farther counts for nothing, what is near it for little (Tukey's weights).
+
+    Returns:
+        H (4 + K, 4 + K), g (4 + K,): tilts of the axis about both vectors (of a slide: towards
+        them), shifts of the pivot along them, states.
+    """
+    K = len(motions)
+    H, g = np.zeros((4 + K, 4 + K)), np.zeros(4 + K)
+    J, B, S = np.zeros((6, 3)), np.zeros((6, 3)), np.zeros(3)
+    a, c = joint[0], joint[1]
+    for k in range(K):
+        M = motions[k]
+        for i in range(len(queries)):
+            p, n = queries[i], query_normals[i]
+            x = M[0, 0] * p[0] + M[0, 1] * p[1] + M[0, 2] * p[2] + M[0, 3]
+            y = M[1, 0] * p[0] + M[1, 1] * p[1] + M[1, 2] * p[2] + M[1, 3]
+            z = M[2, 0] * p[0] + M[2, 1] * p[1] + M[2, 2] * p[2] + M[2, 3]
+            nx = M[0, 0] * n[0] + M[0, 1] * n[1] + M[0, 2] * n[2]
+            ny = M[1, 0] * n[0] + M[1, 1] * n[1] + M[1, 2] * n[2]
+            nz = M[2, 0] * n[0] + M[2, 1] * n[1] + M[2, 2] * n[2]
+            at, d = _nearest(points, normals, starts, k, x, y, z, nx, ny, nz, reach, across)
+            if at < 0:
+                continue
+            weight = (1.0 - d / (reach * reach)) ** 2
+            rx, ry, rz = x - points[at, 0], y - points[at, 1], z - points[at, 2]
+            if turns:
+                qx, qy, qz = x - c[0], y - c[1], z - c[2]
+                ox, oy, oz = p[0] - c[0], p[1] - c[1], p[2] - c[2]
+                J[4, 0] = a[1] * qz - a[2] * qy
+                J[4, 1] = a[2] * qx - a[0] * qz
+                J[4, 2] = a[0] * qy - a[1] * qx
+                for e in range(2):
+                    w = joint[2 + e]
+                    ux, uy, uz = w[1] * oz - w[2] * oy, w[2] * ox - w[0] * oz, w[0] * oy - w[1] * ox
+                    J[e, 0] = w[1] * qz - w[2] * qy - (M[0, 0] * ux + M[0, 1] * uy + M[0, 2] * uz)
+                    J[e, 1] = w[2] * qx - w[0] * qz - (M[1, 0] * ux + M[1, 1] * uy + M[1, 2] * uz)
+                    J[e, 2] = w[0] * qy - w[1] * qx - (M[2, 0] * ux + M[2, 1] * uy + M[2, 2] * uz)
+                    for r in range(3):
+                        J[2 + e, r] = w[r] - (M[r, 0] * w[0] + M[r, 1] * w[1] + M[r, 2] * w[2])
+            else:
+                sx, sy, sz = M[0, 3], M[1, 3], M[2, 3]
+                s = sx * a[0] + sy * a[1] + sz * a[2]
+                for r in range(3):
+                    J[4, r] = a[r]
+                    J[0, r], J[1, r] = s * joint[2, r], s * joint[3, r]
+                    J[2, r], J[3, r] = 0.0, 0.0
+            J[5, 0], J[5, 1], J[5, 2] = rx, ry, rz
+            W = stiffness[i]
+            for u in range(6):  # in the frame of pose 0
+                jx, jy, jz = J[u, 0], J[u, 1], J[u, 2]
+                for r in range(3):
+                    B[u, r] = M[0, r] * jx + M[1, r] * jy + M[2, r] * jz
+            for u in range(5):
+                row = u if u < 4 else 4 + k
+                for r in range(3):
+                    S[r] = weight * (W[r, 0] * B[u, 0] + W[r, 1] * B[u, 1] + W[r, 2] * B[u, 2])
+                g[row] += S[0] * B[5, 0] + S[1] * B[5, 1] + S[2] * B[5, 2]
+                for v in range(u + 1):
+                    column = v if v < 4 else 4 + k
+                    value = S[0] * B[v, 0] + S[1] * B[v, 1] + S[2] * B[v, 2]
+                    H[row, column] += value
+                    if row != column:
+                        H[column, row] += value
+    return H, g

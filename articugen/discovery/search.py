@@ -1,0 +1,162 @@
+"""Candidates for joints: a patch of points that have left pose 0 is turned about every axis of a
+grid, and slid along every direction of a fan, and what lands on something new is counted."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.discovery import kernels
+from articugen.discovery.clouds import Change
+from articugen.geometry import cross, fibonacci_sphere
+from articugen.records import Floats
+
+ANGLES = 96
+"""Steps of a full turn."""
+
+PIVOT_STEP = 0.03
+SLIDE_STEP = 0.0125
+_LONGEST_SLIDE = 0.8
+_FAN = 60
+_VOTE_REACH = 0.02
+"""Votes are for places so near to something new, at least: pivots and axes are on coarse grids."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A joint as it is searched for, in the cube: `axis` (3,), `pivot` (3,), `states` (S,) of the
+    searched poses."""
+
+    turns: bool
+    axis: Floats
+    pivot: Floats
+    states: Floats
+
+
+def motions(candidate: Candidate, states: Floats | None = None) -> Floats:
+    """(S, 3, 4) what a joint does to its part at its states, or at others."""
+    q = candidate.states if states is None else states
+    axis, pivot = candidate.axis, candidate.pivot
+    M = np.zeros((len(q), 3, 4))
+    if not candidate.turns:
+        M[:, :, :3], M[:, :, 3] = np.eye(3), q[:, None] * axis
+        return M
+    x, y, z = axis
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    R = np.eye(3) + np.sin(q)[:, None, None] * K + (1.0 - np.cos(q))[:, None, None] * (K @ K)
+    M[:, :, :3] = R
+    M[:, :, 3] = pivot - R @ pivot
+    return M
+
+
+def plane_across(axis: Floats) -> Floats:
+    """(2, 3) unit vectors that span the plane across `axis`; coordinate axes where they do."""
+    start = np.eye(3)[int(np.abs(axis).argmin())]
+    first = cross(axis, start)
+    first = first / np.linalg.norm(first)
+    return np.stack([first, cross(axis, first)])
+
+
+def ballot(change: Change) -> NDArray[np.uint64]:
+    """(VOTES^3,) of each cell: byte k is 1 where something new is near in searched pose k."""
+    R = kernels.VOTES
+    grid = np.zeros((R, R, R), np.uint64)
+    wide = max(change.near, _VOTE_REACH)
+    reach = int(np.ceil(wide * R))
+    ball = np.argwhere(np.ones((2 * reach + 1,) * 3)) - reach
+    ball = ball[(ball**2).sum(1) <= (wide * R) ** 2]
+    starts = change.targets.starts
+    for k in range(len(starts)):
+        points = change.targets.points[starts[k, 0] : starts[k, -1]]
+        cell = np.unique(np.floor((points + 0.5) * R).astype(int), axis=0)
+        around = (cell[:, None] + ball).reshape(-1, 3)
+        around = around[np.all((around >= 0) & (around < R), axis=1)]
+        mark = np.zeros((R, R, R), bool)
+        mark[tuple(around.T)] = True
+        grid |= mark.astype(np.uint64) << np.uint64(8 * k)
+    return grid.reshape(-1)
+
+
+def weights(change: Change, which: NDArray[np.intp]) -> NDArray[np.uint64]:
+    """(m,) of points of pose 0: byte k is 1 where the point has left in searched pose k."""
+    bits = change.gone[:, which].astype(np.uint64)
+    return np.bitwise_or.reduce(
+        bits << (8 * np.arange(len(bits), dtype=np.uint64))[:, None], axis=0
+    )
+
+
+class Search:
+    """The exhaustive search over what changes."""
+
+    def __init__(self, change: Change) -> None:
+        self.change = change
+        self.grid = ballot(change)
+        points = change.clouds[0][change.movers]
+        self.low = np.min([points.min(0), change.targets.points.min(0)], axis=0)
+        self.high = np.max([points.max(0), change.targets.points.max(0)], axis=0)
+
+    def turns(
+        self, which: NDArray[np.intp], axis: Floats, keep: int
+    ) -> list[tuple[float, Candidate]]:
+        """The best turns of some points (at most 255) about an axis of this direction."""
+        P, R = self.change.clouds[0][which], kernels.VOTES
+        across = plane_across(axis)
+        pivots = self._pivots(across, axis)
+        angles = np.linspace(-np.pi, np.pi, ANGLES, endpoint=False)
+        spin = Candidate(True, axis, np.zeros(3), angles)
+        turned = np.einsum("tij,mj->tmi", motions(spin)[:, :, :3], P)
+        rest = pivots[:, None] - np.einsum("tij,cj->cti", motions(spin)[:, :, :3], pivots)
+        w = weights(self.change, which)
+        most, step = kernels.votes(
+            (turned * R).astype(np.float32), ((rest + 0.5) * R).astype(np.float32), w, self.grid
+        )
+        share = most.sum(1) / self._whole(which)
+        found, free = [], np.ones(len(pivots), bool)
+        for _ in range(keep):
+            c = int(np.where(free, share, -1.0).argmax())
+            states = self._states(angles, step[c], which)
+            found.append((float(share[c]), Candidate(True, axis, pivots[c], states)))
+            free &= ((pivots - pivots[c]) ** 2).sum(1) > (2.5 * PIVOT_STEP) ** 2
+            if not free.any():
+                break
+        return found
+
+    def slides(self, which: NDArray[np.intp], keep: int) -> list[tuple[float, Candidate]]:
+        """The best slides of some points (at most 255), coordinate axes and a fan of others."""
+        P, R = self.change.clouds[0][which], kernels.VOTES
+        fan = fibonacci_sphere(2 * _FAN)
+        ways = np.concatenate([np.eye(3), fan[fan[:, 2] > 0]])
+        lengths = np.arange(-_LONGEST_SLIDE, _LONGEST_SLIDE, SLIDE_STEP)
+        offsets = ways[:, None] * lengths[:, None] + 0.5
+        turned = np.broadcast_to(P * R, (len(lengths), *P.shape))
+        most, step = kernels.votes(
+            turned.astype(np.float32), (offsets * R).astype(np.float32),
+            weights(self.change, which), self.grid,
+        )  # fmt: skip
+        share = most.sum(1) / self._whole(which)
+        share[:3] += 0.02
+        middle = P.mean(0)
+        best = np.argsort(-share, kind="stable")[:keep]
+        slid = [self._states(lengths, step[c], which) for c in best]
+        return [
+            (float(share[c]), Candidate(False, ways[c], middle, states))
+            for c, states in zip(best, slid, strict=True)
+        ]
+
+    def _states(self, steps: Floats, best: NDArray[np.int32], which: NDArray[np.intp]) -> Floats:
+        """(S,) the states that got most votes; 0 where few have left, and votes say little."""
+        gone = self.change.gone[:, which].mean(1)
+        return np.where(gone > 0.3, steps[best[: len(gone)]], 0.0)
+
+    def _whole(self, which: NDArray[np.intp]) -> float:
+        return max(float(self.change.gone[:, which].sum()), 1.0)
+
+    def _pivots(self, across: Floats, axis: Floats) -> Floats:
+        """(C, 3) a grid over the object's shadow along `axis`, at the middle of its height."""
+        corners = np.array([np.where(b, self.high, self.low) for b in np.ndindex(2, 2, 2)])
+        u, v = across @ corners.T
+        us = np.arange(u.min() - PIVOT_STEP, u.max() + 2 * PIVOT_STEP, PIVOT_STEP)
+        vs = np.arange(v.min() - PIVOT_STEP, v.max() + 2 * PIVOT_STEP, PIVOT_STEP)
+        grid = np.stack(np.meshgrid(us, vs, indexing="ij"), axis=-1).reshape(-1, 2)
+        middle = (self.low + self.high) @ axis / 2.0
+        return grid @ across + middle * axis

@@ -1,0 +1,118 @@
+"""Parts matched anew in every instance: what self-supervised pose estimators are measured by.
+
+OP-Align (Che et al., ECCV 2024) and SCAPO (Zhang and Lee, CVPR 2026) tell no part from another:
+which prediction stands for which true part is what labels most points of the instance rightly.
+Here, where there may be more predicted parts than true ones, that is an assignment problem. They
+measure what they match alone; here nothing is dropped: a true part without a predicted one has IoU
+0 and does not move, and its joint is 90 degrees and the unit cube's diagonal off.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from articugen.geometry import apply
+from articugen.learning.evaluation import metrics
+from articugen.learning.evaluation.metrics import DIAGONAL, NO_LABEL, Ints
+from articugen.learning.evaluation.reconstruction import Reconstruction
+from articugen.records import Floats, Instance, JointKind, dequantize
+
+RIGHT_ANGLE = 90.0
+
+
+@dataclass(frozen=True, eq=False)
+class Matching:
+    """Of the K true parts of one instance.
+
+    Attributes:
+        predicted: (K,) the predicted part that each is matched with, NO_LABEL for none.
+        iou: (K,) |points of both| / |points of either|; nan of a part that has no point.
+    """
+
+    predicted: Ints
+    iou: Floats
+
+
+def matching(nearest: Ints, true: Ints, instance: Instance, parts: int) -> Matching:
+    """Predicted with true parts, so that most of an instance's surface points are labelled rightly.
+
+    Args:
+        nearest, true: (n,) of some of its points, up to so many a true part; each part's stand
+            for all that are stored of it, which are uniform by area.
+        parts: how many predicted parts there are.
+    """
+    K = len(instance.part_motion)
+    count = np.bincount(instance.surface_part, minlength=K)
+    shared = count * metrics.votes(nearest, true, parts, K)
+    predicted = metrics.assigned(shared.T)
+    both = np.where(predicted == NO_LABEL, 0.0, shared[predicted, np.arange(K)])
+    either = count + np.where(predicted == NO_LABEL, 0.0, shared.sum(1)[predicted]) - both
+    iou = np.full(K, np.nan)
+    np.divide(both, either, out=iou, where=count > 0)
+    return Matching(predicted, iou)
+
+
+def pose_errors(
+    instances: tuple[Instance, Instance],
+    found: tuple[Reconstruction, Reconstruction],
+    matched: Matching,
+) -> Iterator[tuple[str, float]]:
+    """Means over an instance's true parts of how far rotations and translations are off.
+
+    Args:
+        instances: of one object, the canonical one and another; poses are counted from the former.
+        matched: of the latter.
+    """
+    motion = found[0].motion_to(found[1])
+    motion = found[0].joint_motion_to(found[1]) if motion is None else motion
+    if motion is None:
+        return
+    canonical, instance = instances
+    points, part = dequantize(canonical.surface_points), canonical.surface_part
+    errors = {}
+    for k in np.unique(part).tolist():
+        i, mine = matched.predicted[k], points[part == k]
+        T, T_true = np.eye(4) if i == NO_LABEL else motion[i], instance.part_motion[k]
+        centre = 0.5 * (mine.min(0) + mine.max(0))
+        angle = np.degrees(metrics.angle_between_rotations(T[:3, :3], T_true[:3, :3]))
+        errors[k] = angle, np.linalg.norm(apply(T, centre) - apply(T_true, centre))
+    for which, first in (("all", 0), ("moving", 1)):
+        mine = [errors[k] for k in errors if k >= first]
+        if mine:
+            degrees, length = np.mean(mine, axis=0)
+            yield f"matched_rotation_degrees_{which}", float(degrees)
+            yield f"matched_translation_{which}", float(length)
+
+
+def joint_errors(
+    instances: tuple[Instance, Instance],
+    found: tuple[Reconstruction, Reconstruction],
+    matched: Matching,
+) -> Iterator[tuple[str, float]]:
+    """How far each joint's direction, pivot and state since the canonical pose are off.
+
+    Args:
+        instances, matched: as `pose_errors` takes them.
+    """
+    canonical, instance = instances
+    first, joints = (each.joints for each in found)
+    if first is None or joints is None:
+        return
+    for j, kind in enumerate(instance.joint_kind.tolist()):
+        i, true_axis = int(matched.predicted[j + 1]), instance.joint_axis[j]
+        revolute = kind == JointKind.REVOLUTE
+        true_change = float(instance.joint_state[j] - canonical.joint_state[j])
+        direction, pivot, change = RIGHT_ANGLE, DIAGONAL, 0.0
+        if i != NO_LABEL and joints.kind[i] == kind:
+            u = joints.direction[i]
+            direction = float(np.degrees(metrics.angle_between_lines(u, true_axis)))
+            pivot = metrics.point_to_line(joints.pivot[i], instance.joint_pivot[j], true_axis)
+            change = joints.change_since(first, i, true_axis)
+        state = abs(change - true_change)
+        yield "matched_direction_degrees", direction
+        if revolute:
+            yield "matched_pivot_distance", pivot
+            yield "matched_state_degrees", float(np.degrees(state))
+        else:
+            yield "matched_state_length", state

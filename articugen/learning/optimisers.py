@@ -1,0 +1,365 @@
+"""Adam, SOAP and Muon: what becomes of a network's gradients.
+
+SOAP and Muon know that weights are matrices: a linear layer has one, (out, in), a grouped layer one
+for each of its groups, (G, out, in). Small products cost calls rather than arithmetic, so matrices
+of one shape are stacked and stepped together, whatever layers they are of. All other parameters
+(biases, codes, great matrices) get Adam's step.
+
+Nothing here waits for a GPU but SOAP's first step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor, nn
+
+Betas = tuple[float, float]
+
+GREATEST_SIDE = 64
+"""A longer side gets no basis from SOAP; Muon leaves matrices with two longer sides to Adam."""
+
+EPSILON = 1e-8
+
+Named = dict[str, nn.Parameter]
+"""Parameters by their names in the network."""
+
+
+class Optimiser(Protocol):
+    """Steps of one network."""
+
+    def step(self, rate: float) -> None:
+        """One step of the learning rate `rate` along the parameters' gradients; where a parameter
+        has none it stays."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """All that `load` needs to go on exactly; its keys, shapes and types never change."""
+        ...
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Go on from another one's `state`."""
+        ...
+
+
+def optimiser_of(name: str, network: nn.Module) -> Optimiser:
+    """The one that recipes call `name`, at its beginning."""
+    return {"adam": Adam, "soap": Soap, "muon": Muon}[name](dict(network.named_parameters()))
+
+
+class Adam:
+    """Adam (Kingma and Ba 2015) as torch has it."""
+
+    def __init__(self, named: Named, betas: Betas = (0.9, 0.999)) -> None:
+        self.named = named
+        # One call for all parameters; the other devices have no such kernel.
+        fused = {p.device.type for p in named.values()} <= {"cpu", "cuda"}
+        group = {"params": list(named.values())}
+        self.adam = torch.optim.Adam([group], betas=betas, eps=EPSILON, fused=fused)
+
+    def step(self, rate: float) -> None:
+        for group in self.adam.param_groups:
+            group["lr"] = rate
+        self.adam.step()
+
+    def state(self) -> dict[str, Any]:
+        """By the names of the parameters; new ones count 0 steps."""
+        at, none = self.adam.state, torch.zeros(())
+        steps = {
+            n: at[p]["step"].detach().cpu() if p in at else none for n, p in self.named.items()
+        }
+        moments = {
+            moment: {
+                n: at[p][moment] if p in at else torch.zeros_like(p) for n, p in self.named.items()
+            }
+            for moment in ("exp_avg", "exp_avg_sq")
+        }
+        return {"step": steps, **moments}
+
+    def load(self, state: dict[str, Any]) -> None:
+        each = {
+            index: {what: state[what][name].clone() for what in ("step", "exp_avg", "exp_avg_sq")}
+            for index, name in enumerate(self.named)
+        }
+        groups = self.adam.state_dict()["param_groups"]
+        self.adam.load_state_dict({"state": each, "param_groups": groups})
+
+
+class Soap:
+    """SOAP (Vyas et al. 2024, "SOAP: Improving and Stabilizing Shampoo using Adam", Algorithm 3).
+
+    Adam's step in the eigenbases of the two Gram matrices of each weight, the running means of
+    G G^T and G^T G of its gradients G. The bases are renewed by a step of power iteration and QR
+    (Algorithm 4); the first ones are exact, and as in the authors' code the first gradient serves
+    for them alone. A side of 1, or of more than `GREATEST_SIDE`, keeps its own axes. The mean of
+    the gradients is kept in the bases and turned along when they change: the same as the paper's,
+    which turns it at every step.
+    """
+
+    BETAS: Betas = (0.95, 0.95)
+    RENEW_EVERY = 10
+
+    def __init__(self, named: Named) -> None:
+        self.flat, others = _sorted_out(named, lambda m, n: _has_basis(m) or _has_basis(n))
+        self.rest = Adam(others, self.BETAS)
+        self.steps = 0
+        self.mean, self.square = self.flat.zeros(), self.flat.zeros()
+        counts: dict[int, int] = {}
+        for stack in self.flat.stacks:
+            for n in filter(_has_basis, stack.shape[1:]):
+                counts[n] = counts.get(n, 0) + stack.shape[0]
+        self.sides = {n: _Side.new(count, n, self.mean) for n, count in counts.items()}
+        taken = dict.fromkeys(counts, 0)
+
+        def take(count: int, n: int) -> _Side | None:
+            if not _has_basis(n):
+                return None
+            taken[n] += count
+            return self.sides[n].of(slice(taken[n] - count, taken[n]))
+
+        self.bases = [(take(k, m), take(k, n)) for k, m, n in (s.shape for s in self.flat.stacks)]
+
+    @torch.no_grad()
+    def step(self, rate: float) -> None:
+        self.rest.step(rate)
+        gradient = self.flat.gradient()
+        if self.steps:
+            self._descend(gradient, rate)
+        for G, (left, right) in zip(self.flat.split(gradient), self.bases, strict=True):
+            if left:
+                left.follow(G, self.BETAS[1])
+            if right:
+                right.follow(G.mT, self.BETAS[1])
+        if self.steps == 0:
+            for side in self.sides.values():
+                side.find()
+        elif self.steps % self.RENEW_EVERY == 0:
+            mean = self._turned(self.mean, back=True)
+            for side in self.sides.values():
+                side.renew()
+            self.mean = self._turned(mean)
+        self.steps += 1
+
+    def _descend(self, gradient: Tensor, rate: float) -> None:
+        """Adam's step in the bases."""
+        turned, (keep, keep_square) = self._turned(gradient), self.BETAS
+        self.mean.lerp_(turned, 1.0 - keep)
+        self.square.mul_(keep_square).addcmul_(turned, turned, value=1.0 - keep_square)
+        root = math.sqrt(1.0 - keep_square**self.steps)
+        direction = self.mean / self.square.sqrt().add_(EPSILON * root)
+        factor = root / (1.0 - keep**self.steps)
+        self.flat.descend(self._turned(direction, back=True), factor * rate)
+
+    def _turned(self, flat: Tensor, back: bool = False) -> Tensor:
+        """Q_L^T X Q_R of every matrix X, or `back`, Q_L X Q_R^T."""
+        pieces = []
+        for matrices, (left, right) in zip(self.flat.split(flat), self.bases, strict=True):
+            x = matrices
+            if left:
+                x = torch.bmm(left.basis if back else left.basis.mT, x)
+            if right:
+                x = torch.bmm(x, right.basis.mT if back else right.basis)
+            pieces.append(x)
+        return self.flat.joined(pieces)
+
+    def state(self) -> dict[str, Any]:
+        """By the names of the parameters; `left` and `right` are the sides of out and of in."""
+        grams: dict[str, Tensor] = {}
+        bases: dict[str, Tensor] = {}
+        for stack, sides in zip(self.flat.stacks, self.bases, strict=True):
+            for which, side in zip(("left", "right"), sides, strict=True):
+                if side:
+                    names = [f"{name}.{which}" for name in stack.counts]
+                    counts = list(stack.counts.values())
+                    grams |= zip(names, side.gram.split(counts), strict=True)
+                    bases |= zip(names, side.basis.split(counts), strict=True)
+        return {
+            "step": torch.tensor(self.steps),
+            "mean": self.flat.named(self.mean),
+            "square": self.flat.named(self.square),
+            "gram": grams,
+            "basis": bases,
+            "rest": self.rest.state(),
+        }
+
+    def load(self, state: dict[str, Any]) -> None:
+        self.steps = int(state["step"])
+        _fill(self.state(), state, but=("rest",))
+        self.rest.load(state["rest"])
+
+
+def _has_basis(side: int) -> bool:
+    return 1 < side <= GREATEST_SIDE
+
+
+@dataclass(frozen=True)
+class _Side:
+    """Some sides of one length.
+
+    Attributes:
+        gram, basis: (count, n, n) Gram matrices and their eigenbases; an eigenvector is a column.
+    """
+
+    gram: Tensor
+    basis: Tensor
+
+    @staticmethod
+    def new(count: int, n: int, like: Tensor) -> _Side:
+        """Nothing is known yet."""
+        eye = torch.eye(n, dtype=like.dtype, device=like.device)
+        return _Side(like.new_zeros(count, n, n), eye.repeat(count, 1, 1))
+
+    def of(self, some: slice) -> _Side:
+        """Views of some."""
+        return _Side(self.gram[some], self.basis[some])
+
+    def follow(self, G: Tensor, keep: float) -> None:
+        """Let the Gram matrices follow gradients (count, n, any)."""
+        self.gram.baddbmm_(G, G.mT, beta=keep, alpha=1.0 - keep)
+
+    def find(self) -> None:
+        """The bases, the greatest eigenvalue first."""
+        known = self.gram.nan_to_num(0.0, 0.0, 0.0)  # a GPU learns later of what is not finite
+        self.basis.copy_(torch.linalg.eigh(known).eigenvectors.flip(-1))
+
+    def renew(self) -> None:
+        """Bring the bases nearer by one step."""
+        self.basis.copy_(torch.linalg.qr(torch.bmm(self.gram, self.basis)).Q)
+
+
+class Muon:
+    """Muon (Jordan 2024, kellerjordan.github.io/posts/muon): the momentum of each weight made
+    orthogonal, by five steps of Newton and Schulz.
+
+    Unlike there first and last layers are orthogonalised too, and in single precision.
+    """
+
+    MOMENTUM = 0.95
+    BETAS: Betas = (0.9, 0.95)
+    """Of Adam, for the rest."""
+
+    def __init__(self, named: Named) -> None:
+        self.flat, others = _sorted_out(named, lambda m, n: min(m, n) <= GREATEST_SIDE)
+        self.rest = Adam(others, self.BETAS)
+        self.mean = self.flat.zeros()
+
+    @torch.no_grad()
+    def step(self, rate: float) -> None:
+        self.rest.step(rate)
+        gradient = self.flat.gradient()
+        self.mean.lerp_(gradient, 1.0 - self.MOMENTUM)
+        ahead = gradient.lerp_(self.mean, self.MOMENTUM)  # Nesterov's
+        pieces = [_orthogonal(matrices) for matrices in self.flat.split(ahead)]
+        self.flat.descend(self.flat.joined(pieces), rate)
+
+    def state(self) -> dict[str, Any]:
+        """By the names of the parameters."""
+        return {"mean": self.flat.named(self.mean), "rest": self.rest.state()}
+
+    def load(self, state: dict[str, Any]) -> None:
+        _fill(self.state(), state, but=("rest",))
+        self.rest.load(state["rest"])
+
+
+def _orthogonal(matrices: Tensor) -> Tensor:
+    """U V^T of each U S V^T of (k, m, n), roughly: singular values end between 0.7 and 1.2, times
+    sqrt(m / n) where there are more rows than columns."""
+    _, m, n = matrices.shape
+    x = matrices.mT if m > n else matrices
+    x = x / (x.norm(dim=(1, 2), keepdim=True) + 1e-7)
+    for _ in range(5):
+        A = torch.bmm(x, x.mT)
+        B = torch.baddbmm(A, A, A, beta=-4.7750, alpha=2.0315)
+        x = torch.baddbmm(x, B, x, beta=3.4445)
+    return x.mT * math.sqrt(m / n) if m > n else x
+
+
+@dataclass(frozen=True)
+class _Stack:
+    """Matrices of one shape.
+
+    Attributes:
+        counts: how many are of each parameter.
+        shape: (k, m, n) of all together.
+    """
+
+    counts: dict[str, int]
+    shape: tuple[int, int, int]
+
+
+class _Flat:
+    """Weights of a network in one flat vector, stack by stack.
+
+    Attributes:
+        weights: in that order.
+    """
+
+    def __init__(self, named: Named, like: Tensor) -> None:
+        by_shape: dict[tuple[int, int], Named] = {}
+        for name, weight in named.items():
+            m, n = weight.shape[-2:]
+            by_shape.setdefault((m, n), {})[name] = weight
+        self.stacks: list[_Stack] = []
+        for (m, n), own in by_shape.items():
+            counts = {name: weight.numel() // (m * n) for name, weight in own.items()}
+            self.stacks.append(_Stack(counts, (sum(counts.values()), m, n)))
+        self.weights = {n: w for own in by_shape.values() for n, w in own.items()}
+        self._empty = like.new_empty(0)
+        self._sizes = [weight.numel() for weight in self.weights.values()]
+
+    def zeros(self) -> Tensor:
+        """A number for each."""
+        return self._empty.new_zeros(sum(self._sizes))
+
+    def gradient(self) -> Tensor:
+        """That of all weights, 0 for those that have none."""
+        each = self.weights.values()
+        return self.joined([torch.zeros_like(w) if w.grad is None else w.grad for w in each])
+
+    def joined(self, pieces: list[Tensor]) -> Tensor:
+        """A new flat vector."""
+        return torch.cat([self._empty, *(piece.flatten() for piece in pieces)])
+
+    def split(self, flat: Tensor) -> list[Tensor]:
+        """Views (k, m, n) of the stacks in a flat vector."""
+        shapes = [stack.shape for stack in self.stacks]
+        pieces = flat.split([math.prod(shape) for shape in shapes])
+        return [piece.view(shape) for piece, shape in zip(pieces, shapes, strict=True)]
+
+    def named(self, flat: Tensor) -> dict[str, Tensor]:
+        """Views of the weights' own in a flat vector."""
+        pieces = zip(self.weights.items(), flat.split(self._sizes), strict=True)
+        return {name: piece.view(weight.shape) for (name, weight), piece in pieces}
+
+    def descend(self, direction: Tensor, rate: float) -> None:
+        """Move the weights against a direction."""
+        for weight, piece in zip(
+            self.weights.values(), self.named(direction).values(), strict=True
+        ):
+            weight.add_(piece, alpha=-rate)
+
+
+def _sorted_out(named: Named, wanted: Callable[[int, int], bool]) -> tuple[_Flat, Named]:
+    """The weights whose sides are `wanted`, and all the rest."""
+
+    def is_wanted(name: str, parameter: nn.Parameter) -> bool:
+        is_weight = name.rpartition(".")[2] == "weight" and parameter.ndim > 1
+        return is_weight and wanted(*parameter.shape[-2:])
+
+    chosen = {name: p for name, p in named.items() if is_wanted(name, p)}
+    rest = {name: p for name, p in named.items() if name not in chosen}
+    return _Flat(chosen, next(iter(named.values()))), rest
+
+
+def _fill(into: dict[str, Any], state: dict[str, Any], but: tuple[str, ...] = ()) -> None:
+    """Give the tensors in nested dicts the values of another's."""
+    for key, value in into.items():
+        if isinstance(value, dict):
+            if key not in but:
+                _fill(value, state[key])
+        else:
+            value.copy_(state[key])

@@ -1,0 +1,229 @@
+"""Joints found from poses of boxes whose motion is known."""
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ppd_data import write_boxes
+from typer.testing import CliRunner
+
+import articugen as ag
+from articugen.cli import app
+from articugen.discovery import Discovery, discover
+from articugen.errors import InvalidArgument
+from articugen.found_joints import axes_apart, discover_all
+from articugen.geometry import apply, rotation_about, transform
+from articugen.records import Floats, JointKind
+from tests.shapes import box
+
+Motion = Callable[[float], Floats]
+
+
+def turn(axis: Sequence[float], pivot: Sequence[float]) -> Motion:
+    """The motion (4, 4) of a state about an axis through `pivot`."""
+    way = np.array(axis) / np.linalg.norm(axis)
+
+    def motion(angle: float) -> Floats:
+        R = rotation_about(way, angle)
+        return transform(R, np.array(pivot) - R @ np.array(pivot))
+
+    return motion
+
+
+def slide(axis: Sequence[float]) -> Motion:
+    return lambda length: transform(translation=length * np.array(axis))
+
+
+def sampled(
+    size: Sequence[float], centre: Sequence[float], rng: np.random.Generator, count: int
+) -> Floats:
+    """(count, 3) uniform on the surface of a box."""
+    mesh = box(size, centre)
+    corners = mesh.vertices[mesh.faces]
+    area = mesh.area_faces / mesh.area
+    face = rng.choice(len(corners), count, p=area)
+    a, b = rng.random((2, count, 1))
+    fold = a + b > 1
+    a, b = np.where(fold, 1 - a, a), np.where(fold, 1 - b, b)
+    c = corners[face]
+    return c[:, 0] * (1 - a - b) + c[:, 1] * a + c[:, 2] * b
+
+
+BODY = ((0.4, 0.5, 0.5), (-0.2, 0.0, 0.0))
+
+
+def posed(
+    parts: Sequence[tuple[tuple[Sequence[float], Sequence[float]], Motion]], states: Floats
+) -> list[Floats]:
+    """Clouds of a body and parts, each drawn anew in each pose."""
+    rng = np.random.default_rng(5)
+    clouds = []
+    for row in states:
+        pieces = [sampled(*BODY, rng, 2000)]
+        for (shape, motion), state in zip(parts, row, strict=True):
+            pieces.append(apply(motion(state), sampled(*shape, rng, 600)))
+        clouds.append(np.concatenate(pieces))
+    return clouds
+
+
+def line_distance(found: Discovery, j: int, axis: Sequence[float], pivot: Sequence[float]) -> float:
+    """How far a true pivot is from the axis that was found."""
+    off = np.array(pivot) - found.joints[j].pivot
+    return float(np.linalg.norm(off - (off @ found.joints[j].axis) * found.joints[j].axis))
+
+
+def degrees_between(a: Floats, b: Sequence[float]) -> float:
+    way = np.array(b) / np.linalg.norm(b)
+    return float(np.degrees(np.arccos(np.clip(a @ way, -1.0, 1.0))))
+
+
+LID = ((0.03, 0.44, 0.44), (0.05, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("axis", [(0.0, 1.0, 0.0), (0.0, 0.12, 1.0)])
+def test_a_door_is_found_with_its_axis_its_pivot_and_its_angles(axis: Sequence[float]) -> None:
+    pivot = (0.05, 0.0, -0.22) if axis[1] == 1.0 else (0.05, -0.22, 0.0)
+    states = np.array([0.0, 0.5, 1.3, 0.9, 1.7])[:, None]
+    found = discover(posed([(LID, turn(axis, pivot))], states))
+    (joint,) = found.joints
+    assert joint.kind is JointKind.REVOLUTE
+    assert degrees_between(joint.axis, axis) < 1.0
+    assert line_distance(found, 0, axis, pivot) < 0.01
+    assert np.abs(joint.states - states[:, 0]).max() < 0.02
+    assert joint.score > 0.6
+    truth = np.repeat([0, 1], [2000, 600])
+    assert (found.part == truth).mean() > 0.97
+    moved = apply(found.motion(4)[1], found.points[truth == 1])
+    wanted = apply(turn(axis, pivot)(1.7), found.points[truth == 1])
+    assert np.abs(moved - wanted).max() < 0.02
+
+
+def test_two_hinges_are_two_joints() -> None:
+    sides = (-0.24, 0.24)
+    arms = [
+        (((0.45, 0.03, 0.06), (0.225, y, 0.0)), turn((0, 0, 1.0), (0.0, y, 0.0))) for y in sides
+    ]
+    rng = np.random.default_rng(1)
+    states = np.concatenate([np.zeros((1, 2)), rng.uniform(0.1, 1.4, (5, 2)) * [1.0, -1.0]])
+    found = discover(posed(arms, states))
+    assert [joint.kind for joint in found.joints] == [JointKind.REVOLUTE] * 2
+    for joint in found.joints:
+        side = int(joint.pivot[1] > 0)
+        sign = (1.0, -1.0)[side]
+        assert degrees_between(joint.axis, (0, 0, sign)) < 1.0
+        assert abs(joint.pivot[1] - sides[side]) < 0.01
+        assert np.abs(joint.states - sign * states[:, side]).max() < 0.02
+
+
+def test_three_drawers_are_three_slides() -> None:
+    heights = (-0.16, 0.0, 0.16)
+    fronts = [(((0.06, 0.46, 0.14), (0.04, 0.0, z)), slide((1.0, 0, 0))) for z in heights]
+    rng = np.random.default_rng(2)
+    states = np.concatenate([np.zeros((1, 3)), rng.uniform(0.02, 0.4, (8, 3))])
+    found = discover(posed(fronts, states))
+    assert [joint.kind for joint in found.joints] == [JointKind.PRISMATIC] * 3
+    for joint in found.joints:
+        which = int(np.abs(np.array(heights) - joint.pivot[2]).argmin())
+        assert degrees_between(joint.axis, (1, 0, 0)) < 2.0
+        assert np.abs(joint.states - states[:, which]).max() < 0.01
+
+
+def test_two_poses_are_enough_and_any_frame_will_do() -> None:
+    motion = turn((0, 1, 0), (0.05, 0, -0.22))
+    clouds = posed([(LID, motion)], np.array([[0.0], [1.2]]))
+    (joint,) = discover([7.0 * cloud + [3.0, 0.0, -2.0] for cloud in clouds]).joints
+    assert joint.kind is JointKind.REVOLUTE
+    assert degrees_between(joint.axis, (0, 1, 0)) < 3.0
+    assert np.linalg.norm((joint.pivot - [3.35, 0, -3.54])[[0, 2]]) < 0.2
+    assert abs(joint.states[1] - 1.2) < 0.05
+
+
+def filled(clear: Callable[[Floats], Floats], resolution: int = 48) -> np.ndarray:
+    """The grid of a body and of a lid whose points `clear` brings back to where it is closed."""
+    at = (np.indices((resolution,) * 3).reshape(3, -1).T + 0.5) / resolution - 0.5
+
+    def inside(points: Floats, size: Sequence[float], centre: Sequence[float]) -> np.ndarray:
+        return np.all(np.abs(points - centre) <= np.array(size) / 2, axis=1)
+
+    return (inside(at, *BODY) | inside(clear(at), *LID)).reshape((resolution,) * 3)
+
+
+def test_grids_are_as_good_as_clouds(tmp_path: Path) -> None:
+    motion = turn((0, 1, 0), (0.05, 0.0, -0.22))
+    angles = (0.0, 0.6, 1.1, 0.3)
+    grids = [filled(lambda at, q=q: apply(motion(-q), at)) for q in angles]
+    files = [tmp_path / f"{k}.npy" for k in range(len(grids))]
+    for file, grid in zip(files, grids, strict=True):
+        np.save(file, grid)
+    done = CliRunner().invoke(app, ["discover", *map(str, files), "--json", str(tmp_path / "j")])
+    assert done.exit_code == 0, done.output
+    (joint,) = json.loads((tmp_path / "j").read_text())["joints"]
+    assert joint["kind"] == "revolute"
+    assert "revolute" in done.output
+    assert abs(joint["axis"][1]) > 0.999
+    assert np.abs(np.array(joint["states"]) - angles).max() < 0.05
+    (again,) = ag.discover(grids).joints
+    assert again.states.tolist() == joint["states"]
+
+
+@pytest.mark.parametrize(
+    ("files", "sentence"),
+    [
+        (["a.npy"], "one pose shows no motion"),
+        (["a.npy", "a.npy"], "nothing moves"),
+        (["a.npy", "b.npy"], "pose 1 has next to nothing where pose 0 has matter"),
+        (["a.npy", "."], "give one data set or shard, or two or more clouds"),
+        (["a.npy", "c.obj"], "neither a shard"),
+        (["a.npy", "empty.npy"], "no voxel of the grid is occupied"),
+    ],
+)
+def test_the_command_says_what_is_wrong(
+    files: list[str], sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    cloud = sampled(*BODY, np.random.default_rng(0), 500)
+    np.save("a.npy", cloud)
+    np.save("b.npy", cloud + 3.0)
+    np.save("empty.npy", np.zeros((8, 8, 8), bool))
+    done = CliRunner().invoke(app, ["discover", *files])
+    assert done.exit_code == 1
+    assert sentence in " ".join(done.output.split())
+
+
+def test_a_data_set_is_judged_by_its_truth(tmp_path: Path) -> None:
+    """Its lid carries a knob, which is a chain: two joints are there, the lid's is found."""
+    data = write_boxes(tmp_path / "boxes", train=1, test=0, states=5)
+    (one,) = discover_all(data)
+    assert one.found is not None
+    assert one.judged.turned is not None
+    truth = ag.open(data)[0].joints[0]
+    lid = max(one.found.joints, key=lambda joint: abs(joint.axis @ truth.axis))
+    assert degrees_between(lid.axis * np.sign(lid.axis @ truth.axis), truth.axis) < 5.0
+    assert axes_apart(lid, truth.axis, truth.pivot) < 0.05
+
+
+def test_the_same_poses_give_the_same_joints() -> None:
+    clouds = posed([(LID, turn((0, 1, 0), (0.05, 0, -0.22)))], np.array([[0.0], [1.2]]))
+    one, again = discover(clouds), discover(clouds)
+    assert np.array_equal(one.part, again.part)
+    for a, b in zip(one.joints, again.joints, strict=True):
+        assert np.array_equal(a.states, b.states)
+        assert np.array_equal(a.axis, b.axis)
+
+
+def test_what_cannot_be_searched_is_said() -> None:
+    clouds = posed([(LID, slide((1.0, 0, 0)))], np.array([[0.0], [0.3]]))
+    with pytest.raises(InvalidArgument, match="1 pose of the object, which shows no motion"):
+        discover(clouds[:1])
+    with pytest.raises(InvalidArgument, match="nothing moves"):
+        discover([clouds[0], clouds[0]])
+    with pytest.raises(InvalidArgument, match="pose 1 has next to nothing where pose 0"):
+        discover([clouds[0], clouds[1] + 5.0])
+    with pytest.raises(InvalidArgument, match="pose 1: numbers of shape"):
+        discover([clouds[0], clouds[1][:, :2]])
+    with pytest.raises(InvalidArgument, match="pose 0: 10 points are too few"):
+        discover([clouds[0][:10], clouds[1]])
+    with pytest.raises(InvalidArgument, match="pose 1: some points are not finite"):
+        discover([clouds[0], np.where(clouds[1] > 0.2, np.nan, clouds[1])])
