@@ -20,15 +20,17 @@ def write_boxes(
     states: int = 3,
     category: str = "box",
     recipe: Recipe = SMALL,
+    slides: float = 0.3,
 ) -> Path:
-    """`train` + `test` objects, each in its canonical pose and at `states` random ones."""
+    """`train` + `test` objects, each in its canonical pose and at `states` random ones; the knob on
+    the lid slides so far at most."""
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(5)
     outcomes = []
     for index in range(train + test):
         split = "train" if index < train else "test"
         name = f"box-{index}"
-        angles = [(0.0, 0.0), *zip(rng.uniform(0, 1.7, states), rng.uniform(0, 0.3, states))]  # noqa: B905
+        angles = [(0.0, 0.0), *zip(rng.uniform(0, 1.7, states), rng.uniform(0, slides, states))]  # noqa: B905
         amounts = [(float(a), float(b)) for a, b in angles]
         rows = hinged_box(amounts, object_id=name, seed=index, recipe=recipe)
         about = {

@@ -19,7 +19,7 @@ README = Path(__file__).parents[1] / "README.md"
 FORMAT = README.parent / "docs" / "format.md"
 
 TRAINING = {
-    "extends": "ppd_quick",
+    "extends": "ppd_plain",
     "data": {"surface_points": 256, "uniform_points": 128, "near_points": 128,
              "validation_objects": 1},
     "schedule": {"batch": 3, "stages": [{"resolution": 16, "iterations": 3}], "validate_every": 3},

@@ -16,7 +16,7 @@ torch = pytest.importorskip("torch", reason="PPD needs torch")
 torch.set_num_threads(1)
 
 RECIPE = """
-extends: ppd_quick
+extends: ppd_plain
 data: {surface_points: 256, uniform_points: 128, near_points: 128, validation_objects: 1}
 schedule: {batch: 3, stages: [{resolution: 16, iterations: 3}], validate_every: 3}
 seeds: {count: 1, halve_at: []}

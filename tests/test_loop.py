@@ -123,6 +123,7 @@ def test_the_paper_s_text_is_the_default():
         ("ppd_release", "visible"),
         ("ppd_quick", "material"),
         ("ppd_hour", "material"),
+        ("ppd_plain", "material"),
     ],
 )
 def test_our_recipes_learn_material_and_the_paper_s_what_is_not_seen_free(name, occupancy):
@@ -140,7 +141,7 @@ def test_every_recipe_is_a_valid_one(name):
 
 
 def test_recipes_extend_one_another():
-    quick, release = load_recipe("ppd_quick"), load_recipe("ppd_release")
+    quick, release = load_recipe("ppd_plain"), load_recipe("ppd_release")
     assert quick.losses.loc_form == release.losses.loc_form == "release"
     assert quick.losses.adv_g == 0.0
     assert release.losses.adv_d == 3.25
@@ -357,13 +358,13 @@ def test_the_curve_is_the_one_that_was_committed(tmp_path, monkeypatch):
         first = want["iteration"] == 1
         near = {"rel": 1e-4, "abs": 1e-5} if first else {"rel": 0.15, "abs": 2e-3}
         assert have.get("terms", {}) == pytest.approx(want.get("terms", {}), **near)
-        assert have.get("validation", {}) == pytest.approx(
-            want.get("validation", {}), rel=2e-2, abs=2e-3
-        )
+        measured = have.get("validation", {})  # more is measured now than when it was committed
+        wanted = want.get("validation", {})
+        assert {k: measured[k] for k in wanted} == pytest.approx(wanted, rel=2e-2, abs=2e-3)
 
 
 def test_training_learns(boxes, tmp_path):
-    recipe = load_recipe("ppd_quick")
+    recipe = load_recipe("ppd_plain")
     plan = {"batch": 4, "learning_rate": 3e-3, "log_every": 1, "validate_every": 100}
     plan |= {"stages": (PPDStage(resolution=16, iterations=40),)}
     points = {"surface_points": 300, "uniform_points": 300, "near_points": 300}

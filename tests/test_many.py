@@ -17,7 +17,7 @@ from articugen.learning.dataset import load_split  # noqa: E402
 from articugen.learning.loop import train  # noqa: E402
 from articugen.learning.ppd.learner import PPDLearner  # noqa: E402
 from articugen.learning.ppd.many import Many  # noqa: E402
-from articugen.learning.ppd.warm_start import CELLS, Targets  # noqa: E402
+from articugen.learning.ppd.warm_start import Targets  # noqa: E402
 from articugen.learning.race import can_run_at_once, race  # noqa: E402
 from articugen.learning.runs import LATEST, METRICS, RunFolder, read_checkpoint  # noqa: E402
 from articugen.learning.tensors import check_like, digest  # noqa: E402
@@ -43,7 +43,7 @@ PLAN = {
 """8 iterations; the second stage begins anew after the fifth."""
 
 
-def tiny(base: str = "ppd_quick", **sections: dict) -> PPDRecipe:
+def tiny(base: str = "ppd_plain", **sections: dict) -> PPDRecipe:
     """A small recipe with other values in some of its sections."""
     grid = {"grid_points": 60} if base == "ppd_paper" else {"grid_points": 0}
     own = {"data": FEW | grid | {"validation_objects": 0}, "schedule": PLAN, "seeds": {"count": 1}}
@@ -101,7 +101,10 @@ FORMS = {
     "without common pose": {"losses": {"vol_logit": "instance"}, "model": {"common_pose": False}},
     "Muon": {"schedule": {"optimiser": "muon"}},
     "SOAP": {"schedule": {"optimiser": "soap"}},
-    "a warm start": {"warm_start": {"iterations": 4}, "data": {"varying_points": 20}},
+    "a warm start": {
+        "warm_start": {"stretch": 0.2, "share": 0.5},
+        "data": {"varying_points": 20},
+    },
     "in the world, few decisive points": {
         "model": {"part_frame": "world"},
         "data": {"surface_points": 500, "uniform_points": 30, "grid_points": 30},
@@ -157,10 +160,20 @@ def some_targets(instances: int, model: ModelSettings) -> Targets:
     def of(*shape: int) -> torch.Tensor:
         return torch.rand(instances, *shape, generator=some, dtype=torch.float64)
 
+    R = 16
     return Targets(
-        (of(J) > 0.5).double(), 0.1 + 0.5 * of(J), of(J, 3), of(J, 3) - 0.5, of(J + 1, 3, 3),
-        of(J + 1, 3) - 0.5, (3 * of(J + 1)).long(), torch.rand(3, CELLS**3, generator=some),
-    )  # fmt: skip
+        known=(of() > 0.3).double(),
+        there=(of(J) > 0.5).double(),
+        state=0.1 + 0.5 * of(J),
+        axis=of(J, 3),
+        pivot=of(J, 3) - 0.5,
+        rotation=of(J + 1, 3, 3),
+        offset=of(J + 1, 3) - 0.5,
+        grid=(3 * of(J + 1)).long(),
+        votes=torch.rand(3, R**3, generator=some),
+        rest=torch.full((J,), 0.05, dtype=torch.float64),
+        cells=R,
+    )
 
 
 def double(batch):
@@ -210,7 +223,7 @@ def test_a_race_at_once_is_the_race_one_by_one(boxes, tmp_path, monkeypatch):
     assert (once.path / METRICS).read_bytes() == (own / METRICS).read_bytes()
 
 
-@pytest.mark.parametrize("name", ["ppd_quick", "ppd_hour"])
+@pytest.mark.parametrize("name", ["ppd_plain"])
 def test_on_a_gpu_seeds_learn_at_once_without_waiting_for_it(boxes, name):
     """Torch's meta device goes a GPU's ways, and to read a number from it raises."""
     recipe = load_recipe(name)

@@ -50,7 +50,7 @@ def boxes(tmp_path_factory):
     return write_boxes(tmp_path_factory.mktemp("boxes"), train=2, test=0, states=1)
 
 
-@pytest.mark.parametrize("name", ["ppd_paper", "ppd_release", "ppd_quick"])
+@pytest.mark.parametrize("name", ["ppd_paper", "ppd_release", "ppd_plain"])
 @pytest.mark.parametrize("residual", [False, True])
 def test_an_iteration_stays_on_its_device(boxes, name, residual):
     recipe = load_recipe(name)
@@ -73,4 +73,4 @@ def test_an_iteration_stays_on_its_device(boxes, name, residual):
             loss = torch.stack([value.detach() for value in terms.values()])
     assert learner.residual_direction == residual
     assert loss.device == META
-    assert ("adv_d" in terms) == (name != "ppd_quick")
+    assert ("adv_d" in terms) == (name != "ppd_plain")

@@ -131,7 +131,8 @@ def test_depth_input_has_its_row():
 
 def test_recipes_know_their_row():
     assert load_recipe("ppd_paper").variant == paper.COMPLETE
-    assert load_recipe("ppd_quick").variant == "w/o L_adv_g"
+    assert load_recipe("ppd_plain").variant == "w/o L_adv_g"
+    assert load_recipe("ppd_quick").variant == "w/o L_vol, L_loc, L_var, L_adv_g"
     changed = load_recipe("ppd_paper").plain()
     changed["losses"]["vol"] = 0.0
     changed["model"]["common_pose"] = False

@@ -48,12 +48,12 @@ def folder(tmp_path_factory):
 
 
 def command(folder, *more):
-    plain = ("study", "--quick", "--device", "cpu", "-c", "oven", "-r", "ppd_quick", "--seeds", "2")
+    plain = ("study", "--quick", "--device", "cpu", "-c", "oven", "-r", "ppd_plain", "--seeds", "2")
     return [*plain, "-d", str(folder / "data"), "--out", str(folder / "study"), *more]
 
 
 def asked(folder, **more) -> Asked:
-    recipe = load_recipe("ppd_quick")
+    recipe = load_recipe("ppd_plain")
     told = {"categories": CATEGORIES, "data": folder / "data", "device": "cpu", "seeds": 2} | more
     return made_quick(Asked(recipe=recipe, **told))
 
@@ -226,7 +226,11 @@ def benched(seconds: dict[int, float]) -> list[Pace]:
 @pytest.mark.parametrize("minutes", [10.0, 40.0, 400.0])
 def test_plans_fill_the_time_and_no_more(tmp_path, minutes, monkeypatch):
     monkeypatch.setattr(studies, "FINALISTS", 4)
-    hour = load_recipe("ppd_hour")
+    stages = [
+        {"resolution": 16, "iterations": 23_000},
+        {"resolution": 32, "iterations": 3_000, "residual_direction": True},
+    ]
+    hour = load_recipe({"extends": "ppd_hour", "schedule": {"stages": stages}})
     five = tuple("abcde")
     told = Asked(categories=five, data=tmp_path, recipe=hour, minutes=minutes, device="cpu")
     journal = Journal.of(tmp_path / "study", told)

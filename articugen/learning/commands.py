@@ -266,7 +266,7 @@ def draw_examples(
 
     examples = []
     for folder in map(newest, runs):
-        result, point = read_evaluation(folder), read_checkpoint(folder / LATEST)
+        result, point = read_evaluation(folder), read_run(folder)
         own = Path(data or RunFolder(folder).about()["data"]["folder"])
         own = own / point.category if data and (own / point.category).is_dir() else own
         check_splits(own, point.category)

@@ -40,6 +40,7 @@ class BatchSpec:
         joints: (revolute, prismatic) joints an object may have at most; None is any number.
         poses: whether several poses of each object are compared; for `varying_points` they are.
         voxels: whether the voxels of the finest grid are wanted as well.
+        chances: so many numbers in [0, 1) are drawn for each sample, for the learner's own use.
     """
 
     surface_points: int
@@ -55,6 +56,7 @@ class BatchSpec:
     joints: tuple[int, int] | None = None
     poses: bool = False
     voxels: bool = False
+    chances: int = 0
 
     @staticmethod
     def of(data: DataSettings, **more: Any) -> "BatchSpec":
@@ -74,6 +76,7 @@ class Batch:
         occupied: (B, m) bool, their indicator values.
         spread: the first so many query points are spread evenly over the cube, the others lie near
             the surface, in the band around it, and where the object's poses differ, in this order.
+        chance: (B, k) numbers in [0, 1) for the learner's own use.
     """
 
     rows: Tensor
@@ -82,13 +85,14 @@ class Batch:
     points: Tensor
     occupied: Tensor
     spread: int
+    chance: Tensor
 
     def share(self) -> "Batch":
         """What this process takes of it; all of it where there is one."""
         of = processes.share
         return Batch(
             of(self.rows), of(self.cloud), of(self.part), of(self.points), of(self.occupied),
-            self.spread,
+            self.spread, of(self.chance),
         )  # fmt: skip
 
 
@@ -104,8 +108,8 @@ class PackedSplit:
         part: (I, S) the parts of the surface points; (I, 0) unless asked for.
         grids: (I, R^3) labels by resolution, above 0 where the recipe calls it occupied.
         uniform, near: ((I, K, 3) coordinates, (I, K) such labels).
-        voxels: (I, R^3 / 8) one bit for each voxel of the finest grid, whether it is occupied; (I, 0)
-            unless asked for. R is `band.resolution`.
+        voxels: (I, R^3 / 8) one bit for each voxel of the finest grid, whether it is occupied; R is
+            `band.resolution`. (I, 0) unless asked for.
         band, varying: voxels around this pose's material, and those that differ between poses.
         partial: (I, C, M, 3) what each of C depth cameras sees; C = 0 unless asked for.
     """
@@ -206,8 +210,9 @@ class PackedSplit:
                 points.append(centres)
                 occupied.append(inside)
         spread = spec.grid_points + spec.uniform_points
+        chance = uniform(rng, len(at), spec.chances, at.device)
         return Batch(
-            at, unpacked(cloud), part, torch.cat(points, 1), torch.cat(occupied, 1), spread
+            at, unpacked(cloud), part, torch.cat(points, 1), torch.cat(occupied, 1), spread, chance
         )
 
     def _clouds(self, at: Tensor, spec: BatchSpec, rng: Chance) -> tuple[Tensor, Tensor]:
@@ -375,8 +380,9 @@ def _cells(
     path: Path,
 ) -> dict[str, NDArray[Any]]:
     """The cells that query points are drawn at, as `LabelledCells` holds them."""
-    bits = np.packbits(grid > 0).reshape(len(names), -1) if grid is not None and spec.voxels else None
-    row = {"voxels": np.zeros((len(names), 0), np.uint8) if bits is None else bits}
+    row: dict[str, NDArray[Any]] = {"voxels": np.zeros((len(names), 0), np.uint8)}
+    if grid is not None and spec.voxels:
+        row["voxels"] = np.packbits(grid.reshape(len(names), -1) > 0, axis=1)
     for kind, wanted in (("band", spec.band_points), ("varying", spec.varying_points)):
         row[kind], row[f"{kind}_count"] = cells.none(len(names))
         if grid is not None and wanted:

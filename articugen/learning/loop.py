@@ -53,6 +53,9 @@ class Progress:
     """What is done before the first iteration, where that takes time."""
 
 
+SEEDS = "seeds"
+"""The folder of a race's own runs, in that of the race."""
+
 Tell = Callable[[Progress], None]
 Log = Callable[[dict[str, Any]], None]
 
@@ -238,7 +241,7 @@ def follow(course: Course, stop_after: int | None, on_progress: Tell) -> RunFold
     plan = learner.settings.schedule
     learner.begin(
         training,
-        course.run.path.parent,
+        shared_folder(course.run),
         lambda said: on_progress(Progress(course.iteration, plan.iterations, said=said)),
     )
     with course.run.metrics_from(course.iteration, course.files) as log:
@@ -259,6 +262,12 @@ def follow(course: Course, stop_after: int | None, on_progress: Tell) -> RunFold
             on_progress(Progress(course.iteration, plan.iterations, values, checked))
     processes.wait()
     return course.run
+
+
+def shared_folder(run: RunFolder) -> Path:
+    """The folder of all runs of a category, which those of a race lie two folders deeper in."""
+    above = run.path.parent
+    return above.parent.parent if above.name == SEEDS else above
 
 
 def split_for(

@@ -19,7 +19,7 @@ from typing import Any
 import torch
 
 from articugen.errors import InvalidCheckpoint, TrainingDiverged
-from articugen.learning.loop import Progress, Tell, look, new_run, train
+from articugen.learning.loop import SEEDS, Progress, Tell, look, new_run, shared_folder, train
 from articugen.learning.method import find_method
 from articugen.learning.recipe import TrainRecipe
 from articugen.learning.runs import BEST, LATEST, METRICS, RunFolder, read_checkpoint
@@ -127,8 +127,8 @@ def race(
         run = new_run(recipe, category, data, runs, seed)
     elif (run := RunFolder(resume)).recipe().sha256() != recipe.sha256():
         raise InvalidCheckpoint(f"{resume}: was started with another recipe; start a new run")
-    seeds, total = run.path / "seeds", recipe.schedule.iterations
-    begin(seeds, lambda said: on_progress(Progress(0, total, said=said)))
+    seeds, total = run.path / SEEDS, recipe.schedule.iterations
+    begin(shared_folder(run), lambda said: on_progress(Progress(0, total, said=said)))
     heat = partial(Heat, recipe, category, data, seeds, device=device)
     racing = list(range(seed, seed + recipe.seeds.count))
     rounds: list[dict[str, Any]] = []
@@ -151,7 +151,7 @@ def race(
                     f"all seeds diverged before iteration {stop}; lower schedule.learning_rate"
                 )
     for name in (LATEST, BEST, METRICS):
-        own = run.path / "seeds" / str(racing[0]) / name
+        own = run.path / SEEDS / str(racing[0]) / name
         write_atomically(run.path / name, own.read_bytes())
     _note(run, rounds, winner=racing[0])
     return run

@@ -14,7 +14,16 @@ import torch
 from torch import Tensor
 
 from articugen.errors import InvalidRecipe
-from articugen.learning.loop import Course, Due, Progress, Tell, begun, draw, split_for
+from articugen.learning.loop import (
+    Course,
+    Due,
+    Progress,
+    Tell,
+    begun,
+    draw,
+    shared_folder,
+    split_for,
+)
 from articugen.learning.method import Team, find_method
 from articugen.learning.recipe import TrainRecipe
 from articugen.learning.runs import LATEST
@@ -74,7 +83,7 @@ def follow_together(
     plan, training = first.learner.settings.schedule, first.training
     device = training.surface.device
     chances = [torch.Generator(device) for _ in courses]
-    team.begin(training, first.run.path.parent)
+    team.begin(training, shared_folder(first.run))
     with ExitStack() as stack:
         logs = [stack.enter_context(c.run.metrics_from(c.iteration, c.files)) for c in courses]
         for iteration in range(first.iteration, min(plan.iterations, stop_after)):

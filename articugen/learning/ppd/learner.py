@@ -18,9 +18,11 @@ from articugen.learning.method import Learner, Terms
 from articugen.learning.ppd import objective, warm_start
 from articugen.learning.ppd.descent import Descent
 from articugen.learning.ppd.discriminator import Discriminator
+from articugen.learning.ppd.found import discovered
 from articugen.learning.ppd.model import PPD, Pose, Prediction
 from articugen.learning.ppd.reconstruct import Meshes, reconstruction_of
 from articugen.learning.ppd.settings import PPDRecipe
+from articugen.learning.ppd.stretch import stretched
 from articugen.learning.tensors import made
 from articugen.records import Floats
 
@@ -78,8 +80,9 @@ class PPDLearner(Predictor):
             settings.data,
             grids=(VALIDATION_GRID,) if settings.data.validation_objects else (),
             joints=(len(settings.model.revolute), len(settings.model.prismatic)),
-            poses=settings.warm_start.iterations > 0,
-            voxels=settings.warm_start.iterations > 0,
+            poses=settings.warm_start.share > 0,
+            voxels=settings.warm_start.share > 0,
+            chances=3 if settings.warm_start.share else 0,
         )
         with made(seed, device):
             self.model, self.discriminator = PPD(settings.model), Discriminator()
@@ -104,25 +107,26 @@ class PPDLearner(Predictor):
     def begin(
         self, training: PackedSplit, beside: Path, tell: Callable[[str], None] = lambda _: None
     ) -> None:
-        """Find the joints of the training objects, if a warm start is still to be made."""
-        if self._aims():
-            found, rows = warm_start.discovered(training, beside, tell)
+        """Find the joints of the training objects, if there is a warm start."""
+        if self.settings.warm_start.share:
+            found, rows = discovered(training, beside, tell)
             self.targets = warm_start.targets(training, found, rows, self.settings.model)
 
-    def _aims(self) -> bool:
-        return self.iteration < self.settings.warm_start.iterations
-
-    def aim(self, batch: Batch) -> Callable[[Pose, Tensor], Terms] | None:
-        """What a warm start asks of the prediction for a batch, while there is one."""
-        if not self._aims():
-            return None
+    def aimed(self, batch: Batch) -> tuple[Batch, Callable[[Pose, Tensor], Terms] | None]:
+        """The batch, its shapes stretched where it is known how they move, and what a warm start
+        asks of the prediction for it, while there is one."""
+        warm = self.settings.warm_start
+        if not warm.share:
+            return batch, None
         aim = self.targets.of(batch.rows)
-        return partial(
-            warm_start.aim_terms,
-            owner=aim.owner(batch.points, batch.occupied),
-            aim=aim,
-            weigh=self.settings.warm_start,
-            revolute=len(self.settings.model.revolute),
+        owner = aim.owner(batch.points, batch.occupied)
+        turning = len(self.settings.model.revolute)
+        if warm.stretch:
+            batch, aim = stretched(batch, aim, turning, warm.stretch)
+        if self.iteration >= warm.share * self.settings.schedule.iterations:
+            return batch, None
+        return batch, partial(
+            warm_start.aim_terms, owner=owner, aim=aim, weigh=warm, revolute=turning
         )
 
     def learn(self, batch: Batch, rng: torch.Generator | None, *, iteration: int) -> Terms:
@@ -132,6 +136,7 @@ class PPDLearner(Predictor):
             self._begin_stage()
         self.at(iteration)
         rate = plan.rate_at(iteration)
+        batch, aim = self.aimed(batch)
         predict = partial(self.model, batch.cloud, residual_direction=self.residual_direction)
         predicted = predict()
         posed, judged = None, {}
@@ -147,7 +152,7 @@ class PPDLearner(Predictor):
             weigh=weigh,
             discriminator=self.discriminator,
             posed=posed,
-            aim=self.aim(batch),
+            aim=aim,
         )
         terms = minimize(predicted)
         self.descent.step(terms, lambda: minimize(predict()), iteration, rate)
@@ -219,11 +224,11 @@ def motion_misfit(
 ) -> dict[str, float]:
     """How well predicted motions carry the first pose of unseen objects onto their other poses.
 
-    `moved` is the mean distance between the points of the first pose, each moved with the part
-    whose field is the greatest there, and the points of the other pose, both ways; divided by what
-    it is if nothing moves. It needs no labels, and sees what the cross-entropy does not: a wrong
-    candidate, a wrong sense of turning, a part that hides instead of moving. Nothing where all
-    objects have one pose.
+    `moved` is the mean square of the distance between the points of the first pose, each moved with
+    the part whose field is the greatest there, and the points of the other pose, both ways; divided
+    by what it is if nothing moves. It needs no labels, and sees what the cross-entropy does not: a
+    wrong candidate, a wrong sense of turning, a part that hides instead of moving. Nothing where
+    all objects have one pose.
 
     Args:
         clouds: (I, n, 3) as they are stored, what the model sees of each instance.
@@ -250,6 +255,7 @@ def motion_misfit(
 
 
 def _between(some: Tensor, others: Tensor) -> Tensor:
-    """The mean distance from points (B, n, 3) to the nearest of others, and from those to these."""
+    """The mean square of the distance from points (B, n, 3) to the nearest of others, and from
+    those to these: samples of one surface are never quite alike, and squares make little of it."""
     far = torch.cdist(some, others)
-    return far.amin(2).mean() + far.amin(1).mean()
+    return far.amin(2).square().mean() + far.amin(1).square().mean()

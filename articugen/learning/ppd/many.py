@@ -84,8 +84,10 @@ class Many(Team):
         weights = {f"model.{name}": value for name, value in self._weights()}
         shares = [
             x.unflatten(0, (S, len(batch.rows) // S))
-            for x in (batch.rows, batch.cloud, batch.part, batch.points, batch.occupied)
-        ]
+            for x in (
+                batch.rows, batch.cloud, batch.part, batch.points, batch.occupied, batch.chance
+            )
+        ]  # fmt: skip
         with whole_batches():
             return vmap(of_one)(weights, *shares)
 
@@ -123,11 +125,12 @@ class _Objective(nn.Module):
         part: Tensor,
         points: Tensor,
         occupied: Tensor,
+        chance: Tensor,
         spread: int,
     ) -> Terms:
-        batch, learner = Batch(rows, cloud, part, points, occupied, spread), self.learner
-        predicted = self.model(cloud, residual_direction=learner.residual_direction)
-        weigh, aim = learner.settings.losses, learner.aim(batch)
+        learner, weigh = self.learner, self.learner.settings.losses
+        batch, aim = learner.aimed(Batch(rows, cloud, part, points, occupied, spread, chance))
+        predicted = self.model(batch.cloud, residual_direction=learner.residual_direction)
         return objective.generator_terms(self.model, predicted, batch, weigh, aim=aim)
 
 

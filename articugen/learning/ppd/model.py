@@ -40,7 +40,8 @@ class Pose:
     Attributes:
         amount: (B, J) a_i, from which the states follow: any number.
         state: (B, J) s_i: revolute in (0, pi), prismatic in (0, 1).
-        pivot: (B, P, 3) q_i = tanh(q^c_i + q^z_i) / 2; only those of revolute parts are used.
+        pivot: (B, P, 3) q_i = tanh(q^c_i + q^z_i) / 2; only those of revolute parts are used, and
+            of sliding ones if they have pivots.
         pivot_common, pivot_residual: (B, P, 3) q^c_i and q^z_i, before the tanh.
         euler: (B, P, 3) r_i = r^c_i (+ r^z_i).
         euler_common, euler_residual: (B, P, 3); the residual is None in the first stage.
@@ -103,7 +104,7 @@ class PPD(nn.Module):
         """B_i^{-1} at the predicted joint states, or at `state` (B, J)."""
         R = len(self.settings.revolute)
         state = pose.state if state is None else state
-        pivot = pose.pivot[:, 1 : 1 + R]
+        pivot = pose.pivot[:, 1:] if self.settings.sliding_pivots else pose.pivot[:, 1 : 1 + R]
         return inverse_motion(pose.frames, state, pivot, R, self.settings.part_frame)
 
     def fields(self, shape: ShapeCode, motion: InverseMotion, points: Tensor) -> PartLogits:

@@ -16,7 +16,7 @@ from articugen.learning.ppd import losses
 from articugen.learning.ppd.discriminator import Discriminator
 from articugen.learning.ppd.model import PPD, Pose, Prediction
 from articugen.learning.ppd.settings import LossSettings
-from articugen.learning.ppd.shape import PartLogits, ShapeCode, gather_points, spares
+from articugen.learning.ppd.shape import PartLogits, ShapeCode, gather_points
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,9 @@ class ModelSettings(Section):
         coordinate_bound: weights of the layer that sees coordinates start in U(-bound, bound).
         part_frame: where a revolute part's shape lives: `world`, B = T(q) R(s, u); or
             `joint`, which turns it with the direction as well, B = T(q) C(r) Rz(s).
+        sliding_pivots: whether the shape of a sliding part lives about its pivot too,
+            B = T(q) T(s u): drawers that lie elsewhere in each cabinet then look alike. The paper
+            has B = T(s u).
         latent_start: how the encoder's weights start: `release`, as torch's layers do, which leaves
             latents of different objects the same to a thousandth; or `he`, by He et al. 2015, and
             the layer that reads z^s 20 times larger, so that shapes differ from the start.
@@ -44,6 +47,7 @@ class ModelSettings(Section):
     codes_learn: bool = True
     coordinate_bound: float = Field(default=math.sqrt(2.0), gt=0.0)
     part_frame: Literal["world", "joint"] = "world"
+    sliding_pivots: bool = False
     latent_start: Literal["release", "he"] = "release"
 
     @model_validator(mode="after")
@@ -103,19 +107,22 @@ class WarmStart(Section):
     which instances are of one object.
 
     Attributes:
-        iterations: how many are aimed; 0 is no warm start.
+        share: of the iterations, the first ones, that are aimed; 0 is no warm start.
         parts: weight of each part's field against whose the occupied points are.
-        rarity: how much more the points of parts weigh that own few: (others / own)^rarity.
+        occupied: how much more a part's own points weigh there than all others.
         state, direction, pivot: weights of how far these are off: amounts, 1 - cos, and the square
-            of the distance between axis and pivot.
+            of the distance between the pivots.
+        stretch: shapes are stretched along each axis of the frame at random, by up to so much and
+            its inverse, as far as joints stay joints; 0 is not at all. Also after the warm start.
     """
 
-    iterations: int = Field(default=0, ge=0)
+    share: float = Field(default=0.0, ge=0, le=1)
     parts: float = Field(default=0.01, ge=0)
-    rarity: float = Field(default=0.5, ge=0)
+    occupied: float = Field(default=4.0, gt=0)
     state: float = Field(default=20.0, ge=0)
     direction: float = Field(default=20.0, ge=0)
     pivot: float = Field(default=200.0, ge=0)
+    stretch: float = Field(default=0.0, ge=0, le=1)
 
 
 class PPDStage(Stage):

@@ -1,4 +1,4 @@
-"""A start that the paper does not have: joints and parts from what changes between an object's poses.
+"""A start that the paper does not have: joints and parts from what changes between poses.
 
 `articugen.discovery` finds them in the surface points of training objects, without labels; but it
 must know which instances belong to one object, which the paper does not use. For the first
@@ -8,13 +8,9 @@ occupied point is. Afterwards the losses of the paper alone go on from there.
 
 from __future__ import annotations
 
-import hashlib
-import os
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from itertools import permutations
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -22,53 +18,51 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import avg_pool3d, binary_cross_entropy_with_logits
 
-from articugen.discovery import Discovery, FoundJoint, discover
-from articugen.errors import CorruptShard, InvalidArgument
+from articugen.discovery import Discovery
 from articugen.geometry import invert_rigid
-from articugen.learning import processes
-from articugen.learning.dataset import PackedSplit, unpacked, voxel_centres
+from articugen.learning.dataset import PackedSplit, voxel_centres
 from articugen.learning.method import Terms
+from articugen.learning.ppd.found import Found
 from articugen.learning.ppd.losses import POINTS_OF_THE_PAPER
 from articugen.learning.ppd.model import Pose, amount_of
 from articugen.learning.ppd.settings import ModelSettings, WarmStart
-from articugen.learning.tensors import read_tensors, write_tensors
 from articugen.records import Floats, JointKind
-from articugen.store.files import make_folder
-from articugen.workers import Crew
 
-FORMAT = "articugen joints 1"
-"""Of the file that keeps what was found; to be raised when something else would be found."""
-
-LEAST_SCORE = 0.4
-"""Of every joint in an object, else it says nothing."""
+FEW_OBJECTS, LEAN = 0.25, np.cos(np.radians(30.0))
+"""A kind of joint that a smaller share of the objects has is a mistake, and so is one that leans
+further from all candidates of its kind."""
 
 LEAST_VOTES, GAIN, SOME_POSES = 0.08, 1.25, 0.1
 """What a cell of a moving part has at least: a share of the most votes there are for this part, and
 so many times what the fixed part has where the cell comes to, in this share of the poses."""
 
-CELLS = 64
-"""Of the grids, on each axis, that say how far each part's points are."""
+VOTING_POSES = 41
+"""So many poses of an object say whose its material is."""
 
 REST_TURN, REST_SLIDE = 0.3, 0.05
 """The least state of a candidate, so that none is asked for the ends that a tanh never reaches."""
 
 _FLIPPED = 0.5
-"""What it costs, in unit lengths, to give a joint to a candidate that turns the other way."""
+"""What it costs to give a joint to a candidate that turns the other way: as much as a lean of 29
+degrees."""
 
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """What the instances of a split are like. I instances, P parts, J = P - 1 candidates, C cells.
+    """What the instances of a split are like. I instances, P parts, J = P - 1 candidates; C cells
+    on each axis.
 
     Attributes:
-        known: (I,) 1 where something was found in the object, else 0: there is nothing to aim at.
+        known: (I,) 1 where it was found how the instance moves, else 0: nothing to aim at.
         there: (I, J) 1 where the object has a joint for the candidate, else 0.
         state: (I, J) of that joint.
         axis, pivot: (I, J, 3) of that joint, in the unit frame.
+        rest: (J,) the least state of each candidate.
         rotation, offset: (I, P, 3, 3), (I, P, 3) from the instance to its object's first one.
         grid: (I, P) which of `votes` belongs to a part; the first is that of parts without any.
         votes: (V, C^3) how often there is material in the cells of a part's rest frame, which is
             that of its object's first instance.
+        cells: C.
     """
 
     known: Tensor
@@ -80,12 +74,13 @@ class Targets:
     offset: Tensor
     grid: Tensor
     votes: Tensor
+    rest: Tensor
+    cells: int
 
     def of(self, rows: Tensor) -> Targets:
         """Those of some instances."""
-        each = (self.known, self.there, self.state, self.axis, self.pivot)
-        motion = (self.rotation, self.offset, self.grid)
-        return Targets(*(x[rows] for x in (*each, *motion)), self.votes)
+        some = {f.name: getattr(self, f.name)[rows] for f in fields(self)[:-3]}
+        return replace(self, **some)
 
     def owner(self, points: Tensor, occupied: Tensor) -> Tensor:
         """(B, n) the part that each occupied point belongs to: where it stays material in most
@@ -95,103 +90,9 @@ class Targets:
             points: (B, n, 3) in the instances that these targets are of.
         """
         first = torch.einsum("bpij,bnj->bpni", self.rotation, points) + self.offset[:, :, None]
-        cell, _ = _cells(first)
-        found = self.votes.flatten()[self.grid[..., None] * CELLS**3 + cell]
+        cell, _ = _cells(first, self.cells)
+        found = self.votes.flatten()[self.grid[..., None] * self.cells**3 + cell]
         return torch.where(occupied, found.argmax(1), -1)
-
-
-Found = list[Discovery | None]
-"""What was found in each object; None where that cannot be told."""
-
-Tell = Callable[[str], None]
-
-
-def discovered(
-    training: PackedSplit, beside: Path, tell: Tell = lambda _: None
-) -> tuple[Found, list[NDArray[np.intp]]]:
-    """What moves in each object, and the instances that are its poses.
-
-    It is kept in a file `beside` the run, named after the clouds, since several seeds ask for it.
-
-    Args:
-        tell: called with a sentence for each object.
-
-    Raises:
-        CorruptShard: in no object anything is found.
-        InvalidCheckpoint: the file is damaged.
-    """
-    names = list(dict.fromkeys(training.object_id.tolist()))
-    rows = [training.poses_of(name) for name in names]
-    clouds = [training.surface[torch.from_numpy(mine)].cpu().numpy() for mine in rows]
-    path = beside / f"joints-{_digest(clouds)}.pt"
-    if path.is_file():
-        kept = read_tensors(path, FORMAT)["objects"]
-        return [_read(each, cloud) for each, cloud in zip(kept, clouds, strict=True)], rows
-    found: Found = []
-    with Crew(_look, workers=os.cpu_count() or 1) as crew:
-        for each in crew.in_order(clouds):
-            found.append(each)
-            tell(f"looking for joints in the training objects: {len(found)} of {len(names)}")
-    if not any(found):
-        raise CorruptShard(
-            f"{beside}: the poses of no training object tell what moves in it; make the data set "
-            "with more states, or set warm_start.iterations=0"
-        )
-    make_folder(beside)
-    write_tensors(path, {"objects": [_plain(each) for each in found]}, FORMAT)
-    return found, rows
-
-
-def _look(stored: NDArray[np.int16]) -> Discovery | None:
-    """What is found in an object's clouds (K, n, 3), as they are stored; with sure joints alone."""
-    poses = unpacked(torch.from_numpy(stored)).double().numpy()
-    try:
-        found = discover(list(poses))
-    except InvalidArgument:  # nothing moves, or not as one joint would
-        return None
-    sure = found.joints and min(joint.score for joint in found.joints) >= LEAST_SCORE
-    return found if sure else None
-
-
-def _digest(clouds: Sequence[NDArray[np.int16]]) -> str:
-    hashed = hashlib.sha256()
-    for cloud in clouds:
-        hashed.update(f"{cloud.shape}".encode() + cloud.tobytes())
-    return hashed.hexdigest()[:16]
-
-
-def _plain(found: Discovery | None) -> dict[str, Any]:
-    """As `write_tensors` wants it."""
-    if found is None:
-        return {}
-    joints = [
-        {
-            "kind": int(joint.kind),
-            "axis": torch.from_numpy(joint.axis),
-            "pivot": torch.from_numpy(joint.pivot),
-            "states": torch.from_numpy(joint.states),
-            "score": float(joint.score),
-        }
-        for joint in found.joints
-    ]
-    return {"part": torch.from_numpy(found.part.astype(np.uint8)), "joints": joints}
-
-
-def _read(kept: dict[str, Any], stored: NDArray[np.int16]) -> Discovery | None:
-    if not kept:
-        return None
-    joints = tuple(
-        FoundJoint(
-            kind=JointKind(joint["kind"]),
-            axis=joint["axis"].numpy(),
-            pivot=joint["pivot"].numpy(),
-            states=joint["states"].numpy(),
-            score=joint["score"],
-        )
-        for joint in kept["joints"]
-    )
-    points = unpacked(torch.from_numpy(stored[0])).double().numpy()
-    return Discovery(joints, points, kept["part"].numpy().astype(np.int64))
 
 
 def targets(
@@ -203,18 +104,19 @@ def targets(
     """The targets of a split, on its device.
 
     Args:
-        split: holds voxels of the band around each instance's material.
+        split: with voxels.
         found: what was found in each object, its poses in the order of `rows`.
-        rows: the instances of each object.
+        rows: the instances of each object that were looked at.
     """
-    I, J = sum(map(len, rows)), model.joints
-    known = np.zeros(I)
-    there, state = np.zeros((I, J)), np.zeros((I, J))
-    axis, pivot = np.zeros((I, J, 3)), np.zeros((I, J, 3))
-    inverse = np.tile(np.eye(4), (I, J + 1, 1, 1))
-    grid = np.zeros((I, J + 1), np.int64)
-    votes = [torch.full((CELLS**3,), -1.0, dtype=torch.float16)]
-    for each, mine in zip(found, rows, strict=True):
+    count, J = len(split), model.joints
+    known = np.zeros(count)
+    there, state = np.zeros((count, J)), np.zeros((count, J))
+    axis, pivot = np.zeros((count, J, 3)), np.zeros((count, J, 3))
+    inverse = np.tile(np.eye(4), (count, J + 1, 1, 1))
+    grid = np.zeros((count, J + 1), np.int64)
+    R = split.band.resolution
+    votes = [torch.full((R**3,), -1.0, dtype=torch.float16)]
+    for each, mine in zip(likely(found, model), rows, strict=True):
         if not each:
             continue
         known[mine] = 1.0
@@ -234,7 +136,8 @@ def targets(
                 state[mine, slot], pivot[mine, slot] = sense * joint.states, joint.pivot
     least = np.where(there > 0, state, np.inf).min(0)
     rest = np.where(np.arange(J) < len(model.revolute), REST_TURN, REST_SLIDE)
-    state = np.where(there > 0, state + rest - least, rest)
+    widest = np.where(np.arange(J) < len(model.revolute), np.pi, 1.0)
+    state = np.where(there > 0, state + rest - least, rest).clip(0.5 * rest, widest - 0.5 * rest)
 
     device = split.surface.device
 
@@ -244,7 +147,7 @@ def targets(
     return Targets(
         tensor(known), tensor(there), tensor(state), tensor(axis), tensor(pivot),
         tensor(inverse[..., :3, :3]), tensor(inverse[..., :3, 3]),
-        torch.from_numpy(grid).to(device), torch.stack(votes).to(device),
+        torch.from_numpy(grid).to(device), torch.stack(votes).to(device), tensor(rest), R,
     )  # fmt: skip
 
 
@@ -263,19 +166,21 @@ def material_votes(
         rows: the K poses of an object.
         inverse: (K, P, 4, 4) from each pose to each part's rest frame.
     """
-    R = split.band.resolution
+    R, K = split.band.resolution, len(rows)
+    some = np.linspace(0, K - 1, min(K, VOTING_POSES)).astype(int)
+    rows, inverse = rows[some], inverse[some]
     bits = np.unpackbits(split.voxels[torch.from_numpy(rows)].cpu().numpy(), axis=1)
     material = [voxel_centres(torch.from_numpy(np.flatnonzero(b)), R) for b in bits]
     T = torch.from_numpy(inverse).float()
     forward = torch.from_numpy(invert_rigid(inverse)).float()
-    halves = [_halves(joint.states) for joint in found.joints]
-    fixed = torch.stack([_agreed(T[:, 0], material, half) for half in halves]).amin(0)
+    halves = [_halves(joint.states[some]) for joint in found.joints]
+    fixed = torch.stack([_agreed(T[:, 0], material, half, R) for half in halves]).amin(0)
     votes = [fixed]
     for part, half in enumerate(halves, 1):
-        own = _agreed(T[:, part], material, half)
+        own = _agreed(T[:, part], material, half, R)
         (cells,) = torch.where(own > LEAST_VOTES * own.max())
-        posed = _moved(forward[:, part], voxel_centres(cells, CELLS).expand(len(rows), -1, 3))
-        cell, inside = _cells(posed)
+        posed = _moved(forward[:, part], voxel_centres(cells, R).expand(len(rows), -1, 3))
+        cell, inside = _cells(posed, R)
         stays = torch.where(inside, fixed[cell], 0.0).quantile(SOME_POSES, dim=0)
         sure = cells[own[cells] > GAIN * stays]
         votes.append(torch.full_like(own, -1.0).index_copy_(0, sure, GAIN * own[sure]))
@@ -290,18 +195,18 @@ def _halves(states: Floats) -> tuple[Tensor, Tensor]:
     return ~great, great
 
 
-def _agreed(T: Tensor, material: list[Tensor], halves: tuple[Tensor, Tensor]) -> Tensor:
-    """(C^3,) the share of the poses that have material in a cell, brought there by the motions
+def _agreed(T: Tensor, material: list[Tensor], halves: tuple[Tensor, Tensor], R: int) -> Tensor:
+    """(R^3,) the share of the poses that have material in a cell, brought there by the motions
     (K, 4, 4); of the half of the poses that has less, and smoothed over three cells along each
     axis, for thin parts miss the centres of many."""
     shares = []
     for half in halves:
-        total = torch.zeros(CELLS**3)
+        total = torch.zeros(R**3)
         for k in torch.where(half)[0].tolist():
-            cell, inside = _cells(_moved(T[k : k + 1], material[k][None]))
+            cell, inside = _cells(_moved(T[k : k + 1], material[k][None]), R)
             total[cell[inside].unique()] += 1.0
         shares.append(total / half.sum())
-    least = torch.stack(shares).amin(0).view(1, 1, CELLS, CELLS, CELLS)
+    least = torch.stack(shares).amin(0).view(1, 1, R, R, R)
     return avg_pool3d(least, 3, stride=1, padding=1).flatten()
 
 
@@ -309,13 +214,32 @@ def _moved(T: Tensor, points: Tensor) -> Tensor:
     return torch.einsum("kij,knj->kni", T[:, :3, :3], points) + T[:, None, :3, 3]
 
 
-def _cells(points: Tensor) -> tuple[Tensor, Tensor]:
-    """The flat cells of points (..., 3), and whether they lie in the cube at all; others in its
-    first or last cells."""
-    at = ((points + 0.5) * CELLS).floor().long()
-    inside = ((at >= 0) & (at < CELLS)).all(-1)
-    at = at.clamp(0, CELLS - 1)
-    return (at[..., 0] * CELLS + at[..., 1]) * CELLS + at[..., 2], inside
+def _cells(points: Tensor, R: int) -> tuple[Tensor, Tensor]:
+    """The flat cells of points (..., 3) in a grid of R^3, and whether they lie in the cube at all;
+    others are given to its first or last cells."""
+    at = ((points + 0.5) * R).floor().long()
+    inside = ((at >= 0) & (at < R)).all(-1)
+    at = at.clamp(0, R - 1)
+    return (at[..., 0] * R + at[..., 1]) * R + at[..., 2], inside
+
+
+def likely(found: Found, model: ModelSettings) -> Found:
+    """What was found, without the objects that are unlike the others or the candidates: with a
+    kind of joint that few objects have, or a joint that leans too far from every candidate."""
+    objects = [each for each in found if each]
+    kinds = [{joint.kind for joint in each.joints} for each in objects]
+    few = {k for k in JointKind if sum(k in own for own in kinds) < FEW_OBJECTS * len(objects)}
+
+    def is_likely(each: Discovery) -> bool:
+        along = [np.abs(_directions(j.kind, model) @ j.axis).max() for j in each.joints]
+        return min(along) > LEAN and not few & {joint.kind for joint in each.joints}
+
+    return [each if each and is_likely(each) else None for each in found]
+
+
+def _directions(kind: JointKind, model: ModelSettings) -> Floats:
+    """(candidates, 3) where those of a kind point."""
+    return np.array(model.revolute if kind == JointKind.REVOLUTE else model.prismatic)
 
 
 def assigned(found: Discovery, model: ModelSettings) -> list[tuple[int, float] | None]:
@@ -326,23 +250,18 @@ def assigned(found: Discovery, model: ModelSettings) -> list[tuple[int, float] |
     A joint for which no candidate of its kind is left gets None.
     """
     taken: list[tuple[int, float] | None] = [None] * len(found.joints)
-    R = len(model.revolute)
-    kinds = (JointKind.REVOLUTE, JointKind.PRISMATIC)
-    for kind, first, directions in zip(kinds, (0, R), (model.revolute, model.prismatic)):
+    for kind, first in ((JointKind.REVOLUTE, 0), (JointKind.PRISMATIC, len(model.revolute))):
+        directions = _directions(kind, model)
         own = [j for j, joint in enumerate(found.joints) if joint.kind == kind][: len(directions)]
         if own:
-            own = [own[i] for i in _as_read(np.array([_middle(found, j) for j in own]))]
-            along = np.array([found.joints[j].axis for j in own]) @ np.array(directions).T
-            cost = (4.0 * (1.0 - np.abs(along)) + _FLIPPED * (along < 0)).round(3)
+            own = [own[i] for i in _as_read(np.array([found.joints[j].pivot for j in own]))]
+            along = np.array([found.joints[j].axis for j in own]) @ directions.T
+            cost = (4.0 * (1.0 - np.abs(along)) + _FLIPPED * (along < 0)).round(1)
             options = permutations(range(len(directions)), len(own))
             best = min(options, key=lambda slots: sum(cost[i, s] for i, s in enumerate(slots)))
             for i, (j, slot) in enumerate(zip(own, best, strict=True)):
                 taken[j] = first + slot, 1.0 if along[i, slot] >= 0 else -1.0
     return taken
-
-
-def _middle(found: Discovery, joint: int) -> Floats:
-    return found.points[found.part == joint + 1].mean(0)
 
 
 def _as_read(places: Floats) -> NDArray[np.intp]:
@@ -368,32 +287,30 @@ def aim_terms(
     amount = amount_of(aim.state, revolute)
     states = ((pose.amount - amount).square() * there).sum(1).mean()
     lean = ((1.0 - (pose.direction * aim.axis).sum(2)) * there).sum(1).mean()
-    away = pose.pivot[:, 1 : 1 + revolute] - aim.pivot[:, :revolute]
-    along = (away * aim.axis[:, :revolute]).sum(2)
-    square = away.square().sum(2) - along.square()
+    square = (pose.pivot[:, 1:] - aim.pivot).square().sum(2)
     return {
-        "aim_parts": weigh.parts * parts_entropy(part_logits, owner, aim.known, weigh.rarity),
+        "aim_parts": weigh.parts * parts_entropy(part_logits, owner, aim.known, weigh.occupied),
         "aim_state": weigh.state * states,
         "aim_direction": weigh.direction * lean,
-        "aim_pivot": weigh.pivot * (square * there[:, :revolute]).sum(1).mean(),
+        "aim_pivot": weigh.pivot * (square * there).sum(1).mean(),
     }
 
 
-def parts_entropy(part_logits: Tensor, owner: Tensor, known: Tensor, rarity: float) -> Tensor:
+def parts_entropy(part_logits: Tensor, owner: Tensor, known: Tensor, occupied: float) -> Tensor:
     """The binary cross-entropy of each part's field, summed over parts, a mean over points.
-
-    Where a part owns few of the batch's points these weigh more, (others / own)^rarity, at most 100
-    times: else the field of a part that is nearly nowhere is empty.
 
     Args:
         part_logits: (B, P, n).
         owner: (B, n) which part each point belongs to, -1 for none.
         known: (B,) 0 for samples of which that is not known.
+        occupied: how much more a part's own points weigh than others: else the field of a part that
+            is thin is below 0 everywhere. The same for all parts, so that fields can be compared.
     """
     own = torch.arange(part_logits.shape[1], device=owner.device)[:, None] == owner[:, None]
-    share = processes.gathered(own.float().mean((0, 2))[None]).mean(0).clamp(min=1e-6)
-    weight = (1.0 / share - 1.0).pow(rarity).clamp(1.0, 100.0)[:, None]
     entropy = binary_cross_entropy_with_logits(
-        part_logits, own.to(part_logits.dtype), pos_weight=weight, reduction="none"
+        part_logits,
+        own.to(part_logits.dtype),
+        pos_weight=part_logits.new_full((1,), occupied),
+        reduction="none",
     )
     return POINTS_OF_THE_PAPER * (entropy.sum(1).mean(1) * known).mean()

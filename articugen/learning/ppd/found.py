@@ -1,0 +1,123 @@
+"""What moves in the training objects: found by `articugen.discovery`, and kept beside the runs."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from articugen.discovery import Discovery, FoundJoint, discover
+from articugen.errors import CorruptShard, InvalidArgument
+from articugen.learning.dataset import PackedSplit, unpacked
+from articugen.learning.tensors import read_tensors, write_tensors
+from articugen.records import JointKind
+from articugen.store.files import make_folder
+from articugen.workers import Crew
+
+FORMAT = "articugen joints 1"
+"""Of the file that keeps what was found; to be raised when something else would be found."""
+
+MOST_POSES = 128
+"""Of an object that are looked at, which takes seconds; the others have nothing to aim at."""
+
+LEAST_SCORE = 0.4
+"""Of every joint in an object, else it says nothing."""
+
+Found = list[Discovery | None]
+"""What was found in each object; None where that cannot be told."""
+
+Tell = Callable[[str], None]
+
+
+def discovered(
+    training: PackedSplit, beside: Path, tell: Tell = lambda _: None
+) -> tuple[Found, list[NDArray[np.intp]]]:
+    """What moves in each object, and the instances that are its poses, at most `MOST_POSES`.
+
+    It is kept in a file `beside` the run, named after the clouds, since several seeds ask for it.
+
+    Args:
+        tell: called with a sentence for each object.
+
+    Raises:
+        CorruptShard: in no object anything is found.
+        InvalidCheckpoint: the file is damaged.
+    """
+    names = list(dict.fromkeys(training.object_id.tolist()))
+    rows = [training.poses_of(name)[:MOST_POSES] for name in names]
+    clouds = [training.surface[torch.from_numpy(mine)].cpu().numpy() for mine in rows]
+    path = beside / f"joints-{_digest(clouds)}.pt"
+    if path.is_file():
+        kept = read_tensors(path, FORMAT)["objects"]
+        return [_read(each, cloud) for each, cloud in zip(kept, clouds, strict=True)], rows
+    found: Found = []
+    with Crew(_look, workers=os.cpu_count() or 1) as crew:
+        for each in crew.in_order(clouds):
+            found.append(each)
+            tell(f"looking for joints in the training objects: {len(found)} of {len(names)}")
+    if not any(found):
+        raise CorruptShard(
+            f"{beside}: the poses of no training object tell what moves in it; make the data set "
+            "with more states, or set warm_start.share=0"
+        )
+    make_folder(beside)
+    write_tensors(path, {"objects": [_plain(each) for each in found]}, FORMAT)
+    return found, rows
+
+
+def _look(stored: NDArray[np.int16]) -> Discovery | None:
+    """What is found in an object's clouds (K, n, 3), as they are stored; with sure joints alone."""
+    poses = unpacked(torch.from_numpy(stored)).double().numpy()
+    try:
+        found = discover(list(poses))
+    except InvalidArgument:  # nothing moves, or not as one joint would
+        return None
+    sure = found.joints and min(joint.score for joint in found.joints) >= LEAST_SCORE
+    return found if sure else None
+
+
+def _digest(clouds: Sequence[NDArray[np.int16]]) -> str:
+    hashed = hashlib.sha256()
+    for cloud in clouds:
+        hashed.update(f"{cloud.shape}".encode() + cloud.tobytes())
+    return hashed.hexdigest()[:16]
+
+
+def _plain(found: Discovery | None) -> dict[str, Any]:
+    """As `write_tensors` wants it."""
+    if found is None:
+        return {}
+    joints = [
+        {
+            "kind": int(joint.kind),
+            "axis": torch.from_numpy(joint.axis),
+            "pivot": torch.from_numpy(joint.pivot),
+            "states": torch.from_numpy(joint.states),
+            "score": float(joint.score),
+        }
+        for joint in found.joints
+    ]
+    return {"part": torch.from_numpy(found.part.astype(np.uint8)), "joints": joints}
+
+
+def _read(kept: dict[str, Any], stored: NDArray[np.int16]) -> Discovery | None:
+    if not kept:
+        return None
+    joints = tuple(
+        FoundJoint(
+            kind=JointKind(joint["kind"]),
+            axis=joint["axis"].numpy(),
+            pivot=joint["pivot"].numpy(),
+            states=joint["states"].numpy(),
+            score=joint["score"],
+        )
+        for joint in kept["joints"]
+    )
+    points = unpacked(torch.from_numpy(stored[0])).double().numpy()
+    return Discovery(joints, points, kept["part"].numpy().astype(np.int64))

@@ -1,0 +1,215 @@
+"""The warm start: what is found in boxes whose motion is known, and what is asked for then."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ppd_data import write_boxes
+
+torch = pytest.importorskip("torch")
+
+from articugen.discovery import Discovery, FoundJoint  # noqa: E402
+from articugen.errors import CorruptShard, InvalidCheckpoint  # noqa: E402
+from articugen.learning.dataset import BatchSpec, load_split, unpacked  # noqa: E402
+from articugen.learning.method import find_method, load_recipe  # noqa: E402
+from articugen.learning.ppd import found as found_module  # noqa: E402
+from articugen.learning.ppd.found import discovered  # noqa: E402
+from articugen.learning.ppd.model import amount_of  # noqa: E402
+from articugen.learning.ppd.settings import ModelSettings, WarmStart  # noqa: E402
+from articugen.learning.ppd.warm_start import (  # noqa: E402
+    aim_terms,
+    assigned,
+    likely,
+    parts_entropy,
+    targets,
+)
+from articugen.records import JointKind  # noqa: E402
+from articugen.store.shards import open_shard  # noqa: E402
+
+MODEL = ModelSettings()
+SPEC = BatchSpec(surface_points=256, parts=True, poses=True, voxels=True)
+
+
+def found(*joints: tuple[JointKind, tuple, tuple]) -> Discovery:
+    """Joints of a kind, an axis and a part at a place."""
+    places = [place for _, _, place in joints]
+    points = np.array([(0.0, 0.0, 0.0), *places], np.float64)
+    made = [
+        FoundJoint(kind, np.array(axis, np.float64), np.array(place), np.array([0.0, 0.5]), 0.9)
+        for kind, axis, place in joints
+    ]
+    return Discovery(tuple(made), points, np.arange(len(points)))
+
+
+R, S = JointKind.REVOLUTE, JointKind.PRISMATIC
+
+
+def test_a_joint_goes_to_the_candidate_that_points_as_it_does():
+    left = found((R, (0.0, 0.1, -0.995), (0, 0.4, 0)))
+    right = found((R, (0.0, 0.1, 0.995), (0, 0.4, 0)))
+    both = found((R, (0, 0, -1), (0, 0.4, 0)), (R, (0, 0, 1), (0, -0.4, 0)))
+    assert assigned(right, MODEL) == [(0, 1.0)]
+    assert assigned(left, MODEL) == [(1, 1.0)]
+    assert assigned(both, MODEL) == [(1, 1.0), (0, 1.0)]
+
+
+def test_one_that_no_candidate_points_as_turns_the_other_way():
+    assert assigned(found((R, (0, -1, 0), (0, 0, 0))), MODEL) == [(2, -1.0)]
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1), (1, 2, 0)])
+def test_candidates_that_point_alike_are_handed_out_as_one_reads(order):
+    stack = [(S, (1, 0, 0), (0, 0, z)) for z in (0.3, 0.0, -0.3)]
+    row = [(S, (1, 0, 0), (0, y, 0.2)) for y in (-0.3, 0.0, 0.3)]
+    for joints in (stack, row):
+        taken = assigned(found(*(joints[i] for i in order)), MODEL)
+        assert taken == [(3 + i, 1.0) for i in order]
+
+
+def test_joints_without_a_candidate_get_none():
+    many = found(*((S, (1, 0, 0), (0, 0, -0.1 * i)) for i in range(5)))
+    assert assigned(many, MODEL) == [(3, 1.0), (4, 1.0), (5, 1.0), (6, 1.0), None]
+
+
+def test_objects_unlike_the_others_say_nothing():
+    usual = [found((S, (1, 0, 0), (0, 0, 0))) for _ in range(8)]
+    odd, leaning = found((R, (0, 0, 1), (0, 0, 0))), found((S, (0.7, 0, 0.7), (0, 0, 0)))
+    assert likely([*usual, odd, leaning, None], MODEL) == [*usual, None, None, None]
+
+
+@pytest.fixture(scope="module")
+def boxes(tmp_path_factory):
+    """Hinged boxes, their split, and what is true of them: lid and knob move as one."""
+    folder = write_boxes(tmp_path_factory.mktemp("boxes"), train=2, test=1, states=7, slides=0.0)
+    split = load_split(folder, "train", SPEC, ())
+    names = list(dict.fromkeys(split.object_id.tolist()))
+    true = []
+    for path in sorted(folder.glob("train-*.h5")):
+        with open_shard(path) as shard:
+            rows = [shard.instance(i) for i in range(len(shard.object_ids()))]
+        first = rows[0]
+        hinge = FoundJoint(
+            R, first.joint_axis[0], first.joint_pivot[0],
+            np.array([row.joint_state[0] for row in rows]), 1.0,
+        )  # fmt: skip
+        part = np.minimum(first.surface_part.astype(int), 1)
+        true.append(Discovery((hinge,), first.surface_points / 65535 - 0.5, part))
+    return split, true, [split.poses_of(name) for name in names]
+
+
+def test_points_belong_to_the_part_that_they_move_with(boxes):
+    split, true, rows = boxes
+    aims = targets(split, true, rows, MODEL)
+    everything = torch.arange(len(split))
+    points = unpacked(split.surface)
+    owner = aims.of(everything).owner(points, torch.ones(points.shape[:2], dtype=torch.bool))
+    (slot, _) = assigned(true[0], MODEL)[0]
+    assert (owner[split.part > 0] == slot + 1).float().mean() > 0.85
+    assert (owner[split.part == 0] == 0).float().mean() > 0.85
+    free = aims.of(everything).owner(points, torch.zeros(points.shape[:2], dtype=torch.bool))
+    assert (free == -1).all()
+
+
+def test_poses_that_were_not_looked_at_have_no_targets(boxes):
+    split, true, rows = boxes
+    some = [
+        Discovery(
+            tuple(replace(j, states=j.states[:5]) for j in each.joints), each.points, each.part
+        )
+        for each in true
+    ]
+    aims = targets(split, some, [mine[:5] for mine in rows], MODEL)
+    for mine in rows:
+        assert aims.known[mine].tolist() == [1.0] * 5 + [0.0] * (len(mine) - 5)
+
+
+def test_targets_bring_every_pose_back_to_the_first(boxes):
+    split, true, rows = boxes
+    aims = targets(split, true, rows, MODEL)
+    for each, mine in zip(true, rows, strict=True):
+        for joint, (slot, sense) in enumerate(assigned(each, MODEL)):
+            for k, row in enumerate(mine):
+                T = each.motion(k)[joint + 1]
+                posed = T[:3, :3] @ [0.1, 0.2, 0.3] + T[:3, 3]
+                back = aims.rotation[row, slot + 1].numpy() @ posed
+                back = back + aims.offset[row, slot + 1].numpy()
+                np.testing.assert_allclose(back, [0.1, 0.2, 0.3], atol=1e-6)
+            change = aims.state[mine, slot] - aims.state[mine[0], slot]
+            np.testing.assert_allclose(change, sense * each.joints[joint].states, atol=1e-6)
+            assert (aims.there[mine, slot] == 1).all()
+    assert (aims.state > 0).all()
+    assert aims.there.sum(1).eq(len(true[0].joints)).all()
+
+
+def test_a_prediction_that_is_as_aimed_costs_nothing(boxes):
+    split, true, rows = boxes
+    aims = targets(split, true, rows, MODEL).of(torch.arange(3))
+    learner = find_method("ppd").start(load_recipe("ppd_quick"), seed=0, device=torch.device("cpu"))
+    with torch.no_grad():
+        pose = learner.model(unpacked(split.surface[:3, :128])).pose
+    turning = len(MODEL.revolute)
+    frames = pose.frames.clone()
+    frames[..., 2] = torch.where(aims.there[..., None] > 0, aims.axis, pose.direction)
+    pivot = torch.cat([pose.pivot[:, :1], aims.pivot], 1)
+    right = {"amount": amount_of(aims.state, turning), "frames": frames, "pivot": pivot}
+    logits, owner = torch.zeros(3, 8, 5), torch.zeros(3, 5, dtype=torch.long)
+
+    def terms(**changed):
+        some = type(pose)(**{**vars(pose), **right, **changed})
+        return aim_terms(some, logits, owner, aims, WarmStart(), turning)
+
+    for name in ("aim_state", "aim_direction", "aim_pivot"):
+        assert float(terms()[name]) == pytest.approx(0.0, abs=1e-9)
+    slot = assigned(true[0], MODEL)[0][0]
+    off = pivot.clone()
+    off[:, slot + 1, 0] += 0.1
+    assert float(terms(pivot=off)["aim_pivot"]) == pytest.approx(WarmStart().pivot * 0.01, rel=1e-4)
+    free = int(torch.where(aims.there[0] == 0)[0][0])  # a candidate without a joint: nothing asked
+    off = pivot.clone()
+    off[:, free + 1] += 0.1
+    assert float(terms(pivot=off)["aim_pivot"]) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_parts_entropy_is_what_it_says():
+    rng = torch.Generator().manual_seed(0)
+    logits = torch.randn(2, 3, 5, generator=rng, dtype=torch.float64)
+    owner = torch.tensor([[0, 1, -1, 2, 0], [-1, -1, 1, 1, 2]])
+    known = torch.tensor([1.0, 0.0])
+    total = 0.0
+    for p in range(3):
+        for i in range(5):
+            share = 1.0 / (1.0 + np.exp(-float(logits[0, p, i])))
+            total -= 4.0 * np.log(share) if owner[0, i] == p else np.log(1.0 - share)
+    wanted = 4096 * total / 5 / 2
+    assert float(parts_entropy(logits, owner, known, 4.0)) == pytest.approx(wanted)
+
+
+def test_what_was_found_is_kept_and_read_again(boxes, tmp_path, monkeypatch):
+    split, _, _ = boxes
+    said = []
+    first, rows = discovered(split, tmp_path, said.append)
+    assert len(said) == len(rows) == 2
+    assert said[-1] == "looking for joints in the training objects: 2 of 2"
+    monkeypatch.setattr(found_module, "_look", None)  # the second time nothing is looked for
+    again, _ = discovered(split, tmp_path)
+    for one, other in zip(first, again, strict=True):
+        assert (one is None) == (other is None)
+        if one and other:
+            np.testing.assert_array_equal(one.part, other.part)
+            for a, b in zip(one.joints, other.joints, strict=True):
+                np.testing.assert_array_equal(a.states, b.states)
+                assert a.kind == b.kind
+    (path,) = tmp_path.glob("joints-*.pt")
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(InvalidCheckpoint, match="joints-"):
+        discovered(split, tmp_path)
+
+
+def test_where_nothing_moves_one_sentence_says_so(boxes, tmp_path):
+    split, _, rows = boxes
+    surface = split.surface.clone()
+    for mine in rows:
+        surface[mine] = surface[mine[0]].clone()
+    still = type(split)(**{**vars(split), "surface": surface})
+    with pytest.raises(CorruptShard, match="no training object tell"):
+        discovered(still, tmp_path)
