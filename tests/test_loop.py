@@ -334,13 +334,12 @@ def test_the_adversary_s_shortcut_is_exact(boxes):
 
 
 def test_the_curve_is_the_one_that_was_committed(tmp_path, monkeypatch):
-    """Of the paper's recipe, both stages, as the code drew it before learners had a seam of their
-    own. To the last digit on that machine; elsewhere sums are rounded otherwise, and Adam makes
-    more of it with each step: of the first iteration's terms `adv_g` alone comes after one. Points are drawn as they are where many are wanted, as the paper's
-    recipe does."""
+    """Of the paper's recipe, both stages, in steps so small that it is the same on any processor:
+    in larger ones Adam makes much of how sums are rounded. Points are drawn as they are where many
+    are wanted, as the paper's recipe does."""
     monkeypatch.setattr(dataset, "FEW", 10**9)
     data = write_boxes(tmp_path / "data", train=4, test=1, states=2)
-    plan = {"batch": 4, "learning_rate": 1e-3, "final_learning_rate": 1e-4, "log_every": 1}
+    plan = {"batch": 4, "learning_rate": 1e-6, "final_learning_rate": 1e-7, "log_every": 1}
     plan |= {"validate_every": 4, "save_every": 100}
     plan["stages"] = [
         {"resolution": 8, "iterations": 6},
@@ -352,17 +351,9 @@ def test_the_curve_is_the_one_that_was_committed(tmp_path, monkeypatch):
     committed = Path(__file__).parent / "data" / "ppd_curve.jsonl"
     for have, line in zip(drawn, committed.read_text().splitlines(), strict=True):
         want = json.loads(line)
-        assert [have[k] for k in have if k in ("iteration", "stage", "learning_rate")] == [
-            want[k] for k in want if k in ("iteration", "stage", "learning_rate")
-        ]
-        for term, value in want.get("terms", {}).items():
-            no_step_yet = want["iteration"] == 1 and term != "adv_g"
-            near = {"rel": 1e-4, "abs": 1e-5} if no_step_yet else {"rel": 0.15, "abs": 2e-3}
-            assert have["terms"][term] == pytest.approx(value, **near), term
-        assert have.get("terms", {}).keys() == want.get("terms", {}).keys()
-        measured = have.get("validation", {})  # more is measured now than when it was committed
-        wanted = want.get("validation", {})
-        assert {k: measured[k] for k in wanted} == pytest.approx(wanted, rel=2e-2, abs=2e-3)
+        assert have.keys() - {"seconds"} == want.keys()
+        for what in want:
+            assert have[what] == pytest.approx(want[what], rel=1e-3, abs=1e-5), what
 
 
 def test_training_learns(boxes, tmp_path):
