@@ -24,9 +24,37 @@ FLAT = 0.05
 FAR = 1e9
 """The squared distance to where there is nothing."""
 
-
 LIKE = 0.85
 """Cosine between the normals of two points that may be of one surface."""
+
+
+@helper
+def _span(x, reach):
+    """The cells along an edge that come within `reach` of x."""
+    first = max(int(np.floor((x - reach + 0.5) * CELLS)), 0)
+    return range(first, min(int(np.floor((x + reach + 0.5) * CELLS)), CELLS - 1) + 1)
+
+
+@helper
+def _row(starts, pose, i, j, z, reach):
+    """The points of a pose in the cells (i, j, k) that come within `reach` of z."""
+    first = max(int(np.floor((z - reach + 0.5) * CELLS)), 0)
+    last = min(int(np.floor((z + reach + 0.5) * CELLS)), CELLS - 1)
+    row = (i * CELLS + j) * CELLS
+    return range(starts[pose, row + first], starts[pose, row + max(last, first - 1) + 1])
+
+
+@helper
+def _moved(M, p, n):
+    """A point p and its normal n, moved by M (3, 4)."""
+    return (
+        M[0, 0] * p[0] + M[0, 1] * p[1] + M[0, 2] * p[2] + M[0, 3],
+        M[1, 0] * p[0] + M[1, 1] * p[1] + M[1, 2] * p[2] + M[1, 3],
+        M[2, 0] * p[0] + M[2, 1] * p[1] + M[2, 2] * p[2] + M[2, 3],
+        M[0, 0] * n[0] + M[0, 1] * n[1] + M[0, 2] * n[2],
+        M[1, 0] * n[0] + M[1, 1] * n[1] + M[1, 2] * n[2],
+        M[2, 0] * n[0] + M[2, 1] * n[1] + M[2, 2] * n[2],
+    )
 
 
 @helper
@@ -35,18 +63,9 @@ def _nearest(points, normals, starts, pose, x, y, z, nx, ny, nz, reach, across):
     the same surface, -1 if there is none within `reach`, and `across` from plane to plane. A normal
     of zeros says nothing."""
     best, at = reach * reach, -1
-    low_i = max(int(np.floor((x - reach + 0.5) * CELLS)), 0)
-    low_j = max(int(np.floor((y - reach + 0.5) * CELLS)), 0)
-    low_k = max(int(np.floor((z - reach + 0.5) * CELLS)), 0)
-    high_i = min(int(np.floor((x + reach + 0.5) * CELLS)), CELLS - 1)
-    high_j = min(int(np.floor((y + reach + 0.5) * CELLS)), CELLS - 1)
-    high_k = min(int(np.floor((z + reach + 0.5) * CELLS)), CELLS - 1)
-    if high_k < low_k:
-        return at, FAR
-    for i in range(low_i, high_i + 1):
-        for j in range(low_j, high_j + 1):
-            row = (i * CELLS + j) * CELLS
-            for n in range(starts[pose, row + low_k], starts[pose, row + high_k + 1]):
+    for i in _span(x, reach):
+        for j in _span(y, reach):
+            for n in _row(starts, pose, i, j, z, reach):
                 dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
                 d = dx * dx + dy * dy + dz * dz
                 if d > best or abs(dx * nx + dy * ny + dz * nz) > across:
@@ -64,20 +83,9 @@ def distances(queries, query_normals, motions, points, normals, starts, reach, a
     surface in that pose; FAR beyond `reach`. `motions` (K, 3, 4)."""
     out = np.empty((len(motions), len(queries)), np.float32)
     for k in range(len(motions)):
-        M = motions[k]
         for i in range(len(queries)):
-            p, q, r = queries[i, 0], queries[i, 1], queries[i, 2]
-            a, b, c = query_normals[i, 0], query_normals[i, 1], query_normals[i, 2]
-            at, d = _nearest(
-                points, normals, starts, k,
-                M[0, 0] * p + M[0, 1] * q + M[0, 2] * r + M[0, 3],
-                M[1, 0] * p + M[1, 1] * q + M[1, 2] * r + M[1, 3],
-                M[2, 0] * p + M[2, 1] * q + M[2, 2] * r + M[2, 3],
-                M[0, 0] * a + M[0, 1] * b + M[0, 2] * c,
-                M[1, 0] * a + M[1, 1] * b + M[1, 2] * c,
-                M[2, 0] * a + M[2, 1] * b + M[2, 2] * c,
-                reach, across,
-            )  # fmt: skip
+            x, y, z, nx, ny, nz = _moved(motions[k], queries[i], query_normals[i])
+            at, d = _nearest(points, normals, starts, k, x, y, z, nx, ny, nz, reach, across)
             out[k, i] = np.sqrt(d) if at >= 0 else FAR
     return out
 
@@ -89,18 +97,9 @@ def about(queries, values, points, starts, pose, reach, skip_self):
     out = np.zeros((len(queries), 2))
     for i in range(len(queries)):
         x, y, z = queries[i, 0], queries[i, 1], queries[i, 2]
-        low_i = max(int(np.floor((x - reach + 0.5) * CELLS)), 0)
-        low_j = max(int(np.floor((y - reach + 0.5) * CELLS)), 0)
-        low_k = max(int(np.floor((z - reach + 0.5) * CELLS)), 0)
-        high_i = min(int(np.floor((x + reach + 0.5) * CELLS)), CELLS - 1)
-        high_j = min(int(np.floor((y + reach + 0.5) * CELLS)), CELLS - 1)
-        high_k = min(int(np.floor((z + reach + 0.5) * CELLS)), CELLS - 1)
-        for a in range(low_i, high_i + 1):
-            for b in range(low_j, high_j + 1):
-                row = (a * CELLS + b) * CELLS
-                if high_k < low_k:
-                    continue
-                for n in range(starts[pose, row + low_k], starts[pose, row + high_k + 1]):
+        for a in _span(x, reach):
+            for b in _span(y, reach):
+                for n in _row(starts, pose, a, b, z, reach):
                     dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
                     d = dx * dx + dy * dy + dz * dz
                     if d <= reach * reach and not (skip_self and d == 0.0):
@@ -116,16 +115,9 @@ def spacing(queries, points, starts, pose, reach):
     for i in range(len(queries)):
         x, y, z = queries[i, 0], queries[i, 1], queries[i, 2]
         best = reach * reach
-        low_i = max(int(np.floor((x - reach + 0.5) * CELLS)), 0)
-        low_j = max(int(np.floor((y - reach + 0.5) * CELLS)), 0)
-        low_k = max(int(np.floor((z - reach + 0.5) * CELLS)), 0)
-        high_i = min(int(np.floor((x + reach + 0.5) * CELLS)), CELLS - 1)
-        high_j = min(int(np.floor((y + reach + 0.5) * CELLS)), CELLS - 1)
-        high_k = min(int(np.floor((z + reach + 0.5) * CELLS)), CELLS - 1)
-        for a in range(low_i, high_i + 1):
-            for b in range(low_j, high_j + 1):
-                row = (a * CELLS + b) * CELLS
-                for n in range(starts[pose, row + low_k], starts[pose, row + high_k + 1]):
+        for a in _span(x, reach):
+            for b in _span(y, reach):
+                for n in _row(starts, pose, a, b, z, reach):
                     dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
                     d = dx * dx + dy * dy + dz * dz
                     if 0.0 < d < best:
@@ -185,18 +177,11 @@ def shapes(queries, points, starts, pose, reach):
     C = np.zeros((3, 3))
     for i in range(len(queries)):
         x, y, z = queries[i, 0], queries[i, 1], queries[i, 2]
-        low_i = max(int(np.floor((x - reach + 0.5) * CELLS)), 0)
-        low_j = max(int(np.floor((y - reach + 0.5) * CELLS)), 0)
-        low_k = max(int(np.floor((z - reach + 0.5) * CELLS)), 0)
-        high_i = min(int(np.floor((x + reach + 0.5) * CELLS)), CELLS - 1)
-        high_j = min(int(np.floor((y + reach + 0.5) * CELLS)), CELLS - 1)
-        high_k = min(int(np.floor((z + reach + 0.5) * CELLS)), CELLS - 1)
         C[:] = 0.0
         sx = sy = sz = count = 0.0
-        for a in range(low_i, high_i + 1):
-            for b in range(low_j, high_j + 1):
-                row = (a * CELLS + b) * CELLS
-                for n in range(starts[pose, row + low_k], starts[pose, row + high_k + 1]):
+        for a in _span(x, reach):
+            for b in _span(y, reach):
+                for n in _row(starts, pose, a, b, z, reach):
                     dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
                     if dx * dx + dy * dy + dz * dz > reach * reach:
                         continue
@@ -257,20 +242,9 @@ def profile(queries, query_normals, turned_steps, points, normals, starts, pose,
     the sum over them of 1 - (d / reach)^2, 0 beyond it."""
     out = np.zeros(len(turned_steps))
     for t in range(len(turned_steps)):
-        M = turned_steps[t]
         for i in range(len(queries)):
-            p, q, r = queries[i, 0], queries[i, 1], queries[i, 2]
-            a, b, c = query_normals[i, 0], query_normals[i, 1], query_normals[i, 2]
-            at, d = _nearest(
-                points, normals, starts, pose,
-                M[0, 0] * p + M[0, 1] * q + M[0, 2] * r + M[0, 3],
-                M[1, 0] * p + M[1, 1] * q + M[1, 2] * r + M[1, 3],
-                M[2, 0] * p + M[2, 1] * q + M[2, 2] * r + M[2, 3],
-                M[0, 0] * a + M[0, 1] * b + M[0, 2] * c,
-                M[1, 0] * a + M[1, 1] * b + M[1, 2] * c,
-                M[2, 0] * a + M[2, 1] * b + M[2, 2] * c,
-                reach, across,
-            )  # fmt: skip
+            x, y, z, nx, ny, nz = _moved(turned_steps[t], queries[i], query_normals[i])
+            at, d = _nearest(points, normals, starts, pose, x, y, z, nx, ny, nz, reach, across)
             if at >= 0:
                 out[t] += 1.0 - d / (reach * reach)
     return out
@@ -302,13 +276,8 @@ def normal_equations(  # noqa: PLR0912
     for k in range(K):
         M = motions[k]
         for i in range(len(queries)):
-            p, n = queries[i], query_normals[i]
-            x = M[0, 0] * p[0] + M[0, 1] * p[1] + M[0, 2] * p[2] + M[0, 3]
-            y = M[1, 0] * p[0] + M[1, 1] * p[1] + M[1, 2] * p[2] + M[1, 3]
-            z = M[2, 0] * p[0] + M[2, 1] * p[1] + M[2, 2] * p[2] + M[2, 3]
-            nx = M[0, 0] * n[0] + M[0, 1] * n[1] + M[0, 2] * n[2]
-            ny = M[1, 0] * n[0] + M[1, 1] * n[1] + M[1, 2] * n[2]
-            nz = M[2, 0] * n[0] + M[2, 1] * n[1] + M[2, 2] * n[2]
+            p = queries[i]
+            x, y, z, nx, ny, nz = _moved(M, p, query_normals[i])
             at, d = _nearest(points, normals, starts, k, x, y, z, nx, ny, nz, reach, across)
             if at < 0:
                 continue
