@@ -10,28 +10,22 @@ that were rejected (within the recipe's limit); 130 interrupted.
 import os
 import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.markup import escape
 
 from articugen import __version__
 from articugen.cli.discover import register as register_discover
 from articugen.cli.learn import Changes
 from articugen.cli.learn import register as register_learning
-from articugen.errors import ArticugenError, printable
+from articugen.cli.saying import FAILED, INTERRUPTED, REJECTED, said, say_error, stderr, stdout
+from articugen.errors import ArticugenError
 
 if TYPE_CHECKING:
     from articugen.pipeline import Job
-
-FAILED, REJECTED, INTERRUPTED = 1, 3, 130
-
-out = Console(highlight=False)
-err = Console(stderr=True, highlight=False)
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -52,7 +46,7 @@ def main() -> None:
         app(prog_name="articugen")
     except OSError as error:  # what is meant for the terminal went to a full disk, say
         with suppress(OSError):
-            _say_error(f"{error.filename or 'output'}: {error.strerror}")
+            say_error(f"{error.filename or 'output'}: {error.strerror}")
         _drop_output()
         sys.exit(FAILED)
 
@@ -70,26 +64,9 @@ def _drop_output() -> None:
         os.dup2(nowhere, stream)
 
 
-def _say_error(sentence: str) -> None:
-    err.print(f"[bold red]error:[/] {escape(printable(sentence))}", soft_wrap=True)
-
-
-@contextmanager
-def _said_in_one_sentence(interrupted: str = "interrupted") -> Iterator[None]:
-    """Our errors go to stderr without a traceback; others are faults of ours and keep theirs."""
-    try:
-        yield
-    except ArticugenError as error:
-        _say_error(str(error))
-        raise typer.Exit(FAILED) from None
-    except KeyboardInterrupt:
-        err.print(interrupted, soft_wrap=True)
-        raise typer.Exit(INTERRUPTED) from None
-
-
 def _version(wanted: bool) -> None:
     if wanted:
-        out.print(f"articugen {__version__}")
+        stdout.print(f"articugen {__version__}")
         raise typer.Exit
 
 
@@ -108,11 +85,11 @@ def _common(
 )
 def sources() -> None:
     """List the sources of models, their categories and how many objects there are."""
-    with _said_in_one_sentence():
+    with said():
         from articugen.cli.console import sources_table
         from articugen.sources.registry import source_names
 
-        out.print(sources_table(source_names()))
+        stdout.print(sources_table(source_names()))
 
 
 @app.command(
@@ -213,7 +190,7 @@ def generate(
     ] = False,
 ) -> None:
     """Make a data set, or what is missing of it: run it again to resume."""
-    with _said_in_one_sentence(_KEPT):
+    with said(_KEPT):
         from articugen.api import jobs_of
 
         todo = jobs_of(
@@ -238,24 +215,26 @@ def _listed(texts: list[str] | None) -> list[str]:
 
 def _made(job: "Job", *, dry_run: bool, replace: bool) -> int:
     """Make one data set and tell of it; the exit status."""
-    with _said_in_one_sentence(_KEPT):
+    with said(_KEPT):
         from articugen import pipeline
         from articugen.cli import console
 
         with pipeline.started(job) as run:
             if dry_run:
-                out.print(console.plan_table(job, run.plan))
+                stdout.print(console.plan_table(job, run.plan))
                 return 0
             if run.plan.conflict and not replace:
                 raise ArticugenError(f"{run.plan.conflict}, or add --replace")
-            with console.progress(err, run.plan) as bar:
+            with console.progress(stderr, run.plan) as bar:
                 manifest = run.finish(bar.of_object, bar.of_notice)
         if not run.plan.tasks:
-            out.print("nothing to do, all of it was there already")
-        out.print(console.made_table(manifest, job.out))
+            stdout.print("nothing to do, all of it was there already")
+        stdout.print(console.made_table(manifest, job.out))
         if manifest.shortfall:
             raise ArticugenError(manifest.shortfall)
-        out.print(f"next: articugen inspect {job.out} --image {job.out}/sheet.png", soft_wrap=True)
+        stdout.print(
+            f"next: articugen inspect {job.out} --image {job.out}/sheet.png", soft_wrap=True
+        )
     return REJECTED if manifest.rejected else 0
 
 
@@ -270,7 +249,7 @@ def _made_each(*todo: "Job", dry_run: bool, replace: bool) -> int:
                 raise
             ended[job.category] = left.exit_code
     failed = [name for name, status in ended.items() if status == FAILED]
-    out.print(
+    stdout.print(
         f"{len(ended) - len(failed)} of {len(ended)} categories are done"
         + (f"; not: {', '.join(failed)}" if failed else ""),
         soft_wrap=True,
@@ -292,22 +271,22 @@ def inspect(
     states: Annotated[int, typer.Option(min=1, max=64, help="Columns of the sheet.")] = 6,
 ) -> None:
     """Print what a shard or a data set holds, and draw it."""
-    with _said_in_one_sentence():
+    with said():
         from articugen.cli.console import left_out
         from articugen.inspection.summary import shards_of, summary
 
         shards = shards_of(path)
-        out.print(summary(shards))
-        out.print(left_out(path))
+        stdout.print(summary(shards))
+        stdout.print(left_out(path))
         if image is not None:
             from articugen.compiling import compile_kernels
             from articugen.inspection.contact_sheet import contact_sheet
             from articugen.pipeline import default_jobs
 
-            compile_kernels("inspect", jobs=default_jobs(), notice=err.print)
-            with err.status("drawing ..."):
+            compile_kernels("inspect", jobs=default_jobs(), notice=stderr.print)
+            with stderr.status("drawing ..."):
                 contact_sheet(shards, image, objects=objects, states=states)
-            out.print(f"drawn: {image}", soft_wrap=True)
+            stdout.print(f"drawn: {image}", soft_wrap=True)
 
 
 @app.command(
@@ -331,19 +310,19 @@ def verify(
 ) -> None:
     """Check checksums, schema, value ranges and geometry of data sets."""
     sound = True
-    with _said_in_one_sentence():
+    with said():
         from articugen.store.journal import data_sets
         from articugen.verify.check import check
 
         for folder in data_sets(path):
             report = check(folder, replay=again, jobs=jobs)
             for finding in report.findings:
-                out.print(f"[red]✗[/] {folder}: {escape(str(finding))}", soft_wrap=True)
+                stdout.print(f"[red]✗[/] {folder}: {escape(str(finding))}", soft_wrap=True)
             if report.ok:
                 replayed = f"; {again} came out the same, made again" if again else ""
                 more = len(report.extended)
                 theirs = f"; {more} with a group 'user', which was not looked at" if more else ""
-                out.print(
+                stdout.print(
                     f"[green]✓[/] {folder}: {report.shards} shards, {report.instances:,} instances"
                     f" are as they were made{theirs}{replayed}",
                     soft_wrap=True,
@@ -361,16 +340,18 @@ def clean(
     ] = False,
 ) -> None:
     """Remove what killed runs left; what is finished or can be resumed stays."""
-    with _said_in_one_sentence():
+    with said():
         from articugen.inspection.tables import size
         from articugen.store.cleaning import clean as tidy
 
         leftovers = tidy(path, dry_run=dry_run)
         for left in leftovers:
             what = f"{left.path}: {left.why}, {size(left.bytes)}"
-            out.print(escape(f"{'would remove' if dry_run else 'removed'} {what}"), soft_wrap=True)
+            stdout.print(
+                escape(f"{'would remove' if dry_run else 'removed'} {what}"), soft_wrap=True
+            )
         if not leftovers:
-            out.print(f"{path}: no killed run has left anything here", soft_wrap=True)
+            stdout.print(f"{path}: no killed run has left anything here", soft_wrap=True)
 
 
 @app.command(
@@ -386,13 +367,13 @@ def mesh(
     resolution: Annotated[int, typer.Option(min=8, max=1024, help="Voxels along an edge.")] = 128,
 ) -> None:
     """Write a watertight mesh of one instance's field, made again from its source."""
-    with _said_in_one_sentence():
+    with said():
         from articugen.verify.replay import write_mesh
 
-        with err.status("fusing ..."):
+        with stderr.status("fusing ..."):
             faces = write_mesh(folder, object_id, state, resolution, output)
-        out.print(f"{output}: {faces:,} faces, unit frame", soft_wrap=True)
+        stdout.print(f"{output}: {faces:,} faces, unit frame", soft_wrap=True)
 
 
-register_discover(app, _said_in_one_sentence)
-register_learning(app, _said_in_one_sentence)
+register_discover(app)
+register_learning(app)

@@ -3,14 +3,14 @@
 # Everything heavy is imported where it is used: --help should not wait for numba.
 # ruff: noqa: PLC0415
 import json
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.markup import escape
+
+from articugen.cli.saying import said, stderr, stdout
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -19,17 +19,9 @@ if TYPE_CHECKING:
     from articugen.found_joints import ObjectJoints
     from articugen.records import Floats
 
-Said = Callable[..., AbstractContextManager[None]]
 
-_said: Said
-_out = Console(highlight=False)
-_err = Console(stderr=True, highlight=False)
-
-
-def register(app: typer.Typer, said_in_one_sentence: Said) -> None:
-    """Add the command to the command line; `said_in_one_sentence` prints our errors."""
-    global _said  # noqa: PLW0603
-    _said = said_in_one_sentence
+def register(app: typer.Typer) -> None:
+    """Add the command to the command line."""
     app.command(
         epilog="Examples:\n\narticugen discover data/laptop\n\n"
         "articugen discover closed.ply ajar.ply open.ply --json joints.json"
@@ -51,13 +43,13 @@ def discover(
     output: Annotated[Path | None, typer.Option("--json", help="Write the joints there.")] = None,
 ) -> None:
     """Find the joints of objects from several poses of each, without labels."""
-    with _said("interrupted"):
+    with said("interrupted"):
         from articugen import found_joints
         from articugen.store.files import write_atomically
 
         found_joints.check_poses(paths)
         if len(paths) > 1:
-            with _err.status("searching ..."):
+            with stderr.status("searching ..."):
                 found = found_joints.discover(paths)
             _print("", found)
             told: object = {"joints": found_joints.as_json(found)}
@@ -80,26 +72,26 @@ def _of_data_set(path: Path, poses: int | None) -> "list[ObjectJoints]":
 
     def tell(found: "ObjectJoints", _: int) -> None:
         if found.found is None:
-            _out.print(f"[bold]{escape(found.object_id)}[/]  {escape(found.why)}", soft_wrap=True)
+            stdout.print(f"[bold]{escape(found.object_id)}[/]  {escape(found.why)}", soft_wrap=True)
         else:
             _print(found.object_id, found.found)
 
     data = found_joints.open_data_set(path)
     for object_id in track(
-        data.objects, "", console=_err, transient=True, disable=not _err.is_terminal
+        data.objects, "", console=stderr, transient=True, disable=not stderr.is_terminal
     ):
         objects += found_joints.discover_all(data.of(object_id), poses=poses, on_object=tell)
-    _out.print(_summary(objects), soft_wrap=True)
+    stdout.print(_summary(objects), soft_wrap=True)
     return objects
 
 
 def _print(name: str, found: "Discovery") -> None:
     if name:
-        _out.print(f"[bold]{escape(name)}[/]")
+        stdout.print(f"[bold]{escape(name)}[/]")
     if found.joints:
-        _out.print(_table(found))
+        stdout.print(_table(found))
     else:
-        _out.print("something moves, but no single joint explains it", soft_wrap=True)
+        stdout.print("something moves, but no single joint explains it", soft_wrap=True)
 
 
 def _table(found: "Discovery") -> "Table":

@@ -6,19 +6,17 @@ articugen/cli/data.py registers them.
 # Everything heavy is imported where it is used: --help should not wait for torch.
 # ruff: noqa: PLC0415
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
+
+from articugen.cli.saying import said, stderr, stdout
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
     from articugen.learning.loop import Progress
-
-Said = Callable[..., AbstractContextManager[None]]
 
 Changes = Annotated[
     list[str] | None,
@@ -31,15 +29,9 @@ Changes = Annotated[
 ]
 """An option of every command that takes a recipe."""
 
-_said: Said
-_out = Console(highlight=False)
-_err = Console(stderr=True, highlight=False)
 
-
-def register(app: typer.Typer, said_in_one_sentence: Said) -> None:
-    """Add the commands to the command line; `said_in_one_sentence` prints our errors."""
-    global _said  # noqa: PLW0603
-    _said = said_in_one_sentence
+def register(app: typer.Typer) -> None:
+    """Add the commands to the command line."""
     app.command(
         epilog="Examples:\n\narticugen train --category laptop --data data/laptop\n\n"
         "articugen train --category laptop --data data/laptop --set losses.vol=500\n\n"
@@ -98,7 +90,7 @@ def train(
     threads: Annotated[int, typer.Option(min=0, help="CPU threads; 0 leaves it to torch.")] = 0,
 ) -> None:
     """Train a method on a data set, or go on with a run."""
-    with _said("interrupted; the last checkpoint is kept, go on with --resume"):
+    with said("interrupted; the last checkpoint is kept, go on with --resume"):
         from articugen.recipe import check_category
 
         check_category(category)
@@ -106,7 +98,7 @@ def train(
 
         if processes.is_first():
             for hint in commands.hints(data):
-                _err.print(hint, soft_wrap=True, markup=False)
+                stderr.print(hint, soft_wrap=True, markup=False)
         with _ProgressBar() as on_progress:
             run = commands.train(
                 data,
@@ -125,8 +117,8 @@ def train(
             )
         if not run.writes:
             return
-        _out.print(f"done: {run.path}", soft_wrap=True)
-        _out.print(f"next: articugen evaluate {run.path} --data {data}", soft_wrap=True)
+        stdout.print(f"done: {run.path}", soft_wrap=True)
+        stdout.print(f"next: articugen evaluate {run.path} --data {data}", soft_wrap=True)
 
 
 def train_depth(
@@ -136,15 +128,15 @@ def train_depth(
     threads: Annotated[int, typer.Option(min=0, help="CPU threads; 0 leaves it to torch.")] = 0,
 ) -> None:
     """Train a run's encoder for depth input, or go on with it: what one camera sees, not all."""
-    with _said("interrupted; what was last saved is kept, the same command goes on"):
+    with said("interrupted; what was last saved is kept, the same command goes on"):
         from articugen.learning import commands
 
         with _ProgressBar() as on_progress:
             done = commands.train_depth(
                 run, data, device=device, threads=threads, on_progress=on_progress
             )
-        _out.print(f"done: {done.path / commands.DEPTH.latest}", soft_wrap=True)
-        _out.print(f"next: articugen evaluate {done.path} --data {data}", soft_wrap=True)
+        stdout.print(f"done: {done.path / commands.DEPTH.latest}", soft_wrap=True)
+        stdout.print(f"next: articugen evaluate {done.path} --data {data}", soft_wrap=True)
 
 
 def evaluate(
@@ -167,11 +159,11 @@ def evaluate(
     threads: Annotated[int, typer.Option(min=0, help="CPU threads; 0 leaves it to torch.")] = 0,
 ) -> None:
     """Evaluate a run's last checkpoint on the test objects, as the paper does."""
-    with _said():
+    with said():
         from articugen.learning import commands
         from articugen.learning.evaluation.report import markdown
 
-        with _err.status("evaluating ...") as status:
+        with stderr.status("evaluating ...") as status:
             result = commands.evaluate(
                 run,
                 data,
@@ -182,13 +174,13 @@ def evaluate(
                 threads=threads,
                 on_object=lambda name: status.update(f"evaluated {name}"),
             )
-        _out.print(markdown(result), soft_wrap=True, markup=False)
+        stdout.print(markdown(result), soft_wrap=True, markup=False)
         out = commands.evaluation_folder(run, protocol)
-        _out.print(f"written: {out}/evaluation.json, evaluation.md", soft_wrap=True)
+        stdout.print(f"written: {out}/evaluation.json, evaluation.md", soft_wrap=True)
         if figures and protocol == "paper":
-            with _err.status("drawing ..."):
+            with stderr.status("drawing ..."):
                 for path in commands.draw(run, data, result):
-                    _out.print(f"drawn: {path}", soft_wrap=True)
+                    stdout.print(f"drawn: {path}", soft_wrap=True)
 
 
 def tables(
@@ -210,14 +202,14 @@ def tables(
     """Print the paper's tables over several evaluated runs: categories, ablations, inputs."""
     if data and not figure:
         raise typer.BadParameter("--data is what --figure draws; name that too")
-    with _said():
+    with said():
         from articugen.learning import commands
 
-        _out.print(commands.tables(runs), soft_wrap=True, markup=False)
+        stdout.print(commands.tables(runs), soft_wrap=True, markup=False)
         if figure:
-            with _err.status("drawing ..."):
+            with stderr.status("drawing ..."):
                 commands.draw_examples(runs, figure, data)
-            _out.print(f"drawn: {figure}", soft_wrap=True)
+            stdout.print(f"drawn: {figure}", soft_wrap=True)
 
 
 def study(
@@ -242,7 +234,7 @@ def study(
     ] = False,
 ) -> None:
     """Measure a device, race seeds, train, evaluate: all categories, one folder. Resumable."""
-    with _said("interrupted; the same command goes on where it stood"):
+    with said("interrupted; the same command goes on where it stood"):
         from articugen import api
         from articugen.learning import study as studies
         from articugen.learning.method import load_recipe
@@ -270,9 +262,9 @@ def study(
             asked,
             out,
             make_data=make_data,
-            say=lambda line: _err.print(line, soft_wrap=True, markup=False),
+            say=lambda line: stderr.print(line, soft_wrap=True, markup=False),
         )
-        _out.print(f"written: {made}/README.md", soft_wrap=True)
+        stdout.print(f"written: {made}/README.md", soft_wrap=True)
 
 
 def predict(
@@ -290,17 +282,17 @@ def predict(
     resolution: Annotated[int, typer.Option(min=8, max=256, help="Of the meshes' grid.")] = 64,
 ) -> None:
     """Segment and rig a shape: a mesh for each part, and a URDF with the predicted joints."""
-    with _said():
+    with said():
         from articugen.learning import commands
 
         made = commands.predict(
             run, cloud, row=row, depth=depth, camera=camera, fit=fit, out=out, resolution=resolution
         )
         if made.cloud.hint:
-            _err.print(made.cloud.hint, soft_wrap=True)
+            stderr.print(made.cloud.hint, soft_wrap=True)
         for line in made.lines():
-            _out.print(line)
-        _out.print(f"written: {made.path}", soft_wrap=True)
+            stdout.print(line)
+        stdout.print(f"written: {made.path}", soft_wrap=True)
 
 
 class _ProgressBar:
@@ -317,8 +309,8 @@ class _ProgressBar:
             TextColumn("{task.completed:.0f}/{task.total:.0f} iterations"),
             TextColumn("{task.fields[state]}"),
             TimeRemainingColumn(),
-            console=_err,
-            disable=not (_err.is_terminal and is_first()),
+            console=stderr,
+            disable=not (stderr.is_terminal and is_first()),
         )
         self.tasks: dict[int | None, TaskID] = {}
 

@@ -1,0 +1,33 @@
+"""What all commands say alike: where it goes, our errors in one sentence, and the exit status."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from articugen.errors import ArticugenError, printable
+
+FAILED, REJECTED, INTERRUPTED = 1, 3, 130
+
+stdout = Console(highlight=False)
+stderr = Console(stderr=True, highlight=False)
+
+
+def say_error(sentence: str) -> None:
+    """To stderr, with nothing in it that a terminal would obey."""
+    stderr.print(f"[bold red]error:[/] {escape(printable(sentence))}", soft_wrap=True)
+
+
+@contextmanager
+def said(interrupted: str = "interrupted") -> Iterator[None]:
+    """Our errors go to stderr without a traceback; others are faults of ours and keep theirs."""
+    try:
+        yield
+    except ArticugenError as error:
+        say_error(str(error))
+        raise typer.Exit(FAILED) from None
+    except KeyboardInterrupt:
+        stderr.print(interrupted, soft_wrap=True)
+        raise typer.Exit(INTERRUPTED) from None
