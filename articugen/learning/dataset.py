@@ -102,7 +102,6 @@ class PackedSplit:
 
     Attributes:
         object_id: (I,) names.
-        object_index: (I,) which of the split's objects, 0 for the first of them.
         state_index: (I,) 0 is the canonical pose.
         surface: (I, S, 3).
         part: (I, S) the parts of the surface points; (I, 0) unless asked for.
@@ -115,7 +114,6 @@ class PackedSplit:
     """
 
     object_id: NDArray[Any]
-    object_index: Tensor
     state_index: NDArray[np.uint32]
     surface: Tensor
     part: Tensor
@@ -133,7 +131,7 @@ class PackedSplit:
     @property
     def bytes(self) -> int:
         """What the tensors take."""
-        tensors = [self.object_index, self.surface, self.part, *self.grids.values()]
+        tensors = [self.surface, self.part, *self.grids.values()]
         tensors += [*self.uniform, *self.near, self.voxels, self.partial]
         for some in (self.band, self.varying):
             tensors += [some.index, some.count]
@@ -150,13 +148,7 @@ class PackedSplit:
         rows = np.flatnonzero(np.isin(self.object_id, list(objects)))
         at = torch.from_numpy(rows)
         some = self._with(lambda tensor: tensor[at])
-        object_id = self.object_id[rows]
-        return replace(
-            some,
-            object_id=object_id,
-            object_index=_numbered(object_id).to(at.device),
-            state_index=self.state_index[rows],
-        )
+        return replace(some, object_id=self.object_id[rows], state_index=self.state_index[rows])
 
     def to(self, device: torch.device) -> "PackedSplit":
         """The same in the memory of a device."""
@@ -165,7 +157,6 @@ class PackedSplit:
     def _with(self, change: Callable[[Tensor], Tensor]) -> "PackedSplit":
         return replace(
             self,
-            object_index=change(self.object_index),
             surface=change(self.surface),
             part=change(self.part),
             grids={resolution: change(grid) for resolution, grid in self.grids.items()},
@@ -258,12 +249,6 @@ def unpacked(stored: Tensor) -> Tensor:
     return (stored.int() & 0xFFFF).float() / 65535.0 - 0.5
 
 
-def _numbered(names: NDArray[Any]) -> Tensor:
-    """(I,) the number of each name, in the order of their first appearance."""
-    number = {name: i for i, name in enumerate(dict.fromkeys(names.tolist()))}
-    return torch.tensor([number[name] for name in names.tolist()], dtype=torch.long)
-
-
 def load_split(
     folder: Path,
     split: str,
@@ -306,7 +291,6 @@ def load_split(
     grids = {int(n.rpartition("_")[2]): n for n in joined if n.startswith("occupancy_")}
     return PackedSplit(
         joined["object_id"],
-        _numbered(joined["object_id"]),
         joined["state_index"],
         _tensor(joined["surface_points"]),
         _tensor(joined["surface_part"]),
