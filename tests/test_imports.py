@@ -30,7 +30,7 @@ WITH_TORCH = {"store.torch_dataset"} | {
         "runs", "safetensors", "study", "tensors", "together",
         "ppd.depth", "ppd.descent", "ppd.discriminator", "ppd.drawing", "ppd.found",
         "ppd.fused",
-        "ppd.kinematics", "ppd.learner", "ppd.many", "ppd.stretch", "ppd.warm_start",
+        "ppd.kinematics", "ppd.learner", "ppd.many", "ppd.warm_start",
         "ppd.losses", "ppd.model", "ppd.objective", "ppd.reconstruct", "ppd.release", "ppd.shape",
     )
 }  # fmt: skip

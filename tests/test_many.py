@@ -102,7 +102,8 @@ FORMS = {
     "Muon": {"schedule": {"optimiser": "muon"}},
     "SOAP": {"schedule": {"optimiser": "soap"}},
     "a warm start": {
-        "warm_start": {"stretch": 0.2, "share": 0.5},
+        "model": {"part_boxes": True},
+        "warm_start": {"share": 0.5},
         "data": {"varying_points": 20},
     },
     "in the world, few decisive points": {
@@ -167,11 +168,13 @@ def some_targets(instances: int, model: ModelSettings) -> Targets:
         state=0.1 + 0.5 * of(J),
         axis=of(J, 3),
         pivot=of(J, 3) - 0.5,
+        owns=(of(J + 1) > 0.5).double(),
+        middle=of(J + 1, 3) - 0.5,
+        size=0.1 + 0.4 * of(J + 1, 3),
         rotation=of(J + 1, 3, 3),
         offset=of(J + 1, 3) - 0.5,
         grid=(3 * of(J + 1)).long(),
-        votes=torch.rand(3, R**3, generator=some),
-        rest=torch.full((J,), 0.05, dtype=torch.float64),
+        doubt=torch.rand(3, R**3, generator=some),
         cells=R,
     )
 

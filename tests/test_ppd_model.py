@@ -1,5 +1,6 @@
 """PPD's model: the layer table, and every shortcut against the plain network it stands for."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -13,9 +14,15 @@ torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen.learning.ppd.discriminator import Discriminator  # noqa: E402
 from articugen.learning.ppd.kinematics import inverse_motion, joint_frames, rotation_from_z  # noqa: E402
-from articugen.learning.ppd.model import PPD  # noqa: E402
+from articugen.learning.ppd.model import PPD, rest_states  # noqa: E402
 from articugen.learning.ppd.settings import ModelSettings  # noqa: E402
-from articugen.learning.ppd.shape import Encoder, Quantizer, argmax_of_points, distinct  # noqa: E402
+from articugen.learning.ppd.shape import (  # noqa: E402
+    PLAIN_SIZE,
+    Encoder,
+    Quantizer,
+    argmax_of_points,
+    distinct,
+)
 
 torch.set_num_threads(1)
 PAPER = ModelSettings()
@@ -149,6 +156,50 @@ def test_grouped_evaluation_equals_a_loop_over_parts(model):
     np.testing.assert_allclose(
         fields.product.detach().numpy(), instance / (1 + np.exp(-common)), atol=1e-12
     )
+
+
+@pytest.fixture(scope="module")
+def boxed():
+    """A model whose parts have boxes, other ones in each sample."""
+    torch.manual_seed(4)
+    model = PPD(ModelSettings(part_boxes=True)).double()
+    with torch.no_grad():
+        model.shape.box_in.weight.normal_(std=20.0)
+    return model
+
+
+def test_a_part_in_a_box_is_seen_as_if_the_box_were_the_plain_one(boxed):
+    predicted, points = boxed(cloud(2, 600)), cloud(2, 50)
+    box, motion = predicted.shape.box, boxed.motion(predicted.pose)
+    assert box.size.std(0).max() > 0.01
+    fields = boxed.fields(predicted.shape, motion, points)
+    plain = dataclasses.replace(predicted.shape, box=None)
+    for i in range(PAPER.parts):
+        local = (motion.apply(points)[:, i] - box.middle[:, None, i]) / box.size[:, None, i]
+        still = boxed.still(plain, PLAIN_SIZE * local)
+        torch.testing.assert_close(fields.instance[:, i], still.instance[:, i])
+        torch.testing.assert_close(fields.common[:, i], still.common[:, i])
+
+
+def test_parts_in_boxes_lie_along_the_axes_when_their_joints_are_closed(boxed):
+    predicted = boxed(cloud(3, 600))
+    closed = rest_states(predicted.pose.state, 3).expand_as(predicted.pose.state)
+    motion = boxed.motion(predicted.pose, closed)
+    torch.testing.assert_close(motion.rotation, torch.eye(3).double().expand(3, 8, 3, 3))
+    at_pivot = predicted.pose.pivot[:, 1:4]
+    torch.testing.assert_close(motion.offset[:, 1:4], -at_pivot)
+    torch.testing.assert_close(motion.offset[:, 4:], torch.zeros(3, 4, 3).double())
+
+
+def test_the_code_of_some_parts(boxed):
+    code, parts = boxed(cloud(2, 600)).shape, torch.tensor([0, 5])
+    some = code.of(parts)
+    assert torch.equal(some.detail, code.detail[:, [0, 5]])
+    assert torch.equal(some.template, code.template[:, [0, 5]])
+    assert torch.equal(some.box.middle, code.box.middle[:, [0, 5]])
+    assert torch.equal(some.box.size, code.box.size[:, [0, 5]])
+    assert not code.detach().box.size.requires_grad
+    assert code.box.size.requires_grad
 
 
 def test_each_part_has_its_own_weights(model):

@@ -14,9 +14,11 @@ from articugen.learning.dataset import BatchSpec, load_split, unpacked  # noqa: 
 from articugen.learning.method import find_method, load_recipe  # noqa: E402
 from articugen.learning.ppd import found as found_module  # noqa: E402
 from articugen.learning.ppd.found import discovered  # noqa: E402
-from articugen.learning.ppd.model import amount_of  # noqa: E402
+from articugen.learning.ppd.model import Prediction, amount_of  # noqa: E402
 from articugen.learning.ppd.settings import ModelSettings, WarmStart  # noqa: E402
+from articugen.learning.ppd.shape import PartBox  # noqa: E402
 from articugen.learning.ppd.warm_start import (  # noqa: E402
+    LEAST_SIZE,
     aim_terms,
     assigned,
     likely,
@@ -27,7 +29,7 @@ from articugen.records import JointKind  # noqa: E402
 from articugen.store.shards import open_shard  # noqa: E402
 
 MODEL = ModelSettings()
-SPEC = BatchSpec(surface_points=256, parts=True, poses=True, voxels=True)
+SPEC = BatchSpec(surface_points=256, parts=True, poses=True, hidden=True)
 
 
 def found(*joints: tuple[JointKind, tuple, tuple]) -> Discovery:
@@ -123,13 +125,14 @@ def test_poses_that_were_not_looked_at_have_no_targets(boxes):
         assert aims.known[mine].tolist() == [1.0] * 5 + [0.0] * (len(mine) - 5)
 
 
-def test_targets_bring_every_pose_back_to_the_first(boxes):
+def test_targets_bring_every_pose_back_to_the_closed_one(boxes):
     split, true, rows = boxes
     aims = targets(split, true, rows, MODEL)
     for each, mine in zip(true, rows, strict=True):
         for joint, (slot, sense) in enumerate(assigned(each, MODEL)):
+            closed = each.motion(int((sense * each.joints[joint].states).argmin()))[joint + 1]
             for k, row in enumerate(mine):
-                T = each.motion(k)[joint + 1]
+                T = each.motion(k)[joint + 1] @ np.linalg.inv(closed)
                 posed = T[:3, :3] @ [0.1, 0.2, 0.3] + T[:3, 3]
                 back = aims.rotation[row, slot + 1].numpy() @ posed
                 back = back + aims.offset[row, slot + 1].numpy()
@@ -141,24 +144,47 @@ def test_targets_bring_every_pose_back_to_the_first(boxes):
     assert aims.there.sum(1).eq(len(true[0].joints)).all()
 
 
+def test_it_does_not_matter_which_pose_is_looked_at_first(boxes):
+    """States and rest frames are those of the pose in which a joint is closed."""
+    split, true, rows = boxes
+    usual = targets(split, true, rows, MODEL)
+    turned, others = [], []
+    for each, mine in zip(true, rows, strict=True):
+        order = np.argsort(-each.joints[0].states)  # wide open first
+        states = each.joints[0].states[order]
+        joint = replace(each.joints[0], states=states - states[0])
+        turned.append(Discovery((joint,), each.points, each.part))
+        others.append(mine[order])
+    found = targets(split, turned, others, MODEL)
+    for name in ("state", "rotation", "offset"):
+        torch.testing.assert_close(getattr(found, name), getattr(usual, name), atol=1e-6, rtol=0)
+    for name in ("middle", "size"):
+        torch.testing.assert_close(getattr(found, name), getattr(usual, name), atol=0.02, rtol=0)
+
+
 def test_a_prediction_that_is_as_aimed_costs_nothing(boxes):
     split, true, rows = boxes
     aims = targets(split, true, rows, MODEL).of(torch.arange(3))
     learner = find_method("ppd").start(load_recipe("ppd_quick"), seed=0, device=torch.device("cpu"))
     with torch.no_grad():
-        pose = learner.model(unpacked(split.surface[:3, :128])).pose
-    turning = len(MODEL.revolute)
+        predicted = learner.model(unpacked(split.surface[:3, :128]))
+    pose, turning = predicted.pose, len(MODEL.revolute)
     frames = pose.frames.clone()
     frames[..., 2] = torch.where(aims.there[..., None] > 0, aims.axis, pose.direction)
     pivot = torch.cat([pose.pivot[:, :1], aims.pivot], 1)
     right = {"amount": amount_of(aims.state, turning), "frames": frames, "pivot": pivot}
+    middle, size = aims.middle.clone(), aims.size.clamp(min=LEAST_SIZE)
+    middle[:, 1 : 1 + turning] -= aims.pivot[:, :turning]  # a part that turns is at its pivot
     logits, owner = torch.zeros(3, 8, 5), torch.zeros(3, 5, dtype=torch.long)
 
-    def terms(**changed):
-        some = type(pose)(**{**vars(pose), **right, **changed})
+    as_aimed = PartBox(middle, size)
+
+    def terms(box=as_aimed, **changed):
+        shape = replace(predicted.shape, box=box)
+        some = Prediction(shape, replace(pose, **{**right, **changed}))
         return aim_terms(some, logits, owner, aims, WarmStart(), turning)
 
-    for name in ("aim_state", "aim_direction", "aim_pivot"):
+    for name in ("aim_state", "aim_direction", "aim_pivot", "aim_box"):
         assert float(terms()[name]) == pytest.approx(0.0, abs=1e-9)
     slot = assigned(true[0], MODEL)[0][0]
     off = pivot.clone()
@@ -168,6 +194,11 @@ def test_a_prediction_that_is_as_aimed_costs_nothing(boxes):
     off = pivot.clone()
     off[:, free + 1] += 0.1
     assert float(terms(pivot=off)["aim_pivot"]) == pytest.approx(0.0, abs=1e-9)
+    assert "aim_box" not in terms(box=None)
+    owned = int(aims.owns[0].sum())
+    assert owned == 2  # the fixed part and the lid
+    wide = terms(box=PartBox(middle, np.e * size))["aim_box"]
+    assert float(wide) == pytest.approx(WarmStart().box * 3 * owned, rel=1e-4)
 
 
 def test_parts_entropy_is_what_it_says():

@@ -126,6 +126,36 @@ def spacing(queries, points, starts, pose, reach):
     return out
 
 
+@kernel
+def to_nothing(rest, motions, taken, points, starts, reach):
+    """(n,) in which share of the poses a point, moved by `motions` (K, 3, 4), comes to a voxel of
+    `taken` (K, R, R, R) that is 0, with no point of the pose within `reach`."""
+    R = taken.shape[1]
+    out = np.zeros(len(rest))
+    for k in range(len(motions)):
+        M = motions[k]
+        for i in range(len(rest)):
+            x, y, z, _, _, _ = _moved(M, rest[i], rest[i])
+            a = min(max(int(np.floor((x + 0.5) * R)), 0), R - 1)
+            b = min(max(int(np.floor((y + 0.5) * R)), 0), R - 1)
+            c = min(max(int(np.floor((z + 0.5) * R)), 0), R - 1)
+            if not taken[k, a, b, c] and not _is_near(points, starts, k, x, y, z, reach):
+                out[i] += 1.0
+    return out / len(motions)
+
+
+@helper
+def _is_near(points, starts, pose, x, y, z, reach):
+    """Whether the pose has a point within `reach` of (x, y, z)."""
+    for i in _span(x, reach):
+        for j in _span(y, reach):
+            for n in _row(starts, pose, i, j, z, reach):
+                dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
+                if dx * dx + dy * dy + dz * dz <= reach * reach:
+                    return True
+    return False
+
+
 @helper
 def _shape(C, normal, stiffness):  # noqa: PLR0912 - two rotations a line each
     """Jacobi's rotations of the symmetric (3, 3) covariance `C`, which is destroyed: into `normal`

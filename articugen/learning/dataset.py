@@ -39,8 +39,7 @@ class BatchSpec:
         partial: whether clouds are what one depth camera sees, another one each time.
         joints: (revolute, prismatic) joints an object may have at most; None is any number.
         poses: whether several poses of each object are compared; for `varying_points` they are.
-        voxels: whether the voxels of the finest grid are wanted as well.
-        chances: so many numbers in [0, 1) are drawn for each sample, for the learner's own use.
+        hidden: whether it is wanted which voxels of the finest grid are not free.
     """
 
     surface_points: int
@@ -55,8 +54,7 @@ class BatchSpec:
     partial: bool = False
     joints: tuple[int, int] | None = None
     poses: bool = False
-    voxels: bool = False
-    chances: int = 0
+    hidden: bool = False
 
     @staticmethod
     def of(data: DataSettings, **more: Any) -> "BatchSpec":
@@ -76,7 +74,6 @@ class Batch:
         occupied: (B, m) bool, their indicator values.
         spread: the first so many query points are spread evenly over the cube, the others lie near
             the surface, in the band around it, and where the object's poses differ, in this order.
-        chance: (B, k) numbers in [0, 1) for the learner's own use.
     """
 
     rows: Tensor
@@ -85,14 +82,13 @@ class Batch:
     points: Tensor
     occupied: Tensor
     spread: int
-    chance: Tensor
 
     def share(self) -> "Batch":
         """What this process takes of it; all of it where there is one."""
         of = processes.share
         return Batch(
             of(self.rows), of(self.cloud), of(self.part), of(self.points), of(self.occupied),
-            self.spread, of(self.chance),
+            self.spread,
         )  # fmt: skip
 
 
@@ -107,8 +103,8 @@ class PackedSplit:
         part: (I, S) the parts of the surface points; (I, 0) unless asked for.
         grids: (I, R^3) labels by resolution, above 0 where the recipe calls it occupied.
         uniform, near: ((I, K, 3) coordinates, (I, K) such labels).
-        voxels: (I, R^3 / 8) one bit for each voxel of the finest grid, whether it is occupied; R is
-            `band.resolution`. (I, 0) unless asked for.
+        hidden: (I, R^3 / 8) one bit for each voxel of the finest grid, 0 where it is free, whatever
+            the recipe calls occupied; R is `band.resolution`. (I, 0) unless asked for.
         band, varying: voxels around this pose's material, and those that differ between poses.
         partial: (I, C, M, 3) what each of C depth cameras sees; C = 0 unless asked for.
     """
@@ -120,7 +116,7 @@ class PackedSplit:
     grids: dict[int, Tensor]
     uniform: tuple[Tensor, Tensor]
     near: tuple[Tensor, Tensor]
-    voxels: Tensor
+    hidden: Tensor
     band: LabelledCells
     varying: LabelledCells
     partial: Tensor
@@ -132,7 +128,7 @@ class PackedSplit:
     def bytes(self) -> int:
         """What the tensors take."""
         tensors = [self.surface, self.part, *self.grids.values()]
-        tensors += [*self.uniform, *self.near, self.voxels, self.partial]
+        tensors += [*self.uniform, *self.near, self.hidden, self.partial]
         for some in (self.band, self.varying):
             tensors += [some.index, some.count]
         return sum(t.numel() * t.element_size() for t in tensors)
@@ -162,7 +158,7 @@ class PackedSplit:
             grids={resolution: change(grid) for resolution, grid in self.grids.items()},
             uniform=(change(self.uniform[0]), change(self.uniform[1])),
             near=(change(self.near[0]), change(self.near[1])),
-            voxels=change(self.voxels),
+            hidden=change(self.hidden),
             band=self.band.changed(change),
             varying=self.varying.changed(change),
             partial=change(self.partial),
@@ -201,9 +197,8 @@ class PackedSplit:
                 points.append(centres)
                 occupied.append(inside)
         spread = spec.grid_points + spec.uniform_points
-        chance = uniform(rng, len(at), spec.chances, at.device)
         return Batch(
-            at, unpacked(cloud), part, torch.cat(points, 1), torch.cat(occupied, 1), spread, chance
+            at, unpacked(cloud), part, torch.cat(points, 1), torch.cat(occupied, 1), spread
         )
 
     def _clouds(self, at: Tensor, spec: BatchSpec, rng: Chance) -> tuple[Tensor, Tensor]:
@@ -280,7 +275,7 @@ def load_split(
             f"{folder}: has no object in split {split!r}, only in: {', '.join(have)}"
         )
     about = {"split": split, "category": manifest.category}
-    is_fine = spec.band_points or spec.varying_points or spec.voxels
+    is_fine = spec.band_points or spec.varying_points or spec.hidden
     finest = _finest(folder / names[0]) if is_fine else 0
     wanted = sorted(set(resolutions))
     shards = [_read(folder / name, about, spec, wanted, finest) for name in names]
@@ -297,7 +292,7 @@ def load_split(
         {r: _tensor(joined[name]).flatten(1) for r, name in grids.items()},
         (_tensor(joined["uniform_points"]), _tensor(joined["uniform_label"])),
         (_tensor(joined["near_points"]), _tensor(joined["near_label"])),
-        _tensor(joined["voxels"]),
+        _tensor(joined["hidden"]),
         LabelledCells(finest, _tensor(joined["band"]), _tensor(joined["band_count"])),
         LabelledCells(finest, _tensor(joined["varying"]), _tensor(joined["varying_count"])),
         _tensor(joined["partial_points"]),
@@ -333,6 +328,10 @@ def _read(
         if finest and fine is None:
             fine = _grid(shard, finest, names, row["surface_points"], spec)
         row |= {f"occupancy_{r}": grid for r, grid in grids.items()}
+        row["hidden"] = np.zeros((len(names), 0), np.uint8)
+        if spec.hidden:
+            raw = shard.read(f"occupancy_{finest}").reshape(len(names), -1)
+            row["hidden"] = np.packbits(raw != FREE, axis=1)
         return {"object_id": names, **row, **_cells(names, row["state_index"], fine, spec, path)}
 
 
@@ -364,9 +363,7 @@ def _cells(
     path: Path,
 ) -> dict[str, NDArray[Any]]:
     """The cells that query points are drawn at, as `LabelledCells` holds them."""
-    row: dict[str, NDArray[Any]] = {"voxels": np.zeros((len(names), 0), np.uint8)}
-    if grid is not None and spec.voxels:
-        row["voxels"] = np.packbits(grid.reshape(len(names), -1) > 0, axis=1)
+    row: dict[str, NDArray[Any]] = {}
     for kind, wanted in (("band", spec.band_points), ("varying", spec.varying_points)):
         row[kind], row[f"{kind}_count"] = cells.none(len(names))
         if grid is not None and wanted:

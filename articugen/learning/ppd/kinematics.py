@@ -73,13 +73,12 @@ def joint_frames(initial: Tensor, euler: Tensor) -> Tensor:
 def inverse_motion(
     frames: Tensor, state: Tensor, pivot: Tensor, revolute: int, part_frame: str
 ) -> InverseMotion:
-    """B_i^{-1} of every part: fixed I; revolute T(q) R(s, u); prismatic T(s u), or T(q) T(s u)
-    where sliding parts have pivots as well.
+    """B_i^{-1} of every part: fixed I; revolute T(q) R(s, u); prismatic T(s u).
 
     Args:
         frames: (B, J, 3, 3) from `joint_frames`.
         state: (B, J).
-        pivot: (B, R, 3) of the revolute joints, or (B, J, 3) of all.
+        pivot: (B, R, 3) of the revolute joints.
         revolute: R, how many joints are.
         part_frame: "world" as in the paper, "joint" for T(q) C Rz(s).
     """
@@ -88,12 +87,9 @@ def inverse_motion(
     R = turned if part_frame == "joint" else turned @ C.mT
     inverse = R.mT
     slide = state[:, revolute:, None] * frames[:, revolute:, :, 2]
-    if pivot.shape[1] > revolute:
-        slide = slide + pivot[:, revolute:]
     eye = torch.eye(3, dtype=state.dtype, device=state.device).expand(len(state), 1, 3, 3)
     zero = torch.zeros_like(slide[:, :1])
-    at_pivot = -(inverse @ pivot[:, :revolute, :, None])[..., 0]
     return InverseMotion(
         torch.cat([eye, inverse, eye.expand(-1, slide.shape[1], 3, 3)], 1),
-        torch.cat([zero, at_pivot, -slide], 1),
+        torch.cat([zero, -(inverse @ pivot[..., None])[..., 0], -slide], 1),
     )

@@ -19,10 +19,9 @@ from articugen.learning.ppd import objective, warm_start
 from articugen.learning.ppd.descent import Descent
 from articugen.learning.ppd.discriminator import Discriminator
 from articugen.learning.ppd.found import discovered
-from articugen.learning.ppd.model import PPD, Pose, Prediction
+from articugen.learning.ppd.model import PPD, Prediction
 from articugen.learning.ppd.reconstruct import Meshes, reconstruction_of
 from articugen.learning.ppd.settings import PPDRecipe
-from articugen.learning.ppd.stretch import stretched
 from articugen.learning.tensors import made
 from articugen.records import Floats
 
@@ -81,8 +80,7 @@ class PPDLearner(Predictor):
             grids=(VALIDATION_GRID,) if settings.data.validation_objects else (),
             joints=(len(settings.model.revolute), len(settings.model.prismatic)),
             poses=settings.warm_start.share > 0,
-            voxels=settings.warm_start.share > 0,
-            chances=3 if settings.warm_start.share else 0,
+            hidden=settings.warm_start.share > 0,
         )
         with made(seed, device):
             self.model, self.discriminator = PPD(settings.model), Discriminator()
@@ -112,22 +110,15 @@ class PPDLearner(Predictor):
             found, rows = discovered(training, beside, tell)
             self.targets = warm_start.targets(training, found, rows, self.settings.model)
 
-    def aimed(self, batch: Batch) -> tuple[Batch, Callable[[Pose, Tensor], Terms] | None]:
-        """The batch, its shapes stretched where it is known how they move, and what a warm start
-        asks of the prediction for it, while there is one."""
+    def aim_of(self, batch: Batch) -> Callable[[Prediction, Tensor], Terms] | None:
+        """What a warm start asks of the prediction for a batch, while there is one."""
         warm = self.settings.warm_start
-        if not warm.share:
-            return batch, None
+        if self.iteration >= warm.share * self.settings.schedule.iterations:
+            return None
         aim = self.targets.of(batch.rows)
         owner = aim.owner(batch.points, batch.occupied)
         turning = len(self.settings.model.revolute)
-        if warm.stretch:
-            batch, aim = stretched(batch, aim, turning, warm.stretch)
-        if self.iteration >= warm.share * self.settings.schedule.iterations:
-            return batch, None
-        return batch, partial(
-            warm_start.aim_terms, owner=owner, aim=aim, weigh=warm, revolute=turning
-        )
+        return partial(warm_start.aim_terms, owner=owner, aim=aim, weigh=warm, revolute=turning)
 
     def learn(self, batch: Batch, rng: torch.Generator | None, *, iteration: int) -> Terms:
         """One step of the discriminator and one of the model."""
@@ -136,7 +127,7 @@ class PPDLearner(Predictor):
             self._begin_stage()
         self.at(iteration)
         rate = plan.rate_at(iteration)
-        batch, aim = self.aimed(batch)
+        aim = self.aim_of(batch)
         predict = partial(self.model, batch.cloud, residual_direction=self.residual_direction)
         predicted = predict()
         posed, judged = None, {}

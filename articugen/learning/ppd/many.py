@@ -84,10 +84,8 @@ class Many(Team):
         weights = {f"model.{name}": value for name, value in self._weights()}
         shares = [
             x.unflatten(0, (S, len(batch.rows) // S))
-            for x in (
-                batch.rows, batch.cloud, batch.part, batch.points, batch.occupied, batch.chance
-            )
-        ]  # fmt: skip
+            for x in (batch.rows, batch.cloud, batch.part, batch.points, batch.occupied)
+        ]
         with whole_batches():
             return vmap(of_one)(weights, *shares)
 
@@ -125,12 +123,12 @@ class _Objective(nn.Module):
         part: Tensor,
         points: Tensor,
         occupied: Tensor,
-        chance: Tensor,
         spread: int,
     ) -> Terms:
         learner, weigh = self.learner, self.learner.settings.losses
-        batch, aim = learner.aimed(Batch(rows, cloud, part, points, occupied, spread, chance))
+        batch = Batch(rows, cloud, part, points, occupied, spread)
         predicted = self.model(batch.cloud, residual_direction=learner.residual_direction)
+        aim = learner.aim_of(batch)
         return objective.generator_terms(self.model, predicted, batch, weigh, aim=aim)
 
 

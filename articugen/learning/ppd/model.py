@@ -32,6 +32,9 @@ from articugen.learning.ppd.shape import (
     ShapeDecoder,
 )
 
+REST_TURN, REST_SLIDE = 0.3, 0.05
+"""What the state of a closed joint is, radians or lengths, in models with part boxes."""
+
 
 @dataclass(frozen=True)
 class Pose:
@@ -40,8 +43,7 @@ class Pose:
     Attributes:
         amount: (B, J) a_i, from which the states follow: any number.
         state: (B, J) s_i: revolute in (0, pi), prismatic in (0, 1).
-        pivot: (B, P, 3) q_i = tanh(q^c_i + q^z_i) / 2; only those of revolute parts are used, and
-            of sliding ones if they have pivots.
+        pivot: (B, P, 3) q_i = tanh(q^c_i + q^z_i) / 2; only those of revolute parts are used.
         pivot_common, pivot_residual: (B, P, 3) q^c_i and q^z_i, before the tanh.
         euler: (B, P, 3) r_i = r^c_i (+ r^z_i).
         euler_common, euler_residual: (B, P, 3); the residual is None in the first stage.
@@ -104,8 +106,11 @@ class PPD(nn.Module):
         """B_i^{-1} at the predicted joint states, or at `state` (B, J)."""
         R = len(self.settings.revolute)
         state = pose.state if state is None else state
-        pivot = pose.pivot[:, 1:] if self.settings.sliding_pivots else pose.pivot[:, 1 : 1 + R]
-        return inverse_motion(pose.frames, state, pivot, R, self.settings.part_frame)
+        if self.settings.part_boxes:
+            state = state - rest_states(state, R)
+        return inverse_motion(
+            pose.frames, state, pose.pivot[:, 1 : 1 + R], R, self.settings.part_frame
+        )
 
     def fields(self, shape: ShapeCode, motion: InverseMotion, points: Tensor) -> PartLogits:
         """The fields of all parts at points (B, n, 3)."""
@@ -167,6 +172,14 @@ class PoseDecoder(nn.Module):
             frames=joint_frames(self.initial, euler[:, 1:]),
             quantizer=quantizer,
         )
+
+
+def rest_states(states: Tensor, revolute: int) -> Tensor:
+    """(J,) the states at which parts with boxes lie along the axes of the unit frame: so far from
+    the ends, which a tanh never reaches, that an object can be closed."""
+    rest = torch.full_like(states[0], REST_SLIDE)
+    rest[:revolute] = REST_TURN
+    return rest
 
 
 def amount_of(state: Tensor, revolute: int) -> Tensor:

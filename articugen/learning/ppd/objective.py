@@ -87,10 +87,10 @@ def generator_terms(
     weigh: LossSettings,
     discriminator: Discriminator | None = None,
     posed: RandomPose | None = None,
-    aim: Callable[[Pose, Tensor], Terms] | None = None,
+    aim: Callable[[Prediction, Tensor], Terms] | None = None,
 ) -> Terms:
     """Everything the model itself minimises; L_adv_g where there are random poses, and what a warm
-    start asks of pose and fields (B, P, n) where there is an `aim`."""
+    start asks of it and the fields (B, P, n) where there is an `aim`."""
     fields = model.fields(prediction.shape, model.motion(prediction.pose), batch.points)
     terms: Terms = {}
     if weigh.rec:
@@ -108,7 +108,7 @@ def generator_terms(
         terms["loc"] = weigh.loc * _location(model, prediction.pose, fields, batch, weigh)
     terms |= _variation(model, prediction.pose, weigh)
     if aim:
-        terms |= aim(prediction.pose, fields.product)
+        terms |= aim(prediction, fields.product)
     if weigh.adv_g and discriminator is not None and posed is not None:
         terms["adv_g"] = weigh.adv_g * _adversarial(model, discriminator, prediction, batch, posed)
     return terms

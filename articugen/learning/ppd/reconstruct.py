@@ -2,7 +2,6 @@
 
 import copy
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -142,7 +141,7 @@ def _of_parts(
         layer.weight, layer.bias = Parameter(layer.weight[groups]), Parameter(layer.bias[groups])
     return (
         fewer,
-        replace(code, template=code.template[:, parts], detail=code.detail[:, parts]),
+        code.of(parts),
         InverseMotion(inverse.rotation[:, parts], inverse.offset[:, parts]),
     )
 

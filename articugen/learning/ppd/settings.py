@@ -31,9 +31,9 @@ class ModelSettings(Section):
         coordinate_bound: weights of the layer that sees coordinates start in U(-bound, bound).
         part_frame: where a revolute part's shape lives: `world`, B = T(q) R(s, u); or
             `joint`, which turns it with the direction as well, B = T(q) C(r) Rz(s).
-        sliding_pivots: whether the shape of a sliding part lives about its pivot too,
-            B = T(q) T(s u): drawers that lie elsewhere in each cabinet then look alike. The paper
-            has B = T(s u).
+        part_boxes: whether each part's shape lives in a box of its own, whose middle and size are
+            predicted from z^s: drawers of other sizes in other places then look alike. The paper
+            has no such boxes; there z^s says all by six numbers a part.
         latent_start: how the encoder's weights start: `release`, as torch's layers do, which leaves
             latents of different objects the same to a thousandth; or `he`, by He et al. 2015, and
             the layer that reads z^s 20 times larger, so that shapes differ from the start.
@@ -47,7 +47,7 @@ class ModelSettings(Section):
     codes_learn: bool = True
     coordinate_bound: float = Field(default=math.sqrt(2.0), gt=0.0)
     part_frame: Literal["world", "joint"] = "world"
-    sliding_pivots: bool = False
+    part_boxes: bool = False
     latent_start: Literal["release", "he"] = "release"
 
     @model_validator(mode="after")
@@ -110,10 +110,8 @@ class WarmStart(Section):
         share: of the iterations, the first ones, that are aimed; 0 is no warm start.
         parts: weight of each part's field against whose the occupied points are.
         occupied: how much more a part's own points weigh there than all others.
-        state, direction, pivot: weights of how far these are off: amounts, 1 - cos, and the square
-            of the distance between the pivots.
-        stretch: shapes are stretched along each axis of the frame at random, by up to so much and
-            its inverse, as far as joints stay joints; 0 is not at all. Also after the warm start.
+        state, direction, pivot, box: weights of how far these are off: amounts, 1 - cos, the square
+            of the distance between the pivots, and the parts' boxes (`box_misfit`).
     """
 
     share: float = Field(default=0.0, ge=0, le=1)
@@ -122,7 +120,7 @@ class WarmStart(Section):
     state: float = Field(default=20.0, ge=0)
     direction: float = Field(default=20.0, ge=0)
     pivot: float = Field(default=200.0, ge=0)
-    stretch: float = Field(default=0.0, ge=0, le=1)
+    box: float = Field(default=20.0, ge=0)
 
 
 class PPDStage(Stage):

@@ -28,6 +28,9 @@ POSE, SHAPE, TEMPLATE, COMMON = 128, 256, 64, 64
 
 _FREQUENCY = 30.0
 
+PLAIN_SIZE = 0.25
+"""Half the edge of the box of a part that is seen as it is; others are as if they were as large."""
+
 
 def gather_points(points: Tensor, index: Tensor) -> Tensor:
     """The points (B, k, C) at `index` (B, k) of `points` (B, n, C)."""
@@ -164,17 +167,38 @@ class ShapeCode:
         template: (B, P, C) the same for all samples, but for the gradient.
         detail: (B, P, 6) of the instance.
         quantizer: (before, code), both (B, P C), for L_vq.
+        box: where each part lies in its rest frame, None where parts have no boxes.
     """
 
     template: Tensor
     detail: Tensor
     quantizer: tuple[Tensor, Tensor]
+    box: "PartBox | None" = None
+
+    def of(self, parts: Tensor) -> "ShapeCode":
+        """That of some parts."""
+        box = self.box and PartBox(self.box.middle[:, parts], self.box.size[:, parts])
+        template, detail = self.template[:, parts], self.detail[:, parts]
+        return ShapeCode(template, detail, self.quantizer, box)
 
     def detach(self) -> "ShapeCode":
         before, code = self.quantizer
-        return ShapeCode(
-            self.template.detach(), self.detail.detach(), (before.detach(), code.detach())
-        )
+        box = self.box and PartBox(self.box.middle.detach(), self.box.size.detach())
+        quantizer = before.detach(), code.detach()
+        return ShapeCode(self.template.detach(), self.detail.detach(), quantizer, box)
+
+
+@dataclass(frozen=True)
+class PartBox:
+    """A box for each part, in its rest frame, along the axes of the unit frame.
+
+    Attributes:
+        middle: (B, P, 3).
+        size: (B, P, 3) half of its edges.
+    """
+
+    middle: Tensor
+    size: Tensor
 
 
 @dataclass(frozen=True)
@@ -203,6 +227,7 @@ class ShapeDecoder(nn.Module):
         super().__init__()
         self.parts = P = settings.parts
         self.common_shape = settings.common_shape
+        self.box_in = nn.Linear(SHAPE, P * 6) if settings.part_boxes else None
         c = WIDTH // P
         self.width = c
         self.template_in = nn.Linear(TEMPLATE, P * c)
@@ -218,6 +243,9 @@ class ShapeDecoder(nn.Module):
         scale = 0.2 if settings.latent_start == "he" else 0.01
         nn.init.normal_(self.detail_in.weight, std=scale * math.sqrt(2.0 / SHAPE))
         nn.init.uniform_(self.detail_in.bias, -1.0 / SHAPE, 1.0 / SHAPE)
+        if self.box_in is not None:
+            nn.init.zeros_(self.box_in.weight)
+            nn.init.zeros_(self.box_in.bias)
 
     def code(self, z_shape: Tensor, z_template: Tensor) -> ShapeCode:
         """From z^s (B, 256) and the template's latent (B, 64)."""
@@ -226,13 +254,22 @@ class ShapeDecoder(nn.Module):
         quantized, code = self.template_codes(before)
         template = self.template_1.sine(self.template_0(quantized.view(B, P, -1, 1)))
         detail = self.detail.sine(self.detail_in(z_shape).view(B, 1, -1, 1))
-        return ShapeCode(template[..., 0], detail.view(B, P, 6), (before, code))
+        return ShapeCode(template[..., 0], detail.view(B, P, 6), (before, code), self._box(z_shape))
+
+    def _box(self, z_shape: Tensor) -> PartBox | None:
+        if self.box_in is None:
+            return None
+        middle, size = self.box_in(z_shape).view(len(z_shape), self.parts, 6).split(3, 2)
+        return PartBox(middle, PLAIN_SIZE * size.clamp(-3.0, 1.0).exp())
 
     def forward(self, code: ShapeCode, motion: InverseMotion, points: Tensor) -> PartLogits:
         """The fields of all parts at points (B, n, 3), each part moved by its own motion."""
         # The motion is part of the first layer: W (A x + t) + b = (W A) x + (W t + b).
         W, b = self.coordinate.times(_FREQUENCY)
-        moved, shift = W @ motion.rotation, (W @ motion.offset[..., None])[..., 0] + b
+        at = motion.offset
+        if code.box:
+            W, at = W * (PLAIN_SIZE / code.box.size)[:, :, None], at - code.box.middle
+        moved, shift = W @ motion.rotation, (W @ at[..., None])[..., 0] + b
         given = points, moved, shift, code.template, code.detail
         if spares(points) and can_fuse(points):
             both = sine_parts(*given, *self._weights())

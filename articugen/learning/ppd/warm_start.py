@@ -16,31 +16,26 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.nn.functional import avg_pool3d, binary_cross_entropy_with_logits
+from torch.nn.functional import binary_cross_entropy_with_logits
 
-from articugen.discovery import Discovery
+from articugen.discovery import Discovery, Ownership, assign_material
+from articugen.discovery.ownership import MOST_DOUBT
 from articugen.geometry import invert_rigid
-from articugen.learning.dataset import PackedSplit, voxel_centres
+from articugen.learning.dataset import PackedSplit, unpacked
 from articugen.learning.method import Terms
 from articugen.learning.ppd.found import Found
 from articugen.learning.ppd.losses import POINTS_OF_THE_PAPER
-from articugen.learning.ppd.model import Pose, amount_of
+from articugen.learning.ppd.model import Prediction, amount_of, rest_states
 from articugen.learning.ppd.settings import ModelSettings, WarmStart
+from articugen.learning.ppd.shape import PartBox
 from articugen.records import Floats, JointKind
 
 FEW_OBJECTS, LEAN = 0.25, np.cos(np.radians(30.0))
 """A kind of joint that a smaller share of the objects has is a mistake, and so is one that leans
 further from all candidates of its kind."""
 
-LEAST_VOTES, GAIN, SOME_POSES = 0.08, 1.25, 0.1
-"""What a cell of a moving part has at least: a share of the most votes there are for this part, and
-so many times what the fixed part has where the cell comes to, in this share of the poses."""
-
-VOTING_POSES = 41
-"""So many poses of an object say whose its material is."""
-
-REST_TURN, REST_SLIDE = 0.3, 0.05
-"""The least state of a candidate, so that none is asked for the ends that a tanh never reaches."""
+LEAST_SIZE = 0.03
+"""Half of the least edge that a part's box is asked to have."""
 
 _FLIPPED = 0.5
 """What it costs to give a joint to a candidate that turns the other way: as much as a lean of 29
@@ -57,11 +52,12 @@ class Targets:
         there: (I, J) 1 where the object has a joint for the candidate, else 0.
         state: (I, J) of that joint.
         axis, pivot: (I, J, 3) of that joint, in the unit frame.
-        rest: (J,) the least state of each candidate.
-        rotation, offset: (I, P, 3, 3), (I, P, 3) from the instance to its object's first one.
-        grid: (I, P) which of `votes` belongs to a part; the first is that of parts without any.
-        votes: (V, C^3) how often there is material in the cells of a part's rest frame, which is
-            that of its object's first instance.
+        owns: (I, P) 1 where it is known where the part's material lies, else 0.
+        middle, size: (I, P, 3) of a box around it, in the part's rest frame, that of the pose in
+            which it is closed.
+        rotation, offset: (I, P, 3, 3), (I, P, 3) from the instance to the rest frame.
+        grid: (I, P) which of `doubt` belongs to a part; the first is that of parts without any.
+        doubt: (V, C^3) as in `Ownership`, of cells of a part's rest frame.
         cells: C.
     """
 
@@ -70,29 +66,35 @@ class Targets:
     state: Tensor
     axis: Tensor
     pivot: Tensor
+    owns: Tensor
+    middle: Tensor
+    size: Tensor
     rotation: Tensor
     offset: Tensor
     grid: Tensor
-    votes: Tensor
-    rest: Tensor
+    doubt: Tensor
     cells: int
 
     def of(self, rows: Tensor) -> Targets:
         """Those of some instances."""
-        some = {f.name: getattr(self, f.name)[rows] for f in fields(self)[:-3]}
+        some = {f.name: getattr(self, f.name)[rows] for f in fields(self)[:-2]}
         return replace(self, **some)
 
     def owner(self, points: Tensor, occupied: Tensor) -> Tensor:
-        """(B, n) the part that each occupied point belongs to: where it stays material in most
-        poses, if it moves along with that part; -1 for points in free space.
+        """(B, n) the part that each occupied point belongs to, as `Ownership` says; -1 for points
+        in free space.
 
         Args:
             points: (B, n, 3) in the instances that these targets are of.
         """
-        first = torch.einsum("bpij,bnj->bpni", self.rotation, points) + self.offset[:, :, None]
-        cell, _ = _cells(first, self.cells)
-        found = self.votes.flatten()[self.grid[..., None] * self.cells**3 + cell]
-        return torch.where(occupied, found.argmax(1), -1)
+        rest = torch.einsum("bpij,bnj->bpni", self.rotation, points) + self.offset[:, :, None]
+        off = rest - self.middle[:, :, None]
+        inside = (off.abs() <= self.size[:, :, None]).all(3) & (self.owns[..., None] > 0)
+        cell = self.grid[..., None] * self.cells**3 + _cells(rest, self.cells)
+        doubt = self.doubt.flatten()[cell]
+        doubt = torch.where(inside, doubt, 1.0)
+        doubt[:, 0] = MOST_DOUBT
+        return torch.where(occupied, doubt.argmin(1), -1)
 
 
 def targets(
@@ -112,32 +114,36 @@ def targets(
     known = np.zeros(count)
     there, state = np.zeros((count, J)), np.zeros((count, J))
     axis, pivot = np.zeros((count, J, 3)), np.zeros((count, J, 3))
+    owns, box = np.zeros((count, J + 1)), np.ones((2, count, J + 1, 3))
     inverse = np.tile(np.eye(4), (count, J + 1, 1, 1))
     grid = np.zeros((count, J + 1), np.int64)
     R = split.band.resolution
-    votes = [torch.full((R**3,), -1.0, dtype=torch.float16)]
+    doubt = [torch.ones(R**3, dtype=torch.float16)]
     for each, mine in zip(likely(found, model), rows, strict=True):
         if not each:
             continue
         known[mine] = 1.0
         taken = [(-1, 1.0), *assigned(each, model)]
-        T = invert_rigid(np.stack([each.motion(k) for k in range(len(mine))]))
-        volumes = material_votes(split, mine, each, T)
+        motion = _from_closed(each, taken)
+        T, own = invert_rigid(motion), _owned(split, mine, motion)
         for part, candidate in enumerate(taken):
             if candidate is None:
                 continue
             slot, sense = candidate
             inverse[mine, slot + 1] = T[:, part]
-            grid[mine, slot + 1] = len(votes)
-            votes.append(volumes[part])
+            owns[mine, slot + 1] = own.owns[part]
+            box[0, mine, slot + 1] = own.middle[part]
+            box[1, mine, slot + 1] = own.size[part]
+            grid[mine, slot + 1] = len(doubt)
+            doubt.append(torch.from_numpy(own.doubt[part]).flatten().half())
             if part:
                 joint = each.joints[part - 1]
                 there[mine, slot], axis[mine, slot] = 1.0, sense * joint.axis
-                state[mine, slot], pivot[mine, slot] = sense * joint.states, joint.pivot
-    least = np.where(there > 0, state, np.inf).min(0)
-    rest = np.where(np.arange(J) < len(model.revolute), REST_TURN, REST_SLIDE)
+                opened = sense * joint.states
+                state[mine, slot], pivot[mine, slot] = opened - opened.min(), joint.pivot
+    rest = rest_states(torch.zeros(1, J), len(model.revolute)).double().numpy()
     widest = np.where(np.arange(J) < len(model.revolute), np.pi, 1.0)
-    state = np.where(there > 0, state + rest - least, rest).clip(0.5 * rest, widest - 0.5 * rest)
+    state = (state + rest).clip(0.5 * rest, widest - 0.5 * rest)
 
     device = split.surface.device
 
@@ -146,81 +152,35 @@ def targets(
 
     return Targets(
         tensor(known), tensor(there), tensor(state), tensor(axis), tensor(pivot),
+        tensor(owns), tensor(box[0]), tensor(box[1]),
         tensor(inverse[..., :3, :3]), tensor(inverse[..., :3, 3]),
-        torch.from_numpy(grid).to(device), torch.stack(votes).to(device), tensor(rest), R,
+        torch.from_numpy(grid).to(device), torch.stack(doubt).to(device), R,
     )  # fmt: skip
 
 
-def material_votes(
-    split: PackedSplit, rows: NDArray[np.intp], found: Discovery, inverse: Floats
-) -> Tensor:
-    """(P, C^3) how sure it is that the cells of each part's rest frame are that part's own.
-
-    Of a part's own material all poses say the same, whatever moves over it and whether it is seen.
-    So the poses in which a joint is nearly closed are counted, and those in which it is wide open,
-    and the lesser count holds. A plate that slides within its own plane looks as if it stayed: a
-    moving part owns cells alone that come, in some pose, to where the fixed part has less. It then
-    has them in all poses. Elsewhere it has -1.
-
-    Args:
-        rows: the K poses of an object.
-        inverse: (K, P, 4, 4) from each pose to each part's rest frame.
-    """
-    R, K = split.band.resolution, len(rows)
-    some = np.linspace(0, K - 1, min(K, VOTING_POSES)).astype(int)
-    rows, inverse = rows[some], inverse[some]
-    bits = np.unpackbits(split.voxels[torch.from_numpy(rows)].cpu().numpy(), axis=1)
-    material = [voxel_centres(torch.from_numpy(np.flatnonzero(b)), R) for b in bits]
-    T = torch.from_numpy(inverse).float()
-    forward = torch.from_numpy(invert_rigid(inverse)).float()
-    halves = [_halves(joint.states[some]) for joint in found.joints]
-    fixed = torch.stack([_agreed(T[:, 0], material, half, R) for half in halves]).amin(0)
-    votes = [fixed]
-    for part, half in enumerate(halves, 1):
-        own = _agreed(T[:, part], material, half, R)
-        (cells,) = torch.where(own > LEAST_VOTES * own.max())
-        posed = _moved(forward[:, part], voxel_centres(cells, R).expand(len(rows), -1, 3))
-        cell, inside = _cells(posed, R)
-        stays = torch.where(inside, fixed[cell], 0.0).quantile(SOME_POSES, dim=0)
-        sure = cells[own[cells] > GAIN * stays]
-        votes.append(torch.full_like(own, -1.0).index_copy_(0, sure, GAIN * own[sure]))
-    return torch.stack(votes).half()
+def _from_closed(found: Discovery, taken: list[tuple[int, float] | None]) -> Floats:
+    """(K, P, 4, 4) the motion of each part from the pose in which it is closed, which is that with
+    the least state, to all poses; `taken` as `assigned` gives it, with the fixed part."""
+    motion = np.stack([found.motion(k) for k in range(len(found.joints[0].states))])
+    for part, candidate in enumerate(taken[1:], 1):
+        sense = candidate[1] if candidate else 1.0
+        closed = int((sense * found.joints[part - 1].states).argmin())
+        motion[:, part] = motion[:, part] @ invert_rigid(motion[closed, part])
+    return motion
 
 
-def _halves(states: Floats) -> tuple[Tensor, Tensor]:
-    """(K,) masks of the poses with small and with great states."""
-    order = np.argsort(states, kind="stable")
-    great = torch.zeros(len(states), dtype=torch.bool)
-    great[torch.from_numpy(order[len(order) // 2 :])] = True
-    return ~great, great
+def _owned(split: PackedSplit, rows: NDArray[np.intp], motion: NDArray[np.float64]) -> Ownership:
+    """Whose an object's points are; `motion` (K, P, 4, 4) in the poses `rows`."""
+    R, at = split.band.resolution, torch.from_numpy(rows)
+    clouds = unpacked(split.surface[at].cpu()).double().numpy()
+    bits = np.unpackbits(split.hidden[at].cpu().numpy(), axis=1)
+    return assign_material(list(clouds), bits.reshape(-1, R, R, R) > 0, motion)
 
 
-def _agreed(T: Tensor, material: list[Tensor], halves: tuple[Tensor, Tensor], R: int) -> Tensor:
-    """(R^3,) the share of the poses that have material in a cell, brought there by the motions
-    (K, 4, 4); of the half of the poses that has less, and smoothed over three cells along each
-    axis, for thin parts miss the centres of many."""
-    shares = []
-    for half in halves:
-        total = torch.zeros(R**3)
-        for k in torch.where(half)[0].tolist():
-            cell, inside = _cells(_moved(T[k : k + 1], material[k][None]), R)
-            total[cell[inside].unique()] += 1.0
-        shares.append(total / half.sum())
-    least = torch.stack(shares).amin(0).view(1, 1, R, R, R)
-    return avg_pool3d(least, 3, stride=1, padding=1).flatten()
-
-
-def _moved(T: Tensor, points: Tensor) -> Tensor:
-    return torch.einsum("kij,knj->kni", T[:, :3, :3], points) + T[:, None, :3, 3]
-
-
-def _cells(points: Tensor, R: int) -> tuple[Tensor, Tensor]:
-    """The flat cells of points (..., 3) in a grid of R^3, and whether they lie in the cube at all;
-    others are given to its first or last cells."""
-    at = ((points + 0.5) * R).floor().long()
-    inside = ((at >= 0) & (at < R)).all(-1)
-    at = at.clamp(0, R - 1)
-    return (at[..., 0] * R + at[..., 1]) * R + at[..., 2], inside
+def _cells(points: Tensor, R: int) -> Tensor:
+    """The flat cells of points (..., 3) in a grid of R^3; others are given to its nearest cells."""
+    at = ((points + 0.5) * R).floor().long().clamp(0, R - 1)
+    return (at[..., 0] * R + at[..., 1]) * R + at[..., 2]
 
 
 def likely(found: Found, model: ModelSettings) -> Found:
@@ -272,7 +232,12 @@ def _as_read(places: Floats) -> NDArray[np.intp]:
 
 
 def aim_terms(
-    pose: Pose, part_logits: Tensor, owner: Tensor, aim: Targets, weigh: WarmStart, revolute: int
+    predicted: Prediction,
+    part_logits: Tensor,
+    owner: Tensor,
+    aim: Targets,
+    weigh: WarmStart,
+    revolute: int,
 ) -> Terms:
     """How far a prediction is from its targets.
 
@@ -283,17 +248,30 @@ def aim_terms(
         owner: (B, n) from `Targets.owner`.
         revolute: how many of the candidates turn.
     """
-    there = aim.there
+    pose, there = predicted.pose, aim.there
     amount = amount_of(aim.state, revolute)
     states = ((pose.amount - amount).square() * there).sum(1).mean()
     lean = ((1.0 - (pose.direction * aim.axis).sum(2)) * there).sum(1).mean()
-    square = (pose.pivot[:, 1:] - aim.pivot).square().sum(2)
-    return {
+    square = (pose.pivot[:, 1:] - aim.pivot).square().sum(2)[:, :revolute]
+    terms = {
         "aim_parts": weigh.parts * parts_entropy(part_logits, owner, aim.known, weigh.occupied),
         "aim_state": weigh.state * states,
         "aim_direction": weigh.direction * lean,
-        "aim_pivot": weigh.pivot * (square * there).sum(1).mean(),
+        "aim_pivot": weigh.pivot * (square * there[:, :revolute]).sum(1).mean(),
     }
+    if box := predicted.shape.box:
+        terms["aim_box"] = weigh.box * box_misfit(box, aim, revolute)
+    return terms
+
+
+def box_misfit(box: PartBox, aim: Targets, revolute: int) -> Tensor:
+    """How far the boxes' middles are off, in sizes of the boxes, and the logarithms of the sizes:
+    sums of squares over axes and parts, a mean over samples. A part that turns is seen from its
+    pivot."""
+    middle, size = aim.middle.clone(), aim.size.clamp(min=LEAST_SIZE)
+    middle[:, 1 : 1 + revolute] -= aim.pivot[:, :revolute]
+    shift, growth = (box.middle - middle) / size, (box.size / size).log()
+    return ((shift.square() + growth.square()).sum(2) * aim.owns).sum(1).mean()
 
 
 def parts_entropy(part_logits: Tensor, owner: Tensor, known: Tensor, occupied: float) -> Tensor:

@@ -1,0 +1,167 @@
+"""Whose each point of an object is, once its joints are known.
+
+A point that is taken to move with the wrong part comes, in some of the poses, to where nothing is:
+this contradicts it. Points that are contradicted of all parts but one are surely that part's. Of a
+moving part they span a box; what lies in it in the part's rest frame, that of pose 0, and is hardly
+contradicted is the part's own. All else is the fixed part's.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.discovery import kernels
+from articugen.discovery.clouds import Cells, Surface
+from articugen.geometry import invert_rigid
+from articugen.records import Floats
+
+ASKED, ASKING, POINTS = 21, 41, 400
+"""So many poses are asked, about points of so many poses, at most so many of each."""
+
+REACH = 0.02
+"""Where a cloud has no point this near, it has no surface; in the unit frame."""
+
+RARELY, CLEARLY = 0.15, 0.08
+"""A part's own points are contradicted in this share of the poses at most; a point is sure of its
+part where that is contradicted so much less than any other."""
+
+FEWEST_SURE, OUTLIERS = 20, 0.002
+"""A box needs so many sure points, and leaves out this share of them along each axis, each way."""
+
+MOST_DOUBT = 0.2
+"""What is contradicted in a greater share of the poses is not the part's, wherever it lies."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ownership:
+    """Where the material of each part lies, in its rest frame. P parts, part 0 is fixed.
+
+    Attributes:
+        owns: (P,) whether it is known where; of a moving part too few points may be sure.
+        middle, size: (P, 3) of a box along the axes that holds the part; `size` is half its edges.
+        doubt: (P, R, R, R) in which share of the poses the part is contradicted at the centres of
+            cells of the unit frame; 0 of part 0 and where its box does not come.
+    """
+
+    owns: NDArray[np.bool_]
+    middle: Floats
+    size: Floats
+    doubt: NDArray[np.float32]
+
+    def part_of(self, rest: Floats) -> NDArray[np.int64]:
+        """(n,) whose points are that would be at `rest` (P, n, 3) if they were of each part."""
+        R = self.doubt.shape[1]
+        best, part = np.full(rest.shape[1], MOST_DOUBT), np.zeros(rest.shape[1], np.int64)
+        for p in range(1, len(rest)):
+            i, j, k = np.clip(((rest[p] + 0.5) * R).astype(np.int64), 0, R - 1).T
+            doubt = self.doubt[p, i, j, k]
+            inside = (np.abs(rest[p] - self.middle[p]) <= self.size[p]).all(1) & (doubt < best)
+            best, part = np.where(inside, doubt, best), np.where(inside & self.owns[p], p, part)
+        return part
+
+
+def assign_material(
+    clouds: Sequence[Floats], hidden: NDArray[np.bool_], motion: NDArray[np.float64]
+) -> Ownership:
+    """Find it from surfaces, free space and how the parts moved.
+
+    Args:
+        clouds: K poses, (n_k, 3) surface points each, in the unit frame.
+        hidden: (K, R, R, R) voxels of the unit frame that are not free: material, or enclosed.
+        motion: (K, P, 4, 4) of each part from pose 0.
+    """
+    K, P = motion.shape[:2]
+    asked = np.unique(np.linspace(0, K - 1, ASKED).astype(int))
+    evidence = _Evidence.of([clouds[k] for k in asked], hidden[asked], motion[asked])
+    asking = np.unique(np.linspace(0, K - 1, ASKING).astype(int))
+    rest = _at_rest([clouds[k][:: len(clouds[k]) // POINTS + 1] for k in asking], motion[asking])
+    doubt = np.stack([evidence.against(rest[p], p) for p in range(P)])
+    boxes = [_box_of_sure(rest, doubt, p) for p in range(1, P)]
+    owns = np.array([True, *(box is not None for box in boxes)])
+    bounds = [np.zeros((2, 3)), *(np.zeros((2, 3)) if box is None else box for box in boxes)]
+    middle = np.array([0.5 * (low + high) for low, high in bounds])
+    size = np.array([0.5 * (high - low) for low, high in bounds])
+    R = hidden.shape[1]
+    cells = [np.zeros((R, R, R)), *(evidence.on_grid(R, bounds[p], p) for p in range(1, P))]
+    found = Ownership(owns, middle, size, np.array(cells, np.float32))
+    fixed = rest[0][found.part_of(rest) == 0]
+    if len(fixed):
+        low, high = _bounds(fixed)
+        middle[0], size[0] = 0.5 * (low + high), 0.5 * (high - low)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Evidence:
+    """What the poses that are asked say.
+
+    Attributes:
+        cells: their surfaces.
+        taken: (K, R, R, R) voxels that have something in them, or beside them.
+        motion: (K, P, 4, 4).
+    """
+
+    cells: Cells
+    taken: NDArray[np.uint8]
+    motion: NDArray[np.float64]
+
+    @staticmethod
+    def of(
+        clouds: list[Floats], hidden: NDArray[np.bool_], motion: NDArray[np.float64]
+    ) -> "_Evidence":
+        return _Evidence(
+            Cells.of([Surface.bare(cloud) for cloud in clouds]), _grown(hidden), motion
+        )
+
+    def against(self, rest: Floats, part: int) -> Floats:
+        """(n,) in which share of the poses points, at rest (n, 3), come to where nothing is."""
+        M = np.ascontiguousarray(self.motion[:, part, :3])
+        rest = np.ascontiguousarray(rest)
+        return kernels.to_nothing(rest, M, self.taken, self.cells.points, self.cells.starts, REACH)
+
+    def on_grid(self, R: int, bounds: Floats, part: int) -> Floats:
+        """(R, R, R) the same of cells' centres that lie within bounds or beside them, else 0."""
+        centres = (np.arange(R) + 0.5) / R - 0.5
+        near = [
+            np.flatnonzero((centres > low - 1.0 / R) & (centres < high + 1.0 / R))
+            for low, high in bounds.T
+        ]
+        out = np.zeros((R, R, R))
+        at = np.stack(np.meshgrid(*near, indexing="ij"), -1).reshape(-1, 3)
+        if np.ptp(bounds, axis=0).any():
+            out[tuple(at.T)] = self.against(centres[at], part)
+        return out
+
+
+def _grown(grids: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Grids (K, R, R, R) with all that is beside a voxel, corners included."""
+    grown = grids.astype(np.uint8)
+    for axis in (1, 2, 3):
+        before = np.moveaxis(grown.copy(), axis, 0)
+        after = np.moveaxis(grown, axis, 0)
+        after[1:] |= before[:-1]
+        after[:-1] |= before[1:]
+    return grown
+
+
+def _at_rest(clouds: list[Floats], motion: NDArray[np.float64]) -> Floats:
+    """(P, n, 3) where the points of all clouds would be at rest if they were of each part."""
+    back = invert_rigid(motion)
+    moved = [
+        np.einsum("pij,nj->pni", T[:, :3, :3], cloud) + T[:, None, :3, 3]
+        for cloud, T in zip(clouds, back, strict=True)
+    ]
+    return np.concatenate(moved, 1)
+
+
+def _box_of_sure(rest: Floats, doubt: Floats, part: int) -> Floats | None:
+    """(2, 3) the least and greatest coordinates of a part's sure points, None if they are few."""
+    others = np.delete(doubt, part, axis=0).min(0)
+    sure = (doubt[part] < RARELY) & (others - doubt[part] > CLEARLY)
+    return _bounds(rest[part][sure]) if sure.sum() >= FEWEST_SURE else None
+
+
+def _bounds(points: Floats) -> Floats:
+    return np.quantile(points, [OUTLIERS, 1.0 - OUTLIERS], axis=0)
