@@ -24,7 +24,7 @@ replace = $(if $(REPLACE),--replace)
 option = $(if $($(1)),--$(2) "$($(1))")
 
 .DEFAULT_GOAL := help
-.PHONY: help dataset inspect verify train depth evaluate gpu-study test check format bench accuracy bench-reading bench-train backends learner clean
+.PHONY: help dataset inspect report verify train depth evaluate gpu-study test check format bench accuracy bench-reading bench-train backends learner clean
 
 help:  ## list the targets
 	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1"
@@ -50,6 +50,13 @@ ifdef CATEGORY
 	@$(articugen) inspect "$(OUT)/$(CATEGORY)" --image "$(OUT)/$(CATEGORY)/sheet.png"
 else
 	@echo "Choose one: make inspect CATEGORY=laptop" >&2; exit 2
+endif
+
+report: $(generator)  ## write all about CATEGORY= into one HTML file that opens offline
+ifdef CATEGORY
+	@$(articugen) inspect "$(OUT)/$(CATEGORY)" --html "$(OUT)/$(CATEGORY)/report.html"
+else
+	@echo "Choose one: make report CATEGORY=laptop" >&2; exit 2
 endif
 
 verify: $(generator)  ## check every byte and the geometry of OUT (or of CATEGORY= alone)

@@ -22,7 +22,7 @@ from articugen.bundled import CACHE
 
 PARTS = {
     "generate": ("views", "drawing", "rays", "solids", "boxes", "files"),
-    "inspect": ("discs", "light", "drawing"),
+    "inspect": ("discs", "light", "skins", "drawing"),
     "train": ("networks",),
 }
 """For each command the parts of `rehearsal` that it needs; first those that take longest."""
@@ -30,7 +30,7 @@ PARTS = {
 _PACKAGE = Path(__file__).resolve().parent
 _KERNELS = (
     "fusion", "inspection", "jit.py", "learning/ppd/greatest.py", "learning/ppd/sine_kernels.py",
-    "rehearsal.py", "rendering", "sources/obj_kernel.py", "swept.py",
+    "rehearsal.py", "rendering", "report/skin.py", "sources/obj_kernel.py", "swept.py",
 )  # fmt: skip
 
 

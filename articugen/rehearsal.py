@@ -21,6 +21,7 @@ from articugen.learning.ppd.greatest import greatest
 from articugen.recipe import Fusion
 from articugen.records import DepthMaps, LabelledMesh, Views
 from articugen.rendering import rasterizer
+from articugen.report.skin import skin
 from articugen.sources.obj_kernel import read_plain
 from articugen.swept import swept_box
 
@@ -84,6 +85,10 @@ def files() -> None:
 def discs() -> None:
     sample = OrientedPoints(np.eye(3), np.eye(3), np.zeros(3, np.uint8))
     draw(surfels([sample]), np.zeros((3, 3)), framed(np.eye(3), 0.0, 0.0, 8, fill=0.5))
+
+
+def skins() -> None:
+    skin(OrientedPoints(np.eye(3), np.eye(3), np.zeros(3, np.uint8)), 0.5, 0.5)
 
 
 def light() -> None:

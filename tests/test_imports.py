@@ -69,7 +69,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "workers": {"errors"},
     "rehearsal": VOCABULARY
     | STAGES
-    | {"inspection", "learning.ppd.greatest", "learning.ppd.sine_kernels"},
+    | {"inspection", "report.skin", "learning.ppd.greatest", "learning.ppd.sine_kernels"},
     "compiling": {"bundled", "workers", "rehearsal"},
     "estimate": {"store.manifest", "recipe"},
     "pipeline": VOCABULARY
@@ -98,6 +98,11 @@ MAY_IMPORT: dict[str, set[str]] = {
     | {"store", "sources", "articulation", "fusion", "instance", "pipeline", "verify", "mesh_file"},
     "verify.check": {"pipeline", "verify"},
     "inspection": VOCABULARY | {"store", "rendering"},
+    "report": VOCABULARY | {"store", "inspection", "marching_cubes"},
+    "report.facts": VOCABULARY | {"store"},
+    "report.skin": VOCABULARY | {"inspection", "marching_cubes"},
+    # alone in that room may know a stage: where links stand, and what they are made from
+    "report.truth": VOCABULARY | {"store", "sources", "articulation", "report.facts"},
     # joints found from several poses, for learners and for a command of its own
     "discovery": VOCABULARY,
     "learning": VOCABULARY
@@ -125,6 +130,7 @@ MAY_IMPORT: dict[str, set[str]] = {
         "pipeline",
         "verify",
         "inspection",
+        "report",
         "learning",
     },
     "__main__": {"cli"},

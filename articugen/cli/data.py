@@ -260,17 +260,28 @@ def _made_each(*todo: "Job", dry_run: bool, replace: bool) -> int:
 @app.command(
     epilog="Examples:\n\n"
     "articugen inspect data/laptop\n\n"
-    "articugen inspect data/laptop/test-00000.h5 --image sheet.png",
+    "articugen inspect data/laptop/test-00000.h5 --image sheet.png\n\n"
+    "articugen inspect data/laptop --html report.html",
 )
 def inspect(
     path: Annotated[Path, typer.Argument(help="A shard, or the folder of a data set.")],
     image: Annotated[
         Path | None, typer.Option("--image", "-i", help="Draw a contact sheet into this PNG.")
     ] = None,
-    objects: Annotated[int, typer.Option(min=1, max=64, help="Rows of the sheet.")] = 4,
-    states: Annotated[int, typer.Option(min=1, max=64, help="Columns of the sheet.")] = 6,
+    html: Annotated[
+        Path | None,
+        typer.Option("--html", help="Write a report of all of it into this one HTML file."),
+    ] = None,
+    objects: Annotated[
+        int | None,
+        typer.Option(min=1, max=64, help="Rows of the sheet.", show_default="4; report 12"),
+    ] = None,
+    states: Annotated[
+        int | None,
+        typer.Option(min=1, max=64, help="Columns of the sheet.", show_default="6; report 3"),
+    ] = None,
 ) -> None:
-    """Print what a shard or a data set holds, and draw it."""
+    """Print what a shard or a data set holds, draw it, and report on it."""
     with said():
         from articugen.cli.console import left_out
         from articugen.inspection.summary import shards_of, summary
@@ -278,15 +289,27 @@ def inspect(
         shards = shards_of(path)
         stdout.print(summary(shards))
         stdout.print(left_out(path))
-        if image is not None:
-            from articugen.compiling import compile_kernels
-            from articugen.inspection.contact_sheet import contact_sheet
-            from articugen.pipeline import default_jobs
+        if image is None and html is None:
+            return
+        from articugen.compiling import compile_kernels
+        from articugen.pipeline import default_jobs
 
-            compile_kernels("inspect", jobs=default_jobs(), notice=stderr.print)
+        compile_kernels("inspect", jobs=default_jobs(), notice=stderr.print)
+        counts = {"objects": objects, "states": states}
+        asked = {name: count for name, count in counts.items() if count is not None}
+        if image is not None:
+            from articugen.inspection.contact_sheet import contact_sheet
+
             with stderr.status("drawing ..."):
-                contact_sheet(shards, image, objects=objects, states=states)
+                contact_sheet(shards, image, **asked)
             stdout.print(f"drawn: {image}", soft_wrap=True)
+        if html is not None:
+            from articugen.inspection.tables import size
+            from articugen.report.page import write_report
+
+            with stderr.status("looking at all of it ..."):
+                written = write_report(path, shards, html, **asked)
+            stdout.print(f"report: {html}, {size(written)}", soft_wrap=True)
 
 
 @app.command(

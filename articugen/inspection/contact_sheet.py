@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.errors import ArticugenError
-from articugen.inspection.layout import Caption, Row, save, sheet
+from articugen.inspection.layout import TILE, Caption, Row, save, sheet
 from articugen.inspection.portrait import best_azimuth, colour_of, pooled, portrait, tile_camera
+from articugen.inspection.shading import Picture
 from articugen.inspection.surfels import Surfels
 from articugen.records import Instance, JointKind, dequantize
 from articugen.store.shards import Shard, open_shard
@@ -31,19 +32,42 @@ T = TypeVar("T")
 Place = tuple[Path, int]
 """A shard and an instance's index in it."""
 
-Chosen = tuple[str, str, list[Place]]
-"""The category and title of a row, and where its object's instances are."""
-
 POOLED = 16
 """The points of so many instances of an object, or of all that there are, make its pictures."""
+
+ASKED = 4
+"""Objects of a category, of those that are drawn, that say from which side it is seen."""
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """An object to draw, and where its instances are."""
+
+    category: str
+    split: str
+    object_id: str
+    places: list[Place]
+
+
+@dataclass(frozen=True, eq=False)
+class Portraits:
+    """An object's row: `instances`, a picture of each, and what its joints' states are."""
+
+    object_id: str
+    split: str
+    instances: tuple[Instance, ...]
+    pictures: tuple[Picture, ...]
+
+    @property
+    def captions(self) -> tuple[Caption, ...]:
+        return tuple(map(_states, self.instances))
 
 
 @dataclass(frozen=True, eq=False)
 class _Object:
     """`instances` to draw; `discs` in the canonical pose, from the points of many instances."""
 
-    category: str
-    title: str
+    chosen: Chosen
     instances: tuple[Instance, ...]
     discs: Surfels
 
@@ -59,27 +83,49 @@ class _Object:
 def contact_sheet(shards: Sequence[Path], path: Path, *, objects: int = 4, states: int = 6) -> None:
     """Draw `objects` rows of `states` instances each, chosen evenly from `shards`, as a PNG.
 
-    The first instance of a row is the canonical pose; the others are in the order of how far
-    their joints have moved. A category is seen from the side that shows most of its parts.
-
     Raises:
         CorruptShard: a shard cannot be read.
         ArticugenError: there is nothing to draw, or `path` cannot be written.
     """
+    drawn = portraits(shards, objects=objects, states=states)
+    rows = [Row(f"{d.object_id}  {d.split}", d.pictures, d.captions) for d in drawn]
+    save(sheet(rows), path)
+
+
+def portraits(
+    shards: Sequence[Path], *, objects: int, states: int, pooling: int = POOLED, size: int = TILE
+) -> list[Portraits]:
+    """Pictures of `objects` objects in `states` instances each, chosen evenly from `shards`.
+
+    The first instance of an object is the canonical pose; the others are in the order of how far
+    their joints have moved. A category is seen from the side that shows most of its parts.
+
+    Args:
+        pooling: the points of so many of an object's instances make its pictures.
+        size: of a picture, pixels.
+
+    Raises:
+        CorruptShard: a shard cannot be read.
+        ArticugenError: there is nothing to draw.
+    """
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        drawn = list(pool.map(lambda chosen: _object(chosen, states), _chosen(shards, objects)))
+        drawn = list(pool.map(lambda c: _object(c, states, pooling), _chosen(shards, objects)))
         widest: dict[str, list[Instance]] = {}
         for each in drawn:
-            widest.setdefault(each.category, []).append(each.instances[-1])
-        azimuth = {category: best_azimuth(instances) for category, instances in widest.items()}
-        cameras = [tile_camera(each.points, azimuth[each.category]) for each in drawn]
+            widest.setdefault(each.chosen.category, []).append(each.instances[-1])
+        azimuth = {name: best_azimuth(_evenly(many, ASKED)) for name, many in widest.items()}
+        cameras = [tile_camera(o.points, azimuth[o.chosen.category], size) for o in drawn]
         tiles = [(o, i, c) for o, c in zip(drawn, cameras, strict=True) for i in o.instances]
         pictures = pool.map(lambda t: portrait(t[0].discs, t[1], t[2], t[0].floor), tiles)
-    rows = [
-        Row(o.title, [next(pictures) for _ in o.instances], [_states(i) for i in o.instances])
+    return [
+        Portraits(
+            o.chosen.object_id,
+            o.chosen.split,
+            o.instances,
+            tuple(next(pictures) for _ in o.instances),
+        )
         for o in drawn
     ]
-    save(sheet(rows), path)
 
 
 def _chosen(shards: Sequence[Path], objects: int) -> list[Chosen]:
@@ -96,20 +142,18 @@ def _chosen(shards: Sequence[Path], objects: int) -> list[Chosen]:
             f"{shards[0].parent}: no surface points to draw; ask for some in the recipe"
         )
     keys = _evenly(sorted(where, key=lambda key: (key[1] != "train", key)), objects)
-    return [
-        (category, f"{object_id}  {split}", where[category, split, object_id])
-        for category, split, object_id in keys
-    ]
+    return [Chosen(*key, where[key]) for key in keys]
 
 
-def _object(chosen: Chosen, states: int) -> _Object:
-    category, title, places = chosen
+def _object(chosen: Chosen, states: int, pooling: int) -> _Object:
     with ExitStack() as stack:
-        opened = {path: stack.enter_context(open_shard(path)) for path in {p for p, _ in places}}
-        rows = sorted(((opened[path], index) for path, index in places), key=lambda r: _moved(*r))
+        paths = {path for path, _ in chosen.places}
+        opened = {path: stack.enter_context(open_shard(path)) for path in paths}
+        places = ((opened[path], index) for path, index in chosen.places)
+        rows = sorted(places, key=lambda r: _moved(*r))
         drawn = tuple(shard.instance(index) for shard, index in _evenly(rows, states))
-        many = [shard.instance(index) for shard, index in _evenly(rows, POOLED)]
-    return _Object(category, title, drawn, pooled(many))
+        every = [shard.instance(index) for shard, index in _evenly(rows, pooling)]
+    return _Object(chosen, drawn, pooled(every))
 
 
 def _evenly(items: Sequence[T], count: int) -> list[T]:

@@ -51,9 +51,9 @@ def pooled(instances: Sequence[Instance]) -> Surfels:
     return surfels([oriented_points(i).moved(invert_rigid(i.part_motion)) for i in instances])
 
 
-def tile_camera(points: Array, azimuth: float) -> Camera:
-    """The camera whose tile the points (n, 3) fill."""
-    return framed(points, azimuth, ELEVATION, SUPERSAMPLING * TILE, fill=0.86)
+def tile_camera(points: Array, azimuth: float, size: int = TILE) -> Camera:
+    """The camera whose tile of `size` pixels the points (n, 3) fill."""
+    return framed(points, azimuth, ELEVATION, SUPERSAMPLING * size, fill=0.86)
 
 
 def best_azimuth(instances: Sequence[Instance]) -> float:
