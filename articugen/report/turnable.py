@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.geometry import invert_rigid
-from articugen.inspection.portrait import AZIMUTHS, colour_of, oriented_points
+from articugen.inspection.portrait import best_azimuth, colour_of, oriented_points
 from articugen.inspection.surfels import OrientedPoints
 from articugen.records import Instance, JointKind, dequantize
 from articugen.report.facts import ObjectFacts
@@ -77,7 +77,7 @@ def _scene(chosen: ObjectFacts, instances: Sequence[Instance]) -> dict[str, Any]
         "middle": middle.tolist(),
         "radius": float(np.linalg.norm(posed - middle, axis=1).max()),
         "floor": float(low[2]),
-        "azimuth": AZIMUTHS[0],
+        "azimuth": best_azimuth([max(instances, key=_moved)]),
         "parts": [
             {"colour": colour_of(k), "vertices": len(p.vertices), "faces": len(p.faces)}
             for k, p in enumerate(parts)
@@ -94,6 +94,12 @@ def _scene(chosen: ObjectFacts, instances: Sequence[Instance]) -> dict[str, Any]
         ],
         "meshes": packed(parts),
     }
+
+
+def _moved(instance: Instance) -> float:
+    """How far its joints are from the canonical pose, each by its range."""
+    span = instance.joint_upper - instance.joint_lower
+    return float(np.sum(np.abs(instance.joint_state) / np.where(span > 0.0, span, 1.0)))
 
 
 def _skin_of(clouds: Sequence[OrientedPoints], part: int) -> Skin:

@@ -205,7 +205,7 @@
     return { array, count: corners.length / 6 };
   }
 
-  const camera = { azimuth: scene.azimuth, elevation: 0.42, zoom: 1 };
+  const camera = { azimuth: scene.azimuth, elevation: 0.42, zoom: 1.12 };
   const home = { ...camera };
 
   function eyeAndView(aspect) {
@@ -259,7 +259,7 @@
       for (let n = 0; n < LAMPS; n++) {
         gl.stencilFunc(gl.NOTEQUAL, n + 1, 0xff); // each lamp darkens a pixel once
         const t = (2 * Math.PI * n) / LAMPS;
-        gl.uniform4f(where.lamp, 0.16 * Math.cos(t) + 0.1, 0.16 * Math.sin(t) - 0.12, 1, scene.floor - 0.004);
+        gl.uniform4f(where.lamp, 0.11 * Math.cos(t) + 0.08, 0.11 * Math.sin(t) - 0.1, 1, scene.floor - 0.004);
         parts.forEach((body, k) => put(body, T[k], [0, 0, 0]));
       }
       gl.uniform4f(where.lamp, 0, 0, 0, 0);

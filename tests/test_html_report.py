@@ -1,0 +1,352 @@
+"""The report of a data set: its figures against closed forms, its page in a real browser."""
+
+import base64
+import hashlib
+import re
+import shutil
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import LAPTOP, PHONE, browser
+from instances import SMALL, edited, hinged_box
+from test_cli import TINY, run
+
+from articugen.errors import MachineFault
+from articugen.geometry import rotation_about
+from articugen.inspection.surfels import OrientedPoints
+from articugen.records import Instance
+from articugen.report.alike import nearest_pairs, outliers
+from articugen.report.facts import CLOUD, ObjectFacts, PartSize, facts
+from articugen.report.markup import el, text
+from articugen.report.page import write_report
+from articugen.report.skin import skin
+from articugen.report.truth import measured
+from articugen.store.manifest import Manifest
+from articugen.store.shards import open_shard, write_shard
+
+STATES = ((0.0, 0.0), (0.5, 0.1), (1.2, 0.25), (1.7, 0.02))
+HOSTILE = "</title><img src=x onerror=alert(1)><script>alert(2)</script>\u202e'\"&"
+
+
+def shard(path: Path, instances: Sequence[Instance], split: str = "train") -> Path:
+    about = {"category": "box", "split": split, "recipe": SMALL.text(), "seed": 0}
+    about |= {"recipe_sha256": SMALL.sha256(), "articugen_version": "0"}
+    write_shard(path, instances, about)
+    return path
+
+
+def named(instance: Instance) -> Instance:
+    """With names that would like to be code."""
+    names = {"joint_name": (HOSTILE, "scharnier_ü"), "part_name": ("body", HOSTILE, "箱")}
+    return replace(instance, **names, part_semantic=("", HOSTILE, ""))
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("boxes with ünusual names")
+    boxes = hinged_box(STATES, object_id=HOSTILE)
+    shards = [shard(folder / "train-00000.h5", [named(i) for i in boxes])]
+    shards.append(
+        shard(folder / "test-00000.h5", hinged_box(STATES, object_id="b", seed=1), "test")
+    )
+    html = folder / "report.html"
+    assert write_report(folder, shards, html) == html.stat().st_size
+    return html
+
+
+def cube(half: float, count: int, seed: int = 0) -> OrientedPoints:
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-half, half, (count, 3))
+    axis, side = rng.integers(3, size=count), rng.choice((-1.0, 1.0), count)
+    normals = np.zeros((count, 3))
+    normals[np.arange(count), axis] = side
+    points[np.arange(count), axis] = half * side
+    return OrientedPoints(points, normals, np.zeros(count, np.uint8))
+
+
+def test_the_skin_of_a_cube_is_flat_and_its_edges_are_sharp() -> None:
+    turn = rotation_about(np.array([0.6, 0.0, 0.8]), 0.5)  # in line with no axis of the grid
+    points = cube(0.2, 20000)
+    turned = replace(points, points=points.points @ turn.T, normals=points.normals @ turn.T)
+    found = skin(turned, 0.02, 0.4 * np.sqrt(6 / 20000))
+    at = found.vertices @ turn
+    off = np.abs(np.abs(at).max(axis=1) - 0.2)
+    assert off.max() < 0.008  # two fifths of a voxel, at a corner
+    assert off.mean() < 1e-4
+    edges = np.sort(np.abs(at), axis=1)[:, 1] > 0.19  # close to two faces: on the edge itself
+    assert np.median(np.abs(np.sort(np.abs(at[edges]), axis=1)[:, 1] - 0.2)) < 0.002
+    corners = at[found.faces]
+    volume = np.einsum("ni,ni->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
+    assert volume == pytest.approx(0.4**3, rel=0.02)
+
+
+def test_a_plate_thinner_than_a_voxel_has_two_sides() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.3, 0.3, (20000, 3))
+    side = rng.choice((-1.0, 1.0), 20000)
+    points[:, 2] = 0.002 * side
+    normals = np.stack([0 * side, 0 * side, side], axis=1)
+    found = skin(OrientedPoints(points, normals, np.zeros(20000, np.uint8)), 0.02, 0.006)
+    middle = found.vertices[np.abs(found.vertices[:, :2]).max(axis=1) < 0.25]
+    np.testing.assert_allclose(np.abs(middle[:, 2]), 0.002, atol=1e-4)
+    assert 0.4 < (middle[:, 2] > 0).mean() < 0.6
+
+
+def test_facts_are_those_of_the_boxes(page: Path) -> None:
+    found = facts(sorted(page.parent.glob("*.h5")))
+    assert found.instances == 8
+    assert found.bytes == sum(path.stat().st_size for path in page.parent.glob("*.h5"))
+    box = next(each for each in found.objects if each.object_id == "b")
+    assert box.split == "test"
+    np.testing.assert_allclose([box.joints[0].upper, box.joints[1].upper], [100.0, 30.0])
+    np.testing.assert_allclose(box.joints[0].drawn, np.degrees([0.5, 1.2, 1.7]))
+    np.testing.assert_allclose(box.joints[1].drawn, [10.0, 25.0, 2.0])
+    np.testing.assert_allclose(box.parts[1].box, [60, 60, 6], atol=1.0)
+    solid = 0.6 * 0.6 * (0.08 + 0.06) + 0.1 * 0.12 * 0.055
+    assert box.occupied.mean() == pytest.approx(solid / box.scale**3, rel=0.15)
+
+
+def cloud(points: OrientedPoints, name: str, **changes: Any) -> ObjectFacts:
+    return replace(_PLAIN, object_id=name, cloud=points.points, normals=points.normals, **changes)
+
+
+_PLAIN = ObjectFacts(
+    "", "train", Path(), (0,), 1.0, (), (), np.ones(1), 0.0, np.ones(1), np.ones(1)
+)
+
+
+def test_the_same_shape_sampled_twice_is_a_near_duplicate_and_a_smaller_one_is_none() -> None:
+    seven = [cloud(cube(0.3 + 0.02 * k, CLOUD, k), f"cube-{k}") for k in range(4)]
+    pairs = nearest_pairs([*seven, cloud(cube(0.34, CLOUD, 9), "again")], 3)
+    assert {pairs[0].first.object_id, pairs[0].second.object_id} == {"cube-2", "again"}
+    assert [pair.same for pair in pairs] == [True, False, False]
+    assert pairs[1].apart == pytest.approx(0.02, rel=0.3)
+
+
+def test_an_object_ten_times_as_large_is_an_outlier() -> None:
+    rng = np.random.default_rng(0)
+    part = PartSize("", "", 1.0, 1.0, np.ones(3))
+    every = [
+        cloud(cube(0.3, 8), f"{k}", parts=(part,), scale=float(rng.normal(1.0, 0.05)))
+        for k in range(12)
+    ]
+    assert outliers(every) == []
+    found = outliers([*every, replace(every[0], object_id="huge", scale=10.0)])
+    assert [(o.object.object_id, o.what) for o in found] == [("huge", "length of the unit frame")]
+    assert outliers(every[:3]) == []
+
+
+@pytest.fixture(scope="module")
+def laptops(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("made")
+    (root / "tiny.yaml").write_text(TINY)
+    done = run("generate", "-c", "laptop", "-r", root / "tiny.yaml", "-o", root, "-j", 0)
+    assert done.exit_code == 0, done.output
+    return root / "laptop"
+
+
+def test_labels_agree_with_the_exact_solids_and_wrong_ones_do_not(
+    laptops: Path, tmp_path: Path
+) -> None:
+    manifest = Manifest.read(laptops)
+    found = measured(facts(sorted(laptops.glob("*.h5"))).objects, manifest)
+    assert len(found.instances) == 4, found.why_not
+    for name, least in (("uniform", 0.9), ("near", 0.9), ("part", 0.99), ("surface", 0.98)):
+        assert found.total(name) >= least
+    path = next(laptops.glob("train*.h5"))
+    with open_shard(path) as source:
+        about = {
+            k: v for k, v in source.attributes.items() if k not in ("format", "schema_version")
+        }
+        rows = [source.instance(i) for i in range(len(source))]
+    motionless = [
+        edited(r, "part_motion", lambda T: np.tile(np.eye(4), (len(T), 1, 1))) for r in rows
+    ]
+    write_shard(tmp_path / path.name, motionless, about)
+    wrong = measured(facts([tmp_path / path.name]).objects, manifest)
+    assert wrong.total("surface") < found.total("surface") - 0.1
+    assert "shard alone" in measured(facts([path]).objects, None).why_not
+
+
+def test_real_models_have_no_exact_solids(laptops: Path) -> None:
+    theirs = Manifest.read(laptops).model_copy(update={"source": "partnet_mobility"})
+    found = measured(facts(sorted(laptops.glob("*.h5"))).objects, theirs)
+    assert "no exact solids are known" in found.why_not
+
+
+def test_text_is_never_markup() -> None:
+    assert text(HOSTILE).count("<") == 0
+    assert "\u202e" not in text(HOSTILE)
+    written = el("p", HOSTILE, title=HOSTILE, hidden=True, class_=None)
+    assert written.startswith("<p title=")
+    assert written.count("<") == 2
+    assert "hidden>" in written
+
+
+class _Elements(HTMLParser):
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found.append((tag, dict(attrs)))
+
+
+def test_the_page_runs_its_own_script_alone_and_asks_for_nothing(page: Path) -> None:
+    html = page.read_text()
+    parsed = _Elements(html)
+    scripts = [attributes for tag, attributes in parsed.found if tag == "script"]
+    assert scripts == [{"type": "application/json", "id": "scene"}, {}]
+    policy = next(a["content"] for t, a in parsed.found if t == "meta" and "http-equiv" in a) or ""
+    assert policy.startswith("default-src 'none'")
+    assert "unsafe" not in policy
+    for tag in ("style", "script"):
+        inside = re.findall(f"<{tag}>(.*?)</{tag}>", html, re.DOTALL)[-1].encode()
+        assert base64.b64encode(hashlib.sha256(inside).digest()).decode() in policy
+    for tag, attributes in parsed.found:
+        assert not any(name.startswith("on") or name == "style" for name in attributes), tag
+        for name in ("src", "href"):
+            assert re.match(r"data:image/|#", attributes.get(name) or "#"), attributes
+        if tag in ("img", "canvas"):
+            assert attributes.get("alt") or attributes.get("aria-label")
+    named_by = {a["for"] for t, a in parsed.found if t == "label" and "for" in a}
+    assert named_by == {"joint-0", "joint-1"}
+    assert "alert" not in re.findall("<script.*?</script>", html, re.DOTALL)[0]
+
+
+def test_a_single_shard_and_one_without_points_have_reports_too(tmp_path: Path) -> None:
+    one = shard(tmp_path / "one.h5", hinged_box(STATES[:1]))
+    write_report(one, [one], tmp_path / "one.html")
+    assert "Without a manifest" in (tmp_path / "one.html").read_text()
+    bare = SMALL.model_copy(
+        update={"sampling": SMALL.sampling.model_copy(update={"surface_points": 1})}
+    )
+    none = shard(tmp_path / "none.h5", hinged_box(STATES, recipe=bare))
+    write_report(none, [none], tmp_path / "none.html")
+    assert "nothing to turn" in (tmp_path / "none.html").read_text()
+    with pytest.raises(MachineFault, match="make it first"):
+        write_report(one, [one], tmp_path / "nowhere" / "one.html")
+
+
+def test_inspect_writes_a_report_with_what_was_left_out(laptops: Path, tmp_path: Path) -> None:
+    html = tmp_path / "report.html"
+    done = run("inspect", laptops, "--html", html, "--objects", 1, "--states", 2)
+    assert done.exit_code == 0, done.output
+    assert f"report: {html}" in done.stdout
+    said = html.read_text()
+    manifest = Manifest.read(laptops)
+    for word in (manifest.content_sha256, manifest.manifest_sha256, manifest.shards[0].sha256,
+                 "every object of the source became data", "IoU", "procedural", "MIT"):  # fmt: skip
+        assert word in said
+    assert len(said) < 5_000_000
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with browser() as opened:
+        yield opened
+
+
+def opened(chromium: Any, html: Path, screen: dict[str, int], **context: Any) -> tuple[Any, list]:
+    """The page, once its object can be turned, and what the console and dialogs say against it."""
+    tab = chromium.new_context(viewport=screen, **context).new_page()
+    tab.set_default_timeout(90_000)
+    faults: list[str] = []
+    tab.on("console", lambda m: faults.append(m.text) if m.type == "error" else None)
+    tab.on("pageerror", lambda error: faults.append(str(error)))
+    tab.on("dialog", lambda dialog: (faults.append(dialog.message), dialog.dismiss()))
+    tab.on(
+        "request",
+        lambda r: None if r.url[:5] in ("file:", "data:", "blob:") else faults.append(r.url),
+    )
+    tab.goto(html.as_uri())
+    tab.wait_for_selector("#viewer[data-ready], #viewer[data-failed]", state="attached")
+    assert tab.get_attribute("#viewer", "data-ready") == "true", tab.inner_text("#viewer-said")
+    return tab, faults
+
+
+def set_joint(tab: Any, joint: int, value: float) -> None:
+    tab.eval_on_selector(
+        f"#joint-{joint}",
+        "(slider, value) => { slider.value = value; slider.dispatchEvent(new Event('input')); }",
+        value,
+    )
+
+
+def picture(tab: Any) -> bytes:
+    tab.evaluate(
+        "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+    )
+    return tab.locator("canvas").screenshot()
+
+
+def test_a_slider_moves_its_part_as_the_shard_says(chromium: Any, page: Path) -> None:
+    tab, faults = opened(chromium, page, PHONE)
+    made = hinged_box(STATES)
+    unit = np.array([np.degrees(1.0), 100.0 * made[0].scale])
+    seen = [picture(tab)]
+    for instance in made:
+        for joint, value in enumerate(instance.joint_state * unit):
+            set_joint(tab, joint, float(value))
+        found = np.array(tab.evaluate("articugen.motions(articugen.states())"))
+        np.testing.assert_allclose(
+            found.reshape(-1, 4, 4).transpose(0, 2, 1), instance.part_motion, atol=1e-4
+        )
+        seen.append(picture(tab))
+    assert seen[1] == seen[0]  # the canonical pose, as it opens
+    assert len(set(seen)) == len(made)
+    assert tab.inner_text("#viewer output >> nth=1") == "2.0 cm"
+    assert faults == []
+
+
+def test_keys_and_buttons_turn_it(chromium: Any, page: Path) -> None:
+    tab, faults = opened(chromium, page, PHONE, color_scheme="dark")
+    seen = [picture(tab)]
+    tab.focus("canvas")
+    for key in ("ArrowLeft", "ArrowUp", "+"):
+        tab.keyboard.press(key)
+        seen.append(picture(tab))
+    tab.uncheck("#axes")
+    seen.append(picture(tab))
+    assert len(set(seen)) == len(seen)
+    tab.check("#axes")
+    tab.click("#view-reset")
+    assert picture(tab) == seen[0]
+    tab.click("#view-play")
+    tab.wait_for_timeout(1000)
+    assert tab.get_attribute("#view-play", "aria-pressed") == "true"
+    assert float(tab.input_value("#joint-0")) > 2.0
+    assert faults == []
+
+
+@pytest.mark.parametrize("screen", [LAPTOP, PHONE], ids=["laptop", "phone"])
+def test_nothing_is_wider_than_the_screen(chromium: Any, page: Path, screen) -> None:
+    tab, faults = opened(chromium, page, screen)
+    tab.evaluate("document.querySelectorAll('details').forEach(d => d.open = true)")
+    assert tab.evaluate("document.documentElement.scrollWidth") <= screen["width"]
+    small = (
+        "[...document.querySelectorAll('button, summary')].filter(b => b.clientHeight < 28).length"
+    )
+    assert tab.evaluate(small) == 0
+    assert faults == []
+
+
+def test_without_webgl_the_page_says_so_and_shows_a_picture(page: Path, chromium: Any) -> None:
+    tab = chromium.new_context(viewport=PHONE).new_page()
+    tab.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
+    tab.goto(page.as_uri())
+    tab.wait_for_selector("#viewer[data-failed]", state="attached", timeout=90_000)
+    assert "no WebGL 2" in tab.inner_text("#viewer-said")
+    assert tab.is_visible("#viewer .stage img")
+
+
+def test_a_page_outlives_its_data_set(page: Path, tmp_path: Path, chromium: Any) -> None:
+    alone = Path(shutil.copy(page, tmp_path / "alone.html"))
+    _, faults = opened(chromium, alone, PHONE, offline=True)
+    assert faults == []
