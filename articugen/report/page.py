@@ -133,7 +133,7 @@ def page(report: Report) -> str:
                 for name, title, inside in parts
             ),
         ),
-        el("footer", el("p", f"Written by articugen {__version__} from the shards alone. "
+        el("footer", el("p", f"Written by articugen {__version__} from what the data set holds. "
                              "This file is complete: it opens without a network.")),
         _scene(report.turnable),
         el("script", Markup(script)),
@@ -144,22 +144,23 @@ def page(report: Report) -> str:
 def _sections(report: Report) -> list[tuple[str, str, Markup]]:
     """(name, title, what it says) of each."""
     found, manifest = report.facts, report.manifest
+    every = found.objects
     pictures = {p.object_id: webp(p) for p in report.sheet}
     turned = report.turnable
     still = pictures.get(turned.object_id, [""])[0] if turned else ""
     return [
         ("overview", "Overview", sections.overview(found, manifest)),
-        ("turn", "Turn it", sections.turning(turned, found.objects, still)),
+        ("turn", "Turn it", sections.turning(turned, every, still)),
         ("sheet", "Contact sheet", sections.sheet(report.sheet, pictures, found)),
-        ("joints", "Joints", sections.joints(found.objects)),
-        ("parts", "Parts", sections.parts(found.objects)),
+        ("joints", "Joints", sections.joints(every)),
+        ("parts", "Parts", sections.parts(every)),
         ("truth", "Truth", sections.truth(report.measured)),
         (
             "alike",
             "Alike and unlike",
-            sections.alike(nearest_pairs(found.objects, PAIRS), outliers(found.objects)),
+            sections.alike(nearest_pairs(every, PAIRS), outliers(every), len(every)),
         ),
-        ("objects", "Objects", sections.objects(found.objects, manifest)),
+        ("objects", "Objects", sections.objects(every, manifest)),
         ("left-out", "Left out", sections.left_out(manifest)),
         ("recipe", "Recipe", sections.recipe(found, manifest)),
         ("provenance", "Provenance", sections.provenance(found, manifest)),

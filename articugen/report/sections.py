@@ -12,7 +12,7 @@ from articugen.inspection.contact_sheet import Portraits
 from articugen.inspection.portrait import colour_of
 from articugen.inspection.tables import duration, size
 from articugen.records import JointKind
-from articugen.report.alike import SAME, UNLIKE, Outlier, Pair
+from articugen.report.alike import FEWEST, SAME, UNLIKE, Outlier, Pair
 from articugen.report.charts import dot, histogram, share_bar
 from articugen.report.facts import Facts, JointStates, ObjectFacts, PartSize
 from articugen.report.markup import SPACE, Markup, el, join
@@ -29,14 +29,14 @@ MOST_ROWS = 1000
 
 def header(path: Path, found: Facts, manifest: Manifest | None) -> Markup:
     """The title, and what the page is about in a sentence."""
-    where = (
-        f"of {path.name}" if path.suffix == ".h5" else f"from {manifest.source}" if manifest else ""
-    )
-    said = f"{len(found.objects):,} objects in {found.instances:,} joint states {where}"
+    where = f" of {path.name}" if path.suffix == ".h5" else ""
+    if manifest:
+        where = f" from {_source(manifest)}"
+    said = f"{_count(len(found.objects), 'object')} in {_count(found.instances, 'joint state')}"
     return el(
         "header",
         el("h1", str(found.about["category"])),
-        el("p", said.strip(), class_="lead"),
+        el("p", said + where, class_="lead"),
     )
 
 
@@ -268,11 +268,12 @@ def truth(found: Measured) -> Markup:
     return join(
         el("p", said, class_="hint"),
         el("div", _table(("", ">All together", ">Worst instance"), rows, "Agreement"),
-           class_="card"),
+           class_="card narrow"),
     )  # fmt: skip
 
 
-def alike(pairs: Sequence[Pair], unlike: Sequence[Outlier]) -> Markup:
+def alike(pairs: Sequence[Pair], unlike: Sequence[Outlier], count: int) -> Markup:
+    """Of `count` objects the pairs that are nearly the same, and those unlike the others."""
     same = [pair for pair in pairs if pair.same]
     rows = [
         [f"{p.first.object_id} ({p.first.split})", f"{p.second.object_id} ({p.second.split})",
@@ -314,7 +315,9 @@ def alike(pairs: Sequence[Pair], unlike: Sequence[Outlier]) -> Markup:
             ),
             _table(("Object", "What", ">Value", ">Median", ">Score"), far, "Outliers")
             if far
-            else el("p", "None.", class_="good"),
+            else el("p", "None.", class_="good")
+            if count >= FEWEST
+            else el("p", f"Fewer than {FEWEST} objects do not tell what is usual.", class_="hint"),
             class_="card",
         ),
         class_="pair",
@@ -355,7 +358,7 @@ def left_out(manifest: Manifest | None) -> Markup:
     rows = [[each.key.object_id, each.key.split, word, each.reason]
             for word, out in kinds for each in out]  # fmt: skip
     if not rows:
-        return el("p", "Nothing: every object of the source became data.", class_="good")
+        return el("p", "Nothing: every object that was asked for became data.", class_="good")
     counts = ", ".join(f"{len(out):,} {word}" for word, out in kinds if out)
     table = _table(("Object", "Split", "", "~Why"), rows[:MOST_ROWS], "Objects left out")
     return join(
@@ -406,7 +409,7 @@ def provenance(found: Facts, manifest: Manifest | None) -> Markup:
         machine = ", ".join(f"{value}" for value in manifest.machine.values())
         versions = ", ".join(f"{name} {number}" for name, number in manifest.versions.items())
         lines = [
-            ("Source", manifest.source),
+            ("Source", _source(manifest)),
             ("Licence of the models", manifest.licence),
             *lines,
             ("Commit", el("code", manifest.commit or "none: an installed package")),
@@ -425,6 +428,11 @@ def provenance(found: Facts, manifest: Manifest | None) -> Markup:
         if manifest
         else None,
     )
+
+
+def _source(manifest: Manifest) -> str:
+    """Its name; of a folder the last of its path, as the page may travel."""
+    return Path(manifest.source).name
 
 
 def _fields(found: Facts) -> Markup:
