@@ -205,7 +205,7 @@
     return { array, count: corners.length / 6 };
   }
 
-  const camera = { azimuth: scene.azimuth, elevation: 0.42, zoom: 1.12 };
+  const camera = { azimuth: scene.azimuth, elevation: 0.42, zoom: canvas.clientWidth < 500 ? 1 : 1.12 };
   const home = { ...camera };
 
   function eyeAndView(aspect) {
