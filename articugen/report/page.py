@@ -14,7 +14,6 @@ from io import BytesIO
 from pathlib import Path
 
 from articugen import __version__
-from articugen.errors import ArticugenError
 from articugen.inspection.contact_sheet import Portraits, portraits
 from articugen.report import sections
 from articugen.report.alike import nearest_pairs, outliers
@@ -78,26 +77,20 @@ def write_report(
     """
     manifest = Manifest.read(path) if (path / MANIFEST_NAME).is_file() else None
     found = facts(shards)
+    drawable = any(len(each.cloud) > 1 for each in found.objects)
     report = Report(
         path=path,
         facts=found,
         manifest=manifest,
-        sheet=_sheet(shards, objects, states),
+        sheet=portraits(shards, objects=objects, states=states, pooling=POOLED, size=PICTURE)
+        if drawable
+        else (),
         turnable=turnable(found.objects),
         measured=measured(found.objects, manifest),
     )
     data = page(report).encode()
     write_atomically(html, data)
     return len(data)
-
-
-def _sheet(shards: Sequence[Path], objects: int, states: int) -> list[Portraits]:
-    try:
-        return portraits(shards, objects=objects, states=states, pooling=POOLED, size=PICTURE)
-    except ArticugenError as error:
-        if "no surface points" in str(error):
-            return []
-        raise
 
 
 def page(report: Report) -> str:
