@@ -5,44 +5,61 @@ from numpy.typing import NDArray
 
 from articugen.errors import RejectedInstance
 from articugen.fusion.field import FusedField, PosedSolids
-from articugen.geometry import voxel_centres
 from articugen.marching_cubes import zero_level
-from articugen.records import Mesh
+from articugen.records import Floats, Mesh
 
 _AT_A_TIME = 1 << 20
 """Voxels whose sign is asked at a time."""
 
 
-def extract_mesh(field: FusedField | PosedSolids, resolution: int) -> Mesh:
+def extract_mesh(
+    field: FusedField | PosedSolids, resolution: int, *, box: Floats | None = None
+) -> Mesh:
     """The zero level of `field` in the unit cube as a closed mesh, unit frame, faces outwards.
 
     Marching cubes on the voxel centres of a grid of `resolution`^3. Only voxels beside a
     change of sign are evaluated in full.
 
+    Args:
+        box: (2, 3) that holds all that is inside: only voxels around it are looked at.
+
     Raises:
         RejectedInstance: no voxel centre lies inside.
     """
-    inside = ~_free(field, resolution)
+    first, count = (0, resolution) if box is None else _voxels_around(box, resolution)
+    inside = ~_free(field, resolution, first, count)
     if not inside.any():
         raise RejectedInstance(
             f"no voxel centre of a {resolution}^3 grid lies inside; ask for a finer one"
         )
     beside = _beside_a_change(inside)
-    points = (np.argwhere(beside) + 0.5) / resolution - 0.5
+    points = (np.argwhere(beside) + first + 0.5) / resolution - 0.5
     size = np.ones(inside.shape)
     # the sign decides what is connected; a value of exactly zero would belong to neither side
     size[beside] = np.maximum(np.abs(field.value(points)) / field.settings.truncation, 1e-3)
-    return zero_level(np.where(inside, size, -size))
+    mesh = zero_level(np.where(inside, size, -size))
+    if box is None:
+        return mesh
+    return Mesh(((mesh.vertices + 0.5) * count + first) / resolution - 0.5, mesh.faces)
 
 
-def _free(field: FusedField | PosedSolids, resolution: int) -> NDArray[np.bool_]:
-    """(R, R, R) of the voxels' centres."""
-    voxels = np.arange(resolution**3)
-    free = [
-        field.is_free(voxel_centres(resolution, voxels[first : first + _AT_A_TIME]))
-        for first in range(0, len(voxels), _AT_A_TIME)
-    ]
-    return np.concatenate(free).reshape((resolution,) * 3)
+def _voxels_around(box: Floats, resolution: int) -> tuple[NDArray[np.int64], int]:
+    """(3,) the lowest voxel, and the number along an edge, of a cube of voxels that hold `box`."""
+    low, high = np.clip(np.floor((box + 0.5) * resolution), 0, resolution - 1).astype(np.int64)
+    return low, int((high - low).max()) + 1
+
+
+def _free(
+    field: FusedField | PosedSolids, resolution: int, first: NDArray[np.int64] | int, count: int
+) -> NDArray[np.bool_]:
+    """(n, n, n) of the centres of `count` = n voxels along each edge, from voxel `first` on."""
+    voxels = np.arange(count**3)
+    free = []
+    for start in range(0, len(voxels), _AT_A_TIME):
+        which = voxels[start : start + _AT_A_TIME]
+        place = np.stack(np.unravel_index(which, (count,) * 3), axis=1) + first
+        free.append(field.is_free((place + 0.5) / resolution - 0.5))
+    return np.concatenate(free).reshape((count,) * 3)
 
 
 def _beside_a_change(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -152,6 +152,13 @@ class DataSet(Sequence[Row]):
                 )
         return self[np.isin(self._object_ids(), objects)]
 
+    def by_object(self) -> Iterator[tuple[str, "DataSet"]]:
+        """Each object's id, and its instances, in the order of `objects`."""
+        where: dict[str, list[int]] = {}
+        for index, name in enumerate(self._object_ids()):
+            where.setdefault(name, []).append(index)
+        yield from ((name, self[indices]) for name, indices in where.items())
+
     def __fspath__(self) -> str:
         """Its path, for functions that take a data set's folder: `train`, `verify` and the like.
 

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from articugen import articulation
-from articugen.errors import ArticugenError, InvalidSource
-from articugen.fusion import pixel_width
+from articugen.errors import ArticugenError, InvalidSource, RejectedInstance
+from articugen.fusion import PosedSolids, pixel_width
 from articugen.fusion.isosurface import extract_mesh
 from articugen.instance import Prepared, make_instance, pose, prepare
 from articugen.mesh_file import check_format, export
 from articugen.pipeline import generator_of
 from articugen.recipe import Recipe
-from articugen.records import Instance, dequantize
+from articugen.records import Instance, Mesh, dequantize
 from articugen.seeding import generator
 from articugen.sources import registry
 from articugen.store.manifest import Manifest, ObjectEntry
@@ -92,6 +92,20 @@ def write_mesh(folder: Path, object_id: str, state_index: int, resolution: int, 
     mesh = extract_mesh(fields.whole, resolution)
     export(mesh, path)
     return len(mesh.faces)
+
+
+def part_meshes(prepared: Prepared, resolution: int) -> Iterator[Mesh]:
+    """The own solid of each part as a watertight mesh, canonical pose, unit frame; part 0 first.
+
+    Raises:
+        RejectedInstance: no voxel centre lies in one of them.
+    """
+    for part, own in enumerate(prepared.own):
+        alone = PosedSolids((own,), np.eye(4)[None], prepared.recipe.fusion)
+        try:
+            yield extract_mesh(alone, resolution, box=own.box)
+        except RejectedInstance as error:
+            raise RejectedInstance(f"part {part}: {error}") from None
 
 
 def _chosen(manifest: Manifest, count: int) -> list[StoredInstance]:

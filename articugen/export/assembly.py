@@ -1,0 +1,86 @@
+"""An object as simulators want it: a body a part, in the frame of its joint, in metres.
+
+All frames are turned as the model's own; a part's stands at its joint's pivot in the canonical pose.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from articugen.errors import MissingExtra
+from articugen.export.formats import Item
+from articugen.export.items import canonical
+from articugen.export.joints import MetricJoint, metric_joints, part_names
+from articugen.export.parts import in_metres
+from articugen.export.target import Target
+from articugen.records import Floats, Mesh
+
+DENSITY = 500.0
+"""kg/m^3, of wood. Models do not tell theirs; mass and inertia follow from it and the volume."""
+
+_CONCAVITY = 0.05
+"""CoACD's threshold: lower means more convex parts. 0.05 is its own default."""
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A part.
+
+    Attributes:
+        name: none is there twice.
+        origin: (3,) where its frame stands in that of the body it hangs on, metres.
+        mesh: watertight, in its frame.
+        hulls: convex meshes that together fill about the same space; () unless asked for.
+        joint: what it moves by; None of part 0.
+    """
+
+    name: str
+    origin: Floats
+    mesh: Mesh
+    hulls: tuple[Mesh, ...]
+    joint: MetricJoint | None
+
+
+def bodies(item: Item, target: Target) -> tuple[Body, ...]:
+    """The parts of the object whose instances `item` holds, part 0 first."""
+    row = canonical(item.rows)
+    joints = metric_joints(row)
+    at = [np.zeros(3), *(joint.pivot for joint in joints)]
+    made = []
+    for part, unit_mesh in enumerate(target.meshes.of(item.rows)):
+        placed = in_metres(unit_mesh, row)
+        mesh = Mesh(placed.vertices - at[part], placed.faces)
+        joint = joints[part - 1] if part else None
+        hulls = convex_parts(mesh) if target.options.collision else ()
+        origin = at[part] - at[joint.parent] if joint else at[0]
+        made.append(Body(part_names(row)[part], origin, mesh, hulls, joint))
+    return tuple(made)
+
+
+def from_the_root(parts: Sequence[Body]) -> list[int]:
+    """The numbers of the parts, each after the one that it hangs on, which may have a higher one."""
+    order = [0]
+    for above in order:
+        order += [k for k, body in enumerate(parts) if body.joint and body.joint.parent == above]
+    return order
+
+
+def convex_parts(mesh: Mesh) -> tuple[Mesh, ...]:
+    """Convex meshes that together fill about the same space as `mesh` (Wei et al. 2022, CoACD).
+
+    Raises:
+        MissingExtra: coacd is not installed.
+    """
+    try:
+        import coacd  # noqa: PLC0415 - optional
+    except ImportError:
+        raise MissingExtra("coacd", "export") from None
+    coacd.set_log_level("error")
+    found = coacd.run_coacd(coacd.Mesh(mesh.vertices, mesh.faces), threshold=_CONCAVITY, seed=0)
+    return tuple(Mesh(vertices, faces) for vertices, faces in found)
+
+
+def numbers(values: Sequence[float] | Floats) -> str:
+    """Numbers for XML, in metres to a nanometre and in radians as finely."""
+    return " ".join(f"{round(float(value), 12) + 0.0:.12g}" for value in values)

@@ -1,0 +1,61 @@
+"""How data sets are cut into items, and what their files are called."""
+
+import hashlib
+import re
+from collections.abc import Iterator
+
+from articugen.export.formats import Item, LeftOut
+from articugen.store.dataset import DataSet
+from articugen.store.rows import Row
+
+_SAFE = 80
+"""Characters of a name: with a number and an ending it fits into every file system's 255 bytes."""
+
+
+def file_name(text: str) -> str:
+    """A name for files that any system takes, made of a text that may be hostile.
+
+    Letters of any script, digits, _ and - stay. What had to change ends in a digest of the text, so
+    that two texts never share a name.
+    """
+    clean = re.sub(r"[^\w-]", "_", text)
+    if clean == text and 0 < len(text.encode()) <= _SAFE:
+        return text
+    kept = clean.encode()[: _SAFE - 9].decode("utf-8", "ignore")
+    return f"{kept}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+
+
+def instance_name(row: Row) -> str:
+    """What an instance's files are called: its object, and which state."""
+    return f"{file_name(row.object_id)}_{row.state_index:04d}"
+
+
+def of_instances(data: DataSet) -> Iterator[Item]:
+    """An item an instance; its key is <split>/<object>_<state>."""
+    for index in range(len(data)):
+        row = data[index]
+        yield Item(f"{row.split}/{instance_name(row)}", data[[index]])
+
+
+def of_objects(data: DataSet) -> Iterator[Item]:
+    """An item an object, with all its instances; its key is <split>/<object>."""
+    for name, rows in data.by_object():
+        yield Item(f"{rows[0].split}/{file_name(name)}", rows)
+
+
+def of_splits(data: DataSet) -> Iterator[Item]:
+    """An item a split."""
+    for name in data.splits:
+        yield Item(file_name(name), data.split(name))
+
+
+def canonical(rows: DataSet) -> Row:
+    """The canonical pose among an object's instances.
+
+    Raises:
+        LeftOut: it is not among them.
+    """
+    for row in rows:
+        if row.state_index == 0:
+            return row
+    raise LeftOut(f"{rows[0].object_id}: its canonical pose, state 0, is not in the data")

@@ -1,0 +1,70 @@
+"""MJCF: each object for MuJoCo, with watertight part meshes on its joints.
+
+Parts do not collide, unless convex ones are asked for: MuJoCo collides a mesh as its convex hull,
+and a drawer would stick in the hull of its cabinet. Parts that share a joint never collide.
+"""
+
+from xml.etree import ElementTree as ET
+
+from articugen.export.assembly import DENSITY, bodies, from_the_root, numbers
+from articugen.export.formats import Format, Item
+from articugen.export.items import of_objects
+from articugen.export.joints import MetricJoint
+from articugen.export.target import Target
+from articugen.model_text import obj_text
+from articugen.records import Mesh
+
+_SEEN = {"type": "mesh", "contype": "0", "conaffinity": "0", "group": "2"}
+_FELT = {"type": "mesh", "group": "3", "density": "0"}
+
+
+def _write(item: Item, target: Target) -> None:
+    parts = bodies(item, target)
+    name = item.key.rpartition("/")[2]
+    root = ET.Element("mujoco", model=name)
+    ET.SubElement(root, "compiler", angle="radian", meshdir="meshes", autolimits="true")
+    assets = ET.SubElement(root, "asset")
+    world = ET.SubElement(root, "worldbody")
+    placed: dict[int, ET.Element] = {}
+    for part in from_the_root(parts):
+        body = parts[part]
+        above = world if body.joint is None else placed[body.joint.parent]
+        placed[part] = ET.SubElement(above, "body", name=body.name, pos=numbers(body.origin))
+        if body.joint is not None:
+            _add_joint(placed[part], body.joint)
+        seen = _asset(item, target, assets, f"part_{part}", body.mesh, inertia="exact")
+        ET.SubElement(placed[part], "geom", {**_SEEN, "mesh": seen, "density": f"{DENSITY:g}"})
+        for k, hull in enumerate(body.hulls):
+            felt = _asset(item, target, assets, f"part_{part}_convex_{k}", hull)
+            ET.SubElement(placed[part], "geom", {**_FELT, "mesh": felt})
+    contact = ET.SubElement(root, "contact")
+    for body in parts:
+        if body.joint is not None:
+            above = parts[body.joint.parent].name
+            ET.SubElement(contact, "exclude", body1=above, body2=body.name)
+    ET.indent(root)
+    target.write(f"{item.key}/{name}.xml", ET.tostring(root, encoding="utf-8") + b"\n")
+
+
+def _add_joint(element: ET.Element, joint: MetricJoint) -> None:
+    kind = "hinge" if joint.kind == "revolute" else "slide"
+    span = numbers([joint.lower, joint.upper])
+    ET.SubElement(
+        element, "joint", name=joint.name, type=kind, axis=numbers(joint.axis), range=span
+    )
+
+
+def _asset(
+    item: Item, target: Target, assets: ET.Element, name: str, mesh: Mesh, **more: str
+) -> str:
+    target.write(f"{item.key}/meshes/{name}.obj", obj_text([(mesh.vertices, mesh.faces)]).encode())
+    ET.SubElement(assets, "mesh", {"name": name, "file": f"{name}.obj", **more})
+    return name
+
+
+FORMAT = Format(
+    "each object for MuJoCo, which collides with --collision",
+    of_objects,
+    _write,
+    takes=("resolution", "from_grids", "collision"),
+)

@@ -1,0 +1,75 @@
+"""The parts of a data set's objects as watertight meshes, in the canonical pose and the unit frame.
+
+A shard holds samples, no surface. So a part's mesh comes from the part's own solid, made again from
+its model as `verify --replay` does; or, where that cannot be, from the finest grid that is stored.
+"""
+
+import numpy as np
+
+from articugen.errors import ArticugenError, RejectedInstance
+from articugen.export.formats import LeftOut, Options
+from articugen.export.items import canonical
+from articugen.marching_cubes import zero_level
+from articugen.records import Mesh
+from articugen.store.dataset import DataSet
+from articugen.store.rows import Row
+
+
+class PartMeshes:
+    """Meshes of one object after the other; those of the last one are kept."""
+
+    def __init__(self, data: DataSet, options: Options) -> None:
+        self._data, self._options = data, options
+        self._last: tuple[str, tuple[Mesh, ...]] = ("", ())
+
+    def of(self, rows: DataSet) -> tuple[Mesh, ...]:
+        """Of each part of the object whose instances these are, part 0 first.
+
+        Raises:
+            LeftOut: a part has no voxel; or the canonical pose is not there.
+            ArticugenError: the model cannot be made again; see `replay.prepared_again`.
+        """
+        row = rows[0]
+        if self._last[0] != row.object_id:
+            made = self._from_grid(canonical(rows)) if self._options.from_grids else self._made(row)
+            self._last = (row.object_id, made)
+        return self._last[1]
+
+    def _made(self, row: Row) -> tuple[Mesh, ...]:
+        from articugen.verify import replay  # noqa: PLC0415 - the stages take a second
+
+        manifest = self._data.manifest
+        try:
+            if manifest is None:
+                raise ArticugenError(
+                    f"{self._data.path}: has no manifest, so its models cannot be found"
+                )
+            prepared = replay.prepared_again(manifest, row.object_id)
+        except ArticugenError as error:
+            raise ArticugenError(
+                f"{error}; or take the parts from the stored grids, with --from-grids"
+            ) from error
+        try:
+            return tuple(replay.part_meshes(prepared, self._options.resolution))
+        except RejectedInstance as error:
+            raise LeftOut(f"{row.object_id}: {error}") from error
+
+    def _from_grid(self, row: Row) -> tuple[Mesh, ...]:
+        if not row.grids:
+            raise LeftOut(f"{row.object_id}: no occupancy grid is stored")
+        resolution = max(row.grids)
+        label = row.grids[resolution]
+        meshes = []
+        for part in range(len(row.parts)):
+            inside = label == part + 1
+            if not inside.any():
+                raise LeftOut(
+                    f"{row.object_id}: part {part} has no voxel in the {resolution}^3 grid"
+                )
+            meshes.append(zero_level(np.where(inside, 1.0, -1.0)))
+        return tuple(meshes)
+
+
+def in_metres(mesh: Mesh, row: Row) -> Mesh:
+    """A mesh of the unit frame in the model's own frame, metres."""
+    return Mesh(row.to_metres(mesh.vertices), mesh.faces)

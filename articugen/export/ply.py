@@ -1,0 +1,35 @@
+"""PLY: the surface points of every instance, for any viewer, with normals, parts and colours."""
+
+import numpy as np
+
+from articugen.export.colours import of_parts
+from articugen.export.formats import Format, Item
+from articugen.export.items import of_instances
+from articugen.export.target import Target
+
+_PROPERTIES = (
+    ("float", "<f4", ("x", "y", "z", "nx", "ny", "nz")),
+    ("uchar", "u1", ("red", "green", "blue", "part")),
+)
+
+
+def _write(item: Item, target: Target) -> None:
+    (row,) = item.rows
+    kinds = [(name, kind) for _, kind, names in _PROPERTIES for name in names]
+    table = np.empty(len(row.surface), kinds)
+    columns = np.concatenate([row.surface.points, row.surface.normals], axis=1).T
+    colours = of_parts(row.surface.part).T
+    for (name, _), column in zip(kinds, [*columns, *colours, row.surface.part], strict=True):
+        table[name] = column
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment articugen, unit frame: z up, in [-0.5, 0.5]; part 0 is the fixed one",
+        f"element vertex {len(table)}",
+        *(f"property {word} {name}" for word, _, names in _PROPERTIES for name in names),
+        "end_header\n",
+    ]
+    target.write(f"{item.key}.ply", "\n".join(header).encode() + table.tobytes())
+
+
+FORMAT = Format("surface points of each instance with normals and parts", of_instances, _write)

@@ -1,0 +1,71 @@
+"""URDF: each object with watertight part meshes on its joints, for simulators and for us."""
+
+from xml.etree import ElementTree as ET
+
+from articugen.export.assembly import DENSITY, Body, bodies, numbers
+from articugen.export.formats import Format, Item
+from articugen.export.inertia import inertia
+from articugen.export.items import of_objects
+from articugen.export.target import Target
+from articugen.model_text import obj_text
+from articugen.records import Mesh
+
+
+def _write(item: Item, target: Target) -> None:
+    parts = bodies(item, target)
+    robot = ET.Element("robot", name=item.key.rpartition("/")[2])
+    for part, body in enumerate(parts):
+        link = ET.SubElement(robot, "link", name=body.name)
+        _add_inertial(link, body)
+        _add_mesh(link, "visual", _mesh_file(item, target, f"part_{part}", body.mesh))
+        for k, hull in enumerate(body.hulls):
+            _add_mesh(
+                link, "collision", _mesh_file(item, target, f"part_{part}_convex_{k}", hull)
+            )
+    for body in parts:
+        _add_joint(robot, body, parts)
+    ET.indent(robot)
+    text = ET.tostring(robot, encoding="utf-8", xml_declaration=True)
+    target.write(f"{item.key}/{item.key.rpartition('/')[2]}.urdf", text + b"\n")
+
+
+def _mesh_file(item: Item, target: Target, name: str, mesh: Mesh) -> str:
+    target.write(f"{item.key}/meshes/{name}.obj", obj_text([(mesh.vertices, mesh.faces)]).encode())
+    return f"meshes/{name}.obj"
+
+
+def _add_mesh(link: ET.Element, kind: str, file: str) -> None:
+    geometry = ET.SubElement(ET.SubElement(link, kind), "geometry")
+    ET.SubElement(geometry, "mesh", filename=file)
+
+
+def _add_inertial(link: ET.Element, body: Body) -> None:
+    own = inertia(body.mesh, DENSITY)
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(inertial, "origin", xyz=numbers(own.center), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=numbers([own.mass]))
+    names = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+    ET.SubElement(
+        inertial, "inertia", {name: f"{own.tensor[at]:.12g}" for name, at in names.items()}
+    )
+
+
+def _add_joint(robot: ET.Element, body: Body, parts: tuple[Body, ...]) -> None:
+    joint = body.joint
+    if joint is None:
+        return
+    element = ET.SubElement(robot, "joint", name=joint.name, type=joint.kind)
+    ET.SubElement(element, "parent", link=parts[joint.parent].name)
+    ET.SubElement(element, "child", link=body.name)
+    ET.SubElement(element, "origin", xyz=numbers(body.origin), rpy="0 0 0")
+    ET.SubElement(element, "axis", xyz=numbers(joint.axis))
+    limits = {"lower": numbers([joint.lower]), "upper": numbers([joint.upper])}
+    ET.SubElement(element, "limit", {**limits, "effort": "10", "velocity": "10"})
+
+
+FORMAT = Format(
+    "each object as a URDF with watertight part meshes, and convex ones with --collision",
+    of_objects,
+    _write,
+    takes=("resolution", "from_grids", "collision"),
+)

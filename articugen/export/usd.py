@@ -1,0 +1,142 @@
+"""USD: each object with UsdPhysics joints, for Isaac Sim, Omniverse and any USD viewer.
+
+One .usdc a object; z up, metres. Parts are rigid bodies that lie beside each other, as UsdPhysics
+wants them, posed canonically; they collide where convex meshes are asked for.
+"""
+
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from articugen.export.assembly import DENSITY, Body, bodies
+from articugen.export.colours import linear_of_part
+from articugen.export.formats import Format, Item
+from articugen.export.inertia import inertia
+from articugen.export.items import of_objects
+from articugen.export.target import Target
+from articugen.records import Floats, Mesh
+
+if TYPE_CHECKING:
+    from pxr import Usd
+
+
+def _write(item: Item, target: Target) -> None:
+    name = item.key.rpartition("/")[2]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "object.usdc"  # a stage has no other way to bytes
+        _fill(path, name, bodies(item, target))
+        target.write(f"{item.key}.usdc", path.read_bytes())
+
+
+def _fill(path: Path, name: str, parts: tuple[Body, ...]) -> None:
+    from pxr import Tf, Usd, UsdGeom, UsdPhysics  # noqa: PLC0415 - optional
+
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+    root = UsdGeom.Xform.Define(stage, f"/{Tf.MakeValidIdentifier(name)}")
+    root.GetPrim().SetDisplayName(name)
+    stage.SetDefaultPrim(root.GetPrim())
+    UsdPhysics.ArticulationRootAPI.Apply(root.GetPrim())
+    place = _places(parts)
+    for part, body in enumerate(parts):
+        _add_body(stage, f"{root.GetPath()}/part_{part}", part, body, place[part])
+    fixed = UsdPhysics.FixedJoint.Define(stage, f"{root.GetPath()}/to_world")
+    fixed.CreateBody1Rel().SetTargets([f"{root.GetPath()}/part_0"])
+    for part, body in enumerate(parts):
+        if body.joint is not None:
+            _add_joint(stage, str(root.GetPath()), part, body)
+    stage.GetRootLayer().Save()
+
+
+def _places(parts: tuple[Body, ...]) -> list[Floats]:
+    """(3,) of each part's frame in the model's own."""
+
+    def place(body: Body) -> Floats:
+        if body.joint is None:
+            return np.asarray(body.origin)
+        return place(parts[body.joint.parent]) + body.origin
+
+    return [place(body) for body in parts]
+
+
+def _add_body(stage: "Usd.Stage", path: str, part: int, body: Body, place: Floats) -> None:
+    from pxr import Gf, UsdGeom, UsdPhysics  # noqa: PLC0415
+
+    xform = UsdGeom.Xform.Define(stage, path)
+    xform.AddTranslateOp().Set(Gf.Vec3d(*place.tolist()))
+    prim = xform.GetPrim()
+    prim.SetDisplayName(body.name)
+    UsdPhysics.RigidBodyAPI.Apply(prim)
+    mass = UsdPhysics.MassAPI.Apply(prim)
+    own = inertia(body.mesh, DENSITY)
+    mass.CreateMassAttr(own.mass)
+    mass.CreateCenterOfMassAttr(Gf.Vec3f(*own.center.tolist()))
+    moments, turn = _principal(own.tensor)
+    mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*moments))
+    mass.CreatePrincipalAxesAttr(Gf.Quatf(*turn))
+    seen = _add_mesh(stage, f"{path}/visual", body.mesh)
+    seen.CreateDisplayColorAttr([Gf.Vec3f(*linear_of_part(part)[:3])])
+    for k, hull in enumerate(body.hulls):
+        felt = _add_mesh(stage, f"{path}/convex_{k}", hull)
+        felt.CreatePurposeAttr(UsdGeom.Tokens.guide)
+        UsdPhysics.CollisionAPI.Apply(felt.GetPrim())
+        shape = UsdPhysics.MeshCollisionAPI.Apply(felt.GetPrim())
+        shape.CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
+
+
+def _add_mesh(stage: "Usd.Stage", path: str, mesh: Mesh) -> Any:
+    from pxr import UsdGeom, Vt  # noqa: PLC0415
+
+    made = UsdGeom.Mesh.Define(stage, path)
+    points = Vt.Vec3fArray.FromNumpy(mesh.vertices.astype(np.float32))
+    made.CreatePointsAttr(points)
+    made.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.faces), 3, np.int32)))
+    made.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(mesh.faces.ravel()))
+    made.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(points))
+    made.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    return made
+
+
+def _add_joint(stage: "Usd.Stage", root: str, part: int, body: Body) -> None:
+    from pxr import Gf, UsdPhysics  # noqa: PLC0415
+
+    own = body.joint
+    assert own is not None
+    revolute = own.kind == "revolute"
+    kind = UsdPhysics.RevoluteJoint if revolute else UsdPhysics.PrismaticJoint
+    joint = kind.Define(stage, f"{root}/joint_{part}")
+    joint.GetPrim().SetDisplayName(own.name)
+    joint.CreateBody0Rel().SetTargets([f"{root}/part_{own.parent}"])
+    joint.CreateBody1Rel().SetTargets([f"{root}/part_{part}"])
+    joint.CreateAxisAttr("X")
+    turn = Gf.Quatf(Gf.Rotation(Gf.Vec3d(1, 0, 0), Gf.Vec3d(*own.axis.tolist())).GetQuat())
+    joint.CreateLocalPos0Attr(Gf.Vec3f(*np.asarray(body.origin).tolist()))
+    joint.CreateLocalPos1Attr(Gf.Vec3f(0.0))
+    joint.CreateLocalRot0Attr(turn)
+    joint.CreateLocalRot1Attr(turn)
+    unit = np.degrees(1.0) if revolute else 1.0
+    joint.CreateLowerLimitAttr(own.lower * unit)
+    joint.CreateUpperLimitAttr(own.upper * unit)
+
+
+def _principal(tensor: Floats) -> tuple[list[float], list[float]]:
+    """The moments about the principal axes, and the rotation (w, x, y, z) to these."""
+    from pxr import Gf  # noqa: PLC0415
+
+    moments, axes = np.linalg.eigh(tensor)
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    turn = Gf.Matrix3d(*axes.T.ravel().tolist()).ExtractRotation().GetQuat()
+    return moments.tolist(), [turn.GetReal(), *turn.GetImaginary()]
+
+
+FORMAT = Format(
+    "each object as USD with UsdPhysics joints, which collides with --collision",
+    of_objects,
+    _write,
+    takes=("resolution", "from_grids", "collision"),
+    needs=(("pxr", "export"),),
+)
