@@ -1,0 +1,77 @@
+"""Ditto's scenes: an object before and after one joint moved, seen by depth cameras.
+
+<split>/scenes/<object>_<state>_<state>.npz for each two neighbouring states. One joint moves in a
+scene of theirs, so objects with more are left out.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.errors import InvalidArgument
+from articugen.export.formats import Format, Item, LeftOut
+from articugen.export.items import file_name, of_objects
+from articugen.export.labels import need
+from articugen.export.target import Target
+from articugen.geometry import apply, invert_rigid
+from articugen.store.rows import Row
+
+
+def _write(item: Item, target: Target) -> None:
+    if "Shape2Motion" in str(target.folder.resolve()) or "syn" in str(target.folder.resolve()):
+        raise InvalidArgument(
+            f"{target.folder}: Ditto's loader counts parts otherwise where a path has Shape2Motion "
+            "or syn in it; choose another folder"
+        )
+    rows = list(item.rows)
+    first = rows[0]
+    if len(first.joints) != 1:
+        raise LeftOut(f"{first.object_id}: {len(first.joints)} joints move; Ditto's scenes have one")
+    need(first, "partial", 1)
+    split, name = file_name(first.split), file_name(first.object_id)
+    for start, end in zip(rows[:-1], rows[1:], strict=True):
+        scene = f"{name}_{start.state_index:04d}_{end.state_index:04d}"
+        target.write_arrays(f"{split}/scenes/{scene}.npz", _scene(start, end))
+
+
+def _scene(start: Row, end: Row) -> dict[str, NDArray]:
+    (joint,) = start.joints
+    axis = np.asarray(joint.axis)
+    told: dict[str, NDArray] = {
+        "screw_axis": axis,
+        "screw_moment": np.cross(joint.pivot, axis),
+        "joint_type": np.array(0 if joint.kind == "revolute" else 1),
+        "joint_index": np.array(joint.part),
+        "state_start": np.array(joint.state),
+        "state_end": np.array(end.joints[0].state),
+    }
+    for word, other, here, there in (("start", "end", start, end), ("end", "start", end, start)):
+        cloud = here.partial.points.reshape(-1, 3)
+        part = here.partial.part.reshape(-1)
+        label = np.concatenate([here.uniform.label, here.near.label])
+        told |= {
+            f"pc_{word}": cloud,
+            f"pc_{word}_{other}": _carried(cloud, part, here, there),
+            f"pc_seg_{word}": part == joint.part,
+            f"{word}_p_occ": np.concatenate([here.uniform.points, here.near.points]),
+            f"{word}_occ_list": np.stack([label == k + 1 for k in range(len(here.parts))]),
+            f"{word}_occ_density": np.ones((len(label), 1)),
+        }
+    return told
+
+
+def _carried(
+    cloud: NDArray[np.float32], part: NDArray[np.uint8], here: Row, there: Row
+) -> NDArray[np.float32]:
+    """The points of `cloud` (n, 3), each with its part, where they are in the other state."""
+    moved = np.empty_like(cloud)
+    for k in range(len(here.parts)):
+        T = there.parts[k].motion @ invert_rigid(here.parts[k].motion)
+        moved[part == k] = apply(T, cloud[part == k])
+    return moved
+
+
+FORMAT = Format(
+    "Ditto: scenes of an object before and after its joint moved, clouds and occupancy",
+    of_objects,
+    _write,
+)

@@ -1,0 +1,31 @@
+"""HDF5 of others' layouts; our own shards have a stricter writer."""
+
+import io
+from collections.abc import Iterator, Mapping
+from typing import Any, BinaryIO
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+
+def packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """A file of arrays by name; slashes in a name are groups."""
+    data = io.BytesIO()
+    with h5py.File(data, "w") as file:
+        for name, array in arrays.items():
+            file.create_dataset(name, data=array)
+    return data.getvalue()
+
+
+def stack(file: BinaryIO, count: int, rows: Iterator[Mapping[str, NDArray[Any]]]) -> None:
+    """Write `count` rows into one data set a name, (count, ...), one row at a time."""
+    with h5py.File(file, "w") as hdf5:
+        for index, row in enumerate(rows):
+            for name, array in row.items():
+                if name not in hdf5:
+                    kind = np.asarray(array).dtype
+                    hdf5.create_dataset(
+                        name, (count, *array.shape), kind, chunks=(1, *array.shape), compression=4
+                    )
+                hdf5[name][index] = array

@@ -1,0 +1,71 @@
+"""OP-Align: single depth views with part poses and joints, one .npz a view.
+
+<category>/<split>/<object>/<state>/input_2/<camera>.npz. Shards hold no colours: all points are
+grey. Their loader unpickles the one dict that an .npz holds; nothing but arrays is in it.
+"""
+
+import io
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.export.cameras import camera_count, seen
+from articugen.export.formats import Format, Item
+from articugen.export.items import canonical, file_name, of_objects
+from articugen.export.labels import need
+from articugen.export.target import Target
+from articugen.geometry import apply, bounds
+from articugen.records import Floats
+from articugen.store.rows import Row
+
+_GREY = 0.5
+
+
+def _write(item: Item, target: Target) -> None:
+    need(item.rows[0], "partial", 1)
+    row = canonical(item.rows)
+    boxes = [_box(row, part) for part in range(len(row.parts))]
+    for row in item.rows:
+        folder = f"{file_name(row.category)}/{file_name(row.split)}/{file_name(row.object_id)}"
+        for camera in range(camera_count(row)):
+            data = io.BytesIO()
+            np.savez(data, np.array(_view(row, camera, boxes), dtype=object))
+            target.write(
+                f"{folder}/{row.state_index:04d}/input_2/{camera:02d}.npz", data.getvalue()
+            )
+
+
+def _box(row: Row, part: int) -> Floats:
+    """(2, 3) of a part in the canonical pose, by its surface points."""
+    mine = row.surface.part == part
+    return bounds(row.surface.points[mine]) if mine.any() else np.zeros((2, 3))
+
+
+def _view(row: Row, camera: int, boxes: list[Floats]) -> dict[str, NDArray]:
+    T_camera_unit = row.partial.T_camera_world[camera]
+    points, part = seen(row, camera)
+    return {
+        "pc": points,
+        "color": np.full(points.shape, _GREY, np.float32),
+        "detection": np.ones(len(points), np.bool_),
+        "segmentation": part.astype(np.int64) + 1,
+        "part": np.stack([
+            np.concatenate([
+                (T := T_camera_unit @ own.motion)[:3, :3].ravel(),
+                apply(T, box.mean(axis=0)),
+                box[1] - box[0],
+            ])
+            for own, box in zip(row.parts, boxes, strict=True)
+        ]),
+        "joint": np.stack([
+            np.concatenate([apply(T_camera_unit, j.pivot), T_camera_unit[:3, :3] @ j.axis])
+            for j in row.joints
+        ]),
+    }  # fmt: skip
+
+
+FORMAT = Format(
+    "OP-Align: single depth views with part poses and joints",
+    of_objects,
+    _write,
+)
