@@ -6,8 +6,8 @@
     maker = ag.Maker(ag.load("my/cabinet.urdf"), recipe="quick")
     inst = maker.at(door=1.2)           # inst.labels(points), inst.mesh(), inst.flow_to(other)
 
-Whatever a command does is a function here: `generate`, `verify`, `train`, `evaluate`. Each is
-imported when it is first used. docs/python.md has them all.
+Whatever a command does is a function here: `generate`, `verify`, `export`, `train`, `evaluate`.
+Each is imported when it is first used. docs/python.md has them all.
 """
 
 from importlib import import_module
@@ -18,6 +18,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from articugen.api import generate
     from articugen.errors import ArticugenError
+    from articugen.export.run import export
     from articugen.found_joints import discover
     from articugen.learning.commands import evaluate, train
     from articugen.maker import Made, Maker, Model, load
@@ -35,6 +36,7 @@ _HOME = {
     "Row": "notebook",
     "discover": "found_joints",
     "evaluate": "learning.commands",
+    "export": "",
     "generate": "api",
     "load": "maker",
     "open": "notebook",
@@ -54,6 +56,7 @@ __all__ = [
     "Row",
     "discover",
     "evaluate",
+    "export",
     "generate",
     "load",
     "open",

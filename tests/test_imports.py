@@ -111,6 +111,9 @@ MAY_IMPORT: dict[str, set[str]] = {
     "learning.ppd.greatest": {"jit"},
     "learning.ppd.sine_kernels": {"jit"},
     "learning.evaluation": VOCABULARY | {"store", "inspection"},
+    # others' formats, a file a format; parts are made again as replay does
+    "export": VOCABULARY
+    | {"store", "inspection", "marching_cubes", "model_text", "verify.replay", "export"},
     # the door, for notebooks
     "maker": VOCABULARY | STAGES | {"instance", "mesh_file", "store.rows"},
     "notebook": VOCABULARY | {"store", "inspection"},
@@ -118,6 +121,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "found_joints": VOCABULARY | {"discovery", "store", "learning.clouds"},
     "cli": {
         "api",
+        "export",
         "found_joints",
         "discovery",
         "compiling",
@@ -139,19 +143,22 @@ MAY_IMPORT: dict[str, set[str]] = {
 that of its room, and a room may import what lies in it."""
 
 FOREIGN: dict[str, set[str]] = {
-    "h5py": {"store.shards"},
+    "h5py": {"store.shards", "export.hdf5"},
     "llvmlite": {"compiling"},
     "platformdirs": {"bundled"},
     "yourdfpy": {"sources.urdf"},
     "lxml": {"sources.urdf", "sources.xml_strict"},
-    "trimesh": {"sources.mesh_formats", "mesh_file", "learning.clouds"},
+    "trimesh": {"sources.mesh_formats", "mesh_file", "learning.clouds", "export.inertia"},
+    "coacd": {"export.assembly"},
+    "pyarrow": {"export.parquet"},
     "PIL": {"inspection.layout", "inspection.shading"},
     "matplotlib": {"learning.evaluation.figures.plots"},
-    "typer": {"cli.data", "cli.discover", "cli.learn", "cli.saying"},
+    "typer": {"cli.data", "cli.discover", "cli.export", "cli.learn", "cli.saying"},
     "rich": {
         "cli.data",
         "cli.console",
         "cli.discover",
+        "cli.export",
         "cli.learn",
         "cli.saying",
         "inspection.summary",
@@ -281,7 +288,8 @@ def test_a_package_that_is_called_like_a_function_can_be_called(first: str) -> N
 def test_the_core_needs_no_optional_library() -> None:
     """All but the files that wrap them import where open3d, torch and the like are absent."""
     optional = (
-        "open3d", "pyrender", "OpenGL", "sapien", "tensorboard", "torch", "scipy", "matplotlib"
+        "open3d", "pyrender", "OpenGL", "sapien", "tensorboard", "torch", "scipy", "matplotlib",
+        "coacd", "pxr", "pyarrow",
     )  # fmt: skip
     drawing = {f"learning.evaluation.figures.{name}" for name in ("draw", "plots")}
     without = WITH_TORCH | drawing | {"__init__", "__main__"}

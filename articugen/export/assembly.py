@@ -1,6 +1,6 @@
 """An object as simulators want it: a body a part, in the frame of its joint, in metres.
 
-All frames are turned as the model's own; a part's stands at its joint's pivot in the canonical pose.
+All frames are turned as the model's own; a part's stands at its joint's pivot, canonical pose.
 """
 
 from collections.abc import Sequence
@@ -59,7 +59,7 @@ def bodies(item: Item, target: Target) -> tuple[Body, ...]:
 
 
 def from_the_root(parts: Sequence[Body]) -> list[int]:
-    """The numbers of the parts, each after the one that it hangs on, which may have a higher one."""
+    """The numbers of the parts, each after the part that it hangs on."""
     order = [0]
     for above in order:
         order += [k for k, body in enumerate(parts) if body.joint and body.joint.parent == above]

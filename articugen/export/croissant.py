@@ -62,10 +62,13 @@ _MIME = {
     "h5": "application/x-hdf5",
     "hdf5": "application/x-hdf5",
     "json": "application/json",
+    "lst": "text/plain",
+    "md": "text/markdown",
     "npz": "application/x-npz",
     "obj": "model/obj",
     "parquet": "application/x-parquet",
     "tar": "application/x-tar",
+    "txt": "text/plain",
     "urdf": "application/xml",
     "xml": "application/xml",
 }
@@ -136,7 +139,7 @@ def _ending(name: str) -> str:
 
 
 def _mime(ending: str) -> str:
-    return _MIME.get(ending, "text/plain" if ending in ("lst", "txt") else "application/octet-stream")
+    return _MIME.get(ending, "application/octet-stream")
 
 
 def _records(data: DataSet) -> dict[str, Any]:

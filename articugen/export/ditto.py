@@ -4,6 +4,8 @@
 scene of theirs, so objects with more are left out.
 """
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,18 +19,20 @@ from articugen.store.rows import Row
 
 
 def _write(item: Item, target: Target) -> None:
-    if "Shape2Motion" in str(target.folder.resolve()) or "syn" in str(target.folder.resolve()):
+    if "Shape2Motion" in str(target.folder.resolve()):
         raise InvalidArgument(
             f"{target.folder}: Ditto's loader counts parts otherwise where a path has Shape2Motion "
-            "or syn in it; choose another folder"
+            "in it; choose another folder"
         )
     rows = list(item.rows)
     first = rows[0]
     if len(first.joints) != 1:
-        raise LeftOut(f"{first.object_id}: {len(first.joints)} joints move; Ditto's scenes have one")
+        raise LeftOut(
+            f"{first.object_id}: {len(first.joints)} joints move; Ditto's scenes have one"
+        )
     need(first, "partial", 1)
     split, name = file_name(first.split), file_name(first.object_id)
-    for start, end in zip(rows[:-1], rows[1:], strict=True):
+    for start, end in pairwise(rows):
         scene = f"{name}_{start.state_index:04d}_{end.state_index:04d}"
         target.write_arrays(f"{split}/scenes/{scene}.npz", _scene(start, end))
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 NAMES = (
     "ply", "glb", "urdf", "mjcf", "usd", "parquet", "webdataset", "onet", "imnet", "ppd", "ditto",
-    "npcs", "particulate", "vecset", "opalign",
+    "npcs", "particulate", "opalign",
 )  # fmt: skip
 """Each is a file of this folder, which holds one `FORMAT`."""
 

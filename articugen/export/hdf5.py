@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping
 from typing import Any, BinaryIO
 
 import h5py
-import numpy as np
 from numpy.typing import NDArray
 
 
@@ -21,11 +20,12 @@ def packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
 def stack(file: BinaryIO, count: int, rows: Iterator[Mapping[str, NDArray[Any]]]) -> None:
     """Write `count` rows into one data set a name, (count, ...), one row at a time."""
     with h5py.File(file, "w") as hdf5:
+        stacks: dict[str, h5py.Dataset] = {}
         for index, row in enumerate(rows):
             for name, array in row.items():
-                if name not in hdf5:
-                    kind = np.asarray(array).dtype
-                    hdf5.create_dataset(
-                        name, (count, *array.shape), kind, chunks=(1, *array.shape), compression=4
+                if name not in stacks:
+                    shape, chunk = (count, *array.shape), (1, *array.shape)
+                    stacks[name] = hdf5.create_dataset(
+                        name, shape, array.dtype, chunks=chunk, compression=4
                     )
-                hdf5[name][index] = array
+                stacks[name][index] = array

@@ -23,8 +23,8 @@ _GREY = 0.5
 
 def _write(item: Item, target: Target) -> None:
     need(item.rows[0], "partial", 1)
-    row = canonical(item.rows)
-    boxes = [_box(row, part) for part in range(len(row.parts))]
+    rest = canonical(item.rows)
+    boxes = [_box(rest, part) for part in range(len(rest.parts))]
     for row in item.rows:
         folder = f"{file_name(row.category)}/{file_name(row.split)}/{file_name(row.object_id)}"
         for camera in range(camera_count(row)):

@@ -4,6 +4,8 @@ data/sample/<class>/<object>/<pose>/ with points, surface, motion and a posed me
 splits. A joint moves its part from the base, as all of theirs do: chains are left out.
 """
 
+from itertools import chain
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -82,7 +84,7 @@ def _finish(data: DataSet, target: Target) -> None:
             written[rows[0].split].append([_pose(row) for row in rows])
     train = written.get("train", [])
     written.setdefault("val", train[: -(-len(train) // 10)])  # a part of train, as theirs is
-    lists = {split: sum(objects, []) for split, objects in written.items()}
+    lists = {split: list(chain(*objects)) for split, objects in written.items()}
     lists["all"] = [pose for split in data.splits for pose in lists[split]]
     for name, poses in lists.items():
         target.write(

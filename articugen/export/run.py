@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Literal
 
 from articugen.errors import InvalidArgument, MissingExtra
 from articugen.export import croissant
@@ -45,7 +44,7 @@ def export(
     resolution: int | None = None,
     from_grids: bool | None = None,
     collision: bool | None = None,
-    occupancy: Literal["visible", "material"] | None = None,
+    occupancy: str | None = None,
     on_item: Callable[[int, int, Item], None] = lambda done, items, item: None,
 ) -> Exported:
     """Write a data set in another format, or what is missing of it; one instance is read at a time.
@@ -74,7 +73,7 @@ def export(
     for library, extra in wanted.needs:
         if find_spec(library) is None:
             raise MissingExtra(library, extra)
-    whole = data if isinstance(data, DataSet) else open_data_set(data)
+    whole = data if isinstance(data, DataSet) else open_data_set(os.fspath(data))
     chosen = whole if split is None else whole.split(split)
     if not len(chosen):
         raise InvalidArgument(f"{whole.path}: there are no instances to export")

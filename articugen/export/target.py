@@ -162,7 +162,8 @@ class Target:
     def write_arrays(self, name: str, arrays: Mapping[str, ArrayLike]) -> None:
         """Write an .npz of arrays, the same bytes for the same arrays."""
         data = io.BytesIO()
-        np.savez(data, **{key: np.asarray(value) for key, value in arrays.items()})
+        plain: dict[str, Any] = {key: np.asarray(value) for key, value in arrays.items()}
+        np.savez(data, **plain)
         self.write(name, data.getvalue())
 
     @contextmanager

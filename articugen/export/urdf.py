@@ -19,9 +19,7 @@ def _write(item: Item, target: Target) -> None:
         _add_inertial(link, body)
         _add_mesh(link, "visual", _mesh_file(item, target, f"part_{part}", body.mesh))
         for k, hull in enumerate(body.hulls):
-            _add_mesh(
-                link, "collision", _mesh_file(item, target, f"part_{part}_convex_{k}", hull)
-            )
+            _add_mesh(link, "collision", _mesh_file(item, target, f"part_{part}_convex_{k}", hull))
     for body in parts:
         _add_joint(robot, body, parts)
     ET.indent(robot)
@@ -44,7 +42,14 @@ def _add_inertial(link: ET.Element, body: Body) -> None:
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "origin", xyz=numbers(own.center), rpy="0 0 0")
     ET.SubElement(inertial, "mass", value=numbers([own.mass]))
-    names = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+    names = {
+        "ixx": (0, 0),
+        "ixy": (0, 1),
+        "ixz": (0, 2),
+        "iyy": (1, 1),
+        "iyz": (1, 2),
+        "izz": (2, 2),
+    }
     ET.SubElement(
         inertial, "inertia", {name: f"{own.tensor[at]:.12g}" for name, at in names.items()}
     )

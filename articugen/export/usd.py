@@ -5,8 +5,9 @@ wants them, posed canonically; they collide where convex meshes are asked for.
 """
 
 import tempfile
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +19,10 @@ from articugen.export.items import of_objects
 from articugen.export.target import Target
 from articugen.records import Floats, Mesh
 
-if TYPE_CHECKING:
-    from pxr import Usd
+
+def _pxr(*names: str) -> list[Any]:
+    """Modules of OpenUSD, of which type checkers know nothing."""
+    return [import_module(f"pxr.{name}") for name in names]
 
 
 def _write(item: Item, target: Target) -> None:
@@ -31,7 +34,7 @@ def _write(item: Item, target: Target) -> None:
 
 
 def _fill(path: Path, name: str, parts: tuple[Body, ...]) -> None:
-    from pxr import Tf, Usd, UsdGeom, UsdPhysics  # noqa: PLC0415 - optional
+    Tf, Usd, UsdGeom, UsdPhysics = _pxr("Tf", "Usd", "UsdGeom", "UsdPhysics")
 
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
@@ -63,8 +66,8 @@ def _places(parts: tuple[Body, ...]) -> list[Floats]:
     return [place(body) for body in parts]
 
 
-def _add_body(stage: "Usd.Stage", path: str, part: int, body: Body, place: Floats) -> None:
-    from pxr import Gf, UsdGeom, UsdPhysics  # noqa: PLC0415
+def _add_body(stage: Any, path: str, part: int, body: Body, place: Floats) -> None:
+    Gf, UsdGeom, UsdPhysics = _pxr("Gf", "UsdGeom", "UsdPhysics")
 
     xform = UsdGeom.Xform.Define(stage, path)
     xform.AddTranslateOp().Set(Gf.Vec3d(*place.tolist()))
@@ -88,8 +91,8 @@ def _add_body(stage: "Usd.Stage", path: str, part: int, body: Body, place: Float
         shape.CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
 
 
-def _add_mesh(stage: "Usd.Stage", path: str, mesh: Mesh) -> Any:
-    from pxr import UsdGeom, Vt  # noqa: PLC0415
+def _add_mesh(stage: Any, path: str, mesh: Mesh) -> Any:
+    UsdGeom, Vt = _pxr("UsdGeom", "Vt")
 
     made = UsdGeom.Mesh.Define(stage, path)
     points = Vt.Vec3fArray.FromNumpy(mesh.vertices.astype(np.float32))
@@ -101,8 +104,8 @@ def _add_mesh(stage: "Usd.Stage", path: str, mesh: Mesh) -> Any:
     return made
 
 
-def _add_joint(stage: "Usd.Stage", root: str, part: int, body: Body) -> None:
-    from pxr import Gf, UsdPhysics  # noqa: PLC0415
+def _add_joint(stage: Any, root: str, part: int, body: Body) -> None:
+    Gf, UsdPhysics = _pxr("Gf", "UsdPhysics")
 
     own = body.joint
     assert own is not None
@@ -125,7 +128,7 @@ def _add_joint(stage: "Usd.Stage", root: str, part: int, body: Body) -> None:
 
 def _principal(tensor: Floats) -> tuple[list[float], list[float]]:
     """The moments about the principal axes, and the rotation (w, x, y, z) to these."""
-    from pxr import Gf  # noqa: PLC0415
+    (Gf,) = _pxr("Gf")
 
     moments, axes = np.linalg.eigh(tensor)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
