@@ -150,6 +150,7 @@ FOREIGN: dict[str, set[str]] = {
     "lxml": {"sources.urdf", "sources.xml_strict"},
     "trimesh": {"sources.mesh_formats", "mesh_file", "learning.clouds", "export.inertia"},
     "coacd": {"export.assembly"},
+    "manifold3d": {"export.simpler"},
     "pyarrow": {"export.parquet"},
     "PIL": {"inspection.layout", "inspection.shading"},
     "matplotlib": {"learning.evaluation.figures.plots"},

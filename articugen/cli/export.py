@@ -5,9 +5,8 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-import click
 import typer
 from rich.markup import escape
 from typer.core import TyperCommand
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 class _ListsFormats(TyperCommand):
     """`--to` without a name asks what names there are."""
 
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         for place, (word, following) in enumerate(zip(args, [*args[1:], "-"], strict=True)):
             if word == "--to" and following.startswith("-"):
                 return super().parse_args(ctx, args[:place] + args[place + 1 :])

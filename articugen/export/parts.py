@@ -9,10 +9,14 @@ import numpy as np
 from articugen.errors import ArticugenError, RejectedInstance
 from articugen.export.formats import LeftOut, Options
 from articugen.export.items import canonical
+from articugen.export.simpler import simpler
 from articugen.marching_cubes import zero_level
 from articugen.records import Mesh
 from articugen.store.dataset import DataSet
 from articugen.store.rows import Row
+
+_WITHIN = 1e-4
+"""Of the surface that was extracted, unit frame: finer than that is exact."""
 
 
 class PartMeshes:
@@ -50,7 +54,8 @@ class PartMeshes:
                 f"{error}; or take the parts from the stored grids, with --from-grids"
             ) from error
         try:
-            return tuple(replay.part_meshes(prepared, self._options.resolution))
+            made = replay.part_meshes(prepared, self._options.resolution)
+            return tuple(simpler(mesh, _WITHIN) for mesh in made)
         except RejectedInstance as error:
             raise LeftOut(f"{row.object_id}: {error}") from error
 
