@@ -22,8 +22,8 @@ class _ListsFormats(TyperCommand):
     """`--to` without a name asks what names there are."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        for place, (word, following) in enumerate(zip(args, [*args[1:], "-"], strict=True)):
-            if word == "--to" and following.startswith("-"):
+        for place, word in enumerate(args):
+            if word == "--to" and (args[place + 1 :] or ["-"])[0].startswith("-"):
                 return super().parse_args(ctx, args[:place] + args[place + 1 :])
         return super().parse_args(ctx, args)
 

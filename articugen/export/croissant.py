@@ -30,6 +30,7 @@ _CONTEXT = {
     "data": {"@id": "cr:data", "@type": "@json"},
     "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
     "dct": "http://purl.org/dc/terms/",
+    "equivalentProperty": "cr:equivalentProperty",
     "examples": {"@id": "cr:examples", "@type": "@json"},
     "extract": "cr:extract",
     "field": "cr:field",
@@ -86,9 +87,11 @@ def write(data: DataSet, to: str, target: Target) -> None:
         "creator": {"@type": "sc:Organization", "name": f"articugen {__version__}"},
         "version": "1.0.0",
         **_licence(data.manifest),
-        "distribution": _distribution(files),
+        "distribution": _objects(files) if len(files) <= _MOST_OBJECTS else _file_sets(files),
     }
     if to == "parquet":
+        columns = [file for file in files if file.name.endswith(".parquet")]
+        told["distribution"] = [*_objects(files), *_file_sets(columns)]
         told["recordSet"] = [_records(data)]
     target.write(NAME, json.dumps(told, indent=1, ensure_ascii=False).encode() + b"\n")
 
@@ -108,20 +111,23 @@ def _licence(manifest: Manifest | None) -> dict[str, str]:
     return {"license": manifest.licence, "isBasedOn": manifest.source}
 
 
-def _distribution(files: list[Written]) -> list[dict[str, Any]]:
-    if len(files) <= _MOST_OBJECTS:
-        return [
-            {
-                "@type": "cr:FileObject",
-                "@id": file.name,
-                "name": file.name,
-                "contentUrl": file.name,
-                "contentSize": f"{file.bytes} B",
-                "encodingFormat": _mime(_ending(file.name)),
-                "sha256": file.sha256,
-            }
-            for file in files
-        ]
+def _objects(files: list[Written]) -> list[dict[str, Any]]:
+    return [
+        {
+            "@type": "cr:FileObject",
+            "@id": file.name,
+            "name": file.name,
+            "contentUrl": file.name,
+            "contentSize": f"{file.bytes} B",
+            "encodingFormat": _mime(_ending(file.name)),
+            "sha256": file.sha256,
+        }
+        for file in files
+    ]
+
+
+def _file_sets(files: list[Written]) -> list[dict[str, Any]]:
+    """One for each kind of file, by its ending."""
     return [
         {
             "@type": "cr:FileSet",

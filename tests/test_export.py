@@ -1,0 +1,199 @@
+"""Exports as such: whose folder it is, going on after a kill, what cannot be held, the command."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from ppd_data import write_boxes
+from typer.testing import CliRunner
+
+import articugen as ag
+from articugen.cli import app
+from articugen.errors import ArticugenError, InvalidArgument, MissingExtra
+from articugen.export.formats import NAMES, format_named
+from articugen.export.items import file_name
+from articugen.export.joints import unique
+from articugen.export.target import JOURNAL_NAME, REPORT_NAME
+
+
+@pytest.fixture(scope="module")
+def boxes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_boxes(tmp_path_factory.mktemp("data") / "box", train=2, test=1)
+
+
+def run(*arguments: object):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def files_in(folder: Path) -> dict[str, bytes]:
+    paths = (path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+
+
+def test_all_formats_say_what_they_are_and_the_page_has_them() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "exports.md").read_text(encoding="utf-8")
+    for name in NAMES:
+        assert format_named(name).what
+        assert f"`{name}`" in page
+
+
+def test_an_export_is_whole_and_says_what_it_is(boxes, tmp_path):
+    told = []
+    done = ag.export(
+        boxes, "ply", tmp_path / "out", on_item=lambda n, of, item: told.append((n, of, item.key))
+    )
+    assert told[0] == (1, 12, "test/box-2_0000")
+    assert told[-1][:2] == (12, 12)
+    report = json.loads((tmp_path / "out" / REPORT_NAME).read_text())
+    files = files_in(tmp_path / "out")
+    assert {file["name"] for file in report["files"]} == files.keys() - {REPORT_NAME}
+    assert {file["name"]: file["bytes"] for file in report["files"]} == {
+        name: len(data) for name, data in files.items() if name != REPORT_NAME
+    }
+    assert (done.files, done.left_out) == (len(files) - 1, ())
+    again = ag.export(boxes, "ply", tmp_path / "out")
+    assert (again.files, again.bytes) == (done.files, done.bytes)
+
+
+def test_the_split_alone_and_some_instances_alone(boxes, tmp_path):
+    ag.export(boxes, "ply", tmp_path / "test", split="test")
+    assert len(list((tmp_path / "test").rglob("*.ply"))) == 4
+    ag.export(ag.open(boxes)[:3], "ply", tmp_path / "some")
+    assert len(list((tmp_path / "some").rglob("*.ply"))) == 3
+    with pytest.raises(InvalidArgument, match="no instance is of split 'tset'; did you mean"):
+        ag.export(boxes, "ply", tmp_path / "none", split="tset")
+
+
+def test_a_killed_export_goes_on_to_the_same_bytes(boxes, tmp_path):
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    ag.export(boxes, "ply", whole)
+    code = (
+        "import os, signal, sys, articugen as ag\n"
+        "def stop(done, items, item):\n"
+        "    if done == 5: os.kill(os.getpid(), signal.SIGKILL)\n"
+        "ag.export(sys.argv[1], 'ply', sys.argv[2], on_item=stop)"
+    )
+    command = [sys.executable, "-c", code, str(boxes), str(cut)]
+    ended = subprocess.run(command, env={**os.environ, "PYTHONPATH": "."}, check=False)
+    assert ended.returncode == -signal.SIGKILL
+    assert len(list(cut.rglob("*.ply"))) == 5
+    # what a kill in the middle of a write leaves: half a file, half a line, a file that was lost
+    (cut / "test" / ".box-2_0001.ply.0123abcd.partial").write_bytes(b"ply")
+    with (cut / JOURNAL_NAME).open("ab") as journal:
+        journal.write(b'{"item": "test/bo')
+    (cut / "test" / "box-2_0000.ply").write_bytes(b"cut")
+    kept = (cut / "test" / "box-2_0002.ply").stat().st_mtime_ns
+    ag.export(boxes, "ply", cut)
+    assert files_in(cut) == files_in(whole)
+    assert (cut / "test" / "box-2_0002.ply").stat().st_mtime_ns == kept
+
+
+def test_a_folder_that_holds_something_else_is_refused(boxes, tmp_path):
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "thesis.tex").write_text("all of it")
+    with pytest.raises(ArticugenError, match=r"mine: holds something else \(thesis.tex\); choose"):
+        ag.export(boxes, "ply", mine)
+    assert files_in(mine) == {"thesis.tex": b"all of it"}
+    ag.export(boxes, "ply", tmp_path / "ply", split="test")
+    for other in ({"split": "train"}, {"to": "onet"}):
+        with pytest.raises(ArticugenError, match="holds an export of other data"):
+            ag.export(boxes, **{"to": "ply", "out": tmp_path / "ply", "split": "test", **other})
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ArticugenError, match="a file is in the way"):
+        ag.export(boxes, "ply", tmp_path / "file")
+    (mine / "thesis.tex").rename(mine / REPORT_NAME)
+    with pytest.raises(ArticugenError, match="holds an export of other data"):
+        ag.export(boxes, "ply", mine)
+
+
+def test_two_exports_do_not_write_into_one_folder(boxes, tmp_path):
+    def another(done, items, item):
+        if done == 1:
+            with pytest.raises(ArticugenError, match="another export is writing there"):
+                ag.export(boxes, "ply", tmp_path / "out")
+
+    ag.export(boxes, "ply", tmp_path / "out", on_item=another)
+
+
+def test_what_a_format_does_not_take_is_refused(boxes, tmp_path):
+    with pytest.raises(InvalidArgument, match="ply does not heed collision: it takes no option"):
+        ag.export(boxes, "ply", tmp_path, collision=True)
+    with pytest.raises(InvalidArgument, match="glb does not heed occupancy: it takes resolution"):
+        ag.export(boxes, "glb", tmp_path, occupancy="material")
+    with pytest.raises(InvalidArgument, match="occupancy is visible or material, not 'solid'"):
+        ag.export(boxes, "onet", tmp_path, occupancy="solid")
+    assert not files_in(tmp_path)
+
+
+def test_what_a_format_cannot_hold_is_left_out_and_said(boxes, tmp_path):
+    with pytest.raises(InvalidArgument, match=r"imnet can hold nothing of .*: box-2: 1024 uniform"):
+        ag.export(boxes, "imnet", tmp_path / "imnet")
+    rows = ag.open(boxes)
+    without = [i for i, row in enumerate(rows) if row.object_id != "box-0" or row.state_index]
+    done = ag.export(rows[without], "particulate", tmp_path / "out")
+    assert done.left_out == ("box-0: its canonical pose, state 0, is not in the data",)
+    assert ag.export(rows[without], "particulate", tmp_path / "out").left_out == done.left_out
+
+
+def test_models_that_are_gone_name_the_cure(boxes, tmp_path):
+    with pytest.raises(ArticugenError, match="take the parts from the stored grids, with --from"):
+        ag.export(boxes, "glb", tmp_path / "glb")
+
+
+def test_a_library_that_is_missing_is_named_before_a_file_is_written(boxes, tmp_path, monkeypatch):
+    monkeypatch.setattr("articugen.export.run.find_spec", lambda name: None)
+    with pytest.raises(MissingExtra, match=r"pip install 'articugen\[export\]'"):
+        ag.export(boxes, "parquet", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["../../etc/passwd", "a b", "Schränke", "", "a/b", "x" * 300, "."])
+def test_names_of_files_are_safe_and_tell_texts_apart(name):
+    made = file_name(name)
+    assert made not in ("", ".", "..")
+    assert len(made.encode()) <= 80
+    assert not set(made) & set("/\\. \0")
+    assert made != file_name(name + "!")
+    assert file_name("Schränke") == "Schränke"
+
+
+def test_names_are_not_given_twice():
+    assert unique(["door", "door", "door_2", "a\nb"]) == ("door", "door_2", "door_2_2", "a_b")
+
+
+def test_the_command_exports_and_goes_on(boxes, tmp_path):
+    out = tmp_path / "out"
+    for _ in range(2):
+        done = run("export", boxes, "--to", "ply", "--out", out, "--split", "test")
+        assert done.exit_code == 0, done.output
+        assert "out: 5 files" in done.output
+    done = run("export", boxes, "--to", "ditto", "--out", tmp_path / "ditto")
+    assert done.exit_code == 1
+    assert "2 joints move; Ditto" in done.output
+    rows = shutil.copytree(boxes, tmp_path / "box")
+    (rows / "manifest.json").unlink()
+    done = run("export", rows / "train-00000.h5", "--to", "ply", "--out", tmp_path / "shard")
+    assert done.exit_code == 0, done.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "says"),
+    [
+        (["--to"], 0, "webdataset"),
+        ([], 0, "webdataset"),
+        (["data", "--to", "--out", "x"], 2, "webdataset"),
+        (["data", "--to", "plz", "--out", "x"], 1, "no format 'plz'; did you mean 'ply'"),
+        (["data", "--to", "ply"], 2, "name a folder with --out as well"),
+        (["--to", "ply", "--out", "x"], 2, "name a data set as well"),
+        (["nowhere", "--to", "ply", "--out", "x"], 1, "there is no such shard or folder"),
+    ],
+)
+def test_the_command_says_what_is_missing(arguments, status, says):
+    done = run("export", *arguments)
+    assert (done.exit_code, says in done.output) == (status, True), done.output
