@@ -15,6 +15,7 @@ testing   := $(VENV)/.installed-test
 dev       := $(VENV)/.installed-dev
 backends  := $(VENV)/.installed-backends
 learner   := $(VENV)/.installed-ppd
+readers   := $(VENV)/.installed-readers
 
 options = $(foreach pair,RECIPE:recipe OBJECTS:objects IDS:ids EXCLUDE:exclude MOVABLE:movable \
     CANONICAL:canonical STATES:states MAX_REJECTED:max-rejected JOBS:jobs SEED:seed,\
@@ -24,7 +25,7 @@ replace = $(if $(REPLACE),--replace)
 option = $(if $($(1)),--$(2) "$($(1))")
 
 .DEFAULT_GOAL := help
-.PHONY: help dataset inspect report verify train depth evaluate gpu-study test check format bench accuracy bench-reading bench-train backends learner clean
+.PHONY: help dataset inspect report verify train depth evaluate gpu-study test check format bench accuracy bench-reading bench-train backends learner exporters clean
 
 help:  ## list the targets
 	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1"
@@ -113,6 +114,8 @@ bench-train: $(testing) $(learner)  ## measure PPD's training: rate, shares, mem
 
 backends: $(backends)  ## install the optional renderers: open3d, pyrender, sapien
 
+exporters: $(readers)  ## install what exports are written with, and what tests read them back with
+
 learner: $(learner)  ## install torch and matplotlib, which train and evaluate need
 
 clean:  ## remove caches and build files; keep data and the environment
@@ -139,6 +142,11 @@ $(testing): $(generator)
 $(learner): $(generator)
 	@echo "Installing torch ..."
 	@$(pinned) --editable '.[ppd,tensorboard]'
+	@touch $@
+
+$(readers): $(generator)
+	@echo "Installing what exports are written and read with ..."
+	@$(pinned) --editable '.[readers]'
 	@touch $@
 
 $(dev): $(testing)
