@@ -23,9 +23,6 @@ DENSITY = 500.0
 _CONCAVITY = 0.05
 """CoACD's threshold: lower means more convex parts. 0.05 is its own default."""
 
-_SEARCH = {"mcts_iterations": 30, "mcts_nodes": 10, "mcts_max_depth": 2}
-"""A fifth of CoACD's own search, which takes minutes for a cabinet."""
-
 _ROUGH = 2e-3
 """Of a part's size: CoACD takes minutes with faces that tell no more."""
 
@@ -90,8 +87,10 @@ def convex_parts(mesh: Mesh) -> tuple[Mesh, ...]:
         coacd.Mesh(rough.vertices, rough.faces),
         threshold=_CONCAVITY,
         preprocess_mode="off",  # which would swell it, and it is watertight already
+        mcts_iterations=30,  # a fifth of its own search, which takes minutes for a cabinet
+        mcts_nodes=10,
+        mcts_max_depth=2,
         seed=0,
-        **_SEARCH,
     )
     return tuple(Mesh(vertices, faces) for vertices, faces in found)
 
