@@ -133,7 +133,7 @@ def _file_sets(files: list[Written]) -> list[dict[str, Any]]:
             "@type": "cr:FileSet",
             "@id": f"{ending}-files",
             "name": f"{ending}-files",
-            "includes": f"**/*.{ending}",
+            "includes": [f"*.{ending}", f"**/*.{ending}"],  # mlcroissant's ** needs a folder
             "encodingFormat": _mime(ending),
         }
         for ending in sorted({_ending(file.name) for file in files})
