@@ -176,6 +176,7 @@ def test_mjcf_in_mujoco(exported, rows):
         assert data.ncon == 0
 
 
+@pytest.mark.filterwarnings("ignore:.*Scene.dump:DeprecationWarning")  # yourdfpy's own call
 def test_convex_parts_fill_the_boxes(boxes, tmp_path):
     pytest.importorskip("coacd", reason="make exporters installs it")
     mujoco = pytest.importorskip("mujoco", reason="make exporters installs it")

@@ -1,5 +1,7 @@
 """A watertight mesh of a fused field, at any resolution."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,7 +23,8 @@ def extract_mesh(
     change of sign are evaluated in full.
 
     Args:
-        box: (2, 3) that holds all that is inside: only voxels around it are looked at.
+        box: (2, 3) that holds all that is inside: only voxels around it are looked at, and vertices
+            are bisected to where it becomes free.
 
     Raises:
         RejectedInstance: no voxel centre lies inside.
@@ -40,7 +43,30 @@ def extract_mesh(
     mesh = zero_level(np.where(inside, size, -size))
     if box is None:
         return mesh
-    return Mesh(((mesh.vertices + 0.5) * count + first) / resolution - 0.5, mesh.faces)
+    at = _bisected(
+        (mesh.vertices + 0.5) * count - 0.5,
+        lambda place: field.is_free((place + first + 0.5) / resolution - 0.5),
+    )
+    return Mesh((at + first + 0.5) / resolution - 0.5, mesh.faces)
+
+
+def _bisected(
+    vertices: Floats, is_free: Callable[[Floats], NDArray[np.bool_]], steps: int = 8
+) -> Floats:
+    """Vertices (n, 3) of marching cubes, in voxels, moved along their edges to where it becomes
+    free: to a voxel's 2^-steps, however the field was interpolated."""
+    each, axis = np.arange(len(vertices)), np.abs(vertices - np.round(vertices)).argmax(1)
+    inside = np.round(vertices)
+    inside[each, axis] = np.floor(vertices[each, axis])
+    outside = inside.copy()
+    outside[each, axis] += 1.0
+    wrong = is_free(inside)
+    inside[wrong], outside[wrong] = outside[wrong], inside[wrong]
+    for _ in range(steps):
+        middle = 0.5 * (inside + outside)
+        free = is_free(middle)
+        outside[free], inside[~free] = middle[free], middle[~free]
+    return 0.5 * (inside + outside)
 
 
 def _voxels_around(box: Floats, resolution: int) -> tuple[NDArray[np.int64], int]:
