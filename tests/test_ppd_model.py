@@ -162,9 +162,9 @@ def test_grouped_evaluation_equals_a_loop_over_parts(model):
 def boxed():
     """A model whose parts have boxes, other ones in each sample."""
     torch.manual_seed(4)
-    model = PPD(ModelSettings(part_boxes=True)).double()
+    model = PPD(ModelSettings(part_boxes=True, latent_start="he")).double()
     with torch.no_grad():
-        model.shape.box_in.weight.normal_(std=20.0)
+        model.shape.box_in.weight.normal_(std=0.3)
     return model
 
 
