@@ -6,7 +6,7 @@ one that says where links stand in the canonical pose.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,25 +126,11 @@ def _compared(model: _Model, each: ObjectFacts, recipe: Recipe) -> list[Agreemen
     thickness = recipe.fusion.sheet_thickness * each.scale
     truth = load_truth(model.ref.location, sheet_thickness=thickness)
     parts = np.array([model.obj.part_of_link[model.obj.link_index[n]] for n in truth.links])
-    alone = [_only(truth, parts == part) for part in range(len(each.parts))]
+    alone = [truth.of(parts == part) for part in range(len(each.parts))]
     rows = np.linspace(0, len(each.rows) - 1, min(STATES, len(each.rows)) + 1)[1:]
     with open_shard(each.shard) as shard:
         instances = [shard.instance(each.rows[round(i)]) for i in rows]
     return [_agreement(_Scene(model, alone, instance), instance) for instance in instances]
-
-
-def _only(truth: Truth, links: Bools) -> Truth:
-    """The truth of some links alone."""
-    cells = np.flatnonzero(links[truth.link_of_cell])
-    first = truth.first_plane
-    planes = [truth.planes[first[c] : first[c + 1]] for c in cells]
-    return replace(
-        truth,
-        link_of_cell=truth.link_of_cell[cells],
-        first_plane=np.cumsum([0, *map(len, planes)]),
-        planes=np.concatenate([np.zeros((0, 4)), *planes]),
-        boxes=truth.boxes[cells],
-    )
 
 
 class _Scene:

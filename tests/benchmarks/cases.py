@@ -131,16 +131,7 @@ class Scene:
         """The truth of one part alone."""
         truth, obj = self.truth, self.prepared.obj
         mine = [obj.part_of_link[obj.link_index[name]] == part for name in truth.links]
-        cells = np.flatnonzero(np.array(mine)[truth.link_of_cell])
-        first = truth.first_plane
-        planes = [truth.planes[first[c] : first[c + 1]] for c in cells]
-        return replace(
-            truth,
-            link_of_cell=truth.link_of_cell[cells],
-            first_plane=np.cumsum([0, *map(len, planes)]),
-            planes=np.concatenate([np.zeros((0, 4)), *planes]),
-            boxes=truth.boxes[cells],
-        )
+        return truth.of(np.array(mine))
 
     def unseen(self, points: Floats, views: Views) -> Bools:
         """(n,) inside a solid, or behind solids from all `views` by exact ray casting."""

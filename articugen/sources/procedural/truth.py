@@ -7,7 +7,7 @@ counts as the slab that it stands for.
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,19 @@ class Truth:
     first_plane: NDArray[np.int64]
     planes: Array
     boxes: Array
+
+    def of(self, links: NDArray[np.bool_]) -> "Truth":
+        """The cells of some of the links alone; `links` has a value for each."""
+        cells = np.flatnonzero(links[self.link_of_cell])
+        first = self.first_plane
+        planes = [self.planes[first[c] : first[c + 1]] for c in cells]
+        return replace(
+            self,
+            link_of_cell=self.link_of_cell[cells],
+            first_plane=np.cumsum([0, *map(len, planes)]),
+            planes=np.concatenate([np.zeros((0, 4)), *planes]),
+            boxes=self.boxes[cells],
+        )
 
     def inside(self, points: Array, T_world_link: Mapping[str, Array]) -> NDArray[np.int64]:
         """What each world point (N, 3) lies in: 0 for free space, k + 1 for `links[k]`.
