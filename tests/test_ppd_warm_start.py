@@ -19,6 +19,8 @@ from articugen.learning.ppd.settings import ModelSettings, WarmStart  # noqa: E4
 from articugen.learning.ppd.shape import PartBox  # noqa: E402
 from articugen.learning.ppd.warm_start import (  # noqa: E402
     LEAST_SIZE,
+    _from_closed,
+    _owned,
     aim_terms,
     assigned,
     likely,
@@ -110,6 +112,25 @@ def test_points_belong_to_the_part_that_they_move_with(boxes):
     assert (owner[split.part == 0] == 0).float().mean() > 0.85
     free = aims.of(everything).owner(points, torch.zeros(points.shape[:2], dtype=torch.bool))
     assert (free == -1).all()
+
+
+def test_batches_ask_for_owners_as_ownership_does(boxes):
+    """The same rule, once for batches on any device and once in numpy."""
+    split, true, rows = boxes
+    aims = targets(split, true, rows, MODEL)
+    for each, mine in zip(true, rows, strict=True):
+        taken = [(-1, 1.0), *assigned(each, MODEL)]
+        motion = _from_closed(each, taken)
+        own = _owned(split, mine, motion)
+        back = np.linalg.inv(motion)
+        slots = np.array([slot + 1 for slot, _ in taken])
+        for k, row in enumerate(mine):
+            points = unpacked(split.surface[[row]])
+            owner = aims.of(torch.tensor([row])).owner(points, torch.ones(1, points.shape[1]) > 0)
+            cloud = points[0].double().numpy()
+            rest = np.einsum("pij,nj->pni", back[k, :, :3, :3], cloud) + back[k, :, None, :3, 3]
+            same = owner[0].numpy() == slots[own.part_of(rest)]
+            assert same.mean() > 0.999  # single precision decides at the faces of cells and boxes
 
 
 def test_poses_that_were_not_looked_at_have_no_targets(boxes):

@@ -2,12 +2,12 @@
 
 A point that is taken to move with the wrong part comes, in some of the poses, to where nothing is:
 this contradicts it. Points that are contradicted of all parts but one are surely that part's. Of a
-moving part they span a box; what lies in it in the part's rest frame, that of pose 0, and is hardly
-contradicted is the part's own. All else is the fixed part's.
+moving part they span a box; what lies in it in the part's rest frame and is hardly contradicted is
+the part's own. All else is the fixed part's.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +70,7 @@ def assign_material(
     Args:
         clouds: K poses, (n_k, 3) surface points each, in the unit frame.
         hidden: (K, R, R, R) voxels of the unit frame that are not free: material, or enclosed.
-        motion: (K, P, 4, 4) of each part from pose 0.
+        motion: (K, P, 4, 4) of each part from its rest frame.
     """
     K, P = motion.shape[:2]
     asked = np.unique(np.linspace(0, K - 1, ASKED).astype(int))
@@ -85,12 +85,14 @@ def assign_material(
     size = np.array([0.5 * (high - low) for low, high in bounds])
     R = hidden.shape[1]
     cells = [np.zeros((R, R, R)), *(evidence.on_grid(R, bounds[p], p) for p in range(1, P))]
-    found = Ownership(owns, middle, size, np.array(cells, np.float32))
-    fixed = rest[0][found.part_of(rest) == 0]
-    if len(fixed):
-        low, high = _bounds(fixed)
-        middle[0], size[0] = 0.5 * (low + high), 0.5 * (high - low)
-    return found
+    moving = Ownership(owns, middle, size, np.array(cells, np.float32))
+    fixed = rest[0][moving.part_of(rest) == 0]
+    if not len(fixed):
+        return moving
+    low, high = _bounds(fixed)
+    middle, size = middle.copy(), size.copy()
+    middle[0], size[0] = 0.5 * (low + high), 0.5 * (high - low)
+    return replace(moving, middle=middle, size=size)
 
 
 @dataclass(frozen=True, eq=False)

@@ -56,7 +56,7 @@ class Targets:
         middle, size: (I, P, 3) of a box around it, in the part's rest frame, that of the pose in
             which it is closed.
         rotation, offset: (I, P, 3, 3), (I, P, 3) from the instance to the rest frame.
-        grid: (I, P) which of `doubt` belongs to a part; the first is that of parts without any.
+        grid: (I, P) which of `doubt` belongs to a moving part; the first is that of all others.
         doubt: (V, C^3) as in `Ownership`, of cells of a part's rest frame.
         cells: C.
     """
@@ -106,7 +106,7 @@ def targets(
     """The targets of a split, on its device.
 
     Args:
-        split: with voxels.
+        split: with what is hidden.
         found: what was found in each object, its poses in the order of `rows`.
         rows: the instances of each object that were looked at.
     """
@@ -134,9 +134,9 @@ def targets(
             owns[mine, slot + 1] = own.owns[part]
             box[0, mine, slot + 1] = own.middle[part]
             box[1, mine, slot + 1] = own.size[part]
-            grid[mine, slot + 1] = len(doubt)
-            doubt.append(torch.from_numpy(own.doubt[part]).flatten().half())
             if part:
+                grid[mine, slot + 1] = len(doubt)
+                doubt.append(torch.from_numpy(own.doubt[part]).flatten().half())
                 joint = each.joints[part - 1]
                 there[mine, slot], axis[mine, slot] = 1.0, sense * joint.axis
                 opened = sense * joint.states
