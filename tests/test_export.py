@@ -112,6 +112,45 @@ def test_a_folder_that_holds_something_else_is_refused(boxes, tmp_path):
         ag.export(boxes, "ply", mine)
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"no json",
+        b"[]",
+        b'{"item": "test/box-2_0000", "left_out": null}',
+        b'{"item": "test/box-2_0000", "left_out": null, "files": [{"name": "../secret", "bytes": 3,'
+        b' "sha256": ""}]}',
+    ],
+)
+def test_a_damaged_journal_is_refused_and_left_as_it_is(boxes, tmp_path, line):
+    class Stop(Exception):
+        pass
+
+    def stop(done, items, item):
+        raise Stop
+
+    out = tmp_path / "out"
+    (tmp_path / "secret").write_bytes(b"own")
+    with pytest.raises(Stop):
+        ag.export(boxes, "ply", out, on_item=stop)
+    with (out / JOURNAL_NAME).open("ab") as journal:
+        journal.write(line + b"\n")
+    before = files_in(out)
+    with pytest.raises(ArticugenError, match=r"export.jsonl: is damaged; delete the folder"):
+        ag.export(boxes, "ply", out)
+    assert files_in(out) == before
+
+
+def test_a_link_in_the_place_of_the_journal_is_not_followed(boxes, tmp_path):
+    out, other = tmp_path / "out", tmp_path / "other"
+    out.mkdir()
+    other.write_bytes(b"all of it")
+    (out / JOURNAL_NAME).symlink_to(other)
+    with pytest.raises(ArticugenError, match="out: "):
+        ag.export(boxes, "ply", out)
+    assert other.read_bytes() == b"all of it"
+
+
 def test_two_exports_do_not_write_into_one_folder(boxes, tmp_path):
     def another(done, items, item):
         if done == 1:

@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -40,6 +40,14 @@ class Written:
     name: str
     bytes: int
     sha256: str
+
+    @staticmethod
+    def of(noted: Mapping[str, Any]) -> "Written":
+        """As it was noted; ValueError where that leads out of the folder."""
+        name = PurePosixPath(noted["name"])
+        if name.is_absolute() or ".." in name.parts:
+            raise ValueError(f"{name} is not in the folder")
+        return Written(str(noted["name"]), int(noted["bytes"]), str(noted["sha256"]))
 
 
 @dataclass(frozen=True)
@@ -93,7 +101,9 @@ class Target:
             raise ArticugenError(
                 f"{self.folder}: holds something else ({names[0]}); choose an empty or new folder"
             )
-        self._journal = (self.folder / JOURNAL_NAME).open("a+b")
+        # Whatever lies there, no other file is written to, and nobody is waited for.
+        flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
+        self._journal = os.fdopen(os.open(self.folder / JOURNAL_NAME, flags, 0o666), "a+b")
         try:
             fcntl.flock(self._journal, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -108,10 +118,16 @@ class Target:
             self._journal.truncate(0)
             self._note(self._about)
             return
-        self._check(json.loads(lines[0]))
+        try:
+            self._check(json.loads(lines[0]))
+            for line in lines[1:-1]:
+                self._believe(json.loads(line))
+        except (ValueError, KeyError, TypeError, AttributeError):
+            self.close()
+            raise ArticugenError(
+                f"{self.folder / JOURNAL_NAME}: is damaged; delete the folder and export again"
+            ) from None
         self._journal.truncate(sum(len(line) + 1 for line in lines[:-1]))  # what a kill tore
-        for line in lines[1:-1]:
-            self._believe(json.loads(line))
         self._tidy()
 
     def _take_over(self, path: Path) -> None:
@@ -119,7 +135,7 @@ class Target:
         try:
             report = json.loads(read_regular(path, _MOST_BYTES))
             self._check(report["about"])
-            files = tuple(Written(**file) for file in report["files"])
+            files = tuple(map(Written.of, report["files"]))
             self.done = {"": Done(files)} | {k: Done((), v) for k, v in report["left_out"].items()}
         except (UnfitFile, ValueError, KeyError, TypeError, AttributeError):
             self._check(None)
@@ -134,7 +150,7 @@ class Target:
 
     def _believe(self, noted: Mapping[str, Any]) -> None:
         """An item counts as done while its files are there in full."""
-        files = tuple(Written(**each) for each in noted["files"])
+        files = tuple(map(Written.of, noted["files"]))
         for each in files:
             path = self.folder / each.name
             if not path.is_file() or path.stat().st_size != each.bytes:
