@@ -1,11 +1,14 @@
 """Whose each point is: a tray that slides out of a case, seen from outside, and naive oracles."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from articugen.discovery import assign_material
 from articugen.discovery.clouds import Cells, Surface
 from articugen.discovery.kernels import to_nothing
+from articugen.discovery.ownership import RIM
 
 R = 32
 CASE = np.array([[-0.4, -0.2, -0.2], [0.0, 0.2, 0.2]])
@@ -78,12 +81,31 @@ def test_a_part_that_never_shows_owns_nothing():
 def test_doubt_is_known_where_a_box_is_and_nowhere_else(tray):
     _, found = tray
     assert found.doubt.shape == (2, R, R, R)
-    assert not found.doubt[0].any()
-    i, j, k = np.nonzero(found.doubt[1])
-    centres = (np.stack([i, j, k], -1) + 0.5) / R - 0.5
-    assert (np.abs(centres - found.middle[1]) <= found.size[1] + 1.0 / R).all()
+    centres = (np.argwhere(found.doubt[0]) + 0.5) / R - 0.5
+    assert (centres[:, 0] > 0.0).all()  # the case itself is never contradicted, nor is what it hides
+    assert (np.abs(centres[:, 1:]) < 0.15 + 2.0 / R).all()
+    assert (centres[:, 0] < 0.3 + 2.0 / R).all()  # no tray ever comes here
+    centres = (np.argwhere(found.doubt[1]) + 0.5) / R - 0.5
+    assert (np.abs(centres - found.middle[1]) <= found.size[1] + RIM + 1.0 / R).all()
     middle = found.part_of(np.stack([np.full((1, 3), 9.0), found.middle[1][None]]))
     assert middle.tolist() == [1]
+
+
+def test_the_rim_of_a_box_is_its_parts_where_the_fixed_part_is_never(tray):
+    """A point beside the tray's box, where only the open tray comes, and one in the case's wall."""
+    _, found = tray
+    side = found.middle[1] + [0.0, found.size[1][1] + 0.5 * RIM, 0.0]
+    out, wall = side + [0.25, 0.0, 0.0], np.array([-0.2, 0.2, 0.0])
+    doubt = found.doubt.copy()
+    i, j, k = ((side + 0.5) * R).astype(int)
+    doubt[1, i, j, k] = 0.0  # something is there at rest in every pose
+    i, j, k = ((out + 0.5) * R).astype(int)
+    doubt[0, i, j, k] = 0.5  # and nothing is where it would be if it were fixed
+    rim = replace(found, doubt=doubt)
+    assert rim.part_of(np.stack([[out], [side]])).tolist() == [1]
+    assert rim.part_of(np.stack([[wall], [side]])).tolist() == [0]
+    beyond = side + [0.0, RIM, 0.0]
+    assert rim.part_of(np.stack([[out], [beyond]])).tolist() == [0]
 
 
 def test_to_nothing_is_what_a_naive_look_says():

@@ -3,7 +3,8 @@
 A point that is taken to move with the wrong part comes, in some of the poses, to where nothing is:
 this contradicts it. Points that are contradicted of all parts but one are surely that part's. Of a
 moving part they span a box; what lies in it in the part's rest frame and is hardly contradicted is
-the part's own. All else is the fixed part's.
+the part's own, and what lies on the box's rim if it is surely not the fixed part's. All else is the
+fixed part's.
 """
 
 from collections.abc import Sequence
@@ -30,6 +31,10 @@ part where that is contradicted so much less than any other."""
 FEWEST_SURE, OUTLIERS = 20, 0.002
 """A box needs so many sure points, and leaves out this share of them along each axis, each way."""
 
+RIM = 0.03
+"""So far around a box a point that is surely not the fixed part's is the part's own: sure points
+are few where parts meet, and leave the box's ends out."""
+
 MOST_DOUBT = 0.2
 """What is contradicted in a greater share of the poses is not the part's, wherever it lies."""
 
@@ -42,7 +47,8 @@ class Ownership:
         owns: (P,) whether it is known where; of a moving part too few points may be sure.
         middle, size: (P, 3) of a box along the axes that holds the part; `size` is half its edges.
         doubt: (P, R, R, R) in which share of the poses the part is contradicted at the centres of
-            cells of the unit frame; 0 of part 0 and where its box does not come.
+            cells of the unit frame; 0 where neither its box nor the rim comes, of part 0 where no
+            pose tells.
     """
 
     owns: NDArray[np.bool_]
@@ -52,14 +58,19 @@ class Ownership:
 
     def part_of(self, rest: Floats) -> NDArray[np.int64]:
         """(n,) whose points are that would be at `rest` (P, n, 3) if they were of each part."""
-        R = self.doubt.shape[1]
+        doubt = np.stack([self._doubt_at(points, p) for p, points in enumerate(rest)])
         best, part = np.full(rest.shape[1], MOST_DOUBT), np.zeros(rest.shape[1], np.int64)
-        for p in range(1, len(rest)):
-            i, j, k = np.clip(((rest[p] + 0.5) * R).astype(np.int64), 0, R - 1).T
-            doubt = self.doubt[p, i, j, k]
-            inside = (np.abs(rest[p] - self.middle[p]) <= self.size[p]).all(1) & (doubt < best)
-            best, part = np.where(inside, doubt, best), np.where(inside & self.owns[p], p, part)
+        for p in np.flatnonzero(self.owns[1:]) + 1:
+            beyond = (np.abs(rest[p] - self.middle[p]) - self.size[p]).max(1)
+            rim = np.where(beyond <= RIM, np.minimum(RARELY, doubt[0] - CLEARLY), 0.0)
+            mine = doubt[p] < np.minimum(best, np.where(beyond <= 0.0, MOST_DOUBT, rim))
+            best, part = np.where(mine, doubt[p], best), np.where(mine, p, part)
         return part
+
+    def _doubt_at(self, points: Floats, part: int) -> Floats:
+        R = self.doubt.shape[1]
+        i, j, k = np.clip(((points + 0.5) * R).astype(np.int64), 0, R - 1).T
+        return self.doubt[part, i, j, k]
 
 
 def assign_material(
@@ -83,8 +94,7 @@ def assign_material(
     bounds = [np.zeros((2, 3)), *(np.zeros((2, 3)) if box is None else box for box in boxes)]
     middle = np.array([0.5 * (low + high) for low, high in bounds])
     size = np.array([0.5 * (high - low) for low, high in bounds])
-    R = hidden.shape[1]
-    cells = [np.zeros((R, R, R)), *(evidence.on_grid(R, bounds[p], p) for p in range(1, P))]
+    cells = [evidence.of_fixed(), *(evidence.around(bounds[p], p) for p in range(1, P))]
     moving = Ownership(owns, middle, size, np.array(cells, np.float32))
     fixed = rest[0][moving.part_of(rest) == 0]
     if not len(fixed):
@@ -123,17 +133,22 @@ class _Evidence:
         rest = np.ascontiguousarray(rest)
         return kernels.to_nothing(rest, M, self.taken, self.cells.points, self.cells.starts, REACH)
 
-    def on_grid(self, R: int, bounds: Floats, part: int) -> Floats:
-        """(R, R, R) the same of cells' centres that lie within bounds or beside them, else 0."""
-        centres = (np.arange(R) + 0.5) / R - 0.5
-        near = [
-            np.flatnonzero((centres > low - 1.0 / R) & (centres < high + 1.0 / R))
-            for low, high in bounds.T
-        ]
-        out = np.zeros((R, R, R))
-        at = np.stack(np.meshgrid(*near, indexing="ij"), -1).reshape(-1, 3)
-        if np.ptp(bounds, axis=0).any():
-            out[tuple(at.T)] = self.against(centres[at], part)
+    def around(self, bounds: Floats, part: int) -> Floats:
+        """(R, R, R) the same of cells' centres that lie within bounds or on their rim, else 0."""
+        R = self.taken.shape[1]
+        centres, beside = (np.arange(R) + 0.5) / R - 0.5, RIM + 1.0 / R
+        i, j, k = ((centres > low - beside) & (centres < high + beside) for low, high in bounds.T)
+        asked = i[:, None, None] & j[:, None] & k
+        return self._on_grid(asked & np.ptp(bounds, axis=0).any(), part)
+
+    def of_fixed(self) -> Floats:
+        """(R, R, R) the same of part 0 where something is in some of the poses, else 0."""
+        return self._on_grid(self.taken.any(0) & ~self.taken.all(0), 0)
+
+    def _on_grid(self, asked: NDArray[np.bool_], part: int) -> Floats:
+        """(R, R, R) the same of the centres of the cells that are `asked`, else 0."""
+        out = np.zeros(asked.shape)
+        out[asked] = self.against((np.argwhere(asked) + 0.5) / len(asked) - 0.5, part)
         return out
 
 

@@ -19,7 +19,7 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from articugen.discovery import Discovery, Ownership, assign_material
-from articugen.discovery.ownership import MOST_DOUBT
+from articugen.discovery.ownership import CLEARLY, MOST_DOUBT, RARELY, RIM
 from articugen.geometry import invert_rigid
 from articugen.learning.dataset import PackedSplit, unpacked
 from articugen.learning.method import Terms
@@ -56,7 +56,7 @@ class Targets:
         middle, size: (I, P, 3) of a box around it, in the part's rest frame, that of the pose in
             which it is closed.
         rotation, offset: (I, P, 3, 3), (I, P, 3) from the instance to the rest frame.
-        grid: (I, P) which of `doubt` belongs to a moving part; the first is that of all others.
+        grid: (I, P) which of `doubt` belongs to a part; the first is that of unknown ones.
         doubt: (V, C^3) as in `Ownership`, of cells of a part's rest frame.
         cells: C.
     """
@@ -88,11 +88,12 @@ class Targets:
             points: (B, n, 3) in the instances that these targets are of.
         """
         rest = torch.einsum("bpij,bnj->bpni", self.rotation, points) + self.offset[:, :, None]
-        off = rest - self.middle[:, :, None]
-        inside = (off.abs() <= self.size[:, :, None]).all(3) & (self.owns[..., None] > 0)
+        beyond = ((rest - self.middle[:, :, None]).abs() - self.size[:, :, None]).amax(3)
         cell = self.grid[..., None] * self.cells**3 + _cells(rest, self.cells)
         doubt = self.doubt.flatten()[cell]
-        doubt = torch.where(inside, doubt, 1.0)
+        surely = (doubt[:, :1] - CLEARLY).clamp(max=RARELY)
+        most = torch.where(beyond <= 0.0, MOST_DOUBT, torch.where(beyond <= RIM, surely, 0.0))
+        doubt = torch.where((doubt < most) & (self.owns[..., None] > 0), doubt, 1.0)
         doubt[:, 0] = MOST_DOUBT
         return torch.where(occupied, doubt.argmin(1), -1)
 
@@ -134,9 +135,9 @@ def targets(
             owns[mine, slot + 1] = own.owns[part]
             box[0, mine, slot + 1] = own.middle[part]
             box[1, mine, slot + 1] = own.size[part]
+            grid[mine, slot + 1] = len(doubt)
+            doubt.append(torch.from_numpy(own.doubt[part]).flatten().half())
             if part:
-                grid[mine, slot + 1] = len(doubt)
-                doubt.append(torch.from_numpy(own.doubt[part]).flatten().half())
                 joint = each.joints[part - 1]
                 there[mine, slot], axis[mine, slot] = 1.0, sense * joint.axis
                 opened = sense * joint.states
