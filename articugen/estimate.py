@@ -13,6 +13,10 @@ STARTUP = 3.0
 """Seconds until a worker has imported what it needs; once a run."""
 
 
+_PER_PIXEL = {"depth": 0.5, "part": 0.02, "normal": 0.05, "rgba": 0.05}
+"""Bytes of an image of a drawer's cabinet."""
+
+
 def run_seconds(recipe: Recipe, objects: int, workers: int, done: Sequence[ObjectEntry]) -> float:
     """Of the clock, to make `objects` objects; `done` are some that this recipe made before."""
     if objects == 0:
@@ -27,11 +31,15 @@ def object_seconds(recipe: Recipe, instances: int) -> float:
     return _shared_seconds(recipe) + instances * _instance_seconds(recipe)
 
 
-def instance_bytes(sampling: Sampling) -> int:
+def instance_bytes(recipe: Recipe) -> int:
     """Of an instance in its shard."""
+    sampling, images = recipe.sampling, recipe.images
     points = 10 * sampling.surface_points + 7 * (sampling.uniform_points + sampling.near_points)
     partial = 7 * sampling.partial_views * sampling.partial_points
-    return points + partial + _voxels(sampling) // 25 + 2000
+    sharp = 8 * sampling.sharp_points
+    far = 3 * (sampling.uniform_points + sampling.near_points) if sampling.signed_distance else 0
+    seen = images.views * images.resolution**2 * sum(_PER_PIXEL[name] for name in images.fields)
+    return int(points + sharp + far + partial + seen + _voxels(sampling) // 25 + 2000)
 
 
 def _pace(recipe: Recipe, done: Sequence[ObjectEntry]) -> float:

@@ -5,8 +5,8 @@ random comes from `seeding.generator(seed, category, object, state, stage)`, so 
 the same whoever makes it, when, and in whatever order.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -34,12 +34,17 @@ from articugen.records import (
     stored_name,
 )
 from articugen.rendering.backends import Backend, Overlay, backend_named
+from articugen.rendering.images import images
 from articugen.rendering.views import fusion_views, random_pinhole_views
 from articugen.seeding import generator
+from articugen.sharp import SharpEdges, sharp_edges, sharp_points
 from articugen.swept import swept_box
 
 MOST_PARTS = 254
 """Labels are uint8: 0 free, k + 1 material of part k, 255 enclosed."""
+
+MOST_DRAWS = 100
+"""Of a joint state, for one in which parts are not in one another."""
 
 FEWEST_SURFACE_POINTS = 1024
 """Drawn even where fewer are stored: near points are drawn around them."""
@@ -85,6 +90,7 @@ class Prepared:
             None where the backend has none, or the posed object is not looked at.
         own: each part alone, part 0 first.
         grids: by resolution.
+        extras: what the recipe asks for besides.
     """
 
     obj: ResolvedObject
@@ -102,9 +108,27 @@ class Prepared:
     overlay: Overlay | None
     own: tuple[fusion.OwnSolid, ...]
     grids: dict[int, Grid]
+    extras: "Extras"
 
     def rng(self, *path: str | int) -> np.random.Generator:
         return generator(self.seed, self.obj.category, self.obj.object_id, *path)
+
+
+@dataclass(frozen=True, eq=False)
+class Extras:
+    """What only some recipes ask for; None where it is not asked for.
+
+    Attributes:
+        visible: the faces that can be seen at all, for distances.
+        edges: sharp ones, in the canonical pose.
+        colliding: the parts, to be asked how deep they are in one another.
+        cameras: of the images.
+    """
+
+    visible: fusion.Bvh | None
+    edges: SharpEdges | None
+    colliding: fusion.Colliding | None
+    cameras: Views | None
 
 
 def prepare(
@@ -118,7 +142,8 @@ def prepare(
             not.
 
     Raises:
-        RejectedInstance: the object has no faces, or too many parts.
+        RejectedInstance: the object has no faces, too many parts, or, where the recipe asks for
+            states without collisions, hardly any of those.
         TypeError: the object was not resolved; a fault of the caller.
     """
     if not isinstance(obj, ResolvedObject):
@@ -129,6 +154,23 @@ def prepare(
     if obj.part_count > MOST_PARTS:
         raise RejectedInstance(f"{obj.part_count} parts; at most {MOST_PARTS} can be labelled")
     states = _joint_states(obj, recipe.articulation.states, seed)
+    prepared = _prepared(obj, recipe, seed, states, reach)
+    if recipe.articulation.collision == "reject":
+        apart, again = _states_apart(prepared)
+        if again:
+            note = f"{again} of {len(states)} states drawn again, parts were in one another"
+            obj = replace(obj, notes=(*obj.notes, note))
+            prepared = _prepared(obj, recipe, seed, apart, reach)
+    return prepared
+
+
+def _prepared(
+    obj: ResolvedObject,
+    recipe: Recipe,
+    seed: int,
+    states: tuple[JointState, ...],
+    reach: Sequence[JointState],
+) -> Prepared:
     posed = [articulation.forward_kinematics(obj, state) for state in states]
     motions = np.stack([articulation.part_motions(p, posed[0]) for p in posed])
     world = _canonical_mesh(obj, posed[0])
@@ -141,11 +183,15 @@ def prepare(
         raise RejectedInstance("the object has no faces: those of its links have no area")
     further = [articulation.forward_kinematics(obj, state) for state in reach]
     motions = np.stack([articulation.part_motions(p, posed[0]) for p in (*posed, *further)])
-    views = fusion_views(recipe.views, swept_box(mesh, unit.rigid_to_unit(motions)))
+    swept = swept_box(mesh, unit.rigid_to_unit(motions))
+    views = fusion_views(recipe.views, swept)
     static = _render(parts[0].mesh, views, recipe)
     fixed = fusion.seen_by(static, parts[0], recipe.fusion)
     own = (fixed, *(part.own for part in parts[1:]))
     looked_at = recipe.fusion.rule != "rigid"
+    seen = np.concatenate([part.seen for part in parts])
+    bvh = fusion.joined_bvh(parts)
+    rng = partial(generator, seed, obj.category, obj.object_id)
     return Prepared(
         obj=obj,
         recipe=recipe,
@@ -154,14 +200,15 @@ def prepare(
         canonical=posed[0],
         unit=unit,
         mesh=mesh,
-        seen=np.concatenate([part.seen for part in parts]),
-        bvh=fusion.joined_bvh(parts),
+        seen=seen,
+        bvh=bvh,
         views=views,
         closed=np.concatenate([part.closed for part in parts]),
         static=static,
         overlay=_backend(recipe).overlay_on(static) if looked_at else None,
         own=own,
         grids={r: _grid(r, own, recipe) for r in recipe.sampling.grids},
+        extras=_extras(mesh, seen, bvh, swept, recipe, rng),
     )
 
 
@@ -189,6 +236,9 @@ def make_instance(p: Prepared, state_index: int) -> Instance:
         coverage=_coverage(p, state_index, mesh, fields, occupancy),
         **_surface_fields(p, surface),
         **_query_fields(p, state_index, surface, fields),
+        **_sharp_fields(p, state_index, surface, fields),
+        collision_depth=_collision_depth(p, fields),
+        **_image_fields(p, mesh),
         **_partial_fields(p, state_index, mesh),
     )
 
@@ -227,6 +277,63 @@ def _joint_states(obj: ArticulatedObject, count: int, seed: int) -> tuple[JointS
         for index in range(1, count + 1)
     ]
     return (articulation.canonical_state(obj), *random)
+
+
+def _states_apart(p: Prepared) -> tuple[tuple[JointState, ...], int]:
+    """The states of `p`, those in which parts are too deep in one another drawn again, and how many
+    were."""
+    assert p.extras.colliding is not None
+    bound = p.recipe.articulation.collision_depth
+    canonical = _depths(p, p.states[0])
+    states, again = [p.states[0]], 0
+    for index in range(1, len(p.states)):
+        rng = p.rng(index, "joints")
+        drawn = (articulation.sample_joint_state(p.obj, rng=rng) for _ in range(MOST_DRAWS))
+        for draw, state in enumerate(drawn):  # the first is that of `p`
+            if not fusion.too_deep(_depths(p, state), canonical, bound):
+                states.append(state)
+                again += draw > 0
+                break
+        else:
+            raise RejectedInstance(
+                f"in {MOST_DRAWS} joint states one after the other parts are more than {bound:g} "
+                "deep in one another; set articulation.collision to label, or raise "
+                "articulation.collision_depth"
+            )
+    return tuple(states), again
+
+
+def _depths(p: Prepared, state: JointState) -> Floats:
+    """(P, P) how deep the parts are in one another in a state."""
+    assert p.extras.colliding is not None
+    posed = articulation.forward_kinematics(p.obj, state)
+    motion = p.unit.rigid_to_unit(articulation.part_motions(posed, p.canonical))
+    return p.extras.colliding.depths(fusion.PosedSolids(p.own, motion, p.recipe.fusion))
+
+
+def _extras(
+    mesh: LabelledMesh,
+    seen: NDArray[np.bool_],
+    bvh: fusion.Bvh,
+    swept: Floats,
+    recipe: Recipe,
+    rng: Callable[[str], np.random.Generator],
+) -> Extras:
+    """What the recipe asks for besides; `swept` (2, 3) holds the object in all its states."""
+    sampling, images = recipe.sampling, recipe.images
+    visible = edges = colliding = cameras = None
+    if sampling.signed_distance:
+        corners = mesh.vertices[mesh.faces[seen]]
+        visible = fusion.build(corners, mesh.part_of_face[seen], len(bvh.roots) - 1)
+    if sampling.sharp_points:
+        edges = sharp_edges(mesh, sampling.sharp_degrees)
+    if recipe.articulation.collision != "ignore":
+        colliding = fusion.Colliding.of(mesh, bvh, rng=rng("collision"))
+    if images.views:
+        cameras = random_pinhole_views(
+            images.views, images.resolution, swept, rng=rng("images"), from_above=True
+        )
+    return Extras(visible, edges, colliding, cameras)
 
 
 def _canonical_mesh(obj: ArticulatedObject, posed: PosedObject) -> LabelledMesh:
@@ -388,7 +495,14 @@ def _query_fields(
     stored = {"uniform": quantize(uniform), "near": quantize(near)}
     points = {f"{name}_points": points for name, points in stored.items()}
     labels = {f"{n}_label": fields.labels(dequantize(points)) for n, points in stored.items()}
-    return points | labels
+    found = points | labels
+    if p.extras.visible is not None:
+        for n, points in stored.items():
+            far = fusion.distances(
+                dequantize(points), p.extras.visible, fields.part_motion, wanted.signed_distance
+            )
+            found[f"{n}_distance"] = np.where(labels[f"{n}_label"] == FREE, far, -far)
+    return found
 
 
 def _partial_fields(p: Prepared, state_index: int, mesh: LabelledMesh) -> dict[str, NDArray]:
@@ -406,4 +520,39 @@ def _partial_fields(p: Prepared, state_index: int, mesh: LabelledMesh) -> dict[s
         "partial_part": clouds.part,
         "partial_T_camera_world": views.T_camera_world,
         "partial_intrinsics": np.stack([views.fx, views.fy, views.cx, views.cy], axis=1),
+    }
+
+
+def _sharp_fields(
+    p: Prepared, state_index: int, surface: sampling.SurfacePoints, fields: fusion.PosedFields
+) -> dict[str, NDArray]:
+    if p.extras.edges is None:
+        return {}
+    drawn = sharp_points(
+        p.extras.edges.moved(fields.part_motion),
+        fields.is_free_before,
+        p.recipe.sampling.sharp_points,
+        surface,
+        rng=p.rng(state_index, "sharp"),
+    )
+    return {
+        "sharp_points": quantize(drawn.points),
+        "sharp_normals": np.round(drawn.normals * 127.0).astype(np.int8),
+        "sharp_part": drawn.part,
+    }
+
+
+def _collision_depth(p: Prepared, fields: fusion.PosedFields) -> float | None:
+    colliding = p.extras.colliding
+    return None if colliding is None else float(colliding.depths(fields.material).max())
+
+
+def _image_fields(p: Prepared, mesh: LabelledMesh) -> dict[str, NDArray]:
+    views = p.extras.cameras
+    if views is None:
+        return {}
+    drawn = images(mesh, views, p.recipe.images.fields, closed=p.closed)
+    return {f"image_{name}": image for name, image in drawn.items()} | {
+        "image_T_camera_world": views.T_camera_world,
+        "image_intrinsics": np.stack([views.fx, views.fy, views.cx, views.cy], axis=1),
     }

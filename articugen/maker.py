@@ -33,7 +33,6 @@ from articugen.records import (
 )
 from articugen.seeding import generator
 from articugen.sources import registry
-from articugen.store import schema
 from articugen.store.rows import Row
 from articugen.swept import swept_box
 
@@ -148,7 +147,7 @@ class Made(Row):
 
     def __init__(self, prepared: Prepared, index: int) -> None:
         """Made by a `Maker`; `index` counts the states of `prepared`."""
-        super().__init__(self._arrays, _fields(prepared.recipe), category=prepared.obj.category)
+        super().__init__(self._arrays, prepared.recipe.fields(), category=prepared.obj.category)
         self._prepared, self._index = prepared, index
         self._known |= {
             "object_id": prepared.obj.object_id,
@@ -363,17 +362,6 @@ class Maker(Sequence[Made]):
     def __repr__(self) -> str:
         head = f"Maker({self.obj.object_id}, {self.obj.category}, recipe {self.recipe.name}, seed"
         return "\n".join([f"{head} {self.seed}", *(f"  {_said(j)}" for j in self.joints)]) + ")"
-
-
-def _fields(recipe: Recipe) -> list[str]:
-    """The names of all that a shard would hold."""
-    names: list[str] = []
-    for field in schema.FIELDS:
-        if field.is_grid and (field.stem != "coverage" or recipe.sampling.coverage):
-            names += [f"{field.stem}_{resolution}" for resolution in recipe.sampling.grids]
-        elif not field.is_grid:
-            names.append(field.name)
-    return names
 
 
 def _box(p: Prepared, states: Iterable[JointState]) -> Floats:

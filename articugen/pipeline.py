@@ -333,7 +333,8 @@ def _instances(job: Job, task: Task) -> tuple[ArticulatedObject, Iterator[Instan
         movable=settings.movable,
     )
     prepared = prepare(obj, job.recipe, job.seed)
-    return obj, (make_instance(prepared, index) for index in range(len(prepared.states)))
+    every = range(len(prepared.states))
+    return prepared.obj, (make_instance(prepared, index) for index in every)
 
 
 def _import_stages() -> None:
@@ -401,7 +402,7 @@ def _plan(job: Job, journal: Journal) -> Plan:
         tasks=tuple(tasks),
         done=tuple(done),
         instances=instances,
-        bytes=instances * instance_bytes(job.recipe.sampling),
+        bytes=instances * instance_bytes(job.recipe),
         seconds=run_seconds(job.recipe, len(tasks), job.jobs, entries),
         conflict=journal.conflict(keys),
     )

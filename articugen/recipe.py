@@ -50,6 +50,10 @@ class Articulation(_Section):
             others do, our own procedural ones keep the range of the recipe.
         movable: names of joints that move, as patterns with * and ?; the others are locked at the
             canonical value and their links ride on what they hang on. [] means: ask source.yaml.
+        collision: what becomes of a state in which parts are in one another: `ignore` does not
+            look, `label` writes down how deep they are, `reject` also draws the state again.
+        collision_depth: for `reject`, how deep two parts may be in one another, or deeper than in
+            the canonical pose, as hinges often are; in the unit frame.
     """
 
     states: int = Field(default=100, ge=0, le=65_535)
@@ -58,6 +62,8 @@ class Articulation(_Section):
     prismatic_metres: tuple[_Metres, _Metres] | None = None
     clip_to_limits: bool | Literal["source"] = "source"
     movable: tuple[_Pattern, ...] = ()
+    collision: Literal["ignore", "label", "reject"] = "ignore"
+    collision_depth: float = Field(default=0.01, ge=0.0, le=0.5)
 
     @model_validator(mode="after")
     def _ranges_ascend(self) -> "Articulation":
@@ -71,6 +77,9 @@ class Articulation(_Section):
 def _known_backend(name: str) -> str:
     backends.check_name(name)
     return name
+
+
+_Sigma = Annotated[float, Field(gt=0.0, le=0.5)]
 
 
 class ViewSettings(_Section):
@@ -123,7 +132,12 @@ class Sampling(_Section):
         coverage: whether each grid comes with the share of every cell that is inside, which keeps
             the thin parts that lie between the centres of a coarse grid.
         surface_points, uniform_points, near_points: how many.
-        near_sigma: how far from the surface `near_points` are.
+        near_sigma: how far from the surface `near_points` are; where it is several, they take
+            turns.
+        signed_distance: query points come with their signed distance from the surface, up to this;
+            0 for none.
+        sharp_points: how many on sharp edges; 0 for none.
+        sharp_degrees: an edge is sharp where its faces turn by this or more.
         partial_views, partial_points, partial_resolution: how many depth cameras, points of each,
             pixels along the edge of its image.
         depth_noise: standard deviation of what they measure.
@@ -134,7 +148,10 @@ class Sampling(_Section):
     surface_points: int = Field(default=8192, ge=0, le=1_000_000)
     uniform_points: int = Field(default=8192, ge=0, le=1_000_000)
     near_points: int = Field(default=8192, ge=0, le=1_000_000)
-    near_sigma: float = Field(default=0.01, gt=0.0, le=0.5)
+    near_sigma: _Sigma | Annotated[tuple[_Sigma, ...], Field(min_length=1, max_length=16)] = 0.01
+    signed_distance: float = Field(default=0.0, ge=0.0, le=2.0)
+    sharp_points: int = Field(default=0, ge=0, le=1_000_000)
+    sharp_degrees: float = Field(default=30.0, gt=0.0, lt=180.0)
     partial_views: int = Field(default=4, ge=0, le=256)
     partial_points: int = Field(default=1024, ge=0, le=1_000_000)
     partial_resolution: int = Field(default=192, ge=16, le=2048)
@@ -146,44 +163,30 @@ class Sampling(_Section):
             raise ValueError("grids are different sizes from 1 to 256")
         return self
 
-    @model_validator(mode="after")
-    def _fits_a_shard(self) -> "Sampling":
-        sizes = self.instance_bytes()
-        name, most = max(sizes.items(), key=lambda item: item[1])
-        if most > schema.MAX_CHUNK_BYTES:
-            raise ValueError(
-                f"{name} would take {most / 2**20:,.0f} MiB an instance, more than the "
-                f"{schema.MAX_CHUNK_BYTES >> 20} that a shard can hold; ask for fewer points"
-            )
-        if sum(sizes.values()) > MAX_INSTANCE_BYTES:
-            raise ValueError(
-                f"an instance would take {sum(sizes.values()) / 2**20:,.0f} MiB, more than "
-                f"{MAX_INSTANCE_BYTES >> 20}; ask for fewer points or smaller grids"
-            )
-        return self
 
-    def instance_bytes(self) -> dict[str, int]:
-        """What each field of one instance takes before compression, for as many parts as a shard
-        can hold."""
-        numbers = {
-            "S": self.surface_points,
-            "U": self.uniform_points,
-            "K": self.near_points,
-            "C": self.partial_views,
-            "M": self.partial_points,
-        }
-        sizes: dict[str, int] = {}
-        for field in schema.FIELDS:
-            size = schema.MAX_TEXT if field.dtype == "S" else np.dtype(field.dtype).itemsize
-            if field.stem == "coverage" and not self.coverage:
-                continue
-            for resolution in self.grids if field.is_grid else (1,):
-                dims = [
-                    n if isinstance(n, int) else (numbers | {"R": resolution}).get(n, MOST_PARTS)
-                    for n in field.shape[1:]
-                ]
-                sizes[field.name.replace("<R>", str(resolution))] = size * math.prod(dims)
-        return sizes
+class Images(_Section):
+    """Images of every instance by cameras that all instances of an object share: pinholes that
+    look at it from random places above its middle.
+
+    Attributes:
+        views: how many; 0 for none.
+        resolution: pixels along their edges.
+        fields: what of `depth`, `part`, `normal` and `rgba` is stored of each.
+    """
+
+    views: int = Field(default=0, ge=0, le=1000)
+    resolution: int = Field(default=256, ge=16, le=2048)
+    fields: tuple[Literal["depth", "part", "normal", "rgba"], ...] = (
+        *("depth", "part", "normal", "rgba"),
+    )
+
+
+_LATER = {
+    "articulation": ("collision", "collision_depth"),
+    "sampling": ("signed_distance", "sharp_points", "sharp_degrees"),
+    "images": tuple(Images.model_fields),
+}
+"""Keys that ask for nothing by default and that the recipes of older data sets do not have."""
 
 
 class Recipe(_Section):
@@ -202,11 +205,29 @@ class Recipe(_Section):
     views: ViewSettings = ViewSettings()
     fusion: Fusion = Fusion()
     sampling: Sampling = Sampling()
+    images: Images = Images()
     padding: float = Field(default=0.1, ge=0.0, lt=1.0)
     objects: int | None = Field(default=None, ge=1, le=1_000_000)
     max_rejected_fraction: float = Field(default=0.1, ge=0.0, le=1.0)
     seconds_per_object: float | None = Field(default=None, gt=0.0, le=1e7)
     memory_per_object_mb: float = Field(default=4096.0, ge=256.0, le=1e7)
+
+    @model_validator(mode="after")
+    def _fits_a_shard(self) -> "Recipe":
+        sizes = self.instance_bytes()
+        name, most = max(sizes.items(), key=lambda item: item[1])
+        section = "images" if name.startswith("image_") else "sampling"
+        if most > schema.MAX_CHUNK_BYTES:
+            raise ValueError(
+                f"{section}: {name} would take {most / 2**20:,.0f} MiB an instance, more than the "
+                f"{schema.MAX_CHUNK_BYTES >> 20} that a shard can hold; ask for less"
+            )
+        if sum(sizes.values()) > MAX_INSTANCE_BYTES:
+            raise ValueError(
+                f"sampling: an instance would take {sum(sizes.values()) / 2**20:,.0f} MiB, more "
+                f"than {MAX_INSTANCE_BYTES >> 20}; ask for fewer points, smaller grids or images"
+            )
+        return self
 
     @model_validator(mode="after")
     def _fits_an_attribute(self) -> "Recipe":
@@ -219,8 +240,59 @@ class Recipe(_Section):
         return self
 
     def text(self) -> str:
-        """The resolved recipe as canonical JSON; equal recipes have equal texts."""
-        return json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+        """The resolved recipe as canonical JSON; equal recipes have equal texts. Keys that came
+        after the first data sets are left out where they ask for nothing: those stay as they are.
+        """
+        told = self.model_dump(mode="json")
+        for section, keys in _LATER.items():
+            usual = type(getattr(self, section))().model_dump(mode="json")
+            for key in keys:
+                if told[section][key] == usual[key]:
+                    del told[section][key]
+        told = {name: value for name, value in told.items() if value != {}}
+        return json.dumps(told, sort_keys=True, separators=(",", ":"))
+
+    def fields(self) -> dict[str, schema.Field]:
+        """The data sets of a shard by this recipe, by name."""
+        asked = [field for field in schema.FIELDS if self._asks_for(field.stem)]
+        return {
+            f"{field.stem}_{r}" if field.is_grid else field.name: field
+            for field in asked
+            for r in (self.sampling.grids if field.is_grid else (0,))
+        }
+
+    def _asks_for(self, stem: str) -> bool:
+        group, _, what = stem.partition("_")
+        if group == "image":
+            always = what in ("T_camera_world", "intrinsics")
+            return self.images.views > 0 and (always or what in self.images.fields)
+        return {
+            "coverage": self.sampling.coverage,
+            "sharp": self.sampling.sharp_points > 0,
+            "collision": self.articulation.collision != "ignore",
+        }.get(group, what != "distance" or self.sampling.signed_distance > 0.0)
+
+    def instance_bytes(self) -> dict[str, int]:
+        """What each field of one instance takes before compression, for as many parts as a shard
+        can hold."""
+        sampling = self.sampling
+        numbers = {
+            "S": sampling.surface_points,
+            "U": sampling.uniform_points,
+            "K": sampling.near_points,
+            "C": sampling.partial_views,
+            "M": sampling.partial_points,
+            "E": sampling.sharp_points,
+            "V": self.images.views,
+            "H": self.images.resolution,
+        }
+        sizes: dict[str, int] = {}
+        for name, field in self.fields().items():
+            size = schema.MAX_TEXT if field.dtype == "S" else np.dtype(field.dtype).itemsize
+            known = numbers | ({"R": schema.resolution_of(name)} if field.is_grid else {})
+            dims = [n if isinstance(n, int) else known.get(n, MOST_PARTS) for n in field.shape[1:]]
+            sizes[name] = size * math.prod(dims)
+        return sizes
 
     def for_one_object(self) -> "Recipe":
         """What of the recipe decides an object's data: neither its name nor numbers and limits."""

@@ -406,8 +406,7 @@ class Instance:
 
     Point coordinates are stored in fixed point: `quantize` and `dequantize` say how. P parts, J
     moving joints (P = J + 1), joint j carries part j + 1. Labels: 0 free, k + 1 material of part k,
-    255 enclosed; parts: k. Names are None where a shard has none. docs/format.md describes every
-    field.
+    255 enclosed; parts: k. What a shard lacks is None. docs/format.md describes every field.
     """
 
     object_id: str
@@ -440,6 +439,18 @@ class Instance:
     partial_part: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 0), np.uint8))
     partial_T_camera_world: Floats = field(default_factory=lambda: np.zeros((0, 4, 4)))
     partial_intrinsics: Floats = field(default_factory=lambda: np.zeros((0, 4)))
+    uniform_distance: NDArray[np.float32] | None = None
+    near_distance: NDArray[np.float32] | None = None
+    sharp_points: NDArray[np.uint16] | None = None
+    sharp_normals: NDArray[np.int8] | None = None
+    sharp_part: NDArray[np.uint8] | None = None
+    collision_depth: float | None = None
+    image_depth: NDArray[np.float32] | None = None
+    image_part: NDArray[np.uint8] | None = None
+    image_normal: NDArray[np.int8] | None = None
+    image_rgba: NDArray[np.uint8] | None = None
+    image_T_camera_world: Floats | None = None
+    image_intrinsics: Floats | None = None
 
     def __post_init__(self) -> None:
         J = len(self.joint_kind)

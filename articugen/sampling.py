@@ -79,10 +79,15 @@ def uniform_points(count: int, *, rng: np.random.Generator) -> Floats:
     return rng.random((count, 3)) - 0.5
 
 
-def near_points(surface: Floats, count: int, sigma: float, *, rng: np.random.Generator) -> Floats:
-    """(count, 3): surface points moved by a Gaussian of `sigma` on each axis, kept in the cube."""
-    chosen = surface[np.arange(count) % len(surface)]
-    return np.clip(chosen + sigma * rng.normal(size=(count, 3)), -0.5, 0.5)
+def near_points(
+    surface: Floats, count: int, sigma: float | tuple[float, ...], *, rng: np.random.Generator
+) -> Floats:
+    """(count, 3): surface points moved by a Gaussian of `sigma` on each axis, kept in the cube; of
+    several sigmas each takes its turn."""
+    number = np.arange(count)
+    wide = np.atleast_1d(sigma)
+    moved = wide[number % len(wide), None] * rng.normal(size=(count, 3))
+    return np.clip(surface[number % len(surface)] + moved, -0.5, 0.5)
 
 
 def surface_points(

@@ -36,6 +36,13 @@ SETS: dict[str, tuple[str, ...]] = {
     "boxes": (),
     "boxes, rigid": ("fusion.rule=rigid",),
     "boxes, reachable": ("fusion.rule=reachable", "sampling.coverage=true"),
+    "boxes, extras": (
+        "articulation.collision=reject",
+        "sampling.signed_distance=0.1",
+        "sampling.sharp_points=64",
+        "sampling.near_sigma=[0.01, 0.05]",
+        "images={views: 2, resolution: 32}",
+    ),
     "boxes, mean": ("fusion.rule=mean", "views.projection=pinhole", "sampling.depth_noise=0.002"),
 }
 """Tiny data sets of one object each, and what their recipes say otherwise."""

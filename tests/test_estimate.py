@@ -22,7 +22,7 @@ def done(seconds: float, instances: int = 101) -> ObjectEntry:
 
 def test_an_object_of_the_papers_protocol_takes_about_ten_seconds_and_20_mb() -> None:
     assert 5 < object_seconds(PAPER, 101) < 15
-    assert 100_000 < instance_bytes(PAPER.sampling) < 300_000
+    assert 100_000 < instance_bytes(PAPER) < 300_000
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,9 @@ pytest.importorskip("matplotlib", reason="figures need matplotlib")
 
 from PIL import Image
 
+from articugen.colours import COLOURS
 from articugen.geometry import apply
 from articugen.inspection.layout import CAPTION, MARGIN, TILE, in_columns
-from articugen.inspection.portrait import COLOURS
 from articugen.learning.evaluation.evaluate import objects_of
 from articugen.learning.evaluation.figures import plots
 from articugen.learning.evaluation.figures.colours import UNNAMED, part_colours

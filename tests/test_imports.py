@@ -15,7 +15,7 @@ from articugen.content import STAGES as DECLARED
 PACKAGE = Path(articugen.__file__).parent
 
 VOCABULARY = {
-    "bundled", "content", "errors", "geometry", "jit", "plugins", "portable", "recipe",
+    "bundled", "colours", "content", "errors", "geometry", "jit", "plugins", "portable", "recipe",
     "recipe_files", "records",
     "seeding", "store.files", "store.schema",
 }  # fmt: skip
@@ -42,6 +42,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "jit": set(),
     "mesh_file": {"errors", "records"},
     "bundled": set(),
+    "colours": set(),
     "plugins": {"errors"},
     "ply": set(),
     "content": set(),
@@ -64,8 +65,9 @@ MAY_IMPORT: dict[str, set[str]] = {
     "fusion.reachable": VOCABULARY | {"fusion.bvh", "fusion.kernels"},
     "fusion.solidify": VOCABULARY,
     "fusion.thin": VOCABULARY | {"fusion.bvh", "fusion.reachable", "fusion.solidify"},
+    "sharp": VOCABULARY | {"sampling"},
     # what leads through them
-    "instance": VOCABULARY | STAGES,
+    "instance": VOCABULARY | STAGES | {"sharp"},
     "workers": {"errors"},
     "rehearsal": VOCABULARY
     | STAGES
@@ -92,7 +94,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "verify.bounds": set(),
     "verify.exact": VOCABULARY | {"verify.bounds"},
     "verify.sampled": VOCABULARY | {"verify.bounds"},
-    "verify.invariants": VOCABULARY | {"verify.exact", "verify.sampled"},
+    "verify.extras": VOCABULARY | {"verify.bounds", "verify.sampled"},
+    "verify.invariants": VOCABULARY | {"verify.exact", "verify.extras", "verify.sampled"},
     "verify.dataset": VOCABULARY | {"store", "verify.invariants", "workers"},
     "verify.replay": VOCABULARY
     | {"store", "sources", "articulation", "fusion", "instance", "pipeline", "verify", "mesh_file"},

@@ -14,6 +14,7 @@ from numba import njit
 from PIL import Image
 from rich.console import Console
 
+from articugen.colours import COLOURS, colour_of
 from articugen.errors import ArticugenError, CorruptShard
 from articugen.geometry import fibonacci_sphere, invert_rigid, rotation_about, transform
 from articugen.inspection.camera import framed
@@ -21,7 +22,6 @@ from articugen.inspection.cells import cells_of, near
 from articugen.inspection.contact_sheet import contact_sheet
 from articugen.inspection.layout import CAPTION, MARGIN, TILE, Row, sheet
 from articugen.inspection.light import SurfaceCloud, occlusion, occlusion_in_detail
-from articugen.inspection.portrait import COLOURS, colour_of
 from articugen.inspection.shading import PAPER
 from articugen.inspection.summary import histogram, shards_of, summary
 from articugen.inspection.surfels import OrientedPoints, draw, surfels

@@ -82,7 +82,7 @@ def test_doubt_is_known_where_a_box_is_and_nowhere_else(tray):
     _, found = tray
     assert found.doubt.shape == (2, R, R, R)
     centres = (np.argwhere(found.doubt[0]) + 0.5) / R - 0.5
-    assert (centres[:, 0] > 0.0).all()  # the case itself is never contradicted, nor is what it hides
+    assert (centres[:, 0] > 0.0).all()  # never of the case, nor of what it hides
     assert (np.abs(centres[:, 1:]) < 0.15 + 2.0 / R).all()
     assert (centres[:, 0] < 0.3 + 2.0 / R).all()  # no tray ever comes here
     centres = (np.argwhere(found.doubt[1]) + 0.5) / R - 0.5
@@ -95,7 +95,7 @@ def test_the_rim_of_a_box_is_its_parts_where_the_fixed_part_is_never(tray):
     """A point beside the tray's box, where only the open tray comes, and one in the case's wall."""
     _, found = tray
     side = found.middle[1] + [0.0, found.size[1][1] + 0.5 * RIM, 0.0]
-    out, wall = side + [0.25, 0.0, 0.0], np.array([-0.2, 0.2, 0.0])
+    out, wall = side + np.array([0.25, 0.0, 0.0]), np.array([-0.2, 0.2, 0.0])
     doubt = found.doubt.copy()
     i, j, k = ((side + 0.5) * R).astype(int)
     doubt[1, i, j, k] = 0.0  # something is there at rest in every pose
@@ -104,7 +104,7 @@ def test_the_rim_of_a_box_is_its_parts_where_the_fixed_part_is_never(tray):
     rim = replace(found, doubt=doubt)
     assert rim.part_of(np.stack([[out], [side]])).tolist() == [1]
     assert rim.part_of(np.stack([[wall], [side]])).tolist() == [0]
-    beyond = side + [0.0, RIM, 0.0]
+    beyond = side + np.array([0.0, RIM, 0.0])
     assert rim.part_of(np.stack([[out], [beyond]])).tolist() == [0]
 
 

@@ -129,12 +129,49 @@ def test_whatever_recipe_is_read_a_shard_can_hold_it() -> None:
         partial_views=11,
         partial_points=1_000_000,
     )
-    sizes = most.instance_bytes()
+    sizes = Recipe(name="most", sampling=most).instance_bytes()
     assert sizes["occupancy_256"] == 2**24
     assert sizes["partial_points"] == 66_000_000 <= schema.MAX_CHUNK_BYTES
-    assert set(sizes) >= {f.name for f in schema.FIELDS if not f.is_grid}
-    both = Sampling(grids=(64,), coverage=True).instance_bytes()
-    assert both["coverage_64"] == both["occupancy_64"] == 2**18
+    asked = {f.name for f in schema.FIELDS if not f.is_grid and (not f.optional or f.dtype == "S")}
+    assert asked <= set(sizes)
+
+
+def test_a_recipe_knows_the_fields_of_its_shards() -> None:
+    """All of the schema where everything is asked for, and each by its key alone."""
+    usual = set(Recipe(name="usual").fields())
+    asked = {
+        "coverage_16 coverage_32 coverage_64": {"sampling": {"coverage": True}},
+        "uniform_distance near_distance": {"sampling": {"signed_distance": 0.1}},
+        "sharp_points sharp_normals sharp_part": {"sampling": {"sharp_points": 8}},
+        "collision_depth": {"articulation": {"collision": "label"}},
+        "image_part image_T_camera_world image_intrinsics": {
+            "images": {"views": 2, "fields": ["part"]}
+        },
+    }
+    for names, keys in asked.items():
+        assert set(load_recipe(keys, "laptop").fields()) == usual | set(names.split())
+    everything = load_recipe(
+        {
+            "articulation": {"collision": "reject"},
+            "sampling": {"coverage": True, "signed_distance": 0.1, "sharp_points": 8},
+            "images": {"views": 1},
+        },
+        "laptop",
+    )
+    assert {field.name for field in everything.fields().values()} == {f.name for f in schema.FIELDS}
+    sizes = everything.instance_bytes()
+    assert sizes["coverage_64"] == sizes["occupancy_64"] == 2**18
+    assert sizes["image_rgba"] == 256 * 256 * 4
+
+
+def test_keys_that_came_later_change_no_recipe_that_does_not_use_them() -> None:
+    """The digest of the default recipe before they came: data made by it stay as they are."""
+    text = load_recipe(None, "laptop").text()
+    assert not {"collision", "sharp_points", "signed_distance", "images"} & set(json.loads(text))
+    assert "sharp" not in text
+    asking = load_recipe({"images": {"views": 4}}, "laptop")
+    assert json.loads(asking.text())["images"] == {"views": 4}
+    assert Recipe.model_validate(json.loads(asking.text())) == asking
 
 
 def test_what_the_manual_shows_of_training_recipes_is_one(tmp_path: Path) -> None:

@@ -224,8 +224,10 @@ def test_format_page_is_true():
     page = (Path(__file__).parents[1] / "docs" / "format.md").read_text()
     assert schema.markdown() in page, "docs/format.md: put in what schema.markdown() returns"
     assert f"version {schema.SCHEMA_VERSION}\n" in page
+    stored = [f.name for f in schema.FIELDS if getattr(NAMED[0], f.stem) is not None]
+    assert {f.name for f in schema.FIELDS if not f.optional} <= set(stored)
     assert set(NAMED[0].arrays()) == {
-        name.replace("<R>", str(r)) for name in (f.name for f in schema.FIELDS) for r in (8, 16, 32)
+        name.replace("<R>", str(r)) for name in stored for r in (8, 16, 32)
     }
 
 
@@ -273,16 +275,19 @@ def test_workers_open_the_file_for_themselves(written):
 @st.composite
 def made_up(draw):
     """Instances of one random shape, filled with random bytes."""
-    J, S, U, K, C, M = (draw(st.integers(0, 4)) for _ in range(6))
+    J, S, U, K, C, M, E, V, H = (draw(st.integers(0, 4)) for _ in range(9))
     names = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=60)
     grids = draw(st.sets(st.integers(1, 5), max_size=2))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     known = {"J": J, "P": J + 1, "S": S, "U": U, "K": K, "C": C, "M": M}
+    known |= {"E": E, "V": V, "H": H}
 
     def values(field):
+        if field.name == "collision_depth":
+            return float(rng.random())
         shape = [known[s] if isinstance(s, str) else s for s in field.shape[1:]]
-        if field.dtype == "<f8":
-            return rng.normal(size=shape)
+        if field.dtype in ("<f4", "<f8"):
+            return rng.normal(size=shape).astype(field.dtype)
         if field.dtype == "S":
             return tuple(draw(names) for _ in range(shape[0]))
         return rng.integers(0, 100, shape).astype(field.dtype)
@@ -535,7 +540,10 @@ HARM = {
     "other version": (_edit(lambda f: f.attrs.modify("schema_version", 99)), "schema version 99"),
     "no version": (_edit(lambda f: f.attrs.pop("schema_version")), "schema version None"),
     "version 0": (_edit(lambda f: f.attrs.modify("schema_version", 0)), "schema version 0"),
-    "two versions": (_attributes(lambda a: a | {"schema_version": 1}), "schema version 2 or 1"),
+    "two versions": (
+        _attributes(lambda a: a | {"schema_version": 1}),
+        f"schema version {schema.SCHEMA_VERSION} or 1",
+    ),
     "other format": (_attributes(lambda a: a | {"format": "x"}), "not an articugen shard"),
     "attributes of variable length": (
         _edit(_checked_attributes_of_variable_length),

@@ -139,11 +139,11 @@ class _Evidence:
         centres, beside = (np.arange(R) + 0.5) / R - 0.5, RIM + 1.0 / R
         i, j, k = ((centres > low - beside) & (centres < high + beside) for low, high in bounds.T)
         asked = i[:, None, None] & j[:, None] & k
-        return self._on_grid(asked & np.ptp(bounds, axis=0).any(), part)
+        return self._on_grid(asked if np.ptp(bounds) else np.zeros_like(asked), part)
 
     def of_fixed(self) -> Floats:
         """(R, R, R) the same of part 0 where something is in some of the poses, else 0."""
-        return self._on_grid(self.taken.any(0) & ~self.taken.all(0), 0)
+        return self._on_grid((self.taken.max(0) > 0) & (self.taken.min(0) == 0), 0)
 
     def _on_grid(self, asked: NDArray[np.bool_], part: int) -> Floats:
         """(R, R, R) the same of the centres of the cells that are `asked`, else 0."""

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.inspection.portrait import colour_of
+from articugen.colours import colour_of
 from articugen.inspection.shading import linear
 
 

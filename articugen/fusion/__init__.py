@@ -5,22 +5,28 @@
 `isosurface` draws its zero level.
 """
 
-from articugen.fusion.bvh import Bvh
+from articugen.fusion.bvh import Bvh, build
+from articugen.fusion.collision import Colliding, too_deep
+from articugen.fusion.distance import distances
 from articugen.fusion.field import FusedField, OwnSolid, PosedFields, PosedSolids, fuse, pixel_width
 from articugen.fusion.parts import SolidPart, joined_bvh, seen_by, solid_part
 from articugen.fusion.reachable import touched
 
 __all__ = [
     "Bvh",
+    "Colliding",
     "FusedField",
     "OwnSolid",
     "PosedFields",
     "PosedSolids",
     "SolidPart",
+    "build",
+    "distances",
     "fuse",
     "joined_bvh",
     "pixel_width",
     "seen_by",
     "solid_part",
+    "too_deep",
     "touched",
 ]

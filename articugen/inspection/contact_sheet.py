@@ -18,9 +18,10 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.colours import colour_of
 from articugen.errors import ArticugenError
 from articugen.inspection.layout import TILE, Caption, Row, save, sheet
-from articugen.inspection.portrait import best_azimuth, colour_of, pooled, portrait, tile_camera
+from articugen.inspection.portrait import best_azimuth, pooled, portrait, tile_camera
 from articugen.inspection.shading import Picture
 from articugen.inspection.surfels import Surfels
 from articugen.records import Instance, JointKind, dequantize

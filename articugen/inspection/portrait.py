@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.colours import colour_of
 from articugen.geometry import apply, invert_rigid
 from articugen.inspection.camera import Camera, framed
 from articugen.inspection.layout import TILE
@@ -20,23 +21,10 @@ from articugen.records import Instance, dequantize
 
 Array = NDArray[np.float64]
 
-COLOURS = (
-    "#d9d4cb",
-    *("#4477aa", "#ddaa33", "#bb5566", "#44aa99", "#882255", "#88ccee", "#999933", "#cc88ee"),
-    *("#444422", "#442288", "#66cc66", "#cc6622", "#226622", "#eeaacc", "#aa8866", "#2266cc"),
-)
-"""Of part 0, 1, ...: the first eight are pairs that readers with any colour vision tell apart
-(after Paul Tol), the others as far from them and from each other as calm colours can be."""
-
 NOTHING = ColouredMesh(np.zeros((0, 3, 3)), np.zeros(0, np.int64), ())
 
 AZIMUTHS = tuple(np.radians((-35.0, 35.0, 145.0, 215.0)))
 ELEVATION = float(np.radians(27.0))
-
-
-def colour_of(part: int) -> str:
-    """The colour of a part; from part 17 on they repeat, but for part 0's."""
-    return COLOURS[0] if part == 0 else COLOURS[1 + (part - 1) % (len(COLOURS) - 1)]
 
 
 def oriented_points(instance: Instance) -> OrientedPoints:

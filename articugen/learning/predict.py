@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
+from articugen.colours import colour_of
 from articugen.errors import ArticugenError
-from articugen.inspection.portrait import colour_of
 from articugen.learning.clouds import UNIT
 from articugen.learning.evaluation.reconstruction import PartJoints, Reconstruction
 from articugen.model_text import Joint, Visual, obj_text, urdf_text

@@ -66,15 +66,22 @@ def _fit(x: NDArray[np.float64], size: int) -> tuple[NDArray[np.float64], NDArra
 
 
 def random_pinhole_views(
-    count: int, resolution: int, box: NDArray[np.float64], *, rng: np.random.Generator
+    count: int,
+    resolution: int,
+    box: NDArray[np.float64],
+    *,
+    rng: np.random.Generator,
+    from_above: bool = False,
 ) -> Views:
     """`count` pinhole cameras that look at the box from random sides, as a depth camera would.
 
-    Directions are uniform over the sphere, distances from the centre uniform in 1.2 to 2.0 of the
-    unit frame; the field of view is just wide enough for the box.
+    Directions are uniform over the sphere, or its upper half, distances from the centre uniform in
+    1.2 to 2.0 of the unit frame; the field of view is just wide enough for the box.
     """
     center = box.mean(axis=0)
     directions = rng.normal(size=(count, 3))
+    if from_above:
+        directions[:, 2] = np.abs(directions[:, 2])
     directions /= norm(directions)[:, None]
     distances = rng.uniform(1.2, 2.0, size=count)
     T = [look_along(-d, center + r * d) for d, r in zip(directions, distances, strict=True)]

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from articugen.colours import colour_of
 from articugen.inspection.contact_sheet import Portraits
-from articugen.inspection.portrait import colour_of
 from articugen.inspection.tables import duration, size
 from articugen.records import JointKind
 from articugen.report.alike import FEWEST, SAME, UNLIKE, Outlier, Pair

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.colours import colour_of
 from articugen.geometry import invert_rigid
-from articugen.inspection.portrait import best_azimuth, colour_of, oriented_points
+from articugen.inspection.portrait import best_azimuth, oriented_points
 from articugen.inspection.surfels import OrientedPoints
 from articugen.records import Instance, JointKind, dequantize
 from articugen.report.facts import ObjectFacts

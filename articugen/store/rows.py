@@ -129,11 +129,16 @@ class RowSurface(_Group):
 
 class RowQueries(_Group):
     """Query points: `points` (U, 3) float32, unit frame; `label` (U,) uint8: 0 free, k + 1 material
-    of part k, 255 enclosed."""
+    of part k, 255 enclosed; where the recipe asks for it, `distance` (U,) float32 from the surface,
+    below 0 inside."""
 
     @property
     def label(self) -> Labels:
         return self._plain("label")
+
+    @property
+    def distance(self) -> Float32:
+        return self._plain("distance")
 
 
 class RowPartial(_Group):
@@ -152,6 +157,39 @@ class RowPartial(_Group):
     @property
     def intrinsics(self) -> Floats:
         return self._plain("intrinsics")
+
+
+class RowImages:
+    """What V cameras see, as far as it is stored: `depth` (V, H, H) float32, 0 where nothing is;
+    `part` (V, H, H), k + 1 for part k; `normal` (V, H, H, 3) float32; `rgba` (V, H, H, 4) uint8;
+    `T_camera_world` (V, 4, 4) from the unit frame; `intrinsics` (V, 4): fx, fy, cx, cy."""
+
+    def __init__(self, row: "Row") -> None:
+        self._row = row
+
+    @property
+    def depth(self) -> Float32:
+        return self._row.stored("image_depth")
+
+    @property
+    def part(self) -> Labels:
+        return self._row.stored("image_part")
+
+    @cached_property
+    def normal(self) -> Float32:
+        return in_units("image_normal", self._row.stored("image_normal"))
+
+    @property
+    def rgba(self) -> NDArray[np.uint8]:
+        return self._row.stored("image_rgba")
+
+    @property
+    def T_camera_world(self) -> Floats:  # noqa: N802 - T_a_b is a name here
+        return self._row.stored("image_T_camera_world")
+
+    @property
+    def intrinsics(self) -> Floats:
+        return self._row.stored("image_intrinsics")
 
 
 class RowGrids(Mapping[int, NDArray[Any]]):
@@ -275,6 +313,21 @@ class Row:
     @cached_property
     def partial(self) -> RowPartial:
         return RowPartial(self, "partial")
+
+    @cached_property
+    def sharp(self) -> RowSurface:
+        """Points on sharp edges, where the recipe asks for them."""
+        return RowSurface(self, "sharp")
+
+    @cached_property
+    def images(self) -> RowImages:
+        """Where the recipe asks for them."""
+        return RowImages(self)
+
+    @property
+    def collision_depth(self) -> float:
+        """How deep parts are in one another, unit frame, where the recipe asks for it."""
+        return float(self.stored("collision_depth"))
 
     @cached_property
     def grids(self) -> RowGrids:

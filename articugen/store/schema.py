@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 """Of what is written. Readers take every version up to it: a later one only adds optional fields,
 and tells apart what an earlier one did not (docs/format.md says what)."""
 
@@ -32,6 +32,9 @@ SYMBOLS = {
     "K": "points near the surface",
     "C": "cameras",
     "M": "points a camera",
+    "E": "points on sharp edges",
+    "V": "images",
+    "H": "pixels along the edge of an image",
 }
 """What the letters in the fields' shapes stand for; a letter is one number in a whole shard."""
 
@@ -95,6 +98,7 @@ class Field:
 _FIXED_POINT = "1/65535"
 _UNIT = "unit"
 _STORED = "x = stored / 65535 - 0.5."
+_INTRINSICS = "fx, fy, cx, cy: u = fx x / z + cx, v = fy y / z + cy; pixel centres at + 0.5."
 _LABEL = "0 free, k + 1 material of part k, 255 enclosed: no view sees it, no part holds it."
 
 FIELDS = (
@@ -240,9 +244,57 @@ FIELDS = (
         ("N", "K", 3),
         _FIXED_POINT,
         _UNIT,
-        f"Surface points moved by Gaussian noise (recipe: near_sigma). {_STORED}",
+        "Surface points moved by Gaussian noise (recipe: near_sigma; where that is several, point "
+        f"k has the (k mod how many)-th). {_STORED}",
     ),
     Field("near_label", "u1", ("N", "K"), "label", "", f"Labels there. {_LABEL}", True),
+    *(
+        Field(
+            f"{name}_distance",
+            "<f4",
+            ("N", letter),
+            "unit",
+            "",
+            f"Of {name}_points to the nearest face that can be seen, below 0 where label > 0, "
+            "no farther than the recipe's signed_distance.",
+            True,
+            optional=True,
+        )
+        for name, letter in (("uniform", "U"), ("near", "K"))
+    ),
+    Field(
+        "sharp_points",
+        "<u2",
+        ("N", "E", 3),
+        _FIXED_POINT,
+        _UNIT,
+        "Uniform by length over the visible edges at which faces turn by the recipe's "
+        f"sharp_degrees or more; where there are none, over the surface. {_STORED}",
+        optional=True,
+    ),
+    Field(
+        "sharp_normals",
+        "i1",
+        ("N", "E", 3),
+        "1/127",
+        _UNIT,
+        "Unit normals half-way between those of the edge's two faces: n = stored / 127.",
+        True,
+        optional=True,
+    ),
+    Field(
+        "sharp_part", "u1", ("N", "E"), "part", "", "The part each belongs to.", True, optional=True
+    ),
+    Field(
+        "collision_depth",
+        "<f8",
+        ("N",),
+        "unit",
+        "",
+        "How far at most a point on the surface of a part lies within another one's material; 0 "
+        "where none does.",
+        optional=True,
+    ),
     Field(
         "partial_points",
         "<u2",
@@ -266,7 +318,66 @@ FIELDS = (
         ("N", "C", 4),
         "pixel",
         "image",
-        "fx, fy, cx, cy: u = fx x / z + cx, v = fy y / z + cy; pixel centres at + 0.5.",
+        _INTRINSICS,
+    ),
+    Field(
+        "image_depth",
+        "<f4",
+        ("N", "V", "H", "H"),
+        "unit",
+        "camera",
+        "z along the optical axis at the pixel's centre, rows from the top; 0 where nothing is.",
+        True,
+        optional=True,
+    ),
+    Field(
+        "image_part",
+        "u1",
+        ("N", "V", "H", "H"),
+        "part + 1",
+        "",
+        "k + 1 where part k is seen, 0 where nothing is.",
+        True,
+        optional=True,
+    ),
+    Field(
+        "image_normal",
+        "i1",
+        ("N", "V", "H", "H", 3),
+        "1/127",
+        _UNIT,
+        "Unit normals of the faces that are seen, towards the camera: n = stored / 127; 0 where "
+        "nothing is.",
+        True,
+        optional=True,
+    ),
+    Field(
+        "image_rgba",
+        "u1",
+        ("N", "V", "H", "H", 4),
+        "1/255",
+        "",
+        "sRGB of the parts' colours, shaded; opacity 255 where something is, else all 0.",
+        True,
+        optional=True,
+    ),
+    Field(
+        "image_T_camera_world",
+        "<f8",
+        ("N", "V", 4, 4),
+        "unit",
+        "camera from unit",
+        "x_camera = T @ x_unit; the same in all instances of an object. Axes as above.",
+        optional=True,
+    ),
+    Field(
+        "image_intrinsics",
+        "<f8",
+        ("N", "V", 4),
+        "pixel",
+        "image",
+        _INTRINSICS,
+        optional=True,
     ),
 )
 """Every data set; those with <R> once for each grid."""

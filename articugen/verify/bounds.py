@@ -45,6 +45,10 @@ TOLERANCES = {
     "occupied box": Tolerance(most=0.022, sound=0.0),
     # a point of a depth map off its pixel's centre, pixels, beyond what FIXED_POINT explains
     "pixel": Tolerance(most=1e-3, sound=0.0),
+    # a query point's distance beyond that to a surface point, which was rounded to 16 bits
+    "distance": Tolerance(most=5e-5, sound=1.3e-5),
+    # what an image shows beyond the box of all poses and a sheet's thickness
+    "image": Tolerance(most=0.002, sound=0.0),
 }
 """By what is compared; lengths in the unit frame. `sound` by 44 sets of three instances
 each; 0 where nothing was beyond at all."""

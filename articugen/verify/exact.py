@@ -103,8 +103,10 @@ def _joint_range(row: Instance, _: Recipe) -> Iterator[str]:
 
 
 def _rigid(row: Instance, _: Recipe) -> Iterator[str]:
-    for name in ("part_motion", "partial_T_camera_world"):
+    for name in ("part_motion", "partial_T_camera_world", "image_T_camera_world"):
         T = getattr(row, name)
+        if T is None:
+            continue
         R = T[:, :3, :3]
         skew = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0)
         bad = TOLERANCES["unit"].exceeded_by(skew)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from articugen.recipe import Recipe
 from articugen.records import Instance
+from articugen.verify import extras
 from articugen.verify.exact import GEOMETRY_CHECKS, OBJECT_CHECKS, VALUE_CHECKS, InstanceCheck
 from articugen.verify.sampled import SHARE_CHECKS, Share, flow_shares
 
@@ -31,7 +32,7 @@ def faults(rows: Sequence[Instance], recipe: Recipe) -> Iterator[Fault]:
     for row in rows:
         wrong = list(_of(row, recipe, VALUE_CHECKS))
         # Geometry computed from senseless values would only repeat, or hide, what is wrong.
-        yield from wrong or _of(row, recipe, GEOMETRY_CHECKS)
+        yield from wrong or _of(row, recipe, GEOMETRY_CHECKS | extras.CHECKS)
         sensible += [] if wrong else [row]
     yield from _refused(shares(sensible, recipe))
     for check, judge in OBJECT_CHECKS.items():

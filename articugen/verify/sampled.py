@@ -60,7 +60,7 @@ def _grids_agree(row: Instance, _: Recipe) -> Iterator[Share]:
     points, label = (_some(each, 8000) for each in _queries(row))
     for resolution, grid in sorted(row.occupancy.items()):
         reach = math.hypot(0.5 * math.sqrt(3.0) / resolution, _spacing(len(surface)))
-        away = _nearest(surface, points, reach) < 0
+        away = nearest_within(surface, points, reach) < 0
         for what, judged in (("free", label == FREE), ("occupied", is_material(label))):
             yield _share(
                 what,
@@ -89,14 +89,14 @@ def _grids_filled(row: Instance, _: Recipe) -> Iterator[Share]:
                 "filling",
                 f"only {{share}} of the voxels of part {part} in occupancy_{resolution} are where "
                 "the points show anything",
-                _nearest(occupied, centres, _ball(len(row.uniform_points))) >= 0,
+                nearest_within(occupied, centres, _ball(len(row.uniform_points))) >= 0,
             )
-            met = centres[_nearest(solid, centres, CLOSE) >= 0]
+            met = centres[nearest_within(solid, centres, CLOSE) >= 0]
             yield _share(
                 "parts",
                 f"only {{share}} of the voxels of part {part} in occupancy_{resolution} are "
                 "close to other samples of that part",
-                _nearest(solid[own == part + 1], met, 3.0 * CLOSE) >= 0,
+                nearest_within(solid[own == part + 1], met, 3.0 * CLOSE) >= 0,
             )
 
 
@@ -121,11 +121,13 @@ def _near(row: Instance, recipe: Recipe) -> Iterator[Share]:
     if not len(row.surface_points):
         return
     surface, near = dequantize(row.surface_points), dequantize(_some(row.near_points))
-    reach = max(ANY_SURFACE, _spacing(len(surface))) + 4.0 * recipe.sampling.near_sigma
+    reach = max(ANY_SURFACE, _spacing(len(surface))) + 4.0 * float(
+        np.max(recipe.sampling.near_sigma)
+    )
     yield _share(
         "near",
         "only {share} of near_points are near surface_points",
-        _nearest(surface, near, reach) >= 0,
+        nearest_within(surface, near, reach) >= 0,
     )
 
 
@@ -136,7 +138,7 @@ def _zero_level(row: Instance, _: Recipe) -> Iterator[Share]:
     """
     points, label = _queries(row)
     surface = dequantize(row.surface_points)
-    nearest = _nearest(surface, points, NEAR)
+    nearest = nearest_within(surface, points, NEAR)
     points, label, nearest = points[nearest >= 0], label[nearest >= 0], nearest[nearest >= 0]
     ahead = np.einsum("ni,ni->n", points - surface[nearest], row.surface_normals[nearest] / 127.0)
     beside = np.linalg.norm(points - surface[nearest], axis=1)
@@ -160,7 +162,7 @@ def _partial_parts(row: Instance, recipe: Recipe) -> Iterator[Share]:
     if recipe.sampling.depth_noise > MOST_NOISE or not len(row.surface_points):
         return
     surface, seen = dequantize(row.surface_points), dequantize(row.partial_points).reshape(-1, 3)
-    nearest = _nearest(surface, seen, SAME_SURFACE)
+    nearest = nearest_within(surface, seen, SAME_SURFACE)
     found = nearest >= 0
     yield _share(
         "partial parts",
@@ -170,7 +172,7 @@ def _partial_parts(row: Instance, recipe: Recipe) -> Iterator[Share]:
     yield _share(
         "seen",
         "only {share} of partial_points are near surface_points",
-        _nearest(surface, seen, max(ANY_SURFACE, _spacing(len(surface)))) >= 0,
+        nearest_within(surface, seen, max(ANY_SURFACE, _spacing(len(surface)))) >= 0,
     )
 
 
@@ -183,7 +185,7 @@ def flow_shares(row: Instance, canonical: Instance) -> Iterator[Share]:
     back = invert_rigid(row.part_motion)
     for part in range(1, len(back)):
         moved = apply(back[part], _some(points[row.surface_part == part]))
-        met = _nearest(surface, moved, max(ANY_SURFACE, _spacing(len(surface)))) >= 0
+        met = nearest_within(surface, moved, max(ANY_SURFACE, _spacing(len(surface)))) >= 0
         met[~met] = (_about(grid, moved[~met]) > 0).any(axis=1)
         yield _share(
             "flow",
@@ -250,8 +252,8 @@ def _about(grid, points):  # pragma: no cover - compiled
 
 
 @kernel
-def _nearest(points, queries, radius):  # pragma: no cover - compiled
-    """(n,) the index of the point nearest to each query (n, 3) within `radius`, or -1.
+def nearest_within(points, queries, radius):  # pragma: no cover - compiled
+    """(n,) the index of the one of `points` nearest to each query (n, 3) within `radius`, or -1.
 
     Points are sorted into cells no smaller than `radius`, so that 27 of them are searched.
     """

@@ -37,6 +37,9 @@ further from all candidates of its kind."""
 LEAST_SIZE = 0.03
 """Half of the least edge that a part's box is asked to have."""
 
+ROW = 0.075
+"""Joints whose pivots are so far apart in height are not in one row."""
+
 _FLIPPED = 0.5
 """What it costs to give a joint to a candidate that turns the other way: as much as a lean of 29
 degrees."""
@@ -207,7 +210,7 @@ def assigned(found: Discovery, model: ModelSettings) -> list[tuple[int, float] |
     """The candidate that each joint of an object goes to, and 1 or -1, the sense of its axis there.
 
     Candidates point as joints do, if there are such. Those that point alike are handed out as one
-    reads, from the top or from the left, so that they mean the same in objects with as many parts.
+    reads, row by row, so that they mean the same in objects with as many parts.
     A joint for which no candidate of its kind is left gets None.
     """
     taken: list[tuple[int, float] | None] = [None] * len(found.joints)
@@ -225,11 +228,13 @@ def assigned(found: Discovery, model: ModelSettings) -> list[tuple[int, float] |
     return taken
 
 
-def _as_read(places: Floats) -> NDArray[np.intp]:
-    """The order of places (n, 3) along the axis on which they lie most apart: from the top, or with
-    growing y or x."""
-    axis = int(np.ptp(places, axis=0).argmax())
-    return np.argsort(places[:, axis] * (-1.0 if axis == 2 else 1.0), kind="stable")
+def _as_read(places: Floats) -> list[int]:
+    """The order of places (n, 3) from the top row down and in a row with growing y or x, whichever
+    the places differ in more."""
+    across = int(np.ptp(places[:, :2], axis=0).argmax())
+    down = np.argsort(-places[:, 2], kind="stable")
+    rows = np.split(down, np.flatnonzero(-np.diff(places[down, 2]) > ROW) + 1)
+    return [i for row in rows for i in row[np.argsort(places[row, across], kind="stable")].tolist()]
 
 
 def aim_terms(

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from articugen.colours import COLOURS
 from articugen.inspection.layout import in_columns, save
-from articugen.inspection.portrait import COLOURS, best_azimuth
+from articugen.inspection.portrait import best_azimuth
 from articugen.learning.evaluation.evaluate import objects_of
 from articugen.learning.evaluation.figures import plots
 from articugen.learning.evaluation.figures.shapes import (

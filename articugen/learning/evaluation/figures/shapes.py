@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from articugen.colours import colour_of
 from articugen.inspection.layout import Caption, Row, sheet
 from articugen.inspection.portrait import (
-    colour_of,
     pooled,
     portrait,
     solid_portrait,

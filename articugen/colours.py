@@ -1,0 +1,14 @@
+"""The colours of parts, the same in every picture, page and file."""
+
+COLOURS = (
+    "#d9d4cb",
+    *("#4477aa", "#ddaa33", "#bb5566", "#44aa99", "#882255", "#88ccee", "#999933", "#cc88ee"),
+    *("#444422", "#442288", "#66cc66", "#cc6622", "#226622", "#eeaacc", "#aa8866", "#2266cc"),
+)
+"""Of part 0, 1, ...: the first eight are pairs that readers with any colour vision tell apart
+(after Paul Tol), the others as far from them and from each other as calm colours can be."""
+
+
+def colour_of(part: int) -> str:
+    """The colour of a part; from part 17 on they repeat, but for part 0's."""
+    return COLOURS[0] if part == 0 else COLOURS[1 + (part - 1) % (len(COLOURS) - 1)]

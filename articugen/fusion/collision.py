@@ -1,0 +1,73 @@
+"""How deep the parts of a posed object are in one another.
+
+Points on the surface of each part are asked of every other part's own solid; how far one that is
+held there lies from that part's faces is how deep it is. Two parts that only touch are 0 deep in
+one another, whatever their surfaces share.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from articugen.fusion.bvh import Bvh
+from articugen.fusion.distance import distances
+from articugen.fusion.field import PosedSolids
+from articugen.geometry import apply, points_on_triangles
+from articugen.records import Floats, LabelledMesh
+
+POINTS = 2048
+"""On each part, besides its vertices, of which so many at most are asked."""
+
+DEEPEST = 0.5
+"""Depths are told up to this."""
+
+
+@dataclass(frozen=True, eq=False)
+class Colliding:
+    """The parts of an object as they are asked, in the canonical pose.
+
+    Attributes:
+        points: of each part (n, 3).
+        faces: the trees of all parts.
+    """
+
+    points: tuple[Floats, ...]
+    faces: Bvh
+
+    @staticmethod
+    def of(mesh: LabelledMesh, faces: Bvh, *, rng: np.random.Generator) -> "Colliding":
+        """Points on the faces of `mesh`, all parts in the canonical pose."""
+        parts = [mesh.part(part) for part in range(len(faces.roots) - 1)]
+        return Colliding(tuple(_points_on(part, rng) for part in parts), faces)
+
+    def depths(self, solids: PosedSolids) -> Floats:
+        """(P, P) how deep points of part i are in part j, both posed; 0 on the diagonal."""
+        P = len(self.points)
+        out = np.zeros((P, P))
+        for i in range(P):
+            posed = apply(solids.part_motion[i], self.points[i])
+            for j in range(P):
+                if i != j:
+                    out[i, j] = self._deepest(posed, j, solids)
+        return out
+
+    def _deepest(self, posed: Floats, part: int, solids: PosedSolids) -> float:
+        asked = np.ascontiguousarray(posed, np.float32)
+        held = solids.holds(part, asked, np.arange(len(asked)))
+        motion = solids.part_motion
+        far = distances(posed[held], self.faces, motion, DEEPEST, part=part)
+        return float(far.max(initial=0.0))
+
+
+def _points_on(part: LabelledMesh, rng: np.random.Generator) -> Floats:
+    if not len(part.faces):
+        return np.zeros((0, 3))
+    drawn, _ = points_on_triangles(part.vertices[part.faces], POINTS, rng=rng)
+    step = len(part.vertices) // POINTS + 1
+    return np.concatenate([drawn, part.vertices[::step]])
+
+
+def too_deep(depths: Floats, canonical: Floats, bound: float) -> bool:
+    """Whether parts are deeper in one another than `bound`, both (P, P): a pair that is so in the
+    canonical pose, as hinges often are, only where it is deeper by that."""
+    return bool((depths > canonical + bound).any())

@@ -1,0 +1,106 @@
+"""How far points are from faces: exact distances to triangles, through the trees of `bvh`."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.fusion.bvh import Bvh
+from articugen.geometry import invert_rigid
+from articugen.jit import helper, kernel
+
+
+def distances(
+    points: NDArray[np.floating],
+    faces: Bvh,
+    part_motion: NDArray[np.float64],
+    most: float,
+    *,
+    part: int | None = None,
+) -> NDArray[np.float64]:
+    """(n,) the distance of `points` (n, 3) to the nearest face, at most `most`; unit frame.
+
+    Args:
+        faces: of each part in its canonical pose.
+        part_motion: (P, 4, 4) of each part from there.
+        part: to the faces of this part alone.
+    """
+    to_part = np.ascontiguousarray(invert_rigid(part_motion)[:, :3])
+    first, end = (0, len(to_part)) if part is None else (part, part + 1)
+    given = np.ascontiguousarray(points, np.float64)
+    return _distances(given, to_part, first, end, most, faces)
+
+
+@kernel
+def _distances(points, to_part, first, end, most, faces):
+    out = np.empty(points.shape[0])
+    for i in range(points.shape[0]):
+        best = most * most
+        for part in range(first, end):
+            T = to_part[part]
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            q = (
+                T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3],
+                T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3],
+                T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3],
+            )
+            best = _nearer(q, best, faces.box, faces.skip, faces.leaf, faces.triangles,
+                           faces.roots[part], faces.roots[part + 1])  # fmt: skip
+        out[i] = np.sqrt(best)
+    return out
+
+
+@helper
+def _nearer(q, best, box, skip, leaf, triangles, node, end):
+    """The square of the distance from `q` to the faces of the nodes from `node` to `end`, or
+    `best`, whichever is less."""
+    while node < end:
+        gap = 0.0
+        for axis in range(3):
+            beyond = max(box[node, axis] - q[axis], q[axis] - box[node, axis + 3], 0.0)
+            gap += beyond * beyond
+        if gap >= best:
+            node = skip[node]
+            continue
+        for f in range(leaf[node, 0], leaf[node, 0] + leaf[node, 1]):
+            best = min(best, _to_triangle(q, triangles, f))
+        node += 1
+    return best
+
+
+@helper
+def _to_triangle(q, triangles, f):
+    """The square of the distance from `q` to face `f` of a `triangle_table`: to its plane, where it
+    lies over the face, else to the nearest edge."""
+    a = (float(triangles[f, 4]), float(triangles[f, 5]), float(triangles[f, 6]))
+    b = (float(triangles[f, 7]), float(triangles[f, 8]), float(triangles[f, 9]))
+    c = (float(triangles[f, 10]), float(triangles[f, 11]), float(triangles[f, 12]))
+    nx = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
+    ny = (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2])
+    nz = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    normal = (nx, ny, nz)
+    square = nx * nx + ny * ny + nz * nz
+    over = square > 0.0 and _on_inner_side(q, a, b, normal)
+    if over and _on_inner_side(q, b, c, normal) and _on_inner_side(q, c, a, normal):
+        height = (q[0] - a[0]) * nx + (q[1] - a[1]) * ny + (q[2] - a[2]) * nz
+        return height * height / square
+    return min(_to_segment(q, a, b), _to_segment(q, b, c), _to_segment(q, c, a))
+
+
+@helper
+def _on_inner_side(q, a, b, normal):
+    """Whether `q`, dropped on the triangle's plane, lies on the inner side of its edge a, b."""
+    ex, ey, ez = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    qx, qy, qz = q[0] - a[0], q[1] - a[1], q[2] - a[2]
+    x, y, z = ey * qz - ez * qy, ez * qx - ex * qz, ex * qy - ey * qx
+    return x * normal[0] + y * normal[1] + z * normal[2] >= 0.0
+
+
+@helper
+def _to_segment(q, a, b):
+    ex, ey, ez = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    qx, qy, qz = q[0] - a[0], q[1] - a[1], q[2] - a[2]
+    length = ex * ex + ey * ey + ez * ez
+    share = 0.0
+    if length > 0.0:
+        share = min(max((qx * ex + qy * ey + qz * ez) / length, 0.0), 1.0)
+    x, y, z = qx - share * ex, qy - share * ey, qz - share * ez
+    return x * x + y * y + z * z

@@ -1,0 +1,87 @@
+"""Images of a posed mesh: depth, parts, normals and shaded colours, by the rasteriser."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.colours import colour_of
+from articugen.geometry import cross
+from articugen.portable import dot, norm, power, turned
+from articugen.records import Floats, LabelledMesh, Views
+from articugen.rendering import rasterizer
+
+_GAMMA = 2.2
+
+_LAMP = np.array([-0.48, -0.64, -0.6])
+"""Towards the lamp, over the viewer's left shoulder, in the camera's axes; of unit length."""
+
+_SKY, _DIRECT = 0.4, 0.6
+"""How much of the light comes from all around, and from the lamp."""
+
+
+def images(
+    mesh: LabelledMesh, views: Views, wanted: tuple[str, ...], *, closed: NDArray[np.bool_]
+) -> dict[str, NDArray]:
+    """What each of V cameras sees, by name, as far as it is `wanted`.
+
+    Args:
+        mesh: posed, unit frame.
+        views: pinhole cameras, outside of the mesh.
+        closed: (F,) which faces bound closed solids: their backs cannot be seen.
+
+    Returns:
+        `depth` (V, H, W) float32, 0 where nothing is; `part` (V, H, W) uint8, k + 1 for part k;
+        `normal` (V, H, W, 3) int8 in 1/127, towards the camera; `rgba` (V, H, W, 4) uint8.
+    """
+    maps = rasterizer.render(mesh, views, closed=closed)
+    assert maps.depth is not None
+    assert maps.face is not None
+    hit = maps.face >= 0
+    face = maps.face[hit]
+    part = mesh.part_of_face[face]
+    out: dict[str, NDArray] = {}
+    if "depth" in wanted:
+        out["depth"] = np.where(hit, maps.depth, np.float32(0.0))
+    if "part" in wanted:
+        out["part"] = _filled(hit, part + 1)
+    if "normal" in wanted or "rgba" in wanted:
+        view = np.nonzero(hit)[0]
+        normals = _towards_cameras(mesh, views, face, view)
+        out["normal"] = _filled(hit, np.round(127.0 * normals).astype(np.int8))
+        light = _SKY + _DIRECT * np.maximum(dot(normals, _lamps(views)[view]), 0.0)
+        out["rgba"] = _filled(hit, np.concatenate([_shaded(part, light), _opaque(face)], axis=1))
+    return {name: out[name] for name in wanted}
+
+
+def _filled(hit: NDArray[np.bool_], values: NDArray) -> NDArray:
+    """Images of `values` where something is seen, in the order of the pixels, else 0."""
+    image = np.zeros((*hit.shape, *values.shape[1:]), values.dtype)
+    image[hit] = values
+    return image
+
+
+def _towards_cameras(
+    mesh: LabelledMesh, views: Views, face: NDArray[np.int32], view: NDArray[np.intp]
+) -> Floats:
+    """(n, 3) the unit normals of faces (n,), turned towards the views (n,) that see them."""
+    corners = mesh.vertices[mesh.faces[face]]
+    across = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    R, t = views.T_camera_world[:, :3, :3], views.T_camera_world[:, :3, 3]
+    eyes = -np.stack([turned(own.T, at) for own, at in zip(R, t, strict=True)])
+    away = dot(across, eyes[view] - corners[:, 0]) < 0.0
+    return np.where(away[:, None], -across, across) / norm(across)[:, None]
+
+
+def _lamps(views: Views) -> Floats:
+    """(V, 3) towards the lamp of each view, unit frame."""
+    return np.stack([turned(T[:3, :3].T, _LAMP) for T in views.T_camera_world])
+
+
+def _shaded(part: NDArray[np.uint8], light: Floats) -> NDArray[np.uint8]:
+    """(n, 3) sRGB of parts (n,) in so much light (n,)."""
+    codes = np.array([list(bytes.fromhex(colour_of(k)[1:])) for k in range(256)])
+    linear = power(codes / 255.0, _GAMMA)[part] * light[:, None]
+    return np.round(255.0 * power(np.minimum(linear, 1.0), 1.0 / _GAMMA)).astype(np.uint8)
+
+
+def _opaque(face: NDArray[np.int32]) -> NDArray[np.uint8]:
+    return np.full((len(face), 1), 255, np.uint8)

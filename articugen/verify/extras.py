@@ -1,0 +1,114 @@
+"""What only some recipes ask for: distances, sharp edges, images; right to their last digits."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from articugen.geometry import apply
+from articugen.recipe import Recipe
+from articugen.records import Floats, Instance, dequantize
+from articugen.store import schema
+from articugen.verify.bounds import TOLERANCES
+from articugen.verify.sampled import nearest_within
+
+_LOOKED_AT = 500
+"""Query points whose distance is compared with that to each surface point."""
+
+
+def asked_for(row: Instance, recipe: Recipe) -> Iterator[str]:
+    """What is optional is there where the recipe asks for it, in its numbers, and nowhere else."""
+    have, asked = row.arrays(), recipe.fields()
+    beside = {name for name, field in asked.items() if field.is_grid or field.dtype == "S"}
+    for name, field in asked.items():
+        if field.optional and name not in have and name not in beside:
+            yield f"{name} is missing, which the recipe asks for"
+    for name in have:
+        field = schema.field_of(name)
+        if name not in asked and not (field and field.is_grid):
+            yield f"{name} is there, which the recipe does not ask for"
+    sharp = 0 if row.sharp_points is None else len(row.sharp_points)
+    if sharp != recipe.sampling.sharp_points:
+        yield f"sharp_points has {sharp} points where the recipe asks for " + str(
+            recipe.sampling.sharp_points
+        )
+    size = (recipe.images.views, recipe.images.resolution, recipe.images.resolution)
+    for name in recipe.images.fields if recipe.images.views else ():
+        image = have.get(f"image_{name}")
+        if image is not None and image.shape[:3] != size:
+            yield f"image_{name} has shape {image.shape}, the recipe asks for {size}"
+
+
+def distances(row: Instance, recipe: Recipe) -> Iterator[str]:
+    """They have the sign of their labels, and no surface point is nearer than they say."""
+    surface = dequantize(row.surface_points)
+    for stem in ("uniform", "near"):
+        far, label = getattr(row, f"{stem}_distance"), getattr(row, f"{stem}_label")
+        if far is None:
+            continue
+        if ((far < 0.0) & (label == 0)).any() or ((far > 0.0) & (label > 0)).any():
+            yield f"{stem}_distance has another sign than the labels say"
+        if np.abs(far).max(initial=0.0) > recipe.sampling.signed_distance * (1.0 + 1e-6):
+            yield f"{stem}_distance goes beyond the recipe's signed_distance"
+        step = max(1, len(far) // _LOOKED_AT)
+        points = dequantize(getattr(row, f"{stem}_points")[::step])
+        nearest = nearest_within(surface, points, recipe.sampling.signed_distance)
+        there = np.flatnonzero(nearest >= 0)
+        reach = np.linalg.norm(surface[nearest[there]] - points[there], axis=1)
+        if TOLERANCES["distance"].exceeded_by(np.abs(far[::step][there]) - reach).any():
+            yield f"{stem}_distance is greater than that to a surface point"
+
+
+def sharp(row: Instance, _: Recipe) -> Iterator[str]:
+    if row.sharp_normals is None or row.sharp_part is None:
+        return
+    off = np.abs(np.linalg.norm(row.sharp_normals / 127.0, axis=1) - 1.0)
+    if TOLERANCES["normal"].exceeded_by(off).any():
+        yield "sharp_normals are not of unit length"
+    if row.sharp_part.size and row.sharp_part.max() >= len(row.part_motion):
+        yield f"sharp_part has part {row.sharp_part.max()} of {len(row.part_motion)} parts"
+
+
+def images(row: Instance, recipe: Recipe) -> Iterator[str]:
+    """They show the same silhouette, of parts that are there, inside the box that holds all."""
+    shown = {}
+    if row.image_depth is not None:
+        shown["depth"] = row.image_depth != 0.0
+    if row.image_part is not None:
+        shown["part"] = row.image_part != 0
+        if row.image_part.max(initial=0) > len(row.part_motion):
+            yield f"image_part has part {row.image_part.max() - 1} of {len(row.part_motion)} parts"
+    if row.image_normal is not None:
+        shown["normal"] = row.image_normal.any(axis=3)
+    if row.image_rgba is not None:
+        shown["rgba"] = row.image_rgba[..., 3] != 0
+    for name, silhouette in list(shown.items())[1:]:
+        first = next(iter(shown))
+        if not np.array_equal(silhouette, shown[first]):
+            yield f"image_{name} and image_{first} show something at different pixels"
+    if row.image_depth is None:
+        return
+    half = 0.5 * (1.0 - recipe.padding) + recipe.fusion.sheet_thickness
+    for view in range(len(row.image_depth)):
+        beyond = np.abs(_seen_by(row, view)).max(axis=1, initial=0.0) - half
+        if TOLERANCES["image"].exceeded_by(beyond).any():
+            yield f"image_depth of camera {view} shows points outside of the object's box"
+
+
+def _seen_by(row: Instance, view: int) -> Floats:
+    """(n, 3) the points that an image's depths show, unit frame."""
+    assert row.image_depth is not None
+    assert row.image_intrinsics is not None
+    assert row.image_T_camera_world is not None
+    i, j = np.nonzero(row.image_depth[view])
+    z = row.image_depth[view][i, j].astype(np.float64)
+    fx, fy, cx, cy = row.image_intrinsics[view]
+    seen = np.stack([(j + 0.5 - cx) / fx * z, (i + 0.5 - cy) / fy * z, z], axis=1)
+    return apply(np.linalg.inv(row.image_T_camera_world[view]), seen)
+
+
+CHECKS: dict[str, Callable[[Instance, Recipe], Iterator[str]]] = {
+    "asked for": asked_for,
+    "distances": distances,
+    "sharp": sharp,
+    "images": images,
+}
