@@ -17,8 +17,8 @@ backends  := $(VENV)/.installed-backends
 learner   := $(VENV)/.installed-ppd
 readers   := $(VENV)/.installed-readers
 
-options = $(foreach pair,RECIPE:recipe OBJECTS:objects IDS:ids EXCLUDE:exclude MOVABLE:movable \
-    CANONICAL:canonical STATES:states MAX_REJECTED:max-rejected JOBS:jobs SEED:seed,\
+options = $(foreach pair,RECIPE:recipe OBJECTS:objects IDS:ids EXCLUDE:exclude JOINTS:joints \
+    MOVABLE:movable CANONICAL:canonical STATES:states MAX_REJECTED:max-rejected JOBS:jobs SEED:seed,\
     $(call option,$(word 1,$(subst :, ,$(pair))),$(word 2,$(subst :, ,$(pair)))))
 settings = $(foreach setting,$(SET),--set '$(setting)')
 replace = $(if $(REPLACE),--replace)
@@ -29,7 +29,7 @@ option = $(if $($(1)),--$(2) "$($(1))")
 
 help:  ## list the targets
 	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1"
-	@echo "     IDS= EXCLUDE= MOVABLE= CANONICAL= MAX_REJECTED= SET=]; CATEGORY=laptop,oven or all for several"
+	@echo "     IDS= EXCLUDE= JOINTS= MOVABLE= CANONICAL= MAX_REJECTED= SET=]; CATEGORY=laptop,oven or all for several"
 	@echo "make train CATEGORY=laptop [RECIPE=ppd_quick SET= SEED= SEEDS= OUT= RUNS=]; make evaluate CATEGORY=laptop"
 	@echo "make gpu-study [CATEGORY=all RECIPE=ppd_hour SET= SEEDS=64 BUDGET=40 DEVICE=cuda OUT= STUDY=study QUICK=1]"
 	@echo

@@ -29,6 +29,7 @@ def jobs_of(
     objects: int | None = None,
     ids: Sequence[str] = (),
     exclude: Sequence[str] = (),
+    joints: Sequence[str] = (),
     states: int | None = None,
     movable: Sequence[str] = (),
     canonical: str | None = None,
@@ -54,6 +55,7 @@ def jobs_of(
             jobs=pipeline.default_jobs() if jobs is None else jobs,
             ids=own,
             exclude=out_of,
+            joints=tuple(joints),
         )
         for name, (own, out_of) in registry.share_out(source, names, ids, exclude).items()
     ]
@@ -70,6 +72,7 @@ def generate(
     objects: int | None = None,
     ids: Sequence[str] = (),
     exclude: Sequence[str] = (),
+    joints: Sequence[str] = (),
     states: int | None = None,
     movable: Sequence[str] = (),
     canonical: str | None = None,
@@ -89,6 +92,8 @@ def generate(
         seed: the master seed; 0 is one like any other.
         objects, states: so many, instead of the recipe's number.
         ids, exclude: these objects alone; but not these.
+        joints: only objects all of whose moving joints are of these kinds: revolute, continuous,
+            prismatic, as the model has them.
         movable, canonical: which joints move and what pose is state 0, instead of the recipe's.
         max_rejected: the recipe's max_rejected_fraction.
         jobs: worker processes, None for all cores; 0 works in this process, without limits.
@@ -102,8 +107,8 @@ def generate(
     """
     todo = jobs_of(
         [category], source, out, recipe,
-        changes=changes, seed=seed, objects=objects, ids=ids, exclude=exclude, states=states,
-        movable=movable, canonical=canonical, max_rejected=max_rejected, jobs=jobs,
+        changes=changes, seed=seed, objects=objects, ids=ids, exclude=exclude, joints=joints,
+        states=states, movable=movable, canonical=canonical, max_rejected=max_rejected, jobs=jobs,
     )  # fmt: skip
     if len(todo) != 1:
         raise InvalidArgument(f"{category!r} means {len(todo)} data sets; make one after the other")

@@ -49,7 +49,8 @@ _LARGE_BLOCK = 8 << 20
 class Job:
     """A data set to make: `recipe.objects` objects of `category` from `source` into `out`.
 
-    `ids` and `exclude` choose among the objects and change nothing of those that are made.
+    `ids`, `exclude` and `joints` choose among the objects and change nothing of those that are
+    made.
     `jobs` worker processes make it. With 0 this process does, without the recipe's limits of time
     and memory: for debugging.
     """
@@ -62,6 +63,7 @@ class Job:
     jobs: int
     ids: tuple[str, ...] = ()
     exclude: tuple[str, ...] = ()
+    joints: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """
@@ -373,8 +375,9 @@ def _instances_each(recipe: Recipe) -> int:
 
 def _plan(job: Job, journal: Journal) -> Plan:
     refs = registry.object_refs(
-        job.source, job.category, objects=job.recipe.objects, ids=job.ids, exclude=job.exclude
-    )
+        job.source, job.category, objects=job.recipe.objects, ids=job.ids, exclude=job.exclude,
+        joints=job.joints,
+    )  # fmt: skip
     limit = _limit(job.recipe)
     keys, known = [], dict[Key, Outcome]()
     generator = generator_of(refs[0])

@@ -98,6 +98,7 @@ def sources() -> None:
     "articugen generate --category laptop --recipe quick\n\n"
     "articugen generate -c laptop,oven --objects 6 --states 10 --out /tmp/data\n\n"
     "articugen generate -c storage_furniture -s partnet_mobility --movable 'drawer*'\n\n"
+    "articugen generate -c table -s path/to/partnet_mobility --joints prismatic\n\n"
     "articugen generate -c oven -r quick --set views.count=50 --set 'sampling.grids=[16, 32]'\n\n"
     "articugen generate --category cabinet --source path/to/urdfs --dry-run",
 )
@@ -136,6 +137,14 @@ def generate(
     ] = None,
     exclude: Annotated[
         list[str] | None, typer.Option(help="But not these.", show_default="none")
+    ] = None,
+    joints: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Only objects all of whose joints that move, as the model has them, are of these "
+            "kinds: revolute, continuous, prismatic.",
+            show_default="any",
+        ),
     ] = None,
     movable: Annotated[
         list[str] | None,
@@ -197,8 +206,8 @@ def generate(
         todo = jobs_of(
             category, source, folder, recipe,
             changes=changes or (), seed=seed, objects=objects, ids=_listed(ids),
-            exclude=_listed(exclude), states=states, movable=_listed(movable), canonical=canonical,
-            max_rejected=max_rejected, jobs=jobs,
+            exclude=_listed(exclude), joints=_listed(joints), states=states,
+            movable=_listed(movable), canonical=canonical, max_rejected=max_rejected, jobs=jobs,
         )  # fmt: skip
     make = _made if len(todo) == 1 else _made_each
     status = make(*todo, dry_run=dry_run, replace=replace)

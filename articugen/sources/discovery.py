@@ -1,7 +1,7 @@
 """Which models lie in a folder, in whatever layout people keep them."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from os.path import isdir
 from pathlib import Path
@@ -21,23 +21,21 @@ def sorted_models(reader: str, base: Path) -> list[Found]:
     return found
 
 
-def mixed_models(base: Path, is_category: Callable[[str], bool]) -> list[Found]:
+def mixed_models(base: Path, is_category: Callable[[str], bool]) -> Iterator[Found]:
     """Every object in a folder that no source.yaml describes, and what is known of its category.
 
     A folder in `base` is a category's where it holds models in a layout that we know, or is called
     like a category and holds two models or more.
     """
-    found: list[Found] = []
     for child in visible(base):
         own = readers.detect(child)
         if own is None and isdir(child):
             inside = any_models(child)
             known = any(f.reader != _PLAIN for f in inside)
             if known or (len(inside) > 1 and is_category(child.name)):
-                found += [replace(f, folder=child.name) for f in inside]
+                yield from (replace(f, folder=child.name) for f in inside)
                 continue
-        found += _models_at(child, own)
-    return found
+        yield from _models_at(child, own)
 
 
 def any_models(base: Path) -> list[Found]:

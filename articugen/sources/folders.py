@@ -19,7 +19,7 @@ def visible(base: Path) -> list[Path]:
     if not isdir(base):
         return []
     try:
-        return sorted(base / name for name in os.listdir(base) if not name.startswith("."))
+        return [base / name for name in sorted(os.listdir(base)) if not name.startswith(".")]
     except OSError as error:
         raise unreadable(base, error) from error
 

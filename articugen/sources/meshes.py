@@ -31,6 +31,7 @@ _Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
 
 
 _HASHED_ONLY = ContextVar("_HASHED_ONLY", default=False)
+_UNREAD = ContextVar("_UNREAD", default=False)
 
 _NAME_OTHER_FILES = (".glb", ".gltf")
 """Formats whose files must be understood before one knows all bytes that count."""
@@ -47,6 +48,17 @@ def hashed_only() -> Iterator[None]:
         yield
     finally:
         _HASHED_ONLY.reset(token)
+
+
+@contextmanager
+def unread() -> Iterator[None]:
+    """Meanwhile `read_mesh` gives the stand-in without opening a file, for whom a model's joints
+    are all that matters. The model's hash is then of no use."""
+    token = _UNREAD.set(True)
+    try:
+        yield
+    finally:
+        _UNREAD.reset(token)
 
 
 class EmptyMesh(InvalidSource):
@@ -75,6 +87,8 @@ def read_mesh(path: Path, files: ModelFiles | None = None) -> Mesh:
             f"{path}: {quoted(path.suffix)} is no known mesh format; convert it to one of "
             f"{', '.join(_READERS)}"
         )
+    if _UNREAD.get():
+        return _STAND_IN
     data = files.read(path)
     if _HASHED_ONLY.get() and path.suffix.lower() not in _NAME_OTHER_FILES:
         return _STAND_IN

@@ -1,6 +1,6 @@
 """All objects that a source has of a category, each with its split."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from os.path import exists
 from pathlib import Path
 
@@ -58,7 +58,7 @@ def of_path(path: Path, category: str) -> list[ObjectRef]:
     elif (path / category).is_dir():
         found = any_models(path / category)
     else:
-        found = _of_category(mixed(path), path, category)
+        found = _of_category(list(mixed(path)), path, category)
     if not found:
         raise InvalidSource(
             f"{path}: holds no URDF; put each model there as <id>.urdf or <id>/<any name>.urdf"
@@ -96,10 +96,15 @@ def model_at(path: str | Path, category: str = "") -> ObjectRef:
     return one
 
 
-def mixed(path: Path) -> list[Found]:
+def mixed(path: Path) -> Iterator[Found]:
     """Every model in a folder that no source.yaml describes."""
     like = common_categories()
     return mixed_models(path, lambda name: own_name(like, name) is not None)
+
+
+def tells_categories(path: Path) -> bool:
+    """Whether any model in the folder tells its category; no more are looked at than that takes."""
+    return any(found.kinds for found in mixed(path))
 
 
 def _of_category(found: list[Found], path: Path, category: str) -> list[Found]:

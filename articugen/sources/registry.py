@@ -15,6 +15,7 @@ from articugen.errors import InvalidSource, printable
 from articugen.recipe_files import nearest
 from articugen.records import ArticulatedObject
 from articugen.sources import pool, readers
+from articugen.sources.by_joints import of_joints
 from articugen.sources.categories import kinds_there, own_name
 from articugen.sources.named import NamedSource, common_categories, source_files, source_named
 from articugen.sources.pool import model_at
@@ -91,6 +92,7 @@ def object_refs(
     objects: int | None = None,
     ids: Collection[str] = (),
     exclude: Collection[str] = (),
+    joints: Collection[str] = (),
 ) -> tuple[ObjectRef, ...]:
     """The objects of one category, in a fixed order.
 
@@ -102,13 +104,16 @@ def object_refs(
             make any number.
         ids: these objects alone, () means all.
         exclude: but not these. Neither changes anything of the other objects.
+        joints: only objects all of whose moving joints are of these kinds, () means any: see
+            `by_joints`.
 
     Raises:
-        InvalidSource: unknown source, category or id, or no object.
+        InvalidSource: unknown source, category, id or kind of joint, or no object.
     """
     if objects is not None and objects < 1:
         raise InvalidSource(f"{objects} objects asked for; ask for one at least")
     refs = _chosen(_pool(source, category, objects, (*ids, *exclude)), category, ids, exclude)
+    refs = of_joints(refs, joints, category)
     if objects is None or objects >= len(refs):
         return tuple(refs)
     tests = sum(ref.split == "test" for ref in refs)
@@ -278,8 +283,7 @@ def _meant(source: str | Path, named: NamedSource | None, name: str) -> str:
         return named.category(name)
     own = own_name(common_categories(), name)
     path = Path(source)
-    sorted_out = own and path.is_dir() and any(f.kinds for f in pool.mixed(path))
-    return own if own and sorted_out else name
+    return own if own and path.is_dir() and pool.tells_categories(path) else name
 
 
 def _info(named: NamedSource) -> SourceInfo:

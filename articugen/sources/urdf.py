@@ -8,6 +8,7 @@ import heapq
 import io
 from collections.abc import Mapping
 from fnmatch import fnmatchcase
+from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -106,8 +107,16 @@ def _take_origin(element: Any) -> Floats:
     if origin is None:
         return np.eye(4)
     element.remove(origin)
-    xyz, rpy = ([float(word) for word in origin.get(n, "0 0 0").split()] for n in ("xyz", "rpy"))
-    return transform(rotation_from_rpy(rpy), xyz)
+    xyz = [float(word) for word in origin.get("xyz", "0 0 0").split()]
+    return transform(_rotation(origin.get("rpy", "0 0 0")), xyz)
+
+
+@lru_cache(1024)
+def _rotation(rpy: str) -> Floats:
+    """(3, 3) of three angles; a model says the same ones, mostly zeros, at each of its visuals."""
+    rotation = rotation_from_rpy([float(word) for word in rpy.split()])
+    rotation.flags.writeable = False
+    return rotation
 
 
 def _parse(checked: Any) -> Any:
