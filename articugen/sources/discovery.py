@@ -24,8 +24,9 @@ def sorted_models(reader: str, base: Path) -> list[Found]:
 def mixed_models(base: Path, is_category: Callable[[str], bool]) -> Iterator[Found]:
     """Every object in a folder that no source.yaml describes, and what is known of its category.
 
-    A folder in `base` is a category's where it holds models in a layout that we know, or is called
-    like a category and holds two models or more.
+    A folder below `base` is a category's where models in a layout that we know lie in it, as deep
+    as the layout has it; a folder in `base` of other models where it is called like a category and
+    holds two or more.
     """
     for child in visible(base):
         own = readers.detect(child)
@@ -33,7 +34,7 @@ def mixed_models(base: Path, is_category: Callable[[str], bool]) -> Iterator[Fou
             inside = any_models(child)
             known = any(f.reader != _PLAIN for f in inside)
             if known or (len(inside) > 1 and is_category(child.name)):
-                yield from (replace(f, folder=child.name) for f in inside)
+                yield from (replace(f, folder=_category_folder(f, base)) for f in inside)
                 continue
         yield from _models_at(child, own)
 
@@ -63,8 +64,34 @@ _PLAIN = "urdf"
 """The layout of what no reader knows: URDFs, wherever in a model's folder they are."""
 
 
+_DEEP = 3
+"""How many folders down data sets keep their models: data/<source>/<category>/<id>."""
+
+
 def _models_at(child: Path, own: Found | None) -> list[Found]:
-    """The model that a file or folder is, known already, or the URDFs somewhere in it."""
+    """The model that a file or folder is, known already; those of layouts that we know somewhere
+    in it; or the URDFs somewhere in it."""
     if own is not None:
         return [own]
+    below = list(_models_below(child, _DEEP))
+    if any(f.reader != _PLAIN for f in below):
+        return below
     return [replace(f, reader=_PLAIN) for f in urdf_files.find_at(child)]
+
+
+def _models_below(folder: Path, deep: int) -> Iterator[Found]:
+    for child in visible(folder):
+        own = readers.detect(child)
+        if own is not None:
+            yield own
+        elif deep > 1 and isdir(child):
+            yield from _models_below(child, deep - 1)
+
+
+def _category_folder(found: Found, base: Path) -> str:
+    """The name of the folder below `base` that has a model's category by its layout; "" where it
+    would be `base` or above."""
+    below = found.location.relative_to(base).parts
+    if found.reader == _PLAIN:
+        return below[0]
+    return below[-1 - found.category_above] if len(below) > found.category_above else ""

@@ -24,6 +24,13 @@ def visible(base: Path) -> list[Path]:
         raise unreadable(base, error) from error
 
 
+def ending_in(folder: Path, suffix: str) -> list[Path]:
+    """What in a folder ends in `suffix`, such as .urdf, in letters of either case; the shortest
+    name first."""
+    found = (path for path in folder.glob("*") if path.suffix.lower() == suffix)
+    return sorted(found, key=lambda path: (len(path.name), path.name))
+
+
 def meta_category(folder: Path) -> str:
     """The category that the meta.json of a model's folder gives, as PartNet-Mobility's do; ""
     where it gives none."""

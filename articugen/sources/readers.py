@@ -16,7 +16,13 @@ from articugen import plugins
 from articugen.errors import ArticugenError, InvalidSource, machine_fault, printable
 from articugen.recipe_files import nearest
 from articugen.records import ArticulatedObject
-from articugen.sources import partnet_mobility, shape2motion, urdf_files
+from articugen.sources import (
+    annotated_urdf,
+    artiverse,
+    partnet_mobility,
+    shape2motion,
+    urdf_files,
+)
 from articugen.sources.model_files import MAX_NAME_BYTES
 from articugen.sources.procedural import reader as procedural
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
@@ -73,6 +79,8 @@ class Maker(Reader, Protocol):
 READERS: dict[str, Reader] = {
     "partnet_mobility": partnet_mobility,
     "shape2motion": shape2motion,
+    "annotated_urdf": annotated_urdf,
+    "artiverse": artiverse,
     "urdf": urdf_files,
     "procedural": procedural,
 }

@@ -24,6 +24,7 @@ class Found:
         root: the folder that the object's files may not leave; None means the reader's default.
         category: what the model itself says that it is; "" where it does not.
         folder: the name of the folder of its category, where it lies in one.
+        category_above: how many folders above the model its layout has the folder of its category.
         reader: the name of its layout in `readers.READERS`; filled in there.
     """
 
@@ -33,6 +34,7 @@ class Found:
     root: Path | None = None
     category: str = ""
     folder: str = ""
+    category_above: int = 1
     reader: str = ""
 
     @property

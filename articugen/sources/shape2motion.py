@@ -19,7 +19,7 @@ from articugen.errors import InvalidSource
 from articugen.geometry import transform
 from articugen.portable import norm
 from articugen.records import ArticulatedObject, Floats, Joint, JointKind, Link, Mesh
-from articugen.sources.folders import meta_category, visible
+from articugen.sources.folders import ending_in, meta_category, visible
 from articugen.sources.mesh_formats import check_size
 from articugen.sources.meshes import read_mesh
 from articugen.sources.model_files import MAX_NAME_BYTES, MAX_TEXT_BYTES, ModelFiles, quoted
@@ -90,7 +90,7 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
 
 def _load_urdf_form(ref: ObjectRef, turn: Floats) -> ArticulatedObject:
     folder = ref.location
-    variants = sorted(_named_like(folder, "urdf"), key=lambda path: (len(path.name), path.name))
+    variants = ending_in(folder, ".urdf")
     if not variants:
         raise InvalidSource(f"{folder}: has neither {_ATTRIBUTES} nor a .urdf file; add one")
     obj = load_urdf(
@@ -204,10 +204,5 @@ def _joint(dof: _Dof, parent: str, offset: Floats, path: Path) -> Joint:
 
 def _unused_parts(folder: Path, links: list[Link]) -> tuple[str, ...]:
     used = {"none_motion", *(link.name for link in links)}
-    unused = sorted(p.name for p in _named_like(folder / "part_objs", "obj") if p.stem not in used)
+    unused = sorted(p.name for p in ending_in(folder / "part_objs", ".obj") if p.stem not in used)
     return (f"meshes without a joint, left out: {', '.join(unused)}",) if unused else ()
-
-
-def _named_like(folder: Path, kind: str) -> Iterator[Path]:
-    """The files of a folder that end in .kind, in letters of either case."""
-    return (path for path in folder.glob("*") if path.suffix.lower() == f".{kind}")

@@ -1,0 +1,121 @@
+"""Data sets that appeared lately, in the folders in which they are published: tiny ones."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from articugen.errors import InvalidSource
+from articugen.records import JointKind
+from articugen.sources.registry import categories, load, object_refs
+
+URDF = """<robot name="m">
+  <link name="body"><visual><geometry><mesh filename="{mesh}"/></geometry></visual></link>
+  <link name="door"><visual><geometry><mesh filename="{mesh}"/></geometry></visual></link>
+  <joint name="hinge" type="revolute"><parent link="body"/><child link="door"/>
+    <origin xyz="0.5 0 0"/><axis xyz="0 0 2"/><limit lower="0" upper="1.5"/></joint>
+</robot>"""
+
+
+def write_urdf(path: Path, mesh: str, file: Path) -> None:
+    """A URDF of two boxes, and the mesh file that it names."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(URDF.format(mesh=mesh))
+    trimesh.creation.box((1.0, 0.2, 0.4)).export(file)
+
+
+def sketch(folder: Path) -> None:
+    write_urdf(folder / "mobility.urdf", "meshes/box.obj", folder / "meshes" / "box.obj")
+    (folder / "annotation.json").write_text('{"upstreamId": "x", "joints": []}')
+
+
+def artiverse(folder: Path, mesh: str = "meshes/box.glb") -> None:
+    own = folder / "urdf_w_collider"
+    write_urdf(own / f"{folder.name}.urdf", mesh, own / "meshes" / "box.glb")
+    (folder / f"{folder.name}.articulations.json").write_text("{}")
+    trimesh.creation.box((9.0, 9.0, 9.0)).export(folder / f"{folder.name}.segmented.glb")
+
+
+def articraft(folder: Path) -> None:
+    file = folder / "assets" / "meshes" / "box.obj"
+    write_urdf(folder / "model.urdf", "assets/meshes/box.obj", file)
+
+
+def check(obj) -> None:
+    (joint,) = obj.joints
+    assert (joint.kind, joint.lower, joint.upper) == (JointKind.REVOLUTE, 0.0, 1.5)
+    np.testing.assert_allclose(joint.axis, (0, 0, 1))
+    np.testing.assert_allclose(joint.T_parent_joint[:3, 3], (0.5, 0, 0))
+    for link in obj.links:
+        np.testing.assert_allclose(np.ptp(link.mesh.vertices, axis=0), (1.0, 0.2, 0.4))
+
+
+def found(source: Path, category: str) -> dict[str, str]:
+    return {ref.object_id: ref.reader for ref in object_refs(source, category)}
+
+
+@pytest.mark.parametrize("inside", ["", "data", "data/PartNeXt"])
+def test_sketchmobility_from_any_folder_of_it(tmp_path, inside):
+    for name in ("laptop/a1", "laptop/a2", "oven/b1"):
+        sketch(tmp_path / "data" / "PartNeXt" / name)
+    source = tmp_path / inside
+    assert found(source, "laptop") == {"a1": "annotated_urdf", "a2": "annotated_urdf"}
+    assert categories(source, ["all"]) == ("laptop", "oven")
+    check(load(object_refs(source, "oven")[0]))
+
+
+def test_ids_that_sources_share_are_told_apart(tmp_path):
+    sketch(tmp_path / "data" / "PartNeXt" / "oven" / "1")
+    sketch(tmp_path / "data" / "Agentic" / "oven" / "1")
+    assert set(found(tmp_path, "oven")) == {"data.PartNeXt.oven.1", "data.Agentic.oven.1"}
+
+
+def test_models_in_a_folder_that_is_no_category_are_of_any(tmp_path):
+    sketch(tmp_path / "mine" / "a1")
+    assert set(found(tmp_path / "mine", "laptop")) == {"a1"}
+
+
+@pytest.mark.parametrize("inside", ["", "data"])
+@pytest.mark.parametrize("mesh", ["meshes/box.glb", "package://meshes/box.glb"])
+def test_artiverse_from_any_folder_of_it(tmp_path, inside, mesh):
+    artiverse(tmp_path / "data" / "armoire" / "hssd" / "c1", mesh)
+    artiverse(tmp_path / "data" / "dishwasher" / "hssd" / "c2", mesh)
+    source = tmp_path / inside
+    assert found(source, "armoire") == {"c1": "artiverse"}
+    assert categories(source, ["all"]) == ("armoire", "dishwasher")
+    check(load(object_refs(source, "armoire")[0]))
+
+
+def test_of_several_urdfs_the_shortest_name_is_read_and_the_others_are_noted(tmp_path):
+    model = tmp_path / "armoire" / "hssd" / "c1"
+    artiverse(model)
+    (model / "urdf_w_collider" / "c1_other.urdf").write_text("<robot/>")
+    obj = load(object_refs(tmp_path, "armoire")[0])
+    check(obj)
+    assert obj.notes == ("read from c1.urdf; left aside: c1_other.urdf",)
+
+
+def test_a_model_without_its_urdf_is_refused_not_passed_over(tmp_path):
+    model = tmp_path / "armoire" / "hssd" / "c1"
+    artiverse(model)
+    (model / "urdf_w_collider" / "c1.urdf").unlink()
+    with pytest.raises(InvalidSource, match="urdf_w_collider: holds no URDF; get"):
+        load(object_refs(tmp_path, "armoire")[0])
+
+
+def test_a_compiled_articraft_model_is_a_urdf_and_its_program_is_never_run(tmp_path):
+    for name in ("rec_globe_01", "rec_globe_02"):
+        articraft(tmp_path / name)
+        (tmp_path / name / "model.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')")
+    assert set(found(tmp_path, "globe")) == {"rec_globe_01", "rec_globe_02"}
+    check(load(object_refs(tmp_path, "globe")[0]))
+    assert not (tmp_path / "ran").exists()
+
+
+def test_plain_urdfs_beside_others_deep_down_are_not_lost(tmp_path):
+    sketch(tmp_path / "data" / "PartNeXt" / "laptop" / "a1")
+    (tmp_path / "data" / "PartNeXt" / "own.urdf").write_text(URDF.replace("{mesh}", "x.obj"))
+    assert set(found(tmp_path, "laptop")) == {"a1"}
+    assert set(found(tmp_path, "data")) == {"a1", "own"}
