@@ -20,6 +20,14 @@ class InvalidArgument(ArticugenError, ValueError):
     """A function is asked for what there is not: a field, a split, a joint, a state."""
 
 
+class NotFetched(ArticugenError):
+    """Something cannot be got from where it is published."""
+
+
+class AccessRefused(NotFetched):
+    """Its publisher wants another token, or terms to be accepted first."""
+
+
 class RejectedInstance(ArticugenError):
     """One object or instance cannot be made into data; the others can."""
 

@@ -117,6 +117,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     # others' formats, a file a format; parts are made again as replay does
     "export": VOCABULARY
     | {"store", "inspection", "marching_cubes", "model_text", "verify.replay", "export"},
+    # models of others, from where they are published
+    "fetching": VOCABULARY | {"sources"},
     # the door, for notebooks
     "maker": VOCABULARY | STAGES | {"instance", "mesh_file", "store.rows"},
     "notebook": VOCABULARY | {"store", "inspection"},
@@ -125,6 +127,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "cli": {
         "api",
         "export",
+        "fetching",
         "found_joints",
         "discovery",
         "compiling",
@@ -157,12 +160,20 @@ FOREIGN: dict[str, set[str]] = {
     "pyarrow": {"export.parquet"},
     "PIL": {"inspection.layout", "inspection.shading"},
     "matplotlib": {"learning.evaluation.figures.plots"},
-    "typer": {"cli.data", "cli.discover", "cli.export", "cli.learn", "cli.saying"},
+    "typer": {
+        "cli.data",
+        "cli.discover",
+        "cli.export",
+        "cli.fetch",
+        "cli.learn",
+        "cli.saying",
+    },
     "rich": {
         "cli.data",
         "cli.console",
         "cli.discover",
         "cli.export",
+        "cli.fetch",
         "cli.learn",
         "cli.saying",
         "inspection.summary",

@@ -20,6 +20,7 @@ from rich.markup import escape
 from articugen import __version__
 from articugen.cli.discover import register as register_discover
 from articugen.cli.export import register as register_export
+from articugen.cli.fetch import register as register_fetch
 from articugen.cli.learn import Changes
 from articugen.cli.learn import register as register_learning
 from articugen.cli.saying import FAILED, INTERRUPTED, REJECTED, said, say_error, stderr, stdout
@@ -408,6 +409,7 @@ def mesh(
         stdout.print(f"{output}: {faces:,} faces, unit frame", soft_wrap=True)
 
 
+register_fetch(app)
 register_export(app)
 register_discover(app)
 register_learning(app)

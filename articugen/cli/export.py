@@ -2,8 +2,6 @@
 
 # Everything heavy is imported where it is used: --help should not wait for h5py.
 # ruff: noqa: PLC0415
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,10 +9,9 @@ import typer
 from rich.markup import escape
 from typer.core import TyperCommand
 
-from articugen.cli.saying import FAILED, REJECTED, said, say_error, stderr, stdout
+from articugen.cli.saying import FAILED, REJECTED, counting_bar, said, say_error, stdout
 
 if TYPE_CHECKING:
-    from articugen.export.formats import Item
     from articugen.export.run import Exported
 
 
@@ -80,7 +77,7 @@ def export(
         assert data is not None
         assert to is not None
         assert out is not None
-        with _progress() as told:
+        with counting_bar() as told:
             done = run(
                 data,
                 to,
@@ -90,7 +87,7 @@ def export(
                 from_grids=from_grids or None,
                 collision=collision or None,
                 occupancy=occupancy,
-                on_item=told,
+                on_item=lambda count, items, item: told(count, items, item.key),
             )
         _print(done)
     if done.left_out:
@@ -116,29 +113,6 @@ def _list_formats(data: Path | None, to: str | None, out: Path | None) -> None:
         raise typer.Exit(FAILED) from None
     say_error(f"name {'a data set' if data is None else 'a folder with --out'} as well")
     raise typer.Exit(2)
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[int, int, "Item"], None]]:
-    """A bar with the time left; nothing where stderr is no terminal."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    bar = Progress(
-        BarColumn(),
-        TextColumn("{task.completed}/{task.total}"),
-        TimeRemainingColumn(compact=True),
-        TextColumn("{task.description}"),
-        console=stderr,
-        disable=not stderr.is_terminal,
-        transient=True,
-    )
-    running = bar.add_task("", total=None)
-
-    def on_item(done: int, items: int, item: "Item") -> None:
-        bar.update(running, completed=done, total=items, description=escape(item.key))
-
-    with bar:
-        yield on_item
 
 
 def _print(done: "Exported") -> None:

@@ -1,6 +1,6 @@
 """What all commands say alike: where it goes, our errors in one sentence, and the exit status."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import typer
@@ -31,3 +31,32 @@ def said(interrupted: str = "interrupted") -> Iterator[None]:
     except KeyboardInterrupt:
         stderr.print(interrupted, soft_wrap=True)
         raise typer.Exit(INTERRUPTED) from None
+
+
+@contextmanager
+def counting_bar() -> Iterator[Callable[[int, int, str], None]]:
+    """A bar with the time left, to be told what is done, of how many, and what is at hand; nothing
+    where stderr is no terminal."""
+    from rich.progress import (  # noqa: PLC0415
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    bar = Progress(
+        BarColumn(),
+        TextColumn("{task.completed}/{task.total}"),
+        TimeRemainingColumn(compact=True),
+        TextColumn("{task.description}"),
+        console=stderr,
+        disable=not stderr.is_terminal,
+        transient=True,
+    )
+    running = bar.add_task("", total=None)
+
+    def told(done: int, of: int, name: str) -> None:
+        bar.update(running, completed=done, total=of, description=escape(printable(name)))
+
+    with bar:
+        yield told

@@ -1,0 +1,131 @@
+"""The command `fetch`: it calls `articugen.fetching`, shows the terms and lists what came."""
+
+# Everything heavy is imported where it is used: --help should not wait for yourdfpy.
+# ruff: noqa: PLC0415
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.markup import escape
+
+from articugen.cli.saying import REJECTED, counting_bar, said, stderr, stdout
+from articugen.errors import InvalidArgument, printable
+
+if TYPE_CHECKING:
+    from articugen.fetching.outcome import Fetched
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the command line."""
+    app.command(
+        epilog="Examples:\n\n"
+        "articugen fetch partnet-mobility --category Laptop --out models/partnet\n\n"
+        "articugen fetch partnet-mobility --ids 10040,10101 --via sapien --out models/partnet\n\n"
+        "articugen fetch shape2motion --from Shape2Motion.zip --out models/shape2motion"
+    )(fetch)
+
+
+def fetch(
+    source: Annotated[
+        str,
+        typer.Argument(
+            help="partnet-mobility; with --from also shape2motion, articraft, artiverse, artiatlas "
+            "or sketchmobility."
+        ),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option("--out", "-o", help="A new folder, or one to go on in.", show_default=False),
+    ],
+    category: Annotated[
+        list[str] | None,
+        typer.Option("--category", "-c", help="These categories, or `all`.", show_default="none"),
+    ] = None,
+    ids: Annotated[
+        list[str] | None, typer.Option(help="These models: 10040,10101.", show_default="all")
+    ] = None,
+    token: Annotated[
+        str | None,
+        typer.Option(
+            help="Of your account at the publisher's. Others on this machine may see what is on a "
+            "command line: the variables HF_TOKEN and SAPIEN_ACCESS_TOKEN they do not.",
+            show_default="HF_TOKEN or SAPIEN_ACCESS_TOKEN",
+        ),
+    ] = None,
+    via: Annotated[
+        str | None,
+        typer.Option(
+            help="hub (Hugging Face) or sapien (SAPIEN's own site, by --ids).",
+            show_default="hub, else sapien",
+        ),
+    ] = None,
+    archives: Annotated[
+        list[Path] | None,
+        typer.Option("--from", help="Unpack this .zip or .tar.gz instead.", show_default="none"),
+    ] = None,
+) -> None:
+    """Get models of others, check them and list them; called again it goes on."""
+    with said("interrupted; the same command goes on"):
+        from articugen.fetching.local import fetch_archives
+        from articugen.fetching.partnet_mobility import fetch_partnet_mobility
+        from articugen.fetching.terms import terms_of
+
+        terms = terms_of(source)
+        stdout.print(
+            f"{escape(terms.origin)}\n[bold]terms:[/] {escape(terms.licence)}", soft_wrap=True
+        )
+        if archives:
+            if category or ids or token or via:
+                raise InvalidArgument(
+                    "--from takes all models of an archive; leave --category, --ids, --token and "
+                    "--via out"
+                )
+            with counting_bar() as told:
+                done = fetch_archives(source, archives, out, told)
+        elif terms.source == "partnet-mobility":
+            with counting_bar() as told:
+                done = fetch_partnet_mobility(
+                    out,
+                    categories=_listed(category),
+                    ids=_listed(ids),
+                    token=token,
+                    via=via,
+                    told=told,
+                    notice=lambda text: stderr.print(escape(printable(text)), soft_wrap=True),
+                )
+        else:
+            raise InvalidArgument(
+                f"{terms.source} is not downloaded from here; get its archives from its authors, "
+                "and name them with --from"
+            )
+        _print(done)
+    if done.refused or done.failed:
+        raise typer.Exit(REJECTED)
+
+
+def _listed(texts: list[str] | None) -> list[str]:
+    return [name.strip() for text in texts or () for name in text.split(",") if name.strip()]
+
+
+def _print(done: "Fetched") -> None:
+    from articugen.fetching.target import LIST_NAME
+
+    for name, why in done.refused.items():
+        stdout.print(f"[yellow]refused[/] {_line(name, why)}", soft_wrap=True)
+    for name, why in done.failed.items():
+        stdout.print(f"[yellow]not fetched[/] {_line(name, why)}", soft_wrap=True)
+    sound = done.models - len(done.refused)
+    stdout.print(
+        f"{escape(str(done.folder))}: {done.models} models, {done.new} of them new, {sound} sound; "
+        f"listed with their terms in {LIST_NAME}",
+        soft_wrap=True,
+    )
+    category = "object" if done.terms.source == "articraft" else "all"  # which tells no categories
+    stdout.print(
+        f"next: articugen generate --source {escape(str(done.folder))} --category {category}",
+        soft_wrap=True,
+    )
+
+
+def _line(name: str, why: str) -> str:
+    return escape(printable(f"{name}: {why}"))

@@ -1,0 +1,227 @@
+"""Archives that strangers pack: what is unpacked, and what is refused before a byte is written."""
+
+import gzip
+import io
+import stat
+import struct
+import tarfile
+import zipfile
+from pathlib import Path, PurePosixPath
+
+import pytest
+
+from articugen.errors import InvalidSource, MachineFault
+from articugen.fetching import archives
+from articugen.fetching.models import Unpacked, unpack
+from tests.published import model_files, zipped
+from tests.trouble import small_disk
+
+MODEL = model_files()
+
+
+@pytest.fixture
+def outside(tmp_path):
+    """A folder to unpack into, and all there is outside of it afterwards."""
+    into = tmp_path / "into"
+    into.mkdir()
+    yield into
+    assert {p.name for p in tmp_path.iterdir()} <= {"into", "a.zip", "a.tar.gz"}
+
+
+def tarred(files, *more: tarfile.TarInfo, folder: str = "") -> bytes:
+    data = io.BytesIO()
+    with tarfile.open(fileobj=data, mode="w:gz") as archive:
+        for name, content in files.items():
+            info = tarfile.TarInfo(f"{folder}{name}")
+            info.size = len(content)
+            archive.addfile(info, io.BytesIO(content))
+        for info in more:
+            archive.addfile(info, io.BytesIO(b"x" * info.size))
+    return data.getvalue()
+
+
+def all_of(path: Path, into: Path) -> dict[str, dict[str, bytes]]:
+    """What unpacking gives: the files of each model, by its folder in the archive."""
+    found: dict[str, dict[str, bytes]] = {}
+
+    def on_model(model: Unpacked, folder: Path) -> None:
+        files = {
+            p.relative_to(folder).as_posix(): p.read_bytes()
+            for p in folder.rglob("*")
+            if p.is_file()
+        }
+        assert (model.files, model.bytes) == (len(files), sum(map(len, files.values())))
+        found[str(model.root)] = files
+
+    unpack(path, into, lambda _: True, on_model)
+    return found
+
+
+@pytest.mark.parametrize("pack", [zipped, tarred])
+@pytest.mark.parametrize("folder", ["", "7128/", "./dataset/7128/"])
+def test_a_model_comes_out_as_it_went_in(tmp_path, outside, pack, folder):
+    path = tmp_path / "a.zip"
+    path.write_bytes(pack(MODEL, folder=folder))
+    assert all_of(path, outside) == {str(PurePosixPath(folder)): MODEL}
+
+
+@pytest.mark.parametrize("pack", [zipped, tarred])
+def test_of_many_models_each_has_its_own_and_what_lies_beside_them_stays(tmp_path, outside, pack):
+    files = {f"data/oven/{k}/{name}": data for k in "12" for name, data in MODEL.items()}
+    files |= {"data/README.md": b"hello", "__MACOSX/data/oven/1/._mobility.urdf": b"x"}
+    path = tmp_path / "a.zip"
+    path.write_bytes(pack(files | {"data/oven/1/.DS_Store": b"x"}))
+    assert all_of(path, outside) == {"data/oven/1": MODEL, "data/oven/2": MODEL}
+
+
+HOSTILE = {
+    "../out.obj": "leads out of the folder",
+    "m/../../out.obj": "leads out of the folder",
+    "/etc/out.obj": "is an absolute name",
+    "C:/out.obj": "is an absolute name",
+    "..\\out.obj": "has a backslash",
+    "m/a\x1b[2J.obj": "a control character",
+    "m/" + 40 * "d/" + "a.obj": "has too long a name",
+    "m/" + 300 * "d": "has too long a name",
+    "mobility.urdf/a": "is a file and a folder",
+}
+
+
+@pytest.mark.parametrize("pack", [zipped, tarred])
+@pytest.mark.parametrize("name", HOSTILE)
+def test_one_hostile_name_and_nothing_is_written(tmp_path, outside, pack, name):
+    path = tmp_path / "a.zip"
+    path.write_bytes(pack({**MODEL, name: b"x"}))
+    with pytest.raises(InvalidSource, match=HOSTILE[name]):
+        all_of(path, outside)
+    assert not list(outside.iterdir())
+
+
+def link(name: str, kind: bytes, to: str = "/etc/passwd") -> tarfile.TarInfo:
+    info = tarfile.TarInfo(name)
+    info.type, info.linkname = kind, to
+    return info
+
+
+@pytest.mark.parametrize(
+    ("entry", "sentence"),
+    [
+        (link("m", tarfile.SYMTYPE), "is a link"),
+        (link("m", tarfile.LNKTYPE, "mobility.urdf"), "is a link"),
+        (link("m", tarfile.CHRTYPE), "is a device"),
+        (link("m", tarfile.FIFOTYPE), "is a device"),
+        (link("m", tarfile.GNUTYPE_SPARSE), "is a device, or packed in an unusual way"),
+    ],
+)
+def test_links_and_devices_in_a_tar_are_refused(tmp_path, outside, entry, sentence):
+    path = tmp_path / "a.tar.gz"
+    path.write_bytes(tarred(MODEL, entry))
+    with pytest.raises(InvalidSource, match=sentence):
+        all_of(path, outside)
+    assert not list(outside.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("mode", "sentence"), [(stat.S_IFLNK, "is a link"), (stat.S_IFIFO, "is a device")]
+)
+def test_links_and_devices_in_a_zip_are_refused(tmp_path, outside, mode, sentence):
+    path = tmp_path / "a.zip"
+    path.write_bytes(zipped(MODEL))
+    info = zipfile.ZipInfo("m")
+    info.external_attr = (mode | 0o777) << 16
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr(info, "/etc/passwd")
+    with pytest.raises(InvalidSource, match=sentence):
+        all_of(path, outside)
+    assert not list(outside.iterdir())
+
+
+def test_a_name_that_a_nul_cuts_short_is_seen_whole(tmp_path, outside):
+    path = tmp_path / "a.zip"
+    path.write_bytes(zipped({**MODEL, "m_evil": b"x"}).replace(b"m_evil", b"m\0evil"))
+    with pytest.raises(InvalidSource, match="a control character"):
+        all_of(path, outside)
+
+
+def test_two_files_of_one_name_are_refused(tmp_path, outside):
+    path = tmp_path / "a.zip"
+    path.write_bytes(zipped({**MODEL, "./mobility.urdf": b"<robot/>"}))
+    with pytest.raises(InvalidSource, match="is there twice"):
+        all_of(path, outside)
+
+
+@pytest.mark.parametrize("suffix", ["zip", "tar.gz"])
+def test_a_bomb_is_refused_before_it_goes_off(tmp_path, outside, suffix):
+    path = tmp_path / f"a.{suffix}"
+    zeros = {f"m{k}.obj": bytes(2**26) for k in range(2)}
+    if suffix == "zip":
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, data in (MODEL | zeros).items():
+                archive.writestr(name, data)
+    else:
+        path.write_bytes(tarred(MODEL | zeros))
+    assert path.stat().st_size < 2**19
+    with pytest.raises(InvalidSource, match="unpacks to more than 200 times its size"):
+        all_of(path, outside)
+    assert not list(outside.iterdir())
+
+
+def test_a_tar_whose_header_claims_a_gigabyte_of_itself_is_refused(tmp_path, outside):
+    info = tarfile.TarInfo("pax")
+    info.type, info.size = tarfile.XHDTYPE, 2**30
+    path = tmp_path / "a.tar.gz"
+    path.write_bytes(gzip.compress(info.tobuf(tarfile.USTAR_FORMAT) + bytes(2**22)))
+    with pytest.raises(InvalidSource, match="is damaged"):
+        all_of(path, outside)
+
+
+def test_more_files_than_anybody_needs_are_refused(tmp_path, outside, monkeypatch):
+    monkeypatch.setattr(archives, "MAX_FILES", len(MODEL))
+    path = tmp_path / "a.zip"
+    path.write_bytes(zipped(MODEL))
+    assert all_of(path, outside)
+    path.write_bytes(zipped({**MODEL, "one.obj": b""}))
+    with pytest.raises(InvalidSource, match=f"holds more than {len(MODEL)} files"):
+        all_of(path, outside)
+
+
+def encrypted(data: bytes) -> bytes:
+    """The same .zip with every entry marked as encrypted."""
+    for mark, place in ((b"PK\3\4", 6), (b"PK\1\2", 8)):
+        start = 0
+        while (start := data.find(mark, start)) >= 0:
+            flags = struct.unpack_from("<H", data, start + place)[0] | 1
+            data = data[: start + place] + struct.pack("<H", flags) + data[start + place + 2 :]
+            start += 4
+    return data
+
+
+@pytest.mark.parametrize(
+    ("data", "sentence"),
+    [
+        (b"", "is no .zip or .tar.gz"),
+        (b"<html>log in</html>", "is no .zip or .tar.gz"),
+        (zipped(MODEL)[:-30], "is damaged"),
+        (zipped(MODEL).replace(b"v 1 0 0", b"v 2 0 0"), "is damaged"),
+        (tarred(MODEL)[:-300], "is damaged"),
+        (gzip.compress(b"no tar" * 1000), "is damaged"),
+        (encrypted(zipped(MODEL)), "is encrypted"),
+        (zipped({"README.md": b"x"}), "holds no URDF and no motion_attributes.json"),
+    ],
+)
+def test_what_is_no_sound_archive_of_models_is_told(tmp_path, outside, data, sentence):
+    path = tmp_path / "a.zip"
+    path.write_bytes(data)
+    with pytest.raises(InvalidSource, match=sentence) as told:
+        all_of(path, outside)
+    assert str(path) in str(told.value)
+
+
+def test_a_disk_that_is_too_small_is_told_before_it_is_full(tmp_path):
+    path = tmp_path / "a.zip"
+    path.write_bytes(zipped({**MODEL, "large.bin": bytes(2**20)}))
+    with (
+        small_disk(tmp_path / "disk", "512k") as disk,
+        pytest.raises(MachineFault, match=r"1 MB are to be unpacked from a\.zip and 1 MB are free"),
+    ):
+        unpack(path, disk, lambda _: True, lambda *_: None)
