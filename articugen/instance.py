@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from articugen import articulation, fusion, sampling
 from articugen.errors import RejectedInstance
 from articugen.geometry import apply, bounds, box_corners, voxel_centres
-from articugen.recipe import Recipe
+from articugen.recipe import Recipe, Sampling
 from articugen.records import (
     FREE,
     ArticulatedObject,
@@ -35,7 +35,7 @@ from articugen.records import (
 )
 from articugen.rendering.backends import Backend, Overlay, backend_named
 from articugen.rendering.images import images
-from articugen.rendering.views import fusion_views, random_pinhole_views
+from articugen.rendering.views import fusion_views, plain_pinhole_views, random_pinhole_views
 from articugen.seeding import generator
 from articugen.sharp import SharpEdges, sharp_edges, sharp_points
 from articugen.swept import swept_box
@@ -220,6 +220,7 @@ def make_instance(p: Prepared, state_index: int) -> Instance:
     """
     mesh, fields = pose(p, state_index, overlay=p.overlay)
     surface = _surface(p, state_index, mesh, fields)
+    sharp = _sharp(p, state_index, surface, fields)
     joint_name, part_name, part_semantic = _names(p.obj)
     occupancy = {r: _labelled_grid(grid, fields, r) for r, grid in p.grids.items()}
     return Instance(
@@ -235,8 +236,8 @@ def make_instance(p: Prepared, state_index: int) -> Instance:
         occupancy=occupancy,
         coverage=_coverage(p, state_index, mesh, fields, occupancy),
         **_surface_fields(p, surface),
-        **_query_fields(p, state_index, surface, fields),
-        **_sharp_fields(p, state_index, surface, fields),
+        **_query_fields(p, state_index, surface, sharp, fields),
+        **_sharp_fields(sharp),
         collision_depth=_collision_depth(p, fields),
         **_image_fields(p, mesh),
         **_partial_fields(p, state_index, mesh),
@@ -330,9 +331,7 @@ def _extras(
     if recipe.articulation.collision != "ignore":
         colliding = fusion.Colliding.of(mesh, bvh, rng=rng("collision"))
     if images.views:
-        cameras = random_pinhole_views(
-            images.views, images.resolution, swept, rng=rng("images"), from_above=True
-        )
+        cameras = plain_pinhole_views(images.views, images.resolution, swept, rng=rng("images"))
     return Extras(visible, edges, colliding, cameras)
 
 
@@ -485,13 +484,18 @@ def _surface_fields(p: Prepared, surface: sampling.SurfacePoints) -> dict[str, N
 
 
 def _query_fields(
-    p: Prepared, state_index: int, surface: sampling.SurfacePoints, fields: fusion.PosedFields
+    p: Prepared,
+    state_index: int,
+    surface: sampling.SurfacePoints,
+    sharp: sampling.SurfacePoints | None,
+    fields: fusion.PosedFields,
 ) -> dict[str, NDArray]:
     """Query points are rounded to what is stored first, so that their labels are exact."""
     wanted = p.recipe.sampling
     uniform = sampling.uniform_points(wanted.uniform_points, rng=p.rng(state_index, "uniform"))
     rng = p.rng(state_index, "near")
-    near = sampling.near_points(surface.points, wanted.near_points, wanted.near_sigma, rng=rng)
+    around = _around(surface, sharp, wanted)
+    near = sampling.near_points(around, wanted.near_points, wanted.near_sigma, rng=rng)
     stored = {"uniform": quantize(uniform), "near": quantize(near)}
     points = {f"{name}_points": points for name, points in stored.items()}
     labels = {f"{n}_label": fields.labels(dequantize(points)) for n, points in stored.items()}
@@ -523,22 +527,40 @@ def _partial_fields(p: Prepared, state_index: int, mesh: LabelledMesh) -> dict[s
     }
 
 
-def _sharp_fields(
+def _around(
+    surface: sampling.SurfacePoints, sharp: sampling.SurfacePoints | None, wanted: Sampling
+) -> Floats:
+    """What near points lie around: points of the surface, and then of sharp edges."""
+    if sharp is None or not wanted.near_sharp:
+        return surface.points
+    edges = round(wanted.near_sharp * wanted.near_points)
+    plain = np.arange(wanted.near_points - edges) % len(surface.points)
+    at_edges = np.arange(edges) % len(sharp.points)
+    return np.concatenate([surface.points[plain], sharp.points[at_edges]])
+
+
+def _sharp(
     p: Prepared, state_index: int, surface: sampling.SurfacePoints, fields: fusion.PosedFields
-) -> dict[str, NDArray]:
+) -> sampling.SurfacePoints | None:
+    """Points on sharp edges, where the recipe asks for them."""
     if p.extras.edges is None:
-        return {}
-    drawn = sharp_points(
+        return None
+    return sharp_points(
         p.extras.edges.moved(fields.part_motion),
         fields.is_free_before,
         p.recipe.sampling.sharp_points,
         surface,
         rng=p.rng(state_index, "sharp"),
     )
+
+
+def _sharp_fields(sharp: sampling.SurfacePoints | None) -> dict[str, NDArray]:
+    if sharp is None:
+        return {}
     return {
-        "sharp_points": quantize(drawn.points),
-        "sharp_normals": np.round(drawn.normals * 127.0).astype(np.int8),
-        "sharp_part": drawn.part,
+        "sharp_points": quantize(sharp.points),
+        "sharp_normals": np.round(sharp.normals * 127.0).astype(np.int8),
+        "sharp_part": sharp.part,
     }
 
 

@@ -134,6 +134,8 @@ class Sampling(_Section):
         surface_points, uniform_points, near_points: how many.
         near_sigma: how far from the surface `near_points` are; where it is several, they take
             turns.
+        near_sharp: which share of `near_points`, the last of them, is around `sharp_points` instead
+            of points uniform on the surface.
         signed_distance: query points come with their signed distance from the surface, up to this;
             0 for none.
         sharp_points: how many on sharp edges; 0 for none.
@@ -149,6 +151,7 @@ class Sampling(_Section):
     uniform_points: int = Field(default=8192, ge=0, le=1_000_000)
     near_points: int = Field(default=8192, ge=0, le=1_000_000)
     near_sigma: _Sigma | Annotated[tuple[_Sigma, ...], Field(min_length=1, max_length=16)] = 0.01
+    near_sharp: float = Field(default=0.0, ge=0.0, le=1.0)
     signed_distance: float = Field(default=0.0, ge=0.0, le=2.0)
     sharp_points: int = Field(default=0, ge=0, le=1_000_000)
     sharp_degrees: float = Field(default=30.0, gt=0.0, lt=180.0)
@@ -156,6 +159,12 @@ class Sampling(_Section):
     partial_points: int = Field(default=1024, ge=0, le=1_000_000)
     partial_resolution: int = Field(default=192, ge=16, le=2048)
     depth_noise: float = Field(default=0.0, ge=0.0, le=0.1)
+
+    @model_validator(mode="after")
+    def _has_what_near_points_lie_around(self) -> "Sampling":
+        if self.near_sharp and not self.sharp_points:
+            raise ValueError("near_sharp wants sharp_points to draw around; ask for some")
+        return self
 
     @model_validator(mode="after")
     def _grids_are_sizes(self) -> "Sampling":
@@ -183,7 +192,7 @@ class Images(_Section):
 
 _LATER = {
     "articulation": ("collision", "collision_depth"),
-    "sampling": ("signed_distance", "sharp_points", "sharp_degrees"),
+    "sampling": ("near_sharp", "signed_distance", "sharp_points", "sharp_degrees"),
     "images": tuple(Images.model_fields),
 }
 """Keys that ask for nothing by default and that the recipes of older data sets do not have."""

@@ -8,6 +8,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from instances import changed, edited
+from scipy.spatial import cKDTree
 
 import articugen as ag
 from articugen import fusion
@@ -15,7 +16,7 @@ from articugen.errors import RejectedInstance
 from articugen.geometry import invert_rigid, transform
 from articugen.records import FREE, dequantize
 from articugen.rendering.images import images
-from articugen.rendering.views import random_pinhole_views
+from articugen.rendering.views import plain_pinhole_views
 from articugen.sampling import SurfacePoints
 from articugen.sharp import sharp_edges, sharp_points
 from articugen.verify import extras, invariants
@@ -113,6 +114,17 @@ def test_near_points_take_turns_at_several_sigmas(apart):
     assert 4.0 < off[1::2].mean() / off[::2].mean() < 12.0  # 0.05 and 0.005, cut off at 0.1
 
 
+def test_a_share_of_near_points_lies_around_sharp_edges(tmp_path):
+    recipe = ASKING | {"sampling": ASKING["sampling"] | {"near_sharp": 0.4, "near_sigma": 0.001}}
+    path = tmp_path / "slide.urdf"
+    path.write_text(SLIDE.format(upper=0.15))
+    row = ag.Maker(ag.load(path), recipe)[0].instance
+    edges = cKDTree(dequantize(row.sharp_points))
+    far, _ = edges.query(dequantize(row.near_points))
+    assert (far[300:] < 0.006).all()  # around the 200 points of edges that are stored
+    assert (far[:300] > 0.02).mean() > 0.5
+
+
 # Sharp edges.
 
 
@@ -191,8 +203,8 @@ def test_sharp_points_move_with_their_parts(apart):
 
 def test_images_of_a_ball_are_those_of_a_ball():
     ball = labelled(trimesh.creation.icosphere(subdivisions=5, radius=0.3))
-    views = random_pinhole_views(
-        3, 96, np.array([[-0.3] * 3, [0.3] * 3]), rng=np.random.default_rng(0), from_above=True
+    views = plain_pinhole_views(
+        3, 96, np.array([[-0.3] * 3, [0.3] * 3]), rng=np.random.default_rng(0)
     )
     seen = images(
         ball, views, ("depth", "part", "normal", "rgba"), closed=np.ones(len(ball.faces), bool)

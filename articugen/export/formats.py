@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 NAMES = (
     "ply", "glb", "urdf", "mjcf", "usd", "parquet", "webdataset", "onet", "imnet", "ppd", "ditto",
-    "npcs", "particulate", "opalign",
+    "npcs", "particulate", "opalign", "vecset", "artgs",
 )  # fmt: skip
 """Each is a file of this folder, which holds one `FORMAT`."""
 

@@ -1,8 +1,8 @@
 """Particulate: an object's surface in its rest pose, with parts, joints and their ranges.
 
 train/<object>.npz as its cached training points: it articulates them itself. The object is scaled
-until its longest edge, in the rest pose, is 1. Shards hold no points of sharp edges, so none is
-marked as one, and its loader then draws all from the surface.
+until its longest edge, in the rest pose, is 1. Points of sharp edges follow those of the surface,
+where shards hold them; where they do not, its loader draws all from the surface.
 """
 
 import numpy as np
@@ -35,11 +35,13 @@ def _arrays(row: Row) -> dict[str, NDArray]:
         else:
             axes[joint.part, 6:] = plucker
             ranges[joint.part, 2:] = joint.lower * scale, joint.upper * scale
+    groups = [row.surface, *([row.sharp] if "sharp_points" in row.fields else [])]
+    points = np.concatenate([group.points for group in groups])
     return {
-        "points": ((row.surface.points - middle) * scale).astype(np.float32),
-        "normals": row.surface.normals,
-        "point_to_bone": row.surface.part.astype(np.int32),
-        "point_from_sharp": np.zeros(len(row.surface), np.bool_),
+        "points": ((points - middle) * scale).astype(np.float32),
+        "normals": np.concatenate([group.normals for group in groups]),
+        "point_to_bone": np.concatenate([group.part for group in groups]).astype(np.int32),
+        "point_from_sharp": np.arange(len(points)) >= len(row.surface),
         "bone_structure": np.array([[j.parent, j.part] for j in row.joints], np.int32),
         "link_axes_plucker": axes,
         "link_range": ranges,

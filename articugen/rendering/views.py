@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.geometry import apply, box_corners, fibonacci_sphere, look_along
-from articugen.portable import dot, norm
+from articugen.portable import cos, dot, norm, sin
 from articugen.recipe import ViewSettings
 from articugen.records import Views
 
@@ -14,6 +14,10 @@ MARGIN = 2.0
 PINHOLE_DISTANCE = 1.5
 """Distance of pinhole cameras from the centre of the box, in the unit frame. Occupancy Networks'
 1.0 leaves parts of a cube's faces outside the image; from 1.3 on nothing is lost."""
+
+
+FIELD_OF_VIEW = np.radians(40.0)
+"""Of the cameras of images, from edge to edge."""
 
 
 def spread_order(directions: NDArray[np.float64]) -> NDArray[np.intp]:
@@ -66,23 +70,40 @@ def _fit(x: NDArray[np.float64], size: int) -> tuple[NDArray[np.float64], NDArra
 
 
 def random_pinhole_views(
-    count: int,
-    resolution: int,
-    box: NDArray[np.float64],
-    *,
-    rng: np.random.Generator,
-    from_above: bool = False,
+    count: int, resolution: int, box: NDArray[np.float64], *, rng: np.random.Generator
 ) -> Views:
     """`count` pinhole cameras that look at the box from random sides, as a depth camera would.
 
-    Directions are uniform over the sphere, or its upper half, distances from the centre uniform in
-    1.2 to 2.0 of the unit frame; the field of view is just wide enough for the box.
+    Directions are uniform over the sphere, distances from the centre uniform in 1.2 to 2.0 of the
+    unit frame; the field of view is just wide enough for the box.
     """
     center = box.mean(axis=0)
     directions = rng.normal(size=(count, 3))
-    if from_above:
-        directions[:, 2] = np.abs(directions[:, 2])
     directions /= norm(directions)[:, None]
     distances = rng.uniform(1.2, 2.0, size=count)
     T = [look_along(-d, center + r * d) for d, r in zip(directions, distances, strict=True)]
     return fitted("pinhole", np.array(T).reshape(-1, 4, 4), box, resolution, resolution)
+
+
+def plain_pinhole_views(
+    count: int, resolution: int, box: NDArray[np.float64], *, rng: np.random.Generator
+) -> Views:
+    """`count` pinhole cameras alike, as image-based learners take them: square pixels, the optical
+    axis through the middle of the image and of the box, `FIELD_OF_VIEW` wide.
+
+    Directions are uniform over the upper half of the sphere, distances uniform from where the
+    sphere around the box just fits the image to 1.2 times that.
+    """
+    center = box.mean(axis=0)
+    directions = rng.normal(size=(count, 3))
+    directions /= norm(directions)[:, None]
+    directions[:, 2] = np.abs(directions[:, 2])
+    nearest = 0.5 * float(norm(box[1] - box[0])) / float(sin(0.5 * FIELD_OF_VIEW))
+    distances = nearest * rng.uniform(1.0, 1.2, size=count)
+    T = [look_along(-d, center + r * d) for d, r in zip(directions, distances, strict=True)]
+    focal = np.full(
+        count, 0.5 * resolution * float(cos(0.5 * FIELD_OF_VIEW) / sin(0.5 * FIELD_OF_VIEW))
+    )
+    middle = np.full(count, 0.5 * resolution)
+    at = np.array(T).reshape(-1, 4, 4)
+    return Views("pinhole", at, focal, focal, middle, middle, resolution, resolution)

@@ -245,7 +245,8 @@ FIELDS = (
         _FIXED_POINT,
         _UNIT,
         "Surface points moved by Gaussian noise (recipe: near_sigma; where that is several, point "
-        f"k has the (k mod how many)-th). {_STORED}",
+        "k has the (k mod how many)-th); the last near_sharp of them are points of sharp edges, "
+        f"moved so. {_STORED}",
     ),
     Field("near_label", "u1", ("N", "K"), "label", "", f"Labels there. {_LABEL}", True),
     *(
