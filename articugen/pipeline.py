@@ -33,6 +33,8 @@ from articugen.recipe import Recipe, check_category
 from articugen.records import ArticulatedObject, Instance
 from articugen.sources import registry
 from articugen.sources.refs import ObjectRef
+from articugen.store import croissant
+from articugen.store.files import write_atomically
 from articugen.store.journal import Journal
 from articugen.store.manifest import Key, Manifest, Outcome, Rejection, Timings
 from articugen.store.shards import write_shard
@@ -215,6 +217,7 @@ class Run:
             timings=_timings(instances, time.perf_counter() - began, self.job.jobs),
             shortfall=_shortfall(outcomes, self.job.recipe),
         )
+        write_atomically(self.job.out / croissant.NAME, croissant.of_data_set(manifest))
         self.journal.finish(manifest)
         return manifest
 

@@ -200,7 +200,7 @@ def test_shards_of_another_version_are_refused(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(schema, "SCHEMA_VERSION", 7)
         folder = write_boxes(tmp_path / "new", train=1, test=0, states=1)
-    with pytest.raises(CorruptShard, match=r"h5: schema version 7, this articugen reads 1 to 2"):
+    with pytest.raises(CorruptShard, match=r"h5: schema version 7, this articugen reads 1 to 3"):
         load_split(folder, "train", ASK, [8])
 
 

@@ -610,3 +610,15 @@ def test_croissant_in_mlcroissant(exported, rows, to):
     if to == "parquet":
         ids = [record["instances/object_id"] for record in dataset.records("instances")]
         assert sorted(map(bytes.decode, ids)) == sorted(row.object_id for row in rows)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_data_set_has_its_own_croissant(laptops):
+    mlc = pytest.importorskip("mlcroissant", reason="make exporters installs it")
+    dataset = mlc.Dataset(jsonld=laptops / "croissant.json")
+    assert not dataset.metadata.issues.errors
+    assert dataset.metadata.license == ["MIT"]
+    shards = {shard.name: shard.sha256 for shard in ag.open(laptops).manifest.shards}
+    assert {file.name: file.sha256 for file in dataset.metadata.distribution} == shards
+    assert ag.open(laptops).manifest.content_sha256 in dataset.metadata.description
+    assert ag.verify(laptops).ok

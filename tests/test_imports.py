@@ -158,7 +158,7 @@ FOREIGN: dict[str, set[str]] = {
     "coacd": {"export.assembly"},
     "manifold3d": {"export.simpler"},
     "pyarrow": {"export.parquet"},
-    "PIL": {"inspection.layout", "inspection.shading"},
+    "PIL": {"export.artgs", "inspection.layout", "inspection.shading"},
     "matplotlib": {"learning.evaluation.figures.plots"},
     "typer": {
         "cli.data",

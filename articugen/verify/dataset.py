@@ -21,6 +21,7 @@ from pydantic import ValidationError
 from articugen import workers
 from articugen.errors import CorruptShard
 from articugen.recipe import Recipe
+from articugen.store import croissant
 from articugen.store.journal import JOURNAL_NAME, is_temporary
 from articugen.store.manifest import MANIFEST_NAME, Manifest, ObjectEntry, ShardEntry
 from articugen.store.shards import Shard, content_sha256, open_shard
@@ -166,7 +167,8 @@ def _splits(manifest: Manifest) -> Iterator[Finding]:
 
 
 def _strays(folder: Path, manifest: Manifest) -> Iterator[Finding]:
-    known = {MANIFEST_NAME, JOURNAL_NAME, *(shard.name for shard in manifest.shards)}
+    ours = {MANIFEST_NAME, JOURNAL_NAME, croissant.NAME}
+    known = ours | {shard.name for shard in manifest.shards}
     for path in sorted(folder.iterdir()):
         welcome = path.suffix in WELCOME and path.is_file() and not path.is_symlink()
         if path.name not in known and not (welcome or is_temporary(path.name)):

@@ -1,0 +1,165 @@
+"""Croissant 1.1: what a data set is, for machines that look for data sets.
+
+Every file is there with its digest, as one FileObject, or where there are many, as a FileSet.
+"""
+
+import json
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from articugen import __version__
+from articugen.store.manifest import Manifest
+
+NAME = "croissant.json"
+
+_MOST_OBJECTS = 100
+"""Files that are listed one by one; more are a FileSet."""
+
+_CONTEXT = {
+    "@language": "en",
+    "@vocab": "https://schema.org/",
+    "citeAs": "cr:citeAs",
+    "column": "cr:column",
+    "conformsTo": "dct:conformsTo",
+    "cr": "http://mlcommons.org/croissant/",
+    "rai": "http://mlcommons.org/croissant/RAI/",
+    "data": {"@id": "cr:data", "@type": "@json"},
+    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
+    "dct": "http://purl.org/dc/terms/",
+    "equivalentProperty": "cr:equivalentProperty",
+    "examples": {"@id": "cr:examples", "@type": "@json"},
+    "extract": "cr:extract",
+    "field": "cr:field",
+    "fileProperty": "cr:fileProperty",
+    "fileObject": "cr:fileObject",
+    "fileSet": "cr:fileSet",
+    "format": "cr:format",
+    "includes": "cr:includes",
+    "isLiveDataset": "cr:isLiveDataset",
+    "jsonPath": "cr:jsonPath",
+    "key": "cr:key",
+    "md5": "cr:md5",
+    "parentField": "cr:parentField",
+    "path": "cr:path",
+    "recordSet": "cr:recordSet",
+    "references": "cr:references",
+    "regex": "cr:regex",
+    "repeated": "cr:repeated",
+    "replace": "cr:replace",
+    "samplingRate": "cr:samplingRate",
+    "sc": "https://schema.org/",
+    "separator": "cr:separator",
+    "source": "cr:source",
+    "subField": "cr:subField",
+    "transform": "cr:transform",
+}
+
+_MIME = {
+    "glb": "model/gltf-binary",
+    "h5": "application/x-hdf5",
+    "hdf5": "application/x-hdf5",
+    "json": "application/json",
+    "lst": "text/plain",
+    "md": "text/markdown",
+    "npz": "application/x-npz",
+    "obj": "model/obj",
+    "parquet": "application/x-parquet",
+    "tar": "application/x-tar",
+    "txt": "text/plain",
+    "urdf": "application/xml",
+    "xml": "application/xml",
+}
+
+
+class File(Protocol):
+    """A file: its name from the folder on, with slashes; its size and digest."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def bytes(self) -> int: ...
+    @property
+    def sha256(self) -> str: ...
+
+
+def of_data_set(manifest: Manifest) -> bytes:
+    """What lies beside a manifest."""
+    about = (
+        f"Articulated objects of the category {manifest.category}: "
+        f"{sum(o.instances for o in manifest.objects)} instances, each an object at one joint "
+        f"state, in {len(manifest.shards)} HDF5 shards (content {manifest.content_sha256})."
+    )
+    return document(f"{manifest.category}-articugen", about, manifest, listed(manifest.shards))
+
+
+def document(
+    name: str,
+    description: str,
+    manifest: Manifest | None,
+    distribution: list[dict[str, Any]],
+    records: Sequence[dict[str, Any]] = (),
+) -> bytes:
+    """The text of a croissant.json.
+
+    Args:
+        manifest: tells licence and source.
+        distribution: as `listed` gives it.
+        records: RecordSets.
+    """
+    told: dict[str, Any] = {
+        "@context": _CONTEXT,
+        "@type": "sc:Dataset",
+        "conformsTo": "http://mlcommons.org/croissant/1.1",
+        "name": name,
+        "description": description,
+        "creator": {"@type": "sc:Organization", "name": f"articugen {__version__}"},
+        "version": "1.0.0",
+    }
+    if manifest is not None:
+        told |= {"license": manifest.licence, "isBasedOn": manifest.source}
+    told["distribution"] = distribution
+    if records:
+        told["recordSet"] = list(records)
+    return json.dumps(told, indent=1, ensure_ascii=False).encode() + b"\n"
+
+
+def listed(files: Sequence[File]) -> list[dict[str, Any]]:
+    """Files one by one, or where they are many, a pattern for each kind."""
+    return objects(files) if len(files) <= _MOST_OBJECTS else file_sets(files)
+
+
+def objects(files: Sequence[File]) -> list[dict[str, Any]]:
+    return [
+        {
+            "@type": "cr:FileObject",
+            "@id": file.name,
+            "name": file.name,
+            "contentUrl": file.name,
+            "contentSize": f"{file.bytes} B",
+            "encodingFormat": _mime(_ending(file.name)),
+            "sha256": file.sha256,
+        }
+        for file in files
+    ]
+
+
+def file_sets(files: Sequence[File]) -> list[dict[str, Any]]:
+    """One for each kind of file, by its ending."""
+    return [
+        {
+            "@type": "cr:FileSet",
+            "@id": f"{ending}-files",
+            "name": f"{ending}-files",
+            "includes": [f"*.{ending}", f"**/*.{ending}"],  # mlcroissant's ** needs a folder
+            "encodingFormat": _mime(ending),
+        }
+        for ending in sorted({_ending(file.name) for file in files})
+    ]
+
+
+def _ending(name: str) -> str:
+    return name.rpartition("/")[2].rpartition(".")[2]
+
+
+def _mime(ending: str) -> str:
+    return _MIME.get(ending, "application/octet-stream")
