@@ -96,8 +96,17 @@ def load(source: str | Path, object_id: str | None = None, *, category: str | No
     return Model(registry.load(ref), own.canonical, tuple(own.movable), clips)
 
 
-def _found(source: str | Path, object_id: str | None, category: str | None) -> registry.ObjectRef:
-    """The one model that is meant."""
+def models(
+    source: str | Path, category: str | None = None, object_id: str | None = None
+) -> tuple[registry.ObjectRef, ...]:
+    """The models that a source holds, all of them or the one that is asked for.
+
+    Args:
+        source, category, object_id: as in `load`.
+
+    Raises:
+        InvalidSource: there is no such source or model.
+    """
     ids = () if object_id is None else (object_id,)
     source = str(source)
     if source.lower().endswith(".urdf") and not Path(source).exists():
@@ -111,17 +120,22 @@ def _found(source: str | Path, object_id: str | None, category: str | None) -> r
             categories = (ANY_CATEGORY,)
     else:
         categories = registry.categories(source, [category])
-    refs = [
+    return tuple(
         ref
         for name, (own, out_of) in registry.share_out(source, categories, ids, ()).items()
         for ref in registry.object_refs(source, name, ids=own, exclude=out_of)
-    ]
-    if len(refs) > 1:
+    )
+
+
+def _found(source: str | Path, object_id: str | None, category: str | None) -> registry.ObjectRef:
+    """The one model that is meant."""
+    first, *others = models(source, category, object_id)
+    if others:
         raise InvalidSource(
-            f"{source}: holds {len(refs)} models; name one, as in "
-            f"load({source!r}, {refs[0].object_id!r})"
+            f"{source}: holds {1 + len(others)} models; name one, as in "
+            f"load({str(source)!r}, {first.object_id!r})"
         )
-    return refs[0]
+    return first
 
 
 class MadeMesh(Mesh):

@@ -14,7 +14,7 @@ from articugen.instance import Prepared, make_instance, pose, prepare
 from articugen.mesh_file import check_format, export
 from articugen.pipeline import generator_of
 from articugen.recipe import Recipe
-from articugen.records import Instance, Mesh, dequantize
+from articugen.records import ArticulatedObject, Instance, Mesh, dequantize
 from articugen.seeding import generator
 from articugen.sources import registry
 from articugen.store.manifest import Manifest, ObjectEntry
@@ -31,13 +31,15 @@ class StoredInstance:
     state_index: int
 
 
-def prepared_again(manifest: Manifest, object_id: str) -> Prepared:
-    """What the instances of one object of the data set share, made again.
+def source_again(
+    manifest: Manifest, object_id: str
+) -> tuple[ArticulatedObject, registry.CategorySettings]:
+    """The model that an object of the data set was made of, and what its source says of how it
+    moves.
 
     Raises:
         ArticugenError: no such object; its source is gone or has changed; other code made it.
     """
-    recipe = Recipe.model_validate_json(manifest.recipe)
     entry = next((o for o in manifest.objects if o.key.object_id == object_id), None)
     if entry is None:
         raise InvalidSource(
@@ -48,10 +50,20 @@ def prepared_again(manifest: Manifest, object_id: str) -> Prepared:
     changed = same_code.difference(entry.key)
     if changed:
         raise ArticugenError(f"{object_id}: {changed}; only such a version can make it again")
-    settings = registry.settings(ref)
     obj = registry.load(ref)
     if obj.sha256 != entry.input_sha256:
         raise InvalidSource(f"{object_id}: its files under {ref.location} have changed since")
+    return obj, registry.settings(ref)
+
+
+def prepared_again(manifest: Manifest, object_id: str) -> Prepared:
+    """What the instances of one object of the data set share, made again.
+
+    Raises:
+        ArticugenError: as `source_again`.
+    """
+    recipe = Recipe.model_validate_json(manifest.recipe)
+    obj, settings = source_again(manifest, object_id)
     resolved = articulation.resolve(
         obj, recipe.articulation, canonical=settings.canonical, movable=settings.movable
     )
