@@ -16,6 +16,7 @@ dev       := $(VENV)/.installed-dev
 backends  := $(VENV)/.installed-backends
 learner   := $(VENV)/.installed-ppd
 readers   := $(VENV)/.installed-readers
+viewer    := $(VENV)/.installed-view
 
 options = $(foreach pair,RECIPE:recipe OBJECTS:objects IDS:ids EXCLUDE:exclude JOINTS:joints \
     MOVABLE:movable CANONICAL:canonical STATES:states MAX_REJECTED:max-rejected JOBS:jobs SEED:seed,\
@@ -25,7 +26,7 @@ replace = $(if $(REPLACE),--replace)
 option = $(if $($(1)),--$(2) "$($(1))")
 
 .DEFAULT_GOAL := help
-.PHONY: help dataset inspect report verify train depth evaluate gpu-study test check format bench accuracy bench-reading bench-train backends learner exporters clean
+.PHONY: help dataset inspect report view verify train depth evaluate gpu-study test check format bench accuracy bench-reading bench-train backends learner exporters clean
 
 help:  ## list the targets
 	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1"
@@ -58,6 +59,13 @@ ifdef CATEGORY
 	@$(articugen) inspect "$(OUT)/$(CATEGORY)" --html "$(OUT)/$(CATEGORY)/report.html"
 else
 	@echo "Choose one: make report CATEGORY=laptop" >&2; exit 2
+endif
+
+view: $(viewer)  ## look at CATEGORY= in the browser, or at WHAT=model.urdf; Ctrl-C ends it
+ifneq ($(CATEGORY)$(WHAT),)
+	@$(articugen) view "$(or $(WHAT),$(OUT)/$(CATEGORY))" $(call option,PORT,port)
+else
+	@echo "Choose one: make view CATEGORY=laptop" >&2; exit 2
 endif
 
 verify: $(generator)  ## check every byte and the geometry of OUT (or of CATEGORY= alone)
@@ -147,6 +155,13 @@ $(learner): $(generator)
 $(readers): $(generator)
 	@echo "Installing what exports are written and read with ..."
 	@$(pinned) --editable '.[readers]'
+	@touch $@
+
+# viser asks for older versions of rich and websockets than are pinned here; tests run it with these.
+$(viewer): $(generator)
+	@echo "Installing the viewer ..."
+	@$(pinned) imageio manifold3d msgspec requests tqdm websockets zstandard
+	@$(pinned) --no-deps viser
 	@touch $@
 
 $(dev): $(testing)

@@ -124,6 +124,10 @@ MAY_IMPORT: dict[str, set[str]] = {
     "notebook": VOCABULARY | {"store", "inspection"},
     "api": VOCABULARY | {"pipeline", "sources", "store"},
     "found_joints": VOCABULARY | {"discovery", "store", "learning.clouds"},
+    # the browser: what is stored, or made again by what notebooks make it with
+    "viewer": VOCABULARY
+    | {"inspection", "learning", "maker", "marching_cubes", "report.markup", "sources", "store"}
+    | {"export.simpler", "verify.replay"},
     "cli": {
         "api",
         "export",
@@ -142,6 +146,7 @@ MAY_IMPORT: dict[str, set[str]] = {
         "inspection",
         "report",
         "learning",
+        "viewer",
     },
     "__main__": {"cli"},
 }
@@ -167,6 +172,7 @@ FOREIGN: dict[str, set[str]] = {
         "cli.fetch",
         "cli.learn",
         "cli.saying",
+        "cli.view",
     },
     "rich": {
         "cli.data",
@@ -176,6 +182,7 @@ FOREIGN: dict[str, set[str]] = {
         "cli.fetch",
         "cli.learn",
         "cli.saying",
+        "cli.view",
         "inspection.summary",
         "inspection.tables",
     },
@@ -183,6 +190,7 @@ FOREIGN: dict[str, set[str]] = {
     "pyrender": {"rendering.opengl"},
     "OpenGL": {"rendering.opengl"},
     "sapien": {"rendering.sapien"},
+    "viser": {"viewer.panel", "viewer.serve", "viewer.session", "viewer.stage"},
     "torch": WITH_TORCH | {"learning.method", "learning.ppd.method", "learning.tensorboard"},
 }
 """The modules that wrap a library; nobody else imports it."""
@@ -304,7 +312,7 @@ def test_the_core_needs_no_optional_library() -> None:
     """All but the files that wrap them import where open3d, torch and the like are absent."""
     optional = (
         "open3d", "pyrender", "OpenGL", "sapien", "tensorboard", "torch", "scipy", "matplotlib",
-        "coacd", "pxr", "pyarrow",
+        "coacd", "pxr", "pyarrow", "viser",
     )  # fmt: skip
     drawing = {f"learning.evaluation.figures.{name}" for name in ("draw", "plots")}
     without = WITH_TORCH | drawing | {"__init__", "__main__"}

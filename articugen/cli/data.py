@@ -24,6 +24,7 @@ from articugen.cli.fetch import register as register_fetch
 from articugen.cli.learn import Changes
 from articugen.cli.learn import register as register_learning
 from articugen.cli.saying import FAILED, INTERRUPTED, REJECTED, said, say_error, stderr, stdout
+from articugen.cli.view import register as register_view
 from articugen.errors import ArticugenError
 
 if TYPE_CHECKING:
@@ -410,6 +411,7 @@ def mesh(
 
 
 register_fetch(app)
+register_view(app)
 register_export(app)
 register_discover(app)
 register_learning(app)

@@ -1,0 +1,474 @@
+"""The viewer: what it shows against what the generator stores, and its page in a real browser."""
+
+import io
+import shutil
+import socket
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from browser import PHONE, browser
+from instances import SMALL, hinged_box
+from PIL import Image
+from test_cli import run
+from test_html_report import HOSTILE, STATES, named, shard
+from test_maker import CABINET, TINY
+
+import articugen as ag
+from articugen.errors import (
+    ArticugenError,
+    CorruptShard,
+    InvalidSource,
+    NotOfCategory,
+)
+from articugen.geometry import apply, rotation_about
+from articugen.records import ENCLOSED, FREE, Instance, JointKind, dequantize
+from articugen.store.shards import open_shard
+from articugen.viewer import layers, words
+from articugen.viewer.layers import Lines, Points, Solid
+from articugen.viewer.serve import Served, served, what_to_show
+from articugen.viewer.shown import Joint, Shown
+from articugen.viewer.sources import source_of
+from articugen.viewer.words import Scale
+
+LAPTOP = {"width": 1366, "height": 768}
+
+STUCK = """<robot name="stuck">
+  <link name="body"><visual><geometry><box size="1 1 1"/></geometry></visual></link>
+</robot>"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model, and a data set made of it in <folder>/data/cabinet."""
+    folder = tmp_path_factory.mktemp("cabinets")
+    (folder / "urdfs").mkdir()
+    (folder / "urdfs" / "cabinet.urdf").write_text(CABINET)
+    ag.generate("cabinet", folder / "urdfs", folder / "data", TINY, seed=3, jobs=0)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def shown(folder: Path) -> Shown:
+    return source_of(str(folder / "data" / "cabinet")).shown("cabinet")
+
+
+@pytest.fixture
+def viser() -> Any:
+    return pytest.importorskip("viser", reason="viser is not installed")
+
+
+def stored(folder: Path) -> list[Instance]:
+    (path,) = (folder / "data" / "cabinet").glob("*.h5")
+    with open_shard(path) as opened:
+        return [opened.instance(row) for row in range(len(opened))]
+
+
+def assert_same(one: Instance, other: Instance, *fields: str) -> None:
+    a, b = one.arrays(), other.arrays()
+    assert a.keys() == b.keys()
+    for name in fields or a:
+        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+
+
+# what is shown
+
+
+def test_a_stored_state_is_the_generators_to_the_byte(folder: Path, shown: Shown) -> None:
+    assert shown.maker is not None
+    model = source_of(str(folder / "urdfs" / "cabinet.urdf"), category="cabinet", seed=3)
+    for state, instance in enumerate(stored(folder)):
+        seen = shown.at(shown.states[state])
+        assert (seen.state, seen.asked) == (state, True)
+        assert_same(seen.instance, instance)
+        assert_same(shown.maker[state].instance, instance)
+    assert model.objects == ["cabinet"]
+
+
+def test_a_model_is_shown_as_a_data_set_would_hold_it(folder: Path, tmp_path: Path) -> None:
+    recipe = tmp_path / "tiny.yaml"
+    recipe.write_text(str(TINY).replace("'", '"'))  # JSON, which YAML contains
+    urdf = str(folder / "urdfs" / "cabinet.urdf")
+    model = source_of(urdf, category="cabinet", recipe=str(recipe), seed=3).shown("cabinet")
+    for state, instance in enumerate(stored(folder)):
+        assert_same(model.at(model.states[state]).instance, instance)
+
+
+def test_between_states_it_is_fused_anew_with_the_same_recipe(folder: Path, shown: Shown) -> None:
+    assert shown.maker is not None
+    door, _, slide = shown.joints
+    q = np.array([0.7, 0.0, 0.11])
+    seen = shown.at(q)
+    assert (seen.state, seen.asked, seen.instance.state_index) == (None, True, len(shown.states))
+    np.testing.assert_allclose(seen.q, [0.7, 0.35, 0.11])  # the latch follows the door
+    np.testing.assert_allclose(
+        seen.instance.part_motion[1][:3, :3], rotation_about([0, 0, 1], 0.7), atol=1e-9
+    )
+    assert seen.instance.part_motion[3][0, 3] == pytest.approx(0.11 / seen.instance.scale)
+    # the same field that states are stored with: at one of theirs it gives their labels
+    again = shown.maker.at(door=shown.states[1][0], slide=shown.states[1][2]).instance
+    fixed = ("joint_state", "joint_pivot", "part_motion", "center", "scale", "occupancy_8")
+    assert_same(again, stored(folder)[1], *fixed)
+    assert (door.kind, slide.kind) == (JointKind.REVOLUTE, JointKind.PRISMATIC)
+
+
+def test_joints_that_follow_say_so(shown: Shown) -> None:
+    assert [joint.follows for joint in shown.joints] == ["", "door", ""]
+
+
+def test_part_meshes_enclose_the_parts(viser: Any, shown: Shown) -> None:
+    body, leaf, latch, tray = shown.part_meshes
+    for mesh, size in ((leaf, (0.02, 0.5, 0.4)), (tray, (0.3, 0.4, 0.02))):
+        assert shown.maker is not None
+        scale = shown.maker.prepared.unit.scale
+        solid = trimesh.Trimesh(mesh.vertices * scale, mesh.faces)
+        assert solid.is_watertight
+        np.testing.assert_allclose(solid.extents, size, atol=1e-3)
+    assert len(body.faces) > len(latch.faces) > 0
+
+
+def test_without_its_source_the_nearest_state_is_shown(
+    viser: Any, folder: Path, tmp_path: Path
+) -> None:
+    moved = Path(shutil.copytree(folder / "data" / "cabinet", tmp_path / "cabinet"))
+    (path,) = moved.glob("*.h5")
+    (moved / "manifest.json").unlink()
+    alone = source_of(str(path)).shown("cabinet")
+    assert "has no manifest.json that names the source" in alone.why
+    seen = alone.at(alone.states[2] + [0.01, 0.0, -0.001])
+    assert (seen.state, seen.asked) == (2, False)
+    assert_same(seen.instance, stored(folder)[2])
+    said = words.said_of(alone, seen, 0.0)
+    assert "state 2, the nearest that is stored" in said
+    assert "The sliders show the nearest stored state" in said
+    grid = stored(folder)[0].occupancy[8]
+    in_grid = [bool((grid == part + 1).any()) for part in range(4)]
+    assert [len(mesh.faces) > 0 for mesh in alone.part_meshes] == in_grid
+
+
+def test_a_shard_beside_its_manifest_knows_its_source(folder: Path, shown: Shown) -> None:
+    (path,) = (folder / "data" / "cabinet").glob("*.h5")
+    one = source_of(str(path)).shown("cabinet")
+    assert (one.why, one.joints) == ("", shown.joints)
+
+
+def test_a_source_that_changed_is_not_taken_for_what_it_was(tmp_path: Path) -> None:
+    (tmp_path / "cabinet.urdf").write_text(CABINET)
+    ag.generate("cabinet", tmp_path, tmp_path / "data", TINY, jobs=0, states=0)
+    (tmp_path / "cabinet.urdf").write_text(CABINET.replace("0.2 0 0.2", "0.2 0 0.3") + "\n")
+    changed = source_of(str(tmp_path / "data" / "cabinet")).shown("cabinet")
+    assert changed.maker is None
+    assert "have changed since" in changed.why
+
+
+# what is drawn
+
+
+@pytest.fixture(scope="module")
+def box() -> Instance:
+    return hinged_box()[2]
+
+
+def only(drawn: list[Any], kind: type) -> Any:
+    (found,) = [each for each in drawn if isinstance(each, kind)]
+    return found
+
+
+def test_voxels_are_closed_cubes_that_share_no_wall() -> None:
+    grid = np.zeros((4, 4, 4), np.uint8)
+    grid[1, 2, 0] = grid[2, 2, 0] = 1
+    grid[3, 3, 3] = ENCLOSED
+    instance = replace(hinged_box()[0], occupancy={4: grid})
+    two, enclosed = layers.voxels(instance, 4)
+    for drawn, count, faces in ((two, 2, 20), (enclosed, 1, 12)):
+        assert isinstance(drawn, Solid)
+        assert len(drawn.faces) == faces
+        solid = trimesh.Trimesh(drawn.vertices, drawn.faces)
+        assert solid.is_watertight
+        assert solid.volume == pytest.approx(count / 64)
+    assert isinstance(two, Solid)
+    np.testing.assert_allclose(two.vertices.min(axis=0), [-0.25, 0.0, -0.5])
+    np.testing.assert_allclose(two.vertices.max(axis=0), [0.25, 0.25, -0.25])
+
+
+def test_query_points_are_inside_or_outside(box: Instance) -> None:
+    inside, outside = (only(layers.queries(box, inside=side), Points) for side in (True, False))
+    label = np.concatenate([box.uniform_label, box.near_label])
+    assert (len(inside.points), len(outside.points)) == ((label > 0).sum(), (label == FREE).sum())
+    np.testing.assert_array_equal(inside.colours, layers.PART_COLOURS[label[label > 0] - 1])
+
+
+def test_frusta_have_their_corners_at_the_corners_of_the_pictures(box: Instance) -> None:
+    edges = only(layers.partial(box, 64), Lines).ends.reshape(-1, 8, 2, 3)
+    assert len(edges) == len(box.partial_points)
+    for mine, T, (fx, fy, cx, cy) in zip(
+        edges, box.partial_T_camera_world, box.partial_intrinsics, strict=True
+    ):
+        rays = apply(T, mine[:4])
+        np.testing.assert_allclose(rays[:, 0], 0.0, atol=1e-12)
+        x, y, z = rays[:, 1].T
+        pixels = np.stack([fx * x / z + cx, fy * y / z + cy], axis=1)
+        np.testing.assert_allclose(pixels, [[0, 0], [64, 0], [64, 64], [0, 64]], atol=1e-9)
+
+
+def test_axes_go_through_their_pivots(box: Instance) -> None:
+    drawn = layers.joints(box)
+    np.testing.assert_array_equal(only(drawn, Points).points, box.joint_pivot)
+    hinge, slide = only(drawn, Lines).ends[:2]
+    np.testing.assert_allclose(hinge.mean(axis=0), box.joint_pivot[0])
+    np.testing.assert_allclose(slide[0], box.joint_pivot[1])
+    for line, axis in zip((hinge, slide), box.joint_axis, strict=True):
+        along = line[1] - line[0]
+        np.testing.assert_allclose(along / np.linalg.norm(along), axis)
+
+
+def test_surface_points_and_normals_are_the_stored_ones(box: Instance) -> None:
+    points = only(layers.surface(box), Points).points
+    np.testing.assert_array_equal(points, dequantize(box.surface_points))
+    ends = only(layers.normals(box), Lines).ends
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    np.testing.assert_allclose(length, layers.NORMAL_LENGTH, rtol=0.02)
+
+
+# what is said
+
+
+@pytest.mark.parametrize(
+    ("kind", "lower", "upper", "label"),
+    [
+        (JointKind.REVOLUTE, 0.0, np.radians(110.0), "lid: 0 to 110°"),
+        (JointKind.REVOLUTE, -np.pi, 0.0, "lid: -180 to 0°"),
+        (JointKind.PRISMATIC, 0.0, 0.3109, "lid: 0 to 31.1 cm"),
+        (JointKind.PRISMATIC, 0.0, 0.002, "lid: 0 to 0.2 cm"),
+        (JointKind.PRISMATIC, 0.0, 0.0, "lid: 0 to 0.0001 cm"),
+    ],
+)
+def test_a_slider_reaches_its_joints_range_and_no_more(kind, lower, upper, label) -> None:
+    joint = Joint("lid", kind, float(lower), float(upper))
+    scale = Scale.of(joint)
+    assert words.label_of(0, joint) == label
+    assert scale.meant(joint, scale.lower) == pytest.approx(lower)
+    assert scale.meant(joint, scale.upper) == pytest.approx(upper)
+    for value in np.linspace(lower, upper, 13):
+        step = scale.shown(joint, float(value))
+        assert scale.lower <= step <= scale.upper
+        assert scale.meant(joint, step) == pytest.approx(value, abs=0.51 * scale.step)
+        assert scale.shown(joint, scale.meant(joint, step)) == step
+
+
+def test_names_are_printable_short_and_no_two_alike() -> None:
+    ids = ["a", "a\n", HOSTILE, "x" * 300, "x" * 301, "", "箱"]
+    names = words.names_of(ids)
+    assert list(names.values()) == ids
+    assert all(name.isprintable() and 0 < len(name) < 40 for name in names)
+
+
+def test_names_are_text_in_html() -> None:
+    html = words.legend(named(hinged_box()[0]))
+    assert "<script" not in html
+    assert "<img" not in html
+    assert "箱" in html
+
+
+# bad input
+
+
+def test_what_cannot_be_shown_is_said_in_a_sentence(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "stuck.urdf").write_text(STUCK)
+    (tmp_path / "broken.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
+    (whole,) = (folder / "data" / "cabinet").glob("*.h5")
+    (tmp_path / "cut.h5").write_bytes(whole.read_bytes()[:-5000])
+    with pytest.raises(InvalidSource, match="no such shard, folder, URDF or source"):
+        what_to_show(str(tmp_path / "nowhere"))
+    for name in ("broken.h5", "cut.h5"):
+        with pytest.raises(CorruptShard, match=name):
+            what_to_show(str(tmp_path / name))
+    with pytest.raises(CorruptShard, match="open one of: cabinet"):
+        what_to_show(str(folder / "data"))
+    with pytest.raises(NotOfCategory, match="no joint moves"):
+        source_of(str(tmp_path / "stuck.urdf")).shown("stuck")
+
+
+def test_another_version_of_shards_is_refused(tmp_path: Path) -> None:
+    import h5py  # noqa: PLC0415 - what a stranger would edit it with
+
+    path = shard(tmp_path / "old.h5", hinged_box(STATES))
+    with h5py.File(path, "r+") as file:
+        file.attrs["schema_version"] = 1
+    with pytest.raises(CorruptShard, match="version"):
+        what_to_show(str(path))
+
+
+def test_without_viser_one_learns_how_to_get_it(folder: Path, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)
+    done = run("view", folder / "data" / "cabinet")
+    assert done.exit_code == 1
+    assert "viser is not installed; run: pip install 'articugen[view]'" in done.stderr
+
+
+def test_a_port_that_is_taken_is_said(viser: Any, folder: Path) -> None:
+    source = source_of(str(folder / "data" / "cabinet"))
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with (
+            pytest.raises(ArticugenError, match=rf"127.0.0.1:{port}: cannot listen there .*--port"),
+            served(source, port=port),
+        ):
+            pass
+    with (
+        pytest.raises(ArticugenError, match=r"cannot listen there .*--host"),
+        served(source, host="203.0.113.7"),
+    ):
+        pass
+
+
+def test_a_model_that_cannot_move_ends_the_command(viser: Any, tmp_path: Path) -> None:
+    (tmp_path / "stuck.urdf").write_text(STUCK)
+    done = run("view", tmp_path / "stuck.urdf")
+    assert done.exit_code == 1
+    assert "no joint moves" in done.stderr
+
+
+# in the browser
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with browser() as opened:
+        yield opened
+
+
+@pytest.fixture
+def cabinet(viser: Any, folder: Path) -> Iterator[Served]:
+    with served(source_of(str(folder / "data" / "cabinet"))) as there:
+        yield there
+
+
+def opened(chromium: Any, there: Served, screen: dict[str, int]) -> tuple[Any, list[str]]:
+    """The page once it shows an object, and all that speaks against it."""
+    tab = chromium.new_context(viewport=screen).new_page()
+    tab.set_default_timeout(90_000)
+    faults: list[str] = []
+    own = (there.url, there.url.replace("http", "ws"), "data:", "blob:")
+    tab.on("console", lambda m: faults.append(m.text) if m.type == "error" else None)
+    tab.on("pageerror", lambda error: faults.append(str(error)))
+    tab.on("dialog", lambda dialog: (faults.append(dialog.message), dialog.dismiss()))
+    tab.on("request", lambda r: None if r.url.startswith(own) else faults.append(r.url))
+    tab.on("websocket", lambda w: None if w.url.startswith(own) else faults.append(w.url))
+    tab.goto(there.url)
+    tab.wait_for_selector("text=as it is stored")
+    assert there.session.wait(120)
+    tab.evaluate("document.querySelectorAll('.mantine-CloseButton-root').forEach(b => b.click())")
+    tab.wait_for_timeout(1500)
+    return tab, faults
+
+
+def picture(tab: Any) -> np.ndarray:
+    """(H, W, 3) what is seen left of the controls, once it changes no more."""
+    before = None
+    for _ in range(20):
+        tab.wait_for_timeout(300)
+        image = Image.open(io.BytesIO(tab.locator("canvas").first.screenshot())).convert("RGB")
+        now = np.asarray(image, np.int64)
+        if before is not None and np.array_equal(now, before):
+            break
+        before = now
+    return now
+
+
+def where(image: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
+    """(n, 2) the pixels of one hue, light or dark."""
+    wanted, lit = np.array(colour) / max(colour), image.max(axis=2, keepdims=True)
+    alike = np.abs(image / np.maximum(lit, 1) - wanted).max(axis=2) < 0.04
+    return np.argwhere(alike & (lit[..., 0] > 60))
+
+
+def test_a_slider_moves_its_part_and_changes_the_picture(chromium: Any, cabinet: Served) -> None:
+    tab, faults = opened(chromium, cabinet, LAPTOP)
+    first, door = picture(tab), layers.rgb("#4477aa")
+    assert cabinet.session.seen is not None
+    assert cabinet.session.seen.state == 0
+    slider = tab.get_by_role("slider").first
+    slider.focus()
+    slider.press("End")
+    tab.wait_for_selector("text=made for these joint values in")
+    assert cabinet.session.wait(120)
+    second, seen = picture(tab), cabinet.session.seen
+    assert seen.state is None
+    np.testing.assert_allclose(seen.q, [1.57, 0.785, 0.0])
+    np.testing.assert_allclose(
+        seen.instance.part_motion[1][:3, :3], rotation_about([0, 0, 1], 1.57), atol=1e-6
+    )
+    shut, wide = where(first, door), where(second, door)
+    assert min(len(shut), len(wide)) > 500
+    assert np.linalg.norm(shut.mean(axis=0) - wide.mean(axis=0)) > 30.0
+    slider.press("Home")
+    tab.wait_for_selector("text=state 0, as it is stored")
+    assert np.array_equal(picture(tab), first)
+    assert faults == []
+
+
+@pytest.mark.parametrize("screen", [LAPTOP, PHONE], ids=["laptop", "phone"])
+def test_the_object_fills_the_window_and_nothing_is_cut_off(
+    chromium: Any, cabinet: Served, screen: dict[str, int]
+) -> None:
+    tab, faults = opened(chromium, cabinet, screen)
+    image = picture(tab)
+    if screen == PHONE:
+        image = image[: int(0.4 * len(image))]  # the controls have the rest
+    rows, columns = np.nonzero((image < 250).any(axis=2))
+    height, width = image.shape[:2]
+    assert rows.min() > 0
+    assert rows.max() < height - 1
+    assert columns.min() > 0
+    assert columns.max() < width - 1
+    assert max(np.ptp(rows) / height, np.ptp(columns) / width) > 0.5
+    assert faults == []
+
+
+def test_each_toggle_draws_something(chromium: Any, cabinet: Served) -> None:
+    tab, faults = opened(chromium, cabinet, LAPTOP)
+
+    def toggled(name: str) -> np.ndarray:
+        tab.get_by_role("checkbox", name=name).click(force=True)
+        tab.wait_for_timeout(300)
+        assert cabinet.session.wait(120)
+        return picture(tab)
+
+    toggled("Surface points")
+    before = toggled("Axes and pivots")
+    assert (before == 255).all()
+    for name in ("Normals", "Part meshes", "Occupancy grid", "Query points inside",
+                 "Query points outside", "Partial clouds, cameras"):  # fmt: skip
+        after = toggled(name)
+        assert (after != before).any(axis=2).sum() > 100, name
+        before = after
+    assert faults == []
+
+
+def test_hostile_names_are_text_and_many_objects_no_trouble(
+    chromium: Any, viser: Any, tmp_path: Path
+) -> None:
+    few = {"grids": (8,), "surface_points": 256, "uniform_points": 64, "near_points": 256}
+    recipe = SMALL.model_copy(update={"sampling": SMALL.sampling.model_copy(update=few)})
+    one = named(hinged_box(STATES, recipe=recipe)[0])
+    many = [replace(one, object_id=f"{HOSTILE} {n}") for n in range(500)]
+    path = shard(tmp_path / "train-00000.h5", many)
+    with served(source_of(str(path))) as there:
+        tab, faults = opened(chromium, there, LAPTOP)
+        assert tab.get_by_text("500 objects").is_visible()
+        assert "has no manifest.json" in tab.inner_text("body")
+        assert "part 1: </title><img" in tab.inner_text("body")
+        tab.get_by_label("Object").first.click()
+        tab.get_by_role("option").nth(499).click()
+        tab.wait_for_timeout(500)
+        assert there.session.wait(120)
+        assert there.session.fault == ""
+        assert there.session.seen is not None
+        assert there.session.seen.instance.object_id == many[499].object_id
+        assert faults == []
