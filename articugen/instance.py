@@ -192,6 +192,7 @@ def _prepared(
     seen = np.concatenate([part.seen for part in parts])
     bvh = fusion.joined_bvh(parts)
     rng = partial(generator, seed, obj.category, obj.object_id)
+    sampled = swept_box(mesh, unit.rigid_to_unit(motions[: len(posed)]))  # the same for any reach
     return Prepared(
         obj=obj,
         recipe=recipe,
@@ -208,7 +209,7 @@ def _prepared(
         overlay=_backend(recipe).overlay_on(static) if looked_at else None,
         own=own,
         grids={r: _grid(r, own, recipe) for r in recipe.sampling.grids},
-        extras=_extras(mesh, seen, bvh, swept, recipe, rng),
+        extras=_extras(mesh, seen, bvh, sampled, recipe, rng),
     )
 
 

@@ -240,6 +240,15 @@ def test_all_instances_of_an_object_share_their_cameras(apart):
     assert recipe.images.views == 2
 
 
+def test_states_that_were_not_sampled_are_seen_by_the_same_cameras(tmp_path):
+    maker = slide(tmp_path, 0.28, states=1)  # whose views need not hold the ends of the range
+    for pushed in (0.0, 0.28):
+        made = maker.at(slide=pushed).instance
+        np.testing.assert_array_equal(
+            made.image_T_camera_world, maker[0].instance.image_T_camera_world
+        )
+
+
 # Collisions.
 
 
