@@ -327,17 +327,10 @@ def _give_back_large_blocks() -> None:
 def _instances(job: Job, task: Task) -> tuple[ArticulatedObject, Iterator[Instance]]:
     """The object and its instances, which are made as they are asked for."""
     # numba and the mesh readers take a second to import: the command line should not wait for them
-    from articugen import articulation  # noqa: PLC0415
     from articugen.instance import make_instance, prepare  # noqa: PLC0415
+    from articugen.resolving import resolved  # noqa: PLC0415
 
-    settings = registry.settings(task.ref)
-    obj = articulation.resolve(
-        registry.load(task.ref),
-        job.recipe.articulation,
-        canonical=settings.canonical,
-        movable=settings.movable,
-    )
-    prepared = prepare(obj, job.recipe, job.seed)
+    prepared = prepare(resolved(task.ref, job.recipe), job.recipe, job.seed)
     every = range(len(prepared.states))
     return prepared.obj, (make_instance(prepared, index) for index in every)
 

@@ -75,7 +75,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "compiling": {"bundled", "workers", "rehearsal"},
     "estimate": {"store.manifest", "recipe"},
     "pipeline": VOCABULARY
-    | {"store", "sources", "articulation", "instance", "workers", "estimate", "compiling"},
+    | {"store", "sources", "articulation", "resolving", "instance", "workers", "estimate"}
+    | {"compiling"},
     # the store, which knows no stage
     "store": set(),
     "store.files": {"errors"},
@@ -96,6 +97,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "verify.sampled": VOCABULARY | {"verify.bounds"},
     "verify.extras": VOCABULARY | {"verify.bounds", "verify.sampled"},
     "verify.invariants": VOCABULARY | {"verify.exact", "verify.extras", "verify.sampled"},
+    "resolving": VOCABULARY | {"sources", "articulation"},
     "verify.dataset": VOCABULARY | {"store", "verify.invariants", "workers"},
     "verify.replay": VOCABULARY
     | {"store", "sources", "articulation", "fusion", "instance", "pipeline", "verify", "mesh_file"},
@@ -105,7 +107,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "report.facts": VOCABULARY | {"store"},
     "report.skin": VOCABULARY | {"inspection", "marching_cubes"},
     # alone in that room may know a stage: where links stand, and what they are made from
-    "report.truth": VOCABULARY | {"store", "sources", "articulation", "report.facts"},
+    "report.truth": VOCABULARY | {"store", "sources", "articulation", "resolving", "report.facts"},
     # joints found from several poses, for learners and for a command of its own
     "discovery": VOCABULARY,
     "learning": VOCABULARY

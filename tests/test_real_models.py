@@ -22,6 +22,7 @@ from articugen.geometry import apply, invert_rigid
 from articugen.instance import Prepared, make_instance, prepare
 from articugen.recipe import Recipe, Sampling, load_recipe
 from articugen.records import ArticulatedObject, Floats, Instance, dequantize
+from articugen.resolving import resolved
 from articugen.sources import registry
 
 pytestmark = needs_real_models
@@ -65,14 +66,8 @@ def recipe_for(category: str) -> Recipe:
 
 def all_stages(ref: registry.ObjectRef) -> tuple[Prepared, list[Instance]]:
     """The object's canonical instance and `STATES` random ones, as the pipeline makes them."""
-    recipe, settings = recipe_for(ref.category), registry.settings(ref)
-    obj = articulation.resolve(
-        registry.load(ref),
-        recipe.articulation,
-        canonical=settings.canonical,
-        movable=settings.movable,
-    )
-    prepared = prepare(obj, recipe, seed=0)
+    recipe = recipe_for(ref.category)
+    prepared = prepare(resolved(ref, recipe), recipe, seed=0)
     return prepared, [make_instance(prepared, s) for s in range(STATES + 1)]
 
 

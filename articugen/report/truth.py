@@ -18,6 +18,7 @@ from articugen.portable import product
 from articugen.recipe import Recipe
 from articugen.records import Instance, Normalization, ResolvedObject, dequantize, is_material
 from articugen.report.facts import ObjectFacts
+from articugen.resolving import resolved
 from articugen.sources import registry
 from articugen.sources.procedural.truth import Truth, load_truth
 from articugen.sources.refs import ObjectRef
@@ -110,13 +111,7 @@ class _Model:
 
 def _model(manifest: Manifest, recipe: Recipe, object_id: str) -> _Model:
     (ref,) = registry.object_refs(manifest.source, manifest.category, ids=[object_id])
-    settings = registry.settings(ref)
-    obj = articulation.resolve(
-        registry.load(ref),
-        recipe.articulation,
-        canonical=settings.canonical,
-        movable=settings.movable,
-    )
+    obj = resolved(ref, recipe)
     posed = articulation.forward_kinematics(obj, articulation.canonical_state(obj))
     names = [link.name for link in obj.links]
     return _Model(ref, obj, dict(zip(names, posed.T_world_link, strict=True)))

@@ -32,6 +32,7 @@ from articugen.records import (
     Views,
     dequantize,
 )
+from articugen.resolving import resolved
 from articugen.sources import registry
 from articugen.sources.procedural.truth import Truth, _meets_box, _meets_cell, load_truth
 from articugen.sources.refs import ObjectRef
@@ -199,14 +200,8 @@ def real(folder: Path, category: str) -> Model:
 
 
 def _model(ref: ObjectRef, *, real: bool = False, messy: bool = False) -> Model:
-    recipe, settings = load_recipe(None, ref.category), registry.settings(ref)
-    obj = articulation.resolve(
-        registry.load(ref),
-        recipe.articulation,
-        canonical=settings.canonical,
-        movable=settings.movable,
-    )
-    return Model(ref, obj, recipe, real, messy)
+    recipe = load_recipe(None, ref.category)
+    return Model(ref, resolved(ref, recipe), recipe, real, messy)
 
 
 def sampled(prepared: Prepared, state: int, count: int) -> Instance:

@@ -21,11 +21,11 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from articugen import articulation
 from articugen.errors import InvalidSource, NotOfCategory
 from articugen.instance import Prepared, make_instance, prepare
 from articugen.recipe import Recipe, load_recipe
 from articugen.records import Instance
+from articugen.resolving import resolved
 from articugen.sources import registry
 from articugen.verify import invariants, replay
 from articugen.verify.bounds import TOLERANCES, Tolerance
@@ -113,14 +113,7 @@ def made_sets(first: int = 0) -> Iterator[Made]:
 
 
 def _made(name: str, ref: registry.ObjectRef, recipe: Recipe, seed: int) -> Made:
-    settings = registry.settings(ref)
-    obj = articulation.resolve(
-        registry.load(ref),
-        recipe.articulation,
-        canonical=settings.canonical,
-        movable=settings.movable,
-    )
-    prepared = prepare(obj, recipe, seed)
+    prepared = prepare(resolved(ref, recipe), recipe, seed)
     return Made(name, recipe, prepared, [make_instance(prepared, s) for s in range(STATES + 1)])
 
 
