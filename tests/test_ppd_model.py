@@ -164,7 +164,7 @@ def boxed():
     torch.manual_seed(4)
     model = PPD(ModelSettings(part_boxes=True, latent_start="he")).double()
     with torch.no_grad():
-        model.shape.box_in.weight.normal_(std=0.3)
+        model.shape.box_in[-1].weight.normal_(std=0.3)
     return model
 
 

@@ -227,7 +227,7 @@ class ShapeDecoder(nn.Module):
         super().__init__()
         self.parts = P = settings.parts
         self.common_shape = settings.common_shape
-        self.box_in = nn.Linear(SHAPE, P * 6) if settings.part_boxes else None
+        self.box_in = _box_head(P) if settings.part_boxes else None
         c = WIDTH // P
         self.width = c
         self.template_in = nn.Linear(TEMPLATE, P * c)
@@ -243,9 +243,6 @@ class ShapeDecoder(nn.Module):
         scale = 0.2 if settings.latent_start == "he" else 0.01
         nn.init.normal_(self.detail_in.weight, std=scale * math.sqrt(2.0 / SHAPE))
         nn.init.uniform_(self.detail_in.bias, -1.0 / SHAPE, 1.0 / SHAPE)
-        if self.box_in is not None:
-            nn.init.zeros_(self.box_in.weight)
-            nn.init.zeros_(self.box_in.bias)
 
     def code(self, z_shape: Tensor, z_template: Tensor) -> ShapeCode:
         """From z^s (B, 256) and the template's latent (B, 64)."""
@@ -294,6 +291,20 @@ class ShapeDecoder(nn.Module):
         x = self.trunk_1.sine(self.trunk_0.sine(x))
         x = torch.cat([x, x + detail[..., None]], 1)
         return self.head_2(self.head_1.sine(self.head_0.sine(x)))[:, :, 0]
+
+
+def _box_head(parts: int) -> nn.Sequential:
+    """From z^s to the middles and sizes of all parts' boxes, which are PLAIN at first.
+
+    Two layers in between: where one part ends and the next begins is no linear function of what
+    the encoder pools.
+    """
+    last = nn.Linear(SHAPE, 6 * parts)
+    nn.init.zeros_(last.weight)
+    nn.init.zeros_(last.bias)
+    return nn.Sequential(
+        nn.Linear(SHAPE, SHAPE), nn.LeakyReLU(0.2), nn.Linear(SHAPE, SHAPE), nn.LeakyReLU(0.2), last
+    )
 
 
 class Grouped(nn.Module):
