@@ -6,8 +6,8 @@
     maker = ag.Maker(ag.load("my/cabinet.urdf"), recipe="quick")
     inst = maker.at(door=1.2)           # inst.labels(points), inst.mesh(), inst.flow_to(other)
 
-Whatever a command does is a function here: `generate`, `verify`, `export`, `train`, `evaluate`.
-Each is imported when it is first used. docs/python.md has them all.
+Whatever a command does is a function here: `fetch`, `generate`, `verify`, `export`,
+`train`, `evaluate`. Each is imported when it is first used. docs/python.md has them all.
 """
 
 from importlib import import_module
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from articugen.api import generate
     from articugen.errors import ArticugenError
     from articugen.export.run import export
+    from articugen.fetching.door import fetch
     from articugen.found_joints import discover
     from articugen.learning.commands import evaluate, train
     from articugen.maker import Made, Maker, Model, load
@@ -37,6 +38,7 @@ _HOME = {
     "discover": "found_joints",
     "evaluate": "learning.commands",
     "export": "",
+    "fetch": "fetching.door",
     "generate": "api",
     "load": "maker",
     "open": "notebook",
@@ -57,6 +59,7 @@ __all__ = [
     "discover",
     "evaluate",
     "export",
+    "fetch",
     "generate",
     "load",
     "open",

@@ -14,8 +14,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+import articugen as ag
 from articugen.cli import app
-from articugen.errors import AccessRefused, MachineFault, NotFetched
+from articugen.errors import AccessRefused, InvalidArgument, MachineFault, NotFetched
 from articugen.fetching import web
 from articugen.fetching.partnet_mobility import fetch_partnet_mobility
 from articugen.fetching.web import RemoteFile, Server
@@ -357,6 +358,18 @@ def test_the_sites_token_is_told_to_nobody(site, tmp_path, token, sentence, monk
     assert done.exit_code == 1
     assert sentence in done.output
     assert "token=" not in done.output
+
+
+def test_as_a_function(hub, tmp_path):
+    seen = []
+    done = ag.fetch(
+        "partnet-mobility", tmp_path, ids=LAPTOPS, on_progress=lambda *at: seen.append(at)
+    )
+    assert (done.models, done.new, done.refused, done.failed) == (2, 2, {}, {})
+    assert whole(tmp_path, *LAPTOPS)
+    assert seen[-1][:2] == (2, 2)
+    with pytest.raises(InvalidArgument, match=r"ids='9748': must be a list: ids=\['9748'\]"):
+        ag.fetch("partnet-mobility", tmp_path, ids="9748")
 
 
 # ------------------------------------------------------------------ trouble

@@ -276,7 +276,7 @@ def test_what_is_no_single_model_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidSource, match=r"nowhere: there is no such file or folder"):
         registry.load_path(tmp_path / "nowhere")
     with pytest.raises(
-        InvalidSource, match=r"is no model, nor a folder of one; name a \.urdf file"
+        InvalidSource, match=r"is no model, nor a folder of one; name a \.urdf or USD file"
     ):
         registry.load_path(tmp_path)
     for name in ("a", "b"):

@@ -9,7 +9,7 @@ import typer
 from rich.markup import escape
 
 from articugen.cli.saying import REJECTED, counting_bar, said, stderr, stdout
-from articugen.errors import InvalidArgument, printable
+from articugen.errors import printable
 
 if TYPE_CHECKING:
     from articugen.fetching.outcome import Fetched
@@ -18,19 +18,20 @@ if TYPE_CHECKING:
 def register(app: typer.Typer) -> None:
     """Add the command to the command line."""
     app.command(
+        "fetch",
         epilog="Examples:\n\n"
         "articugen fetch partnet-mobility --category Laptop --out models/partnet\n\n"
         "articugen fetch partnet-mobility --ids 10040,10101 --via sapien --out models/partnet\n\n"
-        "articugen fetch shape2motion --from Shape2Motion.zip --out models/shape2motion"
-    )(fetch)
+        "articugen fetch shape2motion --from Shape2Motion.zip --out models/shape2motion",
+    )(fetch_models)
 
 
-def fetch(
+def fetch_models(
     source: Annotated[
         str,
         typer.Argument(
-            help="partnet-mobility; with --from also shape2motion, articraft, artiverse, artiatlas "
-            "or sketchmobility."
+            help="partnet-mobility; with --from also shape2motion, articraft, artiverse, "
+            "artiatlas, artvip or sketchmobility."
         ),
     ],
     out: Annotated[
@@ -66,37 +67,24 @@ def fetch(
 ) -> None:
     """Get models of others, check them and list them; called again it goes on."""
     with said("interrupted; the same command goes on"):
-        from articugen.fetching.local import fetch_archives
-        from articugen.fetching.partnet_mobility import fetch_partnet_mobility
+        from articugen.fetching.door import fetch
         from articugen.fetching.terms import terms_of
 
         terms = terms_of(source)
         stdout.print(
             f"{escape(terms.origin)}\n[bold]terms:[/] {escape(terms.licence)}", soft_wrap=True
         )
-        if archives:
-            if category or ids or token or via:
-                raise InvalidArgument(
-                    "--from takes all models of an archive; leave --category, --ids, --token and "
-                    "--via out"
-                )
-            with counting_bar() as told:
-                done = fetch_archives(source, archives, out, told)
-        elif terms.source == "partnet-mobility":
-            with counting_bar() as told:
-                done = fetch_partnet_mobility(
-                    out,
-                    categories=_listed(category),
-                    ids=_listed(ids),
-                    token=token,
-                    via=via,
-                    told=told,
-                    notice=lambda text: stderr.print(escape(printable(text)), soft_wrap=True),
-                )
-        else:
-            raise InvalidArgument(
-                f"{terms.source} is not downloaded from here; get its archives from its authors, "
-                "and name them with --from"
+        with counting_bar() as told:
+            done = fetch(
+                source,
+                out,
+                category=_listed(category),
+                ids=_listed(ids),
+                token=token,
+                via=via,
+                archives=archives or (),
+                on_progress=told,
+                on_notice=lambda text: stderr.print(escape(printable(text)), soft_wrap=True),
             )
         _print(done)
     if done.refused or done.failed:

@@ -11,11 +11,13 @@ from typing import BinaryIO
 
 from articugen.errors import InvalidSource, MachineFault
 from articugen.fetching.archives import Archive, Member, checked_members, contents, opened
+from articugen.sources.usd.reader import LAYER_FOLDERS
 from articugen.store.files import cannot_write
 
 _BLOCK = 2**20
 _BELOW = ("urdf", "urdf_w_collider")
 """Folders of URDFs inside of a model's folder."""
+_USD = (".usd", ".usda", ".usdc", ".usdz")
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ def unpack(
         roots = sorted(set(root_of.values()))
         if not roots:
             raise InvalidSource(
-                f"{path}: holds no URDF and no motion_attributes.json; name another"
+                f"{path}: holds no URDF and no motion_attributes.json, nor USD; name another"
             )
         own = {m: root_of[m.name] for m in members if m.name in root_of}
         todo = {member: root for member, root in own.items() if wanted(root)}
@@ -114,6 +116,8 @@ def _check_room(path: Path, into: Path, wanted: int) -> None:
 def _roots(members: Sequence[Member]) -> dict[PurePosixPath, PurePosixPath]:
     """The model's folder of each file that lies in one; of folders in each other the inner one."""
     roots = {root for member in members if (root := _root_marked(member.name)) is not None}
+    if not roots:  # beside other marks USD files are meshes
+        roots = _usd_roots([member.name for member in members])
     found = {}
     for member in members:
         own = next((folder for folder in member.name.parents if folder in roots), None)
@@ -129,6 +133,19 @@ def _root_marked(name: PurePosixPath) -> PurePosixPath | None:
     if not marks or _is_hidden(name):
         return None
     return name.parent.parent if name.parent.name in _BELOW else name.parent
+
+
+def _usd_roots(names: Sequence[PurePosixPath]) -> set[PurePosixPath]:
+    """The folders of USD files, without those in which the layers of another one's model lie."""
+    folders = {n.parent for n in names if n.suffix.lower() in _USD and not _is_hidden(n)}
+    return {
+        folder
+        for folder in folders
+        if not any(
+            above.name.lower() in LAYER_FOLDERS and above.parent in folders
+            for above in (folder, *folder.parents)
+        )
+    }
 
 
 def _is_hidden(name: PurePosixPath) -> bool:

@@ -31,6 +31,10 @@ _OTHERS: Mapping[str, tuple[str, str]] = {
         "ArtiAtlas (SIGGRAPH Asia 2026), Moon-bow/ArtiAtlas at Hugging Face",
         "gated; each model under the licence of the data set that it comes from",
     ),
+    "artvip": (
+        "ArtVIP (ICLR 2026, arXiv 2506.04941), x-humanoid-robomind/ArtVIP at Hugging Face, USD",
+        "Apache-2.0",
+    ),
     "sketchmobility": (
         "SketchMobility (arXiv 2604.25781), Arlo397/SketchMobility at Hugging Face",
         "gated; CC BY 4.0 or, of models from Shape2Motion, GPL-3.0, as its LICENSE_MAP.json says",

@@ -36,7 +36,17 @@ _UNREAD = ContextVar("_UNREAD", default=False)
 _NAME_OTHER_FILES = (".glb", ".gltf")
 """Formats whose files must be understood before one knows all bytes that count."""
 
-_STAND_IN = Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32))
+STAND_IN = Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32))
+
+
+def of_interest() -> bool:
+    """Whether anybody wants meshes, and neither `hashed_only` nor `unread` holds."""
+    return not (_HASHED_ONLY.get() or _UNREAD.get())
+
+
+def only_hashed() -> bool:
+    """Whether `hashed_only` holds."""
+    return _HASHED_ONLY.get()
 
 
 @contextmanager
@@ -88,10 +98,10 @@ def read_mesh(path: Path, files: ModelFiles | None = None) -> Mesh:
             f"{', '.join(_READERS)}"
         )
     if _UNREAD.get():
-        return _STAND_IN
+        return STAND_IN
     data = files.read(path)
     if _HASHED_ONLY.get() and path.suffix.lower() not in _NAME_OTHER_FILES:
-        return _STAND_IN
+        return STAND_IN
     vertices, faces = read(data, path, files)
     return checked(vertices, faces, path)
 
@@ -165,6 +175,11 @@ def capsule(radius: float, length: float, sections: int = 64) -> Mesh:
         np.concatenate([radius * along - half, half - radius * along[::-1]]),
         sections,
     )
+
+
+def cone(radius: float, height: float, sections: int = 64) -> Mesh:
+    """A closed cone about z with its tip up, centred on the origin as its box is."""
+    return _lathe(np.array([0.0, radius, 0.0]), np.array([-0.5, -0.5, 0.5]) * height, sections)
 
 
 PRIMITIVE_FACES = {"box": 12, "cylinder": 4 * 64, "sphere": 62 * 64, "capsule": 64 * 64}

@@ -54,14 +54,17 @@ def of_path(path: Path, category: str) -> list[ObjectRef]:
     if single:
         found = [single]
     elif path.is_file():
-        raise InvalidSource(f"{path}: is not a .urdf file; name one, or a folder of them")
+        raise InvalidSource(
+            f"{path}: is not a .urdf file, nor a USD file of its own; name one, or a folder"
+        )
     elif (path / category).is_dir():
         found = any_models(path / category)
     else:
         found = _of_category(list(mixed(path)), path, category)
     if not found:
         raise InvalidSource(
-            f"{path}: holds no URDF; put each model there as <id>.urdf or <id>/<any name>.urdf"
+            f"{path}: holds no URDF or USD; put each model there as <id>.urdf, <id>.usd or "
+            "<id>/<any name>.urdf"
         )
     return _with_splits(found, CategorySettings(), str(path), category, path)
 
@@ -82,8 +85,8 @@ def model_at(path: str | Path, category: str = "") -> ObjectRef:
     found = [own] if own else any_models(path)
     if not found:
         raise InvalidSource(
-            f"{printable(str(path))}: is no model, nor a folder of one; name a .urdf file, or a "
-            f"model's folder ({', '.join(readers.names())})"
+            f"{printable(str(path))}: is no model, nor a folder of one; name a .urdf or USD "
+            f"file, or a model's folder ({', '.join(readers.names())})"
         )
     if len(found) > 1:
         raise InvalidSource(

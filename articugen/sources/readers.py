@@ -26,6 +26,7 @@ from articugen.sources import (
 from articugen.sources.model_files import MAX_NAME_BYTES
 from articugen.sources.procedural import reader as procedural
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
+from articugen.sources.usd import reader as usd
 
 MAX_METRES = 1e6
 """How far from its link's origin anything may lie."""
@@ -81,6 +82,7 @@ READERS: dict[str, Reader] = {
     "shape2motion": shape2motion,
     "annotated_urdf": annotated_urdf,
     "artiverse": artiverse,
+    "usd": usd,
     "urdf": urdf_files,
     "procedural": procedural,
 }

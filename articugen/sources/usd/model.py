@@ -1,0 +1,264 @@
+"""One USD file to links, joints and triangles. Runs in a process of its own, see `apart`."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from articugen.errors import InvalidSource
+from articugen.geometry import Array
+from articugen.records import Joint, Mesh
+from articugen.sources.model_files import MAX_NAME_BYTES, ModelFiles, quoted
+from articugen.sources.urdf_check import MAX_LINKS, MAX_NUMBER
+from articugen.sources.usd.layers import Layers, plainly
+from articugen.sources.usd.openusd import pxr
+from articugen.sources.usd.physics import WORLD, PhysicsJoint, Stage, body_of, read_joint
+from articugen.sources.usd.shapes import Shapes
+from articugen.sources.usd.transforms import Places
+from articugen.sources.usd.tree import Tree
+
+MAX_PRIMS = 200_000
+
+_Z_UP = np.eye(3)
+_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class Model:
+    """What a file says.
+
+    Attributes:
+        links: name and mesh of each, in the link's frame, metres; the fixed one first. Of a model
+            read without meshes None where there would be one, and empty elsewhere.
+        joints: each after the one its parent hangs on.
+        sha256: the digest of all layers.
+        notes: what a user should know.
+    """
+
+    links: tuple[tuple[str, Mesh | None], ...]
+    joints: tuple[Joint, ...]
+    sha256: str
+    notes: tuple[str, ...]
+
+
+def read_model(path: Path, root: Path, *, with_meshes: bool = True) -> Model:
+    """Read a model.
+
+    Args:
+        path: its main layer, or a package.
+        root: the folder that its layers may not leave.
+
+    Raises:
+        InvalidSource: anything amiss with it.
+        MachineFault, MemoryError: the disk does not answer, or the like.
+    """
+    files = ModelFiles(path.parent, root)
+    layers = Layers(path, files)
+    return _Reading(path, _stage(layers, path), with_meshes).model(files.sha256())
+
+
+def digest(path: Path, root: Path) -> str:
+    """The digest of all layers of a model.
+
+    Raises:
+        InvalidSource, MachineFault, MemoryError: as `read_model`.
+    """
+    files = ModelFiles(path.parent, root)
+    Layers(path, files)
+    return files.sha256()
+
+
+def _stage(layers: Layers, path: Path) -> Any:
+    (Tf, Usd) = pxr("Tf", "Usd")
+    try:
+        stage = Usd.Stage.Open(layers.root, None)
+    except Tf.ErrorException as error:
+        raise InvalidSource(
+            f"{path}: OpenUSD cannot open it ({plainly(str(error))}); export it again"
+        ) from None
+    faults = stage.GetCompositionErrors() if hasattr(stage, "GetCompositionErrors") else ()
+    if faults:
+        said = sorted(plainly(str(fault)) for fault in faults)[0]
+        raise InvalidSource(f"{path}: its layers do not fit together ({said}); export it again")
+    return stage
+
+
+@dataclass
+class _Found:
+    """Prims of a stage that count."""
+
+    bodies: list[Any] = field(default_factory=list)
+    joints: list[Any] = field(default_factory=list)
+    shapes: list[Any] = field(default_factory=list)
+
+
+class _Reading:
+    """Of one stage."""
+
+    def __init__(self, path: Path, stage: Any, with_meshes: bool) -> None:
+        self._path, self._stage, self._with_meshes = path, stage, with_meshes
+        self._places = Places(str(path))
+        self._shapes = Shapes(path, self._places)
+        self._notes: list[str] = []
+
+    def model(self, sha256: str) -> Model:
+        found = self._found()
+        self._check(found)
+        numbers = {prim.GetPath(): k for k, prim in enumerate(found.bodies, 1)}
+        physics = Stage(str(self._path), self._places, numbers, self._up(), self._metres())
+        read = [(prim, read_joint(prim, physics)) for prim in found.joints]
+        joints = [(prim, joint) for prim, joint in read if joint is not None]
+        names = self._names([None, *found.bodies])
+        tree = Tree(
+            str(self._path),
+            names,
+            [joint for _, joint in joints],
+            self._names([prim for prim, _ in joints]),
+            _holders(found.bodies, [joint for _, joint in joints]),
+        )
+        meshes = self._meshes(found, physics, tree.origins)
+        self._note_what_is_left_out(found)
+        return Model(
+            tuple(zip(names, meshes, strict=True)),
+            tuple(tree.joints),
+            sha256,
+            (*tree.notes, *self._notes),
+        )
+
+    def _found(self) -> _Found:
+        (UsdPhysics,) = pxr("UsdPhysics")
+        found = _Found()
+        for prim in self._prims():
+            if prim.IsA(UsdPhysics.Joint):
+                found.joints.append(prim)
+            elif self._shapes.shown(prim):
+                found.shapes.append(prim)
+            if prim.HasAPI(UsdPhysics.RigidBodyAPI) and body_of(prim) == prim:
+                found.bodies.append(prim)
+        return found
+
+    def _prims(self) -> Iterator[Any]:
+        """Those of the default prim, where the file names one; what instances share once each."""
+        (Usd,) = pxr("Usd")
+        default = self._stage.GetDefaultPrim()
+        top = default if default else self._stage.GetPseudoRoot()
+        predicate = Usd.TraverseInstanceProxies()
+        for number, prim in enumerate(Usd.PrimRange(top, predicate)):
+            if number >= MAX_PRIMS:
+                raise InvalidSource(f"{self._path}: has more than {MAX_PRIMS:,} prims; simplify it")
+            yield prim
+
+    def _check(self, found: _Found) -> None:
+        for what, prims in (("rigid bodies", found.bodies), ("joints", found.joints)):
+            if len(prims) >= MAX_LINKS:
+                raise InvalidSource(
+                    f"{self._path}: has more than {MAX_LINKS:,} {what}; simplify it"
+                )
+        if not found.shapes:
+            raise InvalidSource(
+                f"{self._path}: shows no shape; add meshes, or name the file that has the whole "
+                "model"
+            )
+
+    def _up(self) -> Array:
+        (UsdGeom,) = pxr("UsdGeom")
+        return _Z_UP if UsdGeom.GetStageUpAxis(self._stage) == UsdGeom.Tokens.z else _Y_UP
+
+    def _metres(self) -> float:
+        (UsdGeom,) = pxr("UsdGeom")
+        if not UsdGeom.StageHasAuthoredMetersPerUnit(self._stage):
+            self._notes.append("does not tell its unit: taken as centimetres, as USD has it")
+        metres = float(UsdGeom.GetStageMetersPerUnit(self._stage))
+        if not 1e-9 <= metres <= 1e6:
+            raise InvalidSource(f"{self._path}: its unit of {metres:g} m is none; correct it")
+        return metres
+
+    def _names(self, prims: Sequence[Any]) -> list[str]:
+        """Of each prim, the shown one where it has one; those that share one by their paths. None
+        is the world, whose name nobody else gets."""
+        plain = [prim.GetDisplayName() or prim.GetName() if prim else _WORLD_NAME for prim in prims]
+        count = Counter(plain)
+        taken = {_WORLD_NAME, *(name for name in plain if count[name] == 1)}
+        names: list[str] = []
+        for prim, name in zip(prims, plain, strict=True):
+            own = name
+            if prim and (count[name] > 1 or name == _WORLD_NAME):
+                own = ".".join(str(prim.GetPath()).split("/")[2:]) or prim.GetName()
+                while own in taken:
+                    own += "~"
+                taken.add(own)
+            if len(own.encode()) > MAX_NAME_BYTES:
+                raise InvalidSource(
+                    f"{self._path}: the name {quoted(own)} has more than {MAX_NAME_BYTES} bytes; "
+                    "shorten it"
+                )
+            names.append(own)
+        return names
+
+    def _meshes(self, found: _Found, physics: Stage, origins: Array) -> list[Mesh | None]:
+        """All that each link shows, in its frame."""
+        own: list[list[Any]] = [[] for _ in origins]
+        for prim in found.shapes:
+            body = body_of(prim)
+            own[WORLD if body is None else physics.bodies.get(body.GetPath(), WORLD)].append(prim)
+        if not self._with_meshes:
+            return [None if prims else _EMPTY for prims in own]
+        return [
+            _joined([self._placed(prim, physics) for prim in prims], origin)
+            for prims, origin in zip(own, origins, strict=True)
+        ]
+
+    def _placed(self, prim: Any, physics: Stage) -> Mesh:
+        mesh = self._shapes.triangles(prim)
+        vertices = physics.to_metres(mesh.vertices)
+        if not (np.abs(vertices) <= MAX_NUMBER).all():
+            raise InvalidSource(
+                f"{self._path}: {prim.GetPath()}: reaches beyond {MAX_NUMBER:,.0f} m; correct its "
+                "scale or metersPerUnit"
+            )
+        return Mesh(vertices, mesh.faces)
+
+    def _note_what_is_left_out(self, found: _Found) -> None:
+        if self._shapes.left_out:
+            kinds = ", ".join(sorted(self._shapes.left_out))
+            self._notes.append(f"of kinds that are not read, left out: {kinds}")
+        following = [prim.GetName() for prim in found.joints if _follows(prim)]
+        if following:
+            self._notes.append(
+                f"joints that follow others, read as moving freely: {', '.join(following)}"
+            )
+
+
+_WORLD_NAME = "world"
+_EMPTY = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+
+
+def _joined(shapes: Sequence[Mesh], origin: Array) -> Mesh:
+    first = np.cumsum([0, *(len(shape.vertices) for shape in shapes)])
+    return Mesh(
+        np.concatenate([_EMPTY.vertices, *(shape.vertices - origin for shape in shapes)]),
+        np.concatenate(
+            [_EMPTY.faces, *(s.faces + np.int32(n) for s, n in zip(shapes, first, strict=False))]
+        ),
+    )
+
+
+def _holders(bodies: Sequence[Any], joints: Sequence[PhysicsJoint]) -> list[int]:
+    """Bodies in the order in which they hold what hangs on nothing: articulation roots, then those
+    that no joint moves, then the others."""
+    (UsdPhysics,) = pxr("UsdPhysics")
+    moved = {joint.bodies[1] for joint in joints}
+
+    def rank(number: int) -> tuple[bool, bool]:
+        root = bodies[number - 1].HasAPI(UsdPhysics.ArticulationRootAPI)
+        return not root, number in moved
+
+    return sorted(range(1, len(bodies) + 1), key=rank)
+
+
+def _follows(prim: Any) -> bool:
+    """Whether another joint drives a joint; each simulator has a schema of its own for that."""
+    return any("Mimic" in str(name) for name in prim.GetAppliedSchemas())

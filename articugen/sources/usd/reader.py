@@ -1,0 +1,106 @@
+"""USD models: a file each, or a folder with one main file and its other layers, as ArtVIP's are.
+
+ArtVIP's lie in `Articulated_objects/<group>/<category>/<id>/`, with `model_<id>.usd`, or another
+name, and the layers that it names in `resource/`.
+"""
+
+from os.path import isdir
+from pathlib import Path
+
+import numpy as np
+
+from articugen.errors import InvalidSource
+from articugen.records import ArticulatedObject, Link
+from articugen.sources import meshes
+from articugen.sources.folders import visible
+from articugen.sources.refs import CategorySettings, Found, ObjectRef
+from articugen.sources.usd.apart import digest_apart, read_apart
+from articugen.sources.usd.layers import SUFFIXES
+
+LAYER_FOLDERS = frozenset(
+    ("resource", "subusds", "configuration", "payloads", "materials", "textures")
+)
+"""Folders beside a main file, in small letters, in which its layers and textures lie."""
+
+_DEEP = 3
+"""How far below a model's folder its layers may be looked at as files of their own."""
+
+
+def detect(path: Path) -> Found | None:
+    """The model that a USD file or a folder with one main file is.
+
+    A file is none by itself where it lies in the folder of layers of a model, or beside a URDF,
+    whose mesh or copy it then is.
+    """
+    if isdir(path):
+        return Found(path.name, path, path.name) if main_file(path) else None
+    if path.suffix.lower() not in SUFFIXES or _is_of_another(path):
+        return None
+    return Found(path.stem, path, path.stem)
+
+
+def find(base: Path) -> list[Found]:
+    """The files and folders in `base` that are models."""
+    return [found for child in visible(base) if (found := detect(child))]
+
+
+def main_file(folder: Path) -> Path | None:
+    """The file of a folder that is a model: of several the one that is called like the folder, or
+    model_<...>; a single one where layers lie in a folder beside it."""
+    there = visible(folder)
+    own = [path for path in there if path.suffix.lower() in SUFFIXES]
+    if not own or any(path.suffix.lower() == ".urdf" for path in there):
+        return None
+    called = (folder.name.lower(), f"model_{folder.name.lower()}")
+    for chosen in (
+        [path for path in own if path.stem.lower() in called],
+        [path for path in own if path.stem.lower().startswith("model_")],
+        own if any(path.name.lower() in LAYER_FOLDERS for path in there) else [],
+    ):
+        if len(chosen) == 1 and not isdir(chosen[0]):
+            return chosen[0]
+    return None
+
+
+def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
+    """Read one.
+
+    Raises:
+        InvalidSource: anything amiss with it, or OpenUSD is not installed.
+        MachineFault, MemoryError: the disk does not answer, or the like.
+    """
+    path = main_file(ref.location) if isdir(ref.location) else ref.location
+    if path is None:
+        raise InvalidSource(
+            f"{ref.location}: has no main USD file; call it like the folder, and put its other "
+            "layers into resource/"
+        )
+    root = ref.root or path.parent
+    if meshes.only_hashed():
+        links, joints, notes = ((Link("world", meshes.STAND_IN),), (), ())
+        sha256 = digest_apart(path, root)
+    else:
+        made = read_apart(path, root, with_meshes=meshes.of_interest())
+        links = tuple(Link(n, meshes.STAND_IN if m is None else m) for n, m in made.links)
+        joints, notes, sha256 = made.joints, made.notes, made.sha256
+    return ArticulatedObject(
+        object_id=ref.object_id,
+        category=ref.category,
+        links=links,
+        joints=joints,
+        T_world_root=np.array(settings.turn),
+        sha256=sha256,
+        source=ref.source,
+        notes=notes,
+    )
+
+
+def _is_of_another(path: Path) -> bool:
+    """Whether a USD file is a layer or a mesh of a model that other files in reach show."""
+    folder = path.parent
+    if any(each.suffix.lower() == ".urdf" for each in (*visible(folder), *visible(folder.parent))):
+        return True
+    for above in (folder, *folder.parents)[:_DEEP]:
+        if above.name.lower() in LAYER_FOLDERS and main_file(above.parent):
+            return True
+    return False

@@ -1,0 +1,160 @@
+"""The surfaces that a stage shows, as triangles in stage coordinates."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from articugen.errors import InvalidSource
+from articugen.geometry import apply, cross
+from articugen.portable import dot
+from articugen.records import Mesh
+from articugen.sources import meshes
+from articugen.sources.mesh_formats import check_size
+from articugen.sources.usd.openusd import pxr
+from articugen.sources.usd.transforms import Places, numbers, value_of
+
+MAX_SHAPES = 5_000
+_MIN_SIZE = 1e-9
+
+_REFUSED = {"PointInstancer": "instances by points", "SkelRoot": "skinned meshes"}
+_NOT_READ = ("BasisCurves", "NurbsCurves", "HermiteCurves", "NurbsPatch", "Points", "TetMesh",
+             "Plane", "Volume", "Capsule_1", "Cylinder_1")  # fmt: skip
+
+
+class Shapes:
+    """Makes the meshes of the prims of one stage, and counts them.
+
+    Attributes:
+        left_out: types of prims that show something and are not read.
+    """
+
+    def __init__(self, path: Path, places: Places) -> None:
+        self._path, self._places = path, places
+        self._faces = self._vertices = self._count = 0
+        self.left_out: set[str] = set()
+
+    def shown(self, prim: Any) -> bool:
+        """Whether a prim is a surface that is seen: not a guide or proxy, not hidden.
+
+        Raises:
+            InvalidSource: it is of a kind without which the model would not be itself.
+        """
+        (UsdGeom,) = pxr("UsdGeom")
+        kind = str(prim.GetTypeName())
+        if kind not in (*_REFUSED, *_NOT_READ, *_MAKERS):
+            return False
+        imageable = UsdGeom.Imageable(prim)
+        hidden = imageable.ComputeVisibility() == UsdGeom.Tokens.invisible
+        if hidden or imageable.ComputePurpose() not in ("default", "render"):
+            return False
+        if kind in _REFUSED:
+            raise InvalidSource(
+                f"{self._path}: {prim.GetPath()}: has {_REFUSED[kind]}, which are not read; flatten"
+                " the model"
+            )
+        if kind in _NOT_READ:
+            self.left_out.add(kind)
+            return False
+        return True
+
+    def triangles(self, prim: Any) -> Mesh:
+        """(V, 3) in stage coordinates and (F, 3) of a prim that is `shown`.
+
+        Raises:
+            InvalidSource: anything amiss with it, or all together are too many.
+        """
+        by = f"{self._path}: {prim.GetPath()}"
+        self._count += 1
+        if self._count > MAX_SHAPES:
+            raise InvalidSource(f"{self._path}: shows more than {MAX_SHAPES:,} shapes; merge some")
+        own = _MAKERS[str(prim.GetTypeName())](prim, by)
+        try:
+            mesh = meshes.checked(own.vertices, own.faces, Path(by))
+        except meshes.EmptyMesh:
+            raise InvalidSource(f"{by}: has no triangle; remove it, or export it again") from None
+        self._faces += len(mesh.faces)
+        self._vertices += len(mesh.vertices)
+        check_size(self._path, faces=self._faces, vertices=self._vertices)
+        T = self._places.of(prim)
+        x, y, z = T[:3, 0], T[:3, 1], T[:3, 2]
+        volume = dot(x, cross(y, z))
+        if volume == 0.0:
+            raise InvalidSource(f"{by}: is scaled to nothing; correct its scale")
+        return Mesh(apply(T, mesh.vertices), mesh.faces[:, ::-1] if volume < 0.0 else mesh.faces)
+
+
+def _mesh(prim: Any, by: str) -> Mesh:
+    (UsdGeom,) = pxr("UsdGeom")
+    mesh = UsdGeom.Mesh(prim)
+    points = _array(mesh.GetPointsAttr(), np.float64, by).reshape(-1, 3)
+    counts = _array(mesh.GetFaceVertexCountsAttr(), np.int64, by)
+    corners = _array(mesh.GetFaceVertexIndicesAttr(), np.int64, by)
+    if (counts.size and counts.min() < 0) or counts.sum() != len(corners):
+        raise InvalidSource(
+            f"{by}: its faces have {counts.sum():,} corners and its indices are {len(corners):,}; "
+            "export it again"
+        )
+    check_size(Path(by), faces=float(np.maximum(counts - 2, 0).sum()), vertices=len(points))
+    corners, counts = _without_holes(
+        _array(mesh.GetHoleIndicesAttr(), np.int64, by), corners, counts
+    )
+    faces = meshes.fans(corners, counts)
+    if faces.size and not 0 <= faces.min() <= faces.max() < len(points):
+        raise InvalidSource(f"{by}: a face names a point that is not there; export it again")
+    if value_of(mesh.GetOrientationAttr(), by) == UsdGeom.Tokens.leftHanded:
+        faces = faces[:, ::-1]
+    return Mesh(points, faces.astype(np.int32))
+
+
+def _without_holes(holes: Any, corners: Any, counts: Any) -> tuple[Any, Any]:
+    if not len(holes):
+        return corners, counts
+    kept = ~np.isin(np.arange(len(counts)), holes)
+    return corners[np.repeat(kept, counts)], counts[kept]
+
+
+def _array(attribute: Any, kind: type, by: str) -> Any:
+    """An array attribute; of one without a value an empty one."""
+    value = value_of(attribute, by)
+    return np.zeros(0, kind) if value is None else np.array(value).astype(kind)
+
+
+def _size(prim: Any, name: str, by: str) -> float:
+    size = float(numbers(value_of(prim.GetAttribute(name), by), (), by, f"its {name}"))
+    if size < _MIN_SIZE:
+        raise InvalidSource(f"{by}: its {name} is {size:g}; make it more than 0")
+    return size
+
+
+def _about_axis(mesh: Mesh, prim: Any, by: str) -> Mesh:
+    """A shape that was made about z, about the axis that the prim has."""
+    token = str(value_of(prim.GetAttribute("axis"), by))
+    shift = {"X": 1, "Y": 2}.get(token, 0)
+    return Mesh(np.roll(mesh.vertices, shift, axis=1), mesh.faces)
+
+
+def _cube(prim: Any, by: str) -> Mesh:
+    return meshes.box([_size(prim, "size", by)] * 3)
+
+
+def _sphere(prim: Any, by: str) -> Mesh:
+    return meshes.sphere(_size(prim, "radius", by))
+
+
+def _lathed(make: Callable[[float, float], Mesh]) -> Callable[[Any, str], Mesh]:
+    def made(prim: Any, by: str) -> Mesh:
+        return _about_axis(make(_size(prim, "radius", by), _size(prim, "height", by)), prim, by)
+
+    return made
+
+
+_MAKERS: Mapping[str, Callable[[Any, str], Mesh]] = {
+    "Mesh": _mesh,
+    "Cube": _cube,
+    "Sphere": _sphere,
+    "Cylinder": _lathed(meshes.cylinder),
+    "Capsule": _lathed(meshes.capsule),
+    "Cone": _lathed(meshes.cone),
+}
