@@ -9,10 +9,13 @@ from xml.etree import ElementTree as ET
 from articugen.export.assembly import DENSITY, bodies, from_the_root, numbers
 from articugen.export.formats import Format, Item
 from articugen.export.items import of_objects
-from articugen.export.joints import MetricJoint
+from articugen.export.joints import MetricJoint, unique
 from articugen.export.target import Target
 from articugen.model_text import obj_text
 from articugen.records import Mesh
+
+_WORLD = "world"
+"""MuJoCo's own body, whose name many URDFs give to their first link."""
 
 _SEEN = {"type": "mesh", "contype": "0", "conaffinity": "0", "group": "2"}
 _FELT = {"type": "mesh", "group": "3", "density": "0"}
@@ -20,6 +23,7 @@ _FELT = {"type": "mesh", "group": "3", "density": "0"}
 
 def _write(item: Item, target: Target) -> None:
     parts = bodies(item, target)
+    names = unique((_WORLD, *(body.name for body in parts)))[1:]
     name = item.key.rpartition("/")[2]
     root = ET.Element("mujoco", model=name)
     ET.SubElement(root, "compiler", angle="radian", meshdir="meshes", autolimits="true")
@@ -29,7 +33,7 @@ def _write(item: Item, target: Target) -> None:
     for part in from_the_root(parts):
         body = parts[part]
         above = world if body.joint is None else placed[body.joint.parent]
-        placed[part] = ET.SubElement(above, "body", name=body.name, pos=numbers(body.origin))
+        placed[part] = ET.SubElement(above, "body", name=names[part], pos=numbers(body.origin))
         if body.joint is not None:
             _add_joint(placed[part], body.joint)
         seen = _asset(item, target, assets, f"part_{part}", body.mesh, inertia="exact")
@@ -38,10 +42,10 @@ def _write(item: Item, target: Target) -> None:
             felt = _asset(item, target, assets, f"part_{part}_convex_{k}", hull)
             ET.SubElement(placed[part], "geom", {**_FELT, "mesh": felt})
     contact = ET.SubElement(root, "contact")
-    for body in parts:
+    for part, body in enumerate(parts):
         if body.joint is not None:
-            above = parts[body.joint.parent].name
-            ET.SubElement(contact, "exclude", body1=above, body2=body.name)
+            above = names[body.joint.parent]
+            ET.SubElement(contact, "exclude", body1=above, body2=names[part])
     ET.indent(root)
     target.write(f"{item.key}/{name}.xml", ET.tostring(root, encoding="utf-8") + b"\n")
 

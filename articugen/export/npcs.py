@@ -9,7 +9,7 @@ import pickle
 import numpy as np
 
 from articugen.export.cameras import camera_count, seen
-from articugen.export.formats import Format, Item
+from articugen.export.formats import Format, Item, LeftOut
 from articugen.export.hdf5 import packed
 from articugen.export.items import canonical, file_name, of_objects
 from articugen.export.labels import need
@@ -25,6 +25,7 @@ _SHARE = "all"
 
 def _write(item: Item, target: Target) -> None:
     need(item.rows[0], "partial", 1)
+    _boxes(item.rows)
     for row in item.rows:
         for camera, name in enumerate(_files(row)):
             points, part = seen(row, camera)
@@ -47,14 +48,18 @@ def _finish(data: DataSet, target: Target) -> None:
     factors: dict[str, list[float]] = {}
     corners: dict[str, list[list[Floats]]] = {}
     category = file_name(data.category)
+    files: dict[str, list[str]] = {split: [] for split in data.splits}
     for name, rows in data.by_object():
+        if target.done[f"{rows[0].split}/{file_name(name)}"].left_out:
+            continue
+        files[rows[0].split] += [file for row in rows for file in _files(row)]
         boxes = _boxes(rows)
         factors[file_name(name)] = [1.0 / float(np.linalg.norm(b[1] - b[0])) for b in boxes]
         corners[file_name(name)] = [[b[0][None], b[1][None]] for b in boxes]
     target.write(f"pickle/{category}.pkl", pickle.dumps(factors))
     target.write(f"pickle/{category}_corners.pkl", pickle.dumps(corners))
-    for split in data.splits:
-        lines = "".join(f"{name}\n" for row in data.split(split) for name in _files(row))
+    for split, names in files.items():
+        lines = "".join(f"{name}\n" for name in names)
         target.write(f"splits/{category}/{_SHARE}/{file_name(split)}.txt", lines.encode())
 
 
@@ -62,6 +67,9 @@ def _boxes(rows: DataSet) -> list[Floats]:
     """(2, 3) of the whole object and of each part in the rest pose, by their surface points.
 
     A part that hides in the canonical pose is measured by all poses.
+
+    Raises:
+        LeftOut: one hides in all of them.
     """
     row = canonical(rows)
     parts = [
@@ -71,6 +79,12 @@ def _boxes(rows: DataSet) -> list[Floats]:
         ])
         for k in range(len(row.parts))
     ]  # fmt: skip
+    hidden = [k for k, points in enumerate(parts) if not len(points)]
+    if hidden:
+        raise LeftOut(
+            f"{row.object_id}: part {hidden[0]} has no surface points, so that nothing tells its "
+            "size; leave the object out of the data"
+        )
     return [bounds(np.concatenate(parts)), *map(bounds, parts)]
 
 

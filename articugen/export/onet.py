@@ -27,8 +27,10 @@ def _write(item: Item, target: Target) -> None:
 def _finish(data: DataSet, target: Target) -> None:
     category = file_name(data.category)
     for split in data.splits:
-        names = "".join(f"{instance_name(row)}\n" for row in data.split(split))
-        target.write(f"{category}/{file_name(split)}.lst", names.encode())
+        names = (instance_name(row) for row in data.split(split))
+        there = (name for name in names if not target.done[f"{split}/{name}"].left_out)
+        lines = "".join(f"{name}\n" for name in there)
+        target.write(f"{category}/{file_name(split)}.lst", lines.encode())
 
 
 FORMAT = Format(

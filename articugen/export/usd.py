@@ -40,7 +40,7 @@ def _fill(path: Path, name: str, parts: tuple[Body, ...]) -> None:
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
-    root = UsdGeom.Xform.Define(stage, f"/{Tf.MakeValidIdentifier(name)}")
+    root = UsdGeom.Xform.Define(stage, f"/{Tf.MakeValidIdentifier(_led_by_a_letter(name))}")
     root.GetPrim().SetDisplayName(name)
     stage.SetDefaultPrim(root.GetPrim())
     UsdPhysics.ArticulationRootAPI.Apply(root.GetPrim())
@@ -53,6 +53,12 @@ def _fill(path: Path, name: str, parts: tuple[Body, ...]) -> None:
         if body.joint is not None:
             _add_joint(stage, str(root.GetPath()), part, body)
     stage.GetRootLayer().Save()
+
+
+def _led_by_a_letter(name: str) -> str:
+    """The name; led by `_` where it starts with a digit, which OpenUSD would put `_` in place of,
+    so that 12692 and 22692 became one."""
+    return f"_{name}" if name[:1].isdigit() else name
 
 
 def _places(parts: tuple[Body, ...]) -> list[Floats]:

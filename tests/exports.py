@@ -1,0 +1,89 @@
+"""Data sets to export, and what tests of exports compare with: boxes in closed form, made laptops.
+
+Fixtures are taken by name: `boxes, rows = exports.boxes, exports.rows`.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from instances import SMALL
+from ppd_data import write_boxes
+
+import articugen as ag
+from articugen.export.formats import Options
+from articugen.export.parts import PartMeshes
+
+RICH = SMALL.model_copy(
+    update={
+        "sampling": SMALL.sampling.model_copy(
+            update={
+                "grids": (16, 32, 64),
+                "surface_points": 8192,
+                "uniform_points": 8192,
+                "near_points": 8192,
+            }
+        )
+    }
+)
+
+MESHES = {"from_grids": True}
+
+
+@pytest.fixture(scope="module")
+def boxes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data") / "box"
+    return write_boxes(folder, train=2, test=1, states=2, recipe=RICH)
+
+
+@pytest.fixture(scope="module")
+def rows(boxes: Path) -> ag.DataSet:
+    return ag.open(boxes)
+
+
+@pytest.fixture(scope="module")
+def exported(boxes: Path, tmp_path_factory: pytest.TempPathFactory):
+    """The folder of the boxes in a format."""
+    root, made = tmp_path_factory.mktemp("exported"), {}
+
+    def export(to: str, **options) -> Path:
+        key = (to, *sorted(options))
+        if key not in made:
+            made[key] = root / "-".join(key)
+            done = ag.export(boxes, to, made[key], **options)
+            assert done.left_out == ()
+        return made[key]
+
+    return export
+
+
+@pytest.fixture(scope="module")
+def laptops(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two procedural laptops, whose models can be made again."""
+    recipe = {"extends": "quick", "views": {"count": 30, "resolution": 128},
+              "sampling": {"grids": [16]}}  # fmt: skip
+    out = tmp_path_factory.mktemp("laptops")
+    ag.generate("laptop", out=out, recipe=recipe, objects=2, states=2, jobs=0)
+    return out / "laptop"
+
+
+def name_of(row: ag.Row) -> str:
+    return f"{row.object_id}_{row.state_index:04d}"
+
+
+def motion_in_metres(row: ag.Row, part: int) -> np.ndarray:
+    """(4, 4) of a part from the canonical pose, in the model's own frame."""
+    T = np.array(row.parts[part].motion)
+    T[:3, 3] = row.scale * T[:3, 3] + row.center - T[:3, :3] @ row.center
+    return T
+
+
+def state_in_metres(row: ag.Row) -> list[float]:
+    unit = {"prismatic": row.scale, "revolute": 1.0}
+    return [joint.state * unit[joint.kind] for joint in row.joints]
+
+
+def canonical_meshes(data: ag.DataSet, row: ag.Row) -> list[np.ndarray]:
+    """The vertices of each part in metres, canonical pose."""
+    meshes = PartMeshes(data, Options(from_grids=True)).of(data.of(row.object_id))
+    return [row.to_metres(mesh.vertices) for mesh in meshes]
