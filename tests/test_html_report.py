@@ -10,6 +10,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from browser import LAPTOP, PHONE, browser
@@ -232,6 +233,59 @@ def test_a_single_shard_and_one_without_points_have_reports_too(tmp_path: Path) 
     assert "nothing to turn" in (tmp_path / "none.html").read_text()
     with pytest.raises(MachineFault, match="make it first"):
         write_report(one, [one], tmp_path / "nowhere" / "one.html")
+
+
+def test_a_report_and_a_sheet_overwrite_nothing_but_their_like(
+    laptops: Path, tmp_path: Path
+) -> None:
+    data = Path(shutil.copytree(laptops, tmp_path / "laptop"))
+    mine = next(data.glob("*.h5"))
+    before = mine.read_bytes()
+    for option, cure in (
+        ("--html", "a name ending in .html"),
+        ("--image", "a name ending in .png"),
+    ):
+        for file in (mine, data / "manifest.json", data):
+            done = run("inspect", data, option, file)
+            assert done.exit_code == 1
+            assert cure in " ".join(done.stderr.split())
+    assert mine.read_bytes() == before
+    assert Manifest.read(data)
+
+
+@pytest.mark.parametrize("option", ["--html", "--image"])
+def test_damaged_and_foreign_shards_are_refused_in_a_sentence(tmp_path: Path, option: str) -> None:
+    out = tmp_path / ("x.html" if option == "--html" else "x.png")
+    old = shard(tmp_path / "old.h5", hinged_box(STATES))
+    with h5py.File(old, "r+") as file:
+        file.attrs["schema_version"] = 99
+    cut = shard(tmp_path / "cut.h5", hinged_box(STATES))
+    cut.write_bytes(cut.read_bytes()[:-3000])
+    (tmp_path / "empty.h5").write_bytes(b"")
+    for name, says in (
+        ("old.h5", "schema version 99, this articugen reads"),
+        ("cut.h5", "cut short; make it again or fetch it again"),
+        ("empty.h5", "cut short; make it again or fetch it again"),
+    ):
+        done = run("inspect", tmp_path / name, option, out)
+        assert done.exit_code == 1
+        assert name in done.stderr
+        assert says in " ".join(done.stderr.split())
+    assert not out.exists()
+
+
+def test_five_hundred_objects_have_one_report(tmp_path: Path) -> None:
+    few = {"grids": (8,), "surface_points": 256, "uniform_points": 64, "near_points": 256}
+    recipe = SMALL.model_copy(update={"sampling": SMALL.sampling.model_copy(update=few)})
+    one = hinged_box(STATES[:2], recipe=recipe)
+    every = [replace(row, object_id=f"箱 {k}") for k in range(500) for row in one]
+    path = shard(tmp_path / "train-00000.h5", every)
+    html = tmp_path / "report.html"
+    assert write_report(path, [path], html) < 5_000_000
+    said = html.read_text()
+    assert "500 objects in 1000 joint states" in said.replace(",", "")
+    assert "箱 0" in said
+    assert "箱 499" in said
 
 
 def test_inspect_writes_a_report_with_what_was_left_out(laptops: Path, tmp_path: Path) -> None:

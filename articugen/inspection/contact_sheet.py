@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.colours import colour_of
-from articugen.errors import ArticugenError
+from articugen.errors import ArticugenError, InvalidArgument
 from articugen.inspection.layout import TILE, Caption, Row, save, sheet
 from articugen.inspection.portrait import best_azimuth, pooled, portrait, tile_camera
 from articugen.inspection.shading import Picture
@@ -86,17 +86,20 @@ def contact_sheet(shards: Sequence[Path], path: Path, *, objects: int = 4, state
 
     Raises:
         CorruptShard: a shard cannot be read.
-        ArticugenError: there is nothing to draw, or `path` cannot be written.
+        ArticugenError: there is nothing to draw, `path` is not named like a PNG, or it cannot be
+            written.
     """
-    drawn = portraits(shards, objects=objects, states=states)
+    if path.suffix.lower() != ".png":  # it may be somebody's data
+        raise InvalidArgument(f"{path}: a contact sheet is a PNG; give it a name ending in .png")
+    drawn = portraits(chosen_of(shards, objects), states=states)
     rows = [Row(f"{d.object_id}  {d.split}", d.pictures, d.captions) for d in drawn]
     save(sheet(rows), path)
 
 
 def portraits(
-    shards: Sequence[Path], *, objects: int, states: int, pooling: int = POOLED, size: int = TILE
+    chosen: Sequence[Chosen], *, states: int, pooling: int = POOLED, size: int = TILE
 ) -> list[Portraits]:
-    """Pictures of `objects` objects in `states` instances each, chosen evenly from `shards`.
+    """Pictures of objects in `states` instances each.
 
     The first instance of an object is the canonical pose; the others are in the order of how far
     their joints have moved. A category is seen from the side that shows most of its parts.
@@ -107,10 +110,9 @@ def portraits(
 
     Raises:
         CorruptShard: a shard cannot be read.
-        ArticugenError: there is nothing to draw.
     """
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        drawn = list(pool.map(lambda c: _object(c, states, pooling), _chosen(shards, objects)))
+        drawn = list(pool.map(lambda c: _object(c, states, pooling), chosen))
         widest: dict[str, list[Instance]] = {}
         for each in drawn:
             widest.setdefault(each.chosen.category, []).append(each.instances[-1])
@@ -129,7 +131,13 @@ def portraits(
     ]
 
 
-def _chosen(shards: Sequence[Path], objects: int) -> list[Chosen]:
+def chosen_of(shards: Sequence[Path], objects: int) -> list[Chosen]:
+    """So many of the objects in the shards, chosen evenly.
+
+    Raises:
+        CorruptShard: a shard cannot be read.
+        ArticugenError: no surface points are stored.
+    """
     where: dict[tuple[str, str, str], list[Place]] = {}
     for path in shards:
         with open_shard(path) as shard:
@@ -142,19 +150,25 @@ def _chosen(shards: Sequence[Path], objects: int) -> list[Chosen]:
         raise ArticugenError(
             f"{shards[0].parent}: no surface points to draw; ask for some in the recipe"
         )
-    keys = _evenly(sorted(where, key=lambda key: (key[1] != "train", key)), objects)
-    return [Chosen(*key, where[key]) for key in keys]
+    return some_of([Chosen(*key, places) for key, places in where.items()], objects)
+
+
+def some_of(every: Sequence[Chosen], count: int) -> list[Chosen]:
+    """So many of them, chosen evenly, those for training first."""
+    order = sorted(every, key=lambda c: (c.split != "train", c.category, c.split, c.object_id))
+    return _evenly(order, count)
 
 
 def _object(chosen: Chosen, states: int, pooling: int) -> _Object:
     with ExitStack() as stack:
         paths = {path for path, _ in chosen.places}
         opened = {path: stack.enter_context(open_shard(path)) for path in paths}
-        places = ((opened[path], index) for path, index in chosen.places)
-        rows = sorted(places, key=lambda r: _moved(*r))
-        drawn = tuple(shard.instance(index) for shard, index in _evenly(rows, states))
-        every = [shard.instance(index) for shard, index in _evenly(rows, pooling)]
-    return _Object(chosen, drawn, pooled(every))
+        moved = {path: _moved(shard) for path, shard in opened.items()}
+        places = sorted(chosen.places, key=lambda place: moved[place[0]][place[1]])
+        drawn, pool = _evenly(places, states), _evenly(places, pooling)
+        read = {(p, index): opened[p].instance(index) for p, index in {*drawn, *pool}}
+    instances = tuple(read[place] for place in drawn)
+    return _Object(chosen, instances, pooled([read[place] for place in pool]))
 
 
 def _evenly(items: Sequence[T], count: int) -> list[T]:
@@ -162,12 +176,11 @@ def _evenly(items: Sequence[T], count: int) -> list[T]:
     return [items[round(i)] for i in picked]
 
 
-def _moved(shard: Shard, index: int) -> float:
-    """How far the joints have moved, the canonical pose before all others."""
-    if shard.read("state_index", index) == 0:
-        return -np.inf
-    q, upper = shard.read("joint_state", index), shard.read("joint_upper", index)
-    return float(np.abs(q / np.where(upper == 0.0, 1.0, upper)).sum())
+def _moved(shard: Shard) -> Array:
+    """(n,) how far the joints of each row have moved, the canonical pose before all others."""
+    q, upper = shard.read("joint_state"), shard.read("joint_upper")
+    far = np.abs(q / np.where(upper == 0.0, 1.0, upper)).sum(axis=1)
+    return np.where(shard.read("state_index") == 0, -np.inf, far)
 
 
 def _states(instance: Instance) -> Caption:

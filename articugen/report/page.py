@@ -14,7 +14,8 @@ from io import BytesIO
 from pathlib import Path
 
 from articugen import __version__
-from articugen.inspection.contact_sheet import Portraits, portraits
+from articugen.errors import InvalidArgument
+from articugen.inspection.contact_sheet import Chosen, Portraits, portraits, some_of
 from articugen.report import sections
 from articugen.report.alike import nearest_pairs, outliers
 from articugen.report.facts import Facts, facts
@@ -73,24 +74,36 @@ def write_report(
 
     Raises:
         CorruptShard: a shard or the manifest cannot be read.
+        InvalidArgument: `html` is named like something else.
         MachineFault: `html` cannot be written.
     """
+    if html.suffix.lower() not in (".html", ".htm"):  # it may be somebody's data
+        raise InvalidArgument(f"{html}: a report is an HTML file; give it a name ending in .html")
     manifest = Manifest.read(path) if (path / MANIFEST_NAME).is_file() else None
     found = facts(shards)
-    drawable = any(len(each.cloud) > 1 for each in found.objects)
     report = Report(
         path=path,
         facts=found,
         manifest=manifest,
-        sheet=portraits(shards, objects=objects, states=states, pooling=POOLED, size=PICTURE)
-        if drawable
-        else (),
+        sheet=portraits(
+            some_of(_drawable(found), objects), states=states, pooling=POOLED, size=PICTURE
+        ),
         turnable=turnable(found.objects),
         measured=measured(found.objects, manifest),
     )
     data = page(report).encode()
     write_atomically(html, data)
     return len(data)
+
+
+def _drawable(found: Facts) -> list[Chosen]:
+    """The objects with a surface; which those are is known without reading a shard again."""
+    category = str(found.about["category"])
+    return [
+        Chosen(category, each.split, each.object_id, [(each.shard, row) for row in each.rows])
+        for each in found.objects
+        if len(each.cloud) > 1
+    ]
 
 
 def page(report: Report) -> str:
