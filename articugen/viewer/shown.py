@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from articugen.errors import MissingExtra
+from articugen.errors import InvalidArgument, MissingExtra
 from articugen.geometry import apply, invert_rigid
 from articugen.maker import Maker
 from articugen.marching_cubes import zero_level
@@ -56,13 +56,15 @@ class Seen:
     Attributes:
         q: (J,) the values that it has, rad or m.
         state: which stored state it is; None for one that was made for these values.
-        asked: whether it is at the values that were asked for, not at the nearest stored ones.
+        asked: whether it is at the values that were asked for, not at those of the nearest state.
+        why: the sentence that says why it is not; "" where it is.
     """
 
     instance: Instance
     q: Floats
     state: int | None
     asked: bool = True
+    why: str = ""
 
 
 class Shown:
@@ -115,11 +117,17 @@ class Shown:
         if apart[state] <= SAME:
             return self.at_state(state)
         if self.maker is None:
-            near = self.nearest(q)
-            return Seen(self._read(near), self.states[near], near, asked=False)
+            return self._nearest_to(q, self.why)
         drivers = zip(self.joints, q.tolist(), strict=True)
-        made = self.maker.at({joint.name: v for joint, v in drivers if not joint.follows})
+        try:
+            made = self.maker.at({joint.name: v for joint, v in drivers if not joint.follows})
+        except InvalidArgument as error:  # few states span a frame that others stick out of
+            return self._nearest_to(q, str(error))
         return Seen(made.instance, np.array(list(made.state.values())), None)
+
+    def _nearest_to(self, q: Floats, why: str) -> Seen:
+        near = self.nearest(q)
+        return Seen(self._read(near), self.states[near], near, asked=False, why=why)
 
     def nearest(self, q: Floats) -> int:
         """The state that differs least from `q`, each joint by its range."""

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from articugen.errors import ArticugenError, InvalidSource
+from articugen.errors import ArticugenError, InvalidSource, NotOfCategory
 from articugen.maker import Maker, Model, load, models
 from articugen.recipe import Recipe
 from articugen.records import Instance, JointKind
@@ -149,7 +149,10 @@ class ModelObjects:
 
     def shown(self, object_id: str) -> Shown:
         model = load(self._source, object_id, category=self.category)
-        maker = Maker(model, self._recipe, self._seed)
+        try:
+            maker = Maker(model, self._recipe, self._seed)
+        except NotOfCategory as error:
+            raise NotOfCategory(f"{object_id}: {error}") from None
         return Shown(
             object_id,
             _joints_of_maker(maker),

@@ -96,7 +96,7 @@ def said_of(shown: Shown, seen: Seen, seconds: float) -> Markup:
     """Where what is shown comes from."""
     state = seen.instance.state_index
     if not seen.asked:
-        text = f"state {state}, the nearest that is stored"
+        text = f"state {state}, the nearest {'that is stored' if shown.split else 'that there is'}"
     elif seen.state is None:
         text = f"made for these joint values in {seconds:.2f} s"
     elif shown.split:
@@ -104,11 +104,12 @@ def said_of(shown: Shown, seen: Seen, seconds: float) -> Markup:
     else:
         text = f"state {state}, made in {seconds:.2f} s"
     split = f"{shown.split} object, " if shown.split else ""
-    return join(_page(split + text), warning(_no_source(shown.why)) if shown.why else None)
+    why = shown.why or seen.why
+    return join(_page(split + text), warning(_nearest(why)) if why else None)
 
 
-def _no_source(why: str) -> str:
-    return f"The sliders show the nearest stored state: {why}."
+def _nearest(why: str) -> str:
+    return f"The sliders show the nearest state: {why}."
 
 
 def warning(sentence: str) -> Markup:
