@@ -1,0 +1,69 @@
+"""The pages of the reference: which names of the code are on which, written by mkdocstrings."""
+
+HOMES = {
+    "ArticugenError": "articugen.errors",
+    "DataSet": "articugen.store.dataset",
+    "Made": "articugen.maker",
+    "Maker": "articugen.maker",
+    "Model": "articugen.maker",
+    "Recipe": "articugen.recipe",
+    "Row": "articugen.store.rows",
+    "discover": "articugen.found_joints",
+    "evaluate": "articugen.learning.commands",
+    "export": "articugen.export.run",
+    "fetch": "articugen.fetching.door",
+    "generate": "articugen.api",
+    "load": "articugen.maker",
+    "open": "articugen.store.dataset",
+    "train": "articugen.learning.commands",
+    "verify": "articugen.verify.check",
+}
+"""Where each name of `articugen` is written; tests/test_site.py compares it with the package."""
+
+_ELSEWHERE = {"verify": "check"}
+
+_ABOUT = """Docstrings as they are in the code. [From Python](../python.md) says in short how these
+go together; what is stored, with shapes, units and frames, is in [the files](../format.md)."""
+
+_ON = {
+    "data": ("Data sets and rows", ("open", "DataSet", "Row"), (
+        "store.rows.RowJoint", "store.rows.RowPart", "store.rows.RowSurface",
+        "store.rows.RowQueries", "store.rows.RowGrids", "store.rows.RowPartial",
+        "store.rows.RowImages", "store.torch_dataset.TorchDataSet",
+    )),
+    "models": ("Models at any joint state", ("load", "Model", "Maker", "Made"), (
+        "maker.MadeMesh", "records.Joint",
+    )),
+    "commands": ("What commands do", (
+        "generate", "verify", "export", "discover", "train", "evaluate", "fetch",
+    ), ("export.run.Exported", "export.formats.Options", "fetching.outcome.Fetched")),
+    "recipes": ("Recipes", ("Recipe",), (
+        "recipe.Articulation", "recipe.ViewSettings", "recipe.Fusion", "recipe.Sampling",
+        "recipe.Images",
+    )),
+    "errors": ("Errors", ("ArticugenError",), (
+        "errors.InvalidSource", "errors.InvalidRecipe", "errors.InvalidArgument",
+        "errors.NotFetched", "errors.AccessRefused", "errors.RejectedInstance",
+        "errors.NotOfCategory", "errors.MachineFault", "errors.CorruptShard",
+        "errors.MissingExtra", "errors.MissingDriver", "errors.BrokenPlugin",
+        "errors.InvalidCheckpoint", "errors.TrainingDiverged",
+    )),
+}  # fmt: skip
+"""Of each page: its title, names of `ag`, and what these give and take, from articugen on."""
+
+
+def pages() -> dict[str, str]:
+    """Markdown by the page's place on the site."""
+    return {f"reference/{name}.md": _page(*about) for name, about in _ON.items()}
+
+
+def _page(title: str, offered: tuple[str, ...], others: tuple[str, ...]) -> str:
+    entries = [
+        _entry(f"{HOMES[name]}.{_ELSEWHERE.get(name, name)}", f"ag.{name}") for name in offered
+    ]
+    entries += [_entry(f"articugen.{name}", name.rpartition(".")[2]) for name in others]
+    return "\n".join([f"# {title}\n", _ABOUT, "", *entries])
+
+
+def _entry(identifier: str, heading: str) -> str:
+    return f"::: {identifier}\n    options:\n      heading: {heading}\n      toc_label: {heading}\n"
