@@ -17,6 +17,11 @@ backends  := $(VENV)/.installed-backends
 learner   := $(VENV)/.installed-ppd
 readers   := $(VENV)/.installed-readers
 viewer    := $(VENV)/.installed-view
+site      := $(VENV)/.installed-docs
+
+# What the pictures and reports of the site are made by.
+gallery   := build/gallery/.made
+makes     := $(shell find articugen recipes docs/site/gallery.py -name '*.py' -o -name '*.yaml' -o -name '*.css' -o -name '*.js')
 
 options = $(foreach pair,RECIPE:recipe OBJECTS:objects IDS:ids EXCLUDE:exclude JOINTS:joints \
     MOVABLE:movable CANONICAL:canonical STATES:states MAX_REJECTED:max-rejected JOBS:jobs SEED:seed,\
@@ -26,7 +31,7 @@ replace = $(if $(REPLACE),--replace)
 option = $(if $($(1)),--$(2) "$($(1))")
 
 .DEFAULT_GOAL := help
-.PHONY: help dataset inspect report view verify train depth evaluate gpu-study test check format bench accuracy bench-reading bench-train backends learner exporters clean
+.PHONY: help dataset inspect report view verify train depth evaluate gpu-study test check format bench accuracy bench-reading bench-train docs site-tools backends learner exporters viewer clean
 
 help:  ## list the targets
 	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1"
@@ -120,9 +125,17 @@ bench-reading: $(testing)  ## measure what reading a shard costs, beside .npz fi
 bench-train: $(testing) $(learner)  ## measure PPD's training: rate, shares, memory (ARGS=--iterations 20)
 	@$(VENV)/bin/python -m tests.benchmarks.training $(ARGS)
 
+docs: $(site) $(gallery)  ## build the documentation site, with gallery and reports, into build/site
+	@NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --quiet
+	@echo "build/site/index.html"
+
+site-tools: $(site)  ## install what the documentation site is built with
+
 backends: $(backends)  ## install the optional renderers: open3d, pyrender, sapien
 
 exporters: $(readers)  ## install what exports are written with, and what tests read them back with
+
+viewer: $(viewer)  ## install viser, which `make view` shows objects with
 
 learner: $(learner)  ## install torch and matplotlib, which train and evaluate need
 
@@ -157,11 +170,19 @@ $(readers): $(generator)
 	@$(pinned) --editable '.[readers]'
 	@touch $@
 
-# viser asks for older versions of rich and websockets than are pinned here; tests run it with these.
 $(viewer): $(generator)
 	@echo "Installing the viewer ..."
-	@$(pinned) imageio manifold3d msgspec requests tqdm websockets zstandard
-	@$(pinned) --no-deps viser
+	@$(pinned) --editable '.[view]'
+	@touch $@
+
+$(site): $(generator)
+	@$(VENV)/bin/python -c 'import sys; sys.exit("the site is built with Python 3.11 or newer, this is " + sys.version.split()[0]) if sys.version_info < (3, 11) else None'
+	@echo "Installing what the documentation is built with ..."
+	@$(pinned) --editable '.[docs]'
+	@touch $@
+
+$(gallery): $(makes) | $(generator)
+	@$(VENV)/bin/python docs/site/gallery.py build/gallery
 	@touch $@
 
 $(dev): $(testing)

@@ -174,6 +174,8 @@ import os, signal
 from pathlib import Path
 from articugen.pipeline import Job, generate
 from articugen.recipe import Recipe
+# A shell that runs the tests in the background has its children ignore Ctrl-C.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 recipe = Recipe.model_validate_json({TINY.text()!r})
 job = Job("procedural", "eyeglasses", recipe, 0, Path({str(out)!r}), {jobs})
 def told(report):
