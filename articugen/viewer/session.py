@@ -54,6 +54,7 @@ class Session:
     """What a server shows.
 
     Attributes:
+        wish: what was asked for last.
         seen: what is shown now; None where nothing can be.
         fault: the sentence that says why it cannot be as it is wished for, or "".
     """
@@ -74,7 +75,7 @@ class Session:
         self._shown: Shown | None = None
         self._q: Floats | None = None
         self._drawn: dict[str, tuple[object, ...]] = {}
-        self._wish = Wish(source.objects[0])
+        self.wish = Wish(source.objects[0])
         self._done: Wish | None = None
         self._changed, self._ended = threading.Condition(), False
         self._worker = threading.Thread(target=self._work, name="articugen view", daemon=True)
@@ -83,13 +84,13 @@ class Session:
     def ask(self, change: Change) -> None:
         """Wish for something else than now."""
         with self._changed:
-            self._wish = change(self._wish)
+            self.wish = change(self.wish)
             self._changed.notify_all()
 
     def wait(self, seconds: float | None) -> bool:
         """Until all that was wished for is there; whether it is."""
         with self._changed:
-            return self._changed.wait_for(lambda: self._done is self._wish, seconds)
+            return self._changed.wait_for(lambda: self._done is self.wish, seconds)
 
     def end(self) -> None:
         """Let the worker finish what it does, and do nothing more."""
@@ -101,8 +102,8 @@ class Session:
     def _work(self) -> None:
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._ended or self._wish is not self._done)
-                wish = self._wish
+                self._changed.wait_for(lambda: self._ended or self.wish is not self._done)
+                wish = self.wish
                 if self._ended:
                     return
             self.fault = ""
@@ -166,7 +167,7 @@ class Session:
             self._clear(layer)
         for layer in LAYERS:
             now = (self.seen, edge) if layer == GRID else (self.seen,)
-            if layer == PREDICTION and wish is not self._wish:
+            if layer == PREDICTION and wish is not self.wish:
                 continue  # it takes seconds, and something else is wished for already
             if layer in wish.layers and self._drawn.get(layer) != now:
                 self._stage.draw(layer, self._layer(layer, shown, instance, edge))
