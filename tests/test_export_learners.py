@@ -163,6 +163,14 @@ def test_ditto_as_its_loader_reads_it(laptops, tmp_path):
         ag.export(laptops, "ditto", tmp_path / "Shape2Motion")
 
 
+def test_an_object_in_one_state_makes_no_scene_of_ditto(tmp_path):
+    recipe = {"extends": "quick", "views": {"count": 30, "resolution": 128},
+              "sampling": {"grids": [16]}}  # fmt: skip
+    ag.generate("laptop", out=tmp_path, recipe=recipe, objects=1, states=0, jobs=0)
+    with pytest.raises(ag.ArticugenError, match="one state; Ditto's scenes are of two"):
+        ag.export(tmp_path / "laptop", "ditto", tmp_path / "out")
+
+
 def test_npcs_as_its_loader_reads_it(exported, rows):
     folder = exported("npcs")
     factors = pickle.loads((folder / "pickle" / "box.pkl").read_bytes())

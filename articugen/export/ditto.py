@@ -30,6 +30,8 @@ def _write(item: Item, target: Target) -> None:
         raise LeftOut(
             f"{first.object_id}: {len(first.joints)} joints move; Ditto's scenes have one"
         )
+    if len(rows) < 2:
+        raise LeftOut(f"{first.object_id}: one state; Ditto's scenes are of two")
     need(first, "partial", 1)
     split, name = file_name(first.split), file_name(first.object_id)
     for start, end in pairwise(rows):
