@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen import discovery
-from articugen.discovery import Discovery, FoundJoint
+from articugen.discovery import KINDS, Discovery, FoundJoint
 from articugen.errors import ArticugenError, InvalidArgument, InvalidSource
 from articugen.learning.clouds import numbers_of_file
 from articugen.records import Floats, JointKind
@@ -58,24 +58,26 @@ class ObjectJoints:
     seconds: float
 
 
-def discover(poses: Sequence[Pose]) -> Discovery:
+def discover(poses: Sequence[Pose], *, joints: Sequence[str] = ()) -> Discovery:
     """Find the joints of one object from several poses of it; see `articugen.discovery.discover`.
 
     Args:
         poses: two or more, in one frame: clouds (n, 3) or occupancy grids (R, R, R), which stand
             for the cube [-0.5, 0.5]^3; arrays, or .ply, .npy, .npz or .xyz files.
+        joints: kinds that the object may have, of "revolute" and "prismatic"; none named is both.
 
     Raises:
-        InvalidArgument: nothing can be found in them.
+        InvalidArgument: nothing can be found in them, or there is no such kind.
         InvalidSource: a file cannot be read.
     """
-    return discovery.discover([_cloud(pose) for pose in poses])
+    return discovery.discover([_cloud(pose) for pose in poses], kinds=_kinds(joints))
 
 
 def discover_all(
     data: str | os.PathLike[str] | DataSet,
     *,
     poses: int | None = None,
+    joints: Sequence[str] = (),
     on_object: Callable[[ObjectJoints, int], None] = lambda _found, _objects: None,
 ) -> list[ObjectJoints]:
     """Find the joints of each object of a data set from its surface points, and judge them.
@@ -83,11 +85,14 @@ def discover_all(
     Args:
         data: a data set, its folder or one of its shards.
         poses: so many of each object's instances, the first ones; None is all.
+        joints: as for `discover`.
         on_object: called for each object, with the number of all.
 
     Raises:
         CorruptShard: the data cannot be read.
+        InvalidArgument: there is no such kind of joint.
     """
+    kinds = _kinds(joints)
     data = data if isinstance(data, DataSet) else open_data_set(Path(data))
     all_found = []
     for object_id in data.objects:
@@ -95,7 +100,7 @@ def discover_all(
         clouds = [np.asarray(row.surface.points, np.float64) for row in rows]
         began, why, found = time.process_time(), "", None
         try:
-            found = discovery.discover(clouds)
+            found = discovery.discover(clouds, kinds=kinds)
         except InvalidArgument as error:
             why = str(error)
         took = time.process_time() - began
@@ -103,6 +108,14 @@ def discover_all(
         all_found.append(ObjectJoints(object_id, found, why, judged, took))
         on_object(all_found[-1], len(data.objects))
     return all_found
+
+
+def _kinds(joints: Sequence[str]) -> tuple[JointKind, ...]:
+    named = {str(kind): kind for kind in KINDS}
+    for name in joints:
+        if name not in named:
+            raise InvalidArgument(f"no joint that can be found is {name!r}: {', '.join(named)}")
+    return tuple(named[name] for name in joints) or KINDS
 
 
 def _cloud(pose: Pose) -> Floats:

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 import articugen as ag
 from articugen.cli import app
-from articugen.discovery import Discovery, discover
+from articugen.discovery import KINDS, Discovery, discover
 from articugen.errors import InvalidArgument
 from articugen.found_joints import axes_apart, discover_all
 from articugen.geometry import apply, rotation_about, transform
@@ -130,6 +130,21 @@ def test_three_drawers_are_three_slides() -> None:
         assert np.abs(joint.states - states[:, which]).max() < 0.01
 
 
+@pytest.mark.parametrize("kind", [JointKind.REVOLUTE, JointKind.PRISMATIC])
+def test_only_kinds_that_are_asked_for_are_found(kind: JointKind) -> None:
+    front = ((0.06, 0.46, 0.14), (0.04, 0.0, 0.16))
+    leaf = ((0.03, 0.44, 0.3), (0.05, 0.0, -0.08))
+    both = [(front, slide((1.0, 0, 0))), (leaf, turn((0, 0, 1), (0.05, -0.22, 0)))]
+    states = np.array([[0.0, 0.0], [0.3, 0.6], [0.1, 1.2], [0.2, 0.3], [0.4, 0.9]])
+    clouds = posed(both, states)
+    assert {joint.kind for joint in discover(clouds).joints} == {*KINDS}
+    found = discover(clouds, kinds=[kind])
+    assert {joint.kind for joint in found.joints} == {kind}
+    right = found.joints[int(np.argmax([joint.score for joint in found.joints]))]
+    wanted = states[:, int(kind is JointKind.REVOLUTE)]
+    assert np.abs(right.states - wanted).max() < 0.02
+
+
 def test_two_poses_are_enough_and_any_frame_will_do() -> None:
     motion = turn((0, 1, 0), (0.05, 0, -0.22))
     clouds = posed([(LID, motion)], np.array([[0.0], [1.2]]))
@@ -166,6 +181,8 @@ def test_grids_are_as_good_as_clouds(tmp_path: Path) -> None:
     assert np.abs(np.array(joint["states"]) - angles).max() < 0.05
     (again,) = ag.discover(grids).joints
     assert again.states.tolist() == joint["states"]
+    slides = ag.discover(grids, joints=["prismatic"]).joints
+    assert JointKind.REVOLUTE not in {joint.kind for joint in slides}
 
 
 @pytest.mark.parametrize(
@@ -177,6 +194,7 @@ def test_grids_are_as_good_as_clouds(tmp_path: Path) -> None:
         (["a.npy", "."], "give one data set or shard, or two or more clouds"),
         (["a.npy", "c.obj"], "neither a shard"),
         (["a.npy", "empty.npy"], "no voxel of the grid is occupied"),
+        (["a.npy", "b.npy", "--joints", "screw"], "'screw': revolute, prismatic"),
     ],
 )
 def test_the_command_says_what_is_wrong(

@@ -8,12 +8,14 @@ from ppd_data import write_boxes
 
 torch = pytest.importorskip("torch")
 
-from articugen.discovery import Discovery, FoundJoint  # noqa: E402
+from test_discovery import LID, posed, slide, turn  # noqa: E402
+
+from articugen.discovery import KINDS, Discovery, FoundJoint  # noqa: E402
 from articugen.errors import CorruptShard, InvalidCheckpoint  # noqa: E402
 from articugen.learning.dataset import BatchSpec, load_split, unpacked  # noqa: E402
 from articugen.learning.method import find_method, load_recipe  # noqa: E402
 from articugen.learning.ppd import found as found_module  # noqa: E402
-from articugen.learning.ppd.found import discovered  # noqa: E402
+from articugen.learning.ppd.found import _look, _looked_for, discovered, kinds_of  # noqa: E402
 from articugen.learning.ppd.model import Prediction, amount_of  # noqa: E402
 from articugen.learning.ppd.settings import ModelSettings, WarmStart  # noqa: E402
 from articugen.learning.ppd.shape import PartBox  # noqa: E402
@@ -23,6 +25,7 @@ from articugen.learning.ppd.warm_start import (  # noqa: E402
     _owned,
     aim_terms,
     assigned,
+    labels_entropy,
     likely,
     parts_entropy,
     targets,
@@ -236,6 +239,19 @@ def test_parts_entropy_is_what_it_says():
     assert float(parts_entropy(logits, owner, known, 4.0)) == pytest.approx(wanted)
 
 
+def test_labels_entropy_is_what_it_says():
+    rng = torch.Generator().manual_seed(0)
+    logits = torch.randn(2, 3, 5, generator=rng, dtype=torch.float64)
+    owner = torch.tensor([[0, 1, 1, 2, 0], [0, 0, 1, 1, 2]])
+    known = torch.tensor([1.0, 0.0])
+    total = 0.0
+    for i in range(5):
+        e = np.exp(logits[0, :, i].numpy())
+        total -= np.log(e[owner[0, i]] / e.sum())
+    wanted = 4096 * total / 5 / 2
+    assert float(labels_entropy(logits, owner, known)) == pytest.approx(wanted)
+
+
 def test_what_was_found_is_kept_and_read_again(boxes, tmp_path, monkeypatch):
     split, _, _ = boxes
     said = []
@@ -255,6 +271,26 @@ def test_what_was_found_is_kept_and_read_again(boxes, tmp_path, monkeypatch):
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(InvalidCheckpoint, match="joints-"):
         discovered(split, tmp_path)
+
+
+def test_who_is_unlike_the_others_is_looked_at_again():
+    """Among cabinets with a drawer one with a door: it has slides then, or nothing is known."""
+    drawer = (((0.06, 0.46, 0.3), (0.04, 0.0, 0.0)), slide((1.0, 0, 0)))
+    door = (LID, turn((0, 0, 1), (0.05, -0.22, 0)))
+    states = np.array([0.0, 0.3, 0.1, 0.2])
+    clouds = []
+    for k, (part, far) in enumerate([(drawer, 1.0)] * 4 + [(door, 4.0)]):
+        poses = np.array(posed([part], far * (1.0 + 0.1 * k) * states[:, None]))
+        stored = np.round((0.5 * poses + 0.5) * 65535).astype(np.uint16)
+        clouds.append(stored.view(np.int16))
+    said = []
+    found = _looked_for(clouds, said.append)
+    assert kinds_of(found) == {JointKind.PRISMATIC}
+    for cloud, each in zip(clouds[:4], found[:4], strict=True):
+        np.testing.assert_array_equal(each.part, _look((cloud, KINDS)).part)
+    assert JointKind.REVOLUTE in {joint.kind for joint in _look((clouds[4], KINDS)).joints}
+    assert found[4] is None or {joint.kind for joint in found[4].joints} == {JointKind.PRISMATIC}
+    assert said[-1] == "looking again where they are unlike the others: 1 of 1"
 
 
 def test_where_nothing_moves_one_sentence_says_so(boxes, tmp_path):

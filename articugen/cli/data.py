@@ -23,6 +23,7 @@ from articugen.cli.export import register as register_export
 from articugen.cli.fetch import register as register_fetch
 from articugen.cli.learn import Changes
 from articugen.cli.learn import register as register_learning
+from articugen.cli.listed import listed
 from articugen.cli.saying import FAILED, INTERRUPTED, REJECTED, said, say_error, stderr, stdout
 from articugen.cli.view import register as register_view
 from articugen.errors import ArticugenError
@@ -207,9 +208,9 @@ def generate(
 
         todo = jobs_of(
             category, source, folder, recipe,
-            changes=changes or (), seed=seed, objects=objects, ids=_listed(ids),
-            exclude=_listed(exclude), joints=_listed(joints), states=states,
-            movable=_listed(movable), canonical=canonical, max_rejected=max_rejected, jobs=jobs,
+            changes=changes or (), seed=seed, objects=objects, ids=listed(ids),
+            exclude=listed(exclude), joints=listed(joints), states=states,
+            movable=listed(movable), canonical=canonical, max_rejected=max_rejected, jobs=jobs,
         )  # fmt: skip
     make = _made if len(todo) == 1 else _made_each
     status = make(*todo, dry_run=dry_run, replace=replace)
@@ -218,11 +219,6 @@ def generate(
 
 
 _KEPT = "finished work is kept; run the same command to resume"
-
-
-def _listed(texts: list[str] | None) -> list[str]:
-    """What an option names that may be given several times, with several names each."""
-    return [name.strip() for text in texts or () for name in text.split(",") if name.strip()]
 
 
 def _made(job: "Job", *, dry_run: bool, replace: bool) -> int:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.markup import escape
 
+from articugen.cli.listed import listed
 from articugen.cli.saying import said, stderr, stdout
 
 if TYPE_CHECKING:
@@ -40,6 +41,13 @@ def discover(
         int | None,
         typer.Option(min=2, help="So many poses of each object of a data set.", show_default="all"),
     ] = None,
+    joints: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Kinds that the objects may have, where that is known: revolute or prismatic.",
+            show_default="both",
+        ),
+    ] = None,
     output: Annotated[Path | None, typer.Option("--json", help="Write the joints there.")] = None,
 ) -> None:
     """Find the joints of objects from several poses of each, without labels."""
@@ -50,11 +58,11 @@ def discover(
         found_joints.check_poses(paths)
         if len(paths) > 1:
             with stderr.status("searching ..."):
-                found = found_joints.discover(paths)
+                found = found_joints.discover(paths, joints=listed(joints))
             _print("", found)
             told: object = {"joints": found_joints.as_json(found)}
         else:
-            objects = _of_data_set(paths[0], poses)
+            objects = _of_data_set(paths[0], poses, listed(joints))
             told = [
                 {"object": o.object_id, "why": o.why, "joints": found_joints.as_json(o.found)}
                 for o in objects
@@ -63,7 +71,7 @@ def discover(
             write_atomically(output, json.dumps(told, indent=1).encode())
 
 
-def _of_data_set(path: Path, poses: int | None) -> "list[ObjectJoints]":
+def _of_data_set(path: Path, poses: int | None, joints: Sequence[str]) -> "list[ObjectJoints]":
     from rich.progress import track
 
     from articugen import found_joints
@@ -80,7 +88,8 @@ def _of_data_set(path: Path, poses: int | None) -> "list[ObjectJoints]":
     for object_id in track(
         data.objects, "", console=stderr, transient=True, disable=not stderr.is_terminal
     ):
-        objects += found_joints.discover_all(data.of(object_id), poses=poses, on_object=tell)
+        one = data.of(object_id)
+        objects += found_joints.discover_all(one, poses=poses, joints=joints, on_object=tell)
     stdout.print(_summary(objects), soft_wrap=True)
     return objects
 

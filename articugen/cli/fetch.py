@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.markup import escape
 
+from articugen.cli.listed import listed
 from articugen.cli.saying import REJECTED, counting_bar, said, stderr, stdout
 from articugen.errors import printable
 
@@ -78,8 +79,8 @@ def fetch_models(
             done = fetch(
                 source,
                 out,
-                category=_listed(category),
-                ids=_listed(ids),
+                category=listed(category),
+                ids=listed(ids),
                 token=token,
                 via=via,
                 archives=archives or (),
@@ -89,10 +90,6 @@ def fetch_models(
         _print(done)
     if done.refused or done.failed:
         raise typer.Exit(REJECTED)
-
-
-def _listed(texts: list[str] | None) -> list[str]:
-    return [name.strip() for text in texts or () for name in text.split(",") if name.strip()]
 
 
 def _print(done: "Fetched") -> None:

@@ -1,6 +1,6 @@
 """The joints of an object, found from several poses of it, without labels."""
 
-from articugen.discovery.discover import Discovery, FoundJoint, discover
+from articugen.discovery.discover import KINDS, Discovery, FoundJoint, discover
 from articugen.discovery.ownership import Ownership, assign_material
 
-__all__ = ["Discovery", "FoundJoint", "Ownership", "assign_material", "discover"]
+__all__ = ["KINDS", "Discovery", "FoundJoint", "Ownership", "assign_material", "discover"]

@@ -6,7 +6,7 @@ that explains most of what is not yet explained first. In the end each point goe
 to the fixed part, that it agrees with in most poses, and each joint is fitted to its points.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,6 +20,9 @@ from articugen.discovery.search import Candidate, Search, motions
 from articugen.records import Floats, JointKind
 
 Ints = NDArray[np.int64]
+
+KINDS = (JointKind.REVOLUTE, JointKind.PRISMATIC)
+"""Of joints that can be found."""
 
 _PATCHES, _PATCH = 12, 48
 _MOVERS = 800
@@ -107,7 +110,7 @@ class Discovery:
         return T
 
 
-def discover(poses: Sequence[Any]) -> Discovery:
+def discover(poses: Sequence[Any], *, kinds: Collection[JointKind] = KINDS) -> Discovery:
     """Find the joints of one object from several poses of it.
 
     All moving parts hang on a fixed one, which stays where it is; chains of joints are not looked
@@ -116,13 +119,14 @@ def discover(poses: Sequence[Any]) -> Discovery:
     Args:
         poses: K >= 2 clouds (n_k, 3) in one frame: points on the surface, or the centres of
             occupied voxels. Joints are found from pose 0 to the others.
+        kinds: of joints that it may have, of REVOLUTE and PRISMATIC.
 
     Raises:
         InvalidArgument: there is one pose only, one is no cloud of points, they share no frame, or
             nothing moves.
     """
     seen = change(poses)
-    found = _Found(seen)
+    found = _Found(seen, kinds)
     found.look_for_joints()
     joints = found.settled()
     return _told(seen, joints, np.asarray(poses[0], np.float64))
@@ -149,8 +153,8 @@ def _alike(one: _Grown, other: _Grown) -> bool:
 class _Found:
     """The search for joints, and what it has found so far."""
 
-    def __init__(self, seen: Change) -> None:
-        self.seen = seen
+    def __init__(self, seen: Change, kinds: Collection[JointKind]) -> None:
+        self.seen, self.kinds = seen, kinds
         self.search = Search(seen)
         self.movers = some(np.flatnonzero(seen.movers), _MOVERS)
         self.part = seen.start[self.movers]
@@ -221,9 +225,13 @@ class _Found:
 
     def _voted(self, patch: NDArray[np.intp]) -> list[Candidate]:
         which = self.movers[patch]
-        turns = [turn for axis in np.eye(3) for turn in self.search.turns(which, axis, 3)]
-        turns.sort(key=lambda each: -each[0])
-        return [joint for _, joint in turns[:4] + self.search.slides(which, 2)]
+        voted: list[tuple[float, Candidate]] = []
+        if JointKind.REVOLUTE in self.kinds:
+            turns = [turn for axis in np.eye(3) for turn in self.search.turns(which, axis, 3)]
+            voted += sorted(turns, key=lambda each: -each[0])[:4]
+        if JointKind.PRISMATIC in self.kinds:
+            voted += self.search.slides(which, 2)
+        return [joint for _, joint in voted]
 
     def _seed(self, joint: Candidate, patch: NDArray[np.intp]) -> _Grown:
         near, core = self.seen.near, some(patch, 60)

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from articugen.discovery import Discovery, FoundJoint, discover
+from articugen.discovery import KINDS, Discovery, FoundJoint, discover
 from articugen.errors import CorruptShard, InvalidArgument
 from articugen.learning.dataset import PackedSplit, unpacked
 from articugen.learning.tensors import read_tensors, write_tensors
@@ -20,7 +20,7 @@ from articugen.records import JointKind
 from articugen.store.files import make_folder
 from articugen.workers import Crew
 
-FORMAT = "articugen joints 1"
+FORMAT = "articugen joints 2"
 """Of the file that keeps what was found; to be raised when something else would be found."""
 
 MOST_POSES = 128
@@ -28,6 +28,9 @@ MOST_POSES = 128
 
 LEAST_SCORE = 0.4
 """Of every joint in an object, else it says nothing."""
+
+FEW_OBJECTS = 0.25
+"""A kind of joint that a smaller share of the objects has is a mistake."""
 
 Found = list[Discovery | None]
 """What was found in each object; None where that cannot be told."""
@@ -56,11 +59,7 @@ def discovered(
     if path.is_file():
         kept = read_tensors(path, FORMAT)["objects"]
         return [_read(each, cloud) for each, cloud in zip(kept, clouds, strict=True)], rows
-    found: Found = []
-    with Crew(_look, workers=os.cpu_count() or 1) as crew:
-        for each in crew.in_order(clouds):
-            found.append(each)
-            tell(f"looking for joints in the training objects: {len(found)} of {len(names)}")
+    found = _looked_for(clouds, tell)
     if not any(found):
         raise CorruptShard(
             f"{beside}: the poses of no training object tell what moves in it; make the data set "
@@ -71,11 +70,41 @@ def discovered(
     return found, rows
 
 
-def _look(stored: NDArray[np.int16]) -> Discovery | None:
-    """What is found in an object's clouds (K, n, 3), as they are stored; with sure joints alone."""
+def kinds_of(found: Found) -> set[JointKind]:
+    """The kinds of joints that more than a few of the objects have."""
+    own = [{joint.kind for joint in each.joints} for each in found if each]
+    return {k for k in KINDS if sum(k in kinds for kinds in own) >= FEW_OBJECTS * len(own) > 0}
+
+
+def _looked_for(clouds: Sequence[NDArray[np.int16]], tell: Tell) -> Found:
+    """What is found in each object; again where it is nothing, or a kind of joint that few others
+    have: a drawer that is shallow may as well turn a little."""
+    found: Found = []
+    with Crew(_look, workers=os.cpu_count() or 1) as crew:
+        for each in crew.in_order([(cloud, KINDS) for cloud in clouds]):
+            found.append(each)
+            tell(f"looking for joints in the training objects: {len(found)} of {len(clouds)}")
+        kinds = kinds_of(found)
+        again = [i for i, each in enumerate(found) if not _has_only(each, kinds)]
+        if 0 < len(kinds) < len(KINDS):
+            looks = crew.in_order([(clouds[i], tuple(sorted(kinds))) for i in again])
+            for n, (i, each) in enumerate(zip(again, looks, strict=True), 1):
+                found[i] = each
+                tell(f"looking again where they are unlike the others: {n} of {len(again)}")
+    return found
+
+
+def _has_only(found: Discovery | None, kinds: set[JointKind]) -> bool:
+    return found is not None and {joint.kind for joint in found.joints} <= kinds
+
+
+def _look(asked: tuple[NDArray[np.int16], tuple[JointKind, ...]]) -> Discovery | None:
+    """What is found in an object's clouds (K, n, 3), as they are stored, of joints of some kinds;
+    with sure joints alone."""
+    stored, kinds = asked
     poses = unpacked(torch.from_numpy(stored)).double().numpy()
     try:
-        found = discover(list(poses))
+        found = discover(list(poses), kinds=kinds)
     except InvalidArgument:  # nothing moves, or not as one joint would
         return None
     sure = found.joints and min(joint.score for joint in found.joints) >= LEAST_SCORE

@@ -117,8 +117,19 @@ class PPDLearner(Predictor):
             return None
         aim = self.targets.of(batch.rows)
         owner = aim.owner(batch.points, batch.occupied)
+        seen = aim.owner(batch.cloud, torch.ones_like(batch.cloud[..., 0], dtype=torch.bool))
         turning = len(self.settings.model.revolute)
-        return partial(warm_start.aim_terms, owner=owner, aim=aim, weigh=warm, revolute=turning)
+
+        def asked(predicted: Prediction, part_logits: Tensor) -> Terms:
+            terms = warm_start.aim_terms(predicted, part_logits, owner, aim, warm, turning)
+            if warm.labels:
+                motion = self.model.motion(predicted.pose)
+                fields = self.model.fields(predicted.shape, motion, batch.cloud).product
+                wrong = warm_start.labels_entropy(fields, seen, aim.known)
+                terms["aim_labels"] = warm.labels * wrong
+            return terms
+
+        return asked
 
     def learn(self, batch: Batch, rng: torch.Generator | None, *, iteration: int) -> Terms:
         """One step of the discriminator and one of the model."""

@@ -110,6 +110,7 @@ class WarmStart(Section):
         share: of the iterations, the first ones, that are aimed; 0 is no warm start.
         parts: weight of each part's field against whose the occupied points are.
         occupied: how much more a part's own points weigh there than all others.
+        labels: weight of whose field is the greatest at the points that the encoder is given.
         state, direction, pivot, box: weights of how far these are off: amounts, 1 - cos, the square
             of the distance between the pivots, and the parts' boxes (`box_misfit`).
     """
@@ -117,6 +118,7 @@ class WarmStart(Section):
     share: float = Field(default=0.0, ge=0, le=1)
     parts: float = Field(default=0.01, ge=0)
     occupied: float = Field(default=4.0, gt=0)
+    labels: float = Field(default=0.02, ge=0)
     state: float = Field(default=20.0, ge=0)
     direction: float = Field(default=20.0, ge=0)
     pivot: float = Field(default=200.0, ge=0)

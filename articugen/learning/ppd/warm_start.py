@@ -16,23 +16,22 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.nn.functional import binary_cross_entropy_with_logits
+from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy
 
 from articugen.discovery import Discovery, Ownership, assign_material
 from articugen.discovery.ownership import CLEARLY, MOST_DOUBT, RARELY, RIM
 from articugen.geometry import invert_rigid
 from articugen.learning.dataset import PackedSplit, unpacked
 from articugen.learning.method import Terms
-from articugen.learning.ppd.found import Found
+from articugen.learning.ppd.found import Found, kinds_of
 from articugen.learning.ppd.losses import POINTS_OF_THE_PAPER
 from articugen.learning.ppd.model import Prediction, amount_of, rest_states
 from articugen.learning.ppd.settings import ModelSettings, WarmStart
 from articugen.learning.ppd.shape import PartBox
 from articugen.records import Floats, JointKind
 
-FEW_OBJECTS, LEAN = 0.25, np.cos(np.radians(30.0))
-"""A kind of joint that a smaller share of the objects has is a mistake, and so is one that leans
-further from all candidates of its kind."""
+LEAN = np.cos(np.radians(30.0))
+"""A joint that leans further from all candidates of its kind is a mistake."""
 
 LEAST_SIZE = 0.03
 """Half of the least edge that a part's box is asked to have."""
@@ -190,13 +189,11 @@ def _cells(points: Tensor, R: int) -> Tensor:
 def likely(found: Found, model: ModelSettings) -> Found:
     """What was found, without the objects that are unlike the others or the candidates: with a
     kind of joint that few objects have, or a joint that leans too far from every candidate."""
-    objects = [each for each in found if each]
-    kinds = [{joint.kind for joint in each.joints} for each in objects]
-    few = {k for k in JointKind if sum(k in own for own in kinds) < FEW_OBJECTS * len(objects)}
+    kinds = kinds_of(found)
 
     def is_likely(each: Discovery) -> bool:
         along = [np.abs(_directions(j.kind, model) @ j.axis).max() for j in each.joints]
-        return min(along) > LEAN and not few & {joint.kind for joint in each.joints}
+        return min(along) > LEAN and {joint.kind for joint in each.joints} <= kinds
 
     return [each if each and is_likely(each) else None for each in found]
 
@@ -278,6 +275,19 @@ def box_misfit(box: PartBox, aim: Targets, revolute: int) -> Tensor:
     middle[:, 1 : 1 + revolute] -= aim.pivot[:, :revolute]
     shift, growth = (box.middle - middle) / size, (box.size / size).log()
     return ((shift.square() + growth.square()).sum(2) * aim.owns).sum(1).mean()
+
+
+def labels_entropy(part_logits: Tensor, owner: Tensor, known: Tensor) -> Tensor:
+    """The cross-entropy of whose field is the greatest, a mean over points: where parts lie beside
+    each other, `parts_entropy` is content with fields that are right on either side of 0.
+
+    Args:
+        part_logits: (B, P, n) at points of the surface.
+        owner: (B, n) which part each belongs to.
+        known: as for `parts_entropy`.
+    """
+    entropy = cross_entropy(part_logits, owner, reduction="none")
+    return POINTS_OF_THE_PAPER * (entropy.mean(1) * known).mean()
 
 
 def parts_entropy(part_logits: Tensor, owner: Tensor, known: Tensor, occupied: float) -> Tensor:
