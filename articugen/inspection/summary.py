@@ -1,7 +1,8 @@
 """Tables of what a shard or a data set holds, for the terminal."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
@@ -46,24 +47,55 @@ def summary(shards: Sequence[Path]) -> RenderableType:
     Raises:
         CorruptShard: one of them cannot be read.
     """
-    return Group(_heading(shards), _fields(shards), _joints(shards), _parts(shards))
+    some = -(-LOOKED_AT // len(shards))
+    seen = [_seen(path, some) for path in shards]
+    files = sum(path.stat().st_size for path in shards)
+    return Group(_heading(seen), _fields(seen, files), _joints(seen), _parts(seen))
 
 
-def _each(paths: Sequence[Path]) -> Iterator[Shard]:
-    """The shards, one open at a time."""
-    for path in paths:
-        with open_shard(path) as shard:
-            yield shard
+_States = dict[tuple[int, JointKind], NDArray[np.float64]]
 
 
-def _heading(paths: Sequence[Path]) -> Text:
-    objects: set[tuple[str, str]] = set()
-    instances = 0
-    about: Mapping[str, str | int | float] = {}
-    for shard in _each(paths):
-        about = shard.attributes
-        objects |= {(str(about["split"]), object_id) for object_id in shard.object_ids()}
-        instances += len(shard)
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What a shard holds.
+
+    Attributes:
+        about: its attributes.
+        objects: (split, id) of each.
+        instances: how many there are.
+        shapes, stored: of each field, that of an instance and its bytes on disk.
+        states: by joint and kind: (n, 3) lower, upper, state in degrees or centimetres.
+        counts: (256,) how often some instances have each part or label, by field.
+    """
+
+    about: Mapping[str, str | int | float]
+    objects: frozenset[tuple[str, str]]
+    instances: int
+    shapes: Mapping[str, tuple[int, ...]]
+    stored: Mapping[str, int]
+    states: _States
+    counts: Mapping[str, NDArray[np.int64]]
+
+
+def _seen(path: Path, some: int) -> _Seen:
+    """Of one shard, opened once; `some` instances are counted."""
+    with open_shard(path) as shard:
+        about = dict(shard.attributes)
+        return _Seen(
+            about,
+            frozenset((str(about["split"]), object_id) for object_id in shard.object_ids()),
+            len(shard),
+            {name: shape[1:] for name, shape in shard.fields.items()},
+            {name: shard.stored_bytes(name) for name in shard.fields},
+            _states_of(shard),
+            _counts_of(shard, min(len(shard), some)),
+        )
+
+
+def _heading(seen: Sequence[_Seen]) -> Text:
+    objects = frozenset[tuple[str, str]]().union(*(each.objects for each in seen))
+    instances, about = sum(each.instances for each in seen), seen[-1].about
     per_split = Counter(split for split, _ in objects)
     counts = ", ".join(f"{n} {split}" for split, n in sorted(per_split.items(), reverse=True))
     return Text.assemble(
@@ -73,38 +105,43 @@ def _heading(paths: Sequence[Path]) -> Text:
     )
 
 
-def _fields(paths: Sequence[Path]) -> Table:
+def _fields(seen: Sequence[_Seen], files: int) -> Table:
     shapes: dict[str, set[tuple[int, ...]]] = {}
     stored = Counter[str]()
-    instances = 0
-    for shard in _each(paths):
-        instances += len(shard)
-        for name, shape in shard.fields.items():
-            shapes.setdefault(name, set()).add(shape[1:])
-            stored[name] += shard.stored_bytes(name)
+    instances = sum(each.instances for each in seen)
+    for each in seen:
+        stored.update(each.stored)
+        for name, shape in each.shapes.items():
+            shapes.setdefault(name, set()).add(shape)
     table = quiet_table("data set", "dtype", "shape", "unit", ">on disk", ">each")
     for field in schema.FIELDS:
         for name in sorted(filter(field.matches, shapes)):
             shape = " or ".join(str(shape) for shape in sorted(shapes[name])).replace("()", "")
             sizes = (size(stored[name]), size(stored[name] / instances))
             table.add_row(name, field.dtype, shape, field.unit, *sizes)
-    files = sum(path.stat().st_size for path in paths)
     table.add_row("index, headers", "", "", "", size(files - stored.total()), "", style=DIM)
     table.add_row("all", "", "", "", size(files), size(files / instances), style="bold")
     return table
 
 
-def _joints(paths: Sequence[Path]) -> Table:
+def _states_of(shard: Shard) -> _States:
     """Revolute joints in degrees, prismatic ones in centimetres."""
+    kinds, scale = shard.read("joint_kind"), shard.read("scale")
+    columns = [shard.read(f"joint_{name}") for name in ("lower", "upper", "state")]
+    values = np.stack(columns, axis=-1)
+    states: _States = {}
+    for joint, kind in product(range(kinds.shape[1]), STORED_KINDS):
+        here = kinds[:, joint] == kind
+        unit = np.degrees(1.0) if kind == JointKind.REVOLUTE else 100.0 * scale[here, None]
+        states[joint, kind] = values[here, joint] * unit
+    return states
+
+
+def _joints(seen: Sequence[_Seen]) -> Table:
     states: dict[tuple[int, JointKind], list[NDArray[np.float64]]] = {}
-    for shard in _each(paths):
-        kinds, scale = shard.read("joint_kind"), shard.read("scale")
-        columns = [shard.read(f"joint_{name}") for name in ("lower", "upper", "state")]
-        values = np.stack(columns, axis=-1)
-        for joint, kind in product(range(kinds.shape[1]), STORED_KINDS):
-            here = kinds[:, joint] == kind
-            unit = np.degrees(1.0) if kind == JointKind.REVOLUTE else 100.0 * scale[here, None]
-            states.setdefault((joint, kind), []).append(values[here, joint] * unit)
+    for each in seen:
+        for joint, values in each.states.items():
+            states.setdefault(joint, []).append(values)
     table = quiet_table(
         ">joint", "kind", ">instances", ">range sampled from", "states, low to high"
     )
@@ -128,16 +165,22 @@ def histogram(values: NDArray[np.float64], low: float, high: float) -> str:
     return "".join(BARS[height] for height in heights)
 
 
-def _parts(paths: Sequence[Path]) -> Table:
+def _counts_of(shard: Shard, some: int) -> dict[str, NDArray[np.int64]]:
+    grids = sorted((n for n in shard.fields if n.startswith("occupancy_")), key=_resolution)
+    counts: dict[str, NDArray[np.int64]] = {}
+    for name in ("surface_part", "partial_part", "uniform_label", "near_label", *grids[-1:]):
+        counts[name] = np.zeros(256, np.int64)
+        for row in np.linspace(0, len(shard) - 1, some).astype(int):
+            counts[name] += np.bincount(shard.read(name, int(row)).ravel(), minlength=256)
+    return counts
+
+
+def _parts(seen: Sequence[_Seen]) -> Table:
     """For each part its share of the points, and of the finest grid; what is enclosed apart."""
     counts: dict[str, NDArray[np.int64]] = {}
-    for shard in _each(paths):
-        grids = sorted((n for n in shard.fields if n.startswith("occupancy_")), key=_resolution)
-        some = min(len(shard), -(-LOOKED_AT // len(paths)))
-        for name in ("surface_part", "partial_part", "uniform_label", "near_label", *grids[-1:]):
-            total = counts.setdefault(name, np.zeros(256, np.int64))
-            for row in np.linspace(0, len(shard) - 1, some).astype(int):
-                total += np.bincount(shard.read(name, int(row)).ravel(), minlength=256)
+    for each in seen:
+        for name, own in each.counts.items():
+            counts[name] = counts.get(name, 0) + own
     shares = {name: _shares(name, total) for name, total in counts.items()}
     titles = (name.removesuffix("_part").removesuffix("_label") for name in shares)
     table = quiet_table(">part", *(f">{title}" for title in titles))
