@@ -249,7 +249,14 @@ def test_labels_entropy_is_what_it_says():
         e = np.exp(logits[0, :, i].numpy())
         total -= np.log(e[owner[0, i]] / e.sum())
     wanted = 4096 * total / 5 / 2
-    assert float(labels_entropy(logits, owner, known)) == pytest.approx(wanted)
+    logits.requires_grad_()
+    entropy = labels_entropy(logits, owner, known)
+    assert float(entropy.detach()) == pytest.approx(wanted)
+    entropy.backward()
+    mine = owner[:, None] == torch.arange(3)[:, None]
+    assert (logits.grad[0][mine[0]] == 0).all()  # the part's own field is left alone
+    assert (logits.grad[0][~mine[0]] > 0).all()  # the others' go down
+    assert (logits.grad[1] == 0).all()
 
 
 def test_what_was_found_is_kept_and_read_again(boxes, tmp_path, monkeypatch):

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy
+from torch.nn.functional import binary_cross_entropy_with_logits, softplus
 
 from articugen.discovery import Discovery, Ownership, assign_material
 from articugen.discovery.ownership import CLEARLY, MOST_DOUBT, RARELY, RIM
@@ -281,13 +281,17 @@ def labels_entropy(part_logits: Tensor, owner: Tensor, known: Tensor) -> Tensor:
     """The cross-entropy of whose field is the greatest, a mean over points: where parts lie beside
     each other, `parts_entropy` is content with fields that are right on either side of 0.
 
+    It lowers the fields of the others alone: at the surface the part's own should be 0.
+
     Args:
         part_logits: (B, P, n) at points of the surface.
         owner: (B, n) which part each belongs to.
         known: as for `parts_entropy`.
     """
-    entropy = cross_entropy(part_logits, owner, reduction="none")
-    return POINTS_OF_THE_PAPER * (entropy.mean(1) * known).mean()
+    mine = owner[:, None] == torch.arange(part_logits.shape[1], device=owner.device)[:, None]
+    own = part_logits.detach().masked_fill(~mine, -torch.inf).amax(1)
+    others = part_logits.masked_fill(mine, -torch.inf).logsumexp(1)
+    return POINTS_OF_THE_PAPER * (softplus(others - own).mean(1) * known).mean()
 
 
 def parts_entropy(part_logits: Tensor, owner: Tensor, known: Tensor, occupied: float) -> Tensor:
