@@ -7,25 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from instances import SMALL
+from instances import RICH
 from ppd_data import write_boxes
 
 import articugen as ag
 from articugen.export.formats import Options
 from articugen.export.parts import PartMeshes
-
-RICH = SMALL.model_copy(
-    update={
-        "sampling": SMALL.sampling.model_copy(
-            update={
-                "grids": (16, 32, 64),
-                "surface_points": 8192,
-                "uniform_points": 8192,
-                "near_points": 8192,
-            }
-        )
-    }
-)
 
 MESHES = {"from_grids": True}
 

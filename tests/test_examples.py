@@ -2,10 +2,7 @@
 
 import importlib.util
 import io
-import os
 import re
-import subprocess
-import sys
 import tarfile
 from pathlib import Path
 
@@ -13,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 import yourdfpy
+from python_process import printed
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 LITTLE = """\
@@ -25,17 +23,9 @@ sampling: {surface_points: 2048, uniform_points: 64, near_points: 64, partial_vi
 
 
 def run(name: str, folder: Path, *arguments: object) -> str:
-    done = subprocess.run(
-        [sys.executable, str(CHECKOUT / "examples" / f"{name}.py"), *map(str, arguments)],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(CHECKOUT)},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=900,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    script = str(CHECKOUT / "examples" / f"{name}.py")
+    own = {"PYTHONPATH": str(CHECKOUT)}
+    return printed(script, *map(str, arguments), folder=folder, seconds=900, **own)
 
 
 @pytest.mark.skipif(not importlib.util.find_spec("torch"), reason="torch is not installed")

@@ -5,15 +5,13 @@ fields name, dtype and shape in a table that begins with `| field |`.
 """
 
 import importlib.util
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from python_process import printed
 
 import articugen as ag
 from articugen.export.formats import NAMES, format_named
@@ -170,9 +168,4 @@ def test_the_snippet_of_a_page_reads_an_export(name: str, exported, root: Path) 
     exported(name)
     (snippet,) = code(name, "python")
     home = {"HF_HUB_OFFLINE": "1", "HF_HOME": str(root / "home")}
-    done = subprocess.run(
-        [sys.executable, "-c", snippet], cwd=root, env={**os.environ, **home},
-        capture_output=True, text=True, check=False, timeout=120,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.strip()
+    assert printed("-c", snippet, folder=root, seconds=120, **home).strip()

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from python_process import printed
 
 import articugen
 from articugen import fusion
@@ -287,8 +288,7 @@ def test_the_door_is_lazy_and_gives_what_it_names() -> None:
         "import sys, time; began = time.perf_counter(); import articugen as ag\n"
         "print(time.perf_counter() - began, *sys.modules)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    seconds, *loaded = done.stdout.split()
+    seconds, *loaded = printed("-c", code).split()
     assert float(seconds) < 1.0  # 0.02 where nothing else runs
     ours = {name for name in loaded if name.startswith("articugen")}
     assert ours == {"articugen"}
@@ -323,8 +323,7 @@ def test_the_core_needs_no_optional_library() -> None:
         f"import sys, importlib\nfor name in {optional}: sys.modules[name] = None\n"
         f"for name in {names}: importlib.import_module('articugen.' + name)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    printed("-c", code)
 
 
 def test_every_stage_declares_a_version_of_what_it_makes() -> None:

@@ -7,6 +7,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from python_process import printed
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 MAIN = "from articugen.cli import main; main()"
@@ -31,17 +32,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(installed: Path, folder: Path, *arguments: str) -> str:
     """What the command prints, in an empty folder and with a home of its own."""
     own = {"PYTHONPATH": str(installed), "HOME": str(folder), "XDG_CACHE_HOME": str(folder / "c")}
-    done = subprocess.run(
-        [sys.executable, "-c", MAIN, *arguments],
-        cwd=folder,
-        env={**os.environ, **own},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=400,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    return printed("-c", MAIN, *arguments, folder=folder, seconds=400, **own)
 
 
 def test_the_wheel_holds_recipes_and_sources_and_no_model(installed: Path) -> None:

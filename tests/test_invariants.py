@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from instances import SMALL, changed, edited, hinged_box
+from instances import RICH, SMALL, changed, edited, hinged_box
 from test_manifest import STATES
 
 from articugen.geometry import voxel_centres
@@ -17,18 +17,6 @@ from articugen.verify import bounds, exact, invariants, sampled
 from tests.benchmarks.soundness import made_sets
 
 ROWS = hinged_box()
-RICH = SMALL.model_copy(
-    update={
-        "sampling": SMALL.sampling.model_copy(
-            update={
-                "grids": (16, 32, 64),
-                "uniform_points": 4096,
-                "near_points": 8192,
-                "surface_points": 8192,
-            }
-        )
-    }
-)
 RICH_ROWS = hinged_box(recipe=RICH)
 COVERED = RICH.model_copy(update={"sampling": RICH.sampling.model_copy(update={"coverage": True})})
 CHECKS = {

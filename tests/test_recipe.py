@@ -2,11 +2,10 @@ import errno
 import json
 import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from python_process import printed
 
 from articugen import recipe as recipe_module
 from articugen.errors import InvalidRecipe, MachineFault
@@ -290,14 +289,7 @@ def test_text_and_hash_depend_on_the_meaning_alone(tmp_path: Path) -> None:
 
 def test_another_process_hashes_the_same() -> None:
     code = "from articugen.recipe import load_recipe; print(load_recipe('quick', 'oven').sha256())"
-    other = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={"PYTHONHASHSEED": "1"},
-    )
-    assert other.stdout.strip() == load_recipe("quick", "oven").sha256()
+    assert printed("-c", code, PYTHONHASHSEED="1").strip() == load_recipe("quick", "oven").sha256()
 
 
 def test_what_decides_an_object_counts_neither_names_nor_objects() -> None:

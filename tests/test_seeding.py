@@ -1,9 +1,7 @@
-import subprocess
-import sys
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from python_process import printed
 
 from articugen.seeding import generator
 
@@ -32,14 +30,7 @@ def test_a_path_is_more_than_its_text_run_together() -> None:
 
 def test_another_process_draws_the_same() -> None:
     code = "from articugen.seeding import generator; print(generator(0, 'lamp', 3).random().hex())"
-    other = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={"PYTHONHASHSEED": "1"},
-    )
-    assert other.stdout.strip() == generator(0, "lamp", 3).random().hex()
+    assert printed("-c", code, PYTHONHASHSEED="1").strip() == generator(0, "lamp", 3).random().hex()
 
 
 def test_the_numbers_stay_what_they_were_when_published() -> None:
