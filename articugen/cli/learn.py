@@ -156,7 +156,9 @@ def evaluate(
         int, typer.Option(min=0, help="Random states a test object; 0 means all, as in the paper.")
     ] = 8,
     figures: Annotated[bool, typer.Option(help="Draw figures as well.")] = True,
-    threads: Annotated[int, typer.Option(min=0, help="CPU threads; 0 leaves it to torch.")] = 0,
+    threads: Annotated[
+        int, typer.Option(min=0, help="CPU threads, of which more hardly help; 0: torch's.")
+    ] = 1,
 ) -> None:
     """Evaluate a run's last checkpoint on the test objects, as the paper does."""
     with said():

@@ -159,7 +159,7 @@ def evaluate(
     resolution: int | None = None,
     label_poses: str = "canonical",
     states: int | None = STATES,
-    threads: int = 0,
+    threads: int = 1,
     on_object: Callable[[str], None] = lambda _: None,
 ) -> RunEvaluation:
     """Evaluate a run's last checkpoint on the test objects, and write <run>/evaluation/.
@@ -171,7 +171,8 @@ def evaluate(
         resolution: of the meshes' grid; None is the protocol's.
         label_poses: whose poses vote for labels, `canonical` or `all`.
         states: random states a test object; None is all, as in the paper.
-        threads: of the CPU; 0 leaves it to torch.
+        threads: of the CPU, which wait for each other where one cloud is looked at after the
+            other; 0 leaves it to torch.
         on_object: called with the name of each object that was evaluated.
 
     Returns:

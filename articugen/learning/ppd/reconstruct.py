@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -74,9 +75,13 @@ def reconstruction_of(
 
 def part_logits(model: PPD, predicted: Prediction, resolution: int) -> Floats:
     """(P, R, R, R): the field of each part at the voxel centres, before the sigmoid."""
-    every = voxel_centres(torch.arange(resolution**3), resolution)
-    values = logits_at(model, predicted, every)
+    values = logits_at(model, predicted, _all_centres(resolution))
     return values.reshape(-1, resolution, resolution, resolution)
+
+
+@cache
+def _all_centres(resolution: int) -> Tensor:
+    return voxel_centres(torch.arange(resolution**3), resolution)
 
 
 def logits_near_surfaces(
