@@ -63,6 +63,10 @@ def test_evaluate_predict(folder, monkeypatch):
     for name in ("curves", "joints", "fields", "reconstructions", "interpolations"):
         with Image.open(runs / "box" / "000" / "evaluation" / f"{name}.png") as picture:
             assert min(picture.size) > 200
+    done = articugen("evaluate", runs / "box", "-d", data, "--resolution", 8, "--on", data)
+    assert done.exit_code == 0, done.output
+    assert f"3 objects of {data}, none trained on, 6 instances" in done.output
+    assert (runs / "box" / "000" / "evaluation-on-data" / "reconstructions.png").is_file()
     done = articugen("tables", runs / "box")
     assert done.exit_code == 0, done.output
     assert re.search(r"\| 2 \| label IoU, % \| box \| \*\*\d+\.\d\d\*\* \|  \|", done.output)

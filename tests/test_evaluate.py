@@ -175,6 +175,19 @@ def test_the_joint_aware_reading_turns_about_the_axis():
     np.testing.assert_allclose(motion[2], slide, atol=1e-12)
 
 
+def test_all_objects_of_another_data_set_are_tested(boxes, tmp_path):
+    others = write_boxes(tmp_path / "others", train=2, test=1, states=1)
+    seen = []
+    result = evaluate(boxes, exactly, FEW, on=others, on_object=seen.append)
+    assert (result.objects, result.instances) == (3, 6)
+    assert sorted(seen[2:]) == ["box-0", "box-1", "box-2"]  # after two of `boxes`, which vote
+    training = write_boxes(tmp_path / "training", train=1, test=0, states=1)
+    assert evaluate(training, exactly, FEW, on=others).objects == 3
+    lamps = write_boxes(tmp_path / "lamps", train=1, test=0, states=1, category="lamp")
+    with pytest.raises(CorruptShard, match="lamps: holds lamp, the model is of box"):
+        evaluate(boxes, exactly, FEW, on=lamps, category="box")
+
+
 def test_a_data_set_without_test_objects_is_refused(tmp_path):
     data = write_boxes(tmp_path / "boxes", train=1, test=0, states=1)
     with pytest.raises(CorruptShard, match="has no object in split 'test'"):

@@ -155,6 +155,10 @@ def evaluate(
     states: Annotated[
         int, typer.Option(min=0, help="Random states a test object; 0 means all, as in the paper.")
     ] = 8,
+    on: Annotated[
+        Path | None,
+        typer.Option(help="Another data set: test all its objects, of which none was trained on."),
+    ] = None,
     figures: Annotated[bool, typer.Option(help="Draw figures as well.")] = True,
     threads: Annotated[
         int, typer.Option(min=0, help="CPU threads, of which more hardly help; 0: torch's.")
@@ -174,10 +178,11 @@ def evaluate(
                 label_poses=label_poses,
                 states=states or None,
                 threads=threads,
+                on=on,
                 on_object=lambda name: status.update(f"evaluated {name}"),
             )
         stdout.print(markdown(result), soft_wrap=True, markup=False)
-        out = commands.evaluation_folder(run, protocol)
+        out = commands.evaluation_folder(run, protocol, on)
         stdout.print(f"written: {out}/evaluation.json, evaluation.md", soft_wrap=True)
         if figures and protocol == "paper":
             with stderr.status("drawing ..."):

@@ -160,6 +160,7 @@ def evaluate(
     label_poses: str = "canonical",
     states: int | None = STATES,
     threads: int = 1,
+    on: FolderLike | None = None,
     on_object: Callable[[str], None] = lambda _: None,
 ) -> RunEvaluation:
     """Evaluate a run's last checkpoint on the test objects, and write <run>/evaluation/.
@@ -173,6 +174,8 @@ def evaluate(
         states: random states a test object; None is all, as in the paper.
         threads: of the CPU, which wait for each other where one cloud is looked at after the
             other; 0 leaves it to torch.
+        on: the folder of another data set, all objects of which are tested instead: none of them
+            was trained on.
         on_object: called with the name of each object that was evaluated.
 
     Returns:
@@ -180,7 +183,7 @@ def evaluate(
 
     Raises:
         InvalidCheckpoint: the run cannot be read.
-        CorruptShard: the data set has no test object, or is of another category.
+        CorruptShard: a data set has no such object, or is of another category.
         ArticugenError: there is no such protocol.
     """
     prepare(threads=threads)
@@ -200,6 +203,7 @@ def evaluate(
             label_poses=label_poses, test_states=states, occupancy=point.recipe.data.occupancy
         ),
         category=point.category,
+        on=None if on is None else Path(on),
         on_object=on_object,
     )
     learner = point.learner()
@@ -210,19 +214,22 @@ def evaluate(
         by_depth = measure(lambda i: by.reconstruct(depth, seen_by_a_camera(i), resolution))
     evaluated = EvaluatedRun(
         **point.about(), protocol=protocol, label_poses=label_poses, states=states,
-        resolution=resolution,
+        resolution=resolution, on=None if on is None else str(on),
     )  # fmt: skip
     result = RunEvaluation(run=evaluated, depth_input=by_depth, **dict(found))
-    out = evaluation_folder(folder, protocol)
+    out = evaluation_folder(folder, protocol, on)
     out.mkdir(exist_ok=True)
     result.write(out)
     write_atomically(out / "evaluation.md", markdown(result).encode())
     return result
 
 
-def evaluation_folder(run: FolderLike, protocol: str = "paper") -> Path:
+def evaluation_folder(
+    run: FolderLike, protocol: str = "paper", on: FolderLike | None = None
+) -> Path:
     """Where `evaluate` writes to."""
-    return newest(run) / ("evaluation" if protocol == "paper" else f"evaluation-{protocol}")
+    parts = ["evaluation", *([] if protocol == "paper" else [protocol])]
+    return newest(run) / "-".join([*parts, *([] if on is None else ["on", Path(on).name])])
 
 
 def draw(run: FolderLike, data: FolderLike, result: RunEvaluation) -> Iterator[Path]:
@@ -237,8 +244,9 @@ def draw(run: FolderLike, data: FolderLike, result: RunEvaluation) -> Iterator[P
     folder = newest(run)
     learner = read_run(folder).learner()
     model = learner.drawable(min(4 * result.run.resolution, 128))
-    out, metrics = evaluation_folder(folder), RunFolder(folder).metrics()
-    yield from draw_figures(out, metrics, Path(data), model, result)
+    on = result.run.on and Path(result.run.on)
+    out, metrics = evaluation_folder(folder, on=on), RunFolder(folder).metrics()
+    yield from draw_figures(out, metrics, Path(data), model, result, on=on)
 
 
 def tables(runs: Sequence[FolderLike]) -> str:

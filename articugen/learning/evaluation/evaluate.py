@@ -99,23 +99,26 @@ def evaluate(
     protocol: Protocol = Protocol(),
     *,
     category: str | None = None,
+    on: Path | None = None,
     on_object: Callable[[str], None] = lambda _: None,
 ) -> Evaluation:
-    """Evaluate on the test objects of a data set.
+    """Evaluate on the test objects of a data set, or on all objects of another one.
 
     What needs joints or motions is measured where the reconstructions have them. Means that are
     called `matched_*` are those of pose estimators, see `matched`. There is a `reconstruction_iou`
     where the data set has a grid of the reconstructions' resolution.
 
     Args:
-        category: what the data set must be of.
+        category: what the data sets must be of.
+        on: the other data set; whatever the split, its objects are tested. The training objects
+            of `data` vote for labels in either case.
 
     Raises:
-        CorruptShard: the data set has no training or no test object, or is of another category.
+        CorruptShard: a data set has no training or no test object, or is of another category.
     """
-    check_splits(data, category)
+    check_splits(data, category, on)
     tally = Tally(label_votes(data, reconstruct, protocol, on_object))
-    for canonical, *posed in objects_of(data, "test", protocol.test_states):
+    for canonical, *posed in tested(data, on, protocol.test_states):
         tally.objects += 1
         first = reconstruct(canonical)
         _measure_shape(tally, canonical, first, protocol)
@@ -133,16 +136,28 @@ def evaluate(
     return tally.evaluation()
 
 
-def check_splits(data: Path, category: str | None) -> None:
-    """Raise CorruptShard where the data set cannot be evaluated on, before anything is computed."""
-    manifest = Manifest.read(data)
-    if category is not None and manifest.category != category:
-        raise CorruptShard(f"{data}: holds {manifest.category}, the model is of {category}")
-    for split in ("train", "test"):
-        if not any(o.key.split == split for o in manifest.objects):
-            raise CorruptShard(
-                f"{data}: has no object in split {split!r}; make one with more objects"
-            )
+def check_splits(data: Path, category: str | None, on: Path | None = None) -> None:
+    """Raise CorruptShard where the data set, or with `on` both, cannot be evaluated on, before
+    anything is computed."""
+    for folder, splits in ((data, ("train",) if on else ("train", "test")), (on, ())):
+        if folder is None:
+            continue
+        manifest = Manifest.read(folder)
+        if category is not None and manifest.category != category:
+            raise CorruptShard(f"{folder}: holds {manifest.category}, the model is of {category}")
+        there = {o.key.split for o in manifest.objects}
+        for split in splits:
+            if split not in there:
+                raise CorruptShard(
+                    f"{folder}: has no object in split {split!r}; make one with more objects"
+                )
+        if not there:
+            raise CorruptShard(f"{folder}: has no object")
+
+
+def tested(data: Path, on: Path | None, states: int | None) -> Iterator[list[Instance]]:
+    """The test objects of `data`, or all objects of `on`, as `objects_of` gives them."""
+    return objects_of(data, "test", states) if on is None else objects_of(on, None, states)
 
 
 def label_votes(
@@ -163,9 +178,9 @@ def label_votes(
     return table
 
 
-def objects_of(data: Path, split: str, states: int | None) -> Iterator[list[Instance]]:
-    """The instances of each object of a split, the canonical one first."""
-    names = sorted({o.shard for o in Manifest.read(data).objects if o.key.split == split})
+def objects_of(data: Path, split: str | None, states: int | None) -> Iterator[list[Instance]]:
+    """The instances of each object of a split, or of all, the canonical one first."""
+    names = sorted({o.shard for o in Manifest.read(data).objects if split in (None, o.key.split)})
     for name in names:
         with open_shard(data / name) as shard:
             index, ids = shard.read("state_index"), np.array(shard.object_ids())

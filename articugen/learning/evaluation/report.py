@@ -61,8 +61,9 @@ _DETAILS = (
 def markdown(result: RunEvaluation) -> str:
     """One evaluation: who was evaluated, the paper's tables, all else that was measured."""
     run = result.run
+    others = "test objects" if run.on is None else f"objects of {run.on}, none trained on"
     about = (
-        f"{run.category}: {result.objects} test objects, {result.instances} instances. "
+        f"{run.category}: {result.objects} {others}, {result.instances} instances. "
         f"Recipe {run.recipe} ({run.variant}), seed {run.seed}, {run.iterations} "
         f"iterations; meshes on {run.resolution}^3, labels by {run.label_poses} poses, "
         f"{'all' if run.states is None else f'at most {run.states}'} random states an object."

@@ -104,6 +104,8 @@ class EvaluatedRun(_Record):
         variant: the row of Table 5 that it belongs to.
         states: random ones of each test object; None is all.
         resolution: of the grid of its meshes.
+        on: the folder of the data set whose objects were tested, where that is another one than
+            the run's.
     """
 
     method: str = "ppd"
@@ -117,6 +119,7 @@ class EvaluatedRun(_Record):
     label_poses: Literal["canonical", "all"] = "canonical"
     states: int | None = None
     resolution: int
+    on: str | None = None
 
 
 class RunEvaluation(Evaluation):

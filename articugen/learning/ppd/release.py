@@ -23,8 +23,8 @@ from articugen.learning.evaluation.evaluate import (
     check_splits,
     label_votes,
     motions,
-    objects_of,
     surface_of,
+    tested,
 )
 from articugen.learning.evaluation.metrics import NO_LABEL
 from articugen.learning.evaluation.reconstruction import Reconstruction
@@ -65,9 +65,10 @@ def evaluate(
     protocol: Protocol = WHOLE,
     *,
     category: str | None = None,
+    on: Path | None = None,
     on_object: Callable[[str], None] = lambda _: None,
 ) -> Evaluation:
-    """Evaluate on the test objects of a data set, by the release's rules.
+    """Evaluate on the test objects of a data set, or on all of another, by the release's rules.
 
     Args:
         reconstruct: gives `release_meshes`.
@@ -78,9 +79,9 @@ def evaluate(
         instances without label IoU and EPE, and the true parts that no EPE counts.
 
     Raises:
-        CorruptShard: the data set has no training or no test object, or is of another category.
+        CorruptShard: a data set has no training or no test object, or is of another category.
     """
-    check_splits(data, category)
+    check_splits(data, category, on)
 
     def in_points(instance: Instance) -> Reconstruction:
         rng = generator(0, "release", instance.object_id, instance.state_index)
@@ -88,7 +89,7 @@ def evaluate(
 
     tally = Tally(label_votes(data, in_points, protocol, on_object))
     left_out: Counter[str] = Counter()
-    for canonical, *posed in objects_of(data, "test", protocol.test_states):
+    for canonical, *posed in tested(data, on, protocol.test_states):
         tally.objects += 1
         first = in_points(canonical)
         _label_iou(tally, left_out, canonical, first, protocol)

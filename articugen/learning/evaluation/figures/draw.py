@@ -10,7 +10,7 @@ import numpy as np
 from articugen.colours import COLOURS
 from articugen.inspection.layout import in_columns, save
 from articugen.inspection.portrait import best_azimuth
-from articugen.learning.evaluation.evaluate import objects_of
+from articugen.learning.evaluation.evaluate import objects_of, tested
 from articugen.learning.evaluation.figures import plots
 from articugen.learning.evaluation.figures.shapes import (
     Names,
@@ -81,6 +81,8 @@ def draw_figures(
     data: Path,
     model: Drawable,
     result: Evaluation,
+    *,
+    on: Path | None = None,
 ) -> Iterator[Path]:
     """Draw every figure into `folder` and yield its path when it is there.
 
@@ -88,12 +90,13 @@ def draw_figures(
         metrics: the records of the run's metrics.jsonl, for the training curves.
         data: the data set whose test objects are drawn.
         result: what `evaluate` has returned for this model.
+        on: as `evaluate` took it.
 
     Raises:
         ArticugenError: a file cannot be written.
     """
     names = Names(result.labels, result.dominant)
-    objects = [by_opening(instances) for instances in objects_of(data, "test", INSTANCES - 1)]
+    objects = [by_opening(instances) for instances in tested(data, on, INSTANCES - 1)]
     path = folder / "curves.png"
     plots.curves(metrics, path, model.titles)
     yield path
