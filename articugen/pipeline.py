@@ -11,7 +11,7 @@ import resource
 import sys
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -200,6 +200,7 @@ class Run:
             manifest = Manifest.read(self.job.out)
             if manifest.shortfall == _shortfall(outcomes, self.job.recipe):
                 return manifest
+        licence = registry.licence(self.job.source)  # while the source is there
         self.journal.claim(task.shard for task in self.plan.tasks)
         with closing(self._made(on_notice)) as made:
             for outcome in made:
@@ -211,7 +212,7 @@ class Run:
             outcomes,
             category=self.job.category,
             source=self.job.source,
-            licence=registry.licence(self.job.source),
+            licence=licence,
             recipe=self.job.recipe.text(),
             seed=self.job.seed,
             timings=_timings(instances, time.perf_counter() - began, self.job.jobs),
@@ -259,14 +260,18 @@ def make_object(job: Job, task: Task) -> Outcome:
     _give_back_large_blocks()
     try:
         obj, instances = _instances(job, task)
+        if _is_other(task, obj.sha256):
+            return _changed(task)
         record = write_shard(job.out / task.shard, instances, _attributes(job, task))
-    except NotOfCategory as error:
-        return Outcome(skipped=_unmade(task.key, error))
     except Exception as error:  # an object must not take the others down with it
         verdict = _verdict(error, task.ref, job.recipe)
         if verdict is None:
             return Outcome(failed=Rejection.of_fault(task.key, error))
-        return Outcome(rejected=_unmade(task.key, verdict))
+        if _is_other(task, _source_digest(job.recipe, task.ref)):
+            return _changed(task)
+        unmade = _unmade(task.key, verdict)
+        is_skipped = isinstance(verdict, NotOfCategory)
+        return Outcome(skipped=unmade) if is_skipped else Outcome(rejected=unmade)
     return Outcome.of_shard(
         task.key,
         record,
@@ -274,6 +279,24 @@ def make_object(job: Job, task: Task) -> Outcome:
         notes=obj.notes,
         seconds=time.perf_counter() - started,
     )
+
+
+def _is_other(task: Task, digest: str) -> bool:
+    """Whether an object's files are no longer those that the run was planned with."""
+    return digest != task.key.ref and not _is_made_here(task.ref)
+
+
+def _is_made_here(ref: ObjectRef) -> bool:
+    """Whether our code makes the object; of a folder that is gone that is not so."""
+    with suppress(InvalidSource):
+        return registry.is_procedural(ref.source)
+    return False
+
+
+def _changed(task: Task) -> Outcome:
+    """Of an object whose files are others now, or gone, as with a disk: that is no fault of it."""
+    reason = "its files changed, or are gone, since the run began; run it again once they are there"
+    return Outcome(failed=Rejection(key=task.key, reason=reason))
 
 
 class _OverLimit(RejectedInstance):
@@ -302,11 +325,11 @@ def _verdict(error: Exception, ref: ObjectRef, recipe: Recipe) -> Exception | No
         return _OverLimit(takes, "memory_per_object_mb", recipe.memory_per_object_mb)
     if fault is not None:
         raise fault
-    if isinstance(error, InvalidSource | RejectedInstance):
+    if isinstance(error, InvalidSource | RejectedInstance | NotOfCategory):
         return error
     if isinstance(error, ArticugenError):
         raise error
-    if isinstance(error, OSError) and registry.is_procedural(ref.source):
+    if isinstance(error, OSError) and _is_made_here(ref):
         raise MachineFault(printable(f"{ref.object_id}: {error}; see to it")) from error
     if isinstance(error, OSError) and error.errno is not None:
         return error
@@ -354,8 +377,11 @@ def _not_made(key: Key, ended: workers.Ended, limit: workers.Limit) -> Outcome:
     }
     if ended.over:
         return Outcome(rejected=_unmade(key, over[ended.over]))
-    reason = f"its worker {ended.lost} when it was tried alone as well; use fewer --jobs, or end "
-    return Outcome(failed=Rejection(key=key, reason=reason + "other programs, and run it again"))
+    reason = (
+        f"its worker {ended.lost} when it was tried alone as well; use fewer --jobs, or end other "
+        "programs, and run it again; if it stays so, report it, and leave it out with --exclude"
+    )
+    return Outcome(failed=Rejection(key=key, reason=reason))
 
 
 def _limit(recipe: Recipe) -> workers.Limit:

@@ -32,8 +32,13 @@ R = TypeVar("R")
 TICK = 0.2
 """Seconds between two looks at the workers' clocks and memory."""
 
+LONGEST_LOOK = 5.0
+"""Seconds that count at most between two looks: this process was stopped (Ctrl-Z), or the machine
+slept, and so did the workers."""
+
 _READY, _SAID, _DONE, _RAISED, _NO_MEMORY = "ready", "said", "done", "raised", "no memory"
 _PR_SET_PDEATHSIG = 1  # of linux/prctl.h
+_STOPPING = {signal.SIGINT, signal.SIGTERM}
 
 
 @dataclass(frozen=True)
@@ -131,7 +136,7 @@ def serve(handle: int, parent: int) -> None:
     """What a worker does: the tasks that come through the pipe, until nobody is at its end."""
     global _report  # noqa: PLW0603
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which then ends us
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _STOPPING)
     die_with(parent)
     with Connection(handle) as pipe:
         _report = lambda message: pipe.send((_SAID, message))  # noqa: E731
@@ -167,15 +172,33 @@ def _picklable(error: Exception) -> Exception:
 # --- in the parent
 
 
+class _Clock:
+    """The seconds in which somebody looked at it: see `LONGEST_LOOK`."""
+
+    def __init__(self) -> None:
+        self._seconds, self._looked = 0.0, time.monotonic()
+
+    def __call__(self) -> float:
+        now = time.monotonic()
+        self._seconds += min(now - self._looked, LONGEST_LOOK)
+        self._looked = now
+        return self._seconds
+
+
 class _Worker:
     """One process, its pipe, and the task it is at."""
 
     def __init__(
-        self, function: Callable[[Any], Any], ready: Callable[[], None], handles: Sequence[int]
+        self,
+        function: Callable[[Any], Any],
+        ready: Callable[[], None],
+        handles: Sequence[int],
+        clock: _Clock,
     ) -> None:
         self.number: int | None = None
         self.alone = False
         self.since: float | None = None  # when its clock started; None while it gets ready
+        self._clock = clock
         self._ready = False
         ours, theirs = Pipe()
         code = (
@@ -194,7 +217,7 @@ class _Worker:
 
     def begin(self, number: int, task: object, *, alone: bool) -> None:
         self.number, self.alone = number, alone
-        self.since = time.monotonic() if self._ready else None
+        self.since = self._clock() if self._ready else None
         self._send(task)
 
     def hear(self) -> tuple[str, Any]:
@@ -204,7 +227,7 @@ class _Worker:
         except OSError:
             raise EOFError from None
         if kind == _READY:
-            self._ready, self.since = True, time.monotonic()
+            self._ready, self.since = True, self._clock()
         return kind, value
 
     def end(self) -> int:
@@ -221,8 +244,8 @@ class _Worker:
 
 @contextmanager
 def _no_interrupts() -> Iterator[None]:
-    """Ctrl-C waits, here and in what is started meanwhile: see `serve`."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    """Ctrl-C and SIGTERM wait, here and in what is started meanwhile: see `serve`."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _STOPPING)
     try:
         yield
     finally:
@@ -256,7 +279,8 @@ class Crew(Generic[T, R]):
         name: Callable[[T], str] = str,
     ) -> None:
         self._function = function
-        self._hire = lambda: _Worker(function, ready, handles)
+        self._clock = _Clock()
+        self._hire = lambda: _Worker(function, ready, handles, self._clock)
         self._limit = limit
         self._here = workers == 0
         self._width = workers
@@ -395,9 +419,10 @@ class Crew(Generic[T, R]):
         return f"a worker {fate} at {task}, which is tried once more at the end; {left} from now on"
 
     def _over_limit(self) -> list[tuple[_Worker, str]]:
-        now, most = time.monotonic(), 1e6 * self._limit.megabytes
-        clocks = [w for w in self._busy if w.since and now - w.since > self._limit.seconds]
-        others = [w for w in self._busy if w.since and w not in clocks]
+        now, most = self._clock(), 1e6 * self._limit.megabytes
+        at_work = [(w, w.since) for w in self._busy if w.since is not None]
+        clocks = [w for w, since in at_work if now - since > self._limit.seconds]
+        others = [w for w, _ in at_work if w not in clocks]
         held = resident_bytes([w.pid for w in others]) if math.isfinite(most) else {}
         heavy = [w for w in others if held.get(w.pid, 0) > most]
         return [(w, "seconds") for w in clocks] + [(w, "megabytes") for w in heavy]

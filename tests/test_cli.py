@@ -306,20 +306,24 @@ import os, signal
 from articugen.store import journal
 close = journal.Journal.close
 def closed(self):
-    for _ in range(3):
-        os.kill(os.getpid(), signal.SIGINT)  # Ctrl-C again and again while all is put in order
+    for _ in range(3):  # again and again while all is put in order
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGTERM)
     close(self)
 journal.Journal.close = closed
 """
 
 
-def test_a_second_ctrl_c_changes_nothing(recipe: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("first", "status"), [("SIGINT", 130), ("SIGTERM", 143)])
+def test_a_second_ctrl_c_or_sigterm_changes_nothing(
+    recipe: Path, tmp_path: Path, first: str, status: int
+) -> None:
     command = ["generate", "-c", "laptop", "-r", str(recipe), "-o", str(tmp_path), "-j", "0"]
-    code = TWICE + INTERRUPTED.replace("len(begun) == 2", "len(begun) == 1")
+    code = INTERRUPTED.replace("len(begun) == 2", "len(begun) == 1").replace("SIGINT", first)
     done = subprocess.run(
-        [sys.executable, "-c", code, *command], capture_output=True, text=True, check=False
+        [sys.executable, "-c", TWICE + code, *command], capture_output=True, text=True, check=False
     )
-    assert done.returncode == 130, done.stderr
+    assert done.returncode == status, done.stderr
     assert done.stderr == "finished work is kept; run the same command to resume\n"
 
 

@@ -439,6 +439,24 @@ def test_killed_in_the_midst_of_a_file_and_called_again_it_goes_on(hub, tmp_path
     assert set(json.loads((tmp_path / "fetched.json").read_text())["models"]) == set(CATEGORY)
 
 
+def test_a_server_that_says_nothing_keeps_no_one_who_wants_to_leave(hub, tmp_path):
+    """SIGTERM, or Ctrl-C, while a file does not come on."""
+    command = [sys.executable, "-m", "articugen", "fetch", "partnet-mobility"]
+    hub.cdn.stall["7138.zip"] = 30_000
+    part = tmp_path / ".fetch" / "downloads" / ".7138.zip.part"
+    with subprocess.Popen(
+        [*command, "--ids", "7138", "-o", str(tmp_path)], stderr=subprocess.PIPE, text=True
+    ) as process:
+        while process.poll() is None and not part.exists():
+            time.sleep(0.01)
+        process.terminate()
+        assert process.wait(timeout=5.0) == 143  # what it waits for would take 10 s
+        assert "interrupted; the same command goes on" in process.stderr.read()
+    hub.cdn.stall.clear()
+    assert fetch_partnet_mobility(tmp_path, ids=["7138"]).models == 1
+    assert whole(tmp_path, "7138")
+
+
 def test_killed_while_it_unpacks_leaves_no_half_model(hub, tmp_path):
     """What a killed process was unpacking has no name yet, and is gone after the next call."""
     half = tmp_path / ".fetch" / "unpacking" / "1234" / "0" / "9748"

@@ -58,7 +58,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "recipe": {"bundled", "errors", "recipe_files", "rendering.backends", "store.schema"},
     # the stages, none of which knows another
     **dict.fromkeys(STAGES, VOCABULARY),
-    "sources": VOCABULARY | {"model_text", "ply"},
+    # the process that reads USD dies with the worker that asked it to
+    "sources": VOCABULARY | {"model_text", "ply", "workers"},
     "fusion": VOCABULARY | {"marching_cubes"},
     "fusion.bvh": VOCABULARY,
     "fusion.kernels": VOCABULARY | {"fusion.bvh"},

@@ -605,6 +605,46 @@ def test_what_a_reader_says_over_a_fault_of_the_machine_is_no_verdict(
     assert (len(manifest.objects), manifest.rejected, len(manifest.failed)) == (3, (), 1)
 
 
+def test_files_that_vanish_meanwhile_are_no_objects_fault(boxes: Path, tmp_path: Path) -> None:
+    """As of a disk that is pulled out: nothing is rejected, and all is made once it is back."""
+    ours = job(tmp_path / "out", source=str(boxes), category="box")
+    away = boxes.with_name("away")
+
+    def pull_out(_: ObjectReport) -> None:
+        if boxes.exists():
+            boxes.rename(away)
+
+    with pytest.raises(ArticugenError, match=r"3 of 4 objects failed .*, or are gone, since"):
+        generate(ours, pull_out)
+    manifest = Manifest.read(ours.out)
+    assert (len(manifest.objects), len(manifest.failed), manifest.rejected) == (1, 3, ())
+    away.rename(boxes)
+    manifest, reports = made(ours)
+    assert (sum(r.reused for r in reports), len(manifest.objects)) == (1, 4)
+    assert manifest.content_sha256 == made(replace(ours, out=tmp_path / "b"))[0].content_sha256
+
+
+def test_what_changes_meanwhile_is_not_taken_for_what_was_planned(
+    boxes: Path, tmp_path: Path
+) -> None:
+    ours = job(tmp_path / "out", source=str(boxes), category="box")
+    before = {path: path.read_text() for path in boxes.iterdir()}
+
+    def change(_: ObjectReport) -> None:
+        (boxes / "box1.urdf").write_text(BOX.format(size=3))
+        (boxes / "box2.urdf").write_text("<robot")
+
+    with pytest.raises(ArticugenError, match="failed through no fault of theirs"):
+        generate(ours, change)
+    failed = {each.key.object_id for each in Manifest.read(ours.out).failed}
+    assert failed <= {"box1", "box2"}
+    assert failed
+    for path, text in before.items():
+        path.write_text(text)
+    manifest, _ = made(ours)
+    assert manifest.content_sha256 == made(replace(ours, out=tmp_path / "b"))[0].content_sha256
+
+
 def test_an_array_over_the_recipes_memory_is_the_objects_fault(
     boxes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -15,7 +15,7 @@ from articugen.errors import CorruptShard, InvalidCheckpoint  # noqa: E402
 from articugen.learning.dataset import BatchSpec, load_split, unpacked  # noqa: E402
 from articugen.learning.method import find_method, load_recipe  # noqa: E402
 from articugen.learning.ppd import found as found_module  # noqa: E402
-from articugen.learning.ppd.found import _look, _looked_for, discovered, kinds_of  # noqa: E402
+from articugen.learning.ppd.found import _Asked, _discovered, _looked_for, discovered, kinds_of  # noqa: E402
 from articugen.learning.ppd.model import Prediction, amount_of  # noqa: E402
 from articugen.learning.ppd.settings import ModelSettings, WarmStart  # noqa: E402
 from articugen.learning.ppd.shape import PartBox  # noqa: E402
@@ -260,9 +260,27 @@ def test_labels_entropy_is_what_it_says():
 
 
 def test_what_was_found_is_kept_and_read_again(boxes, tmp_path, monkeypatch):
+    """Also what a run that was killed had found when it was: it goes on with the others."""
     split, _, _ = boxes
-    said = []
-    first, rows = discovered(split, tmp_path, said.append)
+
+    def kill(_: str) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        discovered(split, tmp_path, kill)
+    (folder,) = tmp_path.glob(".joints-*")
+    kept, missing = (folder / f"{i}-{'-'.join(map(str, KINDS))}.pt" for i in range(2))
+    before = kept.stat().st_mtime_ns
+    missing.write_bytes(b"lost with the power")
+    times, said = [], []
+
+    def tell(sentence: str) -> None:
+        times.append(kept.stat().st_mtime_ns)
+        said.append(sentence)
+
+    first, rows = discovered(split, tmp_path, tell)
+    assert times == [before] * 2
+    assert not folder.exists()
     assert len(said) == len(rows) == 2
     assert said[-1] == "looking for joints in the training objects: 2 of 2"
     monkeypatch.setattr(found_module, "_look", None)  # the second time nothing is looked for
@@ -280,7 +298,7 @@ def test_what_was_found_is_kept_and_read_again(boxes, tmp_path, monkeypatch):
         discovered(split, tmp_path)
 
 
-def test_who_is_unlike_the_others_is_looked_at_again():
+def test_who_is_unlike_the_others_is_looked_at_again(tmp_path):
     """Among cabinets with a drawer one with a door: it has slides then, or nothing is known."""
     drawer = (((0.06, 0.46, 0.3), (0.04, 0.0, 0.0)), slide((1.0, 0, 0)))
     door = (LID, turn((0, 0, 1), (0.05, -0.22, 0)))
@@ -291,10 +309,11 @@ def test_who_is_unlike_the_others_is_looked_at_again():
         stored = np.round((0.5 * poses + 0.5) * 65535).astype(np.uint16)
         clouds.append(stored.view(np.int16))
     said = []
-    found = _looked_for(clouds, said.append)
+    found = _looked_for(clouds, tmp_path, said.append)
+    first, last = (_discovered(_Asked(clouds[i], KINDS, tmp_path)) for i in (0, 4))
     assert kinds_of(found) == {JointKind.PRISMATIC}
-    np.testing.assert_array_equal(found[0].part, _look((clouds[0], KINDS)).part)
-    assert JointKind.REVOLUTE in {joint.kind for joint in _look((clouds[4], KINDS)).joints}
+    np.testing.assert_array_equal(found[0].part, first.part)
+    assert JointKind.REVOLUTE in {joint.kind for joint in last.joints}
     assert found[4] is None or {joint.kind for joint in found[4].joints} == {JointKind.PRISMATIC}
     assert said[-1] == "looking again where they are unlike the others: 1 of 1"
 

@@ -15,13 +15,14 @@ from trouble import unfit
 from typer.testing import CliRunner
 
 from articugen.cli import app
-from articugen.errors import InvalidCheckpoint, MachineFault
+from articugen.errors import ArticugenError, InvalidCheckpoint, MachineFault
 from articugen.learning.evaluation.results import read_evaluation
 from articugen.store.files import partial_name
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen.learning import tensors  # noqa: E402
+from articugen.learning.commands import newest  # noqa: E402
 from articugen.learning.loop import train, train_depth  # noqa: E402
 from articugen.learning.ppd.settings import (  # noqa: E402
     DepthSettings,
@@ -39,7 +40,7 @@ from articugen.learning.runs import (  # noqa: E402
     depth_learner,
     read_checkpoint,
 )
-from articugen.learning.tensors import read_tensors, sealed, write_tensors  # noqa: E402
+from articugen.learning.tensors import digest, read_tensors, sealed, write_tensors  # noqa: E402
 
 torch.set_num_threads(1)
 
@@ -337,6 +338,37 @@ def test_what_a_killed_process_left_is_removed(run):
     assert not rest & set(left)
     assert ".latest.pt.partial" in rest
     assert sum(name.startswith(".mine.txt.") for name in rest) == 1
+
+
+def test_a_run_that_was_killed_before_its_first_checkpoint_goes_on(boxes, tmp_path):
+    whole = train(TINY, category="box", data=boxes, runs=tmp_path / "whole")
+    killed = tmp_path / "killed"
+    killed.mkdir()
+    for name in ("recipe.yaml", "run.json"):
+        shutil.copy(whole.path / name, killed)
+    (killed / METRICS).write_text('{"iteration": 1, "terms": {"rec": 0.5}}\n{"itera')
+    done = train(TINY, category="box", data=boxes, runs=tmp_path, resume=killed)
+    left, right = (read_checkpoint(run.path / LATEST) for run in (whole, done))
+    assert digest(left.state) == digest(right.state)
+    assert [r["iteration"] for r in done.metrics()] == [r["iteration"] for r in whole.metrics()]
+
+
+def test_a_folder_whose_making_was_cut_short_is_no_run(boxes, tmp_path):
+    (tmp_path / "004").mkdir()
+    (tmp_path / "004" / "recipe.yaml").write_text("name: tiny\n")
+    done = train(TINY, category="box", data=boxes, runs=tmp_path, stop_after=1)
+    assert done.path.name == "005"
+    (tmp_path / "006").mkdir()
+    assert newest(tmp_path) == done.path
+
+
+def test_two_do_not_train_in_one_folder(run, boxes):
+    with run.locked():
+        with pytest.raises(ArticugenError, match="another run is writing here; wait for it"):
+            train(TINY, category="box", data=boxes, runs=run.path.parent, resume=run.path)
+        with pytest.raises(ArticugenError, match="another run is writing here; wait for it"):
+            train_depth(RunFolder(run.path), boxes)
+    assert train_depth(RunFolder.existing(run.path), boxes).path == run.path
 
 
 def test_runs_with_other_names_are_no_numbers(boxes, tmp_path):

@@ -156,6 +156,37 @@ def test_what_a_task_raises_ends_all_of_them() -> None:
     assert time.monotonic() - started < 30
 
 
+STOPPED = """
+import sys
+sys.path[:] = {path!r}
+from functools import partial
+from pathlib import Path
+from articugen import workers
+from test_workers import do
+workers.LONGEST_LOOK = 0.3
+begun, limit = partial(Path.touch, Path({begun!r})), workers.Limit(seconds=1.6)
+(told,) = workers.each(do, [("sleep", 0.9)], workers=1, limit=limit, ready=begun)
+print(told.over)
+"""
+
+
+def test_no_task_is_over_its_time_because_all_was_stopped_for_a_while(tmp_path: Path) -> None:
+    """As by Ctrl-Z and fg."""
+    path, begun = [str(Path(__file__).parent), *sys.path], tmp_path / "begun"
+    code = STOPPED.format(path=path, begun=str(begun))
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        while not begun.exists():
+            assert process.poll() is None
+            time.sleep(0.01)
+        time.sleep(0.2)
+        os.killpg(process.pid, signal.SIGSTOP)
+        time.sleep(2.0)
+        os.killpg(process.pid, signal.SIGCONT)
+        assert process.communicate(timeout=60)[0] == "None\n"
+
+
 FEW_FILES = """
 import os, resource, sys
 sys.path[:] = {path!r}

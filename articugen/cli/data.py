@@ -2,7 +2,7 @@
 
 Exit status: 0 done; 1 an error, said in one sentence on stderr, or a data set that is not what its
 recipe asks for, as its manifest says; 2 wrong usage; 3 the data set is complete, but for objects
-that were rejected (within the recipe's limit); 130 interrupted.
+that were rejected (within the recipe's limit); 130 interrupted; 143 ended by SIGTERM.
 """
 
 # Everything else is imported where it is used: --help should not wait for numba, h5py and trimesh.
@@ -11,8 +11,9 @@ import os
 import signal
 import sys
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 from rich.markup import escape
@@ -24,7 +25,16 @@ from articugen.cli.fetch import register as register_fetch
 from articugen.cli.learn import Changes
 from articugen.cli.learn import register as register_learning
 from articugen.cli.listed import listed
-from articugen.cli.saying import FAILED, INTERRUPTED, REJECTED, said, say_error, stderr, stdout
+from articugen.cli.saying import (
+    FAILED,
+    REJECTED,
+    STOPPED,
+    Stopped,
+    said,
+    say_error,
+    stderr,
+    stdout,
+)
 from articugen.cli.view import register as register_view
 from articugen.errors import ArticugenError
 
@@ -39,13 +49,15 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Articulated URDF models in, labelled HDF5 training data out.",
     epilog="Exit status: 0 done, 1 error, 2 wrong usage, 3 done but some objects were rejected, "
-    "130 interrupted.",
+    "130 interrupted, 143 ended by SIGTERM.",
 )
 
 
 def main() -> None:
     """Run the command line and exit."""
-    signal.signal(signal.SIGINT, _interrupt_once)
+    stopped: list[int] = []
+    for number in STOPPED:
+        signal.signal(number, partial(_stop_once, stopped))
     try:
         app(prog_name="articugen")
     except OSError as error:  # what is meant for the terminal went to a full disk, say
@@ -53,12 +65,26 @@ def main() -> None:
             say_error(f"{error.filename or 'output'}: {error.strerror}")
         _drop_output()
         sys.exit(FAILED)
+    except SystemExit as left:
+        if stopped and left.code:
+            _leave_at_once(STOPPED[stopped[0]])
+        raise
 
 
-def _interrupt_once(*_: object) -> None:
-    """The first Ctrl-C stops the work; what is then put in order takes no second one."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    raise KeyboardInterrupt
+def _stop_once(stopped: list[int], number: int, _: object) -> None:
+    """The first Ctrl-C or SIGTERM stops the work; what is then put in order takes no second one."""
+    for each in STOPPED:
+        signal.signal(each, signal.SIG_IGN)
+    stopped.append(number)
+    raise Stopped(number)
+
+
+def _leave_at_once(status: int) -> NoReturn:
+    """Without waiting for threads that wait for a server: what is to be kept is kept."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(status)
 
 
 def _drop_output() -> None:
@@ -253,7 +279,7 @@ def _made_each(*todo: "Job", dry_run: bool, replace: bool) -> int:
         try:
             ended[job.category] = _made(job, dry_run=dry_run, replace=replace)
         except typer.Exit as left:
-            if left.exit_code == INTERRUPTED:
+            if left.exit_code in STOPPED.values():
                 raise
             ended[job.category] = left.exit_code
     failed = [name for name, status in ended.items() if status == FAILED]

@@ -1,5 +1,6 @@
 """What all commands say alike: where it goes, our errors in one sentence, and the exit status."""
 
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -9,7 +10,9 @@ from rich.markup import escape
 
 from articugen.errors import ArticugenError, printable
 
-FAILED, REJECTED, INTERRUPTED = 1, 3, 130
+FAILED, REJECTED = 1, 3
+STOPPED = {signal.SIGINT: 130, signal.SIGTERM: 143}
+"""The exit status after each signal that stops the work in good order."""
 
 stdout = Console(highlight=False)
 stderr = Console(stderr=True, highlight=False)
@@ -20,17 +23,26 @@ def say_error(sentence: str) -> None:
     stderr.print(f"[bold red]error:[/] {escape(printable(sentence))}", soft_wrap=True)
 
 
+class Stopped(KeyboardInterrupt):
+    """Somebody, or a batch system, wants the work to end: `number` is the signal."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(signal.Signals(number).name)
+        self.number = signal.Signals(number)
+
+
 @contextmanager
-def said(interrupted: str = "interrupted") -> Iterator[None]:
+def said(interrupted: str | Callable[[], str] = "interrupted") -> Iterator[None]:
     """Our errors go to stderr without a traceback; others are faults of ours and keep theirs."""
     try:
         yield
     except ArticugenError as error:
         say_error(str(error))
         raise typer.Exit(FAILED) from None
-    except KeyboardInterrupt:
-        stderr.print(interrupted, soft_wrap=True)
-        raise typer.Exit(INTERRUPTED) from None
+    except KeyboardInterrupt as stop:
+        told = interrupted if isinstance(interrupted, str) else interrupted()
+        stderr.print(escape(printable(told)), soft_wrap=True)
+        raise typer.Exit(STOPPED[getattr(stop, "number", signal.SIGINT)]) from None
 
 
 @contextmanager

@@ -9,9 +9,9 @@ import json
 import os
 import re
 import zipfile
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path, PurePosixPath
@@ -158,7 +158,7 @@ def _fetched(server: Server, models: Sequence[_Model], target: Target, told: Tol
     told(there, len(models), "")
     folder = target.work / "downloads"
     queue = iter(todo)
-    with ThreadPoolExecutor(_AT_ONCE) as pool:
+    with _threads(_AT_ONCE, server) as pool:
 
         def started(how_many: int) -> dict[Future[str], _Model]:
             return {
@@ -167,18 +167,29 @@ def _fetched(server: Server, models: Sequence[_Model], target: Target, told: Tol
             }
 
         running = started(2 * _AT_ONCE)
-        try:
-            while running:
-                ended, _ = wait(running, return_when=FIRST_COMPLETED)
-                for future in ended:
-                    model = running.pop(future)
-                    new += _taken_in(future, model, folder / f"{model.object_id}.zip", target)
-                    there += 1
-                    told(there, len(models), model.object_id)
-                running |= started(len(ended))
-        finally:
-            pool.shutdown(cancel_futures=True)
+        while running:
+            ended, _ = wait(running, return_when=FIRST_COMPLETED)
+            for future in ended:
+                model = running.pop(future)
+                new += _taken_in(future, model, folder / f"{model.object_id}.zip", target)
+                there += 1
+                told(there, len(models), model.object_id)
+            running |= started(len(ended))
     return outcome(target, [m.object_id for m in models], new)
+
+
+@contextmanager
+def _threads(count: int, server: Server) -> Iterator[ThreadPoolExecutor]:
+    """Threads that ask a server. After an error no more is asked for; after Ctrl-C, or the like, it
+    is not even waited for what is under way: a server that says nothing is no reason to stay."""
+    pool = ThreadPoolExecutor(count)
+    try:
+        yield pool
+    except BaseException as error:
+        server.stop.set()
+        pool.shutdown(wait=isinstance(error, Exception), cancel_futures=True)
+        raise
+    pool.shutdown()
 
 
 def _download(server: Server, file: Published, to: Path) -> str:
@@ -241,18 +252,17 @@ def _categories(
     keys = {m.object_id: f"{m.object_id} {m.file.sha256}" for m in models}
     todo = [m for m in models if keys[m.object_id] not in known]
     done = len(models) - len(todo)
-    with ThreadPoolExecutor(_LOOKS_AT_ONCE) as pool:
-        try:
+    try:
+        with _threads(_LOOKS_AT_ONCE, server) as pool:
             for model, category in zip(
                 todo, pool.map(lambda m: _category(server, m.file), todo), strict=True
             ):
                 known[keys[model.object_id]] = category
                 done += 1
                 told(done, len(models), f"which is what: {model.object_id}")
-        finally:
-            pool.shutdown(cancel_futures=True)
-            if todo:
-                write_atomically(path, json.dumps(known, indent=0, sort_keys=True).encode())
+    finally:
+        if todo:
+            write_atomically(path, json.dumps(known, indent=0, sort_keys=True).encode())
     return {m.object_id: known[keys[m.object_id]] for m in models}
 
 

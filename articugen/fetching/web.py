@@ -9,12 +9,12 @@ import io
 import json
 import re
 import ssl
-import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Event
 from typing import Any, TypeVar
 from urllib.parse import urljoin, urlsplit
 
@@ -71,11 +71,13 @@ class Server:
         base: its address.
         token: sent as `Authorization: Bearer`, to no other server, and told to nobody.
         cure: what to do where it refuses access.
+        stop: once it is set, what is under way ends with the block that is at hand.
     """
 
     base: str
     token: str = field(default="", repr=False)
     cure: str = ""
+    stop: Event = field(default_factory=Event, repr=False, compare=False)
 
     def json(self, address: str) -> tuple[Any, str]:
         """What an address answers, and the address of the next page, "" after the last.
@@ -184,6 +186,7 @@ class Server:
                 while have <= most and (block := response.read(_BLOCK)):
                     file.write(block)
                     have += len(block)
+                    self._go_on(address)
         if have > most:
             part.unlink()
             raise NotFetched(f"{self._shown(address)}: is larger than it should be")
@@ -221,7 +224,12 @@ class Server:
                     f"{self._shown(address)}: cannot be got ({reason}); what came is kept, run the "
                     "same command later"
                 )
-            time.sleep(max(wait, WAITS[max(failures, 1) - 1]))
+            self.stop.wait(max(wait, WAITS[max(failures, 1) - 1]))
+            self._go_on(address)
+
+    def _go_on(self, address: str) -> None:
+        if self.stop.is_set():
+            raise NotFetched(f"{self._shown(address)}: interrupted; what came is kept")
 
     def _refusal(self, address: str, code: int) -> NotFetched:
         where = f"{self._shown(address)}: "

@@ -380,7 +380,8 @@ def newest(run: FolderLike) -> Path:
     run = Path(run)
     if (run / "run.json").is_file():
         return run
-    numbered = sorted((p for p in run.glob("*") if p.name.isdecimal()), key=lambda p: int(p.name))
+    numbered = [p for p in run.glob("*") if p.name.isdecimal() and (p / "run.json").is_file()]
+    numbered.sort(key=lambda p: int(p.name))
     if not numbered:
         raise InvalidCheckpoint(f"{run}: holds no run; make one with: articugen train")
     return numbered[-1]

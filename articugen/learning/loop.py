@@ -93,7 +93,7 @@ class Course:
     def keep(self, name: str) -> None:
         """Write a checkpoint of where it stands."""
         self.run.keep(Checkpoint.of(self.learner, self.category, self.seed, self.iteration,
-                                    self.best, self.beside), name)  # fmt: skip
+                                    self.best, self.beside), name, self.files.metrics)  # fmt: skip
 
     def rows(self, iteration: int) -> list[int]:
         """The instances of an iteration's batch."""
@@ -348,14 +348,25 @@ def _run_and_start(
         )
         return RunFolder(Path(path)), None
     run = RunFolder.existing(resume)
-    start = read_checkpoint(run.path / LATEST)
-    if (start.recipe.sha256(), start.category, start.seed) != (recipe.sha256(), category, seed):
+    about = run.about()
+    told = [(about["recipe_sha256"], about["category"], about["seed"])]
+    start = read_checkpoint(run.path / LATEST) if (run.path / LATEST).is_file() else None
+    if start:
+        told.append((start.recipe.sha256(), start.category, start.seed))
+    if any(each != (recipe.sha256(), category, seed) for each in told):
         raise InvalidCheckpoint(
             f"{resume}: was started with another recipe, category or seed; start a new run"
         )
-    if run.about()["data"]["content_sha256"] != Manifest.read(data).content_sha256:
-        raise InvalidCheckpoint(f"{resume}: was started on other data than {data}; start a new run")
+    check_data(run, data)
     return run, start
+
+
+def check_data(run: RunFolder, data: Path) -> None:
+    """Raise InvalidCheckpoint where a run was started on another data set."""
+    if run.about()["data"]["content_sha256"] != Manifest.read(data).content_sha256:
+        raise InvalidCheckpoint(
+            f"{run.path}: was started on other data than {data}; start a new run"
+        )
 
 
 def _values(terms: Mapping[str, Tensor]) -> dict[str, float]:

@@ -19,7 +19,16 @@ from typing import Any
 import torch
 
 from articugen.errors import InvalidCheckpoint, TrainingDiverged
-from articugen.learning.loop import SEEDS, Progress, Tell, look, new_run, shared_folder, train
+from articugen.learning.loop import (
+    SEEDS,
+    Progress,
+    Tell,
+    check_data,
+    look,
+    new_run,
+    shared_folder,
+    train,
+)
 from articugen.learning.method import find_method
 from articugen.learning.recipe import TrainRecipe
 from articugen.learning.runs import BEST, LATEST, METRICS, RunFolder, read_checkpoint
@@ -120,40 +129,50 @@ def race(
 
     Raises:
         TrainingDiverged: no seed was left.
+        ArticugenError: another process races there.
         Others as `train`.
     """
     begin = look(recipe, category, data)
+    run = _run_to_race_in(recipe, category, data, runs, seed, resume)
+    total = recipe.schedule.iterations
+    heat = partial(Heat, recipe, category, data, run.path / SEEDS, device=device)
+    at_once = can_run_at_once(recipe, device) if at_once is None else at_once
+    with run.locked():
+        begin(shared_folder(run), lambda said: on_progress(Progress(0, total, said=said)))
+        with _crew(jobs, on_progress) as crew:
+            run_heats = partial(_at_once, tell=on_progress) if at_once else crew.in_order
+            racing = list(range(seed, seed + recipe.seeds.count))
+            rounds: list[dict[str, Any]] = []
+            for stop in (*recipe.seeds.halve_at, total):
+                if stop_after is not None and stop > stop_after:
+                    return run
+                reached = run_heats([heat(seed=s, stop=stop) for s in racing])
+                score = dict(zip(racing, reached, strict=True))
+                racing = best_half(score, last=stop == total)
+                reached_by = {str(s): found for s, found in score.items()}
+                rounds.append({"iteration": stop, "validation": reached_by, "go_on": racing})
+                _note(run, rounds)
+                if not racing:
+                    raise TrainingDiverged(
+                        f"all seeds diverged before iteration {stop}; lower schedule.learning_rate"
+                    )
+        for name in (LATEST, BEST, METRICS):
+            own = run.path / SEEDS / str(racing[0]) / name
+            write_atomically(run.path / name, own.read_bytes())
+        _note(run, rounds, winner=racing[0])
+    return run
+
+
+def _run_to_race_in(
+    recipe: TrainRecipe, category: str, data: Path, runs: Path, seed: int, resume: Path | None
+) -> RunFolder:
+    """A new run, or the one to go on with, as `race` takes them."""
     if resume is None:
-        run = new_run(recipe, category, data, runs, seed)
-    elif (run := RunFolder(resume)).recipe().sha256() != recipe.sha256():
+        return new_run(recipe, category, data, runs, seed)
+    run = RunFolder(resume)
+    if run.recipe().sha256() != recipe.sha256():
         raise InvalidCheckpoint(f"{resume}: was started with another recipe; start a new run")
-    seeds, total = run.path / SEEDS, recipe.schedule.iterations
-    begin(shared_folder(run), lambda said: on_progress(Progress(0, total, said=said)))
-    heat = partial(Heat, recipe, category, data, seeds, device=device)
-    racing = list(range(seed, seed + recipe.seeds.count))
-    rounds: list[dict[str, Any]] = []
-    run_heats = (
-        _at_once if at_once or (at_once is None and can_run_at_once(recipe, device)) else None
-    )
-    with _crew(jobs, on_progress) as crew:
-        for stop in (*recipe.seeds.halve_at, total):
-            if stop_after is not None and stop > stop_after:
-                return run
-            heats = [heat(seed=s, stop=stop) for s in racing]
-            reached = run_heats(heats, on_progress) if run_heats else crew.in_order(heats)
-            score = dict(zip(racing, reached, strict=True))
-            racing = best_half(score, last=stop == total)
-            reached_by = {str(s): found for s, found in score.items()}
-            rounds.append({"iteration": stop, "validation": reached_by, "go_on": racing})
-            _note(run, rounds)
-            if not racing:
-                raise TrainingDiverged(
-                    f"all seeds diverged before iteration {stop}; lower schedule.learning_rate"
-                )
-    for name in (LATEST, BEST, METRICS):
-        own = run.path / SEEDS / str(racing[0]) / name
-        write_atomically(run.path / name, own.read_bytes())
-    _note(run, rounds, winner=racing[0])
+    check_data(run, data)
     return run
 
 

@@ -16,7 +16,7 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar
@@ -38,9 +38,11 @@ from articugen.store.files import (
     cannot_write,
     make_folder,
     read_regular,
+    sync,
     whole_name,
     write_atomically,
 )
+from articugen.store.journal import lock_folder
 from articugen.store.manifest import this_commit, this_machine
 
 FORMAT = "articugen checkpoint 3"
@@ -336,11 +338,14 @@ class RunFolder:
         name: str | None = None,
     ) -> "RunFolder":
         """A folder under `runs`, the next number or `name`; `data` says what it is trained on."""
-        taken = [int(p.name) for p in runs.glob("*") if p.name.isdecimal()]
-        path = runs / (name or f"{max(taken, default=-1) + 1:03d}")
+        path = runs / name if name else _next_number(runs)
         try:
             make_folder(runs)
             path.mkdir()
+        except FileExistsError:
+            if not name:  # another run was faster
+                return RunFolder.new(runs, recipe, category=category, seed=seed, data=data)
+            raise ArticugenError(f"{path}: cannot be made (File exists)") from None
         except OSError as error:
             raise ArticugenError(f"{path}: cannot be made ({error.strerror})") from None
         about = {
@@ -359,17 +364,39 @@ class RunFolder:
 
     @staticmethod
     def existing(path: Path) -> "RunFolder":
-        """A run's folder that is there already.
+        """A run's folder that is there already, perhaps without a checkpoint as yet.
 
         Raises:
-            InvalidCheckpoint: it has no checkpoint to go on from.
+            InvalidCheckpoint: it has nothing to go on from.
+            ArticugenError: another process trains there.
         """
-        if not (path / LATEST).is_file():
+        begun = (path / "run.json").is_file() and not (path / WEIGHTS).is_file()
+        if not begun and not (path / LATEST).is_file():
             raise InvalidCheckpoint(f"{path}: has no {LATEST} to go on from; start a new run")
         run = RunFolder(path)
-        if run.writes:
-            run.remove_temporary()
+        with run.locked():
+            if run.writes:
+                run.remove_temporary()
         return run
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Keep other processes that want to train here out.
+
+        Raises:
+            ArticugenError: one is at work.
+        """
+        if not self.writes:
+            yield
+            return
+        try:
+            handle = lock_folder(self.path)
+        except OSError as error:
+            raise MachineFault(cannot_write(self.path, error)) from None
+        try:
+            yield
+        finally:
+            os.close(handle)
 
     def remove_temporary(self) -> None:
         """Remove what a process that was killed while it wrote has left."""
@@ -435,13 +462,14 @@ class RunFolder:
         iterations is dropped first, since they will be done again.
 
         Raises:
+            ArticugenError: another process trains here.
             MachineFault: the disk is full, or the like.
         """
         if not self.writes:
             yield lambda _: None
             return
-        self.forget_after(iteration, files.metrics)
-        with tensorboard.board(self.path / files.board, iteration) as tell:
+        with self.locked(), tensorboard.board(self.path / files.board, iteration) as tell:
+            self.forget_after(iteration, files.metrics)
 
             def log(record: dict[str, Any]) -> None:
                 self.log(record, files.metrics)
@@ -452,9 +480,11 @@ class RunFolder:
 
             yield log
 
-    def keep(self, point: Checkpoint, name: str) -> None:
-        """Write a checkpoint."""
+    def keep(self, point: Checkpoint, name: str, metrics: str = METRICS) -> None:
+        """Write a checkpoint; the metrics up to there are on the disk before it is."""
         if self.writes:
+            with suppress(FileNotFoundError):
+                sync(self.path / metrics)
             point.write(self.path / name)
 
     def metrics(self, name: str = METRICS) -> list[dict[str, Any]]:
@@ -475,6 +505,11 @@ class RunFolder:
         kept = [r for r in self.metrics(name) if r["iteration"] <= iteration]
         text = "".join(json.dumps(record) + "\n" for record in kept)
         write_atomically(self.path / name, text.encode())
+
+
+def _next_number(runs: Path) -> Path:
+    taken = [int(p.name) for p in runs.glob("*") if p.name.isdecimal()]
+    return runs / f"{max(taken, default=-1) + 1:03d}"
 
 
 def _read(path: Path) -> bytes:

@@ -259,7 +259,7 @@ class Journal:
     def _take_lock(self) -> None:
         try:
             make_folder(self.folder)
-            self._lock = _locked(self.folder)
+            self._lock = lock_folder(self.folder)
         except OSError as error:
             raise MachineFault(cannot_write(self.folder, error)) from None
 
@@ -355,8 +355,13 @@ def _append(path: Path, line: bytes) -> None:
         os.close(handle)
 
 
-def _locked(folder: Path) -> int:
-    """A handle that keeps other runs out for as long as anybody holds it open."""
+def lock_folder(folder: Path) -> int:
+    """A handle that keeps other runs out for as long as anybody holds it open.
+
+    Raises:
+        ArticugenError: another run holds one.
+        OSError: the folder cannot be opened.
+    """
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     patience = time.monotonic() + DYING_SECONDS
     while True:

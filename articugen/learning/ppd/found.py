@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 
 from articugen.discovery import KINDS, Discovery, FoundJoint, discover
-from articugen.errors import CorruptShard, InvalidArgument
+from articugen.errors import CorruptShard, InvalidArgument, InvalidCheckpoint
 from articugen.learning.dataset import PackedSplit, unpacked
 from articugen.learning.tensors import read_tensors, write_tensors
 from articugen.records import JointKind
@@ -21,7 +24,7 @@ from articugen.store.files import make_folder
 from articugen.workers import Crew
 
 FORMAT = "articugen joints 2"
-"""Of the file that keeps what was found; to be raised when something else would be found."""
+"""Of the files that keep what was found; to be raised when something else would be found."""
 
 MOST_POSES = 128
 """Of an object that are looked at, which takes seconds; the others have nothing to aim at."""
@@ -44,6 +47,8 @@ def discovered(
     """What moves in each object, and the instances that are its poses, at most `MOST_POSES`.
 
     It is kept in a file `beside` the run, named after the clouds, since several seeds ask for it.
+    Until all are looked at each object has a file of its own, so that a run that was killed goes on
+    with the others.
 
     Args:
         tell: called with a sentence for each object.
@@ -59,14 +64,16 @@ def discovered(
     if path.is_file():
         kept = read_tensors(path, FORMAT)["objects"]
         return [_read(each, cloud) for each, cloud in zip(kept, clouds, strict=True)], rows
-    found = _looked_for(clouds, tell)
+    looked = beside / f".{path.stem}"
+    make_folder(looked)
+    found = _looked_for(clouds, looked, tell)
     if not any(found):
         raise CorruptShard(
             f"{beside}: the poses of no training object tell what moves in it; make the data set "
             "with more states, or set warm_start.share=0"
         )
-    make_folder(beside)
     write_tensors(path, {"objects": [_plain(each) for each in found]}, FORMAT)
+    shutil.rmtree(looked, ignore_errors=True)
     return found, rows
 
 
@@ -76,18 +83,32 @@ def kinds_of(found: Found) -> set[JointKind]:
     return {k for k in KINDS if sum(k in kinds for kinds in own) >= FEW_OBJECTS * len(own) > 0}
 
 
-def _looked_for(clouds: Sequence[NDArray[np.int16]], tell: Tell) -> Found:
+@dataclass(frozen=True)
+class _Asked:
+    """An object's clouds (K, n, 3), as they are stored; the kinds of joints to look for; the file
+    for what is found."""
+
+    stored: NDArray[np.int16]
+    kinds: tuple[JointKind, ...]
+    path: Path
+
+
+def _looked_for(clouds: Sequence[NDArray[np.int16]], folder: Path, tell: Tell) -> Found:
     """What is found in each object; again where it is nothing, or a kind of joint that few others
     have: a drawer that is shallow may as well turn a little."""
+
+    def asked(i: int, kinds: tuple[JointKind, ...]) -> _Asked:
+        return _Asked(clouds[i], kinds, folder / f"{i}-{'-'.join(map(str, kinds))}.pt")
+
     found: Found = []
     with Crew(_look, workers=os.cpu_count() or 1) as crew:
-        for each in crew.in_order([(cloud, KINDS) for cloud in clouds]):
+        for each in crew.in_order([asked(i, KINDS) for i in range(len(clouds))]):
             found.append(each)
             tell(f"looking for joints in the training objects: {len(found)} of {len(clouds)}")
         kinds = kinds_of(found)
         again = [i for i, each in enumerate(found) if not _has_only(each, kinds)]
         if 0 < len(kinds) < len(KINDS):
-            looks = crew.in_order([(clouds[i], tuple(sorted(kinds))) for i in again])
+            looks = crew.in_order([asked(i, tuple(sorted(kinds))) for i in again])
             for n, (i, each) in enumerate(zip(again, looks, strict=True), 1):
                 found[i] = each
                 tell(f"looking again where they are unlike the others: {n} of {len(again)}")
@@ -98,13 +119,20 @@ def _has_only(found: Discovery | None, kinds: set[JointKind]) -> bool:
     return found is not None and {joint.kind for joint in found.joints} <= kinds
 
 
-def _look(asked: tuple[NDArray[np.int16], tuple[JointKind, ...]]) -> Discovery | None:
-    """What is found in an object's clouds (K, n, 3), as they are stored, of joints of some kinds;
-    with sure joints alone."""
-    stored, kinds = asked
-    poses = unpacked(torch.from_numpy(stored)).double().numpy()
+def _look(asked: _Asked) -> Discovery | None:
+    """What is found in an object, or was found there before this run was killed."""
+    with suppress(InvalidCheckpoint):  # not there, or of a disk that lost power
+        return _read(read_tensors(asked.path, FORMAT)["object"], asked.stored)
+    found = _discovered(asked)
+    write_tensors(asked.path, {"object": _plain(found)}, FORMAT)
+    return found
+
+
+def _discovered(asked: _Asked) -> Discovery | None:
+    """With sure joints alone."""
+    poses = unpacked(torch.from_numpy(asked.stored)).double().numpy()
     try:
-        found = discover(list(poses), kinds=kinds)
+        found = discover(list(poses), kinds=asked.kinds)
     except InvalidArgument:  # nothing moves, or not as one joint would
         return None
     sure = found.joints and min(joint.score for joint in found.joints) >= LEAST_SCORE

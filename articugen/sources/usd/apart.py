@@ -81,7 +81,8 @@ def _asked(path: Path, root: Path, how: dict[str, bool]) -> tuple[dict[str, Any]
             f"{path}: is USD, and usd-core, which reads it, is not installed; run: pip install "
             "'articugen[usd]'"
         )
-    request = {"path": str(path), "root": str(root), "seconds": SECONDS, "memory": MEMORY, **how}
+    limits = {"seconds": SECONDS, "memory": MEMORY, "parent": os.getpid()}
+    request = {"path": str(path), "root": str(root), **limits, **how}
     try:
         done = subprocess.run(
             [sys.executable, "-c", _START, str(_PACKAGES)],

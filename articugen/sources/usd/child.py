@@ -10,11 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from articugen.errors import InvalidSource, MachineFault, machine_fault, printable
+from articugen.workers import die_with
 
 
 def main() -> None:
     """Answer the request on the standard input."""
     request = json.load(sys.stdin)
+    die_with(request["parent"])
     _limit(resource.RLIMIT_CPU, request["seconds"])
     _limit(resource.RLIMIT_AS, request["memory"])
     _limit(resource.RLIMIT_CORE, 0)
