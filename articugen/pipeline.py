@@ -37,7 +37,7 @@ from articugen.store import croissant
 from articugen.store.files import write_atomically
 from articugen.store.journal import Journal
 from articugen.store.manifest import Key, Manifest, Outcome, Rejection, Timings
-from articugen.store.shards import write_shard
+from articugen.store.shards import Check, write_shard
 
 SECONDS_FOR_ANY_OBJECT = 600.0
 SECONDS_FOR_ANY_INSTANCE = 5.0
@@ -180,11 +180,12 @@ def started(job: Job) -> Iterator["Run"]:
 
 @dataclass(frozen=True)
 class Run:
-    """A run in its folder; see `started`."""
+    """A run in its folder; see `started`. `check` looks at each shard before it gets its name."""
 
     job: Job
     journal: Journal
     plan: Plan
+    check: Check | None = None
 
     def finish(
         self,
@@ -202,7 +203,7 @@ class Run:
                 return manifest
         licence = registry.licence(self.job.source)  # while the source is there
         self.journal.claim(task.shard for task in self.plan.tasks)
-        with closing(self._made(on_notice)) as made:
+        with closing(self.made(on_notice)) as made:
             for outcome in made:
                 self.journal.record(outcome)
                 outcomes.append(outcome)
@@ -222,7 +223,7 @@ class Run:
         self.journal.finish(manifest)
         return manifest
 
-    def _made(self, on_notice: Callable[[str], None]) -> Generator[Outcome, None, None]:
+    def made(self, on_notice: Callable[[str], None]) -> Generator[Outcome, None, None]:
         """The outcome of each task, as they finish."""
         yield from (task.known for task in self.plan.tasks if task.known)
         tasks = [task for task in self.plan.tasks if not task.known]
@@ -230,7 +231,7 @@ class Run:
             compile_kernels("generate", jobs=self.job.jobs, notice=on_notice)
         limit = _limit(self.job.recipe)
         made = workers.each(
-            partial(make_object, self.job),
+            partial(make_object, self.job, check=self.check),
             tasks,
             workers=self.job.jobs,
             limit=limit,
@@ -249,8 +250,9 @@ class Run:
             ) from error
 
 
-def make_object(job: Job, task: Task) -> Outcome:
-    """Make one object and write its shard; a fault of the object becomes its rejection.
+def make_object(job: Job, task: Task, check: Check | None = None) -> Outcome:
+    """Make one object and write its shard; a fault of the object becomes its rejection, and so does
+    what `check` raises of the shard.
 
     Raises:
         MachineFault, MemoryError: it says nothing about the object.
@@ -262,7 +264,7 @@ def make_object(job: Job, task: Task) -> Outcome:
         obj, instances = _instances(job, task)
         if _is_other(task, obj.sha256):
             return _changed(task)
-        record = write_shard(job.out / task.shard, instances, _attributes(job, task))
+        record = write_shard(job.out / task.shard, instances, _attributes(job, task), check)
     except Exception as error:  # an object must not take the others down with it
         verdict = _verdict(error, task.ref, job.recipe)
         if verdict is None:

@@ -103,7 +103,10 @@ MAY_IMPORT: dict[str, set[str]] = {
     "verify.dataset": VOCABULARY | {"store", "verify.invariants", "workers"},
     "verify.replay": VOCABULARY
     | {"store", "sources", "articulation", "fusion", "instance", "pipeline", "verify", "mesh_file"},
-    "verify.check": {"pipeline", "verify"},
+    "verify.rebuild": VOCABULARY
+    | {"store", "sources", "instance", "pipeline", "resolving", "verify", "workers"},
+    "verify.repair": VOCABULARY | {"store", "sources", "pipeline", "verify"},
+    "verify.check": {"errors", "pipeline", "verify"},
     "inspection": VOCABULARY | {"store", "rendering"},
     "report": VOCABULARY | {"store", "inspection", "marching_cubes"},
     "report.facts": VOCABULARY | {"store"},

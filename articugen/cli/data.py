@@ -40,6 +40,7 @@ from articugen.errors import ArticugenError
 
 if TYPE_CHECKING:
     from articugen.pipeline import Job
+    from articugen.verify.dataset import Repair
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -347,7 +348,8 @@ def inspect(
 
 
 @app.command(
-    epilog="Examples:\n\narticugen verify data/laptop\n\narticugen verify data/laptop --replay 5",
+    epilog="Examples:\n\narticugen verify data/laptop\n\n"
+    "articugen verify data/laptop --replay 5\n\narticugen verify data/laptop --repair",
 )
 def verify(
     path: Annotated[Path, typer.Argument(help="The folder of a data set, or one of such folders.")],
@@ -364,15 +366,33 @@ def verify(
             "the byte, with its surface points on the field's zero level.",
         ),
     ] = 0,
+    repair: Annotated[
+        bool,
+        typer.Option(
+            "--repair",
+            help="Make damaged shards again from recipe and sources, each to the same content, and "
+            "a damaged manifest from whole shards; what cannot be proven right is left as it is.",
+        ),
+    ] = False,
+    drop_user: Annotated[
+        bool,
+        typer.Option(
+            "--drop-user",
+            help="While repairing, give up a group 'user' that cannot be read; others are kept.",
+        ),
+    ] = False,
 ) -> None:
-    """Check checksums, schema, value ranges and geometry of data sets."""
+    """Check checksums, schema, value ranges and geometry of data sets, and mend them."""
     sound = True
     with said():
         from articugen.store.journal import data_sets
         from articugen.verify.check import check
 
         for folder in data_sets(path):
-            report = check(folder, replay=again, jobs=jobs)
+            report = check(
+                folder, replay=again, repair=repair, drop_user=drop_user, jobs=jobs,
+                on_repair=partial(_say_repair, folder), on_notice=stderr.print,
+            )  # fmt: skip
             for finding in report.findings:
                 stdout.print(f"[red]✗[/] {folder}: {escape(str(finding))}", soft_wrap=True)
             if report.ok:
@@ -384,9 +404,17 @@ def verify(
                     f" are as they were made{theirs}{replayed}",
                     soft_wrap=True,
                 )
+            elif report.mendable and not repair:
+                hint = f"mend what can be made again with: articugen verify {folder} --repair"
+                stderr.print(escape(hint), soft_wrap=True)
             sound = sound and report.ok
     if not sound:
         raise typer.Exit(FAILED)
+
+
+def _say_repair(folder: Path, repair: "Repair") -> None:
+    mark = "[green]+[/]" if repair.ok else "[yellow]-[/]"
+    stdout.print(f"{mark} {escape(f'{folder}: {repair}')}", soft_wrap=True)
 
 
 @app.command(epilog="Example: articugen clean data/laptop --dry-run")

@@ -8,12 +8,14 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 from articugen import __version__
-from articugen.store.manifest import Manifest
+from articugen.store.manifest import Manifest, code_version
 
 NAME = "croissant.json"
 
 _MOST_OBJECTS = 100
 """Files that are listed one by one; more are a FileSet."""
+
+_FACTS = ("name", "license", "isBasedOn", "distribution")
 
 _CONTEXT = {
     "@language": "en",
@@ -90,6 +92,24 @@ def of_data_set(manifest: Manifest) -> bytes:
         f"state, in {len(manifest.shards)} HDF5 shards (content {manifest.content_sha256})."
     )
     return document(f"{manifest.category}-articugen", about, manifest, listed(manifest.shards))
+
+
+def fault(text: bytes, manifest: Manifest) -> str | None:
+    """What is wrong with the text that lies beside a manifest, or None.
+
+    Other code than this may have worded it otherwise; then what it says of the data counts.
+    """
+    wanted = of_data_set(manifest)
+    if text == wanted:
+        return None
+    if manifest.articugen_version != code_version():
+        try:
+            told, facts = json.loads(text), json.loads(wanted)
+            if all(told[key] == facts[key] for key in _FACTS):
+                return None
+        except (ValueError, RecursionError, KeyError, TypeError):
+            pass
+    return "it does not say of the data what the manifest says"
 
 
 def document(

@@ -9,7 +9,7 @@ import io
 import json
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +25,13 @@ from numpy.typing import NDArray
 from articugen.errors import ArticugenError, CorruptShard
 from articugen.records import Instance
 from articugen.store import chunks, schema
-from articugen.store.files import UnfitFile, check_regular, sha256_of, written_atomically
+from articugen.store.files import (
+    UnfitFile,
+    check_regular,
+    sha256_of,
+    sync,
+    written_atomically,
+)
 from articugen.store.schema import Field
 
 _GZIP, _FLETCHER32 = 1, 3
@@ -57,8 +63,15 @@ class ShardRecord:
     content: Content
 
 
+Check = Callable[[Path, ShardRecord], None]
+"""Looks at a shard that is whole but has not its name yet, and raises where it must not get it."""
+
+
 def write_shard(
-    path: Path, instances: Iterable[Instance], attributes: Mapping[str, Attribute]
+    path: Path,
+    instances: Iterable[Instance],
+    attributes: Mapping[str, Attribute],
+    check: Check | None = None,
 ) -> ShardRecord:
     """Write a shard, read it back, compare, and only then give it its name.
 
@@ -67,6 +80,7 @@ def write_shard(
         instances: one or more, all of the same field shapes; taken one at a time, so that memory
             does not grow with their number. What it raises leaves no file behind.
         attributes: those of `schema.ATTRIBUTES` besides format and schema_version; more may follow.
+        check: called once it is whole.
 
     Raises:
         MachineFault: the disk is full, the folder cannot be written to.
@@ -77,14 +91,17 @@ def write_shard(
         if not isinstance(given.get(name), kind):
             raise ValueError(f"{path}: attribute {name!r} is missing or not of its type")
     content: list[tuple[str, int, str]] = []
-    sha256, size = "", 0
+    record = ShardRecord(path.name, "", 0, 0, ())
 
     def look(temporary: Path) -> None:
-        nonlocal sha256, size
+        nonlocal record
         with open_shard(temporary) as shard:
             if shard.content() != tuple(content) or dict(shard.attributes) != given:
                 raise ArticugenError(f"{path}: reads back otherwise than written; check the disk")
-        sha256, size = sha256_of(temporary), temporary.stat().st_size
+        size = temporary.stat().st_size
+        record = ShardRecord(path.name, sha256_of(temporary), size, len(content), tuple(content))
+        if check is not None:
+            check(temporary, record)
 
     with written_atomically(path, check=look) as file:
         disk = _Disk(file)
@@ -93,7 +110,42 @@ def write_shard(
                 content.append(row)
                 if disk.fault is not None:
                     break
-    return ShardRecord(path.name, sha256, size, len(content), tuple(content))
+    return record
+
+
+def copy_user_group(path: Path, into: Path, written: int) -> None:
+    """Copy the group `user`, if any, of a file that may be damaged into a shard, which is otherwise
+    left as it is.
+
+    Args:
+        path: of the file, which need not be there.
+        written: bytes that it had when it was written: a larger one may have such a group.
+
+    Raises:
+        CorruptShard: there is one that cannot be read, or there may be.
+    """
+    try:
+        if not os.path.lexists(path) or (path.stat().st_size <= written and not _opens(path)):
+            return
+        with _opened(path) as theirs:
+            name = schema.USER_GROUP.encode()
+            if not theirs.id.links.exists(name):
+                return
+            if theirs.id.links.get_info(name).type != h5py.h5l.TYPE_HARD:
+                raise CorruptShard(f"{path}: {schema.USER_GROUP!r} is a link to elsewhere")
+            with h5py.File(into, "r+", libver="v110", locking=False) as ours:
+                theirs.copy(schema.USER_GROUP, ours)
+    except (OSError, RuntimeError, ValueError, KeyError, CorruptShard) as error:
+        raise CorruptShard(f"it may have a group 'user', which cannot be read ({error})") from None
+    sync(into)
+
+
+def _opens(path: Path) -> bool:
+    try:
+        _opened(path).close()
+    except CorruptShard:
+        return False
+    return True
 
 
 def instance_sha256(object_id: str, arrays: Iterable[tuple[str, NDArray[Any]]]) -> str:

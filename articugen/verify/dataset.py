@@ -9,6 +9,7 @@ the manifest does not tell of is named.
 """
 
 import hashlib
+import json
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -16,19 +17,30 @@ from functools import partial
 from itertools import groupby
 from pathlib import Path
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from articugen import workers
 from articugen.errors import CorruptShard
 from articugen.recipe import Recipe
 from articugen.store import croissant
+from articugen.store.files import read_regular
 from articugen.store.journal import JOURNAL_NAME, is_temporary
-from articugen.store.manifest import MANIFEST_NAME, Manifest, ObjectEntry, ShardEntry
+from articugen.store.manifest import (
+    MANIFEST_NAME,
+    MOST_BYTES,
+    Manifest,
+    ObjectEntry,
+    ShardEntry,
+)
 from articugen.store.shards import Shard, content_sha256, open_shard
 from articugen.verify.invariants import faults
 
 WELCOME = (".png", ".html")
 """Endings of files that may lie beside the shards."""
+
+MENDED = ("missing", "checksum", "schema", "unreadable", "attributes", "content")
+"""What a shard made again is rid of; numbers that are wrong in a file that is as it was made stay
+wrong."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +69,26 @@ class Finding:
         )
 
 
+@dataclass(frozen=True)
+class Repair:
+    """What was wrong with one file of a data set, and what was done about it.
+
+    Attributes:
+        name: of the file.
+        wrong: in one sentence.
+        done: or why nothing was; in one sentence.
+        ok: whether it is whole again.
+    """
+
+    name: str
+    wrong: str
+    done: str
+    ok: bool
+
+    def __str__(self) -> str:
+        return f"{_plain(self.name)}: {self.wrong}: {self.done}"
+
+
 def _plain(name: str) -> str:
     """A name as it can be printed on one line."""
     return name if name.isprintable() else ascii(name)
@@ -69,22 +101,31 @@ class Report:
     Attributes:
         extended: names of the shards that are as they were made but for a group `user` that
             somebody added; it was not looked at.
+        repairs: what was done, where that was asked for, before this was found.
     """
 
     findings: tuple[Finding, ...]
     shards: int
     instances: int
     extended: tuple[str, ...] = ()
+    repairs: tuple["Repair", ...] = ()
 
     @property
     def ok(self) -> bool:
         return not self.findings
 
+    @property
+    def mendable(self) -> bool:
+        """Whether a repair may do anything about it."""
+        checks = (*MENDED, "manifest", "croissant")
+        return any(finding.check in checks for finding in self.findings)
+
     def __repr__(self) -> str:
         count = len(self.findings)
         found = "ok" if self.ok else f"{count} finding{'s' * (count != 1)}"
         about = f"Report({found}: {self.shards} shards, {self.instances:,} instances)"
-        return "\n".join([about, *(f"  {finding}" for finding in self.findings)])
+        said = [*self.repairs, *self.findings]
+        return "\n".join([about, *(f"  {each}" for each in said)])
 
 
 def verify(folder: Path, *, jobs: int = 1, on_shard: Callable[[str], None] | None = None) -> Report:
@@ -99,7 +140,8 @@ def verify(folder: Path, *, jobs: int = 1, on_shard: Callable[[str], None] | Non
         manifest = Manifest.read(folder)
     except CorruptShard as error:
         return Report((Finding("manifest", str(error)), *_leftovers(folder)), 0, 0)
-    findings = [*_manifest_findings(manifest), *_strays(folder, manifest), *_leftovers(folder)]
+    findings = [*text_findings(folder, manifest), *_manifest_findings(manifest)]
+    findings += [*_strays(folder, manifest), *_leftovers(folder)]
     look = partial(_shard_findings, folder, _expected_attributes(manifest))
     contents = [[o for o in manifest.objects if o.shard == s.name] for s in manifest.shards]
     looked = workers.in_order(
@@ -117,6 +159,31 @@ def verify(folder: Path, *, jobs: int = 1, on_shard: Callable[[str], None] | Non
                 on_shard(shard.name)
     instances = sum(shard.instances for shard in manifest.shards)
     return Report(tuple(findings), len(manifest.shards), instances, tuple(extended))
+
+
+def text_findings(folder: Path, manifest: Manifest) -> Iterator[Finding]:
+    """What a flipped bit leaves that means the same, or means nothing to us: the last digit of a
+    fraction, and what is there for machines that look for data sets."""
+    miswritten: list[str] = []
+
+    def note(fraction: str) -> float:
+        ours = TypeAdapter(float).dump_json(float(fraction)).decode()
+        if fraction not in (ours, repr(float(fraction))):
+            miswritten.append(fraction)
+        return float(fraction)
+
+    json.loads(read_regular(folder / MANIFEST_NAME, MOST_BYTES), parse_float=note)
+    for fraction in miswritten:
+        yield Finding("manifest", f"{MANIFEST_NAME}: {fraction} is not how it was written")
+    path = folder / croissant.NAME
+    try:
+        fault = croissant.fault(read_regular(path, MOST_BYTES), manifest)
+    except FileNotFoundError:  # it decides nothing
+        return
+    except OSError as error:
+        fault = error.strerror or str(error)
+    if fault:
+        yield Finding("croissant", fault, croissant.NAME)
 
 
 def _manifest_findings(manifest: Manifest) -> Iterator[Finding]:

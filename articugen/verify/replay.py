@@ -17,7 +17,7 @@ from articugen.recipe import Recipe
 from articugen.records import ArticulatedObject, Instance, Mesh, dequantize
 from articugen.seeding import generator
 from articugen.sources import registry
-from articugen.store.manifest import Manifest, ObjectEntry
+from articugen.store.manifest import Manifest, ObjectEntry, library_versions, this_machine
 from articugen.store.shards import open_shard
 from articugen.verify.bounds import BEHIND, IN_FRONT, on_level
 from articugen.verify.dataset import Finding
@@ -85,8 +85,9 @@ def replay(folder: Path, count: int) -> Iterator[Finding | None]:
         with open_shard(folder / chosen.entry.shard) as shard:
             stored = shard.instance(chosen.state_index)
         place = (chosen.entry.shard, object_id, chosen.state_index)
-        for check, sentence in _differences(prepared, stored):
-            yield Finding(check, sentence, *place)
+        for check, sentence in differences(prepared, stored):
+            elsewhere = made_elsewhere(manifest) if check == "replay" else ""
+            yield Finding(check, sentence + elsewhere, *place)
         yield None
 
 
@@ -128,7 +129,18 @@ def _chosen(manifest: Manifest, count: int) -> list[StoredInstance]:
     return [StoredInstance(entry, int(rng.integers(entry.instances))) for entry in chosen]
 
 
-def _differences(prepared: Prepared, stored: Instance) -> Iterator[tuple[str, str]]:
+def made_elsewhere(manifest: Manifest) -> str:
+    """What may explain that a data set's numbers come out otherwise: other libraries than it was
+    made with, or another kind of processor; "" where there are none."""
+    there = {**manifest.versions, "processors": manifest.machine.get("architecture")}
+    here = {**library_versions(), "processors": this_machine()["architecture"]}
+    other = [name for name in here if there.get(name) != here[name]]
+    was, now = (", ".join(f"{name} {side.get(name)}" for name in other) for side in (there, here))
+    return f"; it was made with {was}, here are {now}" if other else ""
+
+
+def differences(prepared: Prepared, stored: Instance) -> Iterator[tuple[str, str]]:
+    """(check, sentence) of what is otherwise in a stored instance than in one made again."""
     again = make_instance(prepared, stored.state_index).arrays()
     other = [n for n, array in stored.arrays().items() if not np.array_equal(array, again[n])]
     if other:

@@ -1,0 +1,303 @@
+"""A manifest that is lost or damaged, made again of what whole shards say of themselves.
+
+They do not say what their objects were read from. Where the damaged manifest still does, and agrees
+with the shard, that is believed; else one instance of the object is made again and must come out
+the same, which proves source, recipe, seed and code at once.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from articugen import workers
+from articugen.errors import ArticugenError, CorruptShard
+from articugen.instance import prepare
+from articugen.pipeline import generator_of
+from articugen.recipe import Recipe
+from articugen.resolving import resolved
+from articugen.sources import registry
+from articugen.store import croissant
+from articugen.store.files import read_regular, sha256_of, write_atomically
+from articugen.store.journal import JOURNAL_NAME, lock_folder
+from articugen.store.manifest import (
+    MANIFEST_NAME,
+    MOST_BYTES,
+    Key,
+    Manifest,
+    ObjectEntry,
+    Outcome,
+    Rejection,
+    ShardEntry,
+    Timings,
+    is_shard_name,
+)
+from articugen.store.shards import Attribute, ShardRecord, content_sha256, open_shard
+from articugen.verify.replay import differences
+
+R = TypeVar("R", bound=BaseModel)
+
+_ALIKE = ("category", "source", "licence", "recipe", "recipe_sha256", "seed", "generator")
+"""What all shards of a data set must say alike."""
+
+_NO_RUN = Timings(seconds=0.0, instances_per_second=0.0, peak_memory_bytes=0, workers=1)
+
+
+def rebuild(folder: Path, *, jobs: int) -> str:
+    """Write the manifest of a data set anew; what was done, in one sentence.
+
+    Raises:
+        ArticugenError: its shards do not tell enough; a run is at work or was cut short.
+    """
+    lock = lock_folder(folder)
+    try:
+        if os.path.lexists(folder / JOURNAL_NAME):
+            raise ArticugenError(
+                "a run was cut short here; start it again: it goes on, and makes damaged shards "
+                "again"
+            )
+        return _rebuilt(folder, jobs)
+    finally:
+        os.close(lock)
+
+
+@dataclass(frozen=True)
+class _Witness:
+    """A shard that is whole, and what it says of itself."""
+
+    record: ShardRecord
+    about: Mapping[str, Attribute]
+
+    @property
+    def object_id(self) -> str:
+        return self.record.content[0][0]
+
+
+def _rebuilt(folder: Path, jobs: int) -> str:
+    names = sorted(n for n in os.listdir(folder) if is_shard_name(n) and (folder / n).is_file())
+    here = {"workers": min(jobs, len(names)) if jobs > 1 else 0}
+    looked = workers.in_order(partial(_witness, folder), names, **here)
+    whole = {name: witness for name, witness in zip(names, looked, strict=True) if witness}
+    about = _common(whole)
+    told = _Told.of(folder, about)
+    outcomes = {name: o for name, o in told.outcomes.items() if _agrees(o, whole.get(name))}
+    alone = [witness for name, witness in whole.items() if name not in outcomes]
+    proven = workers.in_order(partial(_proven, folder), alone, **here, name=lambda w: w.object_id)
+    outcomes |= {outcome.shard.name: outcome for outcome in proven if outcome.shard}
+    _check_distinct(outcomes)
+    manifest = Manifest.of(
+        [*outcomes.values(), *told.unmade({o.key.object_id for o in outcomes.values()})],
+        category=str(about["category"]),
+        source=str(about["source"]),
+        licence=str(about["licence"]),
+        recipe=told.recipe or str(about["recipe"]),
+        seed=int(about["seed"]),
+        timings=_NO_RUN,
+        shortfall=told.shortfall,
+    )
+    write_atomically(folder / croissant.NAME, croissant.of_data_set(manifest))
+    manifest.write(folder)
+    return _in_words(len(whole), len(alone), told, sorted(set(names) - outcomes.keys()))
+
+
+def _in_words(whole: int, alone: int, told: "_Told", lost: Sequence[str]) -> str:
+    said = f"made again from {whole} shards"
+    if alone:
+        said += f", {alone} of them proven by making an instance again"
+    rest = "taken from the damaged one" if told.outcomes else "lost"
+    said += f"; what nothing else tells (rejected objects, notes, times) is {rest}"
+    if lost:
+        said += f"; what {', '.join(lost)} held is not known any more: move it away, and run the "
+        said += "command again that made the data set"
+    return said
+
+
+def _witness(folder: Path, name: str) -> _Witness | None:
+    """None where the shard is damaged, or not of one object."""
+    path = folder / name
+    try:
+        with open_shard(path) as shard:
+            content, about = shard.content(), dict(shard.attributes)
+        record = ShardRecord(name, sha256_of(path), path.stat().st_size, len(content), content)
+    except (CorruptShard, OSError):
+        return None
+    about.setdefault("generator", about["articugen_version"])  # where earlier versions wrote it
+    return _Witness(record, about) if len({row[0] for row in content}) == 1 else None
+
+
+def _common(whole: Mapping[str, _Witness]) -> Mapping[str, Attribute]:
+    """What all shards say alike.
+
+    Raises:
+        ArticugenError: there is none, or they do not.
+    """
+    if not whole:
+        raise ArticugenError(
+            "no shard is whole that could tell what the data set was; fetch manifest.json again, "
+            "or make the data set again in another folder"
+        )
+    (first, witness), *others = whole.items()
+    for attribute in _ALIKE:
+        if attribute not in witness.about:
+            raise ArticugenError(
+                f"{first} does not tell its {attribute}; fetch manifest.json again"
+            )
+        for name, other in others:
+            if other.about.get(attribute) != witness.about[attribute]:
+                raise ArticugenError(
+                    f"{first} and {name} are of different runs (by their {attribute}); move those "
+                    "elsewhere that do not belong here"
+                )
+    return witness.about
+
+
+@dataclass(frozen=True)
+class _Told:
+    """What can still be read in a damaged manifest, and fits what the shards say.
+
+    Attributes:
+        outcomes: of objects that were made, by their shard.
+        others: of those that were not.
+        recipe: the whole one; the shards have what decides one object. None where it is damaged.
+        shortfall: see `Manifest`.
+    """
+
+    outcomes: Mapping[str, Outcome]
+    others: tuple[Outcome, ...]
+    recipe: str | None
+    shortfall: str | None
+
+    @staticmethod
+    def of(folder: Path, about: Mapping[str, Attribute]) -> "_Told":
+        try:
+            told = json.loads(read_regular(folder / MANIFEST_NAME, MOST_BYTES))
+        except (OSError, ValueError, RecursionError):
+            told = None
+        told = told if isinstance(told, dict) else {}
+        shards = {shard.name: shard for shard in _entries(told, "shards", ShardEntry)}
+        made = [
+            Outcome(made=entry, shard=shards[entry.shard])
+            for entry in _entries(told, "objects", ObjectEntry)
+            if entry.shard in shards and _is_of(entry.key, about)
+        ]
+        others = [
+            Outcome(**{kind: entry})
+            for kind in ("rejected", "skipped", "failed")
+            for entry in _entries(told, kind, Rejection)
+            if _is_of(entry.key, about)
+        ]
+        failed = any(other.failed for other in others)
+        shortfall = told.get("shortfall") or ("objects failed" if failed else None)
+        return _Told(
+            {o.shard.name: o for o in made if o.shard},
+            tuple(others),
+            _recipe(told, about),
+            shortfall if isinstance(shortfall, str) else None,
+        )
+
+    def unmade(self, made: set[str]) -> list[Outcome]:
+        """The others, each once, but those that are made."""
+        return list(
+            {o.key.object_id: o for o in self.others if o.key.object_id not in made}.values()
+        )
+
+
+def _entries(told: dict[str, Any], name: str, kind: type[R]) -> list[R]:
+    """Those of a list that can be read."""
+    found: list[R] = []
+    entries = told.get(name)
+    for entry in entries if isinstance(entries, list) else []:
+        try:
+            found.append(kind.model_validate_json(json.dumps(entry)))
+        except (ValidationError, ValueError):
+            continue
+    return found
+
+
+def _is_of(key: Key, about: Mapping[str, Attribute]) -> bool:
+    return all(getattr(key, n) == about[n] for n in ("recipe_sha256", "seed", "generator"))
+
+
+def _recipe(told: dict[str, Any], about: Mapping[str, Attribute]) -> str | None:
+    text = told.get("recipe")
+    if not isinstance(text, str):
+        return None
+    try:
+        recipe = Recipe.model_validate_json(text)
+    except ValidationError:
+        return None
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    fits = recipe.text() == text and recipe.for_one_object().text() == about["recipe"]
+    return text if fits and digest == told.get("recipe_sha256") else None
+
+
+def _agrees(outcome: Outcome, witness: _Witness | None) -> bool:
+    """Whether what a damaged manifest says of an object may be believed. Where its shard is damaged
+    too that one is made again, which will tell."""
+    made, key = outcome.made, outcome.key
+    assert made
+    if witness is None:
+        return True
+    if made.content_sha256 != content_sha256(witness.record.content):
+        return False
+    if key.object_id != witness.object_id or key.split != witness.about["split"]:
+        return False
+    source, category = str(witness.about["source"]), str(witness.about["category"])
+    if key.ref != f"{source}/{key.object_id}":
+        return key.ref == made.input_sha256
+    try:
+        (ref,) = registry.object_refs(source, category, ids=[key.object_id])
+        return generator_of(ref) != key.generator or registry.digest(ref) == made.input_sha256
+    except ArticugenError:  # nothing contradicts it
+        return True
+
+
+def _proven(folder: Path, witness: _Witness) -> Outcome:
+    """The outcome of an object of which only the shard tells.
+
+    Raises:
+        ArticugenError: its source, or the code, is not what it was.
+    """
+    about, object_id = witness.about, witness.object_id
+    source, category = str(about["source"]), str(about["category"])
+    (ref,) = registry.object_refs(source, category, ids=[object_id])
+    if generator_of(ref) != about["generator"]:
+        raise ArticugenError(
+            f"{object_id} was made by other code ({about['generator']}, this is "
+            f"{generator_of(ref)}); repair it there, or fetch manifest.json again"
+        )
+    recipe = Recipe.model_validate_json(str(about["recipe"]))
+    prepared = prepare(resolved(ref, recipe), recipe, int(about["seed"]))
+    with open_shard(folder / witness.record.name) as shard:
+        stored = shard.instance(len(shard) - 1)
+    for _, sentence in differences(prepared, stored):
+        raise ArticugenError(
+            f"{object_id}: {sentence}; what it was made from is not what is here now"
+        )
+    key = Key(
+        split=str(about["split"]),
+        object_id=object_id,
+        ref=f"{source}/{object_id}" if registry.is_procedural(source) else prepared.obj.sha256,
+        recipe_sha256=str(about["recipe_sha256"]),
+        seed=int(about["seed"]),
+        generator=str(about["generator"]),
+    )
+    return Outcome.of_shard(
+        key, witness.record, input_sha256=prepared.obj.sha256, notes=prepared.obj.notes
+    )
+
+
+def _check_distinct(outcomes: Mapping[str, Outcome]) -> None:
+    seen: dict[str, str] = {}
+    for name, outcome in outcomes.items():
+        other = seen.setdefault(outcome.key.object_id, name)
+        if other != name:
+            raise ArticugenError(
+                f"{other} and {name} both hold {outcome.key.object_id}; move one of them elsewhere"
+            )
