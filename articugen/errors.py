@@ -5,7 +5,13 @@ from collections.abc import Iterator
 
 
 class ArticugenError(Exception):
-    """Base of every error that the command line prints as one sentence, without a traceback."""
+    """Base of every error that the command line prints as one sentence, without a traceback.
+
+    Whatever a stranger's file put into it, it stays on one line and moves no cursor.
+    """
+
+    def __str__(self) -> str:
+        return spelt_out(super().__str__())
 
 
 class InvalidSource(ArticugenError):
@@ -121,5 +127,11 @@ def _behind(error: BaseException | None) -> Iterator[BaseException]:
 
 def printable(text: str) -> str:
     """`text` on one line that any file and terminal takes: what is no character is spelt out."""
-    line = " ".join(text.encode("utf-8", "backslashreplace").decode().split())
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
+    return spelt_out(" ".join(text.encode("utf-8", "backslashreplace").decode().split()))
+
+
+def spelt_out(text: str) -> str:
+    """`text` with each character that cannot be printed as its escape: \\n, \\x1b, \\u202e."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

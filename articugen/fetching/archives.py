@@ -190,7 +190,9 @@ def _zip_entry(info: zipfile.ZipInfo) -> _Entry:
         odd = "encrypted"
     elif info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         odd = "packed in an unusual way"
-    return _Entry(info.orig_filename, info.file_size, info.is_dir(), odd)
+    # `is_dir` of Python 3.11 stumbles over a name of no letters
+    folder = info.filename.endswith("/")
+    return _Entry(info.orig_filename, info.file_size, folder, odd)
 
 
 class _TarGz:

@@ -1,6 +1,8 @@
 """Clouds to make predictions from: an instance of a shard, or a file of points."""
 
 import io
+import math
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,11 +16,15 @@ from articugen.learning.evaluation.surfaces import Floats, sample
 from articugen.ply import claimed_rows
 from articugen.records import Instance, Normalization, dequantize
 from articugen.seeding import generator
+from articugen.store.files import read_regular
 from articugen.store.shards import Shard, open_shard
 
 FEWEST_POINTS = 64
 LONGEST_EDGE = 0.9
 """Of an object over all its joint states in the unit frame, as data sets are made."""
+
+MOST_BYTES = 1 << 28
+"""That a file of points may have, and what it unpacks to."""
 
 UNIT = Normalization(np.zeros(3), 1.0)
 
@@ -118,11 +124,16 @@ def numbers_of_file(path: Path) -> Floats:
         known = ", ".join(_READERS)
         raise InvalidSource(f"{path}: neither a shard (.h5) nor points ({known})")
     try:
-        return np.asarray(read(path.read_bytes()), np.float64)
+        data = read_regular(path, MOST_BYTES)
     except OSError as error:
         raise InvalidSource(f"{path}: cannot be read ({error.strerror})") from None
+    try:
+        with np.errstate(all="ignore"):  # of what is no number `checked` tells
+            return np.asarray(read(data), np.float64)
+    except MemoryError:
+        raise
     except Exception as error:  # whatever a parser meets in a broken file
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise InvalidSource(f"{path}: broken ({reason})") from None
 
 
@@ -188,16 +199,36 @@ def _ply(data: bytes) -> Any:
     return found.vertices
 
 
+def _npy(data: bytes) -> Any:
+    """numpy makes room for what a header claims before it looks whether that is there."""
+    file = io.BytesIO(data)
+    read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    shape, _, dtype = read[np.lib.format.read_magic(file)](file)
+    if dtype.kind not in "biuf":
+        raise ValueError("holds no numbers")
+    if math.prod(shape) * dtype.itemsize != len(data) - file.tell():
+        raise ValueError("its header does not fit its size")
+    return np.load(io.BytesIO(data), allow_pickle=False)
+
+
 def _npz(data: bytes) -> Any:
-    arrays = np.load(io.BytesIO(data), allow_pickle=False)
-    if "points" not in arrays:
-        raise ValueError(f"no array named points, only {', '.join(arrays) or 'none'}")
-    return arrays["points"]
+    """The array "points" of a zip archive; numpy would unpack whatever it claims to hold."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        names = archive.namelist()
+        if "points.npy" not in names:
+            known = ", ".join(name.removesuffix(".npy") for name in names[:5])
+            raise ValueError(f"no array named points, only {known or 'none'}")
+        points = archive.getinfo("points.npy")
+        if points.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise ValueError("packed in an unusual way")
+        if points.file_size > MOST_BYTES:
+            raise ValueError("unpacks to too much")
+        return _npy(archive.read("points.npy"))
 
 
 _READERS: dict[str, Callable[[bytes], Any]] = {
     ".ply": _ply,
-    ".npy": lambda data: np.load(io.BytesIO(data), allow_pickle=False),
+    ".npy": _npy,
     ".npz": _npz,
     ".xyz": lambda data: np.loadtxt(io.BytesIO(data), usecols=(0, 1, 2), ndmin=2),
 }

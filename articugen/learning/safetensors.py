@@ -69,7 +69,7 @@ def read_safetensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
         raise InvalidCheckpoint(f"{path}: cannot be read ({error.strerror})") from None
     try:
         return _parsed(image)
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, RuntimeError):
         raise InvalidCheckpoint(
             f"{path}: not a safetensors file, or damaged; restore it from a copy"
         ) from None

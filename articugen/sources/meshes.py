@@ -317,7 +317,8 @@ def _read_stl(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
             f"{path}: {len(data)} bytes do not hold the {count:,} triangles that its STL"
             " header claims; export it again"
         )
-    vertices = corners.reshape(-1, 3).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # of what is no number `checked` tells
+        vertices = corners.reshape(-1, 3).astype(np.float64)
     return vertices, np.arange(len(vertices)).reshape(-1, 3)
 
 

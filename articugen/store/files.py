@@ -67,9 +67,12 @@ def read_regular(path: Path, most_bytes: int, *, follow: bool = True) -> bytes:
     except ValueError:  # NUL, or a lone surrogate
         raise UnfitFile(errno.EINVAL, "no file can have that name") from None
     with open(handle, "rb") as file:
-        _check_regular(os.fstat(handle), most_bytes)
-        data = file.read(most_bytes + 1)
-    if len(data) > most_bytes:  # it has grown, or lies in /proc, where sizes are 0
+        found = os.fstat(handle)
+        _check_regular(found, most_bytes)
+        data = file.read(found.st_size + 1)  # of a larger number room would be made at once
+        if len(data) > found.st_size:  # it has grown, or lies in /proc, where sizes are 0
+            data += file.read(most_bytes)
+    if len(data) > most_bytes:
         raise UnfitFile(errno.EFBIG, f"more than the {most_bytes:,} bytes that it may have")
     return data
 

@@ -12,6 +12,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, BinaryIO
@@ -301,14 +302,9 @@ class Shard:
         """
         column = self._column(name)
         offset, size = np.zeros(len(self), np.int64), np.zeros(len(self), np.int64)
-
-        def note(chunk: Any) -> None:
-            offset[chunk.chunk_offset[0]] = chunk.byte_offset
-            size[chunk.chunk_offset[0]] = 0 if chunk.filter_mask else chunk.size
-
         with self._as_damage(name):
             if column.row_bytes:
-                column.dataset.chunk_iter(note)
+                offset, size = column.places
                 if size.min() <= chunks.CHECKSUM_BYTES:
                     raise ValueError("a chunk without its checksum")
         return Stored(column.shape, column.dtype, column.compressed, offset, size)
@@ -365,6 +361,37 @@ class _Column:
     def row_bytes(self) -> int:
         return math.prod(self.shape[1:]) * self.dtype.itemsize
 
+    @cached_property
+    def places(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Where the chunks of the first rows begin, and their bytes; 0 bytes of one that was
+        stored without its checksum. As many as there are rows, unless one is missing.
+
+        HDF5 believes an index that says how many chunks there could be, and goes through 10^18 of
+        them where it finds none: it is stopped at the last row, once that is known to be there.
+        """
+        found: list[tuple[int, int]] = []
+
+        def note(chunk: Any) -> bool | None:
+            if chunk.chunk_offset[0] != len(found):
+                return True
+            found.append((chunk.byte_offset, 0 if chunk.filter_mask else chunk.size))
+            return True if len(found) == self.shape[0] else None
+
+        if self.row_bytes and self.shape[0] and self._has(self.shape[0] - 1):
+            self.dataset.chunk_iter(note)
+        offset, size = np.array(found, np.int64).reshape(-1, 2).T
+        return offset, size
+
+    def _has(self, row: int) -> bool:
+        try:
+            self.dataset.read_direct_chunk(self._at(row), out=self.buffer())
+        except (OSError, RuntimeError, ValueError):
+            return False
+        return True
+
+    def _at(self, row: int) -> tuple[int, ...]:
+        return (row, *(0,) * (len(self.shape) - 1))
+
     def buffer(self) -> NDArray[np.uint8]:
         """Room for one chunk. HDF5 refuses one that is larger, so no index can ask for more."""
         return np.empty(chunks.most_bytes(self.row_bytes), np.uint8)
@@ -394,8 +421,7 @@ class _Column:
         size = self.row_bytes
         if not size:
             return b""
-        at = (row, *(0,) * (len(self.shape) - 1))
-        skipped, chunk = self.dataset.read_direct_chunk(at, out=buffer)
+        skipped, chunk = self.dataset.read_direct_chunk(self._at(row), out=buffer)
         if skipped:
             raise ValueError("a chunk without its checksum")
         return chunks.decoded(chunk, size, compressed=self.compressed)
@@ -712,10 +738,12 @@ def _checked_dataset(dataset: h5py.h5d.DatasetID, name: str, field: Field) -> _C
     chunk_bytes = int(np.prod(_chunks(shape), dtype=float)) * dataset.dtype.itemsize
     if chunk_bytes > schema.MAX_CHUNK_BYTES:
         raise CorruptShard(f"{name!r} takes {chunk_bytes} bytes an instance")
-    if 0 not in shape and dataset.get_num_chunks() != shape[0]:
-        raise CorruptShard(f"{name!r} has {dataset.get_num_chunks()} chunks for shape {shape}")
     dtype = np.dtype(f"S{dataset.get_type().get_size()}" if field.dtype == "S" else field.dtype)
-    return _Column(dataset, shape, dtype, compressed=filters[0] == _GZIP)
+    column = _Column(dataset, shape, dtype, compressed=filters[0] == _GZIP)
+    found = len(column.places[0])
+    if 0 not in shape and found != shape[0]:
+        raise CorruptShard(f"{name!r} has {found} chunks for shape {shape}")
+    return column
 
 
 def _is_dtype(dataset: h5py.h5d.DatasetID, field: Field) -> bool:

@@ -1,0 +1,268 @@
+"""Inputs of our own formats to begin with, made by what writes them: they never grow old."""
+
+import functools
+import io
+import json
+import tarfile
+import tempfile
+import zipfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from articugen.bundled import RECIPES, SOURCES
+from tests.published import model_files, zipped
+
+TESTS = Path(__file__).resolve().parents[1]
+_SHA256 = "0" * 64
+
+
+def objs() -> Iterable[bytes]:
+    """One that is long enough for the compiled reader."""
+    yield b"".join(b"v %d 0.5 -1e-3\n" % i for i in range(1100)) + b"f 1 2 3\nf -1 -2/3 1\n" * 20
+
+
+def recipes() -> Iterable[bytes]:
+    """Of data, and one that says most of what can be said."""
+    from articugen.recipe import load_recipe
+
+    yield from _texts(RECIPES, learner=False)
+    yield json.dumps(json.loads(load_recipe("quick", "laptop").text()), indent=1).encode()
+
+
+def training_recipes() -> Iterable[bytes]:
+    yield from _texts(RECIPES, learner=True)
+
+
+def _texts(folder: Path, *, learner: bool) -> Iterable[bytes]:
+    from articugen.recipe_files import known
+
+    for name in known(learner=learner):
+        yield (folder / f"{name}.yaml").read_bytes()
+
+
+def source_files() -> Iterable[bytes]:
+    for path in sorted(SOURCES.glob("*/source.yaml")):
+        yield path.read_bytes()
+
+
+def old_shards() -> Iterable[bytes]:
+    yield (TESTS / "data" / "shard_version_1.h5").read_bytes()
+
+
+@functools.cache
+def shards() -> tuple[bytes, ...]:
+    """Shards of the instances of the old one: as small as shards are."""
+    from articugen.store.shards import open_shard, write_shard
+
+    with open_shard(TESTS / "data" / "shard_version_1.h5") as old:
+        rows = [old.instance(i) for i in range(len(old))]
+        about = {k: v for k, v in old.attributes.items() if k not in ("format", "schema_version")}
+    found = []
+    with tempfile.TemporaryDirectory() as folder:
+        for count in (1, 3):
+            path = Path(folder) / "train-00000.h5"
+            write_shard(path, rows[:count], about)
+            found.append(path.read_bytes())
+    return tuple(found)
+
+
+def _outcomes() -> list[Any]:
+    from articugen.store.manifest import Key, Outcome, Rejection
+    from articugen.store.shards import ShardRecord
+
+    def key(name: str) -> Key:
+        return Key(
+            split="train", object_id=name, ref="r", recipe_sha256=_SHA256, seed=0, generator="0"
+        )
+
+    record = ShardRecord("train-00000.h5", _SHA256, 9, 1, (("a", 0, _SHA256),))
+    return [
+        Outcome.of_shard(key("a"), record, input_sha256=_SHA256, notes=("n",), seconds=1.5),
+        Outcome(rejected=Rejection(key=key("b"), reason="b: has no lid", over=("faces", 2.0))),
+        Outcome(skipped=Rejection(key=key("c"), reason="c: does not move")),
+        Outcome(failed=Rejection(key=key("d"), reason="d: no memory")),
+    ]
+
+
+def manifests() -> Iterable[bytes]:
+    from articugen.recipe import load_recipe
+    from articugen.store.manifest import Manifest, Timings
+
+    timings = Timings(seconds=1.0, instances_per_second=1.0, peak_memory_bytes=1, workers=1)
+    for outcomes in (_outcomes(), _outcomes()[:1]):
+        manifest = Manifest.of(
+            outcomes,
+            category="box",
+            source="tests",
+            licence="MIT",
+            recipe=load_recipe("quick", "laptop").text(),
+            seed=0,
+            timings=timings,
+            shortfall="d failed" if len(outcomes) > 1 else None,
+        )
+        yield manifest.model_dump_json().encode()
+
+
+def journals() -> Iterable[bytes]:
+    lines = [json.dumps({"claims": ["train-00000.h5"]})]
+    lines += [outcome.model_dump_json() for outcome in _outcomes()]
+    yield ("\n".join(lines) + "\n").encode()
+
+
+def checkpoint_data() -> dict[str, Any]:
+    """What a checkpoint holds, with a state of next to nothing."""
+    import torch
+
+    from articugen.learning.method import load_recipe
+
+    state = {"iteration": 2, "model": {"w": torch.ones(2, 3), "b": torch.zeros(3)}}
+    return {
+        "format": _checkpoint_format(),
+        "recipe": load_recipe("ppd_quick").plain(),
+        "category": "box",
+        "seed": 0,
+        "iteration": 2,
+        "best": 0.5,
+        "beside": "",
+        "state": state,
+    }
+
+
+def _checkpoint_format() -> str:
+    from articugen.learning.runs import FORMAT
+
+    return FORMAT
+
+
+def checkpoints() -> Iterable[bytes]:
+    """Archives without a seal, which `mending.checkpoint` gives them."""
+    import torch
+
+    buffer = io.BytesIO()
+    torch.save(checkpoint_data(), buffer)
+    yield buffer.getvalue()
+
+
+def pickles() -> Iterable[bytes]:
+    """What in such an archive says what the tensors are."""
+    for image in checkpoints():
+        with zipfile.ZipFile(io.BytesIO(image)) as archive:
+            yield next(archive.read(n) for n in archive.namelist() if n.endswith("data.pkl"))
+
+
+def weights() -> Iterable[bytes]:
+    from articugen.learning.method import load_recipe
+    from articugen.learning.runs import WEIGHTS_FORMAT
+
+    about = {
+        "category": "box",
+        "seed": 0,
+        "iteration": 2,
+        "recipe": load_recipe("ppd_quick").plain(),
+        "state": {"iteration": 2},
+    }
+    texts = {"format": WEIGHTS_FORMAT, **{name: json.dumps(v) for name, v in about.items()}}
+    tensor = {"dtype": "F32", "shape": [2, 3], "data_offsets": [0, 24]}
+    flag = {"dtype": "BOOL", "shape": [2], "data_offsets": [24, 26]}
+    for header in (
+        {"__metadata__": texts, "model.w": tensor, "model.b": flag},
+        {"a": tensor, "b": flag, "c": {"dtype": "I64", "shape": [0], "data_offsets": [26, 26]}},
+    ):
+        text = json.dumps(header).encode()
+        yield len(text).to_bytes(8, "little") + text + bytes(26)
+
+
+def runs() -> Iterable[bytes]:
+    about = {
+        "category": "box",
+        "seed": 0,
+        "recipe_sha256": _SHA256,
+        "data": {"folder": "d", "content_sha256": _SHA256},
+        "articugen": "0",
+        "commit": None,
+        "torch": "2",
+        "machine": {"system": "Linux", "cores": 2},
+    }
+    yield json.dumps(about).encode()
+
+
+def metrics() -> Iterable[bytes]:
+    lines = [
+        {"iteration": 1, "terms": {"loss": 0.5}, "learning_rate": 1e-3, "seconds": 0.1},
+        {"iteration": 2, "validation": {"loss": 0.5}, "stage": 1},
+    ]
+    yield "".join(json.dumps(line) + "\n" for line in lines).encode()
+
+
+def evaluations() -> Iterable[bytes]:
+    from articugen.learning.evaluation.results import RunEvaluation
+    from tests.test_report import result
+
+    del RunEvaluation
+    yield json.dumps(result().model_dump(mode="json")).encode()
+
+
+def clouds(kind: str) -> Iterable[bytes]:
+    points = np.random.default_rng(0).uniform(-0.4, 0.4, (70, 3)).astype(np.float32)
+    buffer = io.BytesIO()
+    if kind == "npy":
+        np.save(buffer, points)
+        yield buffer.getvalue()
+        yield _npy(points.astype(">f8").T)
+    elif kind == "npz":
+        np.savez(buffer, points=points)
+        yield buffer.getvalue()
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, points=points, other=points)
+        yield buffer.getvalue()
+    elif kind == "xyz":
+        yield b"# a cloud\n" + b"".join(b"%.3f %.3f %.3f 1\n" % tuple(p) for p in points.tolist())
+    else:
+        import trimesh
+
+        for cloud in (trimesh.PointCloud(points), trimesh.creation.box()):
+            yield cloud.export(file_type="ply")
+        head = "ply\nformat ascii 1.0\nelement vertex 70\n"
+        head += "".join(f"property float {axis}\n" for axis in "xyz") + "end_header\n"
+        yield head.encode() + b"".join(b"%.3f %.3f %.3f\n" % tuple(p) for p in points.tolist())
+
+
+def _npy(array: Any) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, array)
+    return buffer.getvalue()
+
+
+def _small_model() -> dict[str, bytes]:
+    files = model_files()
+    return {name: data for name, data in files.items() if not name.startswith("images/")}
+
+
+def zips() -> Iterable[bytes]:
+    yield zipped(_small_model(), "1234/")
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in _small_model().items():
+            archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
+        archive.mkdir("folder")
+    yield buffer.getvalue()
+
+
+def tars() -> Iterable[bytes]:
+    """Archives before they are compressed, which `mending.gzipped` does."""
+    for form in (tarfile.USTAR_FORMAT, tarfile.GNU_FORMAT, tarfile.PAX_FORMAT):
+        buffer = io.BytesIO()
+        with tarfile.open(fileobj=buffer, mode="w", format=form) as archive:
+            for name, data in _small_model().items():
+                long = form != tarfile.USTAR_FORMAT and name == "meta.json"
+                info = tarfile.TarInfo(f"1234/{'é' * 60 if long else name}")
+                info.size = len(data)
+                archive.addfile(info, io.BytesIO(data))
+            link = tarfile.TarInfo("1234/link")
+            link.type, link.linkname = tarfile.SYMTYPE, "../outside/secret.obj"
+            if form == tarfile.GNU_FORMAT:
+                archive.addfile(link)
+        yield buffer.getvalue()

@@ -1,0 +1,393 @@
+"""What is read of strangers: for each kind of file who reads it, what it may refuse it with, and
+inputs to begin with."""
+
+import os
+import shutil
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from articugen.errors import CorruptShard, InvalidCheckpoint, InvalidRecipe, InvalidSource
+from tests.fuzz import making, mending
+
+DATA = Path(__file__).resolve().parents[1] / "data" / "fuzz"
+"""A folder for each target that has inputs of its own: those to begin with, and what was found."""
+
+TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n"
+
+
+def _nothing(_folder: Path) -> None:
+    pass
+
+
+def _nothing_more() -> Iterable[bytes]:
+    return ()
+
+
+def _as_it_is(data: bytes) -> bytes:
+    return data
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A kind of file.
+
+    Attributes:
+        name: of the target.
+        file: the input's name in the model's folder.
+        read: reads it, all that is in it.
+        refusals: what it may raise.
+        around: puts beside it what it names.
+        made: inputs to begin with that are made, not kept: of formats of our own.
+        mended: an input with checksums and lengths set right, so that more than those is tried.
+        tokens: words of the format.
+        writes: whether it may write into the model's folder.
+        extra: the library that it needs, where that is an extra.
+    """
+
+    name: str
+    file: str
+    read: Callable[[Path], object]
+    refusals: tuple[type[Exception], ...]
+    around: Callable[[Path], None] = _nothing
+    made: Callable[[], Iterable[bytes]] = _nothing_more
+    mended: Callable[[bytes], bytes] = _as_it_is
+    tokens: Sequence[bytes] = ()
+    writes: bool = False
+    extra: str = ""
+
+    def seeds(self) -> list[bytes]:
+        """Inputs to begin with, in an order that is always the same."""
+        kept = sorted(p for p in (DATA / self.name).glob("*") if p.is_file())
+        return [*self.made(), *(path.read_bytes() for path in kept)]
+
+
+# --- models
+
+
+def _read_urdf(path: Path) -> object:
+    from articugen.sources.urdf import load_urdf
+
+    return load_urdf(path, object_id="1", category="c", missing_ok="gone*")
+
+
+def _read_mesh(path: Path) -> object:
+    from articugen.sources.meshes import read_mesh
+
+    return read_mesh(path)
+
+
+def _read_shape2motion(path: Path) -> object:
+    from articugen.sources.refs import CategorySettings, ObjectRef
+    from articugen.sources.shape2motion import load
+
+    ref = ObjectRef("shape2motion", "cabinet", "1", "train", path.parent)
+    return load(ref, CategorySettings())
+
+
+_BETWEEN = b"\n---\n"
+
+
+def _read_partnet(path: Path) -> object:
+    """The files beside a URDF, one input: what lies between lines of dashes is one of them each."""
+    from articugen.sources.folders import meta_category
+    from articugen.sources.partnet_mobility import load
+    from articugen.sources.refs import CategorySettings, ObjectRef
+
+    pieces = path.read_bytes().split(_BETWEEN, 2)
+    for name, piece in zip(_BESIDE, [*pieces, b"", b""], strict=False):
+        (path.parent / name).write_bytes(piece)
+    meta_category(path.parent)
+    ref = ObjectRef("partnet_mobility", "cabinet", "1", "train", path.parent)
+    return load(ref, CategorySettings(model_cat=("Storage",)))
+
+
+_BESIDE = ("mobility_v2.json", "semantics.txt", "meta.json")
+
+
+def _read_usd(path: Path) -> object:
+    """In this process: in one of its own, where it belongs, a crash is a sentence."""
+    from articugen.sources.usd.model import read_model
+
+    return read_model(path, path.parent)
+
+
+def _meshes_around(folder: Path) -> None:
+    (folder / "t.obj").write_text(TRIANGLE)
+    (folder / "empty.obj").write_text("v 0 0 0\n")
+    parts = folder / "part_objs"
+    parts.mkdir(exist_ok=True)
+    for name in ("none_motion", "door", "knob", "drawer"):
+        (parts / f"{name}.obj").write_text(TRIANGLE)
+
+
+def _partnet_around(folder: Path) -> None:
+    _meshes_around(folder)
+    shutil.copy(DATA / "urdf" / "partnet.urdf", folder / "mobility.urdf")
+    for name in _BESIDE:
+        (folder / name).write_bytes(b"")
+
+
+# --- settings
+
+
+def _read_recipe(path: Path) -> object:
+    from articugen.recipe import load_recipe
+
+    recipe = load_recipe(path, "laptop")
+    return recipe.text(), recipe.sha256(), recipe.instance_bytes()
+
+
+def _read_training_recipe(path: Path) -> object:
+    from articugen.learning.method import load_recipe
+
+    recipe = load_recipe(path)
+    return recipe.text(), recipe.sha256()
+
+
+def _read_source_file(path: Path) -> object:
+    from articugen.sources.source_file import read_source_file
+
+    return read_source_file(path).maker
+
+
+# --- data sets
+
+
+def _read_shard(path: Path) -> object:
+    from articugen.store.shards import open_shard
+
+    with open_shard(path) as shard:
+        shard.content()
+        handle = os.open(path, os.O_RDONLY)
+        try:
+            for name in shard.fields:
+                stored = shard.stored(name)
+                shard.read(name)
+                try:
+                    stored.row(handle, 0)
+                except (OSError, ValueError):  # as it is documented
+                    continue
+        finally:
+            os.close(handle)
+        try:
+            return [shard.instance(i) for i in range(len(shard))]
+        except ValueError:  # a record's, which verify makes a finding of
+            return None
+
+
+def _read_manifest(path: Path) -> object:
+    from articugen.store.manifest import Manifest
+
+    return Manifest.read(path.parent).outcomes
+
+
+def _read_journal(path: Path) -> object:
+    from articugen.store.journal import Journal
+
+    with Journal(path.parent) as journal:
+        return journal
+
+
+# --- learning
+
+
+def _read_checkpoint(path: Path) -> object:
+    from articugen.learning.runs import read_checkpoint
+
+    return read_checkpoint(path)
+
+
+def _read_weights(path: Path) -> object:
+    from articugen.learning.runs import read_run
+    from articugen.learning.safetensors import read_safetensors
+
+    read_safetensors(path)
+    return read_run(path.parent)
+
+
+def _read_run_json(path: Path) -> object:
+    from articugen.learning.runs import RunFolder
+
+    return RunFolder(path.parent).about()
+
+
+def _read_metrics(path: Path) -> object:
+    from articugen.learning.runs import RunFolder
+
+    return RunFolder(path.parent).metrics()
+
+
+def _read_evaluation(path: Path) -> object:
+    from articugen.learning.evaluation.results import read_evaluation
+
+    return read_evaluation(path.parents[1])
+
+
+def _read_cloud(path: Path) -> object:
+    from articugen.found_joints import discover
+    from articugen.learning.clouds import cloud_of_file, numbers_of_file
+
+    del discover
+    numbers_of_file(path)
+    return cloud_of_file(path, fit=True)
+
+
+# --- what fetch unpacks
+
+
+def _into(folder: Path) -> None:
+    (folder / "into").mkdir()
+
+
+def _unpack(path: Path) -> object:
+    from articugen.fetching.models import unpack
+
+    return unpack(path, path.parent / "into", lambda _: True, lambda _model, _folder: None)
+
+
+_IN_XML = (
+    *(b"<link", b"<joint", b"</link>", b"<visual>", b"<geometry>", b"<mesh", b' filename="'),
+    *(b'type="', b' name="', b"<origin", b' rpy="', b' xyz="', b"<axis", b"<limit", b"<mimic"),
+    *(b"<!DOCTYPE r [<!ENTITY e SYSTEM 'file:///@OUTSIDE@/secret.xml'>]>", b"&e;", b"<![CDATA["),
+    *(b"@OUTSIDE@/secret.obj", b"../outside/secret.obj", b"package://model/t.obj", b"file://"),
+    *(b"package://outside/secret.obj", b"<?xml version='1.0' encoding='utf-16'?>", b"xmlns="),
+    *(b"package://../secret.obj", b"http://127.0.0.1/x.obj", b"gone.obj", b"empty.obj", b"t.obj"),
+)
+_IN_OBJ = (b"\nv ", b"\nf ", b"/", b"//", b"-1", b"\\\n", b"\r", b"#", b" 1 2 3", b"\nf 1 1 1\n")
+_IN_STL = (b"solid", b"facet normal", b"outer loop", b"vertex ", b"endfacet", b"endloop")
+_IN_PLY = (
+    *(b"ply\n", b"format ascii 1.0\n", b"format binary_little_endian 1.0\n", b"end_header\n"),
+    *(b"format binary_big_endian 1.0\n", b"element vertex 3\n", b"element face 1\n"),
+    *(b"property list uchar int vertex_indices\n", b"property float x\n", b"property double y\n"),
+    *(b"property list uint double z\n", b"comment TextureFile ../outside/secret.bin\n"),
+    *(b"element edge 2\n", b"property int8 q\n", b"property list float float vertex_index\n"),
+)
+_IN_DAE = (
+    *(b"<node", b"</node>", b"<instance_node", b' url="#', b"<instance_geometry", b"<matrix>"),
+    *(b"<triangles", b"<polylist", b"<polygons", b"<tristrips", b"<vcount>", b"<p>", b"<input"),
+    *(b"<float_array", b' count="', b' offset="', b' stride="', b"<accessor", b' source="#'),
+    *(b"<unit meter='0.01'/>", b"<instance_controller", b"<scale>", b"<rotate>", b"<skew>"),
+    *(b"<init_from>../outside/secret.bin</init_from>", b"<library_images>", b"<lookat>"),
+)
+_IN_GLTF = (
+    *(b'"uri":', b'"../outside/secret.bin"', b'"@OUTSIDE@/secret.bin"', b'"data:,', b"base64,"),
+    *(b'"count":', b'"byteOffset":', b'"byteLength":', b'"componentType":', b'"sparse":'),
+    *(b'"children":', b'"mode":', b'"matrix":', b'"rotation":', b'"scale":', b'"extensions":'),
+    *(b'"KHR_draco_mesh_compression"', b'"images":', b'"textures":', b'"type":', b'"normalized"'),
+)
+_IN_YAML = (
+    *(b": ", b"\n", b"  ", b"- ", b"[", b"]", b"{", b"}", b"&a ", b"*a", b"<<: ", b"!!int ", b"|"),
+    *(b"!!python/object/apply:os.system ", b"!!binary ", b"!!timestamp ", b"!!set ", b"? "),
+    *(b"extends: category", b"extends: quick", b"extends: @OUTSIDE@/secret.obj", b"2001-01-01"),
+    *(b"null", b"yes", b".inf", b".nan", b"0o17", b"1:30", b"'", b'"', b"%YAML 9.9\n---\n", b"..."),
+)
+_IN_JSON = (b"null", b"true", b"[]", b"{}", b'""', b"1e999", b"NaN", b"-1", b'"../x"', b'"\\ud800"')
+_IN_USDA = (
+    *(b"#usda 1.0\n", b'def Xform "x"', b'def Mesh "m"', b"references = @", b"payload = @"),
+    *(b"subLayers = [", b"@../outside/secret.bin@", b"@@@", b"</root>", b"over ", b"class "),
+    *(b"rel physics:body0 = ", b"PhysicsRevoluteJoint", b"variantSet", b"inherits = ", b"clips"),
+)
+
+
+def _mesh(kind: str, tokens: Sequence[bytes], mended=_as_it_is, made=_nothing_more) -> Target:
+    return Target(
+        kind, f"m.{kind}", _read_mesh, (InvalidSource,), tokens=tokens, mended=mended, made=made
+    )
+
+
+def _cloud(kind: str, tokens: Sequence[bytes] = (), mended=_as_it_is) -> Target:
+    return Target(
+        f"cloud_{kind}",
+        f"cloud.{kind}",
+        _read_cloud,
+        (InvalidSource,),
+        tokens=tokens,
+        made=lambda: making.clouds(kind),
+        mended=mended,
+    )
+
+
+def _of_a_run(name: str, file: str, read: Callable[[Path], object], **more) -> Target:
+    return Target(name, file, read, (InvalidCheckpoint,), extra="torch", **more)
+
+
+TARGETS = {
+    target.name: target
+    for target in (
+        Target("urdf", "model.urdf", _read_urdf, (InvalidSource,), _meshes_around, tokens=_IN_XML),
+        _mesh("obj", _IN_OBJ, made=making.objs),
+        _mesh("stl", _IN_STL, mending.stl),
+        _mesh("ply", _IN_PLY),
+        _mesh("dae", _IN_DAE),
+        _mesh("glb", _IN_GLTF, mending.glb),
+        _mesh("gltf", _IN_GLTF),
+        Target(
+            "shape2motion", "motion_attributes.json", _read_shape2motion, (InvalidSource,),
+            _meshes_around, tokens=_IN_JSON,
+        ),
+        Target(
+            "partnet", "beside.txt", _read_partnet, (InvalidSource,), _partnet_around,
+            tokens=(*_IN_JSON, _BETWEEN),
+        ),
+        Target(
+            "usd", "model.usda", _read_usd, (InvalidSource,), tokens=_IN_USDA, extra="pxr"
+        ),
+        Target(
+            "recipe", "own.yaml", _read_recipe, (InvalidRecipe,), made=making.recipes,
+            tokens=_IN_YAML,
+        ),
+        Target(
+            "training", "own.yaml", _read_training_recipe, (InvalidRecipe,),
+            made=making.training_recipes, tokens=_IN_YAML,
+        ),
+        Target(
+            "source", "source.yaml", _read_source_file, (InvalidSource,), made=making.source_files,
+            tokens=_IN_YAML,
+        ),
+        Target(
+            "shard", "train-00000.h5", _read_shard, (CorruptShard,), made=making.shards,
+            mended=mending.shard,
+        ),
+        Target(
+            "shard_1", "train-00000.h5", _read_shard, (CorruptShard,), made=making.old_shards,
+        ),
+        Target(
+            "manifest", "manifest.json", _read_manifest, (CorruptShard,), made=making.manifests,
+            mended=mending.manifest, tokens=_IN_JSON,
+        ),
+        Target(
+            "journal", ".articugen-journal.jsonl", _read_journal, (CorruptShard,), made=making.journals,
+            tokens=_IN_JSON,
+        ),
+        _of_a_run(
+            "checkpoint", "latest.pt", _read_checkpoint, made=making.checkpoints,
+            mended=mending.checkpoint,
+        ),
+        _of_a_run(
+            "pickle", "latest.pt", _read_checkpoint, made=making.pickles, mended=mending.pickle,
+        ),
+        _of_a_run(
+            "weights", "weights.safetensors", _read_weights, made=making.weights,
+            mended=mending.safetensors, tokens=_IN_JSON,
+        ),
+        _of_a_run("run", "run.json", _read_run_json, made=making.runs, tokens=_IN_JSON),
+        _of_a_run("metrics", "metrics.jsonl", _read_metrics, made=making.metrics, tokens=_IN_JSON),
+        Target(
+            "evaluation", "evaluation/evaluation.json", _read_evaluation, (InvalidCheckpoint,),
+            lambda folder: (folder / "evaluation").mkdir(exist_ok=True),
+            made=making.evaluations, tokens=_IN_JSON,
+        ),
+        _cloud("ply", _IN_PLY),
+        _cloud("npy"),
+        _cloud("npz"),
+        _cloud("xyz"),
+        Target(
+            "zip", "a.zip", _unpack, (InvalidSource,), _into, made=making.zips, writes=True,
+        ),
+        Target(
+            "tar", "a.tar.gz", _unpack, (InvalidSource,), _into, made=making.tars, mended=mending.gzipped,
+            writes=True,
+        ),
+    )
+}  # fmt: skip
