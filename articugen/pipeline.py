@@ -172,10 +172,23 @@ def generate(
 @contextmanager
 def started(job: Job) -> Iterator["Run"]:
     """A run that has its folder to itself and a plan, and has made nothing yet."""
-    clips = registry.clips_to_limits(job.source)
-    job = replace(job, recipe=job.recipe.for_source(clips_to_limits=clips))
+    job = as_its_source_is(job)
     with Journal(job.out) as journal:
-        yield Run(job, journal, _plan(job, journal))
+        yield Run(job, journal, plan_for(job, journal, objects_of(job)))
+
+
+def as_its_source_is(job: Job) -> Job:
+    """The job with what its source says of all its models in the recipe."""
+    clips = registry.clips_to_limits(job.source)
+    return replace(job, recipe=job.recipe.for_source(clips_to_limits=clips))
+
+
+def objects_of(job: Job) -> tuple[ObjectRef, ...]:
+    """All objects of the data set, in the order that gives shards their names."""
+    return registry.object_refs(
+        job.source, job.category, objects=job.recipe.objects, ids=job.ids, exclude=job.exclude,
+        joints=job.joints,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -194,34 +207,34 @@ class Run:
     ) -> Manifest:
         """Make what is missing; see `generate`, but a `shortfall` is not raised."""
         began = time.perf_counter()
-        outcomes, instances = list(self.plan.done), 0
-        for outcome in outcomes:
-            on_object(_report(outcome, reused=True))
         if not self.plan.tasks and self.journal.is_complete(self.plan.keys):
             manifest = Manifest.read(self.job.out)
-            if manifest.shortfall == _shortfall(outcomes, self.job.recipe):
+            if manifest.shortfall == _shortfall(self.plan.done, self.job.recipe):
+                for outcome in self.plan.done:
+                    on_object(_report(outcome, reused=True))
                 return manifest
         licence = registry.licence(self.job.source)  # while the source is there
+        outcomes = self.make(on_object, on_notice)
+        made = [outcome.made for outcome in outcomes[len(self.plan.done) :] if outcome.made]
+        instances = sum(entry.instances for entry in made)
+        timings = timings_of(instances, time.perf_counter() - began, self.job.jobs)
+        return conclude(self.job, self.journal, outcomes, timings, licence)
+
+    def make(
+        self, on_object: Callable[[ObjectReport], None], on_notice: Callable[[str], None]
+    ) -> list[Outcome]:
+        """What became of all objects of the plan: of those that are there, then of the others,
+        which are made and recorded."""
+        outcomes = list(self.plan.done)
+        for outcome in outcomes:
+            on_object(_report(outcome, reused=True))
         self.journal.claim(task.shard for task in self.plan.tasks)
         with closing(self.made(on_notice)) as made:
             for outcome in made:
                 self.journal.record(outcome)
                 outcomes.append(outcome)
-                instances += outcome.made.instances if outcome.made else 0
                 on_object(_report(outcome, reused=False))
-        manifest = Manifest.of(
-            outcomes,
-            category=self.job.category,
-            source=self.job.source,
-            licence=licence,
-            recipe=self.job.recipe.text(),
-            seed=self.job.seed,
-            timings=_timings(instances, time.perf_counter() - began, self.job.jobs),
-            shortfall=_shortfall(outcomes, self.job.recipe),
-        )
-        write_atomically(self.job.out / croissant.NAME, croissant.of_data_set(manifest))
-        self.journal.finish(manifest)
-        return manifest
+        return outcomes
 
     def made(self, on_notice: Callable[[str], None]) -> Generator[Outcome, None, None]:
         """The outcome of each task, as they finish."""
@@ -248,6 +261,25 @@ class Run:
             raise MachineFault(
                 f"{error}; finished objects are kept, the same command goes on after them"
             ) from error
+
+
+def conclude(
+    job: Job, journal: Journal, outcomes: Sequence[Outcome], timings: Timings, licence: str
+) -> Manifest:
+    """Write the manifest, and what lies beside it, of a data set of which these are all objects."""
+    manifest = Manifest.of(
+        outcomes,
+        category=job.category,
+        source=job.source,
+        licence=licence,
+        recipe=job.recipe.text(),
+        seed=job.seed,
+        timings=timings,
+        shortfall=_shortfall(outcomes, job.recipe),
+    )
+    write_atomically(job.out / croissant.NAME, croissant.of_data_set(manifest))
+    journal.finish(manifest)
+    return manifest
 
 
 def make_object(job: Job, task: Task, check: Check | None = None) -> Outcome:
@@ -397,14 +429,11 @@ def _instances_each(recipe: Recipe) -> int:
     return recipe.articulation.states + 1
 
 
-def _plan(job: Job, journal: Journal) -> Plan:
-    refs = registry.object_refs(
-        job.source, job.category, objects=job.recipe.objects, ids=job.ids, exclude=job.exclude,
-        joints=job.joints,
-    )  # fmt: skip
+def plan_for(job: Job, journal: Journal, refs: Sequence[ObjectRef]) -> Plan:
+    """What is to be done for these objects of a job, by what its folder holds already."""
     limit = _limit(job.recipe)
     keys, known = [], dict[Key, Outcome]()
-    generator = generator_of(refs[0])
+    generator = generator_of(refs[0]) if refs else ""
     for ref, read in zip(refs, _read(job, refs, limit), strict=True):
         key = _key(job, ref, read.value or "unreadable", generator)
         keys.append(key)
@@ -445,7 +474,7 @@ def _may_do_with_more(outcome: Outcome, limit: workers.Limit) -> bool:
 def _key(job: Job, ref: ObjectRef, read_from: str, generator: str) -> Key:
     return Key(
         split=ref.split,
-        object_id=_plain_name(ref.object_id),
+        object_id=plain_name(ref.object_id),
         ref=read_from,
         recipe_sha256=job.recipe.for_one_object().sha256(),
         seed=job.seed,
@@ -453,7 +482,7 @@ def _key(job: Job, ref: ObjectRef, read_from: str, generator: str) -> Key:
     )
 
 
-def _plain_name(object_id: str) -> str:
+def plain_name(object_id: str) -> str:
     """The name that stands for an object whose own no file could hold, unlike any other's."""
     plain = printable(object_id)
     if plain == object_id:
@@ -474,7 +503,7 @@ def _read(
         workers=job.jobs,
         limit=limit,
         ready=_import_readers,
-        name=lambda ref: _plain_name(ref.object_id),
+        name=lambda ref: plain_name(ref.object_id),
     )
     return sorted(read, key=lambda ended: ended.number)
 
@@ -527,7 +556,7 @@ def _report(outcome: Outcome, *, reused: bool) -> ObjectReport:
     )
 
 
-def _shortfall(outcomes: list[Outcome], recipe: Recipe) -> str | None:
+def _shortfall(outcomes: Sequence[Outcome], recipe: Recipe) -> str | None:
     """One sentence on why the set is not what its recipe asks for, or None."""
     made, rejected, skipped, failed = (
         sum(getattr(outcome, kind) is not None for outcome in outcomes)
@@ -549,7 +578,8 @@ def _shortfall(outcomes: list[Outcome], recipe: Recipe) -> str | None:
     return "; ".join(sentences) or None
 
 
-def _timings(instances: int, seconds: float, jobs: int) -> Timings:
+def timings_of(instances: int, seconds: float, jobs: int) -> Timings:
+    """Of a run by this process and its workers, which ends now."""
     unit = 1 if sys.platform == "darwin" else 1024
     peak = max(
         resource.getrusage(who).ru_maxrss

@@ -79,6 +79,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "pipeline": VOCABULARY
     | {"store", "sources", "articulation", "resolving", "instance", "workers", "estimate"}
     | {"compiling"},
+    # beyond one machine
+    "ranks": VOCABULARY | {"pipeline", "sources", "store"},
     # the store, which knows no stage
     "store": set(),
     "store.files": {"errors"},
@@ -92,6 +94,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "store.manifest": {"errors", "store.files", "store.schema", "store.shards"},
     "store.journal": {"errors", "store.files", "store.manifest", "store.shards"},
     "store.cleaning": {"store.journal"},
+    "store.rank_journal": {"errors", "store.files", "store.journal", "store.manifest"},
     # what reads it
     "verify": {"verify.check"},
     "verify.bounds": set(),
@@ -149,6 +152,7 @@ MAY_IMPORT: dict[str, set[str]] = {
         "store",
         "sources",
         "pipeline",
+        "ranks",
         "verify",
         "inspection",
         "report",
@@ -179,6 +183,7 @@ FOREIGN: dict[str, set[str]] = {
         "cli.fetch",
         "cli.learn",
         "cli.saying",
+        "cli.shares",
         "cli.view",
     },
     "rich": {

@@ -16,7 +16,7 @@ from rich.text import Text
 from articugen.inspection.tables import duration, facts, size
 from articugen.pipeline import Job, ObjectReport, Plan
 from articugen.sources.registry import SourceInfo
-from articugen.store.manifest import MANIFEST_NAME, Manifest
+from articugen.store.manifest import MANIFEST_NAME, Manifest, Outcome
 
 
 def sources_table(sources: Iterable[SourceInfo]) -> RenderableType:
@@ -88,6 +88,22 @@ def made_table(manifest: Manifest, folder: Path) -> RenderableType:
     table.add_row("content", manifest.content_sha256)
     _add_left_out(table, manifest)
     return Group(_title(manifest.category, folder), table)
+
+
+def share_table(outcomes: Iterable[Outcome]) -> RenderableType:
+    """What a rank leaves: how much of its share is made, and what is not and why."""
+    outcomes = tuple(outcomes)
+    shards = [outcome.shard for outcome in outcomes if outcome.shard]
+    table = facts()
+    table.add_row("objects", f"{len(shards)} made")
+    table.add_row("instances", f"{sum(shard.instances for shard in shards):,}")
+    table.add_row("size", size(sum(shard.bytes for shard in shards)))
+    for outcome in outcomes:
+        unmade = outcome.failed or outcome.rejected
+        if unmade:
+            word = "failed" if outcome.failed else "rejected"
+            table.add_row(f"[yellow]{word}[/]", f"[yellow]{escape(unmade.sentence)}[/]")
+    return table
 
 
 def left_out(folder: Path) -> RenderableType:

@@ -10,6 +10,7 @@ that were rejected (within the recipe's limit); 130 interrupted; 143 ended by SI
 import os
 import signal
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -27,6 +28,7 @@ from articugen.cli.learn import register as register_learning
 from articugen.cli.listed import listed
 from articugen.cli.saying import (
     FAILED,
+    KEPT,
     REJECTED,
     STOPPED,
     Stopped,
@@ -35,6 +37,8 @@ from articugen.cli.saying import (
     stderr,
     stdout,
 )
+from articugen.cli.shares import made_share, share_of
+from articugen.cli.shares import register as register_merge
 from articugen.cli.view import register as register_view
 from articugen.errors import ArticugenError
 
@@ -130,7 +134,12 @@ def sources() -> None:
     "articugen generate -c storage_furniture -s partnet_mobility --movable 'drawer*'\n\n"
     "articugen generate -c table -s path/to/partnet_mobility --joints prismatic\n\n"
     "articugen generate -c oven -r quick --set views.count=50 --set 'sampling.grids=[16, 32]'\n\n"
-    "articugen generate --category cabinet --source path/to/urdfs --dry-run",
+    "articugen generate --category cabinet --source path/to/urdfs --dry-run\n\n"
+    "On many machines that share a folder, the same line on each, here as a SLURM array "
+    "(docs/scale.md has Kubernetes, HTCondor and GNU parallel):\n\n"
+    "sbatch --array=0-99 --cpus-per-task=4 --wrap 'articugen generate -c laptop -o /shared/data "
+    "--shard $SLURM_ARRAY_TASK_ID/100'\n\n"
+    "articugen merge /shared/data/laptop",
 )
 def generate(
     category: Annotated[
@@ -228,9 +237,19 @@ def generate(
     replace: Annotated[
         bool, typer.Option("--replace", help="Replace data that was made in another way.")
     ] = False,
+    shard: Annotated[
+        str | None,
+        typer.Option(
+            metavar="I/N",
+            help="Make only every N-th object, from the I-th on, counted from 0: one of N "
+            "processes that fill one folder, on any machines. N may change between runs; when all "
+            "have ended, `articugen merge` writes the manifest.",
+            show_default="all objects",
+        ),
+    ] = None,
 ) -> None:
     """Make a data set, or what is missing of it: run it again to resume."""
-    with said(_KEPT):
+    with said(KEPT):
         from articugen.api import jobs_of
 
         todo = jobs_of(
@@ -239,18 +258,17 @@ def generate(
             exclude=listed(exclude), joints=listed(joints), states=states,
             movable=listed(movable), canonical=canonical, max_rejected=max_rejected, jobs=jobs,
         )  # fmt: skip
-    make = _made if len(todo) == 1 else _made_each
-    status = make(*todo, dry_run=dry_run, replace=replace)
+        share = share_of(shard, replace=replace)
+    one = partial(made_share, share=share) if share else partial(_made, replace=replace)
+    make = one if len(todo) == 1 else partial(_made_each, one)
+    status = make(*todo, dry_run=dry_run)
     if status:
         raise typer.Exit(status)
 
 
-_KEPT = "finished work is kept; run the same command to resume"
-
-
 def _made(job: "Job", *, dry_run: bool, replace: bool) -> int:
     """Make one data set and tell of it; the exit status."""
-    with said(_KEPT):
+    with said(KEPT):
         from articugen import pipeline
         from articugen.cli import console
 
@@ -273,12 +291,12 @@ def _made(job: "Job", *, dry_run: bool, replace: bool) -> int:
     return REJECTED if manifest.rejected else 0
 
 
-def _made_each(*todo: "Job", dry_run: bool, replace: bool) -> int:
+def _made_each(one: Callable[..., int], *todo: "Job", dry_run: bool) -> int:
     """Make several data sets: one that fails does not stop the others; the worst exit status."""
     ended: dict[str, int] = {}
     for job in todo:
         try:
-            ended[job.category] = _made(job, dry_run=dry_run, replace=replace)
+            ended[job.category] = one(job, dry_run=dry_run)
         except typer.Exit as left:
             if left.exit_code in STOPPED.values():
                 raise
@@ -460,6 +478,7 @@ def mesh(
         stdout.print(f"{output}: {faces:,} faces, unit frame", soft_wrap=True)
 
 
+register_merge(app)
 register_fetch(app)
 register_view(app)
 register_export(app)

@@ -13,6 +13,7 @@ from articugen.errors import ArticugenError, printable
 FAILED, REJECTED = 1, 3
 STOPPED = {signal.SIGINT: 130, signal.SIGTERM: 143}
 """The exit status after each signal that stops the work in good order."""
+KEPT = "finished work is kept; run the same command to resume"
 
 stdout = Console(highlight=False)
 stderr = Console(stderr=True, highlight=False)

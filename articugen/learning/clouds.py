@@ -202,7 +202,10 @@ def _ply(data: bytes) -> Any:
 def _npy(data: bytes) -> Any:
     """numpy makes room for what a header claims before it looks whether that is there."""
     file = io.BytesIO(data)
-    read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    read = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }
     shape, _, dtype = read[np.lib.format.read_magic(file)](file)
     if dtype.kind not in "biuf":
         raise ValueError("holds no numbers")

@@ -1,15 +1,17 @@
 """The journal: how a run goes on where an earlier one stopped, and what it may replace.
 
 While a run is under way its folder has a journal in place of the manifest: one line for each
-finished object, on the disk as soon as its shard is.
+finished object, on the disk as soon as its shard is. Ranks, which make a data set together, have a
+journal each: see rank_journal.py.
 """
 
 import fcntl
 import json
 import os
+import re
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -39,6 +41,12 @@ from articugen.store.manifest import (
 from articugen.store.shards import content_sha256, open_shard
 
 JOURNAL_NAME = ".articugen-journal.jsonl"
+COMMON_PLAN = ".articugen-plan.json"
+"""What ranks agree on."""
+
+_OF_A_RANK = re.compile(r"\.articugen-journal\.(\d{1,7})-of-(\d{1,7})\.[0-9a-f]{8}\.jsonl")
+
+NEVER_MADE = "it has not been made yet"
 
 DYING_SECONDS = 1.0
 """The workers of a killed run hold its lock for so long at most: see `workers.die_with`."""
@@ -54,7 +62,11 @@ class Journal:
 
     Use it as `with Journal(folder) as journal:`. The journal's first line that claims a file name
     is on the disk before the file is, so that a run that was killed recognises its own files.
+
+    Journals that ranks have left are read like its own, and replaced by it.
     """
+
+    _LOCK = fcntl.LOCK_EX
 
     def __init__(self, folder: Path) -> None:
         """Read what `folder` holds, and keep other runs out of it. Nothing is written yet.
@@ -70,6 +82,7 @@ class Journal:
         self._outcomes: dict[tuple[str, str], Outcome] = {}
         self._ours: set[str] = set()
         self._manifest: Manifest | None = None
+        self._of_ranks: list[str] = []
         self._claimed = False
         self._lock: int | None = None
         if folder.exists():
@@ -106,7 +119,7 @@ class Journal:
         """Why the object must be made (again); None where what is on the disk will do."""
         outcome = self._outcomes.get((key.split, key.object_id))
         if outcome is None:
-            return "it has not been made yet"
+            return NEVER_MADE
         if outcome.fault is not None:
             return f"it failed ({outcome.fault.reason})"
         difference = key.difference(outcome.key)
@@ -124,7 +137,7 @@ class Journal:
 
     def is_complete(self, keys: Sequence[Key]) -> bool:
         """Whether a run for `keys` has nothing to do: all made, and the manifest says just that."""
-        if self._manifest is None or os.path.lexists(self._path):
+        if self._manifest is None or self._of_ranks or os.path.lexists(self._path):
             return False
         return set(self._manifest.keys) == set(keys) and all(self.why(key) is None for key in keys)
 
@@ -180,6 +193,19 @@ class Journal:
             ArticugenError: a file of that name is there and not ours.
             MachineFault: the folder cannot be written.
         """
+        names = self._free(names)
+        self._ours.update(names)
+        self._manifest = None
+        lines: list[dict[str, Any]] = [Claims(claims=tuple(sorted(self._ours))).model_dump()]
+        lines += [outcome.model_dump(mode="json") for outcome in self._outcomes.values()]
+        text = "".join(json.dumps(line) + "\n" for line in lines)
+        write_atomically(self._path, text.encode())
+        self.remove([MANIFEST_NAME, *self._of_ranks, *self._temporary()])
+        self._of_ranks = []
+        self._claimed = True
+
+    def _free(self, names: Iterable[str]) -> list[str]:
+        """These names, once the folder is there and nothing of another's is called so."""
         names = sorted(set(names))
         if self._lock is None:
             self._take_lock()
@@ -189,14 +215,7 @@ class Journal:
                 f"{self.folder / foreign[0]}: exists and was not made by an earlier run here; "
                 "move it away or choose another output folder"
             )
-        self._ours.update(names)
-        self._manifest = None
-        lines: list[dict[str, Any]] = [Claims(claims=tuple(sorted(self._ours))).model_dump()]
-        lines += [outcome.model_dump(mode="json") for outcome in self._outcomes.values()]
-        text = "".join(json.dumps(line) + "\n" for line in lines)
-        write_atomically(self._path, text.encode())
-        self.remove([MANIFEST_NAME, *self._temporary()])
-        self._claimed = True
+        return names
 
     def record(self, outcome: Outcome) -> None:
         """Add a finished object: on the disk when this returns. Its shard must be in place."""
@@ -214,10 +233,11 @@ class Journal:
             raise MachineFault(cannot_write(self._path, error, len(line))) from None
 
     def finish(self, manifest: Manifest) -> None:
-        """Write the manifest, then remove the journal and those of our shards it does not name."""
+        """Write the manifest, then remove journals and those of our shards it does not name."""
         manifest.write(self.folder)
         self._manifest = manifest
-        self.remove(self.leftovers())
+        self.remove([*self.leftovers(), *self._of_ranks])
+        self._of_ranks = []
         self._claimed = False
 
     def leftovers(self) -> dict[str, str]:
@@ -226,14 +246,20 @@ class Journal:
         No worker may be at work. Shards that are recorded, and the journal of a run that can go on,
         are none.
         """
+        told = self._manifest and not self._goes_beyond(self._manifest)
         entries = [o.shard for o in self._outcomes.values() if o.shard]
-        kept = {shard.name for shard in (self._manifest.shards if self._manifest else entries)}
+        kept = {shard.name for shard in (self._manifest.shards if told else entries)}
         orphans = [name for name in sorted(self._ours - kept) if self._is_file(name)]
         found = dict.fromkeys(self._temporary(), "a temporary file")
         found |= dict.fromkeys(orphans, "a shard that is not recorded")
-        if self._manifest and self._is_file(JOURNAL_NAME):
-            found[JOURNAL_NAME] = "the manifest says it all"
+        if told:
+            journals = [n for n in (JOURNAL_NAME, *self._of_ranks) if self._is_file(n)]
+            found |= dict.fromkeys(journals, "the manifest says it all")
         return found
+
+    def _goes_beyond(self, manifest: Manifest) -> bool:
+        """Whether ranks have recorded what the manifest does not tell of: it awaits a merge."""
+        return bool(self._of_ranks) and not set(self._outcomes.values()) <= set(manifest.outcomes)
 
     def remove(self, names: Iterable[str]) -> None:
         """Remove files of this folder, in this order; what is not there is no fault."""
@@ -245,11 +271,13 @@ class Journal:
             raise MachineFault(cannot_write(self.folder, error)) from None
 
     def _temporary(self) -> list[str]:
+        return [name for name in self._names() if is_temporary(name) and self._is_file(name)]
+
+    def _names(self) -> list[str]:
         try:
-            names = sorted(os.listdir(self.folder))
+            return sorted(os.listdir(self.folder))
         except OSError as error:
             raise MachineFault(f"{self.folder}: cannot be read ({error.strerror})") from None
-        return [name for name in names if is_temporary(name) and self._is_file(name)]
 
     def _is_file(self, name: str) -> bool:
         """Whether it is there, and no folder."""
@@ -259,7 +287,7 @@ class Journal:
     def _take_lock(self) -> None:
         try:
             make_folder(self.folder)
-            self._lock = lock_folder(self.folder)
+            self._lock = lock_folder(self.folder, self._LOCK)
         except OSError as error:
             raise MachineFault(cannot_write(self.folder, error)) from None
 
@@ -273,29 +301,54 @@ class Journal:
             self._ours.update(shard.name for shard in manifest.shards)
             self._take(manifest.outcomes)
             self._manifest = manifest
-        if os.path.lexists(self._path):
-            self._load_journal()
+        journal = self.folder / JOURNAL_NAME
+        if os.path.lexists(journal):
+            self._take(self._lines(journal))
+        self._of_ranks = self._journals_of_ranks()
+        for name in self._of_ranks:
+            if name != COMMON_PLAN:
+                self._add(self._lines(self.folder / name))
 
-    def _load_journal(self) -> None:
+    def _journals_of_ranks(self) -> list[str]:
+        """The names of those in this folder that are to be read, and of what they agreed on."""
+        names = self._names()
+        journals = [name for name in names if is_journal(name) and name != JOURNAL_NAME]
+        return journals + [name for name in names if name == COMMON_PLAN]
+
+    def _lines(self, path: Path) -> Iterator[Outcome]:
+        """What a journal records; the names that it claims become ours."""
         cure = "delete that file and the shards beside it to start afresh"
         try:
-            lines = read_regular(self._path, MOST_BYTES, follow=False).split(b"\n")
+            lines = read_regular(path, MOST_BYTES, follow=False).split(b"\n")
         except UnfitFile as error:
-            raise CorruptShard(f"{self._path}: {error.strerror}; {cure}") from None
+            raise CorruptShard(f"{path}: {error.strerror}; {cure}") from None
         except OSError as error:
-            raise MachineFault(f"{self._path}: cannot be read ({error.strerror})") from None
+            raise MachineFault(f"{path}: cannot be read ({error.strerror})") from None
         for number, line in enumerate(lines[:-1], start=1):  # what follows the last \n is torn
             try:
                 if number == 1:
                     self._ours.update(Claims.model_validate_json(line).claims)
                 else:
-                    self._take([Outcome.model_validate_json(line)])
+                    yield Outcome.model_validate_json(line)
             except ValidationError:
-                raise CorruptShard(f"{self._path}: line {number} is damaged; {cure}") from None
+                raise CorruptShard(f"{path}: line {number} is damaged; {cure}") from None
 
     def _take(self, outcomes: Iterable[Outcome]) -> None:
         for outcome in outcomes:
             self._outcomes[outcome.key.split, outcome.key.object_id] = outcome
+
+    def _add(self, outcomes: Iterable[Outcome]) -> None:
+        """Take what other ranks may have recorded of the same objects: a shard rather than none,
+        and of two the one that lies here."""
+        for outcome in outcomes:
+            known = self._outcomes.get((outcome.key.split, outcome.key.object_id))
+            if known is None or known.fault or self._is_better(outcome, known):
+                self._take([outcome])
+
+    def _is_better(self, outcome: Outcome, known: Outcome) -> bool:
+        if outcome.shard is None or outcome.shard == known.shard:
+            return False
+        return known.shard is None or self._is_whole(outcome)
 
     def _is_whole(self, outcome: Outcome) -> bool:
         """Whether a shard is the file that was recorded, or that with a group `user` besides."""
@@ -328,14 +381,29 @@ def data_sets(path: Path) -> list[Path]:
 def _is_data_set(folder: Path) -> bool:
     """Whether a run has been at work in a folder, or shards lie there."""
     names = os.listdir(folder) if folder.is_dir() else []
-    ours = (MANIFEST_NAME, JOURNAL_NAME)
-    return any(name in ours or is_temporary(name) or is_shard_name(name) for name in names)
+    return any(
+        name == MANIFEST_NAME or is_journal(name) or is_temporary(name) or is_shard_name(name)
+        for name in names
+    )
+
+
+def is_journal(name: str) -> bool:
+    """Whether a run, or a rank, calls its journal so."""
+    return name == JOURNAL_NAME or rank_of(name) is not None
+
+
+def rank_of(name: str) -> tuple[int, int] | None:
+    """Of a rank's journal: which it is, of how many; None of other files."""
+    match = _OF_A_RANK.fullmatch(name)
+    return (int(match[1]), int(match[2])) if match else None
 
 
 def is_temporary(name: str) -> bool:
     """Whether a run gives a file this name until it is whole."""
     whole = whole_name(name)
-    return whole in (MANIFEST_NAME, JOURNAL_NAME) or (whole is not None and is_shard_name(whole))
+    if whole is None:
+        return False
+    return whole in (MANIFEST_NAME, COMMON_PLAN) or is_journal(whole) or is_shard_name(whole)
 
 
 def _append(path: Path, line: bytes) -> None:
@@ -355,8 +423,9 @@ def _append(path: Path, line: bytes) -> None:
         os.close(handle)
 
 
-def lock_folder(folder: Path) -> int:
-    """A handle that keeps other runs out for as long as anybody holds it open.
+def lock_folder(folder: Path, kind: int = fcntl.LOCK_EX) -> int:
+    """A handle that keeps other runs out (or lets ranks in alone) for as long as anybody holds it
+    open.
 
     Raises:
         ArticugenError: another run holds one.
@@ -366,7 +435,7 @@ def lock_folder(folder: Path) -> int:
     patience = time.monotonic() + DYING_SECONDS
     while True:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(handle, kind | fcntl.LOCK_NB)
         except BlockingIOError:
             if time.monotonic() < patience:
                 time.sleep(0.05)

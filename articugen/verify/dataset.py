@@ -24,7 +24,7 @@ from articugen.errors import CorruptShard
 from articugen.recipe import Recipe
 from articugen.store import croissant
 from articugen.store.files import read_regular
-from articugen.store.journal import JOURNAL_NAME, is_temporary
+from articugen.store.journal import COMMON_PLAN, is_journal, is_temporary
 from articugen.store.manifest import (
     MANIFEST_NAME,
     MOST_BYTES,
@@ -234,11 +234,12 @@ def _splits(manifest: Manifest) -> Iterator[Finding]:
 
 
 def _strays(folder: Path, manifest: Manifest) -> Iterator[Finding]:
-    ours = {MANIFEST_NAME, JOURNAL_NAME, croissant.NAME}
+    ours = {MANIFEST_NAME, COMMON_PLAN, croissant.NAME}
     known = ours | {shard.name for shard in manifest.shards}
     for path in sorted(folder.iterdir()):
         welcome = path.suffix in WELCOME and path.is_file() and not path.is_symlink()
-        if path.name not in known and not (welcome or is_temporary(path.name)):
+        own = is_temporary(path.name) or is_journal(path.name)
+        if path.name not in known and not (welcome or own):
             what = "folder" if path.is_dir() else "file"
             sentence = f"the manifest does not know this {what}; move it elsewhere"
             yield Finding("surplus", sentence, path.name)
@@ -247,11 +248,11 @@ def _strays(folder: Path, manifest: Manifest) -> Iterator[Finding]:
 def _leftovers(folder: Path) -> Iterator[Finding]:
     """What a run that was cut short has left."""
     for path in sorted(folder.iterdir()) if folder.is_dir() else []:
-        if path.name == JOURNAL_NAME:
+        if is_journal(path.name):
             yield Finding(
                 "unfinished",
-                "a run is at work here or was cut short; start it again, or tidy up with: "
-                f"articugen clean {folder}",
+                "a run is at work here or was cut short; start it again, merge what ranks have "
+                f"made, or tidy up with: articugen clean {folder}",
             )
         elif is_temporary(path.name):
             yield Finding(

@@ -1,0 +1,111 @@
+"""The command line beyond one machine: a share of a data set, and the merge of all of them."""
+
+# Everything else is imported where it is used: --help should not wait for numba, h5py and trimesh.
+# ruff: noqa: PLC0415
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from articugen.cli.saying import KEPT, REJECTED, counting_bar, said, stderr, stdout
+from articugen.errors import ArticugenError, InvalidArgument
+
+if TYPE_CHECKING:
+    from articugen.pipeline import Job
+    from articugen.store.rank_journal import Share
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the command line."""
+    app.command(
+        epilog="Example: articugen merge /shared/data/laptop",
+    )(merge)
+
+
+def share_of(text: str | None, *, replace: bool) -> "Share | None":
+    """What `--shard` says.
+
+    Raises:
+        InvalidArgument: it is not like 3/8, or comes with `--replace`.
+    """
+    if text is None:
+        return None
+    from articugen.store.rank_journal import Share
+
+    if replace:
+        raise InvalidArgument("--replace with --shard: ranks replace nothing; give a new --out")
+    return Share.of_text(text)
+
+
+def made_share(job: "Job", *, dry_run: bool, share: "Share") -> int:
+    """Make a share of one data set and tell of it; the exit status."""
+    with said(KEPT):
+        from articugen import ranks
+        from articugen.cli import console
+
+        with ranks.started(job, share, command=_whole_command(sys.argv)) as rank:
+            mine = len(rank.plan.keys)
+            stdout.print(f"shard {share}: {mine} of {rank.objects} objects", soft_wrap=True)
+            if dry_run:
+                stdout.print(console.plan_table(job, rank.plan))
+                return 0
+            with console.progress(stderr, rank.plan) as bar:
+                outcomes = rank.finish(bar.of_object, bar.of_notice)
+        stdout.print(console.share_table(outcomes))
+        failed = [outcome.failed for outcome in outcomes if outcome.failed]
+        if failed:
+            raise ArticugenError(
+                f"{len(failed)} of {mine} objects failed through no fault of theirs, and are tried "
+                f"again by the same command; the first, {failed[0].sentence}"
+            )
+        stdout.print(f"when all shards are made: articugen merge {job.out}", soft_wrap=True)
+    return 0
+
+
+def _whole_command(argv: list[str]) -> str:
+    """The command that was given, without its `--shard`: what all ranks have in common."""
+    words, left = iter(argv[1:]), list[str]()
+    for word in words:
+        if word == "--shard":
+            next(words, None)
+        elif not word.startswith("--shard="):
+            left.append(word)
+    return shlex.join(["articugen", *left])
+
+
+def merge(
+    path: Annotated[
+        Path, typer.Argument(help="The folder that ranks have filled, or one of such folders.")
+    ],
+    jobs: Annotated[
+        int | None,
+        typer.Option("--jobs", "-j", min=1, help="Shards read at once.", show_default="all cores"),
+    ] = None,
+    sizes_only: Annotated[
+        bool,
+        typer.Option(
+            "--sizes-only", help="Compare sizes alone; `articugen verify` looks at every byte."
+        ),
+    ] = False,
+) -> None:
+    """Check what `generate --shard` has made, and write the manifest."""
+    status = 0
+    with said():
+        from articugen import ranks
+        from articugen.cli import console
+        from articugen.pipeline import default_jobs
+        from articugen.store.journal import data_sets
+
+        for folder in data_sets(path):
+            with counting_bar() as told:
+                manifest = ranks.merge(
+                    folder, jobs=jobs or default_jobs(), sizes_only=sizes_only, on_object=told
+                )
+            stdout.print(console.made_table(manifest, folder))
+            if manifest.shortfall:
+                raise ArticugenError(manifest.shortfall)
+            status = max(status, REJECTED if manifest.rejected else 0)
+    if status:
+        raise typer.Exit(status)

@@ -1,0 +1,198 @@
+"""A data set by many processes: any number of them, some killed, is what one process makes."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from test_pipeline import TINY, contents, job, made, own_models  # noqa: F401
+from trouble import held_by_another_run
+from typer.testing import CliRunner
+
+from articugen import ranks
+from articugen.cli import app
+from articugen.errors import ArticugenError, InvalidArgument
+from articugen.pipeline import plan
+from articugen.store.cleaning import clean
+from articugen.store.files import partial_name
+from articugen.store.journal import COMMON_PLAN, JOURNAL_NAME, Journal, is_journal
+from articugen.store.manifest import MANIFEST_NAME, Manifest
+from articugen.store.rank_journal import Share
+from articugen.verify.dataset import verify
+
+OBJECTS = 9
+
+
+def share(text: str) -> Share:
+    return Share.of_text(text)
+
+
+def rank(out: Path, text: str, **changes: object) -> list[str]:
+    """Let a rank finish here; the objects that it made itself."""
+    told: list[str] = []
+    with ranks.started(job(out, **changes), share(text), command="the command") as started:
+        started.finish(lambda report: None if report.reused else told.append(report.object_id))
+    return told
+
+
+def processes(out: Path, *rounds: str) -> list[list[int]]:
+    """The exit statuses of so many ranks, of one round after the other, as os.waitpid has them."""
+    script = Path(__file__).with_name("rank_processes.py")
+    command = [sys.executable, script, out, OBJECTS, *rounds]
+    root = str(script.parents[1])
+    done = subprocess.run(
+        list(map(str, command)),
+        env=os.environ | {"PYTHONPATH": f"{root}:{root}/tests"},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=300,
+    )
+    return [list(map(int, line.split())) for line in done.stdout.splitlines()]
+
+
+def test_eight_ranks_of_which_three_are_killed_make_what_one_process_makes(tmp_path: Path) -> None:
+    out = tmp_path / "many"
+    eight, three = processes(out, "8:0=object,1=shard,2=record", "3:1=shard")
+    assert eight == [9, 9, 9, 0, 0, 0, 0, 0]
+    assert three == [0, 9, 0]  # by another number of ranks, one killed again
+    left = [p.name for p in out.iterdir() if p.name.endswith(".partial")]
+    assert len(left) == 2  # nobody removes what may be another's
+    with pytest.raises(ArticugenError, match=r"1 of 9 objects are missing .*--shard i/8, i = 1;"):
+        ranks.merge(out)
+    all_of_them = TINY.with_counts(objects=OBJECTS)
+    assert len(rank(out, "1/8", recipe=all_of_them)) == 1
+    merged = ranks.merge(out, jobs=2)
+
+    one, _ = made(job(tmp_path / "one", recipe=all_of_them))
+    assert merged.content_sha256 == one.content_sha256
+    assert contents(out).keys() == contents(tmp_path / "one").keys()
+    for name, data in contents(tmp_path / "one").items():
+        assert contents(out)[name] == data, name
+    assert verify(out).findings == ()
+    assert plan(job(out, recipe=all_of_them)).tasks == ()
+
+
+def test_a_plain_run_goes_on_with_what_ranks_have_made(tmp_path: Path) -> None:
+    first = rank(tmp_path, "0/3")
+    assert len(first) == 2
+    (tmp_path / partial_name("train-00001.h5")).write_bytes(b"of a rank that was killed")
+    assert not plan(job(tmp_path)).conflict
+    manifest, reports = made(job(tmp_path))
+    assert {r.object_id for r in reports if r.reused} == set(first)
+    assert {p.name for p in tmp_path.iterdir()} == {
+        MANIFEST_NAME, "croissant.json", *(shard.name for shard in manifest.shards)
+    }  # fmt: skip
+    assert rank(tmp_path, "1/2") == []  # and ranks with what a plain run has
+    assert verify(tmp_path).findings == ()
+
+
+def test_a_killed_plain_run_and_a_finished_one_are_gone_on_with(tmp_path: Path) -> None:
+    few = TINY.with_counts(objects=2)
+    made(job(tmp_path, recipe=few))
+    before = Manifest.read(tmp_path)
+    assert rank(tmp_path, "0/2") + rank(tmp_path, "1/2")
+    assert Manifest.read(tmp_path) == before  # what was whole is whole until the merge
+    assert [left.path.name for left in clean(tmp_path)] == []
+    assert len(ranks.merge(tmp_path).objects) == 4
+    assert verify(tmp_path).findings == ()
+
+
+def test_ranks_share_a_folder_and_with_nobody_else(tmp_path: Path) -> None:
+    with ranks.started(job(tmp_path), share("0/2")) as one:
+        one.run.journal.claim(["train-00000.h5"])
+        with ranks.started(job(tmp_path), share("1/2")):
+            pass
+        with pytest.raises(ArticugenError, match="another run is writing here"):
+            Journal(tmp_path)
+        with pytest.raises(ArticugenError, match="another run is writing here"):
+            ranks.merge(tmp_path)
+    with held_by_another_run(tmp_path), pytest.raises(ArticugenError, match="another run"):
+        rank(tmp_path, "0/2")
+
+
+def test_ranks_that_want_something_else_are_told(tmp_path: Path) -> None:
+    rank(tmp_path, "0/2")
+    for changes in ({"seed": 1}, {"recipe": TINY.with_counts(objects=5)}, {"exclude": ("x",)}):
+        with pytest.raises(ArticugenError):
+            rank(tmp_path, "1/2", **changes)
+    with pytest.raises(
+        ArticugenError, match=r"make another data set here \(another seed\), by: the"
+    ):
+        rank(tmp_path, "1/2", seed=1)
+    whole = tmp_path / "whole"
+    made(job(whole))
+    with pytest.raises(ArticugenError, match=r"replace nothing"):
+        rank(whole, "1/2", seed=1)
+    assert Manifest.read(whole).seed == 0
+
+
+def test_the_same_object_made_twice_is_one(tmp_path: Path) -> None:
+    """As where ranks of another number are started while some of the first are still at work."""
+    out = tmp_path / "twice"
+    with ranks.started(job(out), share("0/2")) as slow:  # has seen an empty folder
+        assert len(rank(out, "0/1")) == 4
+        slow.finish()
+    assert len([name for name in os.listdir(out) if is_journal(name)]) == 2
+    ranks.merge(out)
+    assert verify(out).findings == ()
+
+
+def test_a_merge_names_what_is_altered_and_a_rank_makes_it_again(tmp_path: Path) -> None:
+    rank(tmp_path, "0/1")
+    shard = tmp_path / "train-00001.h5"
+    data = bytearray(shard.read_bytes())
+    data[len(data) // 2] ^= 1
+    shard.write_bytes(data)
+    with pytest.raises(ArticugenError, match=r"1 of 4 .*train-00001.h5 is missing or altered"):
+        ranks.merge(tmp_path)
+    copied = tmp_path.parent / "copied"
+    shutil.copytree(tmp_path, copied)
+    assert len(ranks.merge(copied, sizes_only=True).objects) == 4
+    assert {f.shard for f in verify(copied).findings} == {"train-00001.h5"}
+    assert len(rank(tmp_path, "1/2")) + len(rank(tmp_path, "0/2")) == 1
+    ranks.merge(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["8/8", "3", "-1/2", "1/0", "a/b", "1/2/3", ""])
+def test_a_share_is_one_of_so_many(text: str) -> None:
+    with pytest.raises(InvalidArgument, match="counted from 0"):
+        Share.of_text(text)
+
+
+@pytest.mark.parametrize("of", [1, 2, 5, 8])
+@pytest.mark.parametrize("other", [1, 3, 6, 8])
+def test_a_rank_reads_all_journals_that_may_tell_of_its_objects(of: int, other: int) -> None:
+    for a in range(of):
+        for b in range(other):
+            common = any(p % of == a and p % other == b for p in range(of * other))
+            assert share(f"{a}/{of}").meets((b, other)) == common
+
+
+def test_the_command_line_makes_shares_and_merges_them(tmp_path: Path) -> None:
+    recipe = tmp_path / "tiny.json"
+    recipe.write_text(TINY.with_counts(objects=3).text())
+    command = ["generate", "-c", "eyeglasses", "-r", recipe, "-j", 0, "-o", tmp_path / "data"]
+
+    def run(*arguments: object):
+        return CliRunner().invoke(app, [str(a) for a in arguments])
+
+    dry = run(*command, "--shard", "1/2", "--dry-run")
+    assert "shard 1/2: 1 of 3 objects" in dry.stdout
+    assert not (tmp_path / "data").exists()
+    assert run(*command, "--shard", "2/2").exit_code == 1
+    assert "ranks replace nothing" in run(*command, "--shard", "0/2", "--replace").stderr
+    done = run(*command, "--shard", "1/2")
+    folder = tmp_path / "data" / "eyeglasses"
+    assert done.exit_code == 0, done.output
+    assert f"articugen merge {folder}" in done.stdout
+    assert (folder / COMMON_PLAN).exists()
+    refused = run("merge", folder)
+    assert refused.exit_code == 1
+    assert "2 of 3 objects are missing" in refused.stderr
+    assert run(*command, "--shard", "0/2").exit_code == 0
+    assert run("merge", tmp_path / "data").exit_code == 0
+    assert not (folder / JOURNAL_NAME).exists()
+    assert "no rank has been at work" in run("merge", folder).stderr
