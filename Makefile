@@ -17,6 +17,7 @@ backends  := $(VENV)/.installed-backends
 learner   := $(VENV)/.installed-ppd
 readers   := $(VENV)/.installed-readers
 viewer    := $(VENV)/.installed-view
+clusters  := $(VENV)/.installed-cluster
 site      := $(VENV)/.installed-docs
 
 # What the pictures and reports of the site are made by.
@@ -31,7 +32,7 @@ replace = $(if $(REPLACE),--replace)
 option = $(if $($(1)),--$(2) "$($(1))")
 
 .DEFAULT_GOAL := help
-.PHONY: help dataset inspect report view verify train depth evaluate gpu-study test check format bench accuracy bench-reading bench-train docs site-tools backends learner exporters viewer clean
+.PHONY: help dataset inspect report view verify train depth evaluate gpu-study test check format bench accuracy bench-reading bench-train docs site-tools backends cluster learner exporters viewer clean
 
 help:  ## list the targets
 	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1"
@@ -137,6 +138,8 @@ exporters: $(readers)  ## install what exports are written with, and what tests 
 
 viewer: $(viewer)  ## install viser, which `make view` shows objects with
 
+cluster: $(clusters)  ## install Dask and obstore, which other machines and object stores need, and their tests
+
 learner: $(learner)  ## install torch and matplotlib, which train and evaluate need
 
 clean:  ## remove caches and build files; keep data and the environment
@@ -173,6 +176,11 @@ $(readers): $(generator)
 $(viewer): $(generator)
 	@echo "Installing the viewer ..."
 	@$(pinned) --editable '.[view]'
+	@touch $@
+
+$(clusters): $(generator)
+	@echo "Installing what clusters and object stores need ..."
+	@$(pinned) --editable '.[test-cluster]'
 	@touch $@
 
 $(site): $(generator)

@@ -35,6 +35,7 @@ def jobs_of(
     canonical: str | None = None,
     max_rejected: float | None = None,
     jobs: int | None = None,
+    scheduler: str | None = None,
 ) -> list[Job]:
     """The data sets that are asked for, one a category; see `generate` for what each means.
 
@@ -56,6 +57,7 @@ def jobs_of(
             ids=own,
             exclude=out_of,
             joints=tuple(joints),
+            scheduler=scheduler or "",
         )
         for name, (own, out_of) in registry.share_out(source, names, ids, exclude).items()
     ]
@@ -78,6 +80,7 @@ def generate(
     canonical: str | None = None,
     max_rejected: float | None = None,
     jobs: int | None = None,
+    scheduler: str | None = None,
     replace: bool = False,
     on_object: Callable[[ObjectReport], None] = lambda _: None,
 ) -> DataSet:
@@ -97,6 +100,8 @@ def generate(
         movable, canonical: which joints move and what pose is state 0, instead of the recipe's.
         max_rejected: the recipe's max_rejected_fraction.
         jobs: worker processes, None for all cores; 0 works in this process, without limits.
+        scheduler: of a Dask cluster, tcp://host:8786, whose workers make it; `out` must be a folder
+            that all of them see.
         replace: whether data that was made in another way may be replaced.
         on_object: called for each object, those that were there already first.
 
@@ -109,6 +114,7 @@ def generate(
         [category], source, out, recipe,
         changes=changes, seed=seed, objects=objects, ids=ids, exclude=exclude, joints=joints,
         states=states, movable=movable, canonical=canonical, max_rejected=max_rejected, jobs=jobs,
+        scheduler=scheduler,
     )  # fmt: skip
     if len(todo) != 1:
         raise InvalidArgument(f"{category!r} means {len(todo)} data sets; make one after the other")

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 
-from articugen import __version__, content, workers
+from articugen import __version__, cluster, content, workers
 from articugen.compiling import compile_kernels
 from articugen.errors import (
     ArticugenError,
@@ -36,7 +36,7 @@ from articugen.sources.refs import ObjectRef
 from articugen.store import croissant
 from articugen.store.files import write_atomically
 from articugen.store.journal import Journal
-from articugen.store.manifest import Key, Manifest, Outcome, Rejection, Timings
+from articugen.store.manifest import Key, Manifest, Outcome, Rejection, Timings, code_version
 from articugen.store.shards import Check, write_shard
 
 SECONDS_FOR_ANY_OBJECT = 600.0
@@ -54,7 +54,8 @@ class Job:
     `ids`, `exclude` and `joints` choose among the objects and change nothing of those that are
     made.
     `jobs` worker processes make it. With 0 this process does, without the recipe's limits of time
-    and memory: for debugging.
+    and memory: for debugging. With a `scheduler`, the address of a Dask cluster's, its workers do,
+    all of which must see `out`.
     """
 
     source: str
@@ -66,6 +67,7 @@ class Job:
     ids: tuple[str, ...] = ()
     exclude: tuple[str, ...] = ()
     joints: tuple[str, ...] = ()
+    scheduler: str = ""
 
     def __post_init__(self) -> None:
         """
@@ -217,7 +219,8 @@ class Run:
         outcomes = self.make(on_object, on_notice)
         made = [outcome.made for outcome in outcomes[len(self.plan.done) :] if outcome.made]
         instances = sum(entry.instances for entry in made)
-        timings = timings_of(instances, time.perf_counter() - began, self.job.jobs)
+        width = cluster.threads(self.job.scheduler) if self.job.scheduler else self.job.jobs
+        timings = timings_of(instances, time.perf_counter() - began, width)
         return conclude(self.job, self.journal, outcomes, timings, licence)
 
     def make(
@@ -241,9 +244,34 @@ class Run:
         yield from (task.known for task in self.plan.tasks if task.known)
         tasks = [task for task in self.plan.tasks if not task.known]
         if tasks:
-            compile_kernels("generate", jobs=self.job.jobs, notice=on_notice)
+            jobs = 0 if self.job.scheduler else self.job.jobs
+            compile_kernels("generate", jobs=jobs, notice=on_notice)
         limit = _limit(self.job.recipe)
-        made = workers.each(
+        try:
+            with closing(self._ends(tasks, limit, on_notice)) as made:
+                for ended in made:
+                    yield ended.value or _not_made(tasks[ended.number].key, ended, limit)
+        except MachineFault as error:
+            raise MachineFault(
+                f"{error}; finished objects are kept, the same command goes on after them"
+            ) from error
+
+    def _ends(
+        self, tasks: Sequence[Task], limit: workers.Limit, on_notice: Callable[[str], None]
+    ) -> Generator[workers.Ended[Outcome], None, None]:
+        """How each task ends, in processes of this machine or of a cluster."""
+        if self.job.scheduler:
+            job = replace(self.job, out=self.job.out.resolve())
+            duty = cluster.Duty(
+                partial(make_object, job, check=self.check),
+                limit,
+                _import_stages,
+                _name_of,
+                code_version(),
+                self.journal.path.resolve(),
+            )
+            return cluster.each(duty, tasks, address=self.job.scheduler, notice=on_notice)
+        return workers.each(
             partial(make_object, self.job, check=self.check),
             tasks,
             workers=self.job.jobs,
@@ -251,16 +279,12 @@ class Run:
             ready=_import_stages,
             handles=self.journal.handles,
             notice=on_notice,
-            name=lambda task: task.key.object_id,
+            name=_name_of,
         )
-        try:
-            with closing(made):
-                for ended in made:
-                    yield ended.value or _not_made(tasks[ended.number].key, ended, limit)
-        except MachineFault as error:
-            raise MachineFault(
-                f"{error}; finished objects are kept, the same command goes on after them"
-            ) from error
+
+
+def _name_of(task: Task) -> str:
+    return task.key.object_id
 
 
 def conclude(

@@ -28,6 +28,7 @@ from articugen.pipeline import (
     timings_of,
 )
 from articugen.recipe import Recipe
+from articugen.sources import registry
 from articugen.sources.refs import ObjectRef
 from articugen.store.journal import NEVER_MADE
 from articugen.store.manifest import Key, Manifest, Outcome

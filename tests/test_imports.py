@@ -71,6 +71,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     # what leads through them
     "instance": VOCABULARY | STAGES | {"sharp"},
     "workers": {"errors"},
+    "cluster": {"errors", "workers", "store.manifest"},
     "rehearsal": VOCABULARY
     | STAGES
     | {"inspection", "report.skin", "learning.ppd.greatest", "learning.ppd.sine_kernels"},
@@ -78,7 +79,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "estimate": {"store.manifest", "recipe"},
     "pipeline": VOCABULARY
     | {"store", "sources", "articulation", "resolving", "instance", "workers", "estimate"}
-    | {"compiling"},
+    | {"cluster", "compiling"},
     # beyond one machine
     "ranks": VOCABULARY | {"pipeline", "sources", "store"},
     # the store, which knows no stage
@@ -198,6 +199,7 @@ FOREIGN: dict[str, set[str]] = {
         "inspection.summary",
         "inspection.tables",
     },
+    "distributed": {"cluster"},
     "open3d": {"rendering.embree"},
     "pyrender": {"rendering.opengl"},
     "OpenGL": {"rendering.opengl"},
@@ -323,7 +325,7 @@ def test_the_core_needs_no_optional_library() -> None:
     """All but the files that wrap them import where open3d, torch and the like are absent."""
     optional = (
         "open3d", "pyrender", "OpenGL", "sapien", "tensorboard", "torch", "scipy", "matplotlib",
-        "coacd", "pxr", "pyarrow", "viser",
+        "coacd", "pxr", "pyarrow", "viser", "distributed", "obstore",
     )  # fmt: skip
     drawing = {f"learning.evaluation.figures.{name}" for name in ("draw", "plots")}
     without = WITH_TORCH | drawing | {"__init__", "__main__"}

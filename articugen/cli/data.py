@@ -139,7 +139,8 @@ def sources() -> None:
     "(docs/scale.md has Kubernetes, HTCondor and GNU parallel):\n\n"
     "sbatch --array=0-99 --cpus-per-task=4 --wrap 'articugen generate -c laptop -o /shared/data "
     "--shard $SLURM_ARRAY_TASK_ID/100'\n\n"
-    "articugen merge /shared/data/laptop",
+    "articugen merge /shared/data/laptop\n\n"
+    "On a Dask cluster: articugen generate -c laptop -o /shared/data --scheduler tcp://host:8786",
 )
 def generate(
     category: Annotated[
@@ -237,6 +238,15 @@ def generate(
     replace: Annotated[
         bool, typer.Option("--replace", help="Replace data that was made in another way.")
     ] = False,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Of a Dask cluster, tcp://host:8786, whose workers make the objects; --out must "
+            "be a folder that all of them see.",
+            show_default="this machine",
+        ),
+    ] = None,
     shard: Annotated[
         str | None,
         typer.Option(
@@ -257,6 +267,7 @@ def generate(
             changes=changes or (), seed=seed, objects=objects, ids=listed(ids),
             exclude=listed(exclude), joints=listed(joints), states=states,
             movable=listed(movable), canonical=canonical, max_rejected=max_rejected, jobs=jobs,
+            scheduler=scheduler,
         )  # fmt: skip
         share = share_of(shard, replace=replace)
     one = partial(made_share, share=share) if share else partial(_made, replace=replace)

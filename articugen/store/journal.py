@@ -111,6 +111,11 @@ class Journal:
             self._lock = None
 
     @property
+    def path(self) -> Path:
+        """Of the file."""
+        return self._path
+
+    @property
     def handles(self) -> tuple[int, ...]:
         """The open file that keeps other runs out; whoever holds it does so as well."""
         return () if self._lock is None else (self._lock,)

@@ -1,0 +1,102 @@
+"""A Dask cluster makes what one machine makes, whatever becomes of its workers."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+from test_pipeline import TINY, contents, job, made, own_models  # noqa: F401
+
+from articugen import cluster
+from articugen.errors import ArticugenError, MachineFault, MissingExtra
+from articugen.pipeline import Job, ObjectReport, generate
+from articugen.store.journal import JOURNAL_NAME
+from articugen.store.manifest import code_version
+
+dask = pytest.importorskip("dask", reason="dask is not installed")
+distributed = pytest.importorskip("distributed", reason="distributed is not installed")
+
+MANY = TINY.with_counts(objects=6, states=1)
+
+
+@pytest.fixture(scope="module")
+def address() -> Iterator[str]:
+    """Of a scheduler that misses workers which say nothing for two seconds."""
+    with (
+        dask.config.set({"distributed.scheduler.worker-ttl": "2s"}),
+        distributed.LocalCluster(
+            n_workers=0, processes=True, host="127.0.0.1", dashboard_address=None
+        ) as local,
+    ):
+        yield local.scheduler_address
+
+
+@contextmanager
+def worker(address: str, name: str) -> Iterator[subprocess.Popen[bytes]]:
+    """One of one thread, as `dask worker` starts it."""
+    command = [
+        sys.executable, "-m", "distributed.cli.dask_worker", address, "--name", name, "--nthreads",
+        "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1", "--local-directory",
+        os.environ["ARTICUGEN_SOURCES"],
+    ]  # fmt: skip
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL, env=os.environ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def wait_for(found: Callable[[], bool], seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not found():
+        assert time.monotonic() < end, "it takes too long"
+        time.sleep(0.05)
+
+
+def on(address: str, out: Path, **changes: object) -> Job:
+    return job(out, recipe=MANY, scheduler=address, **changes)
+
+
+def test_one_worker_is_killed_and_one_is_cut_off(address: str, tmp_path: Path) -> None:
+    told: list[ObjectReport] = []
+    out = tmp_path / "cluster"
+    with ExitStack() as stack:
+        names = ("killed", "cut off", "left")
+        workers = [stack.enter_context(worker(address, name)) for name in names]
+        wait_for(lambda: cluster.threads(address) == 3)
+
+        def on_object(report: ObjectReport) -> None:
+            told.append(report)
+            if len(told) == 1:
+                workers[0].kill()
+                workers[1].send_signal(signal.SIGSTOP)  # its connections stay, and say nothing
+
+        manifest = generate(on(address, out), on_object)
+        assert manifest.timings.workers == 1
+        nothing = {"function": str, "limit": cluster.Limit(), "ready": str, "name": str}
+        for code, sees, sentence in (
+            ("1.0+other", "/", r"has articugen .*, this is 1.0\+other; install the same"),
+            (code_version(), "/nowhere/at/all", "does not see /nowhere/at; --out must be on"),
+        ):
+            duty = cluster.Duty(**nothing, code=code, sees=Path(sees), patience=0.0)
+            with pytest.raises(ArticugenError, match=sentence):
+                list(cluster.each(duty, [1], address=address, notice=lambda _: None))
+    here, _ = made(job(tmp_path / "here", recipe=MANY))
+    assert manifest.content_sha256 == here.content_sha256
+    assert contents(out) == contents(tmp_path / "here")
+    assert len(told) == 6
+    assert not (out / JOURNAL_NAME).exists()
+
+
+def test_a_scheduler_that_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "CONNECT_SECONDS", 0.5)
+    with pytest.raises(MachineFault, match=r"127.0.0.1:9: no scheduler answers .*dask scheduler"):
+        made(on("tcp://127.0.0.1:9", tmp_path))
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingExtra, match=r"pip install 'articugen\[cluster\]'"):
+        made(on("tcp://127.0.0.1:9", tmp_path))
