@@ -265,11 +265,11 @@ import os, signal
 from articugen import pipeline
 from articugen.cli import main
 make, begun = pipeline.make_object, []
-def make_object(*given):
+def make_object(*given, **more):
     begun.append(given)
     if len(begun) == 2:
         os.kill(os.getpid(), signal.SIGINT)  # Ctrl-C at the second object
-    return make(*given)
+    return make(*given, **more)
 pipeline.make_object = make_object
 main()
 """

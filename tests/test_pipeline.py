@@ -29,6 +29,7 @@ from articugen.instance import make_instance, prepare
 from articugen.pipeline import Job, ObjectReport, generate, plan
 from articugen.recipe import Articulation, Recipe, Sampling, ViewSettings, load_recipe
 from articugen.sources import meshes, registry
+from articugen.store import croissant
 from articugen.store import manifest as manifest_module
 from articugen.store.journal import JOURNAL_NAME
 from articugen.store.manifest import (
@@ -568,7 +569,9 @@ def test_rejections_that_earlier_versions_wrote_over_our_faults_are_tried_again(
         "content_sha256": content_of(objects),
     }
     del told["manifest_sha256"]
-    Manifest.sealed(**told).write(mine)
+    earlier = Manifest.sealed(**told)
+    earlier.write(mine)
+    (mine / croissant.NAME).write_bytes(croissant.of_data_set(earlier))
     (mine / last.shard).unlink()
     assert [finding.check for finding in verify(mine).findings] == ["incomplete"]
     assert [t.ref.object_id for t in plan(job(mine)).tasks] == [last.key.object_id]
