@@ -108,6 +108,12 @@ def is_free(points, which, scene, first_view, end_view):
                     thin,
                     verdict,
                 )
+            seen_free = 0
+            for i in range(bx.shape[0]):
+                seen_free += verdict[i]
+            if seen_free == 0 and kept == first:  # all stay, where they are
+                kept += bx.shape[0]
+                continue
             for i in range(bx.shape[0]):
                 if verdict[i] == _FREE:
                     free[origin[i]] = True
