@@ -4,14 +4,20 @@ import errno
 from collections.abc import Iterator
 
 
+_LONGEST = 2000  # letters of a sentence; the cure stands at its end
+
+
 class ArticugenError(Exception):
     """Base of every error that the command line prints as one sentence, without a traceback.
 
-    Whatever a stranger's file put into it, it stays on one line and moves no cursor.
+    Whatever a stranger's file put into it, it stays on one line, moves no cursor and has an end.
     """
 
     def __str__(self) -> str:
-        return spelt_out(super().__str__())
+        text = super().__str__()
+        if len(text) > _LONGEST:
+            text = f"{text[: _LONGEST - 500]} ... {text[-400:]}"
+        return spelt_out(text)
 
 
 class InvalidSource(ArticugenError):

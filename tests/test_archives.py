@@ -143,6 +143,19 @@ def test_a_name_that_a_nul_cuts_short_is_seen_whole(tmp_path, outside):
         all_of(path, outside)
 
 
+def test_a_name_of_no_letters_is_the_folder_itself(tmp_path, outside):
+    data = bytearray(zipped({"x": b"", **MODEL}))
+    at = data.index(b"PK\1\2")
+    data[at + 28 : at + 30] = b"\0\0"  # the length of its name
+    del data[at + 46]
+    end = data.rindex(b"PK\5\6")
+    size = struct.unpack_from("<I", data, end + 12)[0]
+    struct.pack_into("<I", data, end + 12, size - 1)
+    (tmp_path / "a.zip").write_bytes(data)
+    with pytest.raises(InvalidSource, match="is damaged"):
+        all_of(tmp_path / "a.zip", outside)
+
+
 def test_two_files_of_one_name_are_refused(tmp_path, outside):
     path = tmp_path / "a.zip"
     path.write_bytes(zipped({**MODEL, "./mobility.urdf": b"<robot/>"}))

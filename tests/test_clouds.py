@@ -1,12 +1,16 @@
 """Clouds from files: every format gives the same points, and each fault is said in a sentence."""
 
+import io
+import os
+import zipfile
+
 import numpy as np
 import pytest
 import trimesh
 from ppd_data import write_boxes
 
 from articugen.errors import CorruptShard, InvalidSource
-from articugen.learning.clouds import LONGEST_EDGE, cloud_of_file, cloud_of_shard
+from articugen.learning.clouds import LONGEST_EDGE, MOST_BYTES, cloud_of_file, cloud_of_shard
 from articugen.records import dequantize
 from articugen.store.shards import open_shard
 
@@ -104,6 +108,14 @@ def test_bad_clouds_are_refused(tmp_path, suffix, cloud, said, fit):
         cloud_of_file(written(tmp_path, suffix, cloud), fit=fit)
 
 
+def npy_of(dtype: str, shape: tuple[int, ...]) -> bytes:
+    """A file that claims to hold such an array, and ends there."""
+    file = io.BytesIO()
+    about = {"descr": dtype, "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(file, about)
+    return file.getvalue()
+
+
 def test_files_that_are_no_clouds_are_refused(tmp_path):
     whole = written(tmp_path, ".ply", points()).read_bytes()
     np.savez(tmp_path / "other.npz", vertices=points())
@@ -116,7 +128,22 @@ def test_files_that_are_no_clouds_are_refused(tmp_path):
     (tmp_path / "words.xyz").write_text("a b c\n")
     (tmp_path / "cloud.txt").write_text("0 0 0\n")
     (tmp_path / "folder.ply").mkdir()
+    (tmp_path / "bomb.npy").write_bytes(npy_of("<f8", (1 << 40, 3)))
+    (tmp_path / "texts.npy").write_bytes(npy_of("<U9", (0, 3)))
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("points.npy", bytes(MOST_BYTES + 1))
+    with zipfile.ZipFile(tmp_path / "rare.npz", "w", zipfile.ZIP_BZIP2) as archive:
+        archive.writestr("points.npy", npy_of("<f8", (0, 3)))
+    os.mkfifo(tmp_path / "fifo.npy")
+    (tmp_path / "large.npy").touch()
+    os.truncate(tmp_path / "large.npy", MOST_BYTES + 1)
     for name, said in {
+        "bomb.npy": "its header does not fit its size",
+        "texts.npy": "holds no numbers",
+        "bomb.npz": "unpacks to too much",
+        "rare.npz": "packed in an unusual way",
+        "fifo.npy": "it is a FIFO, not a regular file",
+        "large.npy": "more than the",
         "other.npz": "no array named points, only vertices",
         "flat.npy": r"shape \(300,\), not points \(n, 3\)",
         "code.npy": "broken",

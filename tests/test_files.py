@@ -2,11 +2,12 @@
 
 import os
 import socket
+import tracemalloc
 from pathlib import Path
 
 import pytest
 
-from articugen.errors import MachineFault
+from articugen.errors import InvalidArgument, InvalidSource, MachineFault
 from articugen.store import files
 from articugen.store.files import (
     UnfitFile,
@@ -29,6 +30,28 @@ def test_a_regular_file_is_read(tmp_path):
         read_regular(link, 5, follow=False)
     with pytest.raises(UnfitFile, match="5 bytes, more than the 4 that it may have"):
         read_regular(path, 4)
+
+
+def test_no_more_room_is_made_than_a_file_takes(tmp_path):
+    path = tmp_path / "file"
+    path.write_bytes(b"12345")
+    tracemalloc.start()
+    try:
+        assert read_regular(path, 1 << 31) == b"12345"
+        assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    finally:
+        tracemalloc.stop()
+
+
+def test_no_refusal_moves_the_cursor_or_fills_the_screen():
+    hostile = "a\x1b[2J\nb \u202e é \ud800"
+    assert str(InvalidSource(hostile)) == "a\\x1b[2J\\nb \\u202e é \\ud800"
+    assert str(InvalidArgument(hostile)) == str(InvalidSource(hostile))
+    endless = str(InvalidSource("m.urdf: " + "x" * 10**6 + "; shorten it"))
+    assert len(endless) < 2000
+    assert endless.startswith("m.urdf: xx")
+    assert endless.endswith("; shorten it")
+    assert str(InvalidSource("zwei  Räume")) == "zwei  Räume"
 
 
 def test_what_is_no_regular_file_is_refused_unopened(tmp_path):

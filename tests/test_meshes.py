@@ -256,9 +256,11 @@ def test_stl_that_lies_is_refused(tmp_path):
         with pytest.raises(InvalidSource, match="export it again"):
             read_mesh(write(tmp_path / "m.stl", bad))
     nan = bytearray(good)
-    nan[96:100] = struct.pack("<f", np.nan)
-    with pytest.raises(InvalidSource, match="not finite"):
-        read_mesh(write(tmp_path / "m.stl", bytes(nan)))
+    signalling = b"\1\0\x80\x7f"  # numpy warns of such a one
+    for number in (struct.pack("<f", np.nan), signalling):
+        nan[96:100] = number
+        with pytest.raises(InvalidSource, match="not finite"):
+            read_mesh(write(tmp_path / "m.stl", bytes(nan)))
 
 
 def test_ply_that_lies_is_refused(tmp_path):
@@ -461,6 +463,15 @@ def test_comments_and_long_lines_of_an_obj_cost_nothing(tmp_path):
     assert len(read_mesh(write(tmp_path / "m.obj", text)).faces) == 1
     with pytest.raises(InvalidSource, match=r"a line has 1,2.* bytes"):
         read_mesh(write(tmp_path / "m.obj", SQUARE_OBJ + "f" + " 1" * 600_000))
+
+
+def test_a_dae_s_polygon_of_countless_corners_is_refused_before_room_is_made(tmp_path):
+    """pycollada would set 16 GiB aside for a number."""
+    good = trimesh.creation.box().export(file_type="dae").decode()
+    for counts, problem in (("2147483647", "more than 1,000,000"), ("3 many", "not a number")):
+        polygon = f"<polylist count='1'><vcount>{counts}</vcount><p>0 1 2</p></polylist></mesh>"
+        with pytest.raises(InvalidSource, match=problem):
+            read_mesh(write(tmp_path / "m.dae", good.replace("</mesh>", polygon)))
 
 
 def test_nodes_of_a_dae_that_double_are_counted_not_built(tmp_path):

@@ -90,6 +90,7 @@ BAD = {
     "gap": image(one(offsets=(4, 8)), b"12341234"),
     "overlap": image(one() | {"b": one()["a"]}, b"1234"),
     "no text": image(one() | {"__metadata__": {"a": 1}}, b"1234"),
+    "beyond 64 bits": image(one(shape=(0, 1 << 64), offsets=(0, 0))),
     "offsets of one": image(one(offsets=(4,)), b"1234"),
 }
 

@@ -28,6 +28,7 @@ from articugen.records import Instance, stored_name
 from articugen.store import schema
 from articugen.store.files import whole_name
 from articugen.store.shards import content_sha256, instance_sha256, open_shard, write_shard
+from tests.fuzz.mending import lookup3
 
 VERSION_1 = Path(__file__).parent / "data" / "shard_version_1.h5"
 ROWS = hinged_box()
@@ -582,6 +583,29 @@ def test_chunks_of_another_make_are_not_read(copy, chunk, skipped, sentence):
             shard.read("scale", 2)
         with pytest.raises(CorruptShard, match="damaged"):
             shard.content()
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_an_index_that_claims_countless_chunks_is_not_gone_through(copy, missing):
+    """HDF5 would look for each of 10^15 chunks, of which the file has four."""
+    if missing:
+        _rewrite(copy, "scale", lambda a: {"shape": a.shape, "dtype": "<f8", "maxshape": (None,)}
+                 | {"fletcher32": True})  # fmt: skip
+    whole = bytearray(copy.read_bytes())
+    at = whole.find(b"EAHD")
+    while at >= 0:
+        claimed, end = at + 12 + 4 * 8, at + 12 + 7 * 8
+        whole[claimed : claimed + 8] = (10**15).to_bytes(8, "little")
+        whole[end : end + 4] = lookup3(bytes(whole[at:end])).to_bytes(4, "little")
+        at = whole.find(b"EAHD", at + 1)
+    copy.write_bytes(whole)
+    if missing:
+        with pytest.raises(CorruptShard, match=r"'scale' has 0 chunks for shape \(4,\)"):
+            open_shard(copy)
+        return
+    with open_shard(copy) as shard:
+        assert shard.stored("scale").offset.shape == (4,)
+        assert_same(shard.instance(3), ROWS[3])
 
 
 @pytest.mark.parametrize("what", HARM)

@@ -129,6 +129,9 @@ def _dae_faces(geometry: Any, path: Path) -> int:
             numbers = sum(text.count(" ") + text.count("\n") for text in texts)
             corners = numbers // (1 + max(offsets, default=0))
             faces += max(int(element.get("count") or 0), corners // 3)
+            # pycollada makes room for as many corners as polygons are said to have
+            counts = [int(n) for v in element.iterfind("{*}vcount") for n in (v.text or "").split()]
+            check_size(path, vertices=sum(map(abs, counts)))
     except (ValueError, ZeroDivisionError):
         raise _broken(path, "a count or offset of its faces is not a number") from None
     return faces

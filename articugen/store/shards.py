@@ -10,7 +10,7 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -236,7 +236,8 @@ class Shard:
         return open_shard, (self.path,)
 
     def close(self) -> None:
-        self._file.close()
+        with suppress(RuntimeError):  # HDF5 stumbles once more over what is damaged
+            self._file.close()
 
     def read(self, name: str, index: int | slice = slice(None)) -> NDArray[Any]:
         """The rows of a data set: (...) for a number, (n, ...) for a slice.

@@ -12,6 +12,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import dataclass
 from datetime import date
@@ -76,9 +77,13 @@ def fuzzed(target: Target, engine: str, keep: Path, seed: int, runs: int, second
         more = {"seed": seed + 1000 * starts, "runs": runs - progress.executions, "seconds": left}
         options = [f"--{name}={value}" for name, value in more.items()]
         command = [sys.executable, "-m", "tests.fuzz.child", target.name, engine, *options]
-        with (folder / "log").open("ab") as log:
+        with (folder / "log").open("ab") as log, _in_memory() as work:
             process = subprocess.Popen(
-                [*command, f"--folder={folder}"], stdout=log, stderr=log, start_new_session=True
+                [*command, f"--folder={folder.absolute()}"],
+                stdout=log,
+                stderr=log,
+                env=os.environ | {"TMPDIR": work},
+                start_new_session=True,
             )
             ended = _watched(process, progress)
         if ended is None:
@@ -88,6 +93,13 @@ def fuzzed(target: Target, engine: str, keep: Path, seed: int, runs: int, second
             break
     took = time.monotonic() - began
     return Row(target.name, progress.executions, took, findings.known())
+
+
+def _in_memory() -> "tempfile.TemporaryDirectory[str]":
+    """A folder for what the process writes, which it may leave behind."""
+    memory = Path("/dev/shm")
+    where = memory if os.access(memory, os.W_OK) else None
+    return tempfile.TemporaryDirectory(prefix="articugen-fuzz-", dir=where)
 
 
 def _watched(process: "subprocess.Popen[bytes]", progress: Progress) -> str | None:

@@ -83,7 +83,7 @@ class Findings:
         name = f"{abs(hash_of(data)):08x}"
         (self.folder / name).write_bytes(data)
         with (self.folder / "escapes.jsonl").open("a") as file:
-            file.write(json.dumps({"key": key, "sentence": sentence, "file": name}) + "\n")
+            file.write(json.dumps({"key": key, "sentence": sentence[:2000], "file": name}) + "\n")
 
     def known(self) -> list[dict[str, str]]:
         path = self.folder / "escapes.jsonl"

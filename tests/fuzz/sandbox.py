@@ -23,7 +23,7 @@ SECONDS = 5.0
 """Of one core, that any file of some kB may take."""
 MEMORY = 2**30
 """Bytes of address space that it may take beside what is taken already."""
-LONGEST_SENTENCE = 2000
+LONGEST_SENTENCE = 20_000
 OUTSIDE = b"@OUTSIDE@"
 """Stands in an input for the path of a folder that nothing may be read from."""
 
@@ -71,6 +71,8 @@ class Sandbox:
         self._base = _Watch(self.base, _CHANGED)
         self._model = _Watch(self.model, _CHANGED)
         self._prepared: Target | None = None
+        self.accepted = 0
+        """Inputs that were read without a refusal."""
 
     def run(self, target: Target, data: bytes) -> Escape | None:
         """Read one input as the target does; what was not as it should be, None where all was."""
@@ -86,7 +88,9 @@ class Sandbox:
             watch.names()
         began = time.process_time()
         with _limited(), _audited(self.base) as strayed:
-            escape = _tried(target, path)
+            escape = self._tried(target, path)
+        if target.forks:
+            strayed.remove("os.fork ()")
         took = time.process_time() - began
         strayed += [f"opened {name}" for name in self._outside.names()]
         strayed += [f"changed {name}" for name in self._base.names()]
@@ -98,6 +102,23 @@ class Sandbox:
             return Escape(f"{target.name}: slow", f"took {took:.1f} s")
         return escape
 
+    def _tried(self, target: Target, path: Path) -> Escape | None:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                target.read(path)
+            self.accepted += 1
+        except target.refusals as refusal:
+            text = str(refusal)
+            if not text.isprintable() or not text or len(text) > LONGEST_SENTENCE:
+                return Escape(f"{target.name}: said {_place(refusal)}", f"no sentence: {text!r}")
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # that it may raise anything is what this is about
+            said = f"{type(error).__name__}: {error}"[:300]
+            return Escape(f"{target.name}: {type(error).__name__} {_place(error)}", said)
+        return None
+
 
 def _write(path: Path, data: bytes) -> None:
     handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
@@ -105,23 +126,6 @@ def _write(path: Path, data: bytes) -> None:
         os.write(handle, data)
     finally:
         os.close(handle)
-
-
-def _tried(target: Target, path: Path) -> Escape | None:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            target.read(path)
-    except target.refusals as refusal:
-        text = str(refusal)
-        if not text.isprintable() or not text or len(text) > LONGEST_SENTENCE:
-            return Escape(f"{target.name}: said {_place(refusal)}", f"no sentence: {text!r}")
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:  # that it may raise anything is what this is about
-        said = f"{type(error).__name__}: {error}"[:300]
-        return Escape(f"{target.name}: {type(error).__name__} {_place(error)}", said)
-    return None
 
 
 def _place(error: BaseException) -> str:
@@ -135,9 +139,7 @@ def _place(error: BaseException) -> str:
 @contextmanager
 def sandbox() -> Iterator[Sandbox]:
     """One that is gone afterwards."""
-    memory = Path("/dev/shm")
-    where = memory if os.access(memory, os.W_OK) else None
-    with tempfile.TemporaryDirectory(prefix="articugen-fuzz-", dir=where) as folder:
+    with tempfile.TemporaryDirectory(prefix="articugen-fuzz-") as folder:
         yield Sandbox(Path(folder))
 
 

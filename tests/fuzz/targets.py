@@ -1,8 +1,10 @@
 """What is read of strangers: for each kind of file who reads it, what it may refuse it with, and
 inputs to begin with."""
 
+import json
 import os
 import shutil
+import signal
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,6 +45,7 @@ class Target:
         tokens: words of the format.
         writes: whether it may write into the model's folder.
         extra: the library that it needs, where that is an extra.
+        forks: whether it reads in a process of its own.
     """
 
     name: str
@@ -55,6 +58,7 @@ class Target:
     tokens: Sequence[bytes] = ()
     writes: bool = False
     extra: str = ""
+    forks: bool = False
 
     def seeds(self) -> list[bytes]:
         """Inputs to begin with, in an order that is always the same."""
@@ -106,10 +110,17 @@ _BESIDE = ("mobility_v2.json", "semantics.txt", "meta.json")
 
 
 def _read_usd(path: Path) -> object:
-    """In this process: in one of its own, where it belongs, a crash is a sentence."""
-    from articugen.sources.usd.model import read_model
+    """What the process of its own answers, in this one; there a crash is a sentence as well."""
+    from articugen.sources.usd.child import _answer
 
-    return read_model(path, path.parent)
+    said, _, _ = _answer(
+        {"path": path, "root": path.parent, "with_meshes": True, "only_hashed": False}
+    ).partition(b"\n")
+    if "refused" in (answer := json.loads(said)):
+        raise InvalidSource(answer["refused"])
+    if "sha256" not in answer:
+        raise AssertionError(answer)
+    return answer
 
 
 def _meshes_around(folder: Path) -> None:
@@ -174,6 +185,37 @@ def _read_shard(path: Path) -> object:
             return [shard.instance(i) for i in range(len(shard))]
         except ValueError:  # a record's, which verify makes a finding of
             return None
+
+
+def _read_apart(path: Path) -> object:
+    """As verify's workers do: where HDF5 ends the process, that is a sentence."""
+    reads, writes = os.pipe()
+    child = os.fork()
+    if child == 0:
+        said = b""
+        try:
+            _read_shard(path)
+        except CorruptShard as refusal:
+            said = f"refused {refusal}".encode()
+        except BaseException as error:
+            said = f"{type(error).__name__}: {error}".encode(errors="replace")
+        finally:
+            os.write(writes, said[:60_000])
+            os._exit(0)
+    os.close(writes)
+    try:
+        with os.fdopen(reads, "rb") as answer:
+            said = answer.read().decode(errors="replace")
+    except BaseException:
+        os.kill(child, signal.SIGKILL)
+        raise
+    finally:
+        ended = os.waitpid(child, 0)[1]
+    if ended or said.startswith("refused "):
+        raise CorruptShard(said.removeprefix("refused ") or f"ended by {ended}")
+    if said:
+        raise AssertionError(said)
+    return None
 
 
 def _read_manifest(path: Path) -> object:
@@ -348,6 +390,10 @@ TARGETS = {
         Target(
             "shard", "train-00000.h5", _read_shard, (CorruptShard,), made=making.shards,
             mended=mending.shard,
+        ),
+        Target(
+            "forged", "train-00000.h5", _read_apart, (CorruptShard,), made=making.shards,
+            mended=mending.forged, forks=True,
         ),
         Target(
             "shard_1", "train-00000.h5", _read_shard, (CorruptShard,), made=making.old_shards,
