@@ -32,7 +32,7 @@ replace = $(if $(REPLACE),--replace)
 option = $(if $($(1)),--$(2) "$($(1))")
 
 .DEFAULT_GOAL := help
-.PHONY: help dataset inspect report view verify train depth evaluate gpu-study test check format bench accuracy bench-reading bench-train docs site-tools backends cluster learner exporters viewer clean
+.PHONY: help dataset inspect report view verify train depth evaluate gpu-study test check format bench accuracy bench-reading bench-train fuzz docs site-tools backends cluster learner exporters viewer clean
 
 help:  ## list the targets
 	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1"
@@ -125,6 +125,9 @@ bench-reading: $(testing)  ## measure what reading a shard costs, beside .npz fi
 
 bench-train: $(testing) $(learner)  ## measure PPD's training: rate, shares, memory (ARGS=--iterations 20)
 	@$(VENV)/bin/python -m tests.benchmarks.training $(ARGS)
+
+fuzz: $(testing)  ## read files that mean harm, by the thousand (ARGS="--seconds 60 --target urdf")
+	@$(VENV)/bin/python -m tests.fuzz $(ARGS)
 
 docs: $(site) $(gallery)  ## build the documentation site, with gallery and reports, into build/site
 	@NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --quiet

@@ -3,7 +3,6 @@
 import errno
 from collections.abc import Iterator
 
-
 _LONGEST = 2000  # letters of a sentence; the cure stands at its end
 
 

@@ -116,6 +116,7 @@ def test_a_folder_that_holds_something_else_is_refused(boxes, tmp_path):
     "line",
     [
         b"no json",
+        b"[" * 100_000,
         b"[]",
         b'{"item": "test/box-2_0000", "left_out": null}',
         b'{"item": "test/box-2_0000", "left_out": null, "files": [{"name": "../secret", "bytes": 3,'

@@ -1,6 +1,7 @@
 """`articugen fetch` against publishers on this machine; nothing else is asked."""
 
 import hashlib
+import io
 import json
 import logging
 import os
@@ -9,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -17,8 +19,10 @@ from typer.testing import CliRunner
 import articugen as ag
 from articugen.cli import app
 from articugen.errors import AccessRefused, InvalidArgument, MachineFault, NotFetched
-from articugen.fetching import web
+from articugen.fetching import partnet_mobility, web
+from articugen.fetching.hub import Published
 from articugen.fetching.partnet_mobility import fetch_partnet_mobility
+from articugen.fetching.target import RECEIPT_NAME
 from articugen.fetching.web import RemoteFile, Server
 from articugen.sources.registry import object_refs
 from tests.published import TOKEN, Publisher, model_files, serving, zipped
@@ -557,3 +561,28 @@ def test_a_refusal_is_not_asked_again(hub):
     with pytest.raises(AccessRefused):
         Server(hub.base, token=TOKEN).part("/9748.zip", 0, 9)
     assert len(hub.asked) == before + 1
+
+
+@pytest.mark.parametrize("harm", ["deep", "damaged", "encrypted"])
+def test_what_a_published_archive_calls_its_model_may_be_anything(monkeypatch, harm):
+    text = b"[" * 100_000 if harm == "deep" else b"{}"
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("1/meta.json", text)
+    image = bytearray(data.getvalue())
+    if harm == "damaged":
+        image[30 + len("1/meta.json")] = 0xFF
+    if harm == "encrypted":
+        image[6] |= 1
+        image[image.index(b"PK\1\2") + 8] |= 1
+    monkeypatch.setattr(partnet_mobility, "RemoteFile", lambda *_: io.BytesIO(image))
+    file = Published("1.zip", "/1.zip", len(image), None)
+    assert partnet_mobility._category(Server("http://127.0.0.1:1"), file) == ""
+
+
+def test_a_receipt_that_is_deep_is_none(hub, tmp_path):
+    assert fetch_partnet_mobility(tmp_path, ids=["9748"]).new == 1
+    (receipt,) = tmp_path.rglob(RECEIPT_NAME)
+    receipt.write_bytes(b"[" * 100_000)
+    again = fetch_partnet_mobility(tmp_path, ids=["9748"])
+    assert (again.models, again.new) == (1, 1)

@@ -2,17 +2,22 @@
 
 import ctypes
 import itertools
+import json
 import os
+import socket
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from articugen.errors import CorruptShard
 from articugen.store.shards import open_shard
 from tests.fuzz import mending
 from tests.fuzz import sandbox as sandboxes
 from tests.fuzz.engine import inputs
+from tests.fuzz.mutations import places_in
 from tests.fuzz.sandbox import sandbox
 from tests.fuzz.targets import DATA, TARGETS
 
@@ -34,6 +39,32 @@ def test_nothing_escapes(name):
             room.run(target, data)  # imports what is imported late
         assert [escape for data in chosen if (escape := room.run(target, data))] == []
         assert room.accepted or name in NOBODY_S
+
+
+_VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: (
+        st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4)
+    ),
+    max_leaves=6,
+)
+
+
+@pytest.fixture(scope="module")
+def room():
+    with sandbox() as made:
+        yield made
+
+
+@pytest.mark.parametrize("name", ["shape2motion", "gltf", "manifest", "evaluation"])
+@settings(max_examples=50, deadline=None)
+@given(data=st.data())
+def test_any_value_may_stand_anywhere_in_a_document(room, name, data):
+    document = json.loads(TARGETS[name].seeds()[0])
+    holder, key = data.draw(st.sampled_from(places_in(document)))
+    holder[key] = data.draw(_VALUES)
+    text = json.dumps(document).encode()
+    assert room.run(TARGETS[name], text) is None
 
 
 def test_inputs_that_are_kept_are_small_and_of_targets():
@@ -76,8 +107,6 @@ def _writes_above(path: Path) -> None:
 
 
 def _asks_the_network(_: Path) -> None:
-    import socket
-
     with socket.socket() as asking:
         asking.connect_ex(("127.0.0.1", 9))
 

@@ -122,7 +122,7 @@ class Target:
             self._check(json.loads(lines[0]))
             for line in lines[1:-1]:
                 self._believe(json.loads(line))
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             self.close()
             raise ArticugenError(
                 f"{self.folder / JOURNAL_NAME}: is damaged; delete the folder and export again"
@@ -137,7 +137,7 @@ class Target:
             self._check(report["about"])
             files = tuple(map(Written.of, report["files"]))
             self.done = {"": Done(files)} | {k: Done((), v) for k, v in report["left_out"].items()}
-        except (UnfitFile, ValueError, KeyError, TypeError, AttributeError):
+        except (UnfitFile, ValueError, KeyError, TypeError, AttributeError, RecursionError):
             self._check(None)
         self.complete = True
 

@@ -9,6 +9,7 @@ import json
 import os
 import re
 import zipfile
+import zlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import closing, contextmanager
@@ -247,7 +248,7 @@ def _categories(
     path = target.work / "categories.json"
     try:
         known = {str(k): str(v) for k, v in json.loads(read_regular(path, 2**24)).items()}
-    except (UnfitFile, OSError, ValueError, AttributeError):
+    except (UnfitFile, OSError, ValueError, AttributeError, RecursionError):
         known = {}
     keys = {m.object_id: f"{m.object_id} {m.file.sha256}" for m in models}
     todo = [m for m in models if keys[m.object_id] not in known]
@@ -266,6 +267,13 @@ def _categories(
     return {m.object_id: known[keys[m.object_id]] for m in models}
 
 
+_NO_WORD = (
+    *(zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError),
+    *(ValueError, KeyError, TypeError),
+)
+"""What Python's readers of archives and JSON raise; a RecursionError is a RuntimeError."""
+
+
 def _category(server: Server, file: Published) -> str:
     """What meta.json in a published .zip calls its model; "" where it does not say."""
     try:
@@ -278,5 +286,5 @@ def _category(server: Server, file: Published) -> str:
             if first.compress_type not in usual:
                 return ""
             return str(json.loads(archive.read(first))["model_cat"])
-    except (zipfile.BadZipFile, ValueError, KeyError, TypeError, NotImplementedError, EOFError):
+    except _NO_WORD:
         return ""

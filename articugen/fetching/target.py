@@ -99,7 +99,7 @@ class Target:
         """A model counts as there while all that came of it is."""
         try:
             receipt = Receipt(**json.loads(read_regular(path, _MOST_BYTES, follow=False)))
-        except (UnfitFile, OSError, ValueError, TypeError):
+        except (UnfitFile, OSError, ValueError, TypeError, RecursionError):
             return
         if folder_size(path.parent) == (receipt.files, receipt.bytes):
             self.receipts[path.parent.relative_to(self.folder).as_posix()] = receipt

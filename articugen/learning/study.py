@@ -131,7 +131,7 @@ class Journal:
         try:
             told = json.loads(path.read_text(encoding="utf-8"))
             journal = Journal(path, **told | {"bench": [Pace(**row) for row in told["bench"]]})
-        except (ValueError, TypeError, KeyError):
+        except (ValueError, TypeError, KeyError, RecursionError):
             raise InvalidCheckpoint(f"{path}: damaged; choose another --out") from None
         if journal.asked != plain:
             raise ArticugenError(

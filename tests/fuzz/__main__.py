@@ -61,7 +61,8 @@ def main() -> int:
     print(table(rows, asked.engine))
     for row in rows:
         for said in row.escapes:
-            print(f"\n{said['key']}\n  {said['sentence'][:300]}\n  {asked.keep / row.name / said['file']}")
+            file = asked.keep / row.name / said["file"]
+            print(f"\n{said['key']}\n  {said['sentence'][:300]}\n  {file}")
     return 1 if any(row.escapes for row in rows) else 0
 
 
@@ -129,8 +130,9 @@ def table(rows: list[Row], engine: str) -> str:
     commit = subprocess.run(
         ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False
     ).stdout.strip()
+    python = f"Python {platform.python_version()}"
     lines = [
-        f"{date.today()}, commit {commit}, {processor}, Python {platform.python_version()}, {engine}",
+        ", ".join([f"{date.today()}", f"commit {commit}", processor, python, engine]),
         "",
         "| target | executions | a second | escapes | seconds |",
         "|---|---:|---:|---:|---:|",

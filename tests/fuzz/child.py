@@ -2,7 +2,6 @@
 
 import argparse
 from pathlib import Path
-
 from typing import TYPE_CHECKING
 
 from tests.fuzz.engine import Findings, Progress, by_atheris, by_chance, instrumented

@@ -1,4 +1,4 @@
-"""Inputs without end for one target: from atheris, which sees what they reach, or made by chance."""
+"""Inputs without end for one target: by atheris, which sees what they reach, or by chance."""
 
 import contextlib
 import importlib.util
@@ -9,6 +9,7 @@ import struct
 import sys
 import tempfile
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
@@ -80,7 +81,7 @@ class Findings:
         if key in self.keys:
             return
         self.keys.add(key)
-        name = f"{abs(hash_of(data)):08x}"
+        name = f"{zlib.crc32(data):08x}"
         (self.folder / name).write_bytes(data)
         with (self.folder / "escapes.jsonl").open("a") as file:
             file.write(json.dumps({"key": key, "sentence": sentence[:2000], "file": name}) + "\n")
@@ -89,12 +90,6 @@ class Findings:
         path = self.folder / "escapes.jsonl"
         lines = path.read_text().splitlines() if path.exists() else []
         return list({said["key"]: said for said in map(json.loads, lines)}.values())
-
-
-def hash_of(data: bytes) -> int:
-    import zlib
-
-    return zlib.crc32(data)
 
 
 def inputs(target: "Target", seed: int) -> Iterator[bytes]:

@@ -34,9 +34,7 @@ def glb(data: bytes) -> bytes:
         return data
     end = data.find(b"BIN\0", 20)
     end = len(data) if end < 24 else end - 4
-    return b"".join(
-        [data[:8], struct.pack("<II", len(data), end - 20), data[16:end], data[end:]]
-    )
+    return b"".join([data[:8], struct.pack("<II", len(data), end - 20), data[16:end], data[end:]])
 
 
 def safetensors(data: bytes) -> bytes:
@@ -113,11 +111,10 @@ def forged(data: bytes) -> bytes:
 
 
 def _with_checksums(data: bytes, which: Callable[[bytes], int]) -> bytes:
-    for whole, blocks in _shards():
-        if len(whole) == len(data):
-            break
-    else:
+    made = next((each for each in _shards() if len(each[0]) == len(data)), None)
+    if made is None:
         return data
+    whole, blocks = made
     mended = bytearray(data)
     for first, end, checksum in blocks:
         if checksum is which and data[first:end] != whole[first:end]:

@@ -140,7 +140,7 @@ def _json(rng: random.Random, data: bytes, others: Sequence[bytes], _: Any) -> b
         document, end = json.JSONDecoder().raw_decode(text, first)
     except (ValueError, RecursionError):
         return _words(rng, data)
-    places = _places(document)
+    places = places_in(document)
     holder, key = rng.choice(places) if places else ([document], 0)
     act = rng.random()
     if act < 0.5:
@@ -174,7 +174,7 @@ def _value(holder: Any, key: Any) -> Any:
         return None
 
 
-def _places(document: Any) -> list[tuple[Any, Any]]:
+def places_in(document: Any) -> list[tuple[Any, Any]]:
     """Everything that holds something, and by which key."""
     found: list[tuple[Any, Any]] = []
     waiting = [document]

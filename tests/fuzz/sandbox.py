@@ -87,7 +87,7 @@ class Sandbox:
         for watch in (self._outside, self._base, self._model):
             watch.names()
         began = time.process_time()
-        with _limited(), _audited(self.base) as strayed:
+        with _limited(), _audited(self.base, path) as strayed:
             escape = self._tried(target, path)
         if target.forks:
             strayed.remove("os.fork ()")
@@ -143,6 +143,11 @@ def sandbox() -> Iterator[Sandbox]:
         yield Sandbox(Path(folder))
 
 
+@functools.cache
+def _statm() -> int:
+    return os.open("/proc/self/statm", os.O_RDONLY | os.O_CLOEXEC)
+
+
 @contextmanager
 def _limited() -> Iterator[None]:
     """Limits of memory and of time by the clock."""
@@ -150,7 +155,7 @@ def _limited() -> Iterator[None]:
     def too_long(_number: int, _frame: Any) -> None:
         raise TooLong(f"more than {_BY_THE_CLOCK:g} s")
 
-    taken = int(Path("/proc/self/statm").read_bytes().split()[0]) * resource.getpagesize()
+    taken = int(os.pread(_statm(), 100, 0).split()[0]) * resource.getpagesize()
     before, most = resource.getrlimit(resource.RLIMIT_AS)
     handler = signal.signal(signal.SIGALRM, too_long)
     resource.setrlimit(resource.RLIMIT_AS, (taken + MEMORY, most))
@@ -168,16 +173,22 @@ def _limited() -> Iterator[None]:
 _seen: list[str] | None = None
 _allowed: tuple[str, ...] = ()
 _hooked = False
+_input = ""
 
 
 @contextmanager
-def _audited(base: Path) -> Iterator[list[str]]:
-    """Meanwhile, what Python does with files outside of `base`; modules may be imported."""
-    global _seen, _allowed, _hooked  # noqa: PLW0603 - hooks are the process's
+def _audited(base: Path, file: Path) -> Iterator[list[str]]:
+    """Meanwhile, what Python does with files outside of `base`; modules may be imported.
+
+    Args:
+        file: that is to be read.
+    """
+    global _seen, _allowed, _hooked, _input  # noqa: PLW0603 - hooks are the process's
     if not _hooked:
         sys.addaudithook(_hook)
         _hooked = True
     _allowed = (f"{base}/", *_modules((*sys.path, sys.prefix, sys.base_prefix)))
+    _input = str(file)
     strayed: list[str] = []
     _seen = strayed
     try:
@@ -206,6 +217,8 @@ def _hook(event: str, arguments: tuple[Any, ...]) -> None:
             _seen.append(f"{event} {str(arguments)[:200]}")
         return
     if isinstance(name, int) or name is None:
+        return
+    if not writes and os.fspath(name) == _input:  # which is no link
         return
     path = os.path.realpath(os.fsdecode(name)) + "/"
     if not path.startswith(_allowed[:1] if writes else _allowed):

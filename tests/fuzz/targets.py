@@ -403,8 +403,8 @@ TARGETS = {
             mended=mending.manifest, tokens=_IN_JSON,
         ),
         Target(
-            "journal", ".articugen-journal.jsonl", _read_journal, (CorruptShard,), made=making.journals,
-            tokens=_IN_JSON,
+            "journal", ".articugen-journal.jsonl", _read_journal, (CorruptShard,),
+            made=making.journals, tokens=_IN_JSON,
         ),
         _of_a_run(
             "checkpoint", "latest.pt", _read_checkpoint, made=making.checkpoints,
@@ -429,11 +429,12 @@ TARGETS = {
         _cloud("npz"),
         _cloud("xyz"),
         Target(
-            "zip", "a.zip", _unpack, (InvalidSource,), _into, made=making.zips, writes=True,
+            "zip", "a.zip", _unpack, (InvalidSource,), _into, made=making.zips,
+            writes=True,
         ),
         Target(
-            "tar", "a.tar.gz", _unpack, (InvalidSource,), _into, made=making.tars, mended=mending.gzipped,
-            writes=True,
+            "tar", "a.tar.gz", _unpack, (InvalidSource,), _into, made=making.tars,
+            mended=mending.gzipped, writes=True,
         ),
     )
 }  # fmt: skip
