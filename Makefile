@@ -32,7 +32,7 @@ replace = $(if $(REPLACE),--replace)
 option = $(if $($(1)),--$(2) "$($(1))")
 
 .DEFAULT_GOAL := help
-.PHONY: help dataset inspect report view verify train depth evaluate gpu-study test check format bench accuracy bench-reading bench-train fuzz docs site-tools backends cluster learner exporters viewer clean
+.PHONY: help dataset inspect report view verify train depth evaluate gpu-study test check format bench accuracy bench-reading bench-train fuzz chaos docs site-tools backends cluster learner exporters viewer clean
 
 help:  ## list the targets
 	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1"
@@ -103,6 +103,9 @@ gpu-study: $(learner)  ## on a GPU: measure it, race seeds, train, evaluate; aga
 
 test: $(testing)  ## run the tests; those of absent optional backends are skipped
 	@$(VENV)/bin/python -m pytest $(ARGS)
+
+chaos: $(testing)  ## kill runs and fail disks at every moment; a table of what survived (ARGS=--quick)
+	@$(VENV)/bin/python -m tests.chaos $(ARGS)
 
 check: $(dev)  ## lint, formatting and types
 	@$(VENV)/bin/ruff check

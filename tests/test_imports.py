@@ -168,6 +168,7 @@ that of its room, and a room may import what lies in it."""
 FOREIGN: dict[str, set[str]] = {
     "h5py": {"store.shards", "export.hdf5"},
     "llvmlite": {"compiling"},
+    "tensorboard": {"learning.tensorboard"},
     "platformdirs": {"bundled"},
     "yourdfpy": {"sources.urdf"},
     "lxml": {"sources.urdf", "sources.xml_strict"},

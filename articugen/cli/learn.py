@@ -90,7 +90,8 @@ def train(
     threads: Annotated[int, typer.Option(min=0, help="CPU threads; 0 leaves it to torch.")] = 0,
 ) -> None:
     """Train a method on a data set, or go on with a run."""
-    with said(lambda: _how_to_go_on(resume or runs / category)):
+    run_folder = resume or f"{runs / category}/<the newest number>"
+    with said(f"interrupted; what was last saved is kept, go on with --resume {run_folder}"):
         from articugen.recipe import check_category
 
         check_category(category)
@@ -119,17 +120,6 @@ def train(
             return
         stdout.print(f"done: {run.path}", soft_wrap=True)
         stdout.print(f"next: articugen evaluate {run.path} --data {data}", soft_wrap=True)
-
-
-def _how_to_go_on(run: Path) -> str:
-    """What to do after an interruption of a run, or of the newest one of a category."""
-    from articugen.errors import ArticugenError
-    from articugen.learning.commands import newest
-
-    try:
-        return f"interrupted; what was last saved is kept, go on with --resume {newest(run)}"
-    except ArticugenError:
-        return "interrupted; nothing was begun"
 
 
 def train_depth(

@@ -33,7 +33,7 @@ class Stopped(KeyboardInterrupt):
 
 
 @contextmanager
-def said(interrupted: str | Callable[[], str] = "interrupted") -> Iterator[None]:
+def said(interrupted: str = "interrupted") -> Iterator[None]:
     """Our errors go to stderr without a traceback; others are faults of ours and keep theirs."""
     try:
         yield
@@ -41,8 +41,7 @@ def said(interrupted: str | Callable[[], str] = "interrupted") -> Iterator[None]
         say_error(str(error))
         raise typer.Exit(FAILED) from None
     except KeyboardInterrupt as stop:
-        told = interrupted if isinstance(interrupted, str) else interrupted()
-        stderr.print(escape(printable(told)), soft_wrap=True)
+        stderr.print(escape(printable(interrupted)), soft_wrap=True)
         raise typer.Exit(STOPPED[getattr(stop, "number", signal.SIGINT)]) from None
 
 

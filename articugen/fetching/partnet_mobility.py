@@ -22,7 +22,7 @@ from articugen.errors import AccessRefused, InvalidArgument, InvalidSource, NotF
 from articugen.fetching.hub import Published, files, hub
 from articugen.fetching.models import Unpacked, unpack
 from articugen.fetching.outcome import Fetched, outcome
-from articugen.fetching.target import Target
+from articugen.fetching.target import CATEGORIES_NAME, Target
 from articugen.fetching.terms import terms_of
 from articugen.fetching.web import RemoteFile, Server
 from articugen.recipe_files import nearest
@@ -245,7 +245,7 @@ def _categories(
     models: Sequence[_Model], server: Server, target: Target, told: Told
 ) -> dict[str, str]:
     """The category of each model; what was looked up before is not asked for again."""
-    path = target.work / "categories.json"
+    path = target.work / CATEGORIES_NAME
     try:
         known = {str(k): str(v) for k, v in json.loads(read_regular(path, 2**24)).items()}
     except (UnfitFile, OSError, ValueError, AttributeError, RecursionError):

@@ -26,6 +26,7 @@ from articugen.store.files import (
     cannot_write,
     make_folder,
     read_regular,
+    whole_name,
     write_atomically,
 )
 
@@ -33,6 +34,8 @@ LIST_NAME = "fetched.json"
 RECEIPT_NAME = ".fetched.json"
 WORK_NAME = ".fetch"
 """Of the folder in it for what is not finished."""
+CATEGORIES_NAME = "categories.json"
+"""In that: which model is of which category, where that had to be looked up."""
 
 _MOST_BYTES = 2**20
 
@@ -92,8 +95,17 @@ class Target:
                 f"{folder}: another process fetches into it; wait for it, or choose another folder"
             ) from None
         shutil.rmtree(self.work / "unpacking", ignore_errors=True)
+        self._tidy(folder, self.work)
         for path in _receipts(folder):
+            self._tidy(path.parent)
             self._believe(path)
+
+    def _tidy(self, *folders: Path) -> None:
+        """Remove the files of ours that a killed process was writing."""
+        ours = (LIST_NAME, RECEIPT_NAME, CATEGORIES_NAME)
+        for path in (path for folder in folders for path in folder.glob(".*.partial")):
+            if whole_name(path.name) in ours and path.is_file():
+                path.unlink(missing_ok=True)
 
     def _believe(self, path: Path) -> None:
         """A model counts as there while all that came of it is."""

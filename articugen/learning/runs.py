@@ -473,10 +473,7 @@ class RunFolder:
 
             def log(record: dict[str, Any]) -> None:
                 self.log(record, files.metrics)
-                try:
-                    tell(record)
-                except OSError as error:
-                    raise MachineFault(cannot_write(self.path / files.board, error)) from None
+                tell(record)
 
             yield log
 

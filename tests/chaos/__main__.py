@@ -1,0 +1,90 @@
+"""python -m tests.chaos [--quick] [--every] [--kills 50] [--seed 0] [--commands generate,export]
+
+Prints the table (fault, times tried, survived, hash equal), and what did not hold; status 1 then.
+--every takes every write of a stretch into one file, not the first, the middle and the last alone.
+"""
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+
+from rich.console import Console
+
+from tests.chaos.commands import commands
+from tests.chaos.disk import failing_disk
+from tests.chaos.failures import FAULTS, Failures
+from tests.chaos.kills import Kills, Strike, moments
+from tests.chaos.machine import told
+from tests.chaos.tally import Tally, table
+
+NAMES = ("generate", "export", "train", "fetch")
+
+
+def main() -> None:
+    options = _options()
+    console = Console(stderr=True)
+    names = options.commands.split(",")
+    rows: list[Tally] = []
+    with (
+        tempfile.TemporaryDirectory(prefix="articugen-chaos-") as folder,
+        console.status("") as bar,
+    ):
+        for name in names:
+            rows += _failing(Path(folder), name, options, bar.update)
+            rows += _killed(Path(folder), name, options, bar.update)
+    sys.stdout.write(table(rows) + "\n")
+    for row in rows:
+        for sentence in row.wrong:
+            sys.stdout.write(f"{row.fault}: {sentence}\n")
+    sys.exit(0 if all(row.holds for row in rows) else 1)
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m tests.chaos")
+    parser.add_argument("--quick", action="store_true", help="a few of each")
+    parser.add_argument("--every", action="store_true", help="every write, not the telling ones")
+    parser.add_argument("--kills", type=int, default=50, help="of each command")
+    parser.add_argument("--seed", type=int, default=0, help="of the moments")
+    parser.add_argument("--commands", default=",".join(NAMES))
+    options = parser.parse_args()
+    if options.quick:
+        options.kills = 4
+    return options
+
+
+def _failing(folder: Path, name: str, options: argparse.Namespace, told) -> list[Tally]:
+    work = folder / "work"
+    command = commands(folder / "inputs", work, jobs=0)[name]
+    with failing_disk(folder) as disk:
+        failures = Failures(command, disk, work)
+        points = failures.every() if options.every else failures.telling()
+        chosen = points[:: max(len(points) // 5, 1)] if options.quick else points
+        return [failures.tried(mode, chosen, told) for mode in FAULTS]
+
+
+def _killed(folder: Path, name: str, options: argparse.Namespace, told) -> list[Tally]:
+    """With two workers, where the command has any: the strikes take turns."""
+    command = commands(folder / "inputs-killed", folder / "work", jobs=2, objects=6)[name]
+    kills = Kills.of(command, folder / "work")
+    strikes = [s for s in Strike if s != Strike.WORKER or name == "generate"]
+    drawn = moments(options.seed, options.kills)
+    return [kills.tried(s, drawn[i :: len(strikes)], told) for i, s in enumerate(strikes)]
+
+
+def _any_order(folder: Path, options: argparse.Namespace) -> Tally:
+    """Runs, kills, faults, corruptions and verifications in any order: see `machine`."""
+    row = Tally("`generate`: stories of all these, in any order")
+    with failing_disk(folder) as disk:
+        stories = 5 if options.quick else 40
+        try:
+            told(folder, disk, stories=stories, steps=8, seed=options.seed)
+        except AssertionError as error:
+            row.note(survived=False, equal=False, wrong=str(error))
+        else:
+            row.tried = row.survived = row.equal = stories
+    return row
+
+
+if __name__ == "__main__":
+    main()
