@@ -8,9 +8,9 @@ import sys
 from collections.abc import Collection
 from pathlib import Path
 
-import numpy as np
 import pytest
 
+from tests.chaos.determinism import WAYS, golden, made, numpys_features, processors
 from tests.golden import CATEGORIES, read
 
 MAKE = """
@@ -38,12 +38,6 @@ for name, module in sys.modules.copy().items():
 x86 = pytest.mark.skipif(platform.machine() != "x86_64", reason="names of x86-64 processors")
 
 
-def _numpy_features() -> str:
-    """All that numpy would choose kernels by here."""
-    umath = np._core._multiarray_umath  # type: ignore[attr-defined]
-    return " ".join(f for f in umath.__cpu_dispatch__ if umath.__cpu_features__.get(f))
-
-
 def made_under(
     folder: Path, names: Collection[str], code: str = MAKE, **settings: str
 ) -> dict[str, str]:
@@ -69,16 +63,17 @@ def usual() -> dict[str, str]:
 
 
 @x86
-def test_another_openblas_does_not_show(usual, tmp_path):
+def test_another_openblas_threads_and_hash_seed_do_not_show(usual, tmp_path):
     some = {name: usual[name] for name in ("eyeglasses", "boxes")}
-    told = {"OPENBLAS_CORETYPE": "Haswell", "OPENBLAS_NUM_THREADS": "2"}
+    told = {"OPENBLAS_CORETYPE": "Haswell", "OPENBLAS_NUM_THREADS": "2", "NUMBA_NUM_THREADS": "1"}
+    told |= {"PYTHONHASHSEED": "12345", "OMP_NUM_THREADS": "3", "TZ": "Asia/Tokyo"}
     assert made_under(tmp_path, some, **told) == some
 
 
 @pytest.mark.slow
 def test_the_plainest_processor_does_not_show(usual, tmp_path):
     """All libraries at once are told to make do with it; where this fails, tell them one by one."""
-    told = {"NPY_DISABLE_CPU_FEATURES": _numpy_features()}
+    told = {"NPY_DISABLE_CPU_FEATURES": numpys_features()}
     if platform.machine() == "x86_64":
         plain = "-AVX512F,-AVX2,-AVX2_Usable,-FMA,-FMA_Usable,-AVX,-AVX_Usable"
         told |= {"OPENBLAS_CORETYPE": "Prescott", "GLIBC_TUNABLES": f"glibc.cpu.hwcaps={plain}"}
@@ -91,3 +86,18 @@ def test_the_plainest_processor_does_not_show(usual, tmp_path):
     assert len(list(kernels.glob("compiled-generate-*"))) == 1
     others = {name: made for name, made in usual.items() if name not in CATEGORIES}
     assert made_under(tmp_path / "others", others, **told) == others
+
+
+@x86
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", list(processors()))
+def test_kernels_for_each_kind_of_processor_make_the_same(usual, kind, tmp_path):
+    some = {name: usual[name] for name in ("eyeglasses", "boxes, extras")}
+    assert golden(processors()[kind], some, tmp_path / "work") == some
+
+
+@pytest.mark.slow
+def test_workers_kills_and_folders_do_not_show(tmp_path):
+    """`python -m tests.chaos.determinism` tries all ways."""
+    names = ("this process", "8 workers, killed, resumed by 1", "another folder")
+    assert len({made(WAYS[name], tmp_path / name) for name in names}) == 1

@@ -125,28 +125,26 @@ def copy_user_group(path: Path, into: Path, written: int) -> None:
     Raises:
         CorruptShard: there is one that cannot be read, or there may be.
     """
+    if not os.path.lexists(path):
+        return
+    is_there = path.stat().st_size > written
     try:
-        if not os.path.lexists(path) or (path.stat().st_size <= written and not _opens(path)):
-            return
         with _opened(path) as theirs:
             name = schema.USER_GROUP.encode()
-            if not theirs.id.links.exists(name):
+            is_there = theirs.id.links.exists(name)
+            if not is_there:
                 return
             if theirs.id.links.get_info(name).type != h5py.h5l.TYPE_HARD:
                 raise CorruptShard(f"{path}: {schema.USER_GROUP!r} is a link to elsewhere")
             with h5py.File(into, "r+", libver="v110", locking=False) as ours:
                 theirs.copy(schema.USER_GROUP, ours)
     except (OSError, RuntimeError, ValueError, KeyError, CorruptShard) as error:
-        raise CorruptShard(f"it may have a group 'user', which cannot be read ({error})") from None
+        if is_there:
+            raise CorruptShard(
+                f"it may have a group 'user', which cannot be read ({error})"
+            ) from None
+        return
     sync(into)
-
-
-def _opens(path: Path) -> bool:
-    try:
-        _opened(path).close()
-    except CorruptShard:
-        return False
-    return True
 
 
 def instance_sha256(object_id: str, arrays: Iterable[tuple[str, NDArray[Any]]]) -> str:

@@ -9,7 +9,7 @@ from articugen.recipe import Recipe
 from articugen.records import Floats, Instance, dequantize
 from articugen.store import schema
 from articugen.verify.bounds import TOLERANCES
-from articugen.verify.sampled import nearest_within
+from articugen.verify.nearest import nearest_within
 
 _LOOKED_AT = 500
 """Query points whose distance is compared with that to each surface point."""

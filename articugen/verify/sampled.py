@@ -22,6 +22,7 @@ from articugen.verify.bounds import (
     SAME_SURFACE,
     STEEPEST,
 )
+from articugen.verify.nearest import any_within, nearest_within
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ def _grids_agree(row: Instance, _: Recipe) -> Iterator[Share]:
     points, label = (_some(each, 8000) for each in _queries(row))
     for resolution, grid in sorted(row.occupancy.items()):
         reach = math.hypot(0.5 * math.sqrt(3.0) / resolution, _spacing(len(surface)))
-        away = nearest_within(surface, points, reach) < 0
+        away = ~any_within(surface, points, reach)
         for what, judged in (("free", label == FREE), ("occupied", is_material(label))):
             yield _share(
                 what,
@@ -89,14 +90,14 @@ def _grids_filled(row: Instance, _: Recipe) -> Iterator[Share]:
                 "filling",
                 f"only {{share}} of the voxels of part {part} in occupancy_{resolution} are where "
                 "the points show anything",
-                nearest_within(occupied, centres, _ball(len(row.uniform_points))) >= 0,
+                any_within(occupied, centres, _ball(len(row.uniform_points))),
             )
-            met = centres[nearest_within(solid, centres, CLOSE) >= 0]
+            met = centres[any_within(solid, centres, CLOSE)]
             yield _share(
                 "parts",
                 f"only {{share}} of the voxels of part {part} in occupancy_{resolution} are "
                 "close to other samples of that part",
-                nearest_within(solid[own == part + 1], met, 3.0 * CLOSE) >= 0,
+                any_within(solid[own == part + 1], met, 3.0 * CLOSE),
             )
 
 
@@ -127,7 +128,7 @@ def _near(row: Instance, recipe: Recipe) -> Iterator[Share]:
     yield _share(
         "near",
         "only {share} of near_points are near surface_points",
-        nearest_within(surface, near, reach) >= 0,
+        any_within(surface, near, reach),
     )
 
 
@@ -172,7 +173,7 @@ def _partial_parts(row: Instance, recipe: Recipe) -> Iterator[Share]:
     yield _share(
         "seen",
         "only {share} of partial_points are near surface_points",
-        nearest_within(surface, seen, max(ANY_SURFACE, _spacing(len(surface)))) >= 0,
+        any_within(surface, seen, max(ANY_SURFACE, _spacing(len(surface)))),
     )
 
 
@@ -185,7 +186,7 @@ def flow_shares(row: Instance, canonical: Instance) -> Iterator[Share]:
     back = invert_rigid(row.part_motion)
     for part in range(1, len(back)):
         moved = apply(back[part], _some(points[row.surface_part == part]))
-        met = nearest_within(surface, moved, max(ANY_SURFACE, _spacing(len(surface)))) >= 0
+        met = any_within(surface, moved, max(ANY_SURFACE, _spacing(len(surface))))
         met[~met] = (_about(grid, moved[~met]) > 0).any(axis=1)
         yield _share(
             "flow",
@@ -249,35 +250,3 @@ def _about(grid, points):  # pragma: no cover - compiled
             k = min(max(z + (corner >> 2), 0), size - 1)
             labels[n, corner] = grid[i, j, k]
     return labels
-
-
-@kernel
-def nearest_within(points, queries, radius):  # pragma: no cover - compiled
-    """(n,) the index of the one of `points` nearest to each query (n, 3) within `radius`, or -1.
-
-    Points are sorted into cells no smaller than `radius`, so that 27 of them are searched.
-    """
-    cells = max(1, min(64, int(1.0 / radius)))
-    head = np.full((cells, cells, cells), -1, np.int32)
-    following = np.empty(len(points), np.int32)
-    for i in range(len(points)):
-        x, y, z = [min(max(int((p + 0.5) * cells), 0), cells - 1) for p in points[i]]
-        following[i] = head[x, y, z]
-        head[x, y, z] = i
-    found = np.full(len(queries), -1, np.int64)
-    for k in range(len(queries)):
-        best = radius * radius
-        a, b, c = [min(max(int((q + 0.5) * cells), 0), cells - 1) for q in queries[k]]
-        for x in range(max(a - 1, 0), min(a + 2, cells)):
-            for y in range(max(b - 1, 0), min(b + 2, cells)):
-                for z in range(max(c - 1, 0), min(c + 2, cells)):
-                    i = head[x, y, z]
-                    while i >= 0:
-                        d = 0.0
-                        for axis in range(3):
-                            d += (points[i, axis] - queries[k, axis]) ** 2
-                        if d <= best:
-                            best = d
-                            found[k] = i
-                        i = following[i]
-    return found
