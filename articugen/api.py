@@ -5,14 +5,16 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from articugen import pipeline
+from articugen import bucket_runs, pipeline
 from articugen.errors import ArticugenError, InvalidArgument
 from articugen.pipeline import Job, ObjectReport
 from articugen.recipe import Recipe, load_recipe
 from articugen.recipe_files import with_settings
 from articugen.sources import registry
+from articugen.store.bucket import Remote, is_url
 from articugen.store.dataset import DataSet
 from articugen.store.dataset import open as open_data_set
+from articugen.store.manifest import Manifest
 
 Folder = str | os.PathLike[str]
 RecipeLike = str | Path | Mapping[str, Any] | Recipe | None
@@ -44,6 +46,11 @@ def jobs_of(
     """
     source = os.fspath(source)
     names = registry.categories(source, categories)
+    if scheduler and is_url(out):
+        raise InvalidArgument(
+            f"{out} with a scheduler: run the same command on each machine instead, they share out "
+            "the objects among them"
+        )
     return [
         Job(
             source=source,
@@ -52,7 +59,8 @@ def jobs_of(
             .with_counts(objects=objects, states=states, max_rejected=max_rejected)
             .with_articulation(movable=movable, canonical=canonical),
             seed=seed,
-            out=Path(out) / name,
+            out=Path() if is_url(out) else Path(out) / name,
+            bucket=str(Remote(str(out)) / name) if is_url(out) else "",
             jobs=pipeline.default_jobs() if jobs is None else jobs,
             ids=own,
             exclude=out_of,
@@ -89,7 +97,7 @@ def generate(
     Args:
         category: what to make, one of the source's.
         source: a source's name, or a folder of models.
-        out: the data set goes to the folder <out>/<category>.
+        out: the data set goes to the folder <out>/<category>, or to s3://bucket/prefix/<category>.
         recipe: a name, a path, the keys of a recipe, or None for the category's own.
         changes: other values than the recipe's, each `section.key=value`.
         seed: the master seed; 0 is one like any other.
@@ -119,11 +127,25 @@ def generate(
     if len(todo) != 1:
         raise InvalidArgument(f"{category!r} means {len(todo)} data sets; make one after the other")
     (job,) = todo
+    if job.bucket:
+        return _generate_into_a_bucket(job, on_object)
     with pipeline.started(job) as run:
         if run.plan.conflict and not replace:
             raise ArticugenError(f"{run.plan.conflict}, or pass replace=True")
         manifest = run.finish(on_object)
+    _check(manifest, str(job.out))
+    return open_data_set(job.out)
+
+
+def _generate_into_a_bucket(job: Job, on_object: Callable[[ObjectReport], None]) -> DataSet:
+    with bucket_runs.started(job) as run:
+        _, manifest = run.finish(on_object)
+    assert manifest is not None  # it was asked for all of it
+    _check(manifest, job.bucket)
+    return open_data_set(job.bucket)
+
+
+def _check(manifest: Manifest, where: str) -> None:
     if manifest.shortfall:
         first = (*manifest.failed, *manifest.rejected, *manifest.skipped)[0]
-        raise ArticugenError(f"{job.out}: {manifest.shortfall}; the first, {first.sentence}")
-    return open_data_set(job.out)
+        raise ArticugenError(f"{where}: {manifest.shortfall}; the first, {first.sentence}")

@@ -15,6 +15,7 @@ from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
+from typing import Protocol
 
 from articugen import __version__, cluster, content, workers
 from articugen.compiling import compile_kernels
@@ -55,7 +56,8 @@ class Job:
     made.
     `jobs` worker processes make it. With 0 this process does, without the recipe's limits of time
     and memory: for debugging. With a `scheduler`, the address of a Dask cluster's, its workers do,
-    all of which must see `out`.
+    all of which must see `out`. With a `bucket`, the data set goes to that folder of an object
+    store, s3://bucket/prefix, and `out` means nothing: see `bucket_runs`.
     """
 
     source: str
@@ -68,6 +70,7 @@ class Job:
     exclude: tuple[str, ...] = ()
     joints: tuple[str, ...] = ()
     scheduler: str = ""
+    bucket: str = ""
 
     def __post_init__(self) -> None:
         """
@@ -213,7 +216,7 @@ class Run:
             manifest = Manifest.read(self.job.out)
             if manifest.shortfall == _shortfall(self.plan.done, self.job.recipe):
                 for outcome in self.plan.done:
-                    on_object(_report(outcome, reused=True))
+                    on_object(report_of(outcome, reused=True))
                 return manifest
         licence = registry.licence(self.job.source)  # while the source is there
         outcomes = self.make(on_object, on_notice)
@@ -230,13 +233,13 @@ class Run:
         which are made and recorded."""
         outcomes = list(self.plan.done)
         for outcome in outcomes:
-            on_object(_report(outcome, reused=True))
+            on_object(report_of(outcome, reused=True))
         self.journal.claim(task.shard for task in self.plan.tasks)
         with closing(self.made(on_notice)) as made:
             for outcome in made:
                 self.journal.record(outcome)
                 outcomes.append(outcome)
-                on_object(_report(outcome, reused=False))
+                on_object(report_of(outcome, reused=False))
         return outcomes
 
     def made(self, on_notice: Callable[[str], None]) -> Generator[Outcome, None, None]:
@@ -246,11 +249,11 @@ class Run:
         if tasks:
             jobs = 0 if self.job.scheduler else self.job.jobs
             compile_kernels("generate", jobs=jobs, notice=on_notice)
-        limit = _limit(self.job.recipe)
+        limit = limit_of(self.job.recipe)
         try:
             with closing(self._ends(tasks, limit, on_notice)) as made:
                 for ended in made:
-                    yield ended.value or _not_made(tasks[ended.number].key, ended, limit)
+                    yield ended.value or not_made(tasks[ended.number].key, ended, limit)
         except MachineFault as error:
             raise MachineFault(
                 f"{error}; finished objects are kept, the same command goes on after them"
@@ -265,8 +268,8 @@ class Run:
             duty = cluster.Duty(
                 partial(make_object, job, check=self.check),
                 limit,
-                _import_stages,
-                _name_of,
+                import_stages,
+                name_of,
                 code_version(),
                 self.journal.path.resolve(),
             )
@@ -276,14 +279,14 @@ class Run:
             tasks,
             workers=self.job.jobs,
             limit=limit,
-            ready=_import_stages,
+            ready=import_stages,
             handles=self.journal.handles,
             notice=on_notice,
-            name=_name_of,
+            name=name_of,
         )
 
 
-def _name_of(task: Task) -> str:
+def name_of(task: Task) -> str:
     return task.key.object_id
 
 
@@ -291,7 +294,15 @@ def conclude(
     job: Job, journal: Journal, outcomes: Sequence[Outcome], timings: Timings, licence: str
 ) -> Manifest:
     """Write the manifest, and what lies beside it, of a data set of which these are all objects."""
-    manifest = Manifest.of(
+    manifest = manifest_of(job, outcomes, timings)
+    write_atomically(job.out / croissant.NAME, croissant.of_data_set(manifest))
+    journal.finish(manifest)
+    return manifest
+
+
+def manifest_of(job: Job, outcomes: Sequence[Outcome], timings: Timings) -> Manifest:
+    """Of a data set of which these are all objects."""
+    return Manifest.of(
         outcomes,
         category=job.category,
         source=job.source,
@@ -301,9 +312,6 @@ def conclude(
         timings=timings,
         shortfall=_shortfall(outcomes, job.recipe),
     )
-    write_atomically(job.out / croissant.NAME, croissant.of_data_set(manifest))
-    journal.finish(manifest)
-    return manifest
 
 
 def make_object(job: Job, task: Task, check: Check | None = None) -> Outcome:
@@ -416,7 +424,7 @@ def _instances(job: Job, task: Task) -> tuple[ArticulatedObject, Iterator[Instan
     return prepared.obj, (make_instance(prepared, index) for index in every)
 
 
-def _import_stages() -> None:
+def import_stages() -> None:
     """What takes a worker seconds once, and is no object's fault; before its clock starts."""
     import articugen.articulation  # noqa: PLC0415
     import articugen.instance  # noqa: PLC0415, F401
@@ -427,7 +435,7 @@ def _import_readers() -> None:
     import articugen.sources.urdf  # noqa: PLC0415, F401
 
 
-def _not_made(key: Key, ended: workers.Ended, limit: workers.Limit) -> Outcome:
+def not_made(key: Key, ended: workers.Ended, limit: workers.Limit) -> Outcome:
     """The outcome of an object whose worker was killed, by us or by others."""
     over = {
         "seconds": _OverLimit("takes too many seconds", "seconds_per_object", limit.seconds),
@@ -442,7 +450,7 @@ def _not_made(key: Key, ended: workers.Ended, limit: workers.Limit) -> Outcome:
     return Outcome(failed=Rejection(key=key, reason=reason))
 
 
-def _limit(recipe: Recipe) -> workers.Limit:
+def limit_of(recipe: Recipe) -> workers.Limit:
     seconds = recipe.seconds_per_object
     if seconds is None:
         seconds = SECONDS_FOR_ANY_OBJECT + SECONDS_FOR_ANY_INSTANCE * _instances_each(recipe)
@@ -453,9 +461,18 @@ def _instances_each(recipe: Recipe) -> int:
     return recipe.articulation.states + 1
 
 
-def plan_for(job: Job, journal: Journal, refs: Sequence[ObjectRef]) -> Plan:
+class Holdings(Protocol):
+    """What is known of objects that were made before; `Journal` says what each means."""
+
+    def why(self, key: Key) -> str | None: ...
+    def finished(self, key: Key) -> Outcome | None: ...
+    def conflict(self, keys: Sequence[Key]) -> str | None: ...
+    def shard_names(self, keys: Sequence[Key]) -> dict[Key, str]: ...
+
+
+def plan_for(job: Job, journal: Holdings, refs: Sequence[ObjectRef]) -> Plan:
     """What is to be done for these objects of a job, by what its folder holds already."""
-    limit = _limit(job.recipe)
+    limit = limit_of(job.recipe)
     keys, known = [], dict[Key, Outcome]()
     generator = generator_of(refs[0]) if refs else ""
     for ref, read in zip(refs, _read(job, refs, limit), strict=True):
@@ -465,7 +482,7 @@ def plan_for(job: Job, journal: Journal, refs: Sequence[ObjectRef]) -> Plan:
             reason = f"{printable(str(ref.location))}: its name is no plain text; rename it"
             known[key] = Outcome(rejected=Rejection(key=key, reason=reason))
         elif read.value is None:
-            known[key] = _not_made(key, read, limit)
+            known[key] = not_made(key, read, limit)
     names = journal.shard_names(keys)
     done, tasks = [], []
     for ref, key in zip(refs, keys, strict=True):
@@ -565,7 +582,7 @@ def _attributes(job: Job, task: Task) -> dict[str, str | int]:
     }
 
 
-def _report(outcome: Outcome, *, reused: bool) -> ObjectReport:
+def report_of(outcome: Outcome, *, reused: bool) -> ObjectReport:
     made, key = outcome.made, outcome.key
     return ObjectReport(
         object_id=key.object_id,

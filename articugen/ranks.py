@@ -7,7 +7,7 @@ where they have stopped.
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -88,8 +88,8 @@ def started(job: Job, share: Share, *, command: str = "") -> Iterator[Rank]:
     """
     job = as_its_source_is(job)
     refs = objects_of(job)
-    names = _names(refs)
-    common = _common(job, refs, names, command)
+    names = names_of(refs)
+    common = common_plan(job, refs, command)
     with RankJournal(job.out, share, common, names) as journal:
         mine = [ref for place, ref in enumerate(refs) if share.has(place)]
         yield Rank(Run(job, journal, plan_for(job, journal, mine)), share, len(refs))
@@ -118,7 +118,7 @@ def merge(
     with Merging(folder, sizes_only=sizes_only) as journal:
         job = _job_of(journal.common, folder, jobs)
         refs = objects_of(job)
-        _check_listing(journal, _names(refs))
+        _check_listing(journal, names_of(refs))
         outcomes, missing = list[Outcome](), dict[int, str]()
         with ThreadPoolExecutor(max(1, jobs)) as pool:
             looks = pool.map(lambda ref: _why(journal, job, ref), refs)
@@ -184,7 +184,8 @@ def _told(journal: Merging, missing: dict[int, str], objects: int) -> str:
     )
 
 
-def _names(refs: tuple[ObjectRef, ...]) -> list[Name]:
+def names_of(refs: Iterable[ObjectRef]) -> list[Name]:
+    """What objects are called in plans."""
     return [_name(ref) for ref in refs]
 
 
@@ -192,7 +193,8 @@ def _name(ref: ObjectRef) -> Name:
     return ref.split, plain_name(ref.object_id)
 
 
-def _common(job: Job, refs: tuple[ObjectRef, ...], names: list[Name], command: str) -> CommonPlan:
+def common_plan(job: Job, refs: Sequence[ObjectRef], command: str) -> CommonPlan:
+    """What all processes that make these objects together are asked for."""
     return CommonPlan(
         source=job.source,
         category=job.category,
@@ -202,7 +204,7 @@ def _common(job: Job, refs: tuple[ObjectRef, ...], names: list[Name], command: s
         exclude=job.exclude,
         joints=job.joints,
         objects=len(refs),
-        listing=listing_of(names),
+        listing=listing_of(names_of(refs)),
         generator=generator_of(refs[0]),
         command=command or "articugen generate ...",
     )

@@ -82,20 +82,26 @@ MAY_IMPORT: dict[str, set[str]] = {
     | {"cluster", "compiling"},
     # beyond one machine
     "ranks": VOCABULARY | {"pipeline", "sources", "store"},
+    "bucket_runs": VOCABULARY
+    | {"compiling", "pipeline", "ranks", "sources", "store", "workers"},
     # the store, which knows no stage
     "store": set(),
     "store.files": {"errors"},
     "store.schema": set(),
     "store.chunks": set(),
-    "store.shards": {"errors", "records", "store.files", "store.schema", "store.chunks"},
+    "store.bucket": {"errors"},
+    "store.shards": {"errors", "records", "store.files", "store.schema", "store.chunks"}
+    | {"store.bucket"},
     "store.rows": {"errors", "geometry", "records", "store.schema"},
     "store.dataset": VOCABULARY
-    | {"store.manifest", "store.rows", "store.shards", "store.torch_dataset"},
+    | {"store.bucket", "store.manifest", "store.rows", "store.shards", "store.torch_dataset"},
     "store.torch_dataset": {"errors"},
-    "store.manifest": {"errors", "store.files", "store.schema", "store.shards"},
+    "store.manifest": {"errors", "store.bucket", "store.files", "store.schema", "store.shards"},
     "store.journal": {"errors", "store.files", "store.manifest", "store.shards"},
     "store.cleaning": {"store.journal"},
     "store.rank_journal": {"errors", "store.files", "store.journal", "store.manifest"},
+    "store.bucket_journal": {"errors", "store.bucket", "store.journal", "store.manifest"}
+    | {"store.rank_journal"},
     # what reads it
     "verify": {"verify.check"},
     "verify.bounds": set(),
@@ -134,7 +140,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     # the door, for notebooks
     "maker": VOCABULARY | STAGES | {"instance", "mesh_file", "store.rows"},
     "notebook": VOCABULARY | {"store", "inspection"},
-    "api": VOCABULARY | {"pipeline", "sources", "store"},
+    "api": VOCABULARY | {"bucket_runs", "pipeline", "sources", "store"},
     "found_joints": VOCABULARY | {"discovery", "store", "learning.clouds"},
     # the browser: what is stored, or made again by what notebooks make it with
     "viewer": VOCABULARY
@@ -154,6 +160,7 @@ MAY_IMPORT: dict[str, set[str]] = {
         "store",
         "sources",
         "pipeline",
+        "bucket_runs",
         "ranks",
         "verify",
         "inspection",
@@ -202,6 +209,7 @@ FOREIGN: dict[str, set[str]] = {
         "inspection.tables",
     },
     "distributed": {"cluster"},
+    "obstore": {"store.bucket"},
     "open3d": {"rendering.embree"},
     "pyrender": {"rendering.opengl"},
     "OpenGL": {"rendering.opengl"},

@@ -63,13 +63,13 @@ def plan_table(job: Job, plan: Plan) -> RenderableType:
     table.add_row("disk", f"about {size(plan.bytes)}: an estimate")
     on = f"on {_count(max(job.jobs, 1), 'worker')}"
     table.add_row("time", f"about {duration(round(plan.seconds))} {on}: an estimate")
-    lines: list[RenderableType] = [_title(job.category, job.out), table]
+    lines: list[RenderableType] = [_title(job.category, job.bucket or job.out), table]
     if plan.conflict:
         lines.append(Text(plan.conflict, "yellow"))
     return Group(*lines)
 
 
-def made_table(manifest: Manifest, folder: Path) -> RenderableType:
+def made_table(manifest: Manifest, folder: Path | str) -> RenderableType:
     """One screen at the end of a run: what was made, how fast, how large, what was rejected."""
     splits = Counter(entry.key.split for entry in manifest.objects)
     counts = ", ".join(f"{n} {split}" for split, n in sorted(splits.items(), reverse=True))
@@ -195,7 +195,7 @@ class _Rate(TextColumn):
         return Text(f"{rate:.1f} instances/s" if made else "starting", "bright_black")
 
 
-def _title(category: str, folder: Path) -> Text:
+def _title(category: str, folder: Path | str) -> Text:
     return Text.assemble((category, "bold"), f" in {folder}")
 
 

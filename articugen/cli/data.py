@@ -37,7 +37,7 @@ from articugen.cli.saying import (
     stderr,
     stdout,
 )
-from articugen.cli.shares import made_share, share_of
+from articugen.cli.shares import made_in_bucket, made_share, share_of
 from articugen.cli.shares import register as register_merge
 from articugen.cli.view import register as register_view
 from articugen.errors import ArticugenError
@@ -140,6 +140,8 @@ def sources() -> None:
     "sbatch --array=0-99 --cpus-per-task=4 --wrap 'articugen generate -c laptop -o /shared/data "
     "--shard $SLURM_ARRAY_TASK_ID/100'\n\n"
     "articugen merge /shared/data/laptop\n\n"
+    "Into an object store, on as many machines as there are: "
+    "articugen generate -c laptop -o s3://bucket/data\n\n"
     "On a Dask cluster: articugen generate -c laptop -o /shared/data --scheduler tcp://host:8786",
 )
 def generate(
@@ -229,8 +231,14 @@ def generate(
         ),
     ] = None,
     folder: Annotated[
-        Path, typer.Option("--out", "-o", help="The data set goes to a folder <category> in here.")
-    ] = Path("data"),
+        str,
+        typer.Option(
+            "--out",
+            "-o",
+            help="The data set goes to a folder <category> in here; also s3://bucket/prefix, where "
+            "any number of processes share out the objects.",
+        ),
+    ] = "data",
     seed: Annotated[int, typer.Option(help="The master seed; 0 is one like any other.")] = 0,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print what would be made and why; make nothing.")
@@ -271,6 +279,7 @@ def generate(
         )  # fmt: skip
         share = share_of(shard, replace=replace)
     one = partial(made_share, share=share) if share else partial(_made, replace=replace)
+    one = partial(made_in_bucket, share=share) if todo[0].bucket else one
     make = one if len(todo) == 1 else partial(_made_each, one)
     status = make(*todo, dry_run=dry_run)
     if status:

@@ -13,7 +13,10 @@ from articugen.cli.saying import KEPT, REJECTED, counting_bar, said, stderr, std
 from articugen.errors import ArticugenError, InvalidArgument
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from articugen.pipeline import Job
+    from articugen.store.manifest import Outcome
     from articugen.store.rank_journal import Share
 
 
@@ -53,14 +56,45 @@ def made_share(job: "Job", *, dry_run: bool, share: "Share") -> int:
                 return 0
             with console.progress(stderr, rank.plan) as bar:
                 outcomes = rank.finish(bar.of_object, bar.of_notice)
-        stdout.print(console.share_table(outcomes))
-        failed = [outcome.failed for outcome in outcomes if outcome.failed]
-        if failed:
-            raise ArticugenError(
-                f"{len(failed)} of {mine} objects failed through no fault of theirs, and are tried "
-                f"again by the same command; the first, {failed[0].sentence}"
-            )
-        stdout.print(f"when all shards are made: articugen merge {job.out}", soft_wrap=True)
+        return _told_share(outcomes, f"when all shards are made: articugen merge {job.out}")
+
+
+def made_in_bucket(job: "Job", *, dry_run: bool, share: "Share | None") -> int:
+    """Make one data set, or a share of it, in an object store; the exit status."""
+    with said(KEPT):
+        from articugen import bucket_runs
+        from articugen.cli import console
+
+        with bucket_runs.started(job, share, command=_whole_command(sys.argv)) as run:
+            if dry_run:
+                stdout.print(console.plan_table(job, run.plan))
+                return 0
+            with console.progress(stderr, run.plan) as bar:
+                outcomes, manifest = run.finish(bar.of_object, bar.of_notice)
+        if manifest is None:
+            return _told_share(outcomes, "when all shards are made, the command without --shard")
+        stdout.print(console.made_table(manifest, job.bucket))
+        if manifest.shortfall:
+            raise ArticugenError(manifest.shortfall)
+    return REJECTED if manifest.rejected else 0
+
+
+def _told_share(outcomes: "Sequence[Outcome]", then: str) -> int:
+    """Say what has become of a share, and what comes next; the exit status.
+
+    Raises:
+        ArticugenError: some objects have failed.
+    """
+    from articugen.cli import console
+
+    stdout.print(console.share_table(outcomes))
+    failed = [outcome.failed for outcome in outcomes if outcome.failed]
+    if failed:
+        raise ArticugenError(
+            f"{len(failed)} of {len(outcomes)} objects failed through no fault of theirs, and are "
+            f"tried again by the same command; the first, {failed[0].sentence}"
+        )
+    stdout.print(then, soft_wrap=True)
     return 0
 
 

@@ -22,6 +22,7 @@ from articugen.errors import CorruptShard, InvalidArgument, machine_fault
 from articugen.recipe import Recipe
 from articugen.recipe_files import nearest
 from articugen.store import schema
+from articugen.store.bucket import Bucket, RangeFile, Remote, is_url
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.rows import Row, in_units, is_scaled, texts
 from articugen.store.shards import Attribute, Stored, open_shard
@@ -41,11 +42,16 @@ _POINT_SYMBOLS = ("S", "U", "K", "M")
 
 def open(path: str | Path) -> "DataSet":
     """Open a data set: its folder, or one of its shards. Of a folder that is not finished, and has
-    no manifest yet, what is there.
+    no manifest yet, what is there. A folder s3://bucket/prefix is read where it is: what is asked
+    for comes over, and no more.
 
     Raises:
         CorruptShard: there is none, or it is damaged.
+        MachineFault: an object store does not answer.
     """
+    if is_url(path):
+        shelf = _remote_shelf(Remote(str(path)))
+        return DataSet(shelf, _where(shelf))
     path = Path(path)
     if path.is_file():
         shelf = _Shelf(path, (_entry_of(path),), None)
@@ -54,9 +60,31 @@ def open(path: str | Path) -> "DataSet":
         shelf = _Shelf(path, tuple(_entries(path, manifest)), manifest)
     else:
         shelf = _Shelf(path, tuple(map(_entry_of, _shards_in(path))), None)
+    return DataSet(shelf, _where(shelf))
+
+
+def _where(shelf: "_Shelf") -> NDArray[np.int64]:
+    """(n, 2) the shard and the row of each instance."""
     rows = [np.arange(entry.instances) for entry in shelf.entries] or [np.arange(0)]
     shard = np.repeat(np.arange(len(rows)), list(map(len, rows)))
-    return DataSet(shelf, np.stack([shard, np.concatenate(rows)], axis=1))
+    return np.stack([shard, np.concatenate(rows)], axis=1)
+
+
+def _remote_shelf(folder: Remote) -> "_Shelf":
+    """
+    Raises:
+        CorruptShard: no data set is there, or none that is whole.
+    """
+    if folder.name.endswith(".h5"):
+        return _Shelf(folder, (_entry_of(folder),), None)
+    text = Bucket(folder.url).get(MANIFEST_NAME)
+    if text is None:
+        raise CorruptShard(
+            f"{folder}: has no {MANIFEST_NAME}; make it with generate --out {folder.parent}, and "
+            "once more where that was cut short"
+        )
+    manifest = Manifest.parsed(text, folder / MANIFEST_NAME)
+    return _Shelf(folder, tuple(_entries(folder, manifest)), manifest)
 
 
 class DataSet(Sequence[Row]):
@@ -73,7 +101,7 @@ class DataSet(Sequence[Row]):
         self._shelf, self._where = shelf, where
 
     @property
-    def path(self) -> Path:
+    def path(self) -> Path | Remote:
         """What was opened."""
         return self._shelf.path
 
@@ -83,7 +111,7 @@ class DataSet(Sequence[Row]):
         return self._shelf.manifest
 
     @cached_property
-    def shards(self) -> tuple[Path, ...]:
+    def shards(self) -> tuple[Path | Remote, ...]:
         """The files that hold these instances."""
         return tuple(self._shelf.entries[i].path for i in np.unique(self._where[:, 0]))
 
@@ -165,6 +193,11 @@ class DataSet(Sequence[Row]):
         Raises:
             InvalidArgument: it is only some of the instances, which is not what they would see.
         """
+        if isinstance(self.path, Remote):
+            raise InvalidArgument(
+                f"{self.path}: this needs the files here; copy them (aws s3 sync, or the like) and "
+                "give that folder"
+            )
         whole = sum(entry.instances for entry in self._shelf.entries)
         if len(self) != whole:
             raise InvalidArgument(
@@ -400,7 +433,7 @@ def _as_text(name: str, array: NDArray[Any]) -> NDArray[Any]:
 class _Entry:
     """A shard of a data set; `object_ids` of its rows."""
 
-    path: Path
+    path: Path | Remote
     split: str
     object_ids: Sequence[str]
 
@@ -409,7 +442,7 @@ class _Entry:
         return len(self.object_ids)
 
 
-def _entries(folder: Path, manifest: Manifest) -> Iterator[_Entry]:
+def _entries(folder: Path | Remote, manifest: Manifest) -> Iterator[_Entry]:
     """As the manifest tells; a shard of one object need not be opened for it."""
     inside: dict[str, list[Any]] = {}
     for entry in manifest.objects:
@@ -436,7 +469,7 @@ class _Same(Sequence[str]):
         return self._text
 
 
-def _entry_of(path: Path) -> _Entry:
+def _entry_of(path: Path | Remote) -> _Entry:
     with open_shard(path) as shard:
         return _Entry(path, str(shard.attributes["split"]), shard.object_ids())
 
@@ -466,17 +499,40 @@ class _Handle:
     """A file that is open for reading until nobody holds this."""
 
     def __init__(self, path: Path) -> None:
+        """
+        Raises:
+            OSError: it cannot be opened.
+        """
         self.number = os.open(path, os.O_RDONLY)
+        about = os.fstat(self.number)
+        self.seen = (about.st_ino, about.st_size, about.st_mtime_ns)
+
+    def read(self, spans: Sequence[tuple[int, int]]) -> list[bytes]:
+        return [os.pread(self.number, size, at) for at, size in spans]
 
     def __del__(self, close: Callable[[int], None] = os.close) -> None:
         if hasattr(self, "number"):
             close(self.number)
 
 
+class _RemoteHandle:
+    """The same, of a file in an object store."""
+
+    def __init__(self, path: Remote) -> None:
+        self._file = RangeFile(path)
+        self.seen = (self._file.size,)
+
+    def read(self, spans: Sequence[tuple[int, int]]) -> list[bytes]:
+        parts = iter(self._file.read_spans([span for span in spans if span[1]]))
+        return [next(parts) if size else b"" for _, size in spans]
+
+
 class _Shelf:
     """The shards of a data set, shared by all that is taken from it."""
 
-    def __init__(self, path: Path, entries: tuple[_Entry, ...], manifest: Manifest | None) -> None:
+    def __init__(
+        self, path: Path | Remote, entries: tuple[_Entry, ...], manifest: Manifest | None
+    ) -> None:
         self.path, self.entries, self.manifest = path, entries, manifest
         self._forget()
 
@@ -484,7 +540,7 @@ class _Shelf:
         self._about: dict[int, tuple[Mapping[str, tuple[int, ...]], Mapping[str, Attribute]]] = {}
         self._stored: dict[tuple[int, str], Stored] = {}
         self._seen: dict[int, tuple[int, ...]] = {}
-        self._handles: dict[int, _Handle] = {}
+        self._handles: dict[int, _Handle | _RemoteHandle] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         return {"path": self.path, "entries": self.entries, "manifest": self.manifest}
@@ -510,14 +566,17 @@ class _Shelf:
             self._learn(shard, names)
         handle = self._handle(shard)
         try:
-            return [self._stored[shard, name].row(handle.number, row) for name in names]
+            stored = [self._stored[shard, name] for name in names]
+            parts = handle.read([each.span(row) for each in stored])
+            return [each.row(part) for each, part in zip(stored, parts, strict=True)]
         except (OSError, ValueError) as error:
             raise machine_fault(error) or CorruptShard(
                 f"{self.entries[shard].path}: damaged ({error}); make it again or fetch it again"
             ) from error
 
     def _learn(self, shard: int, names: Iterable[str]) -> None:
-        """Note where the rows of some fields lie, and of those that are mostly read with them."""
+        """Note where the rows of some fields lie, and of those that are mostly read with them; of a
+        remote shard, of all: opening it is what takes time."""
         path = self.entries[shard].path
         with open_shard(path) as opened:
             self._about[shard] = (dict(opened.fields), dict(opened.attributes))
@@ -530,24 +589,22 @@ class _Shelf:
                     )
             kinds = set(map(_kind, names))
             for name in opened.fields:
-                if _kind(name) in kinds:
+                if isinstance(path, Remote) or _kind(name) in kinds:
                     self._stored[shard, name] = opened.stored(name)
         if len(opened) != self.entries[shard].instances:
             raise CorruptShard(f"{path}: not the shard that the manifest tells of; see verify")
 
-    def _handle(self, shard: int) -> _Handle:
+    def _handle(self, shard: int) -> "_Handle | _RemoteHandle":
         handle = self._handles.get(shard)
         if handle is None:
             path = self.entries[shard].path
             try:
-                handle = _Handle(path)
-                about = os.fstat(handle.number)
+                handle = _RemoteHandle(path) if isinstance(path, Remote) else _Handle(path)
             except OSError as error:
                 raise machine_fault(error) or CorruptShard(
                     f"{path}: cannot be opened ({error.strerror})"
                 ) from error
-            seen = (about.st_ino, about.st_size, about.st_mtime_ns)
-            if self._seen.setdefault(shard, seen) != seen:
+            if self._seen.setdefault(shard, handle.seen) != handle.seen:
                 raise CorruptShard(f"{path}: was made again since; open the data set anew")
             while len(self._handles) >= _OPEN_FILES:
                 self._handles.pop(next(iter(self._handles)), None)

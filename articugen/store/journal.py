@@ -11,7 +11,7 @@ import os
 import re
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -122,19 +122,7 @@ class Journal:
 
     def why(self, key: Key) -> str | None:
         """Why the object must be made (again); None where what is on the disk will do."""
-        outcome = self._outcomes.get((key.split, key.object_id))
-        if outcome is None:
-            return NEVER_MADE
-        if outcome.fault is not None:
-            return f"it failed ({outcome.fault.reason})"
-        difference = key.difference(outcome.key)
-        if difference is not None or outcome.shard is None:
-            return difference
-        if outcome.shard not in self._trusted:
-            self._trusted[outcome.shard] = self._is_whole(outcome)
-        if not self._trusted[outcome.shard]:
-            return f"its shard {outcome.shard.name} is missing or altered"
-        return None
+        return why_again(key, self._outcomes.get((key.split, key.object_id)), self._is_trusted)
 
     def finished(self, key: Key) -> Outcome | None:
         """What became of the object, where that still holds: see `why`."""
@@ -355,6 +343,13 @@ class Journal:
             return False
         return known.shard is None or self._is_whole(outcome)
 
+    def _is_trusted(self, outcome: Outcome) -> bool:
+        """Whether its shard is whole, looked at once."""
+        assert outcome.shard
+        if outcome.shard not in self._trusted:
+            self._trusted[outcome.shard] = self._is_whole(outcome)
+        return self._trusted[outcome.shard]
+
     def _is_whole(self, outcome: Outcome) -> bool:
         """Whether a shard is the file that was recorded, or that with a group `user` besides."""
         assert outcome.shard
@@ -368,6 +363,18 @@ class Journal:
                 return shard.extended and content_sha256(content) == outcome.made.content_sha256
         except (OSError, CorruptShard):
             return False
+
+
+def why_again(key: Key, outcome: Outcome | None, is_whole: Callable[[Outcome], bool]) -> str | None:
+    """Why an object must be made (again) of which `outcome` is known; None where that will do."""
+    if outcome is None:
+        return NEVER_MADE
+    if outcome.fault is not None:
+        return f"it failed ({outcome.fault.reason})"
+    difference = key.difference(outcome.key)
+    if difference is not None or outcome.shard is None:
+        return difference
+    return None if is_whole(outcome) else f"its shard {outcome.shard.name} is missing or altered"
 
 
 def data_sets(path: Path) -> list[Path]:

@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from articugen import __version__
 from articugen.errors import CorruptShard, printable
+from articugen.store.bucket import Remote
 from articugen.store.files import UnfitFile, read_regular, sha256_of, write_atomically
 from articugen.store.schema import SCHEMA_VERSION
 from articugen.store.shards import ShardRecord, content_sha256
@@ -361,7 +362,11 @@ class Manifest(_Record):
         Raises:
             ArticugenError: the disk is full, the folder cannot be written to.
         """
-        write_atomically(folder / MANIFEST_NAME, (self.model_dump_json(indent=1) + "\n").encode())
+        write_atomically(folder / MANIFEST_NAME, self.text())
+
+    def text(self) -> bytes:
+        """As it is written."""
+        return (self.model_dump_json(indent=1) + "\n").encode()
 
     @staticmethod
     def read(folder: Path) -> "Manifest":
@@ -382,6 +387,15 @@ class Manifest(_Record):
                 f"{path}: cannot be read ({error.strerror}); a run that was cut short goes on when "
                 "it is started again"
             ) from None
+        return Manifest.parsed(text, path)
+
+    @staticmethod
+    def parsed(text: bytes, path: Path | Remote) -> "Manifest":
+        """The manifest that lies at `path`.
+
+        Raises:
+            CorruptShard: as `read`.
+        """
         found = _version_in(text)
         if found is not None and found not in range(1, SCHEMA_VERSION + 1):
             raise CorruptShard(

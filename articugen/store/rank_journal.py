@@ -119,7 +119,7 @@ class CommonPlan(BaseModel):
         except OSError as error:
             raise MachineFault(f"{path}: cannot be read ({error.strerror})") from None
 
-    def check_like(self, theirs: "CommonPlan", folder: Path) -> None:
+    def check_like(self, theirs: "CommonPlan", folder: Path | str) -> None:
         """
         Raises:
             ArticugenError: ranks that made `theirs` in this folder were asked for something else.

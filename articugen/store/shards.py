@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from articugen.errors import ArticugenError, CorruptShard
 from articugen.records import Instance
 from articugen.store import chunks, schema
+from articugen.store.bucket import RangeFile, Remote
 from articugen.store.files import (
     UnfitFile,
     check_regular,
@@ -174,7 +175,7 @@ def content_sha256(content: Iterable[tuple[Any, ...]]) -> str:
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
-def open_shard(path: Path) -> "Shard":
+def open_shard(path: Path | Remote) -> "Shard":
     """Open a shard for reading, `with open_shard(path) as shard:`.
 
     Raises:
@@ -197,8 +198,8 @@ class Shard:
         extended: whether somebody has added a group `user`, which is left alone.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = Path(path)
+    def __init__(self, path: Path | Remote) -> None:
+        self.path = path if isinstance(path, Remote) else Path(path)
         self._open()
 
     def _open(self) -> None:
@@ -444,20 +445,27 @@ class Stored:
     offset: NDArray[np.int64]
     size: NDArray[np.int64]
 
-    def row(self, handle: int, row: int) -> NDArray[Any]:
-        """(...) read-only, from a file that is open for reading; its checksum is looked at.
+    @property
+    def row_bytes(self) -> int:
+        return math.prod(self.shape[1:]) * self.dtype.itemsize
+
+    def span(self, row: int) -> tuple[int, int]:
+        """Where a row's bytes begin in the file, and how many they are; 0 where it has none."""
+        if not self.row_bytes:
+            return 0, 0
+        return int(self.offset[row]), min(int(self.size[row]), chunks.most_bytes(self.row_bytes))
+
+    def row(self, stored: bytes) -> NDArray[Any]:
+        """(...) read-only, of the bytes that lie in its `span`; their checksum is looked at.
 
         Raises:
-            OSError, ValueError: damaged.
+            ValueError: damaged.
         """
-        row_bytes = math.prod(self.shape[1:]) * self.dtype.itemsize
-        if not row_bytes:
+        if not self.row_bytes:
             return np.zeros(self.shape[1:], self.dtype)
-        size = min(int(self.size[row]), chunks.most_bytes(row_bytes))
-        chunk = memoryview(os.pread(handle, size, int(self.offset[row])))
-        if len(chunk) <= chunks.CHECKSUM_BYTES:
+        if len(stored) <= chunks.CHECKSUM_BYTES:
             raise ValueError("cut short")
-        data = chunks.decoded(chunk, row_bytes, compressed=self.compressed)
+        data = chunks.decoded(memoryview(stored), self.row_bytes, compressed=self.compressed)
         return np.frombuffer(data, self.dtype).reshape(self.shape[1:])
 
 
@@ -631,9 +639,11 @@ def _describe_file(file: h5py.File, attributes: Mapping[str, Attribute]) -> None
             file.attrs.create(name, value, dtype="<i8" if isinstance(value, int) else "<f8")
 
 
-def _opened(path: Path) -> h5py.File:
+def _opened(path: Path | Remote) -> h5py.File:
     """Without HDF5's file lock, which network file systems lack: a shard never changes."""
     try:
+        if isinstance(path, Remote):
+            return h5py.File(RangeFile(path), "r")
         check_regular(path)
         return h5py.File(path, "r", locking=False)
     except UnfitFile as error:

@@ -1,0 +1,201 @@
+"""A data set in an object store is the one on a disk, whatever befalls requests and processes."""
+
+import pickle
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bucket_server import BUCKET, Trouble, bucket_server
+from test_pipeline import TINY, contents, job, made, own_models  # noqa: F401
+
+import articugen as ag
+from articugen import bucket_runs
+from articugen.errors import (
+    ArticugenError,
+    CorruptShard,
+    InvalidArgument,
+    MachineFault,
+    MissingExtra,
+)
+from articugen.pipeline import Job, ObjectReport
+from articugen.store import bucket as bucket_module
+from articugen.store.bucket import Bucket
+from articugen.store.bucket_journal import ObjectClaims
+from articugen.store.manifest import MANIFEST_NAME, Manifest
+from articugen.store.rank_journal import Share
+
+pytest.importorskip("obstore", reason="obstore is not installed")
+pytest.importorskip("flask_cors", reason="moto's server is not installed")
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Trouble]:
+    with pytest.MonkeyPatch.context() as patch, bucket_server(patch) as trouble:
+        patch.setattr(bucket_module, "PAUSE", 0.01)
+        patch.setattr(bucket_runs, "POLL_SECONDS", 0.2)
+        yield trouble
+
+
+@pytest.fixture(scope="module")
+def whole(own_models: None, tmp_path_factory: pytest.TempPathFactory) -> Path:  # noqa: F811
+    """Four eyeglasses on the disk. Look, do not touch."""
+    out = tmp_path_factory.mktemp("whole") / "eyeglasses"
+    made(job(out))
+    return out
+
+
+@pytest.fixture(scope="module")
+def stored(server: Trouble, own_models: None) -> str:  # noqa: F811
+    """The same in the store, made while one of five requests fails. Look, do not touch."""
+    url = f"s3://{BUCKET}/data/eyeglasses"
+    server.every = 5
+    finished(into(url))
+    server.every = 0
+    return url
+
+
+def into(url: str, **changes: object) -> Job:
+    return job(Path(), bucket=url, **changes)
+
+
+def finished(job: Job, share: str | None = None) -> tuple[Manifest | None, list[ObjectReport]]:
+    told: list[ObjectReport] = []
+    with bucket_runs.started(job, Share.of_text(share) if share else None) as run:
+        _, manifest = run.finish(told.append)
+    return manifest, told
+
+
+def files(url: str) -> dict[str, bytes | None]:
+    """But for the manifest, which has timings, and for what lies beside."""
+    bucket = Bucket(url)
+    names = [name for name in bucket.listed("") if not name.startswith(".articugen/")]
+    return {name: bucket.get(name) for name in sorted(names) if name != MANIFEST_NAME}
+
+
+def test_what_is_stored_is_what_lies_on_a_disk(stored: str, whole: Path, server: Trouble) -> None:
+    assert min(server.spoilt[kind] for kind in ("503", "unheard", "unanswered")) >= 1
+    assert files(stored) == contents(whole)
+    assert not [n for n in Bucket(stored).listed(".articugen") if n.startswith("claims")]
+    manifest, told = finished(into(stored))
+    assert [report.reused for report in told] == [True] * 4
+    assert manifest is not None
+    assert manifest.content_sha256 == Manifest.read(whole).content_sha256
+
+
+def test_it_is_read_where_it_is(
+    stored: str, whole: Path, server: Trouble, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there, here = ag.open(stored), ag.open(whole)
+    assert there.objects == here.objects
+    assert there.splits == here.splits
+    monkeypatch.setattr(bucket_module, "BLOCK", 1024)
+    before = server.sent
+    row = there[5].stored("surface_points")
+    np.testing.assert_array_equal(row, here[5].stored("surface_points"))
+    shard = whole / here[5:6].shards[0].name
+    assert server.sent - before < 0.8 * shard.stat().st_size
+    server.every = 4
+    names = [name for name in here.fields if name != "object_id"]
+    theirs, ours = there.batch(4, names, rng=1), here.batch(4, names, rng=1)
+    server.every = 0
+    for name in names:
+        np.testing.assert_array_equal(theirs[name], ours[name])
+    again = pickle.loads(pickle.dumps(there[:3]))
+    assert again[0].object_id == here[0].object_id
+    requests = server.seen["GET"]
+    there.batch([5], names)
+    assert server.seen["GET"] - requests <= 3  # an instance lies in one piece
+    with pytest.raises(InvalidArgument, match="needs the files here; copy them"):
+        ag.verify(there)
+    assert len(ag.open(f"{stored}/test-00000.h5")) == 3
+
+
+def test_an_interrupted_run_and_shares_go_on(server: Trouble, whole: Path) -> None:
+    url = f"s3://{BUCKET}/cut/eyeglasses"
+
+    def interrupt(report: ObjectReport) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), bucket_runs.started(into(url)) as run:
+        run.finish(interrupt)
+    with pytest.raises(CorruptShard, match=r"has no manifest.json; make it with generate"):
+        ag.open(url)
+    manifest, told = finished(into(url), "1/2")
+    assert manifest is None
+    assert len(told) == 2
+    Bucket(url).delete(["train-00001.h5"])
+    manifest, told = finished(into(url))
+    assert manifest is not None
+    assert sum(report.reused for report in told) in (1, 2)
+    assert files(url) == contents(whole)
+    with pytest.raises(ArticugenError, match=r"make another data set here \(another seed\)"):
+        finished(into(url, seed=1))
+
+
+def test_what_another_process_is_at_is_left_to_it(
+    server: Trouble, whole: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two were killed at an object each; their claims run out, once one has been told on."""
+    url = f"s3://{BUCKET}/claimed/eyeglasses"
+    theirs = ObjectClaims(Bucket(url), "theirs", 600.0)
+    assert theirs.take("train-00000.h5")
+    assert theirs.take("test-00000.h5")
+    mine = ObjectClaims(Bucket(url), "mine", 600.0)
+    assert not mine.take("train-00000.h5")
+    assert not mine.is_free("train-00000.h5")
+    assert theirs.take("train-00000.h5")  # another worker of the same run
+    recipe = TINY.model_copy(update={"seconds_per_object": 2.0})
+    monkeypatch.setattr(bucket_runs, "MARGIN_SECONDS", 1.0)
+    told: list[str] = []
+    began = time.monotonic()
+    with bucket_runs.started(into(url, recipe=recipe)) as run:
+        _, manifest = run.finish(on_notice=told.append)
+    assert time.monotonic() - began > 1.0  # clocks of stores tell whole seconds
+    assert told == ["2 objects are at other processes, which is waited for"]
+    assert manifest is not None
+    assert manifest.content_sha256 == Manifest.read(whole).content_sha256
+
+
+def test_two_processes_share_out_the_objects(server: Trouble, whole: Path, tmp_path: Path) -> None:
+    recipe = tmp_path / "tiny.json"
+    recipe.write_text(TINY.text())
+    url = f"s3://{BUCKET}/two"
+    command = ["generate", "-c", "eyeglasses", "-r", recipe, "-j", "0", "-o", url]
+    with subprocess.Popen(
+        [sys.executable, "-m", "articugen", *map(str, command)], stdout=subprocess.PIPE
+    ) as other:
+        while not Bucket(f"{url}/eyeglasses").listed(""):
+            assert other.poll() is None
+            time.sleep(0.05)
+        data = ag.generate("eyeglasses", out=url, recipe=TINY, jobs=0)
+        assert other.wait(60) == 0
+    assert len(data) == 12
+    assert files(f"{url}/eyeglasses") == contents(whole)
+
+
+def test_a_store_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InvalidArgument, match="no object store is called so; give s3://"):
+        ag.open("s4://nowhere/at/all")
+    monkeypatch.setitem(sys.modules, "obstore", None)
+    with pytest.raises(MissingExtra, match=r"pip install 'articugen\[s3\]'"):
+        ag.open("s3://nowhere/at/all")
+
+
+def test_a_store_that_goes_away_is_no_damage(
+    server: Trouble, stored: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = ag.open(stored)
+    monkeypatch.setattr(bucket_module, "TRIES", 1)
+    monkeypatch.setattr(bucket_module, "RETRIES", 0)
+    for method in ("HEAD", "GET"):  # the second when HDF5 is reading
+        server.deaf = method
+        try:
+            with pytest.raises(MachineFault, match="the store does not answer"):
+                ag.open(f"{stored}/test-00000.h5")
+        finally:
+            server.deaf = ""
+    assert data[0].stored("surface_points").any()
