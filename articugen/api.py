@@ -97,7 +97,7 @@ def generate(
     Args:
         category: what to make, one of the source's.
         source: a source's name, or a folder of models.
-        out: the data set goes to the folder <out>/<category>, or to s3://bucket/prefix/<category>.
+        out: the data set goes to the folder <out>/<category>. It may be s3://bucket/prefix.
         recipe: a name, a path, the keys of a recipe, or None for the category's own.
         changes: other values than the recipe's, each `section.key=value`.
         seed: the master seed; 0 is one like any other.
