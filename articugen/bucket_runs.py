@@ -35,6 +35,7 @@ from articugen.pipeline import (
     timings_of,
 )
 from articugen.ranks import common_plan, names_of
+from articugen.sources import registry
 from articugen.store import croissant
 from articugen.store.bucket import Bucket
 from articugen.store.bucket_journal import BucketJournal, ObjectClaims, read_record, record_of
@@ -71,6 +72,7 @@ class BucketRun:
         if self.plan.conflict:
             raise ArticugenError(self.plan.conflict)
         began = time.perf_counter()
+        licence = registry.licence(self.job.source)  # while the source is there
         for outcome in self.plan.done:
             on_object(report_of(outcome, reused=True))
         self.journal.agree()
@@ -83,14 +85,14 @@ class BucketRun:
             return outcomes, None
         instances = sum(o.made.instances for o in made if o.made)
         timings = timings_of(instances, time.perf_counter() - began, self.job.jobs)
-        return outcomes, self._concluded(outcomes, timings)
+        return outcomes, self._concluded(outcomes, timings, licence)
 
-    def _concluded(self, outcomes: Sequence[Outcome], timings: Timings) -> Manifest:
+    def _concluded(self, outcomes: Sequence[Outcome], timings: Timings, licence: str) -> Manifest:
         """Write the manifest, unless it says all of it already."""
         bucket = self.journal.bucket
         if self.journal.is_told and not self.plan.tasks:
             return Manifest.parsed(bucket.get(MANIFEST_NAME) or b"", Path(MANIFEST_NAME))
-        manifest = manifest_of(self.job, outcomes, timings)
+        manifest = manifest_of(self.job, outcomes, timings, licence)
         bucket.put(croissant.NAME, croissant.of_data_set(manifest))
         bucket.put(MANIFEST_NAME, manifest.text())
         return manifest

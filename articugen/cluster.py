@@ -6,6 +6,7 @@ process along, costs nobody else's. What is sent back is small; data go to a fol
 machines see.
 """
 
+import math
 import pickle
 import socket
 import threading
@@ -24,6 +25,8 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 CONNECT_SECONDS = 20.0
+WIDTH_SECONDS = 2.0
+"""Between two looks at how many workers there are."""
 RETRIES = 2
 """Of a task that says its machine is at fault: others may do better."""
 
@@ -74,8 +77,10 @@ def each(
         numbers, running = iter(range(len(tasks))), dict[Any, int]()
         queue = _distributed().as_completed(loop=client.loop)
 
+        width = _Width(client)
+
         def hand_out() -> None:
-            while len(running) < _IN_FLIGHT * max(_threads(client), _IN_FLIGHT):
+            while len(running) < _IN_FLIGHT * max(width.now(), _IN_FLIGHT):
                 number = next(numbers, None)
                 if number is None:
                     return
@@ -94,6 +99,18 @@ def each(
         finally:
             with suppress(Exception):  # the scheduler may be gone, and with it the tasks
                 client.cancel(list(running), force=True)
+
+
+class _Width:
+    """How many tasks the cluster does at once: workers come and go, but asking takes time."""
+
+    def __init__(self, client: Any) -> None:
+        self._client, self._found, self._asked = client, 0, -math.inf
+
+    def now(self) -> int:
+        if time.monotonic() - self._asked > WIDTH_SECONDS:
+            self._found, self._asked = _threads(self._client), time.monotonic()
+        return self._found
 
 
 def threads(address: str) -> int:

@@ -37,7 +37,15 @@ from articugen.sources.refs import ObjectRef
 from articugen.store import croissant
 from articugen.store.files import write_atomically
 from articugen.store.journal import Journal
-from articugen.store.manifest import Key, Manifest, Outcome, Rejection, Timings, code_version
+from articugen.store.manifest import (
+    MOST_OBJECTS,
+    Key,
+    Manifest,
+    Outcome,
+    Rejection,
+    Timings,
+    code_version,
+)
 from articugen.store.shards import Check, write_shard
 
 SECONDS_FOR_ANY_OBJECT = 600.0
@@ -189,11 +197,22 @@ def as_its_source_is(job: Job) -> Job:
 
 
 def objects_of(job: Job) -> tuple[ObjectRef, ...]:
-    """All objects of the data set, in the order that gives shards their names."""
-    return registry.object_refs(
+    """All objects of the data set, in the order that gives shards their names.
+
+    Raises:
+        InvalidSource: unknown source, category or object.
+        InvalidRecipe: they are more than a manifest can tell of.
+    """
+    refs = registry.object_refs(
         job.source, job.category, objects=job.recipe.objects, ids=job.ids, exclude=job.exclude,
         joints=job.joints,
     )  # fmt: skip
+    if len(refs) > MOST_OBJECTS:
+        raise InvalidRecipe(
+            f"{len(refs):,} objects of {job.category}: a data set has at most {MOST_OBJECTS:,}, so "
+            "that it can be opened; give --objects, or make several data sets of other --ids"
+        )
+    return refs
 
 
 @dataclass(frozen=True)
@@ -294,13 +313,13 @@ def conclude(
     job: Job, journal: Journal, outcomes: Sequence[Outcome], timings: Timings, licence: str
 ) -> Manifest:
     """Write the manifest, and what lies beside it, of a data set of which these are all objects."""
-    manifest = manifest_of(job, outcomes, timings)
+    manifest = manifest_of(job, outcomes, timings, licence)
     write_atomically(job.out / croissant.NAME, croissant.of_data_set(manifest))
     journal.finish(manifest)
     return manifest
 
 
-def manifest_of(job: Job, outcomes: Sequence[Outcome], timings: Timings) -> Manifest:
+def manifest_of(job: Job, outcomes: Sequence[Outcome], timings: Timings, licence: str) -> Manifest:
     """Of a data set of which these are all objects."""
     return Manifest.of(
         outcomes,

@@ -120,8 +120,9 @@ def merge(
         refs = objects_of(job)
         _check_listing(journal, names_of(refs))
         outcomes, missing = list[Outcome](), dict[int, str]()
+        same = (job.recipe.for_one_object().sha256(), generator_of(refs[0]))
         with ThreadPoolExecutor(max(1, jobs)) as pool:
-            looks = pool.map(lambda ref: _why(journal, job, ref), refs)
+            looks = pool.map(lambda ref: _why(journal, ref, job.seed, *same), refs)
             for place, (ref, why) in enumerate(zip(refs, looks, strict=True)):
                 on_object(place + 1, len(refs), ref.object_id)
                 if why is None:
@@ -134,7 +135,9 @@ def merge(
         return conclude(job, journal, outcomes, timings, registry.licence(job.source))
 
 
-def _why(journal: Merging, job: Job, ref: ObjectRef) -> str | None:
+def _why(
+    journal: Merging, ref: ObjectRef, seed: int, recipe_sha256: str, generator: str
+) -> str | None:
     """Why there is nothing to tell of an object yet; None where there is. What it is made from is
     not read again: the plain command does that."""
     outcome = journal.recorded.get(_name(ref))
@@ -146,9 +149,9 @@ def _why(journal: Merging, job: Job, ref: ObjectRef) -> str | None:
         split=ref.split,
         object_id=plain_name(ref.object_id),
         ref=outcome.key.ref,
-        recipe_sha256=job.recipe.for_one_object().sha256(),
-        seed=job.seed,
-        generator=generator_of(ref),
+        recipe_sha256=recipe_sha256,
+        seed=seed,
+        generator=generator,
     )
     return journal.why(key)
 

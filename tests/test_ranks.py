@@ -11,9 +11,9 @@ from test_pipeline import TINY, contents, job, made, own_models  # noqa: F401
 from trouble import held_by_another_run
 from typer.testing import CliRunner
 
-from articugen import ranks
+from articugen import pipeline, ranks
 from articugen.cli import app
-from articugen.errors import ArticugenError, InvalidArgument
+from articugen.errors import ArticugenError, InvalidArgument, InvalidRecipe
 from articugen.pipeline import plan
 from articugen.store.cleaning import clean
 from articugen.store.files import partial_name
@@ -196,3 +196,12 @@ def test_the_command_line_makes_shares_and_merges_them(tmp_path: Path) -> None:
     assert run("merge", tmp_path / "data").exit_code == 0
     assert not (folder / JOURNAL_NAME).exists()
     assert "no rank has been at work" in run("merge", folder).stderr
+
+
+def test_no_more_objects_than_a_manifest_can_tell_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Said before the first is made, not after the last."""
+    monkeypatch.setattr(pipeline, "MOST_OBJECTS", 3)
+    with pytest.raises(InvalidRecipe, match="4 objects of eyeglasses: a data set has at most 3"):
+        rank(tmp_path, "0/2")

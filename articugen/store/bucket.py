@@ -23,6 +23,8 @@ RETRIES = 4
 TRIES, PAUSE = 6, 0.2
 """Of a request that is not answered; seconds before the second try, twice as many each time."""
 AT_ONCE = 16
+PART = 1 << 26
+"""Bytes above which a file is sent in parts, each a request."""
 BLOCK = 1 << 16
 """Bytes that a file is read by, where it is read as one."""
 
@@ -127,7 +129,7 @@ class Bucket:
 
     def put(self, name: str, data: bytes | Path) -> None:
         """Write a file, which is there as a whole or not at all."""
-        self._tried(lambda: self._obstore.put(self._store, name, data), name)
+        self._tried(lambda: self._obstore.put(self._store, name, data, chunk_size=PART), name)
 
     def put_new(self, name: str, data: bytes) -> bool:
         """Write a file that was not there; whether it is ours. `data` is unlike any other's."""

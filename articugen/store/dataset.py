@@ -138,6 +138,10 @@ class DataSet(Sequence[Row]):
     @cached_property
     def objects(self) -> tuple[str, ...]:
         """The ids of its objects, in the order of their first instances."""
+        shards, first = np.unique(self._where[:, 0], return_index=True)
+        ids = [self._shelf.entries[shard].object_ids for shard in shards[np.argsort(first)]]
+        if all(isinstance(each, _Same) for each in ids):  # need not look at every instance
+            return tuple(dict.fromkeys(each[0] for each in ids))
         return tuple(dict.fromkeys(self._object_ids()))
 
     @cached_property

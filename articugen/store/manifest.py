@@ -27,7 +27,9 @@ from articugen.store.shards import ShardRecord, content_sha256
 MANIFEST_NAME = "manifest.json"
 
 MOST_BYTES = 1 << 28
-"""That a manifest or journal may have: of some 300,000 objects."""
+"""That a manifest or journal may have."""
+MOST_OBJECTS = 200_000
+"""Of a data set: its manifest has 770 bytes for each, more where there are notes."""
 
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 ShardName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.h5$", max_length=200)]
