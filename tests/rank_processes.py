@@ -29,7 +29,7 @@ def be(share: Share, out: Path, objects: int, moment: str) -> None:
         shards.sha256_of = die
     if moment == "record":
         RankJournal.record = die
-    with ranks.started(job(out, recipe=TINY.with_counts(objects=objects)), share) as rank:
+    with ranks.started(job(out, recipe=TINY.with_counts(objects=objects, states=0)), share) as rank:
         rank.finish(die if moment == "object" else lambda _: None)
 
 

@@ -160,6 +160,7 @@ def test_what_another_process_is_at_is_left_to_it(
     assert manifest.content_sha256 == Manifest.read(whole).content_sha256
 
 
+@pytest.mark.slow
 def test_two_processes_share_out_the_objects(server: Trouble, whole: Path, tmp_path: Path) -> None:
     recipe = tmp_path / "tiny.json"
     recipe.write_text(TINY.text())

@@ -21,7 +21,7 @@ from articugen.store.manifest import code_version
 dask = pytest.importorskip("dask", reason="dask is not installed")
 distributed = pytest.importorskip("distributed", reason="distributed is not installed")
 
-MANY = TINY.with_counts(objects=6, states=1)
+MANY = TINY.with_counts(objects=6, states=0)
 
 
 @pytest.fixture(scope="module")

@@ -82,8 +82,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     | {"cluster", "compiling"},
     # beyond one machine
     "ranks": VOCABULARY | {"pipeline", "sources", "store"},
-    "bucket_runs": VOCABULARY
-    | {"compiling", "pipeline", "ranks", "sources", "store", "workers"},
+    "bucket_runs": VOCABULARY | {"compiling", "pipeline", "ranks", "sources", "store", "workers"},
     # the store, which knows no stage
     "store": set(),
     "store.files": {"errors"},

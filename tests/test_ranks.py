@@ -62,7 +62,7 @@ def test_eight_ranks_of_which_three_are_killed_make_what_one_process_makes(tmp_p
     assert len(left) == 2  # nobody removes what may be another's
     with pytest.raises(ArticugenError, match=r"1 of 9 objects are missing .*--shard i/8, i = 1;"):
         ranks.merge(out)
-    all_of_them = TINY.with_counts(objects=OBJECTS)
+    all_of_them = TINY.with_counts(objects=OBJECTS, states=0)
     assert len(rank(out, "1/8", recipe=all_of_them)) == 1
     merged = ranks.merge(out, jobs=2)
 
