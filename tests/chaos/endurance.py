@@ -10,10 +10,9 @@ import tempfile
 import time
 from pathlib import Path
 
+from articugen.workers import resident_bytes
 from tests.chaos.commands import PYTHON, RECIPE
 from tests.chaos.disk import ROOT
-
-from articugen.workers import resident_bytes
 
 
 def main(instances: int) -> None:
