@@ -18,11 +18,12 @@ from typer.testing import CliRunner
 import articugen as ag
 from articugen import content, instance
 from articugen.cli import app
-from articugen.errors import ArticugenError, InvalidArgument
+from articugen.errors import ArticugenError, CorruptShard, InvalidArgument
 from articugen.pipeline import Job, generate
 from articugen.store import chunks, croissant
 from articugen.store.journal import JOURNAL_NAME
 from articugen.store.manifest import MANIFEST_NAME, Manifest
+from articugen.store.shards import copy_user_group
 from articugen.verify.dataset import Finding, Repair, Report, verify
 from articugen.verify.repair import Asked, repair
 from tests.chaos.corruptions import RECIPE
@@ -406,3 +407,21 @@ def test_a_report_has_what_was_mended(folder):
         (croissant.NAME, "written again")
     ]
     assert "croissant.json: it does not say of the data" in repr(report)
+
+
+def test_only_a_file_that_has_grown_may_have_a_group_that_nobody_can_read(folder):
+    """Nothing can be added to a file that is no larger than when it was written."""
+    path, into = folder / SHARD, folder / "train-00000.h5"
+    whole, size, refused = path.read_bytes(), path.stat().st_size, 0
+    with h5py.File(path) as file:
+        root = h5py.h5o.get_info(file.id).addr
+    for place in range(root, root + 60, 6):
+        data = bytearray(whole)
+        data[place] ^= 255
+        path.write_bytes(data)
+        copy_user_group(path, into, size)
+        try:
+            copy_user_group(path, into, size - 1)
+        except CorruptShard:
+            refused += 1
+    assert refused > 5

@@ -79,16 +79,20 @@ class _Witness:
         return self.record.content[0][0]
 
 
+def _object_of(witness: _Witness) -> str:
+    return witness.object_id
+
+
 def _rebuilt(folder: Path, jobs: int) -> str:
     names = sorted(n for n in os.listdir(folder) if is_shard_name(n) and (folder / n).is_file())
-    here = {"workers": min(jobs, len(names)) if jobs > 1 else 0}
-    looked = workers.in_order(partial(_witness, folder), names, **here)
+    wide = min(jobs, len(names)) if jobs > 1 else 0
+    looked = workers.in_order(partial(_witness, folder), names, workers=wide)
     whole = {name: witness for name, witness in zip(names, looked, strict=True) if witness}
     about = _common(whole)
     told = _Told.of(folder, about)
     outcomes = {name: o for name, o in told.outcomes.items() if _agrees(o, whole.get(name))}
     alone = [witness for name, witness in whole.items() if name not in outcomes]
-    proven = workers.in_order(partial(_proven, folder), alone, **here, name=lambda w: w.object_id)
+    proven = workers.in_order(partial(_proven, folder), alone, workers=wide, name=_object_of)
     outcomes |= {outcome.shard.name: outcome for outcome in proven if outcome.shard}
     _check_distinct(outcomes)
     manifest = Manifest.of(
@@ -187,7 +191,7 @@ class _Told:
             if entry.shard in shards and _is_of(entry.key, about)
         ]
         others = [
-            Outcome(**{kind: entry})
+            Outcome.model_validate({kind: entry})
             for kind in ("rejected", "skipped", "failed")
             for entry in _entries(told, kind, Rejection)
             if _is_of(entry.key, about)
