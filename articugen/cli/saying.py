@@ -11,7 +11,7 @@ from rich.markup import escape
 from articugen.errors import ArticugenError, printable
 
 FAILED, REJECTED = 1, 3
-STOPPED = {signal.SIGINT: 130, signal.SIGTERM: 143}
+STOPPED: dict[int, int] = {signal.SIGINT: 130, signal.SIGTERM: 143}
 """The exit status after each signal that stops the work in good order."""
 KEPT = "finished work is kept; run the same command to resume"
 

@@ -39,10 +39,12 @@ def board(folder: Path, after: int) -> Iterator[Callable[[dict[str, Any]], None]
     if not is_installed():
         yield lambda _: None
         return
-    from tensorboard.compat.proto.event_pb2 import Event, SessionLog  # noqa: PLC0415
-    from tensorboard.compat.proto.summary_pb2 import Summary  # noqa: PLC0415
+    from tensorboard.compat.proto import event_pb2, summary_pb2  # noqa: PLC0415
     from tensorboard.summary.writer.record_writer import RecordWriter  # noqa: PLC0415
 
+    # made when they are imported, as protobuf does
+    Event, SessionLog = (getattr(event_pb2, name) for name in ("Event", "SessionLog"))  # noqa: N806
+    Summary = getattr(summary_pb2, "Summary")  # noqa: B009, N806
     own = f"{time.time():.6f}.{platform.node()}.{os.getpid()}"  # they are read in this order
     path = folder / f"events.out.tfevents.{own}"
 
