@@ -43,8 +43,8 @@ def board(folder: Path, after: int) -> Iterator[Callable[[dict[str, Any]], None]
     from tensorboard.summary.writer.record_writer import RecordWriter  # noqa: PLC0415
 
     # made when they are imported, as protobuf does
-    Event, SessionLog = (getattr(event_pb2, name) for name in ("Event", "SessionLog"))  # noqa: N806
-    Summary = getattr(summary_pb2, "Summary")  # noqa: B009, N806
+    Event, SessionLog = (getattr(event_pb2, name) for name in ("Event", "SessionLog"))
+    Summary = getattr(summary_pb2, "Summary")  # noqa: B009
     own = f"{time.time():.6f}.{platform.node()}.{os.getpid()}"  # they are read in this order
     path = folder / f"events.out.tfevents.{own}"
 
