@@ -158,7 +158,8 @@ class BucketRun:
         paths = [record_of(task.shard) for task in tasks]
         texts = bucket.get_all(paths)
         found = [
-            t and read_record(t, f"{bucket.url}/{p}") for p, t in zip(paths, texts, strict=True)
+            read_record(text, f"{bucket.url}/{path}") if text is not None else None
+            for path, text in zip(paths, texts, strict=True)
         ]
         return [
             outcome if outcome and _will_do(outcome, task) else None

@@ -101,8 +101,8 @@ class DataSet(Sequence[Row]):
         self._shelf, self._where = shelf, where
 
     @property
-    def path(self) -> Path | Remote:
-        """What was opened."""
+    def path(self) -> Any:
+        """What was opened: a `Path`, or a `Remote` in an object store."""
         return self._shelf.path
 
     @property
@@ -111,7 +111,7 @@ class DataSet(Sequence[Row]):
         return self._shelf.manifest
 
     @cached_property
-    def shards(self) -> tuple[Path | Remote, ...]:
+    def shards(self) -> tuple[Any, ...]:
         """The files that hold these instances."""
         return tuple(self._shelf.entries[i].path for i in np.unique(self._where[:, 0]))
 

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
@@ -50,6 +50,9 @@ NEVER_MADE = "it has not been made yet"
 
 DYING_SECONDS = 1.0
 """The workers of a killed run hold its lock for so long at most: see `workers.die_with`."""
+
+
+J = TypeVar("J", bound="Journal")
 
 
 class Journal:
@@ -93,7 +96,7 @@ class Journal:
                 self.close()
                 raise
 
-    def __enter__(self) -> "Journal":
+    def __enter__(self: J) -> J:
         return self
 
     def __exit__(
@@ -239,9 +242,9 @@ class Journal:
         No worker may be at work. Shards that are recorded, and the journal of a run that can go on,
         are none.
         """
-        told = self._manifest and not self._goes_beyond(self._manifest)
+        told = self._manifest if self._manifest and self._tells_all(self._manifest) else None
         entries = [o.shard for o in self._outcomes.values() if o.shard]
-        kept = {shard.name for shard in (self._manifest.shards if told else entries)}
+        kept = {shard.name for shard in (told.shards if told else entries)}
         orphans = [name for name in sorted(self._ours - kept) if self._is_file(name)]
         found = dict.fromkeys(self._temporary(), "a temporary file")
         found |= dict.fromkeys(orphans, "a shard that is not recorded")
@@ -250,9 +253,9 @@ class Journal:
             found |= dict.fromkeys(journals, "the manifest says it all")
         return found
 
-    def _goes_beyond(self, manifest: Manifest) -> bool:
-        """Whether ranks have recorded what the manifest does not tell of: it awaits a merge."""
-        return bool(self._of_ranks) and not set(self._outcomes.values()) <= set(manifest.outcomes)
+    def _tells_all(self, manifest: Manifest) -> bool:
+        """Whether it tells of what ranks have recorded, too; else that awaits a merge."""
+        return not self._of_ranks or set(self._outcomes.values()) <= set(manifest.outcomes)
 
     def remove(self, names: Iterable[str]) -> None:
         """Remove files of this folder, in this order; what is not there is no fault."""

@@ -199,7 +199,7 @@ class Shard:
     """
 
     def __init__(self, path: Path | Remote) -> None:
-        self.path = path if isinstance(path, Remote) else Path(path)
+        self.path: Any = path if isinstance(path, Remote) else Path(path)
         self._open()
 
     def _open(self) -> None:
