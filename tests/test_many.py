@@ -102,7 +102,7 @@ FORMS = {
     "Muon": {"schedule": {"optimiser": "muon"}},
     "SOAP": {"schedule": {"optimiser": "soap"}},
     "a warm start": {
-        "model": {"part_boxes": True},
+        "model": {"part_boxes": True, "part_frame": "world"},
         "warm_start": {"share": 0.5},
         "data": {"varying_points": 20},
     },

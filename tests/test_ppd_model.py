@@ -12,6 +12,7 @@ from articugen.geometry import rotation_about
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
+from articugen.learning.method import load_recipe  # noqa: E402
 from articugen.learning.ppd.discriminator import Discriminator  # noqa: E402
 from articugen.learning.ppd.kinematics import inverse_motion, joint_frames, rotation_from_z  # noqa: E402
 from articugen.learning.ppd.model import PPD, rest_states  # noqa: E402
@@ -160,9 +161,9 @@ def test_grouped_evaluation_equals_a_loop_over_parts(model):
 
 @pytest.fixture(scope="module")
 def boxed():
-    """A model whose parts have boxes, other ones in each sample."""
+    """The model of the recipe whose parts have boxes, other ones in each sample."""
     torch.manual_seed(4)
-    model = PPD(ModelSettings(part_boxes=True, latent_start="he")).double()
+    model = PPD(load_recipe("ppd_quick").model).double()
     with torch.no_grad():
         model.shape.box_in[-1].weight.normal_(std=0.3)
     return model
@@ -189,6 +190,11 @@ def test_parts_in_boxes_lie_along_the_axes_when_their_joints_are_closed(boxed):
     at_pivot = predicted.pose.pivot[:, 1:4]
     torch.testing.assert_close(motion.offset[:, 1:4], -at_pivot)
     torch.testing.assert_close(motion.offset[:, 4:], torch.zeros(3, 4, 3).double())
+
+
+def test_boxes_are_refused_where_parts_lie_along_their_joints():
+    with pytest.raises(ValueError, match="along the unit frame's axes; set part_frame: world"):
+        ModelSettings(part_boxes=True, part_frame="joint")
 
 
 def test_the_code_of_some_parts(boxed):

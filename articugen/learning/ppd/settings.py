@@ -33,7 +33,8 @@ class ModelSettings(Section):
             `joint`, which turns it with the direction as well, B = T(q) C(r) Rz(s).
         part_boxes: whether each part's shape lives in a box of its own, whose middle and size are
             predicted from z^s: drawers of other sizes in other places then look alike. The paper
-            has no such boxes; there z^s says all by six numbers a part.
+            has no such boxes; there z^s says all by six numbers a part. They lie along the unit
+            frame's axes, and so ask for the part frame `world`.
         latent_start: how the encoder's weights start: `release`, as torch's layers do, which leaves
             latents of different objects the same to a thousandth; or `he`, by He et al. 2015, and
             the layer that reads z^s 20 times larger, so that shapes differ from the start.
@@ -51,12 +52,14 @@ class ModelSettings(Section):
     latent_start: Literal["release", "he"] = "release"
 
     @model_validator(mode="after")
-    def _directions_are_unit(self) -> "ModelSettings":
+    def _fits_together(self) -> "ModelSettings":
         for direction in (*self.revolute, *self.prismatic):
             if abs(math.hypot(*direction) - 1.0) > 1e-6:
                 raise ValueError(f"direction {direction} is not of unit length")
         if not self.revolute or not self.prismatic:
             raise ValueError("there must be a revolute and a prismatic part")
+        if self.part_boxes and self.part_frame != "world":
+            raise ValueError("part_boxes lie along the unit frame's axes; set part_frame: world")
         return self
 
     @property
