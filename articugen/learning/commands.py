@@ -244,7 +244,7 @@ def draw(run: FolderLike, data: FolderLike, result: RunEvaluation) -> Iterator[P
     folder = newest(run)
     learner = read_run(folder).learner()
     model = learner.drawable(min(4 * result.run.resolution, 128))
-    on = result.run.on and Path(result.run.on)
+    on = Path(result.run.on) if result.run.on else None
     out, metrics = evaluation_folder(folder, on=on), RunFolder(folder).metrics()
     yield from draw_figures(out, metrics, Path(data), model, result, on=on)
 
