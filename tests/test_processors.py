@@ -1,4 +1,7 @@
-"""The same content hash whatever processor numpy, OpenBLAS and numba find, or are told to find."""
+"""The same content hash whatever processor numpy, OpenBLAS and numba find, or are told to find.
+
+`python -m tests.chaos.determinism` tries every kind of processor, workers, kills, folders and more.
+"""
 
 import json
 import os
@@ -10,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.chaos.determinism import WAYS, golden, made, numpys_features, processors
+from tests.chaos.determinism import numpys_features
 from tests.golden import CATEGORIES, read
 
 MAKE = """
@@ -86,18 +89,3 @@ def test_the_plainest_processor_does_not_show(usual, tmp_path):
     assert len(list(kernels.glob("compiled-generate-*"))) == 1
     others = {name: made for name, made in usual.items() if name not in CATEGORIES}
     assert made_under(tmp_path / "others", others, **told) == others
-
-
-@x86
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", list(processors()))
-def test_kernels_for_each_kind_of_processor_make_the_same(usual, kind, tmp_path):
-    some = {name: usual[name] for name in ("eyeglasses", "boxes, extras")}
-    assert golden(processors()[kind], some, tmp_path / "work") == some
-
-
-@pytest.mark.slow
-def test_workers_kills_and_folders_do_not_show(tmp_path):
-    """`python -m tests.chaos.determinism` tries all ways."""
-    names = ("this process", "8 workers, killed, resumed by 1", "another folder")
-    assert len({made(WAYS[name], tmp_path / name) for name in names}) == 1

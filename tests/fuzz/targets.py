@@ -176,7 +176,8 @@ def _read_shard(path: Path) -> object:
                 stored = shard.stored(name)
                 shard.read(name)
                 try:
-                    stored.row(handle, 0)
+                    offset, size = stored.span(0)
+                    stored.row(os.pread(handle, size, offset))
                 except (OSError, ValueError):  # as it is documented
                     continue
         finally:
