@@ -74,8 +74,8 @@ else
 	@echo "Choose one: make view CATEGORY=laptop" >&2; exit 2
 endif
 
-verify: $(generator)  ## check every byte and the geometry of OUT (or of CATEGORY= alone)
-	@$(articugen) verify "$(OUT)$(if $(CATEGORY),/$(CATEGORY))"
+verify: $(generator)  ## check every byte and the geometry of OUT (or of CATEGORY= alone); REPAIR=1 mends
+	@$(articugen) verify "$(OUT)$(if $(CATEGORY),/$(CATEGORY))" $(if $(REPAIR),--repair)
 
 train: $(learner)  ## train PPD on CATEGORY= (RECIPE=ppd_quick, ppd_hour, ppd_plain, ppd_paper or ppd_release)
 ifdef CATEGORY
