@@ -118,9 +118,10 @@ class BucketRun:
                 time.sleep(POLL_SECONDS if waiting else 0.0)
                 found = self._recorded(waiting)
                 yield from ((outcome, True) for outcome in found if outcome)
-                waiting = [t for t, outcome in zip(waiting, found, strict=True) if outcome is None]
-                todo = [task for task in waiting if claims.is_free(task.shard)]
-                waiting = [task for task in waiting if task not in todo]
+                left = [t for t, outcome in zip(waiting, found, strict=True) if outcome is None]
+                todo, waiting = list[Task](), list[Task]()
+                for task in left:
+                    (todo if claims.is_free(task.shard) else waiting).append(task)
         finally:
             claims.free_all()
 

@@ -6,12 +6,11 @@ import sys
 from pathlib import Path
 
 
-def printed(*arguments: str, folder: Path | None = None, seconds: float = 300, **env: str) -> str:
-    """What `python *arguments` prints, in a folder and with more in its environment.
-
-    It must end well: else what it says is what the test says.
-    """
-    done = subprocess.run(
+def ended(
+    *arguments: str, folder: Path | None = None, seconds: float = 300, **env: str
+) -> subprocess.CompletedProcess[str]:
+    """How `python *arguments` ends, in a folder and with more in its environment."""
+    return subprocess.run(
         [sys.executable, *arguments],
         cwd=folder,
         env={**os.environ, **env},
@@ -20,5 +19,10 @@ def printed(*arguments: str, folder: Path | None = None, seconds: float = 300, *
         check=False,
         timeout=seconds,
     )
+
+
+def printed(*arguments: str, folder: Path | None = None, seconds: float = 300, **env: str) -> str:
+    """What it prints. It must end well: else what it says is what the test says."""
+    done = ended(*arguments, folder=folder, seconds=seconds, **env)
     assert done.returncode == 0, done.stderr
     return done.stdout

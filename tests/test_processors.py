@@ -6,7 +6,6 @@
 import json
 import os
 import platform
-import subprocess
 import sys
 from collections.abc import Collection
 from pathlib import Path
@@ -15,6 +14,7 @@ import pytest
 
 from tests.chaos.determinism import numpys_features
 from tests.golden import CATEGORIES, read
+from tests.python_process import printed
 
 MAKE = """
 import json, sys
@@ -47,16 +47,8 @@ def made_under(
     """The content hash of each tiny set; the models are written anew as well."""
     folder.mkdir(exist_ok=True)
     path = os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])
-    done = subprocess.run(  # noqa: PLW1510
-        [sys.executable, "-c", code, *names],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": path, **settings},
-        capture_output=True,
-        text=True,
-        timeout=600,
-    )
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+    own = {"PYTHONPATH": path, **settings}
+    return json.loads(printed("-c", code, *names, folder=folder, seconds=600, **own))
 
 
 @pytest.fixture(scope="module")

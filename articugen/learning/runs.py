@@ -301,10 +301,15 @@ def depth_learner(folder: Path, main: Checkpoint, device: torch.device = CPU) ->
 def _read_checkpoint(path: Path) -> Checkpoint:
     """A checkpoint whose state nobody has looked at yet."""
     data = read_tensors(path, FORMAT)
+    recipe = data.pop("recipe", None)
     try:
-        recipe = parse_recipe(data.pop("recipe", None), str(path))
+        recipe = parse_recipe(recipe, "its recipe")
         point = Checkpoint(recipe=recipe, **data)
-    except (TypeError, InvalidRecipe):
+    except InvalidRecipe as error:
+        if recipe:  # of another version, in which it could be trained
+            raise InvalidCheckpoint(f"{path}: {error}; train it again") from None
+        raise InvalidCheckpoint(f"{path}: a checkpoint that lacks something; {CURE}") from None
+    except TypeError:
         raise InvalidCheckpoint(f"{path}: a checkpoint that lacks something; {CURE}") from None
     kinds = [type(x) for x in (point.category, point.seed, point.iteration, point.best)]
     sensible = kinds == [str, int, int, float] and type(point.beside) is str

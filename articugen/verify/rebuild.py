@@ -25,7 +25,7 @@ from articugen.resolving import resolved
 from articugen.sources import registry
 from articugen.store import croissant
 from articugen.store.files import read_regular, sha256_of, write_atomically
-from articugen.store.journal import JOURNAL_NAME, lock_folder
+from articugen.store.journal import is_journal, lock_folder
 from articugen.store.manifest import (
     MANIFEST_NAME,
     MOST_BYTES,
@@ -57,7 +57,7 @@ def rebuild(folder: Path, *, jobs: int) -> str:
     """
     lock = lock_folder(folder)
     try:
-        if os.path.lexists(folder / JOURNAL_NAME):
+        if any(map(is_journal, os.listdir(folder))):
             raise ArticugenError(
                 "a run was cut short here; start it again: it goes on, and makes damaged shards "
                 "again"

@@ -1,6 +1,7 @@
-"""python -m tests.chaos [--quick] [--every] [--kills 50] [--seed 0] [--commands generate,export]
+"""python -m tests.chaos [--quick] [--every] [--kills 50] [--seed 0] [--only generate,stories]
 
 Prints the table (fault, times tried, survived, hash equal), and what did not hold; status 1 then.
+A corruption is survived where `verify` finds and names it, and equal where `--repair` mends it.
 --every takes every write of a stretch into one file, not the first, the middle and the last alone.
 """
 
@@ -11,6 +12,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from tests.chaos import corruptions, determinism
 from tests.chaos.commands import commands
 from tests.chaos.disk import failing_disk
 from tests.chaos.failures import FAULTS, Failures
@@ -18,21 +20,21 @@ from tests.chaos.kills import Kills, Strike, moments
 from tests.chaos.machine import told
 from tests.chaos.tally import Tally, table
 
-NAMES = ("generate", "export", "train", "fetch")
+COMMANDS = ("generate", "export", "train", "fetch")
+PARTS = (*COMMANDS, "stories", "corruptions", "determinism")
 
 
 def main() -> None:
     options = _options()
     console = Console(stderr=True)
-    names = options.commands.split(",")
     rows: list[Tally] = []
     with (
         tempfile.TemporaryDirectory(prefix="articugen-chaos-") as folder,
         console.status("") as bar,
     ):
-        for name in names:
-            rows += _failing(Path(folder), name, options, bar.update)
-            rows += _killed(Path(folder), name, options, bar.update)
+        for name in options.only:
+            bar.update(name)
+            rows += _rows(Path(folder), name, options, bar.update)
     sys.stdout.write(table(rows) + "\n")
     for row in rows:
         for sentence in row.wrong:
@@ -46,11 +48,26 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--every", action="store_true", help="every write, not the telling ones")
     parser.add_argument("--kills", type=int, default=50, help="of each command")
     parser.add_argument("--seed", type=int, default=0, help="of the moments")
-    parser.add_argument("--commands", default=",".join(NAMES))
+    parser.add_argument("--only", default=",".join(PARTS), help="parts of the table, with commas")
     options = parser.parse_args()
+    options.only = options.only.split(",")
+    if unknown := [name for name in options.only if name not in PARTS]:
+        parser.error(f"{unknown[0]}: choose of {', '.join(PARTS)}")
     if options.quick:
         options.kills = 4
     return options
+
+
+def _rows(folder: Path, name: str, options: argparse.Namespace, told) -> list[Tally]:
+    """A part of the table."""
+    if name == "stories":
+        return [_any_order(folder, options)]
+    if name == "corruptions":
+        return [Tally(f"corrupted: {row[0]}", *row[1:]) for row in corruptions.rows(options.quick)]
+    if name == "determinism":
+        ways = determinism.rows(options.quick)
+        return [Tally(f"made otherwise: {way}", made, made, same) for way, made, same in ways]
+    return _failing(folder, name, options, told) + _killed(folder, name, options, told)
 
 
 def _failing(folder: Path, name: str, options: argparse.Namespace, told) -> list[Tally]:

@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.golden import SETS, read
+from tests.python_process import ended
 
 Row = tuple[str, int, int]
 
@@ -104,15 +105,8 @@ def _run(
     code: str, arguments: Collection[str], folder: Path, settings: dict[str, str]
 ) -> subprocess.CompletedProcess[str]:
     path = os.pathsep.join([str(Path(__file__).parents[2]), *sys.path])
-    return subprocess.run(
-        [sys.executable, "-c", code, *arguments],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": path, **settings},
-        capture_output=True,
-        text=True,
-        timeout=1800,
-        check=False,
-    )
+    own = {"PYTHONPATH": path, **settings}
+    return ended("-c", code, *arguments, folder=folder, seconds=1800, **own)
 
 
 # --- processors

@@ -1,6 +1,6 @@
-"""Stories that hypothesis makes up: runs, kills, failing disks, corruptions, verifications, in any
-order. Whatever came before, the same command leads to the undisturbed data, and `verify` calls
-sound only what is.
+"""Stories that hypothesis makes up: runs, kills, failing disks, corruptions, verifications and
+repairs, in any order. Whatever came before, the same command leads to the undisturbed data, and
+`verify` calls sound only what is.
 """
 
 import shutil
@@ -69,7 +69,7 @@ def _machine(
 
         @rule(which=st.integers(0, 2), where=st.floats(0, 1, exclude_max=True))
         def flip_a_bit(self, which: int, where: float) -> None:
-            """Of a shard: `verify --repair`, where it is there, has the same to mend."""
+            """Of a shard."""
             for path in sorted(data.glob("*.h5"))[which : which + 1]:
                 image = bytearray(path.read_bytes())
                 image[int(where * len(image))] ^= 1
@@ -93,6 +93,13 @@ def _machine(
             if data.exists():
                 ended = disk.run(("verify", str(data), "-j", "1"), work)
                 assert (ended.status == 0) == self.sound, ended.said
+
+        @rule()
+        def repair(self) -> None:
+            if data.exists():
+                ended = disk.run(("verify", str(data), "-j", "1", "--repair"), work)
+                assert ended.status == 0 or not self.sound, ended.said
+                self.sound = ended.status == 0
 
         @invariant()
         def what_is_called_sound_is(self) -> None:
