@@ -360,6 +360,11 @@ def test_xml_from_strangers(tmp_path, text, problem):
         load_urdf(path, object_id="1", category="c")
 
 
+def test_words_that_nobody_asks_for_may_have_any_letters(tmp_path):
+    obj = read(tmp_path, f'<link nä😀me="x" name="ä😀">{BOX}</link><näme/>')
+    assert [link.name for link in obj.links] == ["ä😀"]
+
+
 def test_what_says_nothing_of_where_a_joint_ends_is_not_read(tmp_path):
     wrong = '<limit effort="" velocity="fast" {}/>'
     (j,) = read(tmp_path, two_links(wrong.format('lower="0" upper="1"'))).joints

@@ -22,6 +22,7 @@ from articugen.records import ArticulatedObject, Floats, Joint, JointKind, Link,
 from articugen.sources import meshes
 from articugen.sources.model_files import MAX_TEXT_BYTES, ModelFiles, quoted
 from articugen.sources.urdf_check import MAX_NUMBER, checked_robot
+from articugen.sources.xml_strict import tostring
 
 MAX_OBJECT_FACES = meshes.MAX_FACES
 MAX_OBJECT_VERTICES = meshes.MAX_VERTICES
@@ -123,7 +124,7 @@ def _parse(checked: Any) -> Any:
     """yourdfpy's records of a tree that has passed every check."""
     import yourdfpy  # noqa: PLC0415 - takes a second, and many commands read no model
 
-    clean = io.BytesIO(etree.tostring(checked))
+    clean = io.BytesIO(tostring(checked))
     return yourdfpy.URDF.load(clean, build_scene_graph=False, load_meshes=False).robot
 
 

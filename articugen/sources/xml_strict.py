@@ -56,5 +56,5 @@ def drop_default_namespaces(root: Any) -> None:
 
 
 def tostring(root: Any) -> bytes:
-    """The document of a root element."""
-    return etree.tostring(root)
+    """The document of a root element; in ASCII, names of other letters would be no names."""
+    return etree.tostring(root, encoding="utf-8")
