@@ -54,6 +54,15 @@ def test_faces_turn_outwards_whatever_their_winding():
     assert np.all(np.sum(normals * centers, axis=1) > 0)
 
 
+def test_what_is_held_does_not_hang_on_the_winding():
+    solid = trimesh.util.concatenate([box((0.2, 0.4, 0.3), (x, 0, 0)) for x in (-0.3, 0.3)])
+    points = np.random.default_rng(0).uniform(-0.45, 0.45, (20_000, 3))
+    wanted = solid_part(labelled(solid), RECIPE).own.holds(points)
+    flip = np.random.default_rng(0).random(len(solid.faces)) < 0.5
+    solid.faces[flip] = solid.faces[flip, ::-1]
+    assert np.array_equal(solid_part(labelled(solid), RECIPE).own.holds(points), wanted)
+
+
 def test_only_closed_pieces_that_look_outwards_are_closed():
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.1)
     inside_out = trimesh.Trimesh(

@@ -59,8 +59,8 @@ def solid_part(soup: LabelledMesh, settings: Fusion, render: Render) -> SolidPar
             alone = _own_solid(mesh, closed, settings, render)
             tree = alone.field.bvh
         else:
-            alone = replace(alone, closed=_closed_pieces(mesh, closed, alone.field))
             tree = build(mesh.vertices[mesh.faces], np.zeros(len(mesh.faces), np.uint8), 1)
+            alone = replace(alone, closed=_closed_pieces(mesh, closed, settings, tree))
     width = pixel_width(alone.field.maps.views)
     thin = thin_voxels(mesh, width, alone.field.bvh)
     own = replace(alone, field=flooded(replace(alone.field, thin=thin), mesh))
@@ -99,11 +99,13 @@ def _own_solid(
 ) -> OwnSolid:
     box = bounds(mesh.vertices[mesh.faces].reshape(-1, 3)) if len(mesh.faces) else np.zeros((2, 3))
     field = fuse(render(mesh, box), mesh, settings)
-    return OwnSolid(field, box, _closed_pieces(mesh, closed, field))
+    return OwnSolid(field, box, _closed_pieces(mesh, closed, settings, field.bvh))
 
 
-def _closed_pieces(mesh: LabelledMesh, closed: NDArray[np.bool_], field: FusedField) -> Bvh | None:
+def _closed_pieces(
+    mesh: LabelledMesh, closed: NDArray[np.bool_], settings: Fusion, tree: Bvh
+) -> Bvh | None:
     """What `OwnSolid.closed` holds; None where the recipe's rule takes the views' word alone."""
-    if field.settings.rule == "mean":
+    if settings.rule == "mean":
         return None
-    return field.bvh if closed.all() else pieces(mesh, closed)
+    return tree if closed.all() else pieces(mesh, closed)

@@ -18,6 +18,9 @@ from articugen.records import LabelledMesh
 
 _WALL, _DRY, _WET = 1, 0, 2
 
+_ROUNDING = 1e-9
+"""In voxels: a face in the very plane between two layers of them must mark at least one."""
+
 
 @dataclass(frozen=True, eq=False)
 class Flood:
@@ -97,7 +100,7 @@ def mark(state, first, n, corners):
         x = (by - ay) * (cz - az) - (bz - az) * (cy - ay)  # the normal
         y = (bz - az) * (cx - ax) - (bx - ax) * (cz - az)
         z = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-        half = 0.5 * (abs(x) + abs(y) + abs(z))
+        half = (0.5 + _ROUNDING) * (abs(x) + abs(y) + abs(z)) + _ROUNDING
         offset = x * ax + y * ay + z * az
         low_i, end_i = _extent(ax, bx, cx, n)
         low_j, end_j = _extent(ay, by, cy, n)
