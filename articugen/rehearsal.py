@@ -11,7 +11,7 @@ from articugen.fusion import FusedField, kernels, solidify
 from articugen.fusion.bvh import Bvh, build
 from articugen.fusion.reachable import Flood, flood, touched
 from articugen.fusion.thin import NOTHING, way_meets
-from articugen.fusion.winding import surely_inside
+from articugen.fusion.winding import closed_pieces, surely_inside
 from articugen.geometry import look_along
 from articugen.inspection.camera import framed
 from articugen.inspection.light import SurfaceCloud, occlusion_in_detail
@@ -57,7 +57,6 @@ def rays() -> None:
     water = Flood(np.zeros((2, 2, 2), np.uint8), _TREE, np.zeros((1, 3, 4), np.float32))
     water.fills(points)
     water.reaches(points)
-    surely_inside(_POINT, _TREE)
     kernels.in_box(points, np.zeros(1, np.intp), np.eye(4), _BOX)
 
 
@@ -69,7 +68,11 @@ def solids() -> None:
     where = solidify.probes(_MESH, 0.01)
     shown = solidify.shown_sides(_MESH, DepthMaps(None, _FACES, _VIEWS))
     free = np.ones((2, len(where.face)), np.bool_)
-    solidify.solidified(_MESH, where, free, shown, 0.01, solidify.closed(_MESH))
+    closed = solidify.closed(_MESH)
+    solidify.solidified(_MESH, where, free, shown, 0.01, closed)
+    pieces = closed_pieces(_MESH, closed, _TREE)
+    assert pieces is not None
+    surely_inside(_POINT, pieces)
 
 
 def boxes() -> None:

@@ -63,7 +63,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "fusion": VOCABULARY | {"marching_cubes"},
     "fusion.bvh": VOCABULARY,
     "fusion.kernels": VOCABULARY | {"fusion.bvh"},
-    "fusion.winding": VOCABULARY | {"fusion.bvh"},
+    "fusion.winding": VOCABULARY | {"fusion.bvh", "fusion.solidify"},
     "fusion.reachable": VOCABULARY | {"fusion.bvh", "fusion.kernels"},
     "fusion.solidify": VOCABULARY,
     "fusion.thin": VOCABULARY | {"fusion.bvh", "fusion.reachable", "fusion.solidify"},

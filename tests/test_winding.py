@@ -5,18 +5,25 @@ import pytest
 import trimesh
 
 from articugen.fusion import solidify
-from articugen.fusion.winding import pieces, surely_inside
+from articugen.fusion.bvh import build
+from articugen.fusion.winding import ClosedPieces, closed_pieces, surely_inside
 from articugen.records import LabelledMesh
 from tests.shapes import Convex, box, labelled, rotated
 
 
-def of(mesh: LabelledMesh):
-    return pieces(mesh, solidify.closed(mesh))
+def of(mesh: LabelledMesh, closed: np.ndarray | None = None) -> ClosedPieces:
+    closed = solidify.closed(mesh) if closed is None else closed
+    tree = build(mesh.vertices[mesh.faces], np.zeros(len(mesh.faces), np.uint8), 1)
+    found = closed_pieces(mesh, closed, tree)
+    assert found is not None
+    return found
 
 
 def points(count: int = 20_000) -> np.ndarray:
     return np.random.default_rng(0).uniform(-0.5, 0.5, (count, 3))
 
+
+RING = trimesh.creation.torus(0.2, 0.05)
 
 SHAPES = {
     "turned box": lambda: [rotated(box((0.6, 0.5, 0.3)), 0.5, (1, 2, 3))],
@@ -60,15 +67,26 @@ def test_a_cavity_is_not_inside_and_an_open_shell_says_nothing():
     inner = slice(12, 24)
     shell.faces[inner] = shell.faces[inner, ::-1]
     mesh = labelled(shell)
-    closed = np.ones(24, bool)
-    inside = surely_inside(points(), pieces(mesh, closed))
+    inside = surely_inside(points(), of(mesh, np.ones(24, bool)))
     most = np.abs(points()).max(axis=1)
     np.testing.assert_array_equal(inside, (most < 0.4) & (most > 0.3))
     open_box = box((0.8, 0.8, 0.8))
     open_box.update_faces(np.arange(12) != 3)
-    assert not surely_inside(points(), of(labelled(open_box))).any()
+    mesh = labelled(open_box)
+    tree = build(mesh.vertices[mesh.faces], mesh.part_of_face, 1)
+    assert closed_pieces(mesh, solidify.closed(mesh), tree) is None
 
 
-def test_no_closed_piece_holds_nothing():
-    empty = LabelledMesh(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
-    assert not surely_inside(points(10), of(empty)).any()
+@pytest.mark.parametrize("name", SHAPES)
+def test_planes_say_what_rays_say_and_more(name):
+    boxes = SHAPES[name]()
+    found = of(labelled(*boxes, RING))
+    assert 1 <= len(found.piece) <= len(boxes)  # all but the torus, and those that touch
+    by_rays = found._replace(skip=found.skip[:0], others=found.every)
+    corners = np.concatenate([piece.vertices for piece in boxes])
+    asked = np.concatenate([points(), *(corners + far for far in (0, 3e-6, -3e-6, 3e-5, -3e-5))])
+    sure, rays = surely_inside(asked, found), surely_inside(asked, by_rays)
+    assert not (rays & ~sure).any()
+    more = asked[sure & ~rays]  # close to the short edge of a long face rays are in doubt
+    assert Convex.of(*boxes).inside(more).all()
+    assert len(more) < 100

@@ -64,7 +64,7 @@ def build(corners: NDArray[np.float64], part_of_face: NDArray[np.uint8], parts: 
 def _tree(corners: NDArray[np.float64]) -> Bvh:
     """Of one part."""
     own = np.ascontiguousarray(corners)
-    order, box, skip, leaf, count = _build(own)
+    order, box, skip, leaf, count = ordered(own)
     roots = np.array([0, count], np.int32)
     return Bvh(box[:count], skip[:count], leaf[:count], triangle_table(own[order]), roots)
 
@@ -87,7 +87,7 @@ def joined(trees: Sequence[Bvh]) -> Bvh:
 
 
 @kernel
-def _build(corners):
+def ordered(corners):
     """Split at the middle of the longer side of the centres' box until few faces are left.
 
     The order of the faces; of room for the largest tree the box, skip and leaf of each node, and

@@ -29,7 +29,7 @@ from articugen.fusion import kernels
 from articugen.fusion.bvh import Bvh, build, triangle_table
 from articugen.fusion.reachable import Flood, flood, walls
 from articugen.fusion.thin import NOTHING, ThinVoxels
-from articugen.fusion.winding import surely_inside
+from articugen.fusion.winding import ClosedPieces, surely_inside
 from articugen.geometry import apply, invert_rigid
 from articugen.recipe import Fusion
 from articugen.records import ENCLOSED, FREE, DepthMaps, LabelledMesh, Views
@@ -150,7 +150,7 @@ class OwnSolid:
 
     field: FusedField
     box: NDArray[np.float64]
-    closed: Bvh | None = None
+    closed: ClosedPieces | None = None
 
     def holds(self, points: NDArray[np.floating], *, glance: bool = False) -> NDArray[np.bool_]:
         """(n,) which of `points` (n, 3), unit frame, in the canonical pose, it holds.

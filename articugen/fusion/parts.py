@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from articugen.fusion import solidify
 from articugen.fusion.bvh import Bvh, build, joined
-from articugen.fusion.field import FusedField, OwnSolid, flooded, fuse, pixel_width
+from articugen.fusion.field import OwnSolid, flooded, fuse, pixel_width
 from articugen.fusion.thin import thin_voxels, way_meets
-from articugen.fusion.winding import pieces
+from articugen.fusion.winding import ClosedPieces, closed_pieces
 from articugen.geometry import bounds
 from articugen.portable import norm
 from articugen.recipe import Fusion
@@ -104,8 +104,6 @@ def _own_solid(
 
 def _closed_pieces(
     mesh: LabelledMesh, closed: NDArray[np.bool_], settings: Fusion, tree: Bvh
-) -> Bvh | None:
+) -> ClosedPieces | None:
     """What `OwnSolid.closed` holds; None where the recipe's rule takes the views' word alone."""
-    if settings.rule == "mean":
-        return None
-    return tree if closed.all() else pieces(mesh, closed)
+    return None if settings.rule == "mean" else closed_pieces(mesh, closed, tree)

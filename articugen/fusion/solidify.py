@@ -359,6 +359,12 @@ def closed(mesh: LabelledMesh) -> NDArray[np.bool_]:
     return (open_edges[piece] == 0) & (volume[piece] > 0.0)
 
 
+def pieces(mesh: LabelledMesh) -> NDArray[np.int64]:
+    """(F,) a number for each face, the same for those that hang together by corners."""
+    faces = welded(mesh.vertices)[mesh.faces]
+    return _pieces(faces.astype(np.int64), int(faces.max(initial=-1)) + 1)
+
+
 @kernel
 def _pieces(faces, count):
     """(F,) a number for each face, the same for faces that hang together by corners."""

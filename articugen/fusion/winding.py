@@ -5,12 +5,18 @@ view can see the point free. One ray's signed crossings tell the winding number,
 views would have to be asked; and a corner that hides between the pixels of a view is not missed.
 Where a ray passes an edge within rounding another is sent; where all do, or where the point is as
 close to a face, nothing is said.
+
+Most pieces are convex: boxes, bars, keys, feet. What lies behind all planes of one is inside it,
+and no ray need be sent through it.
 """
+
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.fusion.bvh import Bvh, _enters, _inverse, build
+from articugen.fusion.bvh import Bvh, _enters, _inverse, build, ordered
+from articugen.fusion.solidify import face_normals, pieces
 from articugen.jit import helper, inlined, kernel
 from articugen.records import LabelledMesh
 
@@ -22,49 +28,180 @@ _CLEAR = 2e-6
 """Unit frame: how far from edges and from its start a crossing must be to count; corners closer
 than half of that are one in `solidify.welded`."""
 
-_DOUBT = 2
+_DOUBT = 1 << 30
+
+_MOST_FACES = 256
+"""Of a convex piece: of more faces a ray meets only a few."""
+
+_FLAT, _NEAR = 1e-6, 1e-5
+"""Unit frame: no corner of a convex piece lies further than the first in front of any of its faces;
+of what is closer than the second to one, rays through all pieces tell."""
 
 
-def pieces(mesh: LabelledMesh, closed: NDArray[np.bool_]) -> Bvh:
-    """The faces of closed pieces alone, for `surely_inside`; see `solidify.closed`."""
-    corners = mesh.vertices[mesh.faces[closed]]
+class ClosedPieces(NamedTuple):
+    """The closed pieces of one part in its canonical pose. C convex ones with Q planes in all.
+
+    Attributes:
+        every: the faces of all pieces.
+        others: of those that are not convex.
+        box, skip, leaf: of a tree over the convex ones, see `Bvh`; its boxes are wider by `_NEAR`.
+        piece: (C,) the convex pieces in the order of the leaves.
+        first_plane: (C + 1,): piece c has the planes first_plane[c] to first_plane[c + 1] - 1.
+        planes: (Q, 4) outward unit normal and offset, no two of a piece alike.
+    """
+
+    every: Bvh
+    others: Bvh
+    box: Any
+    skip: Any
+    leaf: Any
+    piece: Any
+    first_plane: Any
+    planes: Any
+
+
+def closed_pieces(mesh: LabelledMesh, closed: NDArray[np.bool_], tree: Bvh) -> ClosedPieces | None:
+    """The closed pieces of `mesh`, for `surely_inside`; None if there is none.
+
+    Args:
+        closed: (F,) which faces are theirs, see `solidify.closed`.
+        tree: of all faces, which serves again where all are closed.
+    """
+    if not closed.any():
+        return None
+    faces, piece = mesh.faces[closed], pieces(mesh)[closed]
+    faces = faces[np.argsort(piece, kind="stable")]
+    first = np.flatnonzero(np.diff(np.sort(piece), prepend=-1, append=-1))
+    corners = mesh.vertices[faces]
+    planes, counts = _planes(corners, face_normals(mesh.vertices, faces), first)
+    convex = counts > 0
+    of_convex = np.repeat(convex, np.diff(first))
+    low = np.minimum.reduceat(corners.min(axis=1), first[:-1])[convex] - _NEAR
+    high = np.maximum.reduceat(corners.max(axis=1), first[:-1])[convex] + _NEAR
+    order, box, skip, leaf, nodes = ordered(np.stack([low, high, high], axis=1))
+    return ClosedPieces(
+        tree if closed.all() else _tree(corners),
+        _tree(corners[~of_convex]),
+        box[:nodes],
+        skip[:nodes],
+        leaf[:nodes],
+        order,
+        np.concatenate([[0], np.cumsum(counts[convex])]),
+        planes,
+    )
+
+
+def _tree(corners: NDArray[np.float64]) -> Bvh:
     return build(corners, np.zeros(len(corners), np.uint8), 1)
 
 
-def surely_inside(points: NDArray[np.floating], closed: Bvh) -> NDArray[np.bool_]:
+@kernel
+def _planes(corners, normals, first):
+    """The planes of the convex pieces, one after the other, and how many each piece has: none where
+    it is not convex. Piece k has the faces first[k] to first[k + 1] - 1."""
+    planes = np.empty((corners.shape[0], 4))
+    counts = np.zeros(first.shape[0] - 1, np.int64)
+    end = 0
+    for k in range(counts.shape[0]):
+        own = end
+        if first[k + 1] - first[k] > _MOST_FACES:
+            continue
+        for f in range(first[k], first[k + 1]):
+            x, y, z = normals[f, 0], normals[f, 1], normals[f, 2]
+            offset = x * corners[f, 0, 0] + y * corners[f, 0, 1] + z * corners[f, 0, 2]
+            if _farthest(corners, first[k], first[k + 1], x, y, z) - offset > _FLAT:
+                end = own
+                break
+            known = False
+            for q in range(own, end):
+                apart = max(abs(planes[q, 0] - x), abs(planes[q, 1] - y), abs(planes[q, 2] - z))
+                known |= max(apart, abs(planes[q, 3] - offset)) < _FLAT
+            if not known:
+                planes[end, 0], planes[end, 1], planes[end, 2], planes[end, 3] = x, y, z, offset
+                end += 1
+        counts[k] = end - own
+    return planes[:end].copy(), counts
+
+
+@helper
+def _farthest(corners, first, end, x, y, z):
+    """How far the corners of some faces reach along a direction."""
+    farthest = -np.inf
+    for f in range(first, end):
+        for corner in range(3):
+            p = corners[f, corner]
+            farthest = max(farthest, x * p[0] + y * p[1] + z * p[2])
+    return farthest
+
+
+def surely_inside(points: NDArray[np.floating], closed: ClosedPieces) -> NDArray[np.bool_]:
     """(n,) which of `points` (n, 3) closed pieces surely wind around."""
-    if not len(closed.triangles):
-        return np.zeros(len(points), np.bool_)
     return _surely_inside(np.ascontiguousarray(points, np.float64), closed)
 
 
 @kernel
 def _surely_inside(points, closed):
-    box, skip, leaf, triangles = closed.box, closed.skip, closed.leaf, closed.triangles
-    low = (np.float64(box[0, 0]), np.float64(box[0, 1]), np.float64(box[0, 2]))
-    high = (np.float64(box[0, 3]), np.float64(box[0, 4]), np.float64(box[0, 5]))
+    box, skip, leaf, whole = closed.box, closed.skip, closed.leaf, closed.every.box
+    piece, first_plane, planes = closed.piece, closed.first_plane, closed.planes
     inside = np.zeros(points.shape[0], np.bool_)
     for i in range(points.shape[0]):
         p = (points[i, 0], points[i, 1], points[i, 2])
-        x = _outwards(p[0], low[0], high[0])
-        y = _outwards(p[1], low[1], high[1])
-        z = _outwards(p[2], low[2], high[2])
-        least = min(abs(x), abs(y), abs(z))
-        if least == 0.0:
-            continue
-        soonest = 0 if abs(x) == least else (1 if abs(y) == least else 2)
-        for more in range(3):
-            axis = (soonest + more) % 3
-            w = (
-                np.copysign(_AHEAD if axis == 0 else _ASIDE[0], x),
-                np.copysign(_AHEAD if axis == 1 else _ASIDE[1], y),
-                np.copysign(_AHEAD if axis == 2 else _ASIDE[2], z),
-            )
-            winds = _winds(p, w, box, skip, leaf, triangles)
-            if winds != _DOUBT:
-                inside[i] = winds == 1
-                break
+        held = _convex_around(p, box, skip, leaf, piece, first_plane, planes)
+        tree = closed.every if held == _DOUBT else closed.others
+        turns = _turns(p, whole, tree.box, tree.skip, tree.leaf, tree.triangles)
+        if turns != _DOUBT:
+            inside[i] = turns != 0 if held == _DOUBT else turns + held != 0
     return inside
+
+
+@helper
+def _convex_around(p, box, skip, leaf, piece, first_plane, planes):
+    """How many convex pieces hold `p`; `_DOUBT` where it is near a plane of one."""
+    held = node = 0
+    doubt = False
+    while node < skip.shape[0]:
+        n = np.uintp(node)  # unsigned: numba does not ask whether to count from the end
+        within = (box[n, 0] < p[0]) & (p[0] < box[n, 3]) & (box[n, 1] < p[1])
+        if not (within & (p[1] < box[n, 4]) & (box[n, 2] < p[2]) & (p[2] < box[n, 5])):
+            node = skip[n]
+            continue
+        for c in range(leaf[n, 0], leaf[n, 0] + leaf[n, 1]):
+            k = np.uintp(piece[np.uintp(c)])
+            most = -np.inf
+            for q in range(first_plane[k], first_plane[k + np.uintp(1)]):
+                t = np.uintp(q)
+                ahead = planes[t, 0] * p[0] + planes[t, 1] * p[1] + planes[t, 2] * p[2]
+                most = max(most, ahead - planes[t, 3])
+                if most > _NEAR:
+                    break
+            held += most < -_NEAR
+            doubt |= abs(most) <= _NEAR
+        node += 1
+    return _DOUBT if doubt else held
+
+
+@helper
+def _turns(p, whole, box, skip, leaf, triangles):
+    """How often the faces of a tree wind around `p`; `_DOUBT` where no ray tells. `whole` has the
+    box around all pieces first: the ways of rays do not hang on which of them are convex."""
+    x = _outwards(p[0], np.float64(whole[0, 0]), np.float64(whole[0, 3]))
+    y = _outwards(p[1], np.float64(whole[0, 1]), np.float64(whole[0, 4]))
+    z = _outwards(p[2], np.float64(whole[0, 2]), np.float64(whole[0, 5]))
+    least = min(abs(x), abs(y), abs(z))
+    if least == 0.0:
+        return 0
+    soonest = 0 if abs(x) == least else (1 if abs(y) == least else 2)
+    for more in range(3):
+        axis = (soonest + more) % 3
+        w = (
+            np.copysign(_AHEAD if axis == 0 else _ASIDE[0], x),
+            np.copysign(_AHEAD if axis == 1 else _ASIDE[1], y),
+            np.copysign(_AHEAD if axis == 2 else _ASIDE[2], z),
+        )
+        turns = _crossed(p, w, box, skip, leaf, triangles)
+        if turns != _DOUBT:
+            return turns
+    return _DOUBT
 
 
 @inlined
@@ -76,8 +213,8 @@ def _outwards(x, low, high):
 
 
 @helper
-def _winds(p, w, box, skip, leaf, triangles):
-    """1 where the crossings of the ray from `p` along `w` do not cancel, 0, or `_DOUBT`."""
+def _crossed(p, w, box, skip, leaf, triangles):
+    """How often more the ray from `p` along `w` leaves than enters; or `_DOUBT`."""
     start = (np.float32(p[0]), np.float32(p[1]), np.float32(p[2]))
     inverse = (
         _inverse(np.float32(w[0])), _inverse(np.float32(w[1])), _inverse(np.float32(w[2]))
@@ -103,7 +240,7 @@ def _winds(p, w, box, skip, leaf, triangles):
                 return _DOUBT
             turns += crossing
         node += 1
-    return 1 if turns != 0 else 0
+    return turns
 
 
 @helper
