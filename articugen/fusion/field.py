@@ -21,6 +21,7 @@ In all three, a point that no view sees, or only from further behind than the tr
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,7 +96,7 @@ class FusedField:
         which = np.arange(len(points)) if which is None else which
         flat = np.ascontiguousarray(points, np.float32)
         every = len(self.maps.views)
-        return kernels.is_free(flat, which, self._scene(), 0, min(views or every, every))
+        return kernels.is_free(flat, which, self._scene, 0, min(views or every, every))
 
     def value(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
         """The field at `points` (n, 3): (n,) in [-truncation, truncation], negative inside.
@@ -104,13 +105,14 @@ class FusedField:
         """
         flat = np.ascontiguousarray(points, np.float32)
         mean = self.settings.rule == "mean"
-        value = kernels.value(flat, self._scene(), self.settings.truncation, mean)
+        value = kernels.value(flat, self._scene, self.settings.truncation, mean)
         if self.flood is not None:
             unseen = np.flatnonzero(value <= 0.0)
             reached = unseen[self.flood.reaches(flat[unseen])]
             value[reached] = np.maximum(-value[reached], 1e-9)
         return value
 
+    @cached_property
     def _scene(self) -> kernels.Scene:
         views = self.maps.views
         T, pinhole = views.T_camera_world, views.projection == "pinhole"
