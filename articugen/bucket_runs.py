@@ -39,7 +39,7 @@ from articugen.sources import registry
 from articugen.store import croissant
 from articugen.store.bucket import Bucket
 from articugen.store.bucket_journal import BucketJournal, ObjectClaims, read_record, record_of
-from articugen.store.manifest import MANIFEST_NAME, Manifest, Outcome, Timings
+from articugen.store.manifest import Manifest, Outcome, Timings
 from articugen.store.rank_journal import Share
 
 POLL_SECONDS = 5.0
@@ -90,11 +90,13 @@ class BucketRun:
     def _concluded(self, outcomes: Sequence[Outcome], timings: Timings, licence: str) -> Manifest:
         """Write the manifest, unless it says all of it already."""
         bucket = self.journal.bucket
-        if self.journal.is_told and not self.plan.tasks:
-            return Manifest.parsed(bucket.get(MANIFEST_NAME) or b"", Path(MANIFEST_NAME))
+        told = Manifest.in_bucket(bucket) if self.journal.is_told and not self.plan.tasks else None
+        if told is not None:
+            return told
         manifest = manifest_of(self.job, outcomes, timings, licence)
         bucket.put(croissant.NAME, croissant.of_data_set(manifest))
-        bucket.put(MANIFEST_NAME, manifest.text())
+        for name, data in manifest.files():
+            bucket.put(name, data)
         return manifest
 
     def _all_made(self, on_notice: Callable[[str], None]) -> Iterator[tuple[Outcome, bool]]:

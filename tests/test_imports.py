@@ -95,8 +95,11 @@ MAY_IMPORT: dict[str, set[str]] = {
     "store.dataset": VOCABULARY
     | {"store.bucket", "store.manifest", "store.rows", "store.shards", "store.torch_dataset"},
     "store.torch_dataset": {"errors"},
-    "store.manifest": {"errors", "store.bucket", "store.files", "store.schema", "store.shards"},
-    "store.journal": {"errors", "store.files", "store.manifest", "store.shards"},
+    "store.manifest_pages": {"store.files"},
+    "store.manifest": {"errors", "store.bucket", "store.files", "store.manifest_pages"}
+    | {"store.schema", "store.shards"},
+    "store.journal": {"errors", "store.files", "store.manifest", "store.manifest_pages"}
+    | {"store.shards"},
     "store.cleaning": {"store.journal"},
     "store.rank_journal": {"errors", "store.files", "store.journal", "store.manifest"},
     "store.bucket_journal": {"errors", "store.bucket", "store.journal", "store.manifest"}

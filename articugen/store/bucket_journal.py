@@ -13,9 +13,9 @@ from uuid import uuid4
 from pydantic import ValidationError
 
 from articugen.errors import CorruptShard
-from articugen.store.bucket import Bucket, Remote
+from articugen.store.bucket import Bucket
 from articugen.store.journal import why_again
-from articugen.store.manifest import MANIFEST_NAME, Key, Manifest, Outcome
+from articugen.store.manifest import Key, Manifest, Outcome
 from articugen.store.rank_journal import CommonPlan, Name, shard_names
 
 _OURS = ".articugen"
@@ -42,9 +42,7 @@ class BucketJournal:
         self.bucket, self._plan = bucket, plan
         self._shards = shard_names(names)
         self._check_plan()
-        text = bucket.get(MANIFEST_NAME)
-        path = Remote(bucket.url) / MANIFEST_NAME
-        manifest = Manifest.parsed(text, path) if text is not None else None
+        manifest = Manifest.in_bucket(bucket)
         self._outcomes: dict[Name, Outcome] = {}
         for outcome in manifest.outcomes if manifest else ():
             self._outcomes[outcome.key.split, outcome.key.object_id] = outcome

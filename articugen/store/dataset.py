@@ -7,7 +7,6 @@ be sent to other processes.
 """
 
 import os
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -63,11 +62,14 @@ def open(path: str | Path) -> "DataSet":
     return DataSet(shelf, _where(shelf))
 
 
-def _where(shelf: "_Shelf") -> NDArray[np.int64]:
-    """(n, 2) the shard and the row of each instance."""
-    rows = [np.arange(entry.instances) for entry in shelf.entries] or [np.arange(0)]
-    shard = np.repeat(np.arange(len(rows)), list(map(len, rows)))
-    return np.stack([shard, np.concatenate(rows)], axis=1)
+def _where(shelf: "_Shelf") -> NDArray[np.int32]:
+    """(n, 2) the shard and the row of each instance, of which there may be a hundred million."""
+    counts = np.array([entry.instances for entry in shelf.entries], np.int64)
+    where = np.empty((counts.sum(), 2), np.int32)
+    where[:, 0] = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
+    where[:, 1] = np.arange(len(where), dtype=np.int32)
+    where[:, 1] -= np.repeat((counts.cumsum() - counts).astype(np.int32), counts)
+    return where
 
 
 def _remote_shelf(folder: Remote) -> "_Shelf":
@@ -77,13 +79,12 @@ def _remote_shelf(folder: Remote) -> "_Shelf":
     """
     if folder.name.endswith(".h5"):
         return _Shelf(folder, (_entry_of(folder),), None)
-    text = Bucket(folder.url).get(MANIFEST_NAME)
-    if text is None:
+    manifest = Manifest.in_bucket(Bucket(folder.url))
+    if manifest is None:
         raise CorruptShard(
             f"{folder}: has no {MANIFEST_NAME}; make it with generate --out {folder.parent}, and "
             "once more where that was cut short"
         )
-    manifest = Manifest.parsed(text, folder / MANIFEST_NAME)
     return _Shelf(folder, tuple(_entries(folder, manifest)), manifest)
 
 
@@ -96,7 +97,7 @@ class DataSet(Sequence[Row]):
     draw: ClassVar[Callable[["DataSet"], str] | None] = None
     """Makes HTML of it for a notebook; `articugen.notebook`, which may draw, puts it here."""
 
-    def __init__(self, shelf: "_Shelf", where: NDArray[np.int64]) -> None:
+    def __init__(self, shelf: "_Shelf", where: NDArray[np.int32]) -> None:
         """Made by `open`; `where` (n, 2) holds the shard and the row of each instance."""
         self._shelf, self._where = shelf, where
 
@@ -147,8 +148,12 @@ class DataSet(Sequence[Row]):
     @cached_property
     def splits(self) -> Mapping[str, int]:
         """How many instances of each split it holds."""
-        entries = self._shelf.entries
-        return dict(Counter(entries[i].split for i in self._where[:, 0].tolist()))
+        names = list(dict.fromkeys(entry.split for entry in self._shelf.entries))
+        of_shard = np.array([names.index(entry.split) for entry in self._shelf.entries], np.int8)
+        split = of_shard[self._where[:, 0]]
+        counts = np.bincount(split, minlength=len(names)).tolist()
+        first = {n: int((split == n).argmax()) for n, count in enumerate(counts) if count}
+        return {names[n]: counts[n] for n in sorted(first, key=lambda n: first[n])}
 
     @cached_property
     def fields(self) -> Mapping[str, tuple[int, ...]]:
@@ -315,7 +320,7 @@ class DataSet(Sequence[Row]):
             self.batch([0], fields, points=points, rng=0)  # what cannot be had is said here
         return torch_dataset(self, tuple(fields), points)
 
-    def _drawn(self, which: Any, rng: np.random.Generator) -> NDArray[np.int64]:
+    def _drawn(self, which: Any, rng: np.random.Generator) -> NDArray[np.int32]:
         """(n, 2) the places of the instances that a batch asks for."""
         if isinstance(which, int | np.integer):
             if not 1 <= which <= len(self):
@@ -338,7 +343,7 @@ class DataSet(Sequence[Row]):
             "an instance; ask for fewer, or make the data set with more"
         )
 
-    def _ragged(self, name: str, where: NDArray[np.int64]) -> InvalidArgument:
+    def _ragged(self, name: str, where: NDArray[np.int32]) -> InvalidArgument:
         (one, shape), (other, unlike) = (
             (
                 texts(self._shelf.read(shard, row, ["object_id"])[0]),

@@ -60,21 +60,30 @@ def read_regular(path: Path, most_bytes: int, *, follow: bool = True) -> bytes:
         UnfitFile: it is no regular file, or larger.
         OSError: it cannot be read.
     """
+    with open_regular(path, most_bytes, follow=follow) as file:
+        size = os.fstat(file.fileno()).st_size
+        data = file.read(size + 1)  # of a larger number room would be made at once
+        if len(data) > size:  # it has grown, or lies in /proc, where sizes are 0
+            data += file.read(most_bytes)
+    if len(data) > most_bytes:
+        raise UnfitFile(errno.EFBIG, f"more than the {most_bytes:,} bytes that it may have")
+    return data
+
+
+def open_regular(path: Path, most_bytes: int, *, follow: bool = True) -> BinaryIO:
+    """The same, for files that are better not read as a whole."""
     try:
         _check_regular(os.stat(path, follow_symlinks=follow), most_bytes)
         # Whatever has taken its place meanwhile, opening it does not wait for a writer.
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | (0 if follow else os.O_NOFOLLOW))
     except ValueError:  # NUL, or a lone surrogate
         raise UnfitFile(errno.EINVAL, "no file can have that name") from None
-    with open(handle, "rb") as file:
-        found = os.fstat(handle)
-        _check_regular(found, most_bytes)
-        data = file.read(found.st_size + 1)  # of a larger number room would be made at once
-        if len(data) > found.st_size:  # it has grown, or lies in /proc, where sizes are 0
-            data += file.read(most_bytes)
-    if len(data) > most_bytes:
-        raise UnfitFile(errno.EFBIG, f"more than the {most_bytes:,} bytes that it may have")
-    return data
+    try:
+        _check_regular(os.fstat(handle), most_bytes)
+    except OSError:
+        os.close(handle)
+        raise
+    return os.fdopen(handle, "rb")
 
 
 def check_regular(path: Path) -> None:

@@ -12,9 +12,11 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
+from itertools import count
 from pathlib import Path
 from types import TracebackType
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from pydantic import ValidationError
 
@@ -23,14 +25,13 @@ from articugen.store.files import (
     UnfitFile,
     cannot_write,
     make_folder,
-    read_regular,
+    open_regular,
     sync,
     whole_name,
-    write_atomically,
+    written_atomically,
 )
 from articugen.store.manifest import (
     MANIFEST_NAME,
-    MOST_BYTES,
     Claims,
     Key,
     Manifest,
@@ -38,6 +39,7 @@ from articugen.store.manifest import (
     ShardEntry,
     is_shard_name,
 )
+from articugen.store.manifest_pages import MOST_BYTES, MOST_PAGED_BYTES, is_page_name, stale_pages
 from articugen.store.shards import content_sha256, open_shard
 
 JOURNAL_NAME = ".articugen-journal.jsonl"
@@ -81,7 +83,7 @@ class Journal:
         """
         self.folder = folder
         self._path = folder / JOURNAL_NAME
-        self._trusted: dict[ShardEntry, bool] = {}
+        self._trusted: dict[str, tuple[ShardEntry, bool]] = {}
         self._outcomes: dict[tuple[str, str], Outcome] = {}
         self._ours: set[str] = set()
         self._manifest: Manifest | None = None
@@ -176,9 +178,9 @@ class Journal:
             else:
                 names[key] = own
                 taken.add(own)
+        free = {split: _numbered(split) for split in place}
         for key in homeless:
-            numbered = (f"{key.split}-{number:05d}.h5" for number in range(len(taken) + 1))
-            names[key] = next(name for name in numbered if name not in taken)
+            names[key] = next(name for name in free[key.split] if name not in taken)
             taken.add(names[key])
         return names
 
@@ -192,11 +194,12 @@ class Journal:
         names = self._free(names)
         self._ours.update(names)
         self._manifest = None
-        lines: list[dict[str, Any]] = [Claims(claims=tuple(sorted(self._ours))).model_dump()]
-        lines += [outcome.model_dump(mode="json") for outcome in self._outcomes.values()]
-        text = "".join(json.dumps(line) + "\n" for line in lines)
-        write_atomically(self._path, text.encode())
+        with written_atomically(self._path) as file:
+            claims = Claims(claims=tuple(sorted(self._ours)))
+            for line in (claims, *self._outcomes.values()):
+                file.write(json.dumps(line.model_dump(mode="json")).encode() + b"\n")
         self.remove([MANIFEST_NAME, *self._of_ranks, *self._temporary()])
+        self.remove(self._stale_pages())
         self._of_ranks = []
         self._claimed = True
 
@@ -219,9 +222,7 @@ class Journal:
             raise ValueError("claim the shards' names before the first record")
         self._outcomes[outcome.key.split, outcome.key.object_id] = outcome
         if outcome.shard is not None:
-            name = outcome.shard.name
-            self._trusted = {shard: ok for shard, ok in self._trusted.items() if shard.name != name}
-            self._trusted[outcome.shard] = True
+            self._trusted[outcome.shard.name] = outcome.shard, True
         line = outcome.model_dump_json() + "\n"
         try:
             _append(self._path, line.encode())
@@ -248,6 +249,7 @@ class Journal:
         orphans = [name for name in sorted(self._ours - kept) if self._is_file(name)]
         found = dict.fromkeys(self._temporary(), "a temporary file")
         found |= dict.fromkeys(orphans, "a shard that is not recorded")
+        found |= dict.fromkeys(self._stale_pages(), "a page that no manifest lists")
         if told:
             journals = [n for n in (JOURNAL_NAME, *self._of_ranks) if self._is_file(n)]
             found |= dict.fromkeys(journals, "the manifest says it all")
@@ -268,6 +270,12 @@ class Journal:
 
     def _temporary(self) -> list[str]:
         return [name for name in self._names() if is_temporary(name) and self._is_file(name)]
+
+    def _stale_pages(self) -> list[str]:
+        try:
+            return stale_pages(self.folder / MANIFEST_NAME)
+        except OSError as error:
+            raise MachineFault(f"{self.folder}: cannot be read ({error.strerror})") from None
 
     def _names(self) -> list[str]:
         try:
@@ -315,19 +323,21 @@ class Journal:
         """What a journal records; the names that it claims become ours."""
         cure = "delete that file and the shards beside it to start afresh"
         try:
-            lines = read_regular(path, MOST_BYTES, follow=False).split(b"\n")
+            with open_regular(path, MOST_PAGED_BYTES, follow=False) as file:
+                lines = iter(partial(file.readline, MOST_BYTES), b"")
+                for number, line in enumerate(lines, start=1):
+                    if not line.endswith(b"\n") and len(line) < MOST_BYTES:
+                        return  # what follows the last \n is torn
+                    if number == 1:
+                        self._ours.update(Claims.model_validate_json(line).claims)
+                    else:
+                        yield Outcome.model_validate_json(line)
+        except ValidationError:
+            raise CorruptShard(f"{path}: line {number} is damaged; {cure}") from None
         except UnfitFile as error:
             raise CorruptShard(f"{path}: {error.strerror}; {cure}") from None
         except OSError as error:
             raise MachineFault(f"{path}: cannot be read ({error.strerror})") from None
-        for number, line in enumerate(lines[:-1], start=1):  # what follows the last \n is torn
-            try:
-                if number == 1:
-                    self._ours.update(Claims.model_validate_json(line).claims)
-                else:
-                    yield Outcome.model_validate_json(line)
-            except ValidationError:
-                raise CorruptShard(f"{path}: line {number} is damaged; {cure}") from None
 
     def _take(self, outcomes: Iterable[Outcome]) -> None:
         for outcome in outcomes:
@@ -349,9 +359,11 @@ class Journal:
     def _is_trusted(self, outcome: Outcome) -> bool:
         """Whether its shard is whole, looked at once."""
         assert outcome.shard
-        if outcome.shard not in self._trusted:
-            self._trusted[outcome.shard] = self._is_whole(outcome)
-        return self._trusted[outcome.shard]
+        shard, trusted = self._trusted.get(outcome.shard.name, (None, False))
+        if shard != outcome.shard:
+            trusted = self._is_whole(outcome)
+            self._trusted[outcome.shard.name] = outcome.shard, trusted
+        return trusted
 
     def _is_whole(self, outcome: Outcome) -> bool:
         """Whether a shard is the file that was recorded, or that with a group `user` besides."""
@@ -418,7 +430,12 @@ def is_temporary(name: str) -> bool:
     whole = whole_name(name)
     if whole is None:
         return False
-    return whole in (MANIFEST_NAME, COMMON_PLAN) or is_journal(whole) or is_shard_name(whole)
+    ours = is_journal(whole) or is_shard_name(whole) or is_page_name(whole)
+    return ours or whole in (MANIFEST_NAME, COMMON_PLAN)
+
+
+def _numbered(split: str) -> Iterator[str]:
+    return (f"{split}-{number:05d}.h5" for number in count())
 
 
 def _append(path: Path, line: bytes) -> None:

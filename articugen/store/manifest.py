@@ -1,35 +1,43 @@
 """The manifest: what was made, from what, by which version, and what was not and why.
 
-It is written last: a folder with a manifest is complete. journal.py tells of the others.
+It is written last: a folder with a manifest is complete. journal.py tells of the others. One of
+very many objects has their entries in files beside it: see manifest_pages.py.
 """
 
+import errno
 import hashlib
 import json
 import os
 import platform
 import subprocess
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError, model_validator
 
 from articugen import __version__
-from articugen.errors import CorruptShard, printable
-from articugen.store.bucket import Remote
-from articugen.store.files import UnfitFile, read_regular, sha256_of, write_atomically
+from articugen.errors import CorruptShard, MachineFault, printable
+from articugen.store.bucket import Bucket, Remote
+from articugen.store.files import (
+    UnfitFile,
+    cannot_write,
+    read_regular,
+    sha256_of,
+    write_atomically,
+)
+from articugen.store.manifest_pages import MOST_BYTES, Head, Page, slices, stale_pages
 from articugen.store.schema import SCHEMA_VERSION
 from articugen.store.shards import ShardRecord, content_sha256
 
 MANIFEST_NAME = "manifest.json"
 
-MOST_BYTES = 1 << 28
-"""That a manifest or journal may have."""
-MOST_OBJECTS = 200_000
-"""Of a data set: its manifest has 770 bytes for each, more where there are notes."""
+MOST_OBJECTS = 2_000_000
+"""Of a data set: its manifest has 770 bytes for each, more where there are notes, and is read into
+memory as a whole."""
 
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 ShardName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.h5$", max_length=200)]
@@ -37,6 +45,16 @@ ShardName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.h5$", m
 
 class _Record(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class _Entry(_Record):
+    """A record of which a manifest holds millions."""
+
+    _ALL: ClassVar[set[str]] = set()
+
+    def model_post_init(self, context: Any) -> None:
+        """Forget which fields were given, which is half of the memory that a record takes."""
+        object.__setattr__(self, "__pydantic_fields_set__", self._ALL)
 
 
 class Claims(_Record):
@@ -54,7 +72,7 @@ def is_shard_name(name: str) -> bool:
     return True
 
 
-class Key(_Record):
+class Key(_Entry):
     """What decides one object's data; the same key means the same bytes.
 
     Attributes:
@@ -87,7 +105,7 @@ class Key(_Record):
         return None
 
 
-class ShardEntry(_Record):
+class ShardEntry(_Entry):
     """A shard: its name in the folder, digest and size of the file, how many instances it holds."""
 
     name: ShardName
@@ -104,7 +122,7 @@ class ShardEntry(_Record):
         return path.stat().st_size == self.bytes and sha256_of(path) == self.sha256
 
 
-class ObjectEntry(_Record):
+class ObjectEntry(_Entry):
     """An object that was made into data.
 
     Attributes:
@@ -229,6 +247,25 @@ class Timings(_Record):
     workers: int = Field(ge=1)
 
 
+Made = Annotated[tuple[ObjectEntry, ...], FailFast(fail_fast=True)]
+Shards = Annotated[tuple[ShardEntry, ...], FailFast(fail_fast=True)]
+Unmade = Annotated[tuple[Rejection, ...], FailFast(fail_fast=True)]
+
+
+class _Entries(_Record):
+    """What a page holds of a manifest's lists."""
+
+    objects: Made
+    shards: Shards
+    rejected: Unmade
+    skipped: Unmade
+    failed: Unmade
+
+
+LISTS = tuple(_Entries.model_fields)
+"""Of a manifest, that may be in pages."""
+
+
 class Manifest(_Record):
     """Everything one needs to trust a data set, and to make it again.
 
@@ -261,11 +298,11 @@ class Manifest(_Record):
     commit: str | None
     versions: dict[str, str]
     machine: dict[str, str | int]
-    objects: tuple[ObjectEntry, ...]
-    shards: tuple[ShardEntry, ...]
-    rejected: tuple[Rejection, ...]
-    skipped: tuple[Rejection, ...]
-    failed: tuple[Rejection, ...]
+    objects: Made
+    shards: Shards
+    rejected: Unmade
+    skipped: Unmade
+    failed: Unmade
     shortfall: str | None
     content_sha256: Sha256
     timings: Timings
@@ -300,9 +337,17 @@ class Manifest(_Record):
 
     def digest(self) -> str:
         """Of everything but `manifest_sha256`, as JSON with sorted keys and without spaces."""
-        rest = self.model_dump(mode="json", exclude={"manifest_sha256"})
-        text = json.dumps(rest, sort_keys=True, separators=(",", ":"))
-        return hashlib.sha256(text.encode()).hexdigest()
+        rest = self.model_dump(mode="json", exclude={"manifest_sha256", *LISTS})
+        digest = hashlib.sha256()
+        for number, name in enumerate(sorted([*rest, *LISTS])):
+            digest.update(b"{" if number == 0 else b",")
+            digest.update(_compact(name) + b":")
+            if name in LISTS:  # one by one, since there may be millions
+                _update_by_each(digest, getattr(self, name))
+            else:
+                digest.update(_compact(rest[name]))
+        digest.update(b"}")
+        return digest.hexdigest()
 
     @staticmethod
     def sealed(**values: Any) -> "Manifest":
@@ -359,16 +404,41 @@ class Manifest(_Record):
         )
 
     def write(self, folder: Path) -> None:
-        """Write manifest.json in one step.
+        """Write manifest.json in one step, after its pages where it has any; those of an earlier
+        one are removed then.
 
         Raises:
             ArticugenError: the disk is full, the folder cannot be written to.
         """
-        write_atomically(folder / MANIFEST_NAME, self.text())
+        for name, data in self.files():
+            write_atomically(folder / name, data)
+        try:
+            for name in stale_pages(folder / MANIFEST_NAME):
+                (folder / name).unlink(missing_ok=True)
+        except OSError as error:
+            raise MachineFault(cannot_write(folder, error)) from None
 
-    def text(self) -> bytes:
-        """As it is written."""
-        return (self.model_dump_json(indent=1) + "\n").encode()
+    def files(self) -> Iterator[tuple[str, bytes]]:
+        """The names and bytes of the files that it is written as, in their order: pages, if it has
+        any, then manifest.json."""
+        pieces = slices({name: getattr(self, name) for name in LISTS})
+        if len(pieces) == 1:
+            yield MANIFEST_NAME, (self.model_dump_json(indent=1) + "\n").encode()
+            return
+        pages: list[Page] = []
+        for number, piece in enumerate(pieces):
+            text = _Entries.model_construct(**piece).model_dump_json(indent=1) + "\n"
+            data = text.encode()
+            pages.append(Page.of(number, data, sum(map(len, piece.values()))))
+            yield pages[-1].name, data
+        head: dict[str, Any] = {}
+        for name in Manifest.model_fields:
+            if name not in LISTS:
+                head |= self.model_dump(mode="json", include={name})
+            elif name == LISTS[0]:
+                head["pages"] = [page.model_dump() for page in pages]
+        text = json.dumps(head, indent=1, ensure_ascii=False) + "\n"
+        yield MANIFEST_NAME, text.encode()
 
     @staticmethod
     def read(folder: Path) -> "Manifest":
@@ -389,28 +459,99 @@ class Manifest(_Record):
                 f"{path}: cannot be read ({error.strerror}); a run that was cut short goes on when "
                 "it is started again"
             ) from None
-        return Manifest.parsed(text, path)
+        return _parsed(text, path, lambda page: read_regular(folder / page.name, page.bytes))
 
     @staticmethod
-    def parsed(text: bytes, path: Path | Remote) -> "Manifest":
-        """The manifest that lies at `path`.
+    def in_bucket(bucket: Bucket) -> "Manifest | None":
+        """That of a data set in an object store; None where there is none.
 
         Raises:
             CorruptShard: as `read`.
+            MachineFault: the store does not answer.
         """
-        found = _version_in(text)
-        if found is not None and found not in range(1, SCHEMA_VERSION + 1):
-            raise CorruptShard(
-                f"{path}: schema version {found}, this articugen reads 1 to {SCHEMA_VERSION}; "
-                "make the data set again in another folder"
-            )
-        try:
+        text = bucket.get(MANIFEST_NAME)
+        path = Remote(bucket.url) / MANIFEST_NAME
+        return None if text is None else _parsed(text, path, lambda page: bucket.get(page.name))
+
+
+def _parsed(text: bytes, path: Path | Remote, read: Callable[[Page], bytes | None]) -> Manifest:
+    """The manifest that lies at `path`; `read` gives its pages, None where one is not there.
+
+    Raises:
+        CorruptShard: as `Manifest.read`.
+    """
+    found = _version_in(text)
+    if found is not None and found not in range(1, SCHEMA_VERSION + 1):
+        raise CorruptShard(
+            f"{path}: schema version {found}, this articugen reads 1 to {SCHEMA_VERSION}; "
+            "make the data set again in another folder"
+        )
+    try:
+        head = Head.of(text)
+        if head is None:
             return Manifest.model_validate_json(text)
-        except ValidationError as error:
+        return Manifest.model_validate(_with_entries(head, path, read))
+    except ValidationError as error:
+        raise CorruptShard(
+            f"{path}: {_first_fault(error)}; fetch it again, or delete the folder and make it again"
+        ) from None
+
+
+def _with_entries(
+    head: Head, path: Path | Remote, read: Callable[[Page], bytes | None]
+) -> dict[str, Any]:
+    """What a manifest says that lists pages, with all that is in them.
+
+    Raises:
+        CorruptShard: a page is not there, or not the one that is listed.
+    """
+    lists: dict[str, list[Any]] = {name: [] for name in LISTS}
+    for page in head.pages:
+        beside = path.parent / page.name
+        try:
+            piece = _entries_in(page, read(page))
+        except (OSError, ValidationError) as error:
+            fault = _first_fault(error) if isinstance(error, ValidationError) else error.strerror
+            cure = f"delete {path.name}, and generate writes both again"
+            if isinstance(path, Path):
+                cure = "mend it with: articugen verify --repair"
             raise CorruptShard(
-                f"{path}: {_first_fault(error)}; fetch it again, or delete the folder and make it "
-                "again"
+                f"{beside}: a page of {path.name}: {fault}; fetch it again, or {cure}"
             ) from None
+        for name in LISTS:
+            lists[name] += getattr(piece, name)
+    told = dict(head.model_extra or {})
+    for name in told.keys() & lists:
+        raise CorruptShard(f"{path}: lists pages, and {name} of its own; fetch it again")
+    return told | {name: tuple(entries) for name, entries in lists.items()}
+
+
+def _entries_in(page: Page, data: bytes | None) -> _Entries:
+    """
+    Raises:
+        OSError: it is not the page that is listed.
+        ValidationError: it is, and does not hold entries.
+    """
+    if data is None:
+        raise FileNotFoundError(errno.ENOENT, "is not there")
+    if not page.is_whole(data):
+        raise UnfitFile(errno.EINVAL, "has other bytes than those listed")
+    piece = _Entries.model_validate_json(data)
+    if sum(len(getattr(piece, name)) for name in LISTS) != page.entries:
+        raise UnfitFile(errno.EINVAL, f"does not hold {page.entries:,} entries")
+    return piece
+
+
+def _compact(value: Any) -> bytes:
+    return json.dumps(value, sort_keys=True, separators=(",", ":")).encode()
+
+
+def _update_by_each(digest: Any, entries: Iterable[_Record]) -> None:
+    """As if all were one list."""
+    digest.update(b"[")
+    for number, entry in enumerate(entries):
+        digest.update(b"," * (number > 0) + _compact(entry.model_dump(mode="json")))
+    digest.update(b"]")
 
 
 def content_of(objects: Iterable[ObjectEntry]) -> str:

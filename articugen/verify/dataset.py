@@ -27,11 +27,11 @@ from articugen.store.files import read_regular
 from articugen.store.journal import COMMON_PLAN, is_journal, is_temporary
 from articugen.store.manifest import (
     MANIFEST_NAME,
-    MOST_BYTES,
     Manifest,
     ObjectEntry,
     ShardEntry,
 )
+from articugen.store.manifest_pages import MOST_BYTES, listed_pages, stale_pages
 from articugen.store.shards import Shard, content_sha256, open_shard
 from articugen.verify.invariants import faults
 
@@ -143,10 +143,12 @@ def verify(folder: Path, *, jobs: int = 1, on_shard: Callable[[str], None] | Non
     findings = [*text_findings(folder, manifest), *_manifest_findings(manifest)]
     findings += [*_strays(folder, manifest), *_leftovers(folder)]
     look = partial(_shard_findings, folder, _expected_attributes(manifest))
-    contents = [[o for o in manifest.objects if o.shard == s.name] for s in manifest.shards]
+    contents: dict[str, list[ObjectEntry]] = {}
+    for entry in manifest.objects:
+        contents.setdefault(entry.shard, []).append(entry)
     looked = workers.in_order(
         look,
-        list(zip(manifest.shards, contents, strict=True)),
+        [(shard, contents[shard.name]) for shard in manifest.shards],
         workers=min(jobs, len(manifest.shards)) if jobs > 1 else 0,
         name=lambda task: task[0].name,
     )
@@ -188,17 +190,18 @@ def text_findings(folder: Path, manifest: Manifest) -> Iterator[Finding]:
 
 def _manifest_findings(manifest: Manifest) -> Iterator[Finding]:
     """Where the manifest does not agree with itself, though its digest does."""
-    recipe = _recipe_of(manifest.recipe)
+    recipe, keys = _recipe_of(manifest.recipe), manifest.keys
     if recipe is None:
         yield Finding("manifest", "recipe is not a recipe of this version")
-    elif recipe.objects is not None and len(manifest.keys) > recipe.objects:
-        yield Finding("manifest", f"{len(manifest.keys)} objects, the recipe asks for fewer")
-    for key in manifest.keys:
-        if recipe and key.recipe_sha256 != recipe.for_one_object().sha256():
+    elif recipe.objects is not None and len(keys) > recipe.objects:
+        yield Finding("manifest", f"{len(keys)} objects, the recipe asks for fewer")
+    recipe_sha256 = recipe.for_one_object().sha256() if recipe else ""
+    for key in keys:
+        if recipe and key.recipe_sha256 != recipe_sha256:
             yield Finding("manifest", "recipe_sha256 is not of the recipe", "", key.object_id)
         if key.seed != manifest.seed:
             yield Finding("manifest", f"seed is not {manifest.seed}", "", key.object_id)
-        if key.generator != manifest.keys[0].generator:
+        if key.generator != keys[0].generator:
             yield Finding("manifest", "generator is not that of the others", "", key.object_id)
     for entry in manifest.objects:
         if entry.key.ref not in (entry.input_sha256, f"{manifest.source}/{entry.key.object_id}"):
@@ -235,11 +238,15 @@ def _splits(manifest: Manifest) -> Iterator[Finding]:
 
 def _strays(folder: Path, manifest: Manifest) -> Iterator[Finding]:
     ours = {MANIFEST_NAME, COMMON_PLAN, croissant.NAME}
-    known = ours | {shard.name for shard in manifest.shards}
+    known = ours | {shard.name for shard in manifest.shards} | listed_pages(folder / MANIFEST_NAME)
+    stale = stale_pages(folder / MANIFEST_NAME)
     for path in sorted(folder.iterdir()):
         welcome = path.suffix in WELCOME and path.is_file() and not path.is_symlink()
         own = is_temporary(path.name) or is_journal(path.name)
-        if path.name not in known and not (welcome or own):
+        if path.name in stale:
+            sentence = f"a page that no manifest lists; remove it with: articugen clean {folder}"
+            yield Finding("leftover", sentence, path.name)
+        elif path.name not in known and not (welcome or own):
             what = "folder" if path.is_dir() else "file"
             sentence = f"the manifest does not know this {what}; move it elsewhere"
             yield Finding("surplus", sentence, path.name)

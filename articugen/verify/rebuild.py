@@ -27,8 +27,8 @@ from articugen.store import croissant
 from articugen.store.files import read_regular, sha256_of, write_atomically
 from articugen.store.journal import is_journal, lock_folder
 from articugen.store.manifest import (
+    LISTS,
     MANIFEST_NAME,
-    MOST_BYTES,
     Key,
     Manifest,
     ObjectEntry,
@@ -38,6 +38,7 @@ from articugen.store.manifest import (
     Timings,
     is_shard_name,
 )
+from articugen.store.manifest_pages import MOST_BYTES, is_page_name
 from articugen.store.shards import Attribute, ShardRecord, content_sha256, open_shard
 from articugen.verify.replay import differences
 
@@ -179,11 +180,7 @@ class _Told:
 
     @staticmethod
     def of(folder: Path, about: Mapping[str, Attribute]) -> "_Told":
-        try:
-            told = json.loads(read_regular(folder / MANIFEST_NAME, MOST_BYTES))
-        except (OSError, ValueError, RecursionError):
-            told = None
-        told = told if isinstance(told, dict) else {}
+        told = _said(folder)
         shards = {shard.name: shard for shard in _entries(told, "shards", ShardEntry)}
         made = [
             Outcome(made=entry, shard=shards[entry.shard])
@@ -212,11 +209,35 @@ class _Told:
         )
 
 
+def _said(folder: Path) -> dict[str, Any]:
+    """What can be read of a manifest and of its pages; of all that lie there, where it does not
+    tell which are its own."""
+    head = _json(folder / MANIFEST_NAME)
+    there = sorted(filter(is_page_name, os.listdir(folder)))
+    listed = head.get("pages")
+    if isinstance(listed, list):
+        names = [page.get("name") for page in listed if isinstance(page, dict)]
+        there = [name for name in there if name in names]
+    pages = [_json(folder / name) for name in (there if listed or not head else ())]
+    lists = {name: [head.get(name), *(page.get(name) for page in pages)] for name in LISTS}
+    return head | {
+        name: [entry for some in found if isinstance(some, list) for entry in some]
+        for name, found in lists.items()
+    }
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        told = json.loads(read_regular(path, MOST_BYTES))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return told if isinstance(told, dict) else {}
+
+
 def _entries(told: dict[str, Any], name: str, kind: type[R]) -> list[R]:
     """Those of a list that can be read."""
     found: list[R] = []
-    entries = told.get(name)
-    for entry in entries if isinstance(entries, list) else []:
+    for entry in told[name]:
         try:
             found.append(kind.model_validate_json(json.dumps(entry)))
         except (ValidationError, ValueError):

@@ -62,7 +62,8 @@ def _repairs(folder: Path, report: Report, asked: Asked) -> Iterator[Repair]:
     try:
         Manifest.read(folder)
     except CorruptShard as error:
-        wrong = str(error).removeprefix(f"{folder / MANIFEST_NAME}: ").partition("; ")[0]
+        wrong = str(error).removeprefix(f"{folder / MANIFEST_NAME}: ").removeprefix(f"{folder}/")
+        wrong = wrong.partition("; ")[0]
         yield (rebuilt := _rebuilt(folder, wrong, asked))
         if not rebuilt.ok:
             return

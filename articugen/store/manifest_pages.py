@@ -1,0 +1,145 @@
+"""Pages of a large manifest: files beside it, each with the entries of some of its objects.
+
+The manifest then has, in place of its lists of entries, the name, size and digest of each page. A
+page's name tells its place and its content, so that no page is ever written over another: pages
+come first and the manifest last, and until then the one that was there stays whole.
+"""
+
+import hashlib
+import os
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError, model_validator
+
+from articugen.store.files import UnfitFile, read_regular
+
+T = TypeVar("T")
+
+PAGE_ENTRIES = 50_000
+"""Of each list that a page holds at most; a manifest that has no more of any is one file."""
+
+MOST_BYTES = 1 << 28
+"""That a manifest or a page may have."""
+MOST_HEAD_BYTES = 1 << 24
+"""That a manifest may have which lists pages."""
+MOST_PAGED_BYTES = 1 << 32
+"""That all pages together may have: two million objects of 2 kB."""
+MOST_PAGES = 1000
+
+_NAME = re.compile(r"manifest-[0-9]{5}-[0-9a-f]{16}\.json")
+
+
+class Page(BaseModel):
+    """A page as the manifest lists it.
+
+    Attributes:
+        name: of the file, in the manifest's folder: its number and the beginning of its digest.
+        entries: of all lists together.
+        bytes, sha256: of the file.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    name: str
+    entries: int = Field(gt=0)
+    bytes: int = Field(gt=0, le=MOST_BYTES)
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+
+    @staticmethod
+    def of(number: int, data: bytes, entries: int) -> "Page":
+        sha256 = hashlib.sha256(data).hexdigest()
+        return Page(
+            name=_page_name(number, sha256), entries=entries, bytes=len(data), sha256=sha256
+        )
+
+    def is_whole(self, data: bytes) -> bool:
+        return len(data) == self.bytes and hashlib.sha256(data).hexdigest() == self.sha256
+
+
+class Head(BaseModel):
+    """A manifest that lists pages; `model_extra` is what else it says, not looked at yet."""
+
+    model_config = ConfigDict(frozen=True, extra="allow", strict=True, allow_inf_nan=False)
+
+    pages: Annotated[
+        tuple[Page, ...], Field(min_length=1, max_length=MOST_PAGES), FailFast(fail_fast=True)
+    ]
+
+    @model_validator(mode="after")
+    def _is_in_order(self) -> "Head":
+        for number, page in enumerate(self.pages):
+            if page.name != _page_name(number, page.sha256):
+                raise ValueError(f"page {number} is not called by its number and digest")
+        if sum(page.bytes for page in self.pages) > MOST_PAGED_BYTES:
+            raise ValueError(f"pages of more than the {MOST_PAGED_BYTES:,} bytes they may have")
+        return self
+
+    @staticmethod
+    def of(text: bytes) -> "Head | None":
+        """None where a manifest lists no pages, but has its entries in it.
+
+        Raises:
+            ValidationError: it lists them wrongly.
+        """
+        if len(text) > MOST_HEAD_BYTES:
+            return None
+        try:
+            if _Probe.model_validate_json(text).pages is None:
+                return None
+        except ValidationError:
+            return None
+        return Head.model_validate_json(text)
+
+
+class _Probe(BaseModel):
+    pages: Any = None
+
+
+def slices(lists: Mapping[str, Sequence[T]]) -> list[dict[str, Sequence[T]]]:
+    """What each page holds: of each list as many entries as it may; one page may be enough."""
+    longest = max(map(len, lists.values()))
+    starts = range(0, max(longest, 1), PAGE_ENTRIES)
+    return [
+        {name: entries[at : at + PAGE_ENTRIES] for name, entries in lists.items()} for at in starts
+    ]
+
+
+def is_page_name(name: str) -> bool:
+    """Whether a page of a manifest may be called so."""
+    return _NAME.fullmatch(name) is not None
+
+
+def stale_pages(manifest: Path) -> list[str]:
+    """The names of pages in a manifest's folder that it does not list: of an earlier one, or of one
+    that was not written to the end. Without a manifest these are all.
+
+    Raises:
+        OSError: the folder cannot be read.
+    """
+    there = sorted(filter(is_page_name, os.listdir(manifest.parent)))
+    listed = listed_pages(manifest) if there else set[str]()
+    return [name for name in there if name not in listed and _is_file(manifest.parent / name)]
+
+
+def listed_pages(manifest: Path) -> set[str]:
+    """The names of the pages that a manifest lists; none where it is damaged or not there.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    try:
+        head = Head.of(read_regular(manifest, MOST_HEAD_BYTES))
+    except (FileNotFoundError, UnfitFile, ValidationError):
+        return set()
+    return {page.name for page in head.pages} if head else set()
+
+
+def _is_file(path: Path) -> bool:
+    return path.is_symlink() or path.is_file()
+
+
+def _page_name(number: int, sha256: str) -> str:
+    return f"manifest-{number:05d}-{sha256[:16]}.json"
