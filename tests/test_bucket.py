@@ -23,9 +23,11 @@ from articugen.errors import (
 )
 from articugen.pipeline import Job, ObjectReport
 from articugen.store import bucket as bucket_module
+from articugen.store import manifest_pages
 from articugen.store.bucket import Bucket
 from articugen.store.bucket_journal import ObjectClaims
 from articugen.store.manifest import MANIFEST_NAME, Manifest
+from articugen.store.manifest_pages import is_page_name
 from articugen.store.rank_journal import Share
 
 pytest.importorskip("obstore", reason="obstore is not installed")
@@ -134,6 +136,32 @@ def test_an_interrupted_run_and_shares_go_on(server: Trouble, whole: Path) -> No
     assert files(url) == contents(whole)
     with pytest.raises(ArticugenError, match=r"make another data set here \(another seed\)"):
         finished(into(url, seed=1))
+
+
+def test_a_manifest_in_pages(server: Trouble, whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(manifest_pages, "PAGE_ENTRIES", 2)
+    url = f"s3://{BUCKET}/pages/eyeglasses"
+    server.every = 5
+    manifest, _ = finished(into(url))
+    server.every = 0
+    assert manifest is not None
+    assert manifest.content_sha256 == Manifest.read(whole).content_sha256
+    pages = sorted(filter(is_page_name, Bucket(url).listed("")))
+    assert len(pages) == 2
+    assert ag.open(url).manifest == manifest
+    assert finished(into(url))[0] == manifest  # nothing is left to do
+    first, second = (Bucket(url).get(name) or b"" for name in pages)
+    Bucket(url).put(pages[0], second)
+    with pytest.raises(CorruptShard, match=rf"{pages[0]}: .* other bytes .* delete manifest\.json"):
+        ag.open(url)
+    Bucket(url).delete(pages[:1])
+    with pytest.raises(CorruptShard, match=f"{pages[0]}: a page of manifest.json: is not there"):
+        finished(into(url))
+    Bucket(url).delete([MANIFEST_NAME])
+    again, told = finished(into(url))
+    assert again is not None
+    assert [report.reused for report in told] == [True] * 4
+    assert Bucket(url).get(pages[0]) == first
 
 
 def test_what_another_process_is_at_is_left_to_it(

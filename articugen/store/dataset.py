@@ -149,7 +149,7 @@ class DataSet(Sequence[Row]):
     def splits(self) -> Mapping[str, int]:
         """How many instances of each split it holds."""
         names = list(dict.fromkeys(entry.split for entry in self._shelf.entries))
-        of_shard = np.array([names.index(entry.split) for entry in self._shelf.entries], np.int8)
+        of_shard = np.array([names.index(entry.split) for entry in self._shelf.entries], np.int32)
         split = of_shard[self._where[:, 0]]
         counts = np.bincount(split, minlength=len(names)).tolist()
         first = {n: int((split == n).argmax()) for n, count in enumerate(counts) if count}

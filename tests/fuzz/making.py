@@ -9,6 +9,7 @@ import zipfile
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from tests.published import model_files, zipped
 
 TESTS = Path(__file__).resolve().parents[1]
 _SHA256 = "0" * 64
+BETWEEN = b"\n---\n"
+"""Several files that are one input."""
 
 
 def objs() -> Iterable[bytes]:
@@ -88,22 +91,33 @@ def _outcomes() -> list[Any]:
 
 
 def manifests() -> Iterable[bytes]:
+    """Two in one file, then one in pages."""
+    from articugen.store import manifest_pages
+
+    for outcomes in (_outcomes(), _outcomes()[:1]):
+        yield _manifest_of(outcomes).model_dump_json().encode()
+    another = _outcomes()[1]
+    key = another.key.model_copy(update={"object_id": "e"})
+    two = another.model_copy(update={"rejected": another.rejected.model_copy(update={"key": key})})
+    with mock.patch.object(manifest_pages, "PAGE_ENTRIES", 1):
+        *pages, head = (data for _, data in _manifest_of([*_outcomes(), two]).files())
+    yield BETWEEN.join([head, *pages])
+
+
+def _manifest_of(outcomes: list[Any]) -> Any:
     from articugen.recipe import load_recipe
     from articugen.store.manifest import Manifest, Timings
 
-    timings = Timings(seconds=1.0, instances_per_second=1.0, peak_memory_bytes=1, workers=1)
-    for outcomes in (_outcomes(), _outcomes()[:1]):
-        manifest = Manifest.of(
-            outcomes,
-            category="box",
-            source="tests",
-            licence="MIT",
-            recipe=load_recipe("quick", "laptop").text(),
-            seed=0,
-            timings=timings,
-            shortfall="d failed" if len(outcomes) > 1 else None,
-        )
-        yield manifest.model_dump_json().encode()
+    return Manifest.of(
+        outcomes,
+        category="box",
+        source="tests",
+        licence="MIT",
+        recipe=load_recipe("quick", "laptop").text(),
+        seed=0,
+        timings=Timings(seconds=1.0, instances_per_second=1.0, peak_memory_bytes=1, workers=1),
+        shortfall="d failed" if len(outcomes) > 1 else None,
+    )
 
 
 def journals() -> Iterable[bytes]:

@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from articugen.store.chunks import CHECKSUM_BYTES, fletcher32
+from articugen.store.manifest import LISTS
+from articugen.store.manifest_pages import Page
 from articugen.store.shards import open_shard
 from tests.fuzz import making
 
@@ -81,22 +83,34 @@ def gzipped(data: bytes) -> bytes:
 
 
 def manifest(data: bytes) -> bytes:
-    """A manifest with the digests of what it says."""
+    """A manifest with the digests of what it says, and of its pages where it has any."""
     try:
-        said = json.loads(data)
-        recipe, objects = said["recipe"], said["objects"]
+        head, *pages = data.split(making.BETWEEN)
+        said = json.loads(head)
+        whole = said
+        if pages:
+            said["pages"] = [_page(number, page) for number, page in enumerate(pages)]
+            told = [json.loads(page) for page in pages]
+            whole = said | {name: [e for page in told for e in page[name]] for name in LISTS}
+        recipe, objects = whole["recipe"], whole["objects"]
         lines = sorted(
             "\x1f".join([o["key"]["split"], o["key"]["object_id"], o["content_sha256"]])
             for o in objects
         )
         said["recipe_sha256"] = hashlib.sha256(recipe.encode()).hexdigest()
         said["content_sha256"] = hashlib.sha256("\n".join(lines).encode()).hexdigest()
-        rest = {name: value for name, value in said.items() if name != "manifest_sha256"}
+        rest = {n: v for n, v in (whole | said).items() if n not in ("manifest_sha256", "pages")}
         text = json.dumps(rest, sort_keys=True, separators=(",", ":"))
         said["manifest_sha256"] = hashlib.sha256(text.encode()).hexdigest()
-        return json.dumps(said).encode()
+        return making.BETWEEN.join([json.dumps(said).encode(), *pages])
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return data
+
+
+def _page(number: int, data: bytes) -> dict[str, Any]:
+    """As a manifest lists it."""
+    told = json.loads(data)
+    return Page.of(number, data, sum(len(told[name]) for name in LISTS)).model_dump()
 
 
 def shard(data: bytes) -> bytes:

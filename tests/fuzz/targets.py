@@ -89,16 +89,13 @@ def _read_shape2motion(path: Path) -> object:
     return load(ref, CategorySettings())
 
 
-_BETWEEN = b"\n---\n"
-
-
 def _read_partnet(path: Path) -> object:
     """The files beside a URDF, one input: what lies between lines of dashes is one of them each."""
     from articugen.sources.folders import meta_category
     from articugen.sources.partnet_mobility import load
     from articugen.sources.refs import CategorySettings, ObjectRef
 
-    pieces = path.read_bytes().split(_BETWEEN, 2)
+    pieces = path.read_bytes().split(making.BETWEEN, 2)
     for name, piece in zip(_BESIDE, [*pieces, b"", b""], strict=False):
         (path.parent / name).write_bytes(piece)
     meta_category(path.parent)
@@ -220,9 +217,15 @@ def _read_apart(path: Path) -> object:
 
 
 def _read_manifest(path: Path) -> object:
-    from articugen.store.manifest import Manifest
+    """What follows lines of dashes are its pages, under the names that they would have."""
+    from articugen.store.manifest import Manifest, _parsed
+    from articugen.store.manifest_pages import Page
 
-    return Manifest.read(path.parent).outcomes
+    head, *pages = path.read_bytes().split(making.BETWEEN)
+    if not pages:
+        return Manifest.read(path.parent).outcomes
+    beside = {Page.of(n, data, 1).name: data for n, data in enumerate(pages) if data}
+    return _parsed(head, path, lambda page: beside.get(page.name)).outcomes
 
 
 def _read_journal(path: Path) -> object:
@@ -371,7 +374,7 @@ TARGETS = {
         ),
         Target(
             "partnet", "beside.txt", _read_partnet, (InvalidSource,), _partnet_around,
-            tokens=(*_IN_JSON, _BETWEEN),
+            tokens=(*_IN_JSON, making.BETWEEN),
         ),
         Target(
             "usd", "model.usda", _read_usd, (InvalidSource,), tokens=_IN_USDA, extra="pxr"
