@@ -1,0 +1,224 @@
+"""What very many objects cost: python -m tests.benchmarks.manifests [--objects 1000000] [FOLDER]
+
+Prints seconds of CPU, the memory held and the most that was taken, of writing, reading and opening
+a manifest, of planning a rank of a thousand, and of a plain run's journal: each in a process of its
+own. Objects are made up, 101 instances each; shards are there only where something looks at them.
+With --files it measures making, listing and removing so many files in one folder instead.
+"""
+
+import argparse
+import hashlib
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+
+from articugen import pipeline, ranks
+from articugen.pipeline import Job, generator_of, objects_of
+from articugen.ranks import common_plan, names_of
+from articugen.recipe import load_recipe
+from articugen.sources.refs import ObjectRef
+from articugen.store.dataset import open as open_data_set
+from articugen.store.journal import COMMON_PLAN, JOURNAL_NAME, Journal
+from articugen.store.manifest import (
+    Claims,
+    Key,
+    Manifest,
+    ObjectEntry,
+    Outcome,
+    ShardEntry,
+    Timings,
+)
+from articugen.store.rank_journal import Share, shard_names
+
+RANKS = 1000
+CONTENT = b"a shard" * 100
+CONTENT_SHA256 = hashlib.sha256(CONTENT).hexdigest()
+"""Of all shards that are there."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.manifests")
+    parser.add_argument("--objects", type=int, default=100_000)
+    parser.add_argument("--files", action="store_true")
+    parser.add_argument("--step", choices=STEPS, help="of these alone, in this process")
+    parser.add_argument("folder", nargs="?", type=Path)
+    asked = parser.parse_args()
+    if asked.step:
+        print(STEPS[asked.step](asked.folder, asked.objects))  # noqa: T201
+        return
+    with tempfile.TemporaryDirectory(dir=asked.folder) as folder:
+        if asked.files:
+            files(Path(folder), asked.objects)
+            return
+        for step in STEPS:
+            command = [sys.executable, "-m", "tests.benchmarks.manifests", "--step", step]
+            subprocess.run([*command, "--objects", str(asked.objects), folder], check=True)
+
+
+def job(folder: Path, objects: int) -> Job:
+    recipe = load_recipe("quick", "laptop").with_counts(objects=objects, states=100)
+    return pipeline.as_its_source_is(Job("procedural", "laptop", recipe, 0, folder, 1))
+
+
+def outcomes(job: Job, refs: Sequence[ObjectRef]) -> Iterator[Outcome]:
+    """As if all had been made."""
+    recipe_sha256, generator = job.recipe.for_one_object().sha256(), generator_of(refs[0])
+    for (split, object_id), shard in shard_names(names_of(refs)).items():
+        key = Key(
+            split=split, object_id=object_id, ref=f"procedural/{object_id}", seed=job.seed,
+            recipe_sha256=recipe_sha256, generator=generator,
+        )  # fmt: skip
+        content = hashlib.sha256(shard.encode()).hexdigest()
+        made = ObjectEntry(
+            key=key, input_sha256=content, shard=shard, instances=101, content_sha256=content,
+            seconds=7.123456789,
+        )  # fmt: skip
+        entry = ShardEntry(name=shard, sha256=CONTENT_SHA256, bytes=len(CONTENT), instances=101)
+        yield Outcome(made=made, shard=entry)
+
+
+class Clock:
+    """Tells of each thing that was done, once it was."""
+
+    def __init__(self) -> None:
+        self._said, self._last = list[str](), time.process_time()
+
+    def __call__(self, what: str) -> None:
+        now, self._last = self._last, time.process_time()
+        held = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+        line = f"{what:44} {self._last - now:7.1f} s {held / 1e9:6.2f} GB, peak {peak / 1e9:.2f}"
+        self._said.append(line)
+
+    def __str__(self) -> str:
+        return "\n".join(self._said)
+
+
+def write(folder: Path, objects: int) -> Clock:
+    mine, tell = job(folder / "data", objects), Clock()
+    refs = objects_of(mine)
+    tell("list the objects")
+    done = list(outcomes(mine, refs))
+    tell("(make up what became of them)")
+    timings = Timings(seconds=1.0, instances_per_second=1.0, peak_memory_bytes=1, workers=1)
+    manifest = pipeline.manifest_of(mine, done, timings, "MIT")
+    tell("Manifest.of")
+    mine.out.mkdir()
+    manifest.write(mine.out)
+    tell("Manifest.write")
+    return tell
+
+
+def read(folder: Path, objects: int) -> Clock:
+    tell = Clock()
+    manifest = Manifest.read(folder / "data")
+    tell("Manifest.read")
+    assert len(manifest.objects) == objects
+    return tell
+
+
+def opened(folder: Path, objects: int) -> Clock:
+    tell = Clock()
+    data = open_data_set(folder / "data")
+    tell(f"ag.open, {len(data):,} instances")
+    train = data.split("train")
+    tell("data.split")
+    assert len(train.objects) + len(data.split("test").objects) == objects
+    tell("objects of both splits")
+    return tell
+
+
+def journals(folder: Path, objects: int) -> Clock:
+    """Of a thousand ranks that have made everything, and the shards that two others look at."""
+    mine, tell = job(folder / "ranks", objects), Clock()
+    refs = objects_of(mine)
+    mine.out.mkdir()
+    (mine.out / COMMON_PLAN).write_text(common_plan(mine, refs, "").model_dump_json())
+    every = list(outcomes(mine, refs))
+    for number in range(RANKS):
+        theirs = every[number::RANKS]
+        names = tuple(o.shard.name for o in theirs if o.shard)
+        lines = [Claims(claims=names), *theirs]
+        name = f".articugen-journal.{number}-of-{RANKS}.00000000.jsonl"
+        (mine.out / name).write_text("".join(line.model_dump_json() + "\n" for line in lines))
+    for outcome in {*every[7::RANKS], *every[7 :: RANKS - 1]}:
+        assert outcome.shard
+        (mine.out / outcome.shard.name).write_bytes(CONTENT)
+    tell("(write journals of 1,000 ranks)")
+    return tell
+
+
+def plan_rank(folder: Path, objects: int, of: int = RANKS) -> Clock:
+    mine, tell = job(folder / "ranks", objects), Clock()
+    with ranks.started(mine, Share(number=7, of=of)) as rank:
+        assert not rank.plan.tasks
+    tell(f"rank 7/{of} plans")
+    return tell
+
+
+def plain(folder: Path, objects: int) -> Clock:
+    """The journal of one process that makes all."""
+    mine = job(folder / "plain", objects)
+    done = list(outcomes(mine, objects_of(mine)))
+    tell = Clock()
+    with Journal(mine.out) as journal:
+        journal._take(done)
+        journal.claim(o.shard.name for o in done if o.shard)
+        tell("claim and write the journal")
+        for outcome in done[:1000]:
+            journal.record(outcome)
+        tell("record 1,000 objects more")
+    size = (mine.out / JOURNAL_NAME).stat().st_size
+    del done
+    with Journal(mine.out):
+        tell(f"read a journal of {size / 1e6:,.0f} MB")
+    return tell
+
+
+STEPS: dict[str, Callable[[Path, int], Clock]] = {
+    "write": write,
+    "read": read,
+    "open": opened,
+    "journals": journals,
+    "plan": plan_rank,
+    "plan otherwise": partial(plan_rank, of=RANKS - 1),
+    "plain": plain,
+}
+
+
+def files(folder: Path, count: int) -> None:
+    """One folder of very many files."""
+
+    def tell(what: str, act: Callable[[], object]) -> None:
+        began, spent = time.perf_counter(), time.process_time()
+        act()
+        took, cpu = time.perf_counter() - began, time.process_time() - spent
+        print(f"{what:44} {took:7.1f} s, {cpu:.1f} s of CPU")  # noqa: T201
+
+    def make() -> None:
+        for number in range(count):
+            (folder / f".train-{number:05d}.h5.partial").write_bytes(b"x")
+            os.rename(folder / f".train-{number:05d}.h5.partial", folder / f"train-{number:05d}.h5")
+
+    def look(names: Sequence[str]) -> None:
+        for name in names:
+            os.stat(folder / name)
+
+    tell(f"make and rename {count:,} files", make)
+    tell("os.listdir", lambda: os.listdir(folder))
+    tell("os.scandir, with sizes", lambda: [e.stat().st_size for e in os.scandir(folder)])
+    tell("sorted(Path.iterdir())", lambda: sorted(folder.iterdir()))
+    tell("ls | wc -l", lambda: subprocess.run(f"ls {folder} | wc -l", shell=True, check=True))
+    tell("os.stat of 10,000 by name", lambda: look(sorted(os.listdir(folder))[:: count // 10_000]))
+    print(f"the folder itself: {folder.stat().st_size / 1e6:.0f} MB")  # noqa: T201
+    tell("remove them", lambda: [os.unlink(e.path) for e in list(os.scandir(folder))])
+
+
+if __name__ == "__main__":
+    main()
