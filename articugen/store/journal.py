@@ -321,7 +321,7 @@ class Journal:
 
     def _lines(self, path: Path) -> Iterator[Outcome]:
         """What a journal records; the names that it claims become ours."""
-        cure = "delete that file and the shards beside it to start afresh"
+        cure, number = "delete that file and the shards beside it to start afresh", 0
         try:
             with open_regular(path, MOST_PAGED_BYTES, follow=False) as file:
                 lines = iter(partial(file.readline, MOST_BYTES), b"")
