@@ -25,8 +25,9 @@ class Leftover:
 def clean(path: Path, *, dry_run: bool = False) -> list[Leftover]:
     """Remove what killed runs left in a data set, or in the data sets of a folder.
 
-    That is temporary files, shards that were written but not recorded, pages that no manifest lists,
-    and a journal beside a whole manifest. What is recorded as finished stays, and so does the journal of a run that can go on.
+    That is temporary files, shards that were written but not recorded, pages that no manifest
+    lists, and a journal beside a whole manifest. What is recorded as finished stays, and so does
+    the journal of a run that can go on.
 
     Args:
         path: the folder of a data set, or of such folders.

@@ -427,7 +427,7 @@ class Manifest(_Record):
             return
         pages: list[Page] = []
         for number, piece in enumerate(pieces):
-            text = _Entries.model_construct(**piece).model_dump_json(indent=1) + "\n"
+            text = _Entries.model_construct(None, **piece).model_dump_json(indent=1) + "\n"
             data = text.encode()
             pages.append(Page.of(number, data, sum(map(len, piece.values()))))
             yield pages[-1].name, data

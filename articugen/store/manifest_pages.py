@@ -17,6 +17,8 @@ from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError, mo
 from articugen.store.files import UnfitFile, read_regular
 
 T = TypeVar("T")
+Data = bytes
+"""Where a record has a field called so."""
 
 PAGE_ENTRIES = 50_000
 """Of each list that a page holds at most; a manifest that has no more of any is one file."""
@@ -49,13 +51,13 @@ class Page(BaseModel):
     sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
 
     @staticmethod
-    def of(number: int, data: bytes, entries: int) -> "Page":
+    def of(number: int, data: Data, entries: int) -> "Page":
         sha256 = hashlib.sha256(data).hexdigest()
         return Page(
             name=_page_name(number, sha256), entries=entries, bytes=len(data), sha256=sha256
         )
 
-    def is_whole(self, data: bytes) -> bool:
+    def is_whole(self, data: Data) -> bool:
         return len(data) == self.bytes and hashlib.sha256(data).hexdigest() == self.sha256
 
 

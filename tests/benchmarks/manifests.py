@@ -147,7 +147,7 @@ def journals(folder: Path, objects: int) -> Clock:
         lines = [Claims(claims=names), *theirs]
         name = f".articugen-journal.{number}-of-{RANKS}.00000000.jsonl"
         (mine.out / name).write_text("".join(line.model_dump_json() + "\n" for line in lines))
-    for outcome in {*every[7::RANKS], *every[7 :: RANKS - 1]}:
+    for outcome in (*every[7::RANKS], *every[7 :: RANKS - 1]):
         assert outcome.shard
         (mine.out / outcome.shard.name).write_bytes(CONTENT)
     tell("(write journals of 1,000 ranks)")
