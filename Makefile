@@ -144,7 +144,7 @@ exporters: $(readers)  ## install what exports are written with, and what tests 
 
 viewer: $(viewer)  ## install viser, which `make view` shows objects with
 
-cluster: $(clusters)  ## install Dask and obstore, which other machines and object stores need, and their tests
+cluster: $(clusters)  ## install Dask, submitit and obstore, which other machines and object stores need, and their tests
 
 learner: $(learner)  ## install torch and matplotlib, which train and evaluate need
 

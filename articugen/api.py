@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from articugen import bucket_runs, pipeline
+from articugen import bucket_runs, pipeline, slurm
 from articugen.errors import ArticugenError, InvalidArgument
 from articugen.pipeline import Job, ObjectReport
 from articugen.recipe import Recipe, load_recipe
@@ -108,7 +108,8 @@ def generate(
         movable, canonical: which joints move and what pose is state 0, instead of the recipe's.
         max_rejected: the recipe's max_rejected_fraction.
         jobs: worker processes, None for all cores; 0 works in this process, without limits.
-        scheduler: of a Dask cluster, tcp://host:8786, whose workers make it; `out` must be a folder
+        scheduler: of a Dask cluster, tcp://host:8786, whose workers make it, or
+            slurm://partition?tasks=100&cpus=4&time=60, for an array of jobs; `out` must be a folder
             that all of them see.
         replace: whether data that was made in another way may be replaced.
         on_object: called for each object, those that were there already first.
@@ -129,6 +130,12 @@ def generate(
     (job,) = todo
     if job.bucket:
         return _generate_into_a_bucket(job, on_object)
+    if slurm.is_array(job.scheduler):
+        if replace:
+            raise InvalidArgument("replace with slurm: ranks replace nothing; give a new out")
+        with slurm.started(job) as array:
+            _check(array.finish(on_object), str(job.out))
+        return open_data_set(job.out)
     with pipeline.started(job) as run:
         if run.plan.conflict and not replace:
             raise ArticugenError(f"{run.plan.conflict}, or pass replace=True")

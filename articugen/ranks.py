@@ -31,7 +31,7 @@ from articugen.recipe import Recipe
 from articugen.sources import registry
 from articugen.sources.refs import ObjectRef
 from articugen.store.journal import NEVER_MADE
-from articugen.store.manifest import Key, Manifest, Outcome
+from articugen.store.manifest import Key, Manifest, Outcome, Timings
 from articugen.store.rank_journal import CommonPlan, Merging, Name, RankJournal, Share, listing_of
 
 _NAMED, _NUMBERS = 5, 100
@@ -100,6 +100,7 @@ def merge(
     *,
     jobs: int = 1,
     sizes_only: bool = False,
+    timings: Timings | None = None,
     on_object: Callable[[int, int, str], None] = lambda *_: None,
 ) -> Manifest:
     """Look at all that ranks have made in a folder, and write its manifest.
@@ -108,6 +109,7 @@ def merge(
         folder: of the data set.
         jobs: threads that read shards.
         sizes_only: look at the sizes of shards, not at every byte.
+        timings: of the ranks, where they are known; else the merge's own.
         on_object: called with how many objects were looked at, of how many, and the last one.
 
     Raises:
@@ -131,7 +133,7 @@ def merge(
                     missing[place] = ref.object_id if why == NEVER_MADE else why
         if missing:
             raise ArticugenError(_told(journal, missing, len(refs)))
-        timings = timings_of(0, time.perf_counter() - began, jobs)
+        timings = timings or timings_of(0, time.perf_counter() - began, jobs)
         return conclude(job, journal, outcomes, timings, registry.licence(job.source))
 
 

@@ -82,6 +82,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     | {"cluster", "compiling"},
     # beyond one machine
     "ranks": VOCABULARY | {"pipeline", "sources", "store"},
+    "slurm": {"compiling", "errors", "pipeline", "ranks", "store.manifest", "store.rank_journal"},
     "bucket_runs": VOCABULARY | {"compiling", "pipeline", "ranks", "sources", "store", "workers"},
     # the store, which knows no stage
     "store": set(),
@@ -142,7 +143,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     # the door, for notebooks
     "maker": VOCABULARY | STAGES | {"instance", "mesh_file", "store.rows"},
     "notebook": VOCABULARY | {"store", "inspection"},
-    "api": VOCABULARY | {"bucket_runs", "pipeline", "sources", "store"},
+    "api": VOCABULARY | {"bucket_runs", "pipeline", "slurm", "sources", "store"},
     "found_joints": VOCABULARY | {"discovery", "store", "learning.clouds"},
     # the browser: what is stored, or made again by what notebooks make it with
     "viewer": VOCABULARY
@@ -164,6 +165,7 @@ MAY_IMPORT: dict[str, set[str]] = {
         "pipeline",
         "bucket_runs",
         "ranks",
+        "slurm",
         "verify",
         "inspection",
         "report",
@@ -212,6 +214,7 @@ FOREIGN: dict[str, set[str]] = {
     },
     "distributed": {"cluster"},
     "obstore": {"store.bucket"},
+    "submitit": {"slurm"},
     "open3d": {"rendering.embree"},
     "pyrender": {"rendering.opengl"},
     "OpenGL": {"rendering.opengl"},
@@ -337,7 +340,7 @@ def test_the_core_needs_no_optional_library() -> None:
     """All but the files that wrap them import where open3d, torch and the like are absent."""
     optional = (
         "open3d", "pyrender", "OpenGL", "sapien", "tensorboard", "torch", "scipy", "matplotlib",
-        "coacd", "pxr", "pyarrow", "viser", "distributed", "obstore",
+        "coacd", "pxr", "pyarrow", "viser", "distributed", "obstore", "submitit",
     )  # fmt: skip
     drawing = {f"learning.evaluation.figures.{name}" for name in ("draw", "plots")}
     without = WITH_TORCH | drawing | {"__init__", "__main__"}

@@ -37,7 +37,7 @@ from articugen.cli.saying import (
     stderr,
     stdout,
 )
-from articugen.cli.shares import made_in_bucket, made_share, share_of
+from articugen.cli.shares import made_by_array, made_in_bucket, made_share, share_of
 from articugen.cli.shares import register as register_merge
 from articugen.cli.view import register as register_view
 from articugen.errors import ArticugenError
@@ -142,7 +142,9 @@ def sources() -> None:
     "articugen merge /shared/data/laptop\n\n"
     "Into an object store, on as many machines as there are: "
     "articugen generate -c laptop -o s3://bucket/data\n\n"
-    "On a Dask cluster: articugen generate -c laptop -o /shared/data --scheduler tcp://host:8786",
+    "On a Dask cluster: articugen generate -c laptop -o /shared/data --scheduler tcp://host:8786\n\n"
+    "On SLURM, submitted, followed and merged by one command: articugen generate -c laptop "
+    "-o /shared/data --scheduler 'slurm://partition?tasks=100&cpus=4&time=60'",
 )
 def generate(
     category: Annotated[
@@ -250,8 +252,9 @@ def generate(
         str | None,
         typer.Option(
             metavar="ADDRESS",
-            help="Of a Dask cluster, tcp://host:8786, whose workers make the objects; --out must "
-            "be a folder that all of them see.",
+            help="Of a Dask cluster, tcp://host:8786, whose workers make the objects; or slurm, "
+            "slurm://partition?tasks=100, for an array of jobs. --out must be a folder that all "
+            "of them see.",
             show_default="this machine",
         ),
     ] = None,
@@ -278,8 +281,11 @@ def generate(
             scheduler=scheduler,
         )  # fmt: skip
         share = share_of(shard, replace=replace)
+        from articugen.slurm import is_array
     one = partial(made_share, share=share) if share else partial(_made, replace=replace)
     one = partial(made_in_bucket, share=share) if todo[0].bucket else one
+    if is_array(todo[0].scheduler):
+        one = partial(made_by_array, share=share, replace=replace)
     make = one if len(todo) == 1 else partial(_made_each, one)
     status = make(*todo, dry_run=dry_run)
     if status:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from articugen.pipeline import Job
-    from articugen.store.manifest import Outcome
+    from articugen.store.manifest import Manifest, Outcome
     from articugen.store.rank_journal import Share
 
 
@@ -73,9 +73,40 @@ def made_in_bucket(job: "Job", *, dry_run: bool, share: "Share | None") -> int:
                 outcomes, manifest = run.finish(bar.of_object, bar.of_notice)
         if manifest is None:
             return _told_share(outcomes, "when all shards are made, the command without --shard")
-        stdout.print(console.made_table(manifest, job.bucket))
-        if manifest.shortfall:
-            raise ArticugenError(manifest.shortfall)
+        return _told(manifest, job.bucket)
+
+
+def made_by_array(job: "Job", *, dry_run: bool, share: "Share | None", replace: bool) -> int:
+    """Make one data set by an array of SLURM and tell of it; the exit status."""
+    with said(KEPT):
+        from articugen import slurm
+        from articugen.cli import console
+
+        if share or replace:
+            raise InvalidArgument(
+                "--scheduler slurm shares out the objects by itself and replaces nothing: give "
+                "neither --shard nor --replace"
+            )
+        with slurm.started(job, command=_whole_command(sys.argv)) as run:
+            if dry_run:
+                stdout.print(console.plan_table(job, run.plan))
+                return 0
+            with console.progress(stderr, run.plan) as bar:
+                manifest = run.finish(bar.of_object, bar.of_notice)
+        return _told(manifest, job.out)
+
+
+def _told(manifest: "Manifest", where: "Path | str") -> int:
+    """Say what has become of a data set; the exit status.
+
+    Raises:
+        ArticugenError: it is not what its recipe asks for.
+    """
+    from articugen.cli import console
+
+    stdout.print(console.made_table(manifest, where))
+    if manifest.shortfall:
+        raise ArticugenError(manifest.shortfall)
     return REJECTED if manifest.rejected else 0
 
 
@@ -128,7 +159,6 @@ def merge(
     status = 0
     with said():
         from articugen import ranks
-        from articugen.cli import console
         from articugen.pipeline import default_jobs
         from articugen.store.journal import data_sets
 
@@ -137,9 +167,6 @@ def merge(
                 manifest = ranks.merge(
                     folder, jobs=jobs or default_jobs(), sizes_only=sizes_only, on_object=told
                 )
-            stdout.print(console.made_table(manifest, folder))
-            if manifest.shortfall:
-                raise ArticugenError(manifest.shortfall)
-            status = max(status, REJECTED if manifest.rejected else 0)
+            status = max(status, _told(manifest, folder))
     if status:
         raise typer.Exit(status)

@@ -13,7 +13,7 @@ import os
 import re
 import secrets
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
@@ -282,6 +282,40 @@ class Merging(Journal):
             return (self.folder / outcome.shard.name).stat().st_size == outcome.shard.bytes
         except OSError:
             return False
+
+
+class Following:
+    """What ranks record in a folder, while they do."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._read = folder, dict[str, int]()
+
+    def news(self) -> list[Outcome]:
+        """What was recorded since this was called last.
+
+        Raises:
+            CorruptShard: a journal is damaged.
+            MachineFault: one cannot be read.
+        """
+        names = sorted(os.listdir(self._folder)) if self._folder.is_dir() else []
+        return [outcome for name in filter(rank_of, names) for outcome in self._lines(name)]
+
+    def _lines(self, name: str) -> Iterator[Outcome]:
+        path, begin = self._folder / name, self._read.get(name, 0)
+        try:
+            with path.open("rb") as file:
+                file.seek(begin)
+                whole, _, _ = file.read().rpartition(b"\n")  # what follows is not written yet
+        except FileNotFoundError:  # merged
+            return
+        except OSError as error:
+            raise MachineFault(f"{path}: cannot be read ({error.strerror})") from None
+        self._read[name] = begin + len(whole) + bool(whole)
+        try:
+            for line in whole.splitlines()[0 if begin else 1 :]:  # the first one is of claims
+                yield Outcome.model_validate_json(line)
+        except ValidationError:
+            raise CorruptShard(f"{path}: damaged; delete it, the same command goes on") from None
 
 
 def _name(key: Key) -> Name:

@@ -1,0 +1,151 @@
+"""An array of SLURM makes what one machine makes, whatever becomes of its tasks."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from slurm_cluster import Daemon, processes_of, said, slurm
+from test_pipeline import PACKAGE, TINY, contents, job, made, own_models  # noqa: F401
+from typer.testing import CliRunner
+
+import articugen as ag
+from articugen import slurm as slurm_module
+from articugen.cli import app
+from articugen.errors import ArticugenError, InvalidArgument, MachineFault, MissingExtra
+from articugen.pipeline import Job, ObjectReport
+from articugen.slurm import Array
+from articugen.store.manifest import Manifest
+
+MANY = TINY.with_counts(objects=9, states=2)
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Daemon]]:
+    pytest.importorskip("submitit", reason="submitit is not installed")
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        slurm(tmp_path_factory.mktemp("slurm"), patch) as nodes,
+    ):
+        patch.setattr(slurm_module, "POLL_SECONDS", 0.2)
+        yield nodes
+
+
+def on_slurm(out: Path, query: str = "tasks=3&cpus=1", **changes: object) -> Job:
+    return job(out, recipe=MANY, scheduler=f"slurm://all?{query}", **changes)
+
+
+def finished(job: Job) -> tuple[Manifest, list[ObjectReport], list[str]]:
+    reports: list[ObjectReport] = []
+    notices: list[str] = []
+    with slurm_module.started(job) as run:
+        return run.finish(reports.append, notices.append), reports, notices
+
+
+def at_work(out: Path, task: int) -> str:
+    """Wait until a task is at its objects; the array that it is of."""
+    while not list(out.glob(f".articugen-journal.{task}-of-3.*")):
+        time.sleep(0.02)
+    return said("squeue", "-h", "-o", "%F").split()[0]
+
+
+def harm(out: Path, nodes: dict[str, Daemon]) -> None:
+    """Kill task 0, and cut off the node of task 1, which works on."""
+    for process in processes_of(at_work(out, 0), 0):
+        os.kill(process, signal.SIGKILL)
+    node = said("squeue", "-h", "-j", f"{at_work(out, 1)}_1", "-o", "%N").strip()
+    nodes[node].kill()
+    said("scontrol", "update", f"nodename={node}", "state=down", "reason=cut-off")
+
+
+@pytest.mark.slow
+def test_one_task_is_killed_and_one_is_cut_off(cluster: dict[str, Daemon], tmp_path: Path) -> None:
+    out = tmp_path / "array"
+    with ThreadPoolExecutor(1) as pool:
+        harmed = pool.submit(harm, out, cluster)
+        manifest, reports, notices = finished(on_slurm(out))
+        harmed.result()
+    arrays = [re.sub(r"\d+", "N", notice, count=1) for notice in notices]
+    assert arrays == [f"SLURM has job N, an array of {n}" for n in ("3 tasks", "1 task")]
+    first = re.findall(r"\d+", notices[0])[0]
+    assert "Restarts=1" in said("scontrol", "show", "job", f"{first}_1")
+    here, _ = made(job(tmp_path / "here", recipe=MANY))
+    assert manifest.content_sha256 == here.content_sha256
+    assert contents(out) == contents(tmp_path / "here")
+    assert len(reports) == 9
+    assert manifest.timings.workers == 3
+
+
+@pytest.mark.slow
+def test_it_is_followed_again_and_interrupted(cluster: dict[str, Daemon], tmp_path: Path) -> None:
+    out = tmp_path / "eyeglasses"
+    script = (
+        "import os, sys; from pathlib import Path; from test_slurm import finished, on_slurm\n"
+        "from articugen import slurm\n"
+        "with slurm.started(on_slurm(Path(sys.argv[1]))) as run:\n"
+        "    run.finish(on_notice=lambda _: os.kill(os.getpid(), 9))"
+    )
+    path = os.pathsep.join([str(Path(__file__).parent), str(PACKAGE.parent)])
+    killed = subprocess.run(
+        [sys.executable, "-c", script, out], env=os.environ | {"PYTHONPATH": path}, check=False
+    )
+    assert killed.returncode == -signal.SIGKILL
+    (first,) = set(said("squeue", "-h", "-o", "%F").split())
+
+    def interrupt(report: ObjectReport) -> None:
+        raise KeyboardInterrupt
+
+    with slurm_module.started(on_slurm(out)) as run, pytest.raises(KeyboardInterrupt):
+        run.finish(interrupt, pytest.fail)  # nothing is submitted
+    while said("squeue", "-h", "-j", first):
+        time.sleep(0.1)
+    manifest, reports, _ = finished(on_slurm(out))
+    assert sum(report.reused for report in reports) >= 1
+    assert len(reports) == len(manifest.objects) == 9
+    data = ag.generate("eyeglasses", out=tmp_path, recipe=MANY, scheduler="slurm")
+    assert data.manifest == manifest
+
+
+def test_what_makes_nothing_is_not_submitted_for_ever(
+    cluster: dict[str, Daemon], tmp_path: Path
+) -> None:
+    with pytest.raises(ArticugenError, match=r"sbatch refuses the array \(.*partition name"):
+        finished(job(tmp_path, recipe=MANY, scheduler="slurm://nowhere"))
+    stuck = on_slurm(tmp_path, "tasks=2&cpus=1&input=/nowhere/at/all")
+    with pytest.raises(MachineFault, match=r"3 arrays, .* 9 of 9 objects are missing"):
+        finished(stuck)
+
+
+def test_addresses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert Array.of_address("slurm") == Array.of_address("slurm://") == Array()
+    asked = Array.of_address("slurm://gpu?tasks=7&time=30&account=me")
+    assert asked == Array("gpu", tasks=7, time=30, others={"account": "me"})
+    for wrong in (
+        "slurm://a?tasks=0",
+        "slurm://a?cpus=two",
+        "slurm:a",
+        "slurm://a?time=1",
+        "slurm://?x",
+    ):
+        with pytest.raises(InvalidArgument, match=r"give slurm, or slurm://partition\?tasks=100"):
+            Array.of_address(wrong)
+    command = ["generate", "-c", "laptop", "-o", str(tmp_path), "--scheduler", "slurm", "--replace"]
+    told = CliRunner().invoke(app, command)
+    assert told.exit_code == 1
+    assert "give neither --shard nor --replace" in told.output
+    monkeypatch.setitem(sys.modules, "submitit", None)
+    with pytest.raises(MissingExtra, match=r"pip install 'articugen\[cluster\]'"):
+        finished(on_slurm(tmp_path))
+
+
+def test_where_there_is_no_slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("submitit", reason="submitit is not installed")
+    monkeypatch.setattr(slurm_module.shutil, "which", lambda _: None)
+    with pytest.raises(ArticugenError, match="there is no sbatch here; run this where jobs"):
+        finished(on_slurm(tmp_path))
