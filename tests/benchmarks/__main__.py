@@ -2,8 +2,9 @@
 
 python -m tests.benchmarks [--quick] [--objects 2] [--states 3] [--runs 3] [--out benchmarks_out]
 
-Prints tables and saves report.json, report.md and scaling.png in the folder --out. Bundled objects
-are written to a temporary folder. With ARTICUGEN_REAL_MODELS, two real models are measured too.
+Prints tables and saves report.json, report.md, readme.md, methods.png and scaling.png in the folder
+--out. Bundled objects are written to a temporary folder. With ARTICUGEN_REAL_MODELS, a real model
+of each category there is measured too.
 """
 
 import json
@@ -17,14 +18,12 @@ import numpy as np
 from rich.console import Console
 
 from articugen import instance
-from tests.benchmarks import cases, measure, memory, ours, scaling, tables
+from tests.benchmarks import cases, glance, measure, memory, ours, scaling, tables
 from tests.benchmarks.about import about
 from tests.benchmarks.cases import Model
-from tests.benchmarks.measure import Results, Row
 from tests.benchmarks.options import Options, dense, parse
 from tests.benchmarks.peers import Peer, peers
-
-REAL = (("eyeglasses", "101287"), ("laptop", "10040"))
+from tests.benchmarks.rows import Results, Row
 
 
 def main() -> None:
@@ -36,13 +35,15 @@ def main() -> None:
     report["about"]["minutes"] = (time.perf_counter() - started) / 60.0
     options.out.mkdir(parents=True, exist_ok=True)
     missing_picture = scaling.draw(report["scaling"], options.out / "scaling.png")
+    glance.draw(report, options.out / "methods.png")
     (options.out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
     (options.out / "report.md").write_text(tables.markdown(report))
+    (options.out / "readme.md").write_text(glance.markdown(report))
     wide = Console(width=max(console.width, 200))
     for table in tables.all_tables(report):
         table.print(wide)
-    console.print(missing_picture or f"drawn: {options.out / 'scaling.png'}")
-    console.print(f"saved: {options.out}/report.json, report.md")
+    console.print(missing_picture or f"drawn: {options.out}/methods.png, scaling.png")
+    console.print(f"saved: {options.out}/report.json, report.md, readme.md")
 
 
 def _measured(options: Options, folder: Path, console: Console) -> Row:
@@ -66,9 +67,11 @@ def _measured(options: Options, folder: Path, console: Console) -> Row:
             else:
                 console.print(f"{time.perf_counter() - started:6.1f} s  {text}")
 
-        measure.shapes(present, models[0], results, say)
+        measure.shapes(present, models[0], options.extent.points, results, say)
         measure.objects(models, present, options.extent, results, say, folder)
-        measure.real_models(_real_models(), present, options.extent, results, say, folder)
+        measure.real_models(
+            _real_models(options.categories), present, options.extent, results, say, folder
+        )
         end_to_end = [_end_to_end(run, folder, say) for run in options.end_to_end]
         laptop = next(model for model in models if model.ref.category == "laptop")
         curves = scaling.curves(laptop, quick=options.quick, say=say)
@@ -82,6 +85,7 @@ def _measured(options: Options, folder: Path, console: Console) -> Row:
         "methods": [{"name": name, "absent": ""} for name in ours.SETTINGS]
         + [{"name": peer.name, "absent": _absent(peer, options.quick)} for peer in all_peers],
         "categories": list(options.categories),
+        "labels": options.extent.labels,
         "end_to_end": end_to_end,
         "scaling": curves,
         "memory": peaks,
@@ -95,11 +99,13 @@ def _absent(peer: Peer, quick: bool) -> str:
     return "left out of a quick run" if quick and peer.slow else ""
 
 
-def _real_models() -> list[Model]:
+def _real_models(categories: tuple[str, ...]) -> list[Model]:
+    """The first of each of these categories that there is."""
     root = os.environ.get("ARTICUGEN_REAL_MODELS")
     if not root:
         return []
-    return [cases.real(Path(root) / "partnet_mobility" / c / name, c) for c, name in REAL]
+    folders = [(Path(root) / "partnet_mobility" / name, name) for name in categories]
+    return [cases.real(sorted(f.iterdir())[0], name) for f, name in folders if f.is_dir()]
 
 
 def _end_to_end(run: tuple[str, str, int, int], folder: Path, say: measure.Say) -> Row:

@@ -1,8 +1,8 @@
 """The rows of accuracy.py to tables."""
 
 from tests.benchmarks.about import head
+from tests.benchmarks.cells import Table
 from tests.benchmarks.exactness import MATERIAL, Row, total
-from tests.benchmarks.tables import Table
 
 
 def occupancy(report: Row) -> Table:

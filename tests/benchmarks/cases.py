@@ -4,7 +4,7 @@ Everything is in the unit frame, in which each object's poses together just fit 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +74,7 @@ class Case:
         asked: (n, 3) the points that an instance labels by its recipe: grids and query points.
         points: (m, 3) by kind, "uniform" and "near": where the truth is asked.
         scene: the exact solids, or None for real models.
+        many: (k, 3) the points of the larger budget, or none.
     """
 
     model: Model
@@ -82,6 +83,7 @@ class Case:
     asked: Floats
     points: dict[str, Floats]
     scene: "Scene | None"
+    many: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def name(self) -> str:

@@ -47,10 +47,10 @@ def parse(arguments: Sequence[str] | None = None) -> Options:
     asked = parser.parse_args(arguments)
     peers = not asked.no_peers
     if asked.quick:
-        extent = Extent(states=1, runs=1, points=10_000, slow_on=("laptop",))
+        extent = Extent(states=1, runs=1, points=10_000, labels=50_000, slow_on=("laptop",))
         sets = (("ours", "laptop", 2, 2),)
         return Options(("laptop", "drawer"), 1, extent, sets, peers, True, asked.out)
-    extent = Extent(asked.states, asked.runs, 50_000, ("laptop", "drawer"))
+    extent = Extent(asked.states, asked.runs, 50_000, 625_000, ("laptop", "drawer"))
     sets = (
         ("ours", "laptop", 8, 100),
         ("ours, fast", "laptop", 4, 20),

@@ -34,6 +34,12 @@ def at(recipe: Recipe, resolution: int | None) -> Recipe:
     return recipe.model_copy(update={"views": views})
 
 
+def with_queries(recipe: Recipe, count: int) -> Recipe:
+    """Half uniform, half near the surface, and no grids."""
+    asked = {"grids": (), "uniform_points": count // 2, "near_points": count // 2}
+    return recipe.model_copy(update={"sampling": recipe.sampling.model_copy(update=asked)})
+
+
 @contextmanager
 def stages() -> Iterator[dict[str, float]]:
     """Seconds spent in each stage while the context lasts."""

@@ -19,6 +19,7 @@ from articugen.recipe import ViewSettings
 from articugen.records import Floats, LabelledMesh, Views
 from articugen.rendering import render
 from articugen.rendering.views import fusion_views
+from tests.benchmarks import labs, offset
 from tests.benchmarks.cases import VOXEL, Bools, Inside
 from tests.benchmarks.dense import Dense, containment
 
@@ -64,8 +65,17 @@ class Peer:
 
 OPEN3D, PCU = "open3d-cpu", "point-cloud-utils"
 
+MESH2SDF = {"mesh2sdf": (128, 128), "mesh2sdf2": (64, 63)}
+"""The original and a fork that installs a module of the same name: samples and the cells between
+-1 and 1, which they count differently. The fork takes a minute a mesh at 128, the original 17 s."""
+
 
 def peers(dense: Dense) -> tuple[Peer, ...]:
+    return (*_fused_and_filled(dense), *_remade(), *_of_the_raw_mesh())
+
+
+def _fused_and_filled(dense: Dense) -> tuple[Peer, ...]:
+    """Those that fuse depth maps, or flood what lies outside."""
     return (
         Peer(
             f"dense chain ({dense})",
@@ -74,9 +84,61 @@ def peers(dense: Dense) -> tuple[Peer, ...]:
             slow=dense == Dense(),
         ),
         Peer("library chain (VoxelBlockGrid)", (OPEN3D,), _library_chain),
+        Peer(
+            "flood fill 256^3",
+            (OPEN3D, "scipy"),
+            lambda mesh: Answer(labs.flood_filled(mesh, 256)),
+            slow=True,
+        ),
+        Peer(
+            "flood fill 512^3",
+            (OPEN3D, "scipy"),
+            lambda mesh: Answer(labs.flood_filled(mesh, 512)),
+            slow=True,
+        ),
+        Peer(
+            "Hunyuan3D-2.1's recipe",
+            (OPEN3D, "scikit-image", "libigl"),
+            lambda mesh: Answer(labs.walled(mesh)),
+            slow=True,
+        ),
+    )
+
+
+def _remade() -> tuple[Peer, ...]:
+    """Those that make another mesh, closed, whose inside is known."""
+    return (
         Peer("watertight 20k + sign", (PCU,), lambda mesh: _watertight(mesh, 20_000)),
         Peer("watertight 50k + sign", (PCU,), lambda mesh: _watertight(mesh, 50_000), slow=True),
-        Peer("mesh2sdf 128, less its level", ("mesh2sdf", "scipy"), _mesh2sdf, slow=True),
+        *(
+            Peer(
+                f"{name} {size}, less its level",
+                (name, "scipy"),
+                lambda mesh, name=name: _mesh2sdf(mesh, name),
+                slow=True,
+            )
+            for name, (size, _) in MESH2SDF.items()
+        ),
+        _offset("projection normal", 256),
+        _offset("winding rule", 256),
+        _offset("hole winding rule", 128),
+        _offset("hole winding rule", 128, dropped=True),
+    )
+
+
+def _offset(sign: str, parts: int, *, dropped: bool = False) -> Peer:
+    """MeshLib's offset, then the sign by winding number. The hole winding rule takes seconds."""
+
+    def build(mesh: LabelledMesh) -> Answer:
+        given = without_repeats(mesh) if dropped else mesh
+        return _winding_number(offset.remade(given, sign, 1.0 / parts))
+
+    name = f"MeshLib 1/{parts}, {sign}{', twins dropped' if dropped else ''}"
+    return Peer(name, ("meshlib", PCU), build, slow=True)
+
+
+def _of_the_raw_mesh() -> tuple[Peer, ...]:
+    return (
         Peer("winding number, raw mesh", (PCU,), _winding_number),
         Peer(
             "winding number, twins dropped",
@@ -150,19 +212,21 @@ def _watertight(mesh: LabelledMesh, resolution: int) -> Answer:
     return _winding_number(LabelledMesh(vertices, faces, part))
 
 
-def _mesh2sdf(mesh: LabelledMesh) -> Answer:
-    """Wang et al. 2022 at 128^3. It swells by a level of 2/128, which is taken off again."""
+def _mesh2sdf(mesh: LabelledMesh, name: str) -> Answer:
+    """Wang et al. 2022. It swells by a level of two cells, which is taken off again."""
     import mesh2sdf  # noqa: PLC0415 - optional
     from scipy.ndimage import map_coordinates  # noqa: PLC0415
 
-    size = 128
+    if len([d for d in metadata.packages_distributions()["mesh2sdf"] if d in MESH2SDF]) > 1:
+        raise RuntimeError("mesh2sdf and mesh2sdf2 overwrite each other: uninstall both, take one")
+    size, cells = MESH2SDF[name]
     box = bounds(mesh.vertices[np.unique(mesh.faces)])
     center, scale = box.mean(axis=0), 1.8 / float(np.max(box[1] - box[0]))
     level = 2.0 / size
     sdf = mesh2sdf.compute((mesh.vertices - center) * scale, mesh.faces, size, True, level)
 
     def inside(points: Floats) -> Bools:
-        at = ((points - center) * scale + 1.0) * (size / 2.0)
+        at = ((points - center) * scale + 1.0) * (cells / 2.0)
         return map_coordinates(sdf, at.T, order=1, mode="nearest") < -level
 
     return Answer(inside)

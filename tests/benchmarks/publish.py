@@ -1,7 +1,8 @@
-"""Copy the newest reports into docs/performance.md: python -m tests.benchmarks.publish [folder]
+"""Copy the newest reports into the documentation: python -m tests.benchmarks.publish [folder]
 
-What stands between `<!-- name -->` and `<!-- end of name -->` is replaced by the folder's name.md,
-its headings one level down, for each report that is there; scaling.png goes to docs/images.
+What stands between `<!-- name -->` and `<!-- end of name -->` is replaced by the folder's report,
+its headings one level down: both reports in docs/performance.md, the short table in README.md, for
+each that is there; pictures go to docs/images.
 """
 
 import re
@@ -9,19 +10,30 @@ import shutil
 import sys
 from pathlib import Path
 
-DOCS = Path(__file__).parents[2] / "docs"
-REPORTS = {"benchmark": "report.md", "accuracy": "accuracy.md"}
+ROOT = Path(__file__).parents[2]
+PAGES = {
+    "docs/performance.md": {"benchmark": "report.md", "accuracy": "accuracy.md"},
+    "README.md": {"benchmark": "readme.md"},
+}
+PICTURES = ("scaling.png", "methods.png")
 
 
-def main(folder: Path = Path("benchmarks_out")) -> None:
-    page = DOCS / "performance.md"
-    text = page.read_text()
-    for name, report in REPORTS.items():
-        if (folder / report).is_file():
-            text = replaced(text, name, (folder / report).read_text())
-    page.write_text(text)
-    if (folder / "scaling.png").is_file():
-        shutil.copyfile(folder / "scaling.png", DOCS / "images" / "scaling.png")
+def main(folder: Path = Path("benchmarks_out"), root: Path = ROOT) -> None:
+    images = root / "docs" / "images"
+    for name, reports in PAGES.items():
+        page = root / name
+        text = page.read_text()
+        for mark, report in reports.items():
+            if (folder / report).is_file():
+                text = replaced(text, mark, (folder / report).read_text())
+        page.write_text(text.replace("](methods.png)", f"]({_from(page, images)}/methods.png)"))
+    for picture in PICTURES:
+        if (folder / picture).is_file():
+            shutil.copyfile(folder / picture, images / picture)
+
+
+def _from(page: Path, folder: Path) -> str:
+    return folder.relative_to(page.parent).as_posix()
 
 
 def replaced(text: str, name: str, report: str) -> str:

@@ -12,6 +12,7 @@ import trimesh
 from articugen import instance, pipeline
 from articugen.recipe import Recipe
 from articugen.records import ArticulatedObject, Mesh
+from tests.benchmarks import ours
 from tests.benchmarks.cases import Model
 
 Curve = list[tuple[float, float]]
@@ -31,7 +32,9 @@ def curves(model: Model, *, quick: bool, say: Callable[[str], None]) -> dict[str
     return {
         "triangles": [(_faces(obj), _rate(obj, model.recipe)) for obj in finer],
         "views": [(n, _rate(model.obj, _with_views(model.recipe, n))) for n in counts],
-        "query points": [(n, _rate(model.obj, _with_queries(model.recipe, n))) for n in queries],
+        "query points": [
+            (n, _rate(model.obj, ours.with_queries(model.recipe, n))) for n in queries
+        ],
     }
 
 
@@ -63,24 +66,29 @@ def _with_views(recipe: Recipe, count: int) -> Recipe:
     return recipe.model_copy(update={"views": recipe.views.model_copy(update={"count": count})})
 
 
-def _with_queries(recipe: Recipe, count: int) -> Recipe:
-    asked = {"grids": (), "uniform_points": count // 2, "near_points": count // 2}
-    return recipe.model_copy(update={"sampling": recipe.sampling.model_copy(update=asked)})
-
-
 def draw(measured: dict[str, Curve], path: Path) -> str | None:
     """Draw the curves as a PNG; a sentence that says why not where matplotlib is missing."""
+
+    def curves_on(axes: Any) -> None:
+        for axis, (name, curve) in zip(axes, measured.items(), strict=True):
+            (_bars if name == "workers" else _curve)(axis, name, curve)
+        axes[0].set_ylabel("instances / s")
+
+    return drawn(path, (11, 2.9), len(measured), curves_on)
+
+
+def drawn(
+    path: Path, inches: tuple[float, float], panels: int, on: Callable[[Any], None]
+) -> str | None:
+    """A PNG of a row of panels that `on` draws; why there is none where matplotlib is missing."""
     try:
         import matplotlib as mpl  # noqa: PLC0415 - optional
         from matplotlib.figure import Figure  # noqa: PLC0415
     except ModuleNotFoundError:
         return "no picture: matplotlib is not installed (pip install 'articugen[bench]')"
     with mpl.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
-        figure = Figure(figsize=(11, 2.9), layout="constrained")
-        axes: Any = np.atleast_1d(figure.subplots(1, len(measured)))
-        for axis, (name, curve) in zip(axes, measured.items(), strict=True):
-            (_bars if name == "workers" else _curve)(axis, name, curve)
-        axes[0].set_ylabel("instances / s")
+        figure = Figure(figsize=inches, layout="constrained")
+        on(np.atleast_1d(figure.subplots(1, panels)))
         figure.savefig(path, dpi=150)
     return None
 

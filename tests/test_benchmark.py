@@ -1,0 +1,175 @@
+"""The benchmark: its truths against closed forms, recipes of others against what they promise."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from articugen.geometry import fibonacci_sphere
+from tests.benchmarks import cases, glance, labs, publish, tables
+from tests.benchmarks.cases import GENERIC, VOXEL
+from tests.benchmarks.rows import Results
+from tests.benchmarks.trials import trials
+from tests.shapes import labelled
+
+TRIALS = {trial.name: trial for trial in trials()}
+
+
+def _in_box(points, size):
+    return np.all(np.abs(points @ GENERIC) < np.array(size) / 2, axis=1)
+
+
+def _in_drum(points):
+    """Of 96 sides, which lie within its round one by 0.05 % of the radius."""
+    x, y, z = (points @ GENERIC).T
+    return (np.hypot(x, y) < 0.25) & (np.abs(z) < 0.25)
+
+
+@pytest.mark.parametrize("name", ["two-sided", "half flipped"])
+def test_a_faulty_drum_is_a_drum(name):
+    points = TRIALS[name].points(20_000)
+    drum = _in_drum(points)
+    for truth in TRIALS[name].truth.values():
+        assert 0.995 < cases.iou(truth.inside(points), drum) <= 1.0
+
+
+def test_the_faults_are_there():
+    both, flipped = (trimesh.Trimesh(t.mesh.vertices, t.mesh.faces, process=False)
+                     for t in (TRIALS["two-sided"], TRIALS["half flipped"]))  # fmt: skip
+    volume = np.pi * 0.25**2 * 0.5
+    assert both.area == pytest.approx(2 * flipped.area, rel=1e-9)
+    assert abs(both.volume) < 1e-9
+    assert abs(flipped.volume) < 0.2 * volume
+
+
+def test_boxes_in_boxes():
+    outer, inner = (0.7, 0.6, 0.5), (0.4, 0.35, 0.3)
+    points = TRIALS["nested"].points(20_000)
+    within, cavity = _in_box(points, outer), _in_box(points, inner)
+    for truth in (*TRIALS["nested"].truth.values(), TRIALS["hollow"].truth["visible"]):
+        np.testing.assert_array_equal(truth.inside(points), within)
+    np.testing.assert_array_equal(
+        TRIALS["hollow"].truth["material"].inside(points), within & ~cavity
+    )
+    hollow = TRIALS["hollow"].mesh
+    solid = trimesh.Trimesh(hollow.vertices, hollow.faces, process=False)
+    assert solid.volume == pytest.approx(np.prod(outer) - np.prod(inner))
+
+
+def test_crumbs_are_apart():
+    mesh = TRIALS["detached"].mesh
+    pieces = trimesh.Trimesh(mesh.vertices, mesh.faces).split()
+    assert len(pieces) == 12
+    assert all(piece.is_watertight and piece.volume > 0 for piece in pieces)
+    points = TRIALS["detached"].points(40_000)
+    held = TRIALS["detached"].truth["material"].inside(points)
+    within = np.any([piece.convex_hull.contains(points) for piece in pieces], axis=0)
+    assert cases.iou(held, within) > 0.999
+
+
+@pytest.mark.parametrize("trial", TRIALS.values(), ids=TRIALS)
+def test_visible_space_is_what_no_ray_leaves(trial):
+    points = trial.points(2000)
+    seen = trial.truth["material"].seen_free(points, fibonacci_sphere(60))
+    np.testing.assert_array_equal(trial.truth["visible"].inside(points), ~seen)
+
+
+def test_distances_by_octants_are_all_distances():
+    open3d = pytest.importorskip("open3d", reason="the recipes of others need open3d")
+    mesh = TRIALS["detached"].mesh
+    size = 64
+    corner, cell = labs._grid(mesh, size, 0.95)
+    scene = open3d.t.geometry.RaycastingScene()
+    scene.add_triangles(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32))
+    centres = corner + (np.indices((size,) * 3).reshape(3, -1).T + 0.5) * cell
+    every = scene.compute_distance(centres.astype(np.float32)).numpy().reshape((size,) * 3)
+    reach = 3.0 * cell
+    np.testing.assert_allclose(
+        labs._unsigned(mesh, corner, cell, size, reach), np.minimum(every, reach), atol=1e-6
+    )
+
+
+def test_a_flood_swells_by_a_cell():
+    pytest.importorskip("open3d", reason="the recipes of others need open3d")
+    drum, feet, outwards = cases.drum()
+    held = cases.depth_along(labs.flood_filled(drum, 64), feet, outwards, 16 * VOXEL)
+    side = float(np.ptp(drum.vertices, axis=0).max()) / 0.95
+    assert held.mean() - 16.0 == pytest.approx(side / 64 / VOXEL, abs=0.2)
+
+
+def test_a_wall_about_every_triangle_leaves_solids_hollow():
+    for name in ("open3d", "igl", "skimage"):
+        pytest.importorskip(name, reason="the recipe of Hunyuan3D-2.1 needs it")
+    box = labelled(trimesh.creation.box((0.8, 0.8, 0.8)))
+    line = np.linspace(0.3, 0.5, 2000)[:, None] * (1.0, 0.0, 0.0)
+    inside = labs.walled(box, 128)(line)
+    assert inside.mean() * 0.2 / (0.8 * 1.1 / 128) == pytest.approx(2 * 128 / 128 / 1.1, abs=0.15)
+    assert not inside[0]
+    assert not inside[-1]
+
+
+def _report():
+    """One method of ours and one peer, clean and messy."""
+    results = Results(shared=["a state 1", "b state 1"])
+    for method, core, material in (("ours", 0.1, 0.99), ("peer", 2.0, 0.5)):
+        for case, messy in (("a state 1", False), ("b state 1", True)):
+            row = {"method": method, "case": case, "category": "laptop", "messy": messy}
+            times = {"real": False, "run": 0, "seconds": core / 2, "cpu": core}
+            results.timings.append(row | times)
+            results.many.append(row | times | {"cpu": 3 * core})
+            truth = {"uniform": material, "near": material}
+            results.scores.append(row | {"material": truth, "visible": {"uniform": 1, "near": 0.8}})
+        results.shapes.append({"method": method, "thickness": [1.5, 1.4, 1.6], "growth": 0.25})
+        agreement = {"material": 0.7, "visible": 0.9}
+        results.trials.append({"method": method, "trial": "hollow"} | agreement)
+    methods = [{"name": "ours", "absent": ""}, {"name": "peer", "absent": ""}]
+    about = {"command": "c", "commit": "abc", "date": "today", "machine": "M"}
+    report = {"methods": methods, "memory": {}, "labels": 625_000, "categories": ["laptop"]}
+    return report | vars(results) | {"about": about}
+
+
+def test_both_truths_and_both_budgets_are_told():
+    report = _report()
+    text = tables.comparison(report).markdown()
+    assert "625,000 labels: s" in text
+    truths = "0.5000 / 0.5000 | 1.0000 / 0.8000"
+    assert f"| peer | 1 | 2 | 20 | 20 | 1 | 6 | 20 | {truths} | {truths} |" in text
+    assert (
+        "| ours | 1.50 (1.40 to 1.60) | +0.25 | 0.7000 / 0.9000 |"
+        in tables.trials(report).markdown()
+    )
+    assert "| peer | 0.5000 / 0.9000 |" in tables.by_category(report, messy=True).markdown()
+
+
+def test_the_readme_gets_its_table_from_one_run(tmp_path):
+    body = glance.markdown(_report())
+    assert "`c` at commit abc, today, M;" in body
+    assert "| peer | 2 | 6 | 0.5000 / 0.5000 | 0.5000 / 0.5000 | 1.0000 / 0.8000 |" in body
+    old = "# A\n\n<!-- benchmark -->\n\nold\n\n<!-- end of benchmark -->\n\nafter\n"
+    new = publish.replaced(old, "benchmark", body)
+    assert "old" not in new
+    assert new.endswith("<!-- end of benchmark -->\n\nafter\n")
+
+
+def test_reports_are_published_with_their_pictures(tmp_path):
+    root, folder = tmp_path / "root", tmp_path / "out"
+    (root / "docs" / "images").mkdir(parents=True)
+    folder.mkdir()
+    page = "<!-- benchmark -->\nold\n<!-- end of benchmark -->\n"
+    accuracy = "<!-- accuracy -->\nkept\n<!-- end of accuracy -->\n"
+    (root / "docs" / "performance.md").write_text(page + accuracy)
+    (root / "README.md").write_text(page)
+    (folder / "report.md").write_text("## Benchmark\n\n![x](methods.png)\n")
+    (folder / "readme.md").write_text(glance.markdown(_report()))
+    (folder / "methods.png").write_bytes(b"png")
+    publish.main(folder, root)
+    performance = (root / "docs" / "performance.md").read_text()
+    assert "![x](images/methods.png)" in performance
+    assert "kept" in performance
+    assert "](docs/images/methods.png)" in (root / "README.md").read_text()
+    assert (root / "docs" / "images" / "methods.png").read_bytes() == b"png"
+
+
+def test_a_picture_has_a_dot_a_method(tmp_path):
+    pytest.importorskip("matplotlib", reason="pictures need matplotlib")
+    assert glance.draw(_report(), tmp_path / "methods.png") is None
+    assert (tmp_path / "methods.png").stat().st_size > 10_000
