@@ -187,7 +187,7 @@ def _prepared(
     views = fusion_views(recipe.views, swept)
     static = _render(parts[0].mesh, views, recipe)
     fixed = fusion.seen_by(static, parts[0], recipe.fusion)
-    own = (fixed, *(part.own for part in parts[1:]))
+    own = (fixed, *(own_solid(part, recipe) for part in parts[1:]))
     looked_at = recipe.fusion.rule != "rigid"
     seen = np.concatenate([part.seen for part in parts])
     bvh = fusion.joined_bvh(parts)
@@ -363,6 +363,11 @@ def _normalization(box: Floats, padding: float) -> Normalization:
 def solid_part(soup: LabelledMesh, recipe: Recipe) -> fusion.SolidPart:
     """One part alone in the canonical pose, judged by the recipe's views of it."""
     return fusion.solid_part(soup, recipe.fusion, partial(_render_alone, recipe))
+
+
+def own_solid(part: fusion.SolidPart, recipe: Recipe) -> fusion.OwnSolid:
+    """What the recipe's views of a part alone say of it."""
+    return fusion.seen_alone(part, recipe.fusion, partial(_render_alone, recipe))
 
 
 def _render_alone(recipe: Recipe, mesh: LabelledMesh, box: Floats) -> DepthMaps:

@@ -4,7 +4,7 @@ import trimesh
 
 from articugen.fusion import solidify
 from articugen.fusion.field import fuse
-from articugen.instance import solid_part
+from articugen.instance import own_solid, solid_part
 from articugen.recipe import Recipe
 from articugen.rendering.rasterizer import render
 from tests.shapes import box, labelled, rotated, sheet, two_sided, views_of
@@ -17,6 +17,10 @@ VOXEL = 1 / 256
 def free_along(mesh, origin, direction, offsets):
     field = fuse(render(mesh, views_of(mesh)), mesh, RECIPE.fusion)
     return field.is_free(np.asarray(origin) + offsets[:, None] * np.asarray(direction))
+
+
+def held(mesh, points):
+    return own_solid(solid_part(labelled(mesh), RECIPE), RECIPE).holds(points)
 
 
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (1, 2, 3), (3, -1, 0.5)])
@@ -57,10 +61,10 @@ def test_faces_turn_outwards_whatever_their_winding():
 def test_what_is_held_does_not_hang_on_the_winding():
     solid = trimesh.util.concatenate([box((0.2, 0.4, 0.3), (x, 0, 0)) for x in (-0.3, 0.3)])
     points = np.random.default_rng(0).uniform(-0.45, 0.45, (20_000, 3))
-    wanted = solid_part(labelled(solid), RECIPE).own.holds(points)
+    wanted = held(solid, points)
     flip = np.random.default_rng(0).random(len(solid.faces)) < 0.5
     solid.faces[flip] = solid.faces[flip, ::-1]
-    assert np.array_equal(solid_part(labelled(solid), RECIPE).own.holds(points), wanted)
+    assert np.array_equal(held(solid, points), wanted)
 
 
 def test_only_closed_pieces_that_look_outwards_are_closed():
@@ -197,4 +201,4 @@ def test_nobody_looks_into_a_bent_sheet_between_its_facets():
     part = solid_part(labelled(two_sided(strip)), RECIPE)
     points, _ = trimesh.sample.sample_surface(strip, 4000, seed=0)
     inner = points[np.abs(points[:, 2]) < 0.195]
-    assert not part.own.field.is_free(inner.astype(np.float32)).any()
+    assert not own_solid(part, RECIPE).field.is_free(inner.astype(np.float32)).any()

@@ -9,7 +9,7 @@ import trimesh
 from articugen.fusion.bvh import build
 from articugen.fusion.reachable import walls
 from articugen.fusion.thin import NOTHING, thin_voxels
-from articugen.instance import solid_part
+from articugen.instance import own_solid, solid_part
 from articugen.recipe import Recipe
 from articugen.records import LabelledMesh
 from tests.shapes import Convex, box, labelled, rotated, towards_cameras
@@ -32,7 +32,8 @@ def test_bars_and_slits_thinner_than_a_pixel_are_as_exact_rays_have_them(
     gap: float, thickness: float
 ) -> None:
     pieces = [rotated(piece, 0.5, (1, 2, 3)) for piece in comb(gap, thickness)]
-    field = solid_part(labelled(trimesh.util.concatenate(pieces)), RECIPE).own.field
+    part = solid_part(labelled(trimesh.util.concatenate(pieces)), RECIPE)
+    field = own_solid(part, RECIPE).field
     rng = np.random.default_rng(0)
     turned = trimesh.transformations.rotation_matrix(0.5, (1, 2, 3))
     local = rng.uniform((-0.3, -0.25, -0.175), (0.3, 0.25, 0.03), (20_000, 3))

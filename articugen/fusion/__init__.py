@@ -9,7 +9,7 @@ from articugen.fusion.bvh import Bvh, build
 from articugen.fusion.collision import Colliding, too_deep
 from articugen.fusion.distance import distances
 from articugen.fusion.field import FusedField, OwnSolid, PosedFields, PosedSolids, fuse, pixel_width
-from articugen.fusion.parts import SolidPart, joined_bvh, seen_by, solid_part
+from articugen.fusion.parts import SolidPart, joined_bvh, seen_alone, seen_by, solid_part
 from articugen.fusion.reachable import touched
 
 __all__ = [
@@ -25,6 +25,7 @@ __all__ = [
     "fuse",
     "joined_bvh",
     "pixel_width",
+    "seen_alone",
     "seen_by",
     "solid_part",
     "too_deep",

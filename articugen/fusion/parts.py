@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from articugen.fusion import solidify
 from articugen.fusion.bvh import Bvh, build, joined
-from articugen.fusion.field import OwnSolid, flooded, fuse, pixel_width
+from articugen.fusion.field import FusedField, OwnSolid, flooded, fuse, pixel_width
 from articugen.fusion.thin import thin_voxels, way_meets
 from articugen.fusion.winding import ClosedPieces, closed_pieces
 from articugen.geometry import bounds
@@ -27,14 +27,21 @@ Render = Callable[[LabelledMesh, Floats], DepthMaps]
 
 @dataclass(frozen=True, eq=False)
 class SolidPart:
-    """One part alone in the canonical pose: its surface, which of its faces can be seen and which
-    are those of closed pieces, the tree of its faces, its field."""
+    """The surface of one part alone in the canonical pose.
+
+    Attributes:
+        mesh: its sheets thickened, its faces turned outwards.
+        seen: (F,) which of its faces can be seen.
+        closed: (F,) which are those of closed pieces.
+        tree: of its faces.
+        judged_by: the field that told so; None where sheets have become slabs, which it knows not.
+    """
 
     mesh: LabelledMesh
     seen: NDArray[np.bool_]
     closed: NDArray[np.bool_]
     tree: Bvh
-    own: OwnSolid
+    judged_by: FusedField | None
 
 
 def solid_part(soup: LabelledMesh, settings: Fusion, render: Render) -> SolidPart:
@@ -44,31 +51,38 @@ def solid_part(soup: LabelledMesh, settings: Fusion, render: Render) -> SolidPar
         soup: the part's faces in the canonical pose, unit frame, as the model has them.
     """
     soup = solidify.without_repeats(soup).compact()
-    alone = _own_solid(soup, closed := solidify.closed(soup), settings, render)
+    closed = solidify.closed(soup)
+    field = fuse(render(soup, _box(soup)), soup, settings)
+    alone = OwnSolid(field, _box(soup), _closed_pieces(soup, closed, settings, field.bvh))
     thickness = settings.sheet_thickness
     where = solidify.probes(soup, max(thickness, 1e-3) / 3.0, together=True)
     free = np.stack([~alone.holds(where.points[0]), np.zeros(len(where.face), np.bool_)])
-    asked = np.flatnonzero(~(closed[where.face] & _deep(soup, where, alone.field.bvh)))
+    asked = np.flatnonzero(~(closed[where.face] & _deep(soup, where, field.bvh)))
     free[1, asked] = ~alone.holds(where.points[1][asked])
-    shown = solidify.shown_sides(soup, alone.field.maps)
+    shown = solidify.shown_sides(soup, field.maps)
     mesh, seen = solidify.solidified(soup, where, free, shown, thickness, closed)
-    tree = alone.field.bvh
-    if not np.array_equal(mesh.faces, soup.faces):
-        closed = solidify.closed(mesh)
-        if len(mesh.faces) != len(soup.faces):  # sheets have become slabs
-            alone = _own_solid(mesh, closed, settings, render)
-            tree = alone.field.bvh
-        else:
-            tree = build(mesh.vertices[mesh.faces], np.zeros(len(mesh.faces), np.uint8), 1)
-            alone = replace(alone, closed=_closed_pieces(mesh, closed, settings, tree))
-    width = pixel_width(alone.field.maps.views)
-    thin = thin_voxels(mesh, width, alone.field.bvh)
-    own = replace(alone, field=flooded(replace(alone.field, thin=thin), mesh))
-    return SolidPart(mesh, seen, closed, tree, own)
+    if np.array_equal(mesh.faces, soup.faces):
+        return SolidPart(mesh, seen, closed, field.bvh, field)
+    tree = build(mesh.vertices[mesh.faces], np.zeros(len(mesh.faces), np.uint8), 1)
+    slabs = len(mesh.faces) != len(soup.faces)
+    return SolidPart(mesh, seen, solidify.closed(mesh), tree, None if slabs else field)
+
+
+def seen_alone(part: SolidPart, settings: Fusion, render: Render) -> OwnSolid:
+    """The own solid of `part` by maps of it alone, rendered if it was not judged by such."""
+    field = part.judged_by
+    if field is None:
+        maps = render(part.mesh, _box(part.mesh))
+        field = fuse(maps, part.mesh, settings, bvh=part.tree, part_motion=np.eye(4)[None])
+    thin = thin_voxels(part.mesh, pixel_width(field.maps.views), field.bvh)
+    own = flooded(replace(field, thin=thin), part.mesh)
+    return OwnSolid(
+        own, _box(part.mesh), _closed_pieces(part.mesh, part.closed, settings, part.tree)
+    )
 
 
 def seen_by(maps: DepthMaps, part: SolidPart, settings: Fusion) -> OwnSolid:
-    """The own solid of `part` by `maps` of it alone, instead of those that it was judged by."""
+    """The own solid of `part` by `maps` of it alone."""
     field = fuse(
         maps,
         part.mesh,
@@ -77,7 +91,11 @@ def seen_by(maps: DepthMaps, part: SolidPart, settings: Fusion) -> OwnSolid:
         part_motion=np.eye(4)[None],
         thin=thin_voxels(part.mesh, pixel_width(maps.views), part.tree),
     )
-    return replace(part.own, field=replace(field, flood=part.own.field.flood))
+    judged = part.judged_by or field
+    own = replace(field, flood=flooded(judged, part.mesh).flood)
+    return OwnSolid(
+        own, _box(part.mesh), _closed_pieces(part.mesh, part.closed, settings, part.tree)
+    )
 
 
 def joined_bvh(parts: Sequence[SolidPart]) -> Bvh:
@@ -94,12 +112,14 @@ def _deep(mesh: LabelledMesh, where: solidify.Probes, tree: Bvh) -> NDArray[np.b
     return ~way_meets(inner, outwards.astype(np.float32), np.float32(way), tree)
 
 
-def _own_solid(
-    mesh: LabelledMesh, closed: NDArray[np.bool_], settings: Fusion, render: Render
-) -> OwnSolid:
-    box = bounds(mesh.vertices[mesh.faces].reshape(-1, 3)) if len(mesh.faces) else np.zeros((2, 3))
-    field = fuse(render(mesh, box), mesh, settings)
-    return OwnSolid(field, box, _closed_pieces(mesh, closed, settings, field.bvh))
+def _own_solid(part: SolidPart, field: FusedField) -> OwnSolid:
+    closed = _closed_pieces(part.mesh, part.closed, field.settings, part.tree)
+    return OwnSolid(field, _box(part.mesh), closed)
+
+
+def _box(mesh: LabelledMesh) -> Floats:
+    """(2, 3) of its faces."""
+    return bounds(mesh.vertices[mesh.faces].reshape(-1, 3)) if len(mesh.faces) else np.zeros((2, 3))
 
 
 def _closed_pieces(

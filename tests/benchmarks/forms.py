@@ -78,7 +78,8 @@ def uniformity(recipe: Recipe, drawer: Model, points: int) -> list[Row]:
     rows = []
     for name, mesh in _solids().items():
         part = instance.solid_part(labelled(mesh), recipe)
-        rows.append({"shape": name} | _uniform(part.mesh, part.seen, part.own.field, points, None))
+        field = instance.own_solid(part, recipe).field
+        rows.append({"shape": name} | _uniform(part.mesh, part.seen, field, points, None))
     prepared = instance.prepare(drawer.obj, drawer.recipe.with_counts(states=8), 0)
     state = int(np.argmax([np.abs(state.q).sum() for state in prepared.states]))
     mesh, fields = instance.pose(prepared, state)
@@ -143,7 +144,7 @@ def _bins(points: Floats, normals: Floats) -> NDArray[np.int64]:
 
 
 def _alone(mesh: LabelledMesh, recipe: Recipe) -> fusion.OwnSolid:
-    return instance.solid_part(mesh, recipe).own
+    return instance.own_solid(instance.solid_part(mesh, recipe), recipe)
 
 
 def _solids() -> dict[str, trimesh.Trimesh]:

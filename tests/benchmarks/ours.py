@@ -66,7 +66,7 @@ def stages() -> Iterator[dict[str, float]]:
 
 def alone(mesh: LabelledMesh, recipe: Recipe) -> Inside:
     """Our field of a mesh by itself, sheets thickened."""
-    field = instance.solid_part(mesh, recipe).own.field
+    field = instance.own_solid(instance.solid_part(mesh, recipe), recipe).field
     return lambda points: ~field.is_free(points)
 
 
