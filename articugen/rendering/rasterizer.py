@@ -111,8 +111,12 @@ def _draw(
 
     One kernel, with maps below or without: what it is made of takes seconds to compile.
     """
-    snapped = np.empty((vertices.shape[0], 2), np.int32)
-    image = np.empty((vertices.shape[0], 3), np.float64)
+    n = vertices.shape[0]
+    x, y, z = np.empty(n, np.float64), np.empty(n, np.float64), np.empty(n, np.float64)
+    for i in range(n):
+        x[i], y[i], z[i] = vertices[i, 0], vertices[i, 1], vertices[i, 2]
+    u, v, centres = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
+    kept = np.empty(faces.shape[0], np.int32)
     height, width = face.shape[1], face.shape[2]
     over = below.shape[0] > 0
     for k in range(T.shape[0]):
@@ -120,20 +124,23 @@ def _draw(
         if over:
             _copy(face_below[k], face[k], (drawn[k, 0], drawn[k, 1], drawn[k, 2], drawn[k, 3]))
             drawn[k, 0] = drawn[k, 1] = drawn[k, 2] = drawn[k, 3] = 0
-            if vertices.shape[0] == 0:
+            if n == 0:
                 continue
-        camera = (intrinsics[k, 0], intrinsics[k, 1], intrinsics[k, 2], intrinsics[k, 3])
-        if not _project(vertices, T[k], camera, pinhole, snapped, image):
+        camera = _camera(T[k], intrinsics[k])
+        if not _project(x, y, z, camera, pinhole, width, height, u, v, centres):
             return False
         if over:  # only this rectangle of `view` is ever set
-            box = _rectangle(image, height, width)
+            box = _rectangle(u, v, height, width)
             drawn[k, 0], drawn[k, 1], drawn[k, 2], drawn[k, 3] = box
             _copy(below[k], view, box)
             if pinhole:
                 _to_key(view, box)
         else:
             view[:] = np.float32(0.0) if pinhole else np.float32(np.inf)
-        _draw_view(faces, closed, snapped, image, view, face[k], first_face)
+        count = _around_a_centre(faces, centres, kept)
+        _draw_view(
+            kept, count, faces, closed, vertices, camera, pinhole, u, v, view, face[k], first_face
+        )
         if pinhole and not over:
             _from_key(view)
     return True
@@ -151,44 +158,88 @@ def _copy(source, target, rectangle):
 
 
 @helper
-def _rectangle(image, height, width):
-    """The rows and columns, ends excluded, that hold the projected vertices; there are some."""
-    low_u = low_v = np.inf
-    high_u = high_v = -np.inf
-    for i in range(image.shape[0]):
-        u, v = image[i, 0], image[i, 1]
-        low_u, high_u = min(low_u, u), max(high_u, u)
-        low_v, high_v = min(low_v, v), max(high_v, v)
-    top, left = max(int(np.floor(low_v)) - 1, 0), max(int(np.floor(low_u)) - 1, 0)
-    bottom, right = min(int(high_v) + 2, height), min(int(high_u) + 2, width)
+def _rectangle(u, v, height, width):
+    """The rows and columns, ends excluded, that hold the snapped vertices; there are some."""
+    low_u, high_u = u[0], u[0]
+    low_v, high_v = v[0], v[0]
+    for i in range(u.shape[0]):
+        low_u, high_u = min(low_u, u[i]), max(high_u, u[i])
+        low_v, high_v = min(low_v, v[i]), max(high_v, v[i])
+    top, left = max((low_v >> SUBPIXEL_BITS) - 1, 0), max((low_u >> SUBPIXEL_BITS) - 1, 0)
+    bottom = min((high_v >> SUBPIXEL_BITS) + 2, height)
+    right = min((high_u >> SUBPIXEL_BITS) + 2, width)
     return top, max(bottom, top), left, max(right, left)
 
 
 @helper
-def _project(vertices, T, camera, pinhole, snapped, image):
-    """Image coordinates, snapped and exact, and the depth key, which is linear in the image.
+def _camera(T, lens):
+    """One view's numbers as tuples: three rows and the lens."""
+    return (
+        (T[0, 0], T[0, 1], T[0, 2], T[0, 3]),
+        (T[1, 0], T[1, 1], T[1, 2], T[1, 3]),
+        (T[2, 0], T[2, 1], T[2, 2], T[2, 3]),
+        (lens[0], lens[1], lens[2], lens[3]),
+    )
+
+
+@helper
+def _project(x, y, z, camera, pinhole, width, height, u, v, centres):
+    """Where vertices fall, in subpixels, and between which pixels' centres, see `_between`.
+
+    False where a vertex falls too far outside the image. Nothing else is kept: `_on_image` makes
+    the rest anew for the few faces that need it, and so short a loop is vectorised.
+    """
+    limit, half = np.float64(LARGEST_PIXEL), np.int32(SUBPIXELS // 2)
+    last_u, last_v = np.int32(2 * width - 1), np.int32(2 * height - 1)
+    outside = 0
+    for i in range(x.shape[0]):
+        p = (x[i], y[i], z[i])
+        at_u, at_v, _ = _on_image(p, camera, pinhole)
+        outside += (not abs(at_u) < limit) | (not abs(at_v) < limit)
+        su = np.int32(np.floor(at_u * SUBPIXELS + 0.5))
+        sv = np.int32(np.floor(at_v * SUBPIXELS + 0.5))
+        u[i], v[i] = su, sv
+        column, row = _between(su, half, last_u), _between(sv, half, last_v)
+        centres[i] = np.int32((column << np.int32(16)) | (row & np.int32(0xFFFF)))
+    return outside == 0
+
+
+@helper
+def _between(at, half, last):
+    """2 i on the centre of pixel i, 2 i + 1 between it and the next; of an image's two sides all
+    that lies beyond is one place, -1 or `last`."""
+    bits = np.int32(SUBPIXEL_BITS)
+    place = ((at + half - np.int32(1)) >> bits) + ((at - half) >> bits)
+    return min(max(place, np.int32(-1)), last)
+
+
+@helper
+def _around_a_centre(faces, centres, kept):
+    """Into `kept` the faces whose box holds the centre of a pixel, and how many they are: of a
+    finely cut model few. The others' corners lie in one place between two rows or columns."""
+    found = 0
+    for f in range(faces.shape[0]):
+        a = centres[np.uintp(faces[f, 0])]
+        unlike = (a ^ centres[np.uintp(faces[f, 1])]) | (a ^ centres[np.uintp(faces[f, 2])])
+        row = ((unlike & 0xFFFF) == 0) & ((a & 1) == 1)
+        column = ((unlike >> 16) == 0) & (((a >> 16) & 1) == 1)
+        kept[np.uintp(found)] = f
+        found += not (row | column)
+    return found
+
+
+@helper
+def _on_image(p, camera, pinhole):
+    """The image coordinates of `p`, not snapped, and its depth key, which is linear in the image.
 
     The key is z for an orthographic camera and -1/z for a pinhole: smaller is nearer in both.
-    False where a vertex falls too far outside the image.
     """
-    fx, fy, cx, cy = camera
-    limit = LARGEST_PIXEL
-    inside = True
-    for i in range(vertices.shape[0]):
-        px, py, pz = vertices[i, 0], vertices[i, 1], vertices[i, 2]
-        x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
-        y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
-        z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
-        w = 1.0 / z if pinhole else 1.0
-        u = fx * x * w + cx
-        v = fy * y * w + cy
-        inside &= (abs(u) < limit) & (abs(v) < limit)
-        image[i, 0] = u
-        image[i, 1] = v
-        image[i, 2] = -w if pinhole else z
-        snapped[i, 0] = np.int32(np.floor(u * SUBPIXELS + 0.5))
-        snapped[i, 1] = np.int32(np.floor(v * SUBPIXELS + 0.5))
-    return inside
+    a, b, c, lens = camera
+    x = a[0] * p[0] + a[1] * p[1] + a[2] * p[2] + a[3]
+    y = b[0] * p[0] + b[1] * p[1] + b[2] * p[2] + b[3]
+    z = c[0] * p[0] + c[1] * p[1] + c[2] * p[2] + c[3]
+    w = 1.0 / z if pinhole else 1.0
+    return lens[0] * x * w + lens[2], lens[1] * y * w + lens[3], -w if pinhole else z
 
 
 @helper
@@ -210,20 +261,23 @@ def _from_key(depth):
 
 @helper
 def _draw_view(  # noqa: PLR0912, PLR0915 - one loop: a call for each face would cost as much as it
-    faces, closed, snapped, image, depth, face, first_face
+    kept, count, faces, closed, vertices, camera, pinhole, u, v, depth, face, first_face
 ):
-    """Draw triangles over one view's map of depth keys, naming face f `first_face + f`.
+    """Draw the first `count` faces in `kept` over one view's map of depth keys, naming face f
+    `first_face + f`.
 
     Helpers get numbers, not arrays, each of which would cost two atomic counts at every face.
     """
     height, width = depth.shape
     flat_depth, flat_face = depth.reshape(-1), face.reshape(-1)
     half = SUBPIXELS // 2
-    for f in range(faces.shape[0]):
+    for n in range(count):
+        f = np.uintp(kept[n])
+        number = np.int32(first_face + kept[n])
         ia, ib, ic = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
-        a = (np.int64(snapped[ia, 0]), np.int64(snapped[ia, 1]))
-        b = (np.int64(snapped[ib, 0]), np.int64(snapped[ib, 1]))
-        c = (np.int64(snapped[ic, 0]), np.int64(snapped[ic, 1]))
+        a = (np.int64(u[ia]), np.int64(v[ia]))
+        b = (np.int64(u[ib]), np.int64(v[ib]))
+        c = (np.int64(u[ic]), np.int64(v[ic]))
         area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])
         if area == 0 or (area > 0 and closed[f]):  # positive: seen from behind, as v points down
             continue
@@ -232,16 +286,32 @@ def _draw_view(  # noqa: PLR0912, PLR0915 - one loop: a call for each face would
         if first > last or left > right:
             continue
         if area < 0:  # the same triangle the other way round
-            b, c = c, b
-        pa = (image[ia, 0], image[ia, 1], image[ia, 2])
-        pb = (image[ib, 0], image[ib, 1], image[ib, 2])
-        pc = (image[ic, 0], image[ic, 1], image[ic, 2])
-        k_low, k_high = min(pa[2], pb[2], pc[2]), max(pa[2], pb[2], pc[2])
+            b, c, ib, ic = c, b, ic, ib
+        p = (vertices[ia, 0], vertices[ia, 1], vertices[ia, 2])
+        q = (vertices[ib, 0], vertices[ib, 1], vertices[ib, 2])
+        r = (vertices[ic, 0], vertices[ic, 1], vertices[ic, 2])
+        ka = _on_image(p, camera, pinhole)[2]
+        kb = _on_image(q, camera, pinhole)[2]
+        kc = _on_image(r, camera, pinhole)[2]
+        k_low, k_high = min(ka, kb, kc), max(ka, kb, kc)
+        few = (last - first + 1) * (right - left + 1) <= FEW_PIXELS
+        nearest = np.float32(k_low)
+        if few:
+            shown = 0
+            for i in range(first, last + 1):
+                start = i * width
+                for j in range(left, right + 1):
+                    shown += nearest < flat_depth[np.uintp(start + j)]
+            if shown == 0:
+                continue
+        pa = _on_image(p, camera, pinhole)
+        pb = _on_image(q, camera, pinhole)
+        pc = _on_image(r, camera, pinhole)
         A0, B0, C0 = _edge(a, b)
         A1, B1, C1 = _edge(b, c)
         A2, B2, C2 = _edge(c, a)
-        if (last - first + 1) * (right - left + 1) <= FEW_PIXELS:
-            nearest, known = np.float32(k_low), False
+        if few:
+            known = False
             det = ku = kv = 0.0
             x, y = left * SUBPIXELS + half, first * SUBPIXELS + half
             e0, e1, e2 = A0 * x + B0 * y + C0, A1 * x + B1 * y + C1, A2 * x + B2 * y + C2
@@ -257,7 +327,7 @@ def _draw_view(  # noqa: PLR0912, PLR0915 - one loop: a call for each face would
                         key = np.float32(min(max(base + ku * j, k_low), k_high))
                         if key < flat_depth[at] and det != 0.0:
                             flat_depth[at] = key
-                            flat_face[at] = first_face + f
+                            flat_face[at] = number
                     f0 += A0 * SUBPIXELS
                     f1 += A1 * SUBPIXELS
                     f2 += A2 * SUBPIXELS
@@ -280,7 +350,7 @@ def _draw_view(  # noqa: PLR0912, PLR0915 - one loop: a call for each face would
                 at = np.uintp(i * width + j)
                 if key < flat_depth[at]:
                     flat_depth[at] = key
-                    flat_face[at] = first_face + f
+                    flat_face[at] = number
 
 
 @helper
