@@ -398,8 +398,10 @@ def data_sets(path: Path) -> list[Path]:
     Raises:
         CorruptShard: there is none.
     """
-    inside = sorted(path.iterdir()) if path.is_dir() else []
-    folders = [path] if _is_data_set(path) else [f for f in inside if _is_data_set(f)]
+    folders = [path]
+    if not _is_data_set(path):
+        inside = sorted(path.iterdir()) if path.is_dir() else []
+        folders = [folder for folder in inside if _is_data_set(folder)]
     if not folders:
         raise CorruptShard(f"{path}: holds no data set; make one with: articugen generate")
     return folders

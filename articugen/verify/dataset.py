@@ -10,6 +10,7 @@ the manifest does not tell of is named.
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -240,33 +241,33 @@ def _strays(folder: Path, manifest: Manifest) -> Iterator[Finding]:
     ours = {MANIFEST_NAME, COMMON_PLAN, croissant.NAME}
     known = ours | {shard.name for shard in manifest.shards} | listed_pages(folder / MANIFEST_NAME)
     stale = stale_pages(folder / MANIFEST_NAME)
-    for path in sorted(folder.iterdir()):
+    for name in sorted(set(os.listdir(folder)) - known):
+        path = folder / name
         welcome = path.suffix in WELCOME and path.is_file() and not path.is_symlink()
-        own = is_temporary(path.name) or is_journal(path.name)
-        if path.name in stale:
+        if name in stale:
             sentence = f"a page that no manifest lists; remove it with: articugen clean {folder}"
-            yield Finding("leftover", sentence, path.name)
-        elif path.name not in known and not (welcome or own):
+            yield Finding("leftover", sentence, name)
+        elif not (welcome or is_temporary(name) or is_journal(name)):
             what = "folder" if path.is_dir() else "file"
             sentence = f"the manifest does not know this {what}; move it elsewhere"
-            yield Finding("surplus", sentence, path.name)
+            yield Finding("surplus", sentence, name)
 
 
 def _leftovers(folder: Path) -> Iterator[Finding]:
     """What a run that was cut short has left."""
-    for path in sorted(folder.iterdir()) if folder.is_dir() else []:
-        if is_journal(path.name):
+    for name in sorted(os.listdir(folder)) if folder.is_dir() else []:
+        if is_journal(name):
             yield Finding(
                 "unfinished",
                 "a run is at work here or was cut short; start it again, merge what ranks have "
                 f"made, or tidy up with: articugen clean {folder}",
             )
-        elif is_temporary(path.name):
+        elif is_temporary(name):
             yield Finding(
                 "leftover",
                 "a temporary file of a run that is at work or was killed; remove the latter's "
                 f"with: articugen clean {folder}",
-                path.name,
+                name,
             )
 
 

@@ -154,6 +154,15 @@ def journals(folder: Path, objects: int) -> Clock:
     return tell
 
 
+def plan_all(folder: Path, objects: int) -> Clock:
+    """In an empty folder."""
+    mine, tell = job(folder / "empty", objects), Clock()
+    with pipeline.started(mine) as run:
+        assert len(run.plan.tasks) == objects
+    tell("plan all in an empty folder")
+    return tell
+
+
 def plan_rank(folder: Path, objects: int, of: int = RANKS) -> Clock:
     mine, tell = job(folder / "ranks", objects), Clock()
     with ranks.started(mine, Share(number=7, of=of)) as rank:
@@ -175,7 +184,7 @@ def plain(folder: Path, objects: int) -> Clock:
             journal.record(outcome)
         tell("record 1,000 objects more")
     size = (mine.out / JOURNAL_NAME).stat().st_size
-    del done
+    del done, journal, outcome
     with Journal(mine.out):
         tell(f"read a journal of {size / 1e6:,.0f} MB")
     return tell
@@ -185,6 +194,7 @@ STEPS: dict[str, Callable[[Path, int], Clock]] = {
     "write": write,
     "read": read,
     "open": opened,
+    "plan all": plan_all,
     "journals": journals,
     "plan": plan_rank,
     "plan otherwise": partial(plan_rank, of=RANKS - 1),
