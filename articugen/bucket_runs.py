@@ -37,7 +37,7 @@ from articugen.pipeline import (
 from articugen.ranks import common_plan, names_of
 from articugen.sources import registry
 from articugen.store import croissant
-from articugen.store.bucket import Bucket
+from articugen.store.bucket import Bucket, check_can_be_shared
 from articugen.store.bucket_journal import BucketJournal, ObjectClaims, read_record, record_of
 from articugen.store.manifest import Manifest, Outcome, Timings
 from articugen.store.rank_journal import Share
@@ -176,8 +176,10 @@ def started(job: Job, share: Share | None = None, *, command: str = "") -> Itera
 
     Raises:
         MissingExtra: obstore is not installed.
+        InvalidArgument: objects cannot be shared out there.
         ArticugenError: other processes make something else there; the store does not answer.
     """
+    check_can_be_shared(job.bucket)
     job = as_its_source_is(job)
     bucket = Bucket(job.bucket)
     refs = objects_of(job)

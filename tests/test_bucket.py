@@ -23,7 +23,7 @@ from articugen.errors import (
 )
 from articugen.pipeline import Job, ObjectReport
 from articugen.store import bucket as bucket_module
-from articugen.store import manifest_pages
+from articugen.store import manifest_pages, remote
 from articugen.store.bucket import Bucket
 from articugen.store.bucket_journal import ObjectClaims
 from articugen.store.manifest import MANIFEST_NAME, Manifest
@@ -94,7 +94,7 @@ def test_it_is_read_where_it_is(
     there, here = ag.open(stored), ag.open(whole)
     assert there.objects == here.objects
     assert there.splits == here.splits
-    monkeypatch.setattr(bucket_module, "BLOCK", 1024)
+    monkeypatch.setattr(remote, "BLOCK", 1024)
     before = server.sent
     row = there[5].stored("surface_points")
     np.testing.assert_array_equal(row, here[5].stored("surface_points"))

@@ -90,11 +90,13 @@ MAY_IMPORT: dict[str, set[str]] = {
     "store.schema": set(),
     "store.chunks": set(),
     "store.bucket": {"errors"},
+    "store.remote": {"errors", "store.bucket"},
     "store.shards": {"errors", "records", "store.files", "store.schema", "store.chunks"}
-    | {"store.bucket"},
+    | {"store.bucket", "store.remote"},
     "store.rows": {"errors", "geometry", "records", "store.schema"},
     "store.dataset": VOCABULARY
-    | {"store.bucket", "store.manifest", "store.rows", "store.shards", "store.torch_dataset"},
+    | {"store.bucket", "store.manifest", "store.remote", "store.rows", "store.shards"}
+    | {"store.torch_dataset"},
     "store.torch_dataset": {"errors"},
     "store.manifest_pages": {"store.files"},
     "store.manifest": {"errors", "store.bucket", "store.files", "store.manifest_pages"}
@@ -214,6 +216,7 @@ FOREIGN: dict[str, set[str]] = {
     },
     "distributed": {"cluster"},
     "obstore": {"store.bucket"},
+    "fsspec": {"store.remote"},
     "submitit": {"slurm"},
     "open3d": {"rendering.embree"},
     "pyrender": {"rendering.opengl"},
@@ -340,7 +343,8 @@ def test_the_core_needs_no_optional_library() -> None:
     """All but the files that wrap them import where open3d, torch and the like are absent."""
     optional = (
         "open3d", "pyrender", "OpenGL", "sapien", "tensorboard", "torch", "scipy", "matplotlib",
-        "coacd", "pxr", "pyarrow", "viser", "distributed", "obstore", "submitit",
+        "coacd", "pxr", "pyarrow", "viser", "distributed", "obstore", "fsspec",
+        "submitit",
     )  # fmt: skip
     drawing = {f"learning.evaluation.figures.{name}" for name in ("draw", "plots")}
     without = WITH_TORCH | drawing | {"__init__", "__main__"}

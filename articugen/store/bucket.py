@@ -4,20 +4,22 @@ What the store does not answer is asked again; what it refuses is one sentence. 
 of another server than Amazon's come from the environment: AWS_ACCESS_KEY_ID, AWS_ENDPOINT_URL.
 """
 
-import io
 import re
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from articugen.errors import ArticugenError, InvalidArgument, MachineFault, MissingExtra
 
 R = TypeVar("R")
 
 SCHEMES = ("s3", "gs", "az", "abfs")
+READ_SCHEMES = (*SCHEMES, "http", "https")
+"""Web servers keep no two processes from writing the same file."""
 RETRIES = 4
 """Of obstore's own, which are quick."""
 TRIES, PAUSE = 6, 0.2
@@ -25,8 +27,6 @@ TRIES, PAUSE = 6, 0.2
 AT_ONCE = 16
 PART = 1 << 26
 """Bytes above which a file is sent in parts, each a request."""
-BLOCK = 1 << 16
-"""Bytes that a file is read by, where it is read as one."""
 
 _LIKE_A_URL = re.compile(r"([a-z][a-z0-9+]+)://.+", re.DOTALL)
 
@@ -34,6 +34,81 @@ _LIKE_A_URL = re.compile(r"([a-z][a-z0-9+]+)://.+", re.DOTALL)
 def is_url(path: object) -> bool:
     """Whether a path is of an object store's kind."""
     return isinstance(path, Remote) or bool(_LIKE_A_URL.fullmatch(str(path)))
+
+
+def scheme_of(url: str) -> str:
+    """What stands before ://, "" where nothing does."""
+    match = _LIKE_A_URL.fullmatch(url)
+    return match[1] if match else ""
+
+
+def check_can_be_shared(url: str) -> None:
+    """
+    Raises:
+        InvalidArgument: processes cannot share out objects there.
+    """
+    if scheme_of(url) not in SCHEMES:
+        kinds = ", ".join(f"{scheme}://" for scheme in SCHEMES)
+        raise InvalidArgument(
+            f"{url}: data sets are made in a folder, or in {kinds}, where a file is created by one "
+            "process alone; make it in a folder and copy that there"
+        )
+
+
+class Answer(Enum):
+    """What an error says of a request."""
+
+    ABSENT = "there is no such file"
+    REFUSED = "it may not be read, or written"
+    SILENCE = "it was not heard, or is to be asked again"
+    NONSENSE = "no store is at fault"
+
+
+def tried(
+    act: Callable[[], R],
+    where: str,
+    answer: Callable[[Exception], Answer],
+    *,
+    cure: str,
+    times: int,
+) -> R | None:
+    """What `act` returns, tried again where nobody answers; None where there is no such file.
+
+    Args:
+        act: a request.
+        where: the file, for what is said.
+        answer: what an error says.
+        cure: of a refusal.
+        times: that it is asked at most.
+
+    Raises:
+        ArticugenError: access is refused.
+        MachineFault: the store does not answer.
+        Exception: nonsense.
+    """
+    for left in reversed(range(times)):
+        try:
+            return act()
+        except Exception as error:
+            said = answer(error)
+            if said is Answer.ABSENT:
+                return None
+            if said is Answer.REFUSED:
+                raise ArticugenError(
+                    f"{where}: access is refused; {cure} ({_first_line(error)})"
+                ) from None
+            if said is Answer.NONSENSE:
+                raise
+            if not left:
+                raise MachineFault(
+                    f"{where}: the store does not answer ({_first_line(error)}); see to it"
+                ) from None
+            time.sleep(PAUSE * 2 ** (times - 1 - left))
+    raise AssertionError
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().split("\n")[0][:200]
 
 
 @dataclass(frozen=True)
@@ -65,6 +140,16 @@ class Listed:
     written: float
 
 
+class Files(Protocol):
+    """A folder elsewhere, to read: a `Bucket`, or what fsspec knows, see `remote.folder_at`."""
+
+    url: str
+
+    def get(self, name: str) -> bytes | None: ...
+
+    def size(self, name: str) -> int | None: ...
+
+
 class Bucket:
     """A folder in an object store. It can be sent to other processes; each connects for itself."""
 
@@ -75,9 +160,8 @@ class Bucket:
             InvalidArgument: no store is called so.
         """
         self.url = url.rstrip("/")
-        match = _LIKE_A_URL.fullmatch(url)
-        if match is None or match[1] not in SCHEMES:
-            kinds = ", ".join(f"{scheme}://" for scheme in SCHEMES)
+        if scheme_of(url) not in READ_SCHEMES:
+            kinds = ", ".join(f"{scheme}://" for scheme in READ_SCHEMES)
             raise InvalidArgument(f"{url}: no object store is called so; give {kinds}")
         try:
             import obstore  # noqa: PLC0415 - optional
@@ -165,82 +249,15 @@ class Bucket:
     def _tried(self, act: Callable[[], R], name: str) -> R | None:
         """What `act` returns, tried again where the store does not answer; None where there is no
         such file."""
-        refused = self._obstore.exceptions
+        cure = "see to the keys, AWS_ACCESS_KEY_ID and the like"
         where = f"{self.url}/{name}"
-        for left in reversed(range(TRIES)):
-            try:
-                return act()
-            except (refused.NotFoundError, FileNotFoundError):
-                return None
-            except (refused.PermissionDeniedError, refused.UnauthenticatedError) as error:
-                raise ArticugenError(
-                    f"{where}: access is refused; see to the keys, AWS_ACCESS_KEY_ID and the like "
-                    f"({_first_line(error)})"
-                ) from None
-            except (refused.BaseError, OSError) as error:
-                if not left:
-                    raise MachineFault(
-                        f"{where}: the store does not answer ({_first_line(error)}); see to it"
-                    ) from None
-                time.sleep(PAUSE * 2 ** (TRIES - 1 - left))
-        raise AssertionError
+        return tried(act, where, self._answer, cure=cure, times=TRIES)
 
-
-def _first_line(error: Exception) -> str:
-    return str(error).strip().split("\n")[0][:200]
-
-
-class RangeFile(io.RawIOBase):
-    """A remote file to read from here and there: only blocks that are asked for come over."""
-
-    def __init__(self, file: Remote) -> None:
-        """
-        Raises:
-            FileNotFoundError: there is none.
-            MachineFault, MissingExtra, InvalidArgument: as `Bucket`.
-        """
-        self._bucket, self._name, self._at = Bucket(file.parent.url), file.name, 0
-        size = self._bucket.size(self._name)
-        if size is None:
-            raise FileNotFoundError(2, "No such file or directory", file.url)
-        self.size, self._blocks = size, dict[int, bytes]()
-
-    def readable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        self._at = offset + {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self.size}[whence]
-        return self._at
-
-    def tell(self) -> int:
-        return self._at
-
-    def readinto(self, buffer: Any) -> int:
-        into = memoryview(buffer).cast("B")
-        end = min(self._at + len(into), self.size)
-        if end <= self._at:
-            return 0
-        wanted = range(self._at // BLOCK, (end - 1) // BLOCK + 1)
-        missing = [n for n in wanted if n not in self._blocks]
-        if missing:
-            spans = [(n * BLOCK, min(BLOCK, self.size - n * BLOCK)) for n in missing]
-            self._blocks |= zip(missing, self.read_spans(spans), strict=True)
-        data = b"".join(self._blocks[n] for n in wanted)
-        first = self._at - wanted[0] * BLOCK
-        into[: end - self._at] = data[first : first + end - self._at]
-        count, self._at = end - self._at, end
-        return count
-
-    def read_spans(self, spans: Sequence[tuple[int, int]]) -> list[bytes]:
-        """Parts of the file, in as few requests as they take.
-
-        Raises:
-            OSError: it is gone.
-        """
-        parts = self._bucket.ranges(self._name, spans)
-        if parts is None:
-            raise FileNotFoundError(2, "No such file or directory", self._name)
-        return parts
+    def _answer(self, error: Exception) -> Answer:
+        kinds = self._obstore.exceptions
+        if isinstance(error, kinds.NotFoundError | FileNotFoundError):
+            return Answer.ABSENT
+        if isinstance(error, kinds.PermissionDeniedError | kinds.UnauthenticatedError):
+            return Answer.REFUSED
+        is_theirs = isinstance(error, kinds.BaseError | OSError)
+        return Answer.SILENCE if is_theirs else Answer.NONSENSE

@@ -21,8 +21,9 @@ from articugen.errors import CorruptShard, InvalidArgument, machine_fault
 from articugen.recipe import Recipe
 from articugen.recipe_files import nearest
 from articugen.store import schema
-from articugen.store.bucket import Bucket, RangeFile, Remote, is_url
+from articugen.store.bucket import Remote, is_url
 from articugen.store.manifest import MANIFEST_NAME, Manifest
+from articugen.store.remote import RangeFile, folder_at
 from articugen.store.rows import Row, in_units, is_scaled, texts
 from articugen.store.shards import Attribute, Stored, open_shard
 
@@ -41,8 +42,9 @@ _POINT_SYMBOLS = ("S", "U", "K", "M")
 
 def open(path: str | Path) -> "DataSet":
     """Open a data set: its folder, or one of its shards. Of a folder that is not finished, and has
-    no manifest yet, what is there. A folder s3://bucket/prefix is read where it is: what is asked
-    for comes over, and no more.
+    no manifest yet, what is there. A folder s3://bucket/prefix is read where it is, and so is one
+    on the web (https://), on Hugging Face's hub (hf://datasets/owner/name) or wherever else fsspec
+    reads: what is asked for comes over, and no more.
 
     Raises:
         CorruptShard: there is none, or it is damaged.
@@ -79,11 +81,11 @@ def _remote_shelf(folder: Remote) -> "_Shelf":
     """
     if folder.name.endswith(".h5"):
         return _Shelf(folder, (_entry_of(folder),), None)
-    manifest = Manifest.in_bucket(Bucket(folder.url))
+    manifest = Manifest.in_bucket(folder_at(folder.url))
     if manifest is None:
         raise CorruptShard(
-            f"{folder}: has no {MANIFEST_NAME}; make it with generate --out {folder.parent}, and "
-            "once more where that was cut short"
+            f"{folder}: has no {MANIFEST_NAME}; make it with generate, and once more "
+            "where that was cut short"
         )
     return _Shelf(folder, tuple(_entries(folder, manifest)), manifest)
 

@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError, mo
 
 from articugen import __version__
 from articugen.errors import CorruptShard, MachineFault, printable
-from articugen.store.bucket import Bucket, Remote
+from articugen.store.bucket import Files, Remote
 from articugen.store.files import (
     UnfitFile,
     cannot_write,
@@ -462,8 +462,8 @@ class Manifest(_Record):
         return _parsed(text, path, lambda page: read_regular(folder / page.name, page.bytes))
 
     @staticmethod
-    def in_bucket(bucket: Bucket) -> "Manifest | None":
-        """That of a data set in an object store; None where there is none.
+    def in_bucket(bucket: Files) -> "Manifest | None":
+        """That of a data set in an object store, or elsewhere; None where there is none.
 
         Raises:
             CorruptShard: as `read`.

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from articugen.errors import ArticugenError, CorruptShard
 from articugen.records import Instance
 from articugen.store import chunks, schema
-from articugen.store.bucket import RangeFile, Remote
+from articugen.store.bucket import Remote
 from articugen.store.files import (
     UnfitFile,
     check_regular,
@@ -34,6 +34,7 @@ from articugen.store.files import (
     sync,
     written_atomically,
 )
+from articugen.store.remote import RangeFile
 from articugen.store.schema import Field
 
 _GZIP, _FLETCHER32 = 1, 3

@@ -1,0 +1,183 @@
+"""Files elsewhere, to read from here and there: in object stores and on the web by obstore, on all
+else, hf:// or sftp:// for instance, by fsspec (alone in knowing it).
+"""
+
+import io
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from articugen.errors import ArticugenError, InvalidArgument, MachineFault, MissingExtra
+from articugen.store.bucket import READ_SCHEMES, SCHEMES, Answer, Bucket, Remote, scheme_of, tried
+
+BLOCK = 1 << 16
+"""Bytes that a file is read by, where it is read as one."""
+
+_PACKAGES = {
+    "hf": "huggingface_hub",
+    "sftp": "paramiko",
+    "ssh": "paramiko",
+    "webdav": "webdav4",
+    "smb": "smbprotocol",
+    "gdrive": "gdrive_fsspec",
+}
+"""What fsspec wants for some schemes; of others it says so itself."""
+
+TRIES = 2
+"""Many implementations try again by themselves."""
+
+_REFUSED, _ABSENT = (401, 403), (404, 410)
+"""HTTP's statuses, which some implementations have in their errors."""
+
+
+def folder_at(url: str) -> "Bucket | FileSystem":
+    """What reads files of the folder `url`.
+
+    Raises:
+        MissingExtra, InvalidArgument, ArticugenError: as `Bucket` and `FileSystem`.
+    """
+    return Bucket(url) if scheme_of(url) in READ_SCHEMES else FileSystem(url)
+
+
+class FileSystem:
+    """A folder of any file system that fsspec knows, to read; as `Bucket`."""
+
+    def __init__(self, url: str) -> None:
+        """
+        Raises:
+            MissingExtra: fsspec is not installed.
+            InvalidArgument: it knows of no such file system, or there is no such folder.
+            ArticugenError: what it wants for this one is not installed.
+            MachineFault: it does not answer.
+        """
+        self.url = url.rstrip("/")
+        try:
+            import fsspec  # noqa: PLC0415 - optional
+        except ImportError:
+            raise MissingExtra("fsspec", "fsspec") from None
+        scheme = scheme_of(url)
+        if scheme not in fsspec.available_protocols():
+            known = ", ".join(f"{each}://" for each in (*SCHEMES, "http", "hf"))
+            raise InvalidArgument(
+                f"{url}: no object store is called so; give {known}, or what else fsspec knows"
+            )
+        try:
+            found = _tried(lambda: fsspec.core.url_to_fs(self.url), self.url)
+        except ImportError as error:
+            package = _PACKAGES.get(scheme)
+            cure = f"run: pip install {package}" if package else str(error)
+            raise ArticugenError(f"{url}: fsspec cannot read {scheme}:// yet; {cure}") from None
+        except ValueError as error:
+            raise InvalidArgument(f"{url}: {error}") from None
+        if found is None:
+            raise InvalidArgument(f"{url}: there is no such folder")
+        self._fs, self._root = found
+
+    def get(self, name: str) -> bytes | None:
+        """A file's bytes; None where there is none.
+
+        Raises:
+            MachineFault: the file system does not answer; so all others.
+            ArticugenError: it refuses; so all others.
+        """
+        return self._tried(name, self._fs.cat_file)
+
+    def size(self, name: str) -> int | None:
+        """Bytes of a file; None where there is none."""
+        return self._tried(name, self._fs.size)
+
+    def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes] | None:
+        """Parts of a file, each by its first byte and length; None where there is no such file."""
+
+        def read(path: str) -> list[bytes]:
+            # without a cache, which would read megabytes ahead
+            with self._fs.open(path, "rb", cache_type="none") as file:
+                return [_part(file, at, size) for at, size in spans]
+
+        return self._tried(name, read)
+
+    def _tried(self, name: str, act: Any) -> Any:
+        path = f"{self._root.rstrip('/')}/{name}"
+        return _tried(lambda: act(path), f"{self.url}/{name}")
+
+
+def _tried(act: Callable[[], Any], where: str) -> Any:
+    return tried(act, where, _answer, cure="see to the keys, HF_TOKEN and the like", times=TRIES)
+
+
+def _part(file: Any, at: int, size: int) -> bytes:
+    file.seek(at)
+    return file.read(size)
+
+
+def _answer(error: Exception) -> Answer:
+    """What an error of an implementation says: they raise what they like."""
+    response = getattr(error, "response", None)
+    status = getattr(error, "status", None) or getattr(response, "status_code", None)
+    if isinstance(error, PermissionError) or status in _REFUSED:
+        return Answer.REFUSED
+    if isinstance(error, FileNotFoundError) or status in _ABSENT:
+        return Answer.ABSENT
+    if isinstance(error, ImportError | ValueError | TypeError):
+        return Answer.NONSENSE
+    return Answer.SILENCE
+
+
+class RangeFile(io.RawIOBase):
+    """A remote file to read from here and there: only blocks that are asked for come over."""
+
+    def __init__(self, file: Remote) -> None:
+        """
+        Raises:
+            FileNotFoundError: there is none.
+            MachineFault, MissingExtra, InvalidArgument: as `folder_at`.
+        """
+        self._folder, self._name, self._at = folder_at(file.parent.url), file.name, 0
+        size = self._folder.size(self._name)
+        if size is None:
+            raise FileNotFoundError(2, "No such file or directory", file.url)
+        self.size, self._blocks = size, dict[int, bytes]()
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        self._at = offset + {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self.size}[whence]
+        return self._at
+
+    def tell(self) -> int:
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:
+        into = memoryview(buffer).cast("B")
+        end = min(self._at + len(into), self.size)
+        if end <= self._at:
+            return 0
+        wanted = range(self._at // BLOCK, (end - 1) // BLOCK + 1)
+        missing = [n for n in wanted if n not in self._blocks]
+        if missing:
+            spans = [(n * BLOCK, min(BLOCK, self.size - n * BLOCK)) for n in missing]
+            self._blocks |= zip(missing, self.read_spans(spans), strict=True)
+        data = b"".join(self._blocks[n] for n in wanted)
+        first = self._at - wanted[0] * BLOCK
+        into[: end - self._at] = data[first : first + end - self._at]
+        count, self._at = end - self._at, end
+        return count
+
+    def read_spans(self, spans: Sequence[tuple[int, int]]) -> list[bytes]:
+        """Parts of the file, in as few requests as they take.
+
+        Raises:
+            OSError: it is gone.
+        """
+        parts = self._folder.ranges(self._name, spans)
+        if parts is None:
+            raise FileNotFoundError(2, "No such file or directory", self._name)
+        if [len(part) for part in parts] != [size for _, size in spans]:
+            raise MachineFault(
+                f"{self._folder.url}/{self._name}: parts of it come over as others than were asked "
+                "for; copy the data set, and open the copy"
+            )
+        return parts
