@@ -147,11 +147,11 @@ class ArrayRun:
         self, on_object: Callable[[ObjectReport], None], on_notice: Callable[[str], None]
     ) -> int:
         """Until all objects are recorded; how many instances were made."""
-        compile_kernels("generate", jobs=self.job.jobs, notice=on_notice)
         places = {(k.split, k.object_id): place for place, k in enumerate(self.plan.keys)}
         missing = {(task.key.split, task.key.object_id) for task in self.plan.tasks}
         instances = in_vain = 0
         with _Queue(self.job, self.array, on_notice) as queue:
+            compile_kernels("generate", jobs=self.job.jobs, notice=on_notice)
             while missing:
                 before = len(missing)
                 tasks = [] if queue.listed() else self._submitted(queue, missing, places)
@@ -225,6 +225,11 @@ class _Queue:
             MissingExtra, ArticugenError: neither submitit nor SLURM may be here.
         """
         submitit = _submitit()
+        if not all(map(shutil.which, ("sbatch", "squeue", "srun"))):
+            raise ArticugenError(
+                "there is no sbatch here; run this where jobs of SLURM are submitted, or give each "
+                "machine a --shard"
+            )
         self._name = f"articugen-{hashlib.sha256(bytes(job.out)).hexdigest()[:12]}"
         self._notice, self._heard, self._ids = notice, True, set[str]()
         self._executor = submitit.SlurmExecutor(job.out / _LOGS, max_num_timeout=_REQUEUES)
@@ -298,16 +303,10 @@ def _submitit() -> Any:
     """
     Raises:
         MissingExtra: it is not installed.
-        ArticugenError: no jobs can be submitted from here.
     """
     try:
         import submitit  # noqa: PLC0415 - optional
         import submitit.helpers  # noqa: PLC0415
     except ImportError:
         raise MissingExtra("submitit", "cluster") from None
-    if not all(map(shutil.which, ("sbatch", "squeue", "srun"))):
-        raise ArticugenError(
-            "there is no sbatch here; run this where jobs of SLURM are submitted, or give each "
-            "machine a --shard"
-        )
     return submitit
