@@ -63,7 +63,7 @@ def draw(report: Row, path: Path) -> str | None:
             _panel(axis, report, messy)
         axes[0].set_ylabel("1 - IoU with the solids alone")
 
-    return drawn(path, (11, 4.6), 2, on)
+    return drawn(path, (13, 5.0), 2, on)
 
 
 def _panel(axis: Any, report: Row, messy: bool) -> None:
@@ -82,24 +82,32 @@ def _panel(axis: Any, report: Row, messy: bool) -> None:
         axis.plot(core, error, "o", color=BLUE if own else GREY, markersize=9 if own else 6)
     axis.set(xscale="log", yscale="log", xlabel="core seconds a mesh")
     axis.set_ylim(LEAST / 2.0, 2.0)
-    axis.set_xlim(min(d[0] for d in dots) / 1.6, max(d[0] for d in dots) * 8.0)
+    axis.set_yticks(
+        [10.0**k for k in range(-5, 1)], ["0.00001 or less", "0.0001", "0.001", "0.01", "0.1", "1"]
+    )
     axis.grid(alpha=0.25)
+    axis.xaxis.set_major_formatter("{x:g}")
     axis.set_title(f"{'messy' if messy else 'clean'} meshes", loc="left")
     _name(axis, dots)
 
 
 def _name(axis: Any, dots: list[tuple[float, float, str]]) -> None:
-    """Names right of the dots, moved up where they would lie on each other."""
-    span = np.log(4.0 / LEAST)
-    taken: list[tuple[float, float]] = []
-    for core, error, name in sorted(dots, key=lambda dot: dot[1]):
-        at = np.log(error)
-        while any(abs(at - y) < 0.032 * span and abs(np.log(core / x)) < 2.2 for x, y in taken):
-            at += 0.008 * span
-        taken.append((core, at))
+    """Names beside the panel, in the order of the dots, none on another."""
+    dots = sorted(dots, key=lambda dot: dot[1])
+    low, high = np.log(axis.get_ylim())
+    gap = 0.042 * (high - low)
+    at = np.log([error for _, error, _ in dots])
+    for k in range(1, len(at)):
+        at[k] = max(at[k], at[k - 1] + gap)
+    at[-1] = min(at[-1], high)
+    for k in reversed(range(len(at) - 1)):
+        at[k] = min(at[k], at[k + 1] - gap)
+    for (core, error, name), height in zip(dots, np.exp(at), strict=True):
         own = name.startswith("ours")
+        line = {"arrowstyle": "-", "color": BLUE if own else GREY, "linewidth": 0.5}
         axis.annotate(
-            name, (core, error), (core * 1.25, np.exp(at)), va="center", fontsize=7,
-            color=BLUE if own else "#444444", weight="bold" if own else "normal",
-            arrowprops={"arrowstyle": "-", "color": GREY, "linewidth": 0.5},
+            name, (core, error), (1.04, height), textcoords=("axes fraction", "data"),
+            va="center", fontsize=7.5, color=BLUE if own else "#444444",
+            weight="bold" if own else "normal", annotation_clip=False,
+            arrowprops=line | {"relpos": (0.0, 0.5)},
         )  # fmt: skip

@@ -46,7 +46,7 @@ class Trial:
 
 def trials() -> tuple[Trial, ...]:
     drum = trimesh.creation.cylinder(0.25, 0.5, sections=96)
-    outer, inner = (0.7, 0.6, 0.5), (0.4, 0.35, 0.3)
+    outer, inner = (0.5, 0.45, 0.4), (0.3, 0.25, 0.2)
     boxes = [box(outer), box(inner)]
     return (
         _trial("two-sided", [two_sided(drum)], [drum]),
