@@ -45,6 +45,7 @@ def shapes(peers: Sequence[Peer], model: Model, points: int, results: Results, s
     builders: dict[str, Build] = {
         name: lambda mesh, r=r: ours.alone(mesh, r) for name, r in recipes.items()
     }
+    untried = {peer.name for peer in peers if not peer.trials}
     builders |= {p.name: lambda mesh, p=p: p.build(mesh).inside for p in peers}
     for method, build in builders.items():
         say(f"{method}: sheets, a drum, trials")
@@ -54,7 +55,7 @@ def shapes(peers: Sequence[Peer], model: Model, points: int, results: Results, s
         with _noted(method, "a drum", results):
             row["growth"] = _growth(build)
         results.shapes.append(row)
-        for trial in trials():
+        for trial in trials() if method not in untried else ():
             with _noted(method, trial.name, results):
                 agreement = trial.scores(build(trial.mesh), points)
                 results.trials.append({"method": method, "trial": trial.name} | agreement)
