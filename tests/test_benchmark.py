@@ -77,7 +77,7 @@ def test_visible_space_is_what_no_ray_leaves(trial):
 def test_distances_by_octants_are_all_distances():
     open3d = pytest.importorskip("open3d", reason="the recipes of others need open3d")
     mesh = TRIALS["detached"].mesh
-    size = 64
+    size = 32
     corner, cell = labs._grid(mesh, size, 0.95)
     scene = open3d.t.geometry.RaycastingScene()
     scene.add_triangles(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32))
