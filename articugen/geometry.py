@@ -62,8 +62,8 @@ def invert_rigid(T: Array) -> Array:
 
 def bounds(points: ArrayLike) -> Array:
     """The axis-aligned box (2, 3) of `points` (n, 3): lower corner, upper corner."""
-    points = np.asarray(points, dtype=np.float64)
-    return np.stack([points.min(axis=0), points.max(axis=0)])
+    columns = np.asarray(points, dtype=np.float64).T  # each by itself: rows of 3 take five times it
+    return np.array([[x.min() for x in columns], [x.max() for x in columns]])
 
 
 def box_corners(box: Array) -> Array:
@@ -144,15 +144,19 @@ def cross(a: ArrayLike, b: ArrayLike) -> Array:
 
 
 def look_along(direction: ArrayLike, eye: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
-    """`T_camera_world` (4, 4) of a camera at `eye` that looks along `direction`.
+    """`T_camera_world` (..., 4, 4) of cameras at `eye` (..., 3) that look along `direction`
+    (..., 3).
 
     Camera axes: x right, y down, z forward (along `direction`). Image-up is the world's z, or its
     y for a camera that looks straight up or down.
     """
     forward = np.asarray(direction, dtype=np.float64)
-    forward = forward / norm(forward)
-    up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.999 else np.array([0.0, 1.0, 0.0])
-    right = cross(forward, up)
-    right /= norm(right)
-    rotation = np.stack([right, cross(forward, right), forward])
-    return transform(rotation, -turned(rotation, eye))
+    forward = forward / norm(forward)[..., None]
+    steep = np.abs(forward[..., 2:]) >= 0.999
+    right = cross(forward, np.where(steep, [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]))
+    right /= norm(right)[..., None]
+    T = np.zeros((*forward.shape[:-1], 4, 4))
+    T[..., :3, :3] = np.stack([right, cross(forward, right), forward], axis=-2)
+    T[..., :3, 3] = -turned(T[..., :3, :3], eye)
+    T[..., 3, 3] = 1.0
+    return T

@@ -70,11 +70,30 @@ def test_a_cut_square_is_covered_exactly_once(seed):
     points = np.unique(np.concatenate([ring, inner]), axis=0)
     triangles = Delaunay(points).simplices
     vertices = np.c_[points, np.zeros(len(points))]
-    count = np.zeros((32, 32), int)
+    assert np.all(times_covered(vertices, triangles, 32) == 1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_triangles_smaller_than_a_pixel_cover_each_centre_once(seed):
+    """Their corners lie on quarters of pixels, on many centres and on many lines through centres;
+    some lie beside the image."""
+    rng = np.random.default_rng(seed)
+    ring = [(-20, -20), (20, -20), (20, 20), (-20, 20)]
+    points = (
+        np.unique(np.concatenate([ring, rng.integers(-20, 21, (500, 2))]), axis=0) / 32 - 1 / 16
+    )
+    vertices = np.c_[points, np.zeros(len(points))]
+    triangles = Delaunay(points).simplices
+    assert np.all(times_covered(vertices, triangles, 8) == 1)
+
+
+def times_covered(vertices, triangles, resolution):
+    """(R, R) how many of the triangles, each drawn alone, cover each pixel."""
+    count = np.zeros((resolution, resolution), int)
     for face in triangles:
         mesh = LabelledMesh(vertices, face[None], np.zeros(1, np.uint8))
-        count += np.isfinite(rasterize(mesh, straight_view()).depth[0])
-    assert np.all(count == 1)
+        count += np.isfinite(rasterize(mesh, straight_view(resolution)).depth[0])
+    return count
 
 
 @pytest.mark.parametrize("projection", ["orthographic", "pinhole"])

@@ -33,7 +33,7 @@ class SolidPart:
         mesh: its sheets thickened, its faces turned outwards.
         seen: (F,) which of its faces can be seen.
         closed: (F,) which are those of closed pieces.
-        tree: of its faces.
+        tree, box: of its faces, and what holds them, (2, 3).
         judged_by: the field that told so; None where sheets have become slabs, which it knows not.
     """
 
@@ -41,6 +41,7 @@ class SolidPart:
     seen: NDArray[np.bool_]
     closed: NDArray[np.bool_]
     tree: Bvh
+    box: Floats
     judged_by: FusedField | None
 
 
@@ -52,8 +53,9 @@ def solid_part(soup: LabelledMesh, settings: Fusion, render: Render) -> SolidPar
     """
     soup = solidify.without_repeats(soup).compact()
     closed = solidify.closed(soup)
-    field = fuse(render(soup, _box(soup)), soup, settings)
-    alone = OwnSolid(field, _box(soup), _closed_pieces(soup, closed, settings, field.bvh))
+    box = _box(soup)
+    field = fuse(render(soup, box), soup, settings)
+    alone = OwnSolid(field, box, _closed_pieces(soup, closed, settings, field.bvh))
     thickness = settings.sheet_thickness
     where = solidify.probes(soup, max(thickness, 1e-3) / 3.0, together=True)
     free = np.stack([~alone.holds(where.points[0]), np.zeros(len(where.face), np.bool_)])
@@ -62,23 +64,23 @@ def solid_part(soup: LabelledMesh, settings: Fusion, render: Render) -> SolidPar
     shown = solidify.shown_sides(soup, field.maps)
     mesh, seen = solidify.solidified(soup, where, free, shown, thickness, closed)
     if np.array_equal(mesh.faces, soup.faces):
-        return SolidPart(mesh, seen, closed, field.bvh, field)
+        return SolidPart(mesh, seen, closed, field.bvh, box, field)
     tree = build(mesh.vertices[mesh.faces], np.zeros(len(mesh.faces), np.uint8), 1)
-    slabs = len(mesh.faces) != len(soup.faces)
-    return SolidPart(mesh, seen, solidify.closed(mesh), tree, None if slabs else field)
+    closed = solidify.closed(mesh)
+    if len(mesh.faces) == len(soup.faces):
+        return SolidPart(mesh, seen, closed, tree, box, field)
+    return SolidPart(mesh, seen, closed, tree, _box(mesh), None)
 
 
 def seen_alone(part: SolidPart, settings: Fusion, render: Render) -> OwnSolid:
     """The own solid of `part` by maps of it alone, rendered if it was not judged by such."""
     field = part.judged_by
     if field is None:
-        maps = render(part.mesh, _box(part.mesh))
+        maps = render(part.mesh, part.box)
         field = fuse(maps, part.mesh, settings, bvh=part.tree, part_motion=np.eye(4)[None])
     thin = thin_voxels(part.mesh, pixel_width(field.maps.views), field.bvh)
     own = flooded(replace(field, thin=thin), part.mesh)
-    return OwnSolid(
-        own, _box(part.mesh), _closed_pieces(part.mesh, part.closed, settings, part.tree)
-    )
+    return _own_solid(part, own)
 
 
 def seen_by(maps: DepthMaps, part: SolidPart, settings: Fusion) -> OwnSolid:
@@ -93,9 +95,7 @@ def seen_by(maps: DepthMaps, part: SolidPart, settings: Fusion) -> OwnSolid:
     )
     judged = part.judged_by or field
     own = replace(field, flood=flooded(judged, part.mesh).flood)
-    return OwnSolid(
-        own, _box(part.mesh), _closed_pieces(part.mesh, part.closed, settings, part.tree)
-    )
+    return _own_solid(part, own)
 
 
 def joined_bvh(parts: Sequence[SolidPart]) -> Bvh:
@@ -114,7 +114,7 @@ def _deep(mesh: LabelledMesh, where: solidify.Probes, tree: Bvh) -> NDArray[np.b
 
 def _own_solid(part: SolidPart, field: FusedField) -> OwnSolid:
     closed = _closed_pieces(part.mesh, part.closed, field.settings, part.tree)
-    return OwnSolid(field, _box(part.mesh), closed)
+    return OwnSolid(field, part.box, closed)
 
 
 def _box(mesh: LabelledMesh) -> Floats:

@@ -53,13 +53,21 @@ class Probes:
 
 def welded(vertices: NDArray[np.float64]) -> NDArray[np.intp]:
     """(V,) the same number for vertices at the same place (within 1e-6 of the unit frame)."""
-    rounded = np.round(vertices * 2.0**20).astype(np.int64)
-    number = np.zeros(len(vertices), np.int64)
-    for column in rounded.T:  # one sort of whole numbers an axis: of rows it is ten times slower
+    return np.unique(_key(*np.round(vertices * 2.0**20).astype(np.int64).T), return_inverse=True)[1]
+
+
+def _key(*columns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(n,) one whole number for each row of `columns`, in the order of the rows: sorting those is
+    ten times as fast."""
+    key, size = np.zeros(len(columns[0]), np.int64), 1
+    for column in columns:
         from_0 = column - column.min(initial=0)
-        number = number * (int(from_0.max(initial=0)) + 1) + from_0
-        number = np.unique(number, return_inverse=True)[1].reshape(-1)
-    return number
+        width = int(from_0.max(initial=0)) + 1
+        if size * width >= 2**63:
+            key = np.unique(key, return_inverse=True)[1]
+            size = len(key) + 1
+        key, size = key * width + from_0, size * width
+    return key
 
 
 def without_repeats(mesh: LabelledMesh) -> LabelledMesh:
@@ -67,9 +75,7 @@ def without_repeats(mesh: LabelledMesh) -> LabelledMesh:
     without area. Vertices are kept."""
     corners = np.sort(welded(mesh.vertices)[mesh.faces], axis=1)
     solid = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])
-    key, count = np.zeros(len(corners), np.int64), len(mesh.vertices)
-    for column in (*corners.T, mesh.part_of_face.astype(np.int64)):
-        key = np.unique(key * max(count, 256) + column, return_inverse=True)[1]
+    key = _key(*corners.T, mesh.part_of_face.astype(np.int64))
     first = np.sort(np.unique(key[solid], return_index=True)[1])
     keep = np.flatnonzero(solid)[first]
     areas = _areas(mesh.vertices, mesh.faces[keep])
@@ -108,10 +114,7 @@ def _alike(centers: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArra
         *np.round(4.0 * normals).T,
         np.floor(dot(centers, normals) / (0.2 * TOGETHER)),
     ]
-    key = np.zeros(len(centers), np.int64)
-    for column in columns:  # few values each: the product of their numbers fits
-        from_0 = (column - column.min(initial=0.0)).astype(np.int64)
-        key = key * (int(from_0.max(initial=0)) + 1) + from_0
+    key = _key(*(column.astype(np.int64) for column in columns))
     first, which = np.unique(key, return_index=True, return_inverse=True)[1:]
     return first[which.reshape(-1)]
 

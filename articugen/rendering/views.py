@@ -1,10 +1,12 @@
 """Where the cameras stand: spread over the sphere for fusion, at random for partial clouds."""
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.geometry import apply, box_corners, fibonacci_sphere, look_along
-from articugen.portable import cos, dot, norm, sin
+from articugen.geometry import box_corners, fibonacci_sphere, look_along
+from articugen.portable import cos, dot, norm, sin, turned
 from articugen.recipe import ViewSettings
 from articugen.records import Views
 
@@ -40,22 +42,28 @@ def fusion_views(settings: ViewSettings, box: NDArray[np.float64]) -> Views:
     Args:
         box: (2, 3) lower and upper corner, unit frame, of all that will be drawn.
     """
-    directions = fibonacci_sphere(settings.count)
-    directions = directions[spread_order(directions)]
+    directions = _all_around(settings.count)
     center = box.mean(axis=0)
     back = 0.0 if settings.projection == "orthographic" else PINHOLE_DISTANCE
-    T = np.stack([look_along(d, center - back * d) for d in directions])
+    T = look_along(directions, center - back * directions)
     return fitted(settings.projection, T, box, settings.resolution, settings.resolution)
+
+
+@lru_cache
+def _all_around(count: int) -> NDArray[np.float64]:
+    """(count, 3) unit directions evenly over the sphere, in `spread_order`."""
+    directions = fibonacci_sphere(count)
+    directions = directions[spread_order(directions)]
+    directions.setflags(write=False)
+    return directions
 
 
 def fitted(
     projection: str, T_camera_world: NDArray[np.float64], box: NDArray[np.float64], w: int, h: int
 ) -> Views:
     """Views from the given cameras whose images the box (2, 3) just fills, `MARGIN` left free."""
-    corners = np.empty((len(T_camera_world), 8, 3))
-    for k, T in enumerate(T_camera_world):
-        corners[k] = apply(T, box_corners(box))
-    x, y, z = np.moveaxis(corners, -1, 0)
+    rotation, offset = T_camera_world[:, None, :3, :3], T_camera_world[:, None, :3, 3]
+    x, y, z = np.moveaxis(turned(rotation, box_corners(box)) + offset, -1, 0)
     if projection == "pinhole":
         x, y = x / z, y / z
     fx, cx = _fit(x, w)
@@ -81,8 +89,8 @@ def random_pinhole_views(
     directions = rng.normal(size=(count, 3))
     directions /= norm(directions)[:, None]
     distances = rng.uniform(1.2, 2.0, size=count)
-    T = [look_along(-d, center + r * d) for d, r in zip(directions, distances, strict=True)]
-    return fitted("pinhole", np.array(T).reshape(-1, 4, 4), box, resolution, resolution)
+    T = look_along(-directions, center + distances[:, None] * directions)
+    return fitted("pinhole", T, box, resolution, resolution)
 
 
 def plain_pinhole_views(
@@ -100,10 +108,9 @@ def plain_pinhole_views(
     directions[:, 2] = np.abs(directions[:, 2])
     nearest = 0.5 * float(norm(box[1] - box[0])) / float(sin(0.5 * FIELD_OF_VIEW))
     distances = nearest * rng.uniform(1.0, 1.2, size=count)
-    T = [look_along(-d, center + r * d) for d, r in zip(directions, distances, strict=True)]
+    T = look_along(-directions, center + distances[:, None] * directions)
     focal = np.full(
         count, 0.5 * resolution * float(cos(0.5 * FIELD_OF_VIEW) / sin(0.5 * FIELD_OF_VIEW))
     )
     middle = np.full(count, 0.5 * resolution)
-    at = np.array(T).reshape(-1, 4, 4)
-    return Views("pinhole", at, focal, focal, middle, middle, resolution, resolution)
+    return Views("pinhole", T, focal, focal, middle, middle, resolution, resolution)
