@@ -8,6 +8,7 @@ A corruption is survived where `verify` finds and names it, and equal where `--r
 import argparse
 import sys
 import tempfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from rich.console import Console
@@ -18,7 +19,9 @@ from tests.chaos.disk import failing_disk
 from tests.chaos.failures import FAULTS, Failures
 from tests.chaos.kills import Kills, Strike, moments
 from tests.chaos.machine import told
-from tests.chaos.tally import Tally, table
+from tests.chaos.tally import HEAD, Tally, line
+
+Told = Callable[[str], None]
 
 COMMANDS = ("generate", "export", "train", "fetch")
 PARTS = (*COMMANDS, "stories", "corruptions", "determinism")
@@ -32,14 +35,22 @@ def main() -> None:
         tempfile.TemporaryDirectory(prefix="articugen-chaos-") as folder,
         console.status("") as bar,
     ):
+        say(HEAD)
         for name in options.only:
             bar.update(name)
-            rows += _rows(Path(folder), name, options, bar.update)
-    sys.stdout.write(table(rows) + "\n")
+            for row in _rows(Path(folder), name, options, bar.update):
+                say(line(row))
+                rows.append(row)
     for row in rows:
         for sentence in row.wrong:
-            sys.stdout.write(f"{row.fault}: {sentence}\n")
+            say(f"{row.fault}: {sentence}")
     sys.exit(0 if all(row.holds for row in rows) else 1)
+
+
+def say(text: str) -> None:
+    """At once: the whole takes an hour."""
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
 
 
 def _options() -> argparse.Namespace:
@@ -58,35 +69,40 @@ def _options() -> argparse.Namespace:
     return options
 
 
-def _rows(folder: Path, name: str, options: argparse.Namespace, told) -> list[Tally]:
-    """A part of the table."""
+def _rows(folder: Path, name: str, options: argparse.Namespace, told: Told) -> Iterator[Tally]:
+    """A part of the table, row by row."""
     if name == "stories":
-        return [_any_order(folder, options)]
-    if name == "corruptions":
-        return [Tally(f"corrupted: {row[0]}", *row[1:]) for row in corruptions.rows(options.quick)]
-    if name == "determinism":
-        ways = determinism.rows(options.quick)
-        return [Tally(f"made otherwise: {way}", made, made, same) for way, made, same in ways]
-    return _failing(folder, name, options, told) + _killed(folder, name, options, told)
+        yield _any_order(folder, options)
+    elif name == "corruptions":
+        for kind, tried, found, mended in corruptions.rows(options.quick):
+            yield Tally(f"corrupted: {kind}", tried, found, mended)
+    elif name == "determinism":
+        for way, made, same in determinism.rows(options.quick):
+            yield Tally(f"made otherwise: {way}", made, made, same)
+    else:
+        yield from _failing(folder, name, options, told)
+        yield from _killed(folder, name, options, told)
 
 
-def _failing(folder: Path, name: str, options: argparse.Namespace, told) -> list[Tally]:
+def _failing(folder: Path, name: str, options: argparse.Namespace, told: Told) -> Iterator[Tally]:
     work = folder / "work"
     command = commands(folder / "inputs", work, jobs=0)[name]
     with failing_disk(folder) as disk:
         failures = Failures(command, disk, work)
         points = failures.every() if options.every else failures.telling()
         chosen = points[:: max(len(points) // 5, 1)] if options.quick else points
-        return [failures.tried(mode, chosen, told) for mode in FAULTS]
+        for mode in FAULTS:
+            yield failures.tried(mode, chosen, told)
 
 
-def _killed(folder: Path, name: str, options: argparse.Namespace, told) -> list[Tally]:
+def _killed(folder: Path, name: str, options: argparse.Namespace, told: Told) -> Iterator[Tally]:
     """With two workers, where the command has any: the strikes take turns."""
     command = commands(folder / "inputs-killed", folder / "work", jobs=2, objects=6)[name]
     kills = Kills.of(command, folder / "work")
     strikes = [s for s in Strike if s != Strike.WORKER or name == "generate"]
     drawn = moments(options.seed, options.kills)
-    return [kills.tried(s, drawn[i :: len(strikes)], told) for i, s in enumerate(strikes)]
+    for i, strike in enumerate(strikes):
+        yield kills.tried(strike, drawn[i :: len(strikes)], told)
 
 
 def _any_order(folder: Path, options: argparse.Namespace) -> Tally:

@@ -33,8 +33,9 @@ class Tally:
             self.wrong.append(wrong)
 
 
-def table(rows: list[Tally]) -> str:
-    """The rows as Markdown."""
-    lines = ["| fault | tried | survived | hash equal |", "|---|---:|---:|---:|"]
-    lines += [f"| {r.fault} | {r.tried} | {r.survived} | {r.equal} |" for r in rows]
-    return "\n".join(lines)
+HEAD = "| fault | tried | survived | hash equal |\n|---|---:|---:|---:|"
+
+
+def line(row: Tally) -> str:
+    """A row of the table, as Markdown."""
+    return f"| {row.fault} | {row.tried} | {row.survived} | {row.equal} |"
