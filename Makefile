@@ -9,6 +9,10 @@ RUNS   ?= runs
 articugen := $(VENV)/bin/articugen
 pinned    := $(VENV)/bin/python -m pip install -qq --disable-pip-version-check -c constraints.txt
 
+# Python compiles what is imported anyhow, and most of what is installed never is: half of the time,
+# and 100 MB. (PIP_NO_COMPILE=1 would say the contrary.)
+export PIP_COMPILE := 0
+
 # Stamps: an environment is made once, and again when what it is made from changes.
 generator := $(VENV)/.installed
 testing   := $(VENV)/.installed-test
