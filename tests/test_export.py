@@ -93,6 +93,17 @@ def test_a_killed_export_goes_on_to_the_same_bytes(boxes, tmp_path):
     assert (cut / "test" / "box-2_0002.ply").stat().st_mtime_ns == kept
 
 
+def test_what_an_export_leaves_that_is_cut_short_after_its_report_goes_with_the_next(
+    boxes, tmp_path
+):
+    ag.export(boxes, "ply", tmp_path)
+    whole = files_in(tmp_path)
+    (tmp_path / JOURNAL_NAME).write_text("{}")
+    (tmp_path / f".{REPORT_NAME}.0123abcd.partial").write_text("{")
+    ag.export(boxes, "ply", tmp_path)
+    assert files_in(tmp_path) == whole
+
+
 def test_a_folder_that_holds_something_else_is_refused(boxes, tmp_path):
     mine = tmp_path / "mine"
     mine.mkdir()

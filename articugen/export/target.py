@@ -96,6 +96,10 @@ class Target:
         names = sorted(os.listdir(self.folder))
         if REPORT_NAME in names:
             self._take_over(self.folder / REPORT_NAME)
+            if JOURNAL_NAME in names:  # the run that wrote the report was cut short after it
+                with suppress(OSError):
+                    self._tidy()
+                    (self.folder / JOURNAL_NAME).unlink()
             return
         if names and JOURNAL_NAME not in names:
             raise ArticugenError(
