@@ -41,7 +41,8 @@ def test_nothing_is_left_of_a_whole_run(complete):
 
 
 def test_temporary_files_of_ours_go_and_others_stay(folder):
-    parts = [partial_name(n) for n in ("train-00001.h5", "gone.h5", MANIFEST_NAME, JOURNAL_NAME)]
+    ours = ("train-00001.h5", "gone.h5", MANIFEST_NAME, JOURNAL_NAME, "croissant.json")
+    parts = [partial_name(name) for name in ours]
     others = ["notes.txt", "mine.h5", ".train-00000.h5.partial", partial_name("thesis.tex")]
     for name in (*parts, *others):
         (folder / name).write_bytes(b"half")

@@ -21,6 +21,7 @@ from typing import TypeVar
 from pydantic import ValidationError
 
 from articugen.errors import ArticugenError, CorruptShard, MachineFault
+from articugen.store.croissant import NAME as CROISSANT_NAME
 from articugen.store.files import (
     UnfitFile,
     cannot_write,
@@ -433,7 +434,7 @@ def is_temporary(name: str) -> bool:
     if whole is None:
         return False
     ours = is_journal(whole) or is_shard_name(whole) or is_page_name(whole)
-    return ours or whole in (MANIFEST_NAME, COMMON_PLAN)
+    return ours or whole in (MANIFEST_NAME, CROISSANT_NAME, COMMON_PLAN)
 
 
 def _numbered(split: str) -> Iterator[str]:
