@@ -102,7 +102,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "store.manifest": {"errors", "store.bucket", "store.files", "store.manifest_pages"}
     | {"store.schema", "store.shards"},
     "store.journal": {"errors", "store.files", "store.manifest", "store.manifest_pages"}
-    | {"store.shards"},
+    | {"store.croissant", "store.shards"},
     "store.cleaning": {"store.journal"},
     "store.rank_journal": {"errors", "store.files", "store.journal", "store.manifest"},
     "store.bucket_journal": {"errors", "store.bucket", "store.journal", "store.manifest"}
