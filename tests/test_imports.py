@@ -101,6 +101,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "store.manifest_pages": {"store.files"},
     "store.manifest": {"errors", "store.bucket", "store.files", "store.manifest_pages"}
     | {"store.schema", "store.shards"},
+    "store.croissant": {"store.manifest"},
     "store.journal": {"errors", "store.files", "store.manifest", "store.manifest_pages"}
     | {"store.croissant", "store.shards"},
     "store.cleaning": {"store.journal"},
