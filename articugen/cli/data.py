@@ -10,9 +10,10 @@ that were rejected (within the recipe's limit); 130 interrupted; 143 ended by SI
 import os
 import signal
 import sys
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
@@ -433,10 +434,12 @@ def verify(
         from articugen.verify.check import check
 
         for folder in data_sets(path):
-            report = check(
-                folder, replay=again, repair=repair, drop_user=drop_user, jobs=jobs,
-                on_repair=partial(_say_repair, folder), on_notice=stderr.print,
-            )  # fmt: skip
+            with _counting(folder) as on_shard:
+                report = check(
+                    folder, replay=again, repair=repair, drop_user=drop_user, jobs=jobs,
+                    on_shard=on_shard, on_repair=partial(_say_repair, folder),
+                    on_notice=stderr.print,
+                )  # fmt: skip
             for finding in report.findings:
                 stdout.print(f"[red]✗[/] {folder}: {escape(str(finding))}", soft_wrap=True)
             if report.ok:
@@ -454,6 +457,14 @@ def verify(
             sound = sound and report.ok
     if not sound:
         raise typer.Exit(FAILED)
+
+
+@contextmanager
+def _counting(folder: Path) -> Iterator[Callable[[str], None]]:
+    """Show how many shards have been looked at."""
+    total, done = sum(1 for _ in folder.glob("*.h5")), count(1)
+    with stderr.status(escape(f"{folder}: looking at {total} shards")) as bar:
+        yield lambda name: bar.update(escape(f"{folder}: {next(done)} of {total} shards, {name}"))
 
 
 def _say_repair(folder: Path, repair: "Repair") -> None:

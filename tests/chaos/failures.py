@@ -39,7 +39,8 @@ class Failures:
             result = self.command.result() if again.status == 0 else {}
             equal = result == self.whole
             if not wrong and not equal:
-                wrong = again.said or str(set(result.items()) ^ set(self.whole.items()))
+                other = str(set(result.items()) ^ set(self.whole.items()))
+                wrong = other if again.status == 0 else again.said
             where = f"{mode.name} at {at} of {len(self.changes)} ({self.changes[at - 1]}): "
             row.note(survived=again.status == 0, equal=equal, wrong=wrong and where + wrong)
             told(f"{row.fault}: {row.tried}")
