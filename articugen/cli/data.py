@@ -10,8 +10,8 @@ that were rejected (within the recipe's limit); 130 interrupted; 143 ended by SI
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -33,6 +33,7 @@ from articugen.cli.saying import (
     REJECTED,
     STOPPED,
     Stopped,
+    counting_bar,
     said,
     say_error,
     stderr,
@@ -434,10 +435,10 @@ def verify(
         from articugen.verify.check import check
 
         for folder in data_sets(path):
-            with _counting(folder) as on_shard:
+            with counting_bar() as told:
                 report = check(
                     folder, replay=again, repair=repair, drop_user=drop_user, jobs=jobs,
-                    on_shard=on_shard, on_repair=partial(_say_repair, folder),
+                    on_shard=_counter(folder, told), on_repair=partial(_say_repair, folder),
                     on_notice=stderr.print,
                 )  # fmt: skip
             for finding in report.findings:
@@ -459,12 +460,10 @@ def verify(
         raise typer.Exit(FAILED)
 
 
-@contextmanager
-def _counting(folder: Path) -> Iterator[Callable[[str], None]]:
-    """Show how many shards have been looked at."""
-    total, done = sum(1 for _ in folder.glob("*.h5")), count(1)
-    with stderr.status(escape(f"{folder}: looking at {total} shards")) as bar:
-        yield lambda name: bar.update(escape(f"{folder}: {next(done)} of {total} shards, {name}"))
+def _counter(folder: Path, told: Callable[[int, int, str], None]) -> Callable[[str], None]:
+    """To be called with the name of each shard that has been looked at."""
+    shards, done = sum(1 for _ in folder.glob("*.h5")), count(1)
+    return lambda name: told(next(done), shards, f"{folder.name}: {name}")
 
 
 def _say_repair(folder: Path, repair: "Repair") -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from articugen.cli.saying import said, stderr, stdout
+from articugen.cli.saying import loading, said, stderr, stdout
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
@@ -95,7 +95,8 @@ def train(
         from articugen.recipe import check_category
 
         check_category(category)
-        from articugen.learning import commands, processes
+        with loading():
+            from articugen.learning import commands, processes
 
         if processes.is_first():
             for hint in commands.hints(data):
@@ -130,7 +131,8 @@ def train_depth(
 ) -> None:
     """Train a run's encoder for depth input, or go on with it: what one camera sees, not all."""
     with said("interrupted; what was last saved is kept, the same command goes on"):
-        from articugen.learning import commands
+        with loading():
+            from articugen.learning import commands
 
         with _ProgressBar() as on_progress:
             done = commands.train_depth(

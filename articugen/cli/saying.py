@@ -46,6 +46,17 @@ def said(interrupted: str = "interrupted") -> Iterator[None]:
 
 
 @contextmanager
+def loading() -> Iterator[None]:
+    """While a large library loads: for seconds Python hears of no signal, and nothing is at hand to
+    be put in order, so that SIGTERM simply ends the process."""
+    before = signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
 def counting_bar() -> Iterator[Callable[[int, int, str], None]]:
     """A bar with the time left, to be told what is done, of how many, and what is at hand; nothing
     where stderr is no terminal."""
