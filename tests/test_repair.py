@@ -357,9 +357,10 @@ def test_a_manifest_of_another_run_costs_no_shard(folder, boxes, tmp_path):
 def test_a_fraction_that_means_the_same_is_found_and_written_again(folder):
     manifest = Manifest.read(folder)
     text = (folder / MANIFEST_NAME).read_text()
-    seconds = manifest.objects[0].seconds
-    longer = f"{seconds!r}" + "0" * (20 - len(repr(seconds))) + "1"
-    (folder / MANIFEST_NAME).write_text(text.replace(repr(seconds), longer))
+    entry = text.index('"seconds"', text.index('"objects"'))  # of the first object
+    seconds = repr(manifest.objects[0].seconds)
+    longer = seconds + "0" * (20 - len(seconds)) + "1"
+    (folder / MANIFEST_NAME).write_text(text[:entry] + text[entry:].replace(seconds, longer, 1))
     assert Manifest.read(folder) == manifest
     (found,) = verify(folder).findings
     assert f"{longer} is not how it was written" in found.sentence
