@@ -68,9 +68,9 @@ def solids() -> None:
     where = solidify.probes(_MESH, 0.01)
     shown = solidify.shown_sides(_MESH, DepthMaps(None, _FACES, _VIEWS))
     free = np.ones((2, len(where.face)), np.bool_)
-    closed = solidify.closed(_MESH)
-    solidify.solidified(_MESH, where, free, shown, 0.01, closed)
-    pieces = closed_pieces(_MESH, closed, _TREE)
+    piece = solidify.closed_piece(_MESH)
+    solidify.solidified(_MESH, where, free, shown, 0.01, piece >= 0)
+    pieces = closed_pieces(_MESH, piece, _TREE)
     assert pieces is not None
     surely_inside(_POINT, pieces)
 

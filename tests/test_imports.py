@@ -105,7 +105,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "store.journal": {"errors", "store.files", "store.manifest", "store.manifest_pages"}
     | {"store.croissant", "store.shards"},
     "store.cleaning": {"store.journal"},
-    "store.rank_journal": {"errors", "store.files", "store.journal", "store.manifest"},
+    "store.rank_journal": {"errors", "store.files", "store.journal", "store.manifest"}
+    | {"store.manifest_pages"},
     "store.bucket_journal": {"errors", "store.bucket", "store.journal", "store.manifest"}
     | {"store.rank_journal"},
     # what reads it

@@ -13,13 +13,13 @@ from typer.testing import CliRunner
 
 from articugen import pipeline, ranks
 from articugen.cli import app
-from articugen.errors import ArticugenError, InvalidArgument, InvalidRecipe
+from articugen.errors import ArticugenError, CorruptShard, InvalidArgument, InvalidRecipe
 from articugen.pipeline import plan
 from articugen.store.cleaning import clean
 from articugen.store.files import partial_name
 from articugen.store.journal import COMMON_PLAN, JOURNAL_NAME, Journal, is_journal
 from articugen.store.manifest import MANIFEST_NAME, Manifest
-from articugen.store.rank_journal import Share
+from articugen.store.rank_journal import Following, Share
 from articugen.verify.dataset import verify
 
 OBJECTS = 9
@@ -87,6 +87,27 @@ def test_a_plain_run_goes_on_with_what_ranks_have_made(tmp_path: Path) -> None:
     }  # fmt: skip
     assert rank(tmp_path, "1/2") == []  # and ranks with what a plain run has
     assert verify(tmp_path).findings == ()
+
+
+def test_who_follows_ranks_hears_of_each_object_once_and_when_its_line_is_whole(
+    tmp_path: Path,
+) -> None:
+    following = Following(tmp_path)
+    assert following.news() == []
+    first = rank(tmp_path, "0/2")
+    assert [outcome.key.object_id for outcome in following.news()] == first
+    second = rank(tmp_path, "1/2")
+    (journal,) = tmp_path.glob(".articugen-journal.1-of-2.*")
+    whole = journal.read_bytes()
+    journal.write_bytes(whole[:-20])  # being written
+    told = [outcome.key.object_id for outcome in following.news()]
+    journal.write_bytes(whole)
+    assert told + [outcome.key.object_id for outcome in following.news()] == second
+    assert following.news() == []
+    fifo = tmp_path / ".articugen-journal.0-of-9.0123abcd.jsonl"
+    os.mkfifo(fifo)
+    with pytest.raises(CorruptShard, match="it is a FIFO, not a regular file; delete it"):
+        following.news()
 
 
 def test_a_killed_plain_run_and_a_finished_one_are_gone_on_with(tmp_path: Path) -> None:

@@ -229,6 +229,18 @@ def test_sealed_nonsense_is_one_sentence(run, change):
     assert f"{path}: " in refused(read_checkpoint, path)
 
 
+def test_a_recipe_that_is_refused_by_now_says_why_and_how_to_go_on(run):
+    path = run.path / LATEST
+    data = torch.load(path, weights_only=True)
+    data["recipe"]["model"] |= {"part_boxes": True, "part_frame": "joint"}
+    buffer = io.BytesIO()
+    torch.save(data, buffer)
+    path.write_bytes(sealed(buffer.getvalue()))
+    said = refused(read_checkpoint, path)
+    assert said.startswith(f"{path}: its recipe: ")
+    assert said.endswith("; train it again")
+
+
 def test_the_encoder_for_depth_is_checked_as_well(run):
     path = run.path / DEPTH
     point, data = read_checkpoint(run.path / LATEST), torch.load(path, weights_only=True)

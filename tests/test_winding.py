@@ -5,16 +5,15 @@ import pytest
 import trimesh
 
 from articugen.fusion import solidify
-from articugen.fusion.bvh import build
+from articugen.fusion.bvh import tree_of
 from articugen.fusion.winding import ClosedPieces, closed_pieces, surely_inside
 from articugen.records import LabelledMesh
 from tests.shapes import Convex, box, labelled, rotated
 
 
-def of(mesh: LabelledMesh, closed: np.ndarray | None = None) -> ClosedPieces:
-    closed = solidify.closed(mesh) if closed is None else closed
-    tree = build(mesh.vertices[mesh.faces], np.zeros(len(mesh.faces), np.uint8), 1)
-    found = closed_pieces(mesh, closed, tree)
+def of(mesh: LabelledMesh, piece: np.ndarray | None = None) -> ClosedPieces:
+    piece = solidify.closed_piece(mesh) if piece is None else piece
+    found = closed_pieces(mesh, piece, tree_of(mesh.vertices[mesh.faces]))
     assert found is not None
     return found
 
@@ -67,14 +66,14 @@ def test_a_cavity_is_not_inside_and_an_open_shell_says_nothing():
     inner = slice(12, 24)
     shell.faces[inner] = shell.faces[inner, ::-1]
     mesh = labelled(shell)
-    inside = surely_inside(points(), of(mesh, np.ones(24, bool)))
+    inside = surely_inside(points(), of(mesh, np.arange(24) // 12))
     most = np.abs(points()).max(axis=1)
     np.testing.assert_array_equal(inside, (most < 0.4) & (most > 0.3))
     open_box = box((0.8, 0.8, 0.8))
     open_box.update_faces(np.arange(12) != 3)
     mesh = labelled(open_box)
-    tree = build(mesh.vertices[mesh.faces], mesh.part_of_face, 1)
-    assert closed_pieces(mesh, solidify.closed(mesh), tree) is None
+    tree = tree_of(mesh.vertices[mesh.faces])
+    assert closed_pieces(mesh, solidify.closed_piece(mesh), tree) is None
 
 
 @pytest.mark.parametrize("name", SHAPES)

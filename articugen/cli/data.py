@@ -462,8 +462,8 @@ def verify(
 
 def _counter(folder: Path, told: Callable[[int, int, str], None]) -> Callable[[str], None]:
     """To be called with the name of each shard that has been looked at."""
-    shards, done = sum(1 for _ in folder.glob("*.h5")), count(1)
-    return lambda name: told(next(done), shards, f"{folder.name}: {name}")
+    shards, done = sum(1 for _ in folder.glob("*.h5")), count()  # a repair looks at them again
+    return lambda name: told(next(done) % max(shards, 1) + 1, shards, f"{folder.name}: {name}")
 
 
 def _say_repair(folder: Path, repair: "Repair") -> None:

@@ -58,11 +58,11 @@ def triangle_table(corners):
 
 def build(corners: NDArray[np.float64], part_of_face: NDArray[np.uint8], parts: int) -> Bvh:
     """The trees of `parts` parts over the faces' corners (F, 3, 3), each in its canonical pose."""
-    return joined([_tree(corners[part_of_face == part]) for part in range(parts)])
+    return joined([tree_of(corners[part_of_face == part]) for part in range(parts)])
 
 
-def _tree(corners: NDArray[np.float64]) -> Bvh:
-    """Of one part."""
+def tree_of(corners: NDArray[np.float64]) -> Bvh:
+    """The tree of one part."""
     own = np.ascontiguousarray(corners)
     order, box, skip, leaf, count = ordered(own)
     roots = np.array([0, count], np.int32)

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.fusion import kernels
-from articugen.fusion.bvh import Bvh, build, triangle_table
+from articugen.fusion.bvh import Bvh, tree_of, triangle_table
 from articugen.fusion.reachable import Flood, flood, walls
 from articugen.fusion.thin import NOTHING, ThinVoxels
 from articugen.fusion.winding import ClosedPieces, surely_inside
@@ -319,7 +319,7 @@ def fuse(
     corners = mesh.vertices[mesh.faces]
     if bvh is None or part_motion is None:
         part_motion = np.eye(4)[None]
-        bvh = build(corners, np.zeros(len(corners), np.uint8), 1)
+        bvh = tree_of(corners)
     table = triangle_table(corners)
     field = FusedField(maps, table, bvh, part_motion, settings, None, thin)
     return flooded(field, mesh) if settings.rule == "reachable" else field

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.fusion import solidify
-from articugen.fusion.bvh import Bvh, build, joined
+from articugen.fusion.bvh import Bvh, joined, tree_of
 from articugen.fusion.field import FusedField, OwnSolid, flooded, fuse, pixel_width
 from articugen.fusion.thin import thin_voxels, way_meets
 from articugen.fusion.winding import ClosedPieces, closed_pieces
@@ -34,6 +34,7 @@ class SolidPart:
         seen: (F,) which of its faces can be seen.
         closed: (F,) which are those of closed pieces.
         tree, box: of its faces, and what holds them, (2, 3).
+        pieces: the closed ones; None where the recipe's rule takes the views' word alone.
         judged_by: the field that told so; None where sheets have become slabs, which it knows not.
     """
 
@@ -42,6 +43,7 @@ class SolidPart:
     closed: NDArray[np.bool_]
     tree: Bvh
     box: Floats
+    pieces: ClosedPieces | None
     judged_by: FusedField | None
 
 
@@ -52,10 +54,10 @@ def solid_part(soup: LabelledMesh, settings: Fusion, render: Render) -> SolidPar
         soup: the part's faces in the canonical pose, unit frame, as the model has them.
     """
     soup = solidify.without_repeats(soup).compact()
-    closed = solidify.closed(soup)
-    box = _box(soup)
+    piece, box = solidify.closed_piece(soup), _box(soup)
     field = fuse(render(soup, box), soup, settings)
-    alone = OwnSolid(field, box, _closed_pieces(soup, closed, settings, field.bvh))
+    pieces, closed = _closed_pieces(soup, piece, settings, field.bvh), piece >= 0
+    alone = OwnSolid(field, box, pieces)
     thickness = settings.sheet_thickness
     where = solidify.probes(soup, max(thickness, 1e-3) / 3.0, together=True)
     free = np.stack([~alone.holds(where.points[0]), np.zeros(len(where.face), np.bool_)])
@@ -64,12 +66,12 @@ def solid_part(soup: LabelledMesh, settings: Fusion, render: Render) -> SolidPar
     shown = solidify.shown_sides(soup, field.maps)
     mesh, seen = solidify.solidified(soup, where, free, shown, thickness, closed)
     if np.array_equal(mesh.faces, soup.faces):
-        return SolidPart(mesh, seen, closed, field.bvh, box, field)
-    tree = build(mesh.vertices[mesh.faces], np.zeros(len(mesh.faces), np.uint8), 1)
-    closed = solidify.closed(mesh)
+        return SolidPart(mesh, seen, closed, field.bvh, box, pieces, field)
+    tree, piece = tree_of(mesh.vertices[mesh.faces]), solidify.closed_piece(mesh)
+    pieces, closed = _closed_pieces(mesh, piece, settings, tree), piece >= 0
     if len(mesh.faces) == len(soup.faces):
-        return SolidPart(mesh, seen, closed, tree, box, field)
-    return SolidPart(mesh, seen, closed, tree, _box(mesh), None)
+        return SolidPart(mesh, seen, closed, tree, box, pieces, field)
+    return SolidPart(mesh, seen, closed, tree, _box(mesh), pieces, None)
 
 
 def seen_alone(part: SolidPart, settings: Fusion, render: Render) -> OwnSolid:
@@ -80,7 +82,7 @@ def seen_alone(part: SolidPart, settings: Fusion, render: Render) -> OwnSolid:
         field = fuse(maps, part.mesh, settings, bvh=part.tree, part_motion=np.eye(4)[None])
     thin = thin_voxels(part.mesh, pixel_width(field.maps.views), field.bvh)
     own = flooded(replace(field, thin=thin), part.mesh)
-    return _own_solid(part, own)
+    return OwnSolid(own, part.box, part.pieces)
 
 
 def seen_by(maps: DepthMaps, part: SolidPart, settings: Fusion) -> OwnSolid:
@@ -95,7 +97,7 @@ def seen_by(maps: DepthMaps, part: SolidPart, settings: Fusion) -> OwnSolid:
     )
     judged = part.judged_by or field
     own = replace(field, flood=flooded(judged, part.mesh).flood)
-    return _own_solid(part, own)
+    return OwnSolid(own, part.box, part.pieces)
 
 
 def joined_bvh(parts: Sequence[SolidPart]) -> Bvh:
@@ -112,18 +114,13 @@ def _deep(mesh: LabelledMesh, where: solidify.Probes, tree: Bvh) -> NDArray[np.b
     return ~way_meets(inner, outwards.astype(np.float32), np.float32(way), tree)
 
 
-def _own_solid(part: SolidPart, field: FusedField) -> OwnSolid:
-    closed = _closed_pieces(part.mesh, part.closed, field.settings, part.tree)
-    return OwnSolid(field, part.box, closed)
-
-
 def _box(mesh: LabelledMesh) -> Floats:
     """(2, 3) of its faces."""
     return bounds(mesh.vertices[mesh.faces].reshape(-1, 3)) if len(mesh.faces) else np.zeros((2, 3))
 
 
 def _closed_pieces(
-    mesh: LabelledMesh, closed: NDArray[np.bool_], settings: Fusion, tree: Bvh
+    mesh: LabelledMesh, piece: NDArray[np.int64], settings: Fusion, tree: Bvh
 ) -> ClosedPieces | None:
-    """What `OwnSolid.closed` holds; None where the recipe's rule takes the views' word alone."""
-    return None if settings.rule == "mean" else closed_pieces(mesh, closed, tree)
+    """What `SolidPart.pieces` holds."""
+    return None if settings.rule == "mean" else closed_pieces(mesh, piece, tree)

@@ -343,12 +343,20 @@ def _settle(parent, side, c):
 
 
 def closed(mesh: LabelledMesh) -> NDArray[np.bool_]:
-    """(F,) which faces belong to a closed piece: along each of its edges as many faces run one way
-    as the other, and its volume is positive. From outside, only fronts are seen of it.
+    """(F,) which faces belong to a closed piece, see `closed_piece`."""
+    return closed_piece(mesh) >= 0
+
+
+def closed_piece(mesh: LabelledMesh) -> NDArray[np.int64]:
+    """(F,) a number for the closed piece that each face belongs to, -1 where it belongs to none.
+
+    Faces that hang together by corners are a piece. It is closed where along each of its edges as
+    many faces run one way as the other, and its volume is positive. From outside, only fronts are
+    seen of it.
     """
     faces = welded(mesh.vertices)[mesh.faces]
     if not len(faces):
-        return np.zeros(0, np.bool_)
+        return np.zeros(0, np.int64)
     count = int(faces.max()) + 1
     edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
     low, high = edges.min(axis=1), edges.max(axis=1)
@@ -359,13 +367,7 @@ def closed(mesh: LabelledMesh) -> NDArray[np.bool_]:
     a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
     volume = np.bincount(piece, weights=np.einsum("fi,fi->f", a, cross(b, c)), minlength=count)
     open_edges = np.bincount(np.repeat(piece, 3), weights=~paired, minlength=count)
-    return (open_edges[piece] == 0) & (volume[piece] > 0.0)
-
-
-def pieces(mesh: LabelledMesh) -> NDArray[np.int64]:
-    """(F,) a number for each face, the same for those that hang together by corners."""
-    faces = welded(mesh.vertices)[mesh.faces]
-    return _pieces(faces.astype(np.int64), int(faces.max(initial=-1)) + 1)
+    return np.where((open_edges[piece] == 0) & (volume[piece] > 0.0), piece, -1)
 
 
 @kernel

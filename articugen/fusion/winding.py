@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.fusion.bvh import Bvh, _enters, _inverse, build, ordered
-from articugen.fusion.solidify import face_normals, pieces
+from articugen.fusion.bvh import Bvh, _enters, _inverse, ordered, tree_of
+from articugen.fusion.solidify import face_normals
 from articugen.jit import helper, inlined, kernel
 from articugen.records import LabelledMesh
 
@@ -60,39 +60,36 @@ class ClosedPieces(NamedTuple):
     planes: Any
 
 
-def closed_pieces(mesh: LabelledMesh, closed: NDArray[np.bool_], tree: Bvh) -> ClosedPieces | None:
+def closed_pieces(mesh: LabelledMesh, piece: NDArray[np.int64], tree: Bvh) -> ClosedPieces | None:
     """The closed pieces of `mesh`, for `surely_inside`; None if there is none.
 
     Args:
-        closed: (F,) which faces are theirs, see `solidify.closed`.
+        piece: (F,) which of them each face belongs to, see `solidify.closed_piece`.
         tree: of all faces, which serves again where all are closed.
     """
-    if not closed.any():
+    closed = np.flatnonzero(piece >= 0)
+    if not len(closed):
         return None
-    faces, piece = mesh.faces[closed], pieces(mesh)[closed]
-    faces = faces[np.argsort(piece, kind="stable")]
-    first = np.flatnonzero(np.diff(np.sort(piece), prepend=-1, append=-1))
+    order = closed[np.argsort(piece[closed], kind="stable")]
+    first = np.flatnonzero(np.diff(piece[order], prepend=-1, append=-1))
+    faces = mesh.faces[order]
     corners = mesh.vertices[faces]
     planes, counts = _planes(corners, face_normals(mesh.vertices, faces), first)
     convex = counts > 0
     of_convex = np.repeat(convex, np.diff(first))
     low = np.minimum.reduceat(corners.min(axis=1), first[:-1])[convex] - _NEAR
     high = np.maximum.reduceat(corners.max(axis=1), first[:-1])[convex] + _NEAR
-    order, box, skip, leaf, nodes = ordered(np.stack([low, high, high], axis=1))
+    leaves, box, skip, leaf, nodes = ordered(np.stack([low, high, high], axis=1))
     return ClosedPieces(
-        tree if closed.all() else _tree(corners),
-        _tree(corners[~of_convex]),
+        tree if len(closed) == len(piece) else tree_of(corners),
+        tree_of(corners[~of_convex]),
         box[:nodes],
         skip[:nodes],
         leaf[:nodes],
-        order,
+        leaves,
         np.concatenate([[0], np.cumsum(counts[convex])]),
         planes,
     )
-
-
-def _tree(corners: NDArray[np.float64]) -> Bvh:
-    return build(corners, np.zeros(len(corners), np.uint8), 1)
 
 
 @kernel

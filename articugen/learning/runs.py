@@ -305,11 +305,9 @@ def _read_checkpoint(path: Path) -> Checkpoint:
     try:
         recipe = parse_recipe(recipe, "its recipe")
         point = Checkpoint(recipe=recipe, **data)
-    except InvalidRecipe as error:
-        if recipe:  # of another version, in which it could be trained
+    except (TypeError, InvalidRecipe) as error:
+        if recipe and isinstance(error, InvalidRecipe):  # another version could be trained with it
             raise InvalidCheckpoint(f"{path}: {error}; train it again") from None
-        raise InvalidCheckpoint(f"{path}: a checkpoint that lacks something; {CURE}") from None
-    except TypeError:
         raise InvalidCheckpoint(f"{path}: a checkpoint that lacks something; {CURE}") from None
     kinds = [type(x) for x in (point.category, point.seed, point.iteration, point.best)]
     sensible = kinds == [str, int, int, float] and type(point.beside) is str

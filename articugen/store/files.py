@@ -86,6 +86,12 @@ def open_regular(path: Path, most_bytes: int, *, follow: bool = True) -> BinaryI
     return os.fdopen(handle, "rb")
 
 
+def is_no_folder(path: Path) -> bool:
+    """Whether something is there, and no folder: links count as what they are, not where they
+    lead."""
+    return os.path.lexists(path) and (path.is_symlink() or not path.is_dir())
+
+
 def check_regular(path: Path) -> None:
     """See to it that a library which opens files by name will not wait for a writer.
 

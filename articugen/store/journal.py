@@ -25,6 +25,7 @@ from articugen.store.croissant import NAME as CROISSANT_NAME
 from articugen.store.files import (
     UnfitFile,
     cannot_write,
+    is_no_folder,
     make_folder,
     open_regular,
     sync,
@@ -285,9 +286,7 @@ class Journal:
             raise MachineFault(f"{self.folder}: cannot be read ({error.strerror})") from None
 
     def _is_file(self, name: str) -> bool:
-        """Whether it is there, and no folder."""
-        path = self.folder / name
-        return os.path.lexists(path) and (path.is_symlink() or not path.is_dir())
+        return is_no_folder(self.folder / name)
 
     def _take_lock(self) -> None:
         try:

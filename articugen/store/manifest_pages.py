@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError, model_validator
 
-from articugen.store.files import UnfitFile, read_regular
+from articugen.store.files import UnfitFile, is_no_folder, read_regular
 
 T = TypeVar("T")
 Data = bytes
@@ -123,7 +123,7 @@ def stale_pages(manifest: Path) -> list[str]:
     """
     there = sorted(filter(is_page_name, os.listdir(manifest.parent)))
     listed = listed_pages(manifest) if there else set[str]()
-    return [name for name in there if name not in listed and _is_file(manifest.parent / name)]
+    return [name for name in there if name not in listed and is_no_folder(manifest.parent / name)]
 
 
 def listed_pages(manifest: Path) -> set[str]:
@@ -137,10 +137,6 @@ def listed_pages(manifest: Path) -> set[str]:
     except (FileNotFoundError, UnfitFile, ValidationError):
         return set()
     return {page.name for page in head.pages} if head else set()
-
-
-def _is_file(path: Path) -> bool:
-    return path.is_symlink() or path.is_file()
 
 
 def _page_name(number: int, sha256: str) -> str:

@@ -25,6 +25,7 @@ from articugen.store.files import (
     UnfitFile,
     cannot_write,
     make_folder,
+    open_regular,
     partial_name,
     read_regular,
     sync,
@@ -32,6 +33,7 @@ from articugen.store.files import (
 )
 from articugen.store.journal import COMMON_PLAN, Journal, rank_of
 from articugen.store.manifest import Claims, Key, Outcome, Sha256
+from articugen.store.manifest_pages import MOST_PAGED_BYTES
 
 _MOST_PLAN_BYTES = 1 << 26
 
@@ -303,11 +305,13 @@ class Following:
     def _lines(self, name: str) -> Iterator[Outcome]:
         path, begin = self._folder / name, self._read.get(name, 0)
         try:
-            with path.open("rb") as file:
+            with open_regular(path, MOST_PAGED_BYTES, follow=False) as file:
                 file.seek(begin)
                 whole, _, _ = file.read().rpartition(b"\n")  # what follows is not written yet
         except FileNotFoundError:  # merged
             return
+        except UnfitFile as error:
+            raise CorruptShard(f"{path}: {error.strerror}; delete it") from None
         except OSError as error:
             raise MachineFault(f"{path}: cannot be read ({error.strerror})") from None
         self._read[name] = begin + len(whole) + bool(whole)
