@@ -58,19 +58,27 @@ class ObjectJoints:
     seconds: float
 
 
-def discover(poses: Sequence[Pose], *, joints: Sequence[str] = ()) -> Discovery:
+def discover(
+    poses: Sequence[Pose],
+    *,
+    normals: Sequence[NDArray[Any]] | None = None,
+    joints: Sequence[str] = (),
+) -> Discovery:
     """Find the joints of one object from several poses of it; see `articugen.discovery.discover`.
 
     Args:
         poses: two or more, in one frame: clouds (n, 3) or occupancy grids (R, R, R), which stand
             for the cube [-0.5, 0.5]^3; arrays, or .ply, .npy, .npz or .xyz files.
+        normals: of the points of clouds, (n, 3) out of the material each. Few joints are missed
+            where they are given.
         joints: kinds that the object may have, of "revolute" and "prismatic"; none named is both.
 
     Raises:
         InvalidArgument: nothing can be found in them, or there is no such kind.
         InvalidSource: a file cannot be read.
     """
-    return discovery.discover([_cloud(pose) for pose in poses], kinds=_kinds(joints))
+    clouds = [_cloud(pose) for pose in poses]
+    return discovery.discover(clouds, normals=normals, kinds=_kinds(joints))
 
 
 def discover_all(
@@ -80,7 +88,8 @@ def discover_all(
     joints: Sequence[str] = (),
     on_object: Callable[[ObjectJoints, int], None] = lambda _found, _objects: None,
 ) -> list[ObjectJoints]:
-    """Find the joints of each object of a data set from its surface points, and judge them.
+    """Find the joints of each object of a data set from its surface points and their normals, and
+    judge them.
 
     Args:
         data: a data set, its folder or one of its shards.
@@ -98,9 +107,10 @@ def discover_all(
     for object_id in data.objects:
         rows = list(data.of(object_id)[:poses])
         clouds = [np.asarray(row.surface.points, np.float64) for row in rows]
+        normals = [np.asarray(row.surface.normals, np.float64) for row in rows]
         began, why, found = time.process_time(), "", None
         try:
-            found = discovery.discover(clouds, kinds=kinds)
+            found = discovery.discover(clouds, normals=normals, kinds=kinds)
         except InvalidArgument as error:
             why = str(error)
         took = time.process_time() - began

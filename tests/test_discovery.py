@@ -155,6 +155,47 @@ def test_two_poses_are_enough_and_any_frame_will_do() -> None:
     assert abs(joint.states[1] - 1.2) < 0.05
 
 
+def faces(states: Floats) -> tuple[list[Floats], list[Floats]]:
+    """Clouds and normals: a body, the outer face of a back wall and that of a front that slides."""
+    rng, out = np.random.default_rng(3), np.array([1.0, 0.0, 0.0])
+    clouds, normals = [], []
+    for state in states:
+        body = sampled((0.5, 0.5, 0.1), (0.0, 0.0, -0.2), rng, 2000)
+        plates = 0.4 * rng.random((2, 600, 3)) - [[0.2, 0.2, 0.1]]
+        plates[0, :, 0], plates[1, :, 0] = -0.2, 0.1 + state
+        clouds.append(np.concatenate([body, *plates]))
+        normals.append(np.repeat([0.0 * out, -out, out], [2000, 600, 600], axis=0))
+    return clouds, normals
+
+
+def test_with_normals_a_front_is_not_taken_for_the_back_wall() -> None:
+    states = np.array([0.0, 0.11, 0.25, 0.05, 0.32, 0.19, 0.14])
+    clouds, normals = faces(states)
+    (joint,) = discover(clouds, normals=normals).joints
+    assert joint.kind is JointKind.PRISMATIC
+    assert degrees_between(joint.axis, (1, 0, 0)) < 2.0
+    assert np.abs(joint.states - states).max() < 0.01
+    turned = [cloud_normals * [-1.0, 1.0, 1.0] for cloud_normals in normals]
+    inside_out = discover(clouds, normals=[normals[0], *turned[1:]]).joints
+    for each in inside_out:
+        assert np.abs(each.states[1:] - states[1:]).min() > 0.02
+    assert ag.discover(clouds, normals=normals).joints[0].states.tolist() == joint.states.tolist()
+    with pytest.raises(InvalidArgument, match="not one for each point"):
+        discover(clouds, normals=normals[:3])
+
+
+def test_where_joints_point_may_be_known() -> None:
+    leaf = ((0.03, 0.44, 0.3), (0.05, 0.0, -0.08))
+    states = np.array([0.0, 0.6, 1.2, 0.3, 0.9])[:, None]
+    clouds = posed([(leaf, turn((0, 0, 1), (0.05, -0.22, 0)))], states)
+    upright = {JointKind.REVOLUTE: np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])}
+    (joint,) = discover(clouds, directions=upright).joints
+    assert degrees_between(joint.axis, (0, 0, 1)) < 2.0
+    across = {JointKind.REVOLUTE: np.array([[0.0, 1.0, 0.0]])}
+    for joint in discover(clouds, kinds=[JointKind.REVOLUTE], directions=across).joints:
+        assert abs(joint.axis[1]) > np.cos(np.radians(35.0))
+
+
 def filled(clear: Callable[[Floats], Floats], resolution: int = 48) -> np.ndarray:
     """The grid of a body and of a lid whose points `clear` brings back to where it is closed."""
     at = (np.indices((resolution,) * 3).reshape(3, -1).T + 0.5) / resolution - 0.5

@@ -15,9 +15,16 @@ from articugen.errors import CorruptShard, InvalidCheckpoint  # noqa: E402
 from articugen.learning.dataset import BatchSpec, load_split, unpacked  # noqa: E402
 from articugen.learning.method import find_method, load_recipe  # noqa: E402
 from articugen.learning.ppd import found as found_module  # noqa: E402
-from articugen.learning.ppd.found import _Asked, _discovered, _looked_for, discovered, kinds_of  # noqa: E402
+from articugen.learning.ppd.found import (  # noqa: E402
+    _Asked,
+    _Clouds,
+    _discovered,
+    _looked_for,
+    discovered,
+    kinds_of,
+)
 from articugen.learning.ppd.model import Prediction, amount_of  # noqa: E402
-from articugen.learning.ppd.settings import ModelSettings, WarmStart  # noqa: E402
+from articugen.learning.ppd.settings import ModelSettings, WarmStart, directions_of  # noqa: E402
 from articugen.learning.ppd.shape import PartBox  # noqa: E402
 from articugen.learning.ppd.warm_start import (  # noqa: E402
     LEAST_SIZE,
@@ -34,7 +41,8 @@ from articugen.records import JointKind  # noqa: E402
 from articugen.store.shards import open_shard  # noqa: E402
 
 MODEL = ModelSettings()
-SPEC = BatchSpec(surface_points=256, parts=True, poses=True, hidden=True)
+SPEC = BatchSpec(surface_points=256, parts=True, poses=True, hidden=True, normals=True)
+WAYS = directions_of(MODEL)
 
 
 def found(*joints: tuple[JointKind, tuple, tuple]) -> Discovery:
@@ -267,7 +275,7 @@ def test_what_was_found_is_kept_and_read_again(boxes, tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        discovered(split, tmp_path, kill)
+        discovered(split, tmp_path, WAYS, kill)
     (folder,) = tmp_path.glob(".joints-*")
     kept, missing = (folder / f"{i}-{'-'.join(map(str, KINDS))}.pt" for i in range(2))
     before = kept.stat().st_mtime_ns
@@ -278,13 +286,13 @@ def test_what_was_found_is_kept_and_read_again(boxes, tmp_path, monkeypatch):
         times.append(kept.stat().st_mtime_ns)
         said.append(sentence)
 
-    first, rows = discovered(split, tmp_path, tell)
+    first, rows = discovered(split, tmp_path, WAYS, tell)
     assert times == [before] * 2
     assert not folder.exists()
     assert len(said) == len(rows) == 2
     assert said[-1] == "looking for joints in the training objects: 2 of 2"
     monkeypatch.setattr(found_module, "_look", None)  # the second time nothing is looked for
-    again, _ = discovered(split, tmp_path)
+    again, _ = discovered(split, tmp_path, WAYS)
     for one, other in zip(first, again, strict=True):
         assert (one is None) == (other is None)
         if one and other:
@@ -295,7 +303,7 @@ def test_what_was_found_is_kept_and_read_again(boxes, tmp_path, monkeypatch):
     (path,) = tmp_path.glob("joints-*.pt")
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(InvalidCheckpoint, match="joints-"):
-        discovered(split, tmp_path)
+        discovered(split, tmp_path, WAYS)
 
 
 def test_who_is_unlike_the_others_is_looked_at_again(tmp_path):
@@ -307,10 +315,11 @@ def test_who_is_unlike_the_others_is_looked_at_again(tmp_path):
     for k, (part, far) in enumerate([(drawer, 1.0)] * 4 + [(door, 4.0)]):
         poses = np.array(posed([part], far * (1.0 + 0.1 * k) * states[:, None]))
         stored = np.round((0.5 * poses + 0.5) * 65535).astype(np.uint16)
-        clouds.append(stored.view(np.int16))
+        unknown = np.zeros(stored.shape, np.int8)
+        clouds.append(_Clouds(stored.view(np.int16), unknown))
     said = []
-    found = _looked_for(clouds, tmp_path, said.append)
-    first, last = (_discovered(_Asked(clouds[i], KINDS, tmp_path)) for i in (0, 4))
+    found = _looked_for(clouds, WAYS, tmp_path, said.append)
+    first, last = (_discovered(_Asked(clouds[i], KINDS, WAYS, tmp_path)) for i in (0, 4))
     assert kinds_of(found) == {JointKind.PRISMATIC}
     np.testing.assert_array_equal(found[0].part, first.part)
     assert JointKind.REVOLUTE in {joint.kind for joint in last.joints}
@@ -325,4 +334,4 @@ def test_where_nothing_moves_one_sentence_says_so(boxes, tmp_path):
         surface[mine] = surface[mine[0]].clone()
     still = type(split)(**{**vars(split), "surface": surface})
     with pytest.raises(CorruptShard, match="no training object tell"):
-        discovered(still, tmp_path)
+        discovered(still, tmp_path, WAYS)

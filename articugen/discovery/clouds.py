@@ -39,42 +39,49 @@ def cell_of(cloud: Floats) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """`points` (n, 3) with unit `normals` (n, 3) of either sign, zeros where none can be told, and
-    how well each tells of a shift, `stiffness` (n, 3, 3)."""
+    """`points` (n, 3) with unit `normals` (n, 3), zeros where none can be told, and how well each
+    tells of a shift, `stiffness` (n, 3, 3). Where `signed`, normals point out of the material, else
+    either way."""
 
     points: Floats
     normals: Floats
     stiffness: Floats
+    signed: bool = False
 
     def __len__(self) -> int:
         return len(self.points)
 
     def __getitem__(self, which: Any) -> "Surface":
-        return Surface(self.points[which], self.normals[which], self.stiffness[which])
+        return Surface(self.points[which], self.normals[which], self.stiffness[which], self.signed)
 
     @staticmethod
-    def bare(points: Floats) -> "Surface":
-        """Points of which nothing else is known."""
-        return Surface(
-            points, np.zeros_like(points), np.broadcast_to(np.eye(3), (len(points), 3, 3))
-        )
+    def bare(points: Floats, outward: Floats | None = None) -> "Surface":
+        """Points of which nothing else is known, or their `outward` normals (n, 3)."""
+        signed = outward is not None
+        normals = outward if signed else np.zeros_like(points)
+        return Surface(points, normals, np.broadcast_to(np.eye(3), (len(points), 3, 3)), signed)
 
     @staticmethod
-    def estimated(points: Floats, of: "Cells", near: float) -> "Surface":
-        """Points with what the cloud `of` (one pose) around them tells."""
+    def estimated(
+        points: Floats, of: "Cells", near: float, outward: Floats | None = None
+    ) -> "Surface":
+        """Points with what the cloud `of` (one pose) around them tells, unless `outward` normals
+        (n, 3) are given."""
         normals, stiffness = kernels.shapes(points, of.points, of.starts, 0, 1.8 * near)
-        return Surface(points, normals, stiffness)
+        signed = outward is not None
+        return Surface(points, outward if signed else normals, stiffness, signed)
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
     """Surfaces of K poses, each pose's points sorted by cell: `points`, `normals` (n, 3) and
-    `starts` (K, cells + 1); `near` as in `Change`."""
+    `starts` (K, cells + 1); `near` as in `Change`, `signed` as in `Surface`."""
 
     points: Floats
     normals: Floats
     starts: NDArray[np.int64]
     near: float
+    signed: bool
 
     @staticmethod
     def of(surfaces: Sequence[Surface], near: float = 0.0) -> "Cells":
@@ -86,7 +93,10 @@ class Cells:
             normals.append(surface.normals[order])
             starts.append(before + np.searchsorted(cell[order], np.arange(kernels.CELLS**3 + 1)))
             before += len(surface)
-        return Cells(np.concatenate(points), np.concatenate(normals), np.array(starts), near)
+        signed = all(surface.signed for surface in surfaces)
+        return Cells(
+            np.concatenate(points), np.concatenate(normals), np.array(starts), near, signed
+        )
 
     def __len__(self) -> int:
         return len(self.starts)
@@ -94,8 +104,8 @@ class Cells:
     def distances(self, surface: Surface, motions: Floats, reach: float) -> NDArray[np.float32]:
         """(K, n) from each pose, of points moved by `motions` (K, 3, 4)."""
         return kernels.distances(
-            surface.points, surface.normals, motions, self.points, self.normals, self.starts, reach,
-            self.across(reach),
+            surface.points, surface.normals, motions, self.points, self.normals, self.signed,
+            self.starts, reach, self.across(reach),
         )  # fmt: skip
 
     def across(self, reach: float) -> float:
@@ -114,7 +124,7 @@ class Change:
 
     Attributes:
         frame: leads from the clouds' own frame to the cube's.
-        clouds: of each pose, thinned.
+        clouds: of each pose, thinned, with the normals that were given.
         near: two surfaces that are nearer than this may be the same.
         start: pose 0, as it is in `clouds`; `first`: the same in cells, without normals.
         chosen: (S,) the poses that are searched.
@@ -124,7 +134,7 @@ class Change:
     """
 
     frame: Normalization
-    clouds: tuple[Floats, ...]
+    clouds: tuple[Surface, ...]
     near: float
     start: Surface
     first: Cells
@@ -135,27 +145,32 @@ class Change:
     movers: NDArray[np.bool_]
 
 
-def change(poses: Sequence[Any]) -> Change:
+def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change:
     """What changes between the poses of one object.
+
+    Args:
+        normals: of each pose's points, out of the material.
 
     Raises:
         InvalidArgument: there is one pose only, one is no cloud of points, they share no frame, or
-            nothing moves.
+            nothing moves; normals are not one for each point.
     """
-    clouds = _checked(poses)
-    frame = _frame(clouds)
+    given = _checked(poses)
+    frame = _frame(given)
     rng = np.random.default_rng(0)
-    clouds = tuple(_thinned(np.ascontiguousarray(frame.to_unit(cloud)), rng) for cloud in clouds)
-    first = Cells.of([Surface.bare(clouds[0])])
-    near = _nearness(clouds[0], first)
-    left = _left(clouds, near)
+    surfaces = _with_normals([frame.to_unit(cloud) for cloud in given], normals)
+    clouds = tuple(_thinned(surface, rng) for surface in surfaces)
+    points = [cloud.points for cloud in clouds]
+    first = Cells.of([Surface.bare(points[0])])
+    near = _nearness(points[0], first)
+    left = _left(points, near)
     _check_frames(left)
     chosen = _spread(left)
-    start = Surface.estimated(clouds[0], first, near)
+    start = _surface(clouds[0], near)
     surfaces = [_surface(clouds[k], near) for k in chosen]
     searched = Cells.of(surfaces, near)
     gone = ~searched.met(start, still(len(chosen)), near)
-    movers = _movers(clouds[0], gone, near)
+    movers = _movers(points[0], gone, near)
     if movers.sum() < max(12, 0.002 * len(movers)):
         raise InvalidArgument(
             f"nothing moves: all of pose 0 is where it was in the {len(clouds) - 1} other poses; "
@@ -172,8 +187,9 @@ def still(count: int) -> Floats:
     return np.tile(np.eye(4)[:3], (count, 1, 1))
 
 
-def _surface(cloud: Floats, near: float) -> Surface:
-    return Surface.estimated(cloud, Cells.of([Surface.bare(cloud)]), near)
+def _surface(cloud: Surface, near: float) -> Surface:
+    of = Cells.of([Surface.bare(cloud.points)])
+    return Surface.estimated(cloud.points, of, near, cloud.normals if cloud.signed else None)
 
 
 def _checked(poses: Sequence[Any]) -> list[Floats]:
@@ -200,7 +216,18 @@ def _frame(clouds: Sequence[Floats]) -> Normalization:
     return Normalization((low + high) / 2.0, max(float((high - low).max()), 1e-12) / _EDGE)
 
 
-def _thinned(cloud: Floats, rng: np.random.Generator) -> Floats:
+def _with_normals(clouds: Sequence[Floats], normals: Sequence[Any] | None) -> list[Surface]:
+    points = [np.ascontiguousarray(cloud) for cloud in clouds]
+    if normals is None:
+        return [Surface.bare(cloud) for cloud in points]
+    outward = [np.ascontiguousarray(each, np.float64) for each in normals]
+    shapes = [each.shape for each in outward]
+    if shapes != [cloud.shape for cloud in points]:
+        raise InvalidArgument(f"normals of shapes {shapes} are not one for each point")
+    return [Surface.bare(*both) for both in zip(points, outward, strict=True)]
+
+
+def _thinned(cloud: Surface, rng: np.random.Generator) -> Surface:
     if len(cloud) <= MOST_POINTS:
         return cloud
     return cloud[np.sort(rng.choice(len(cloud), MOST_POINTS, replace=False))]

@@ -6,7 +6,7 @@ that explains most of what is not yet explained first. In the end each point goe
 to the fixed part, that it agrees with in most poses, and each joint is fitted to its points.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,14 +16,20 @@ from numpy.typing import NDArray
 from articugen.discovery import kernels
 from articugen.discovery.clouds import Cells, Change, Surface, cell_of, change, still
 from articugen.discovery.fitting import fitted, some, states_of
-from articugen.discovery.search import Candidate, Search, motions
+from articugen.discovery.search import EVERY_WAY, Candidate, Search, motions
 from articugen.records import Floats, JointKind
 
 Ints = NDArray[np.int64]
 
+Directions = Mapping[JointKind, Floats]
+
 KINDS = (JointKind.REVOLUTE, JointKind.PRISMATIC)
 """Of joints that can be found."""
 
+LEAN = np.cos(np.radians(30.0))
+"""A joint that leans further from where joints of its kind point is a mistake."""
+
+_SAME_WAY = 0.99
 _PATCHES, _PATCH = 12, 48
 _MOVERS = 800
 """So many of the points that have left are looked at."""
@@ -110,7 +116,13 @@ class Discovery:
         return T
 
 
-def discover(poses: Sequence[Any], *, kinds: Collection[JointKind] = KINDS) -> Discovery:
+def discover(
+    poses: Sequence[Any],
+    *,
+    normals: Sequence[Any] | None = None,
+    kinds: Collection[JointKind] = KINDS,
+    directions: Directions | None = None,
+) -> Discovery:
     """Find the joints of one object from several poses of it.
 
     All moving parts hang on a fixed one, which stays where it is; chains of joints are not looked
@@ -119,17 +131,22 @@ def discover(poses: Sequence[Any], *, kinds: Collection[JointKind] = KINDS) -> D
     Args:
         poses: K >= 2 clouds (n_k, 3) in one frame: points on the surface, or the centres of
             occupied voxels. Joints are found from pose 0 to the others.
+        normals: of these points, (n_k, 3) out of the material each, where they are known: the front
+            of a plate is not taken for its back then.
         kinds: of joints that it may have, of REVOLUTE and PRISMATIC.
+        directions: where joints of each kind point, give or take 30 degrees and the sign, (n, 3)
+            each; unless it is known, turns about the coordinate axes and slides any way.
 
     Raises:
         InvalidArgument: there is one pose only, one is no cloud of points, they share no frame, or
-            nothing moves.
+            nothing moves; normals are not one for each point.
     """
-    seen = change(poses)
-    found = _Found(seen, kinds)
+    seen = change(poses, normals)
+    found = _Found(seen, kinds, directions or {})
     found.look_for_joints()
     joints = found.settled()
-    return _told(seen, joints, np.asarray(poses[0], np.float64))
+    outward = None if normals is None else np.asarray(normals[0], np.float64)
+    return _told(seen, joints, np.asarray(poses[0], np.float64), outward)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +161,15 @@ class _Grown:
     polished: bool = False
 
 
+def _unlike(directions: Floats) -> Floats:
+    """Each direction once, whatever its sign."""
+    unlike: list[Floats] = []
+    for one in np.asarray(directions, np.float64):
+        if all(abs(one @ other) < _SAME_WAY for other in unlike):
+            unlike.append(one / np.linalg.norm(one))
+    return np.array(unlike)
+
+
 def _alike(one: _Grown, other: _Grown) -> bool:
     """Whether two candidates explain nearly the same pairs."""
     both, any_ = (one.right & other.right).sum(), (one.right | other.right).sum()
@@ -153,8 +179,9 @@ def _alike(one: _Grown, other: _Grown) -> bool:
 class _Found:
     """The search for joints, and what it has found so far."""
 
-    def __init__(self, seen: Change, kinds: Collection[JointKind]) -> None:
+    def __init__(self, seen: Change, kinds: Collection[JointKind], directions: Directions) -> None:
         self.seen, self.kinds = seen, kinds
+        self.directions = {kind: _unlike(each) for kind, each in directions.items()}
         self.search = Search(seen)
         self.movers = some(np.flatnonzero(seen.movers), _MOVERS)
         self.part = seen.start[self.movers]
@@ -190,6 +217,8 @@ class _Found:
     def _gain(self, grown: _Grown) -> float:
         """How many pairs of a point and a pose it explains that nothing yet does, less those where
         it is wrong of its own points."""
+        if not self._points_right(grown.joint):
+            return -1.0
         mine = grown.follow & self.left
         gain = grown.right[:, mine].sum() - 2.0 * grown.wrong[:, mine].sum()
         if grown.joint.turns:
@@ -227,16 +256,23 @@ class _Found:
         which = self.movers[patch]
         voted: list[tuple[float, Candidate]] = []
         if JointKind.REVOLUTE in self.kinds:
-            turns = [turn for axis in np.eye(3) for turn in self.search.turns(which, axis, 3)]
+            axes = self.directions.get(JointKind.REVOLUTE, np.eye(3))
+            turns = [turn for axis in axes for turn in self.search.turns(which, axis, 3)]
             voted += sorted(turns, key=lambda each: -each[0])[:4]
         if JointKind.PRISMATIC in self.kinds:
-            voted += self.search.slides(which, 2)
+            ways = self.directions.get(JointKind.PRISMATIC, EVERY_WAY)
+            voted += self.search.slides(which, ways, 2)
         return [joint for _, joint in voted]
 
     def _seed(self, joint: Candidate, patch: NDArray[np.intp]) -> _Grown:
         near, core = self.seen.near, some(patch, 60)
         joint = fitted(joint, self.part[core], self.seen.targets, 2 * near, 3)
         return self._explained(joint, 2.0 * near)
+
+    def _points_right(self, joint: Candidate) -> bool:
+        kind = JointKind.REVOLUTE if joint.turns else JointKind.PRISMATIC
+        known = self.directions.get(kind)
+        return known is None or np.abs(known @ joint.axis).max() > LEAN
 
     def _grow(self, grown: _Grown) -> _Grown:
         near, targets, joint, follow = self.seen.near, self.seen.targets, grown.joint, grown.follow
@@ -352,10 +388,12 @@ def _moved(seen: Change, joints: list[Candidate]) -> list[Floats]:
     return [still(len(seen.chosen)), *(motions(joint) for joint in joints)]
 
 
-def _told(seen: Change, joints: list[Candidate], points: Floats) -> Discovery:
+def _told(
+    seen: Change, joints: list[Candidate], points: Floats, outward: Floats | None
+) -> Discovery:
     """Labels, states of all poses and scores, in the frame of the clouds."""
     cloud = np.ascontiguousarray(seen.frame.to_unit(points))
-    surface = Surface.estimated(cloud, seen.first, seen.near)
+    surface = Surface.estimated(cloud, seen.first, seen.near, outward)
     part = _labels(seen, joints, surface)
     order = np.argsort([-(part == j + 1).sum() for j in range(len(joints))], kind="stable")
     told = [_joint(seen, joints[j], surface[part == j + 1]) for j in order if (part == j + 1).any()]
@@ -400,7 +438,7 @@ def _as_neighbours(
 def _joint(seen: Change, joint: Candidate, part: Surface) -> FoundJoint:
     """The joint in the clouds' frame, with the states of all poses."""
     core = part[some(np.arange(len(part)), 250)]
-    others = Cells.of([Surface.bare(cloud) for cloud in seen.clouds[1:]], seen.near)
+    others = Cells.of(seen.clouds[1:], seen.near)
     states = np.concatenate([[0.0], states_of(joint, core, others, seen.near)])
     sign = -1.0 if states.mean() < 0.0 else 1.0
     gone = ~seen.poses.met(core, still(len(seen.chosen)), seen.near)

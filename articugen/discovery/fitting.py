@@ -46,7 +46,7 @@ def fitted(
         H, g = kernels.normal_equations(
             part.points, part.normals, part.stiffness, motions(joint), joint.turns,
             np.concatenate([joint.axis[None], joint.pivot[None], across]),
-            cells.points, cells.normals, cells.starts, reach,
+            cells.points, cells.normals, cells.signed, cells.starts, reach,
             cells.across(reach),
         )  # fmt: skip
         H[:held], H[:, :held], g[:held] = 0.0, 0.0, 0.0
@@ -108,8 +108,8 @@ def _fit(joint: Candidate, part: Surface, cells: Cells, reach: float) -> Floats:
 
 def _profile(M: Floats, part: Surface, cells: Cells, pose: int, reach: float) -> Floats:
     return kernels.profile(
-        part.points, part.normals, M, cells.points, cells.normals, cells.starts, pose, reach,
-        cells.across(reach),
+        part.points, part.normals, M, cells.points, cells.normals, cells.signed, cells.starts,
+        pose, reach, cells.across(reach),
     )  # fmt: skip
 
 

@@ -58,10 +58,10 @@ def _moved(M, p, n):
 
 
 @helper
-def _nearest(points, normals, starts, pose, x, y, z, nx, ny, nz, reach, across):
+def _nearest(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, across):
     """(index, squared distance) of the point of a pose that is nearest to (x, y, z) and may be of
     the same surface, -1 if there is none within `reach`, and `across` from plane to plane. A normal
-    of zeros says nothing."""
+    of zeros says nothing; `signed` ones point out of the material, others either way."""
     best, at = reach * reach, -1
     for i in _span(x, reach):
         for j in _span(y, reach):
@@ -70,22 +70,22 @@ def _nearest(points, normals, starts, pose, x, y, z, nx, ny, nz, reach, across):
                 d = dx * dx + dy * dy + dz * dz
                 if d > best or abs(dx * nx + dy * ny + dz * nz) > across:
                     continue
-                along = abs(normals[n, 0] * nx + normals[n, 1] * ny + normals[n, 2] * nz)
-                if 1e-9 < along < LIKE:
+                along = normals[n, 0] * nx + normals[n, 1] * ny + normals[n, 2] * nz
+                if abs(along) > 1e-9 and (along if signed else abs(along)) < LIKE:
                     continue
                 best, at = d, n
     return at, best if at >= 0 else FAR
 
 
 @kernel
-def distances(queries, query_normals, motions, points, normals, starts, reach, across):
+def distances(queries, query_normals, motions, points, normals, signed, starts, reach, across):
     """(K, n) the distance of each query point, moved as in each pose, from what may be of the same
     surface in that pose; FAR beyond `reach`. `motions` (K, 3, 4)."""
     out = np.empty((len(motions), len(queries)), np.float32)
     for k in range(len(motions)):
         for i in range(len(queries)):
             x, y, z, nx, ny, nz = _moved(motions[k], queries[i], query_normals[i])
-            at, d = _nearest(points, normals, starts, k, x, y, z, nx, ny, nz, reach, across)
+            at, d = _nearest(points, normals, signed, starts, k, x, y, z, nx, ny, nz, reach, across)
             out[k, i] = np.sqrt(d) if at >= 0 else FAR
     return out
 
@@ -267,14 +267,18 @@ def votes(turned, offsets, weights, grid):
 
 
 @kernel
-def profile(queries, query_normals, turned_steps, points, normals, starts, pose, reach, across):
+def profile(
+    queries, query_normals, turned_steps, points, normals, signed, starts, pose, reach, across
+):  # fmt: skip
     """(T,) how well query points (m, 3), moved by each of `turned_steps` (T, 3, 4), lie on a pose:
     the sum over them of 1 - (d / reach)^2, 0 beyond it."""
     out = np.zeros(len(turned_steps))
     for t in range(len(turned_steps)):
         for i in range(len(queries)):
             x, y, z, nx, ny, nz = _moved(turned_steps[t], queries[i], query_normals[i])
-            at, d = _nearest(points, normals, starts, pose, x, y, z, nx, ny, nz, reach, across)
+            at, d = _nearest(
+                points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, across
+            )
             if at >= 0:
                 out[t] += 1.0 - d / (reach * reach)
     return out
@@ -283,7 +287,7 @@ def profile(queries, query_normals, turned_steps, points, normals, starts, pose,
 @kernel
 def normal_equations(  # noqa: PLR0912
     queries, query_normals, stiffness, motions, turns, joint,
-    points, normals, starts, reach, across,
+    points, normals, signed, starts, reach, across,
 ):  # fmt: skip
     """Gauss and Newton's system for a joint and its states: each moved point against what is
     nearest to it in the pose, by its own stiffness, as in generalised ICP (Segal et al. 2009).
@@ -308,7 +312,7 @@ def normal_equations(  # noqa: PLR0912
         for i in range(len(queries)):
             p = queries[i]
             x, y, z, nx, ny, nz = _moved(M, p, query_normals[i])
-            at, d = _nearest(points, normals, starts, k, x, y, z, nx, ny, nz, reach, across)
+            at, d = _nearest(points, normals, signed, starts, k, x, y, z, nx, ny, nz, reach, across)
             if at < 0:
                 continue
             weight = (1.0 - d / (reach * reach)) ** 2

@@ -33,6 +33,15 @@ class Candidate:
     states: Floats
 
 
+def _every_way() -> Floats:
+    fan = fibonacci_sphere(2 * _FAN)
+    return np.concatenate([np.eye(3), fan[fan[:, 2] > 0]])
+
+
+EVERY_WAY = _every_way()
+"""(n, 3) directions to slide in: the coordinate axes and a fan of others."""
+
+
 def motions(candidate: Candidate, states: Floats | None = None) -> Floats:
     """(S, 3, 4) what a joint does to its part at its states, or at others."""
     q = candidate.states if states is None else states
@@ -91,7 +100,7 @@ class Search:
     def __init__(self, change: Change) -> None:
         self.change = change
         self.grid = ballot(change)
-        points = change.clouds[0][change.movers]
+        points = change.clouds[0].points[change.movers]
         self.low = np.min([points.min(0), change.targets.points.min(0)], axis=0)
         self.high = np.max([points.max(0), change.targets.points.max(0)], axis=0)
 
@@ -99,7 +108,7 @@ class Search:
         self, which: NDArray[np.intp], axis: Floats, keep: int
     ) -> list[tuple[float, Candidate]]:
         """The best turns of some points (at most 255) about an axis of this direction."""
-        P, R = self.change.clouds[0][which], kernels.VOTES
+        P, R = self.change.clouds[0].points[which], kernels.VOTES
         across = plane_across(axis)
         pivots = self._pivots(across, axis)
         angles = np.linspace(-np.pi, np.pi, ANGLES, endpoint=False)
@@ -121,11 +130,11 @@ class Search:
                 break
         return found
 
-    def slides(self, which: NDArray[np.intp], keep: int) -> list[tuple[float, Candidate]]:
-        """The best slides of some points (at most 255), coordinate axes and a fan of others."""
-        P, R = self.change.clouds[0][which], kernels.VOTES
-        fan = fibonacci_sphere(2 * _FAN)
-        ways = np.concatenate([np.eye(3), fan[fan[:, 2] > 0]])
+    def slides(
+        self, which: NDArray[np.intp], ways: Floats, keep: int
+    ) -> list[tuple[float, Candidate]]:
+        """The best slides of some points (at most 255) along directions `ways` (n, 3)."""
+        P, R = self.change.clouds[0].points[which], kernels.VOTES
         lengths = np.arange(-_LONGEST_SLIDE, _LONGEST_SLIDE, SLIDE_STEP)
         offsets = ways[:, None] * lengths[:, None] + 0.5
         turned = np.broadcast_to(P * R, (len(lengths), *P.shape))
@@ -134,7 +143,7 @@ class Search:
             weights(self.change, which), self.grid,
         )  # fmt: skip
         share = most.sum(1) / self._whole(which)
-        share[:3] += 0.02
+        share += 0.02 * (np.abs(ways).max(1) == 1.0)
         middle = P.mean(0)
         best = np.argsort(-share, kind="stable")[:keep]
         slid = [self._states(lengths, step[c], which) for c in best]

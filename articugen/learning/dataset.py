@@ -40,6 +40,7 @@ class BatchSpec:
         joints: (revolute, prismatic) joints an object may have at most; None is any number.
         poses: whether several poses of each object are compared; for `varying_points` they are.
         hidden: whether it is wanted which voxels of the finest grid are not free.
+        normals: whether the normals of surface points are wanted.
     """
 
     surface_points: int
@@ -55,6 +56,7 @@ class BatchSpec:
     joints: tuple[int, int] | None = None
     poses: bool = False
     hidden: bool = False
+    normals: bool = False
 
     @staticmethod
     def of(data: DataSettings, **more: Any) -> "BatchSpec":
@@ -101,6 +103,7 @@ class PackedSplit:
         state_index: (I,) 0 is the canonical pose.
         surface: (I, S, 3).
         part: (I, S) the parts of the surface points; (I, 0) unless asked for.
+        normals: (I, S, 3) int8 normals of the surface points, 127 times; (I, 0, 3) likewise.
         grids: (I, R^3) labels by resolution, above 0 where the recipe calls it occupied.
         uniform, near: ((I, K, 3) coordinates, (I, K) such labels).
         hidden: (I, R^3 / 8) one bit for each voxel of the finest grid, 0 where it is free, whatever
@@ -113,6 +116,7 @@ class PackedSplit:
     state_index: NDArray[np.uint32]
     surface: Tensor
     part: Tensor
+    normals: Tensor
     grids: dict[int, Tensor]
     uniform: tuple[Tensor, Tensor]
     near: tuple[Tensor, Tensor]
@@ -127,7 +131,7 @@ class PackedSplit:
     @property
     def bytes(self) -> int:
         """What the tensors take."""
-        tensors = [self.surface, self.part, *self.grids.values()]
+        tensors = [self.surface, self.part, self.normals, *self.grids.values()]
         tensors += [*self.uniform, *self.near, self.hidden, self.partial]
         for some in (self.band, self.varying):
             tensors += [some.index, some.count]
@@ -155,6 +159,7 @@ class PackedSplit:
             self,
             surface=change(self.surface),
             part=change(self.part),
+            normals=change(self.normals),
             grids={resolution: change(grid) for resolution, grid in self.grids.items()},
             uniform=(change(self.uniform[0]), change(self.uniform[1])),
             near=(change(self.near[0]), change(self.near[1])),
@@ -289,6 +294,7 @@ def load_split(
         joined["state_index"],
         _tensor(joined["surface_points"]),
         _tensor(joined["surface_part"]),
+        _tensor(joined["surface_normals"]),
         {r: _tensor(joined[name]).flatten(1) for r, name in grids.items()},
         (_tensor(joined["uniform_points"]), _tensor(joined["uniform_label"])),
         (_tensor(joined["near_points"]), _tensor(joined["near_label"])),
@@ -313,6 +319,7 @@ def _read(
         row = {name: shard.read(name) for name in ("state_index", "surface_points")}
         wanted = {
             "surface_part": spec.parts,
+            "surface_normals": spec.normals,
             "uniform_points": spec.uniform_points,
             "uniform_label": spec.uniform_points,
             "near_points": spec.near_points,
@@ -391,7 +398,8 @@ def _finest(path: Path) -> int:
 def _none(shard: Shard, name: str) -> NDArray[Any]:
     """A field without any of its points."""
     shape = shard.fields[name]
-    dtype = np.uint16 if name.endswith("_points") else np.uint8
+    dtype = np.int8 if name.endswith("_normals") else np.uint8
+    dtype = np.uint16 if name.endswith("_points") else dtype
     return np.zeros((shape[0], 0, *shape[2:]), dtype)
 
 

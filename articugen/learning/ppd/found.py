@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import shutil
 from collections.abc import Callable, Sequence
@@ -15,7 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from articugen.discovery import KINDS, Discovery, FoundJoint, discover
+from articugen.discovery import KINDS, Directions, Discovery, FoundJoint, discover
 from articugen.errors import CorruptShard, InvalidArgument, InvalidCheckpoint
 from articugen.learning.dataset import PackedSplit, unpacked
 from articugen.learning.tensors import read_tensors, write_tensors
@@ -23,7 +24,7 @@ from articugen.records import JointKind
 from articugen.store.files import make_folder
 from articugen.workers import Crew
 
-FORMAT = "articugen joints 2"
+FORMAT = "articugen joints 3"
 """Of the files that keep what was found; to be raised when something else would be found."""
 
 MOST_POSES = 128
@@ -42,15 +43,20 @@ Tell = Callable[[str], None]
 
 
 def discovered(
-    training: PackedSplit, beside: Path, tell: Tell = lambda _: None
+    training: PackedSplit,
+    beside: Path,
+    directions: Directions,
+    tell: Tell = lambda _: None,
 ) -> tuple[Found, list[NDArray[np.intp]]]:
     """What moves in each object, and the instances that are its poses, at most `MOST_POSES`.
 
-    It is kept in a file `beside` the run, named after the clouds, since several seeds ask for it.
+    It is kept in a file `beside` the run, named after what is looked at: several seeds ask for it.
     Until all are looked at each object has a file of its own, so that a run that was killed goes on
     with the others.
 
     Args:
+        training: with normals.
+        directions: where joints of each kind point, as for `discover`.
         tell: called with a sentence for each object.
 
     Raises:
@@ -59,14 +65,14 @@ def discovered(
     """
     names = list(dict.fromkeys(training.object_id.tolist()))
     rows = [training.poses_of(name)[:MOST_POSES] for name in names]
-    clouds = [training.surface[torch.from_numpy(mine)].cpu().numpy() for mine in rows]
-    path = beside / f"joints-{_digest(clouds)}.pt"
+    clouds = [_Clouds.of(training, mine) for mine in rows]
+    path = beside / f"joints-{_digest(clouds, directions)}.pt"
     if path.is_file():
         kept = read_tensors(path, FORMAT)["objects"]
         return [_read(each, cloud) for each, cloud in zip(kept, clouds, strict=True)], rows
     looked = beside / f".{path.stem}"
     make_folder(looked)
-    found = _looked_for(clouds, looked, tell)
+    found = _looked_for(clouds, directions, looked, tell)
     if not any(found):
         raise CorruptShard(
             f"{beside}: the poses of no training object tell what moves in it; make the data set "
@@ -84,21 +90,42 @@ def kinds_of(found: Found) -> set[JointKind]:
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """An object's clouds (K, n, 3), as they are stored; the kinds of joints to look for; the file
-    for what is found."""
+class _Clouds:
+    """An object's poses as they are stored: `points` and `normals` (K, n, 3)."""
 
-    stored: NDArray[np.int16]
+    points: NDArray[np.int16]
+    normals: NDArray[np.int8]
+
+    @staticmethod
+    def of(split: PackedSplit, rows: NDArray[np.intp]) -> _Clouds:
+        at = torch.from_numpy(rows)
+        return _Clouds(split.surface[at].cpu().numpy(), split.normals[at].cpu().numpy())
+
+    def unpacked(self) -> NDArray[np.float64]:
+        """(K, n, 3) the points, in the unit frame."""
+        return unpacked(torch.from_numpy(self.points)).double().numpy()
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """The poses of an object; the kinds of joints to look for, and where those point; the file for
+    what is found."""
+
+    poses: _Clouds
     kinds: tuple[JointKind, ...]
+    directions: Directions
     path: Path
 
 
-def _looked_for(clouds: Sequence[NDArray[np.int16]], folder: Path, tell: Tell) -> Found:
+def _looked_for(
+    clouds: Sequence[_Clouds], directions: Directions, folder: Path, tell: Tell
+) -> Found:
     """What is found in each object; again where it is nothing, or a kind of joint that few others
     have: a drawer that is shallow may as well turn a little."""
 
     def asked(i: int, kinds: tuple[JointKind, ...]) -> _Asked:
-        return _Asked(clouds[i], kinds, folder / f"{i}-{'-'.join(map(str, kinds))}.pt")
+        path = folder / f"{i}-{'-'.join(map(str, kinds))}.pt"
+        return _Asked(clouds[i], kinds, directions, path)
 
     found: Found = []
     with Crew(_look, workers=os.cpu_count() or 1) as crew:
@@ -122,7 +149,7 @@ def _has_only(found: Discovery | None, kinds: set[JointKind]) -> bool:
 def _look(asked: _Asked) -> Discovery | None:
     """What is found in an object, or was found there before this run was killed."""
     with suppress(InvalidCheckpoint):  # not there, or of a disk that lost power
-        return _read(read_tensors(asked.path, FORMAT)["object"], asked.stored)
+        return _read(read_tensors(asked.path, FORMAT)["object"], asked.poses)
     found = _discovered(asked)
     write_tensors(asked.path, {"object": _plain(found)}, FORMAT)
     return found
@@ -130,19 +157,22 @@ def _look(asked: _Asked) -> Discovery | None:
 
 def _discovered(asked: _Asked) -> Discovery | None:
     """With sure joints alone."""
-    poses = unpacked(torch.from_numpy(asked.stored)).double().numpy()
+    normals = asked.poses.normals / 127.0
+    how = {"kinds": asked.kinds, "directions": asked.directions}
     try:
-        found = discover(list(poses), kinds=asked.kinds)
+        found = discover(list(asked.poses.unpacked()), normals=list(normals), **how)
     except InvalidArgument:  # nothing moves, or not as one joint would
         return None
     sure = found.joints and min(joint.score for joint in found.joints) >= LEAST_SCORE
     return found if sure else None
 
 
-def _digest(clouds: Sequence[NDArray[np.int16]]) -> str:
-    hashed = hashlib.sha256()
+def _digest(clouds: Sequence[_Clouds], directions: Directions) -> str:
+    said = {str(kind): each.tolist() for kind, each in sorted(directions.items())}
+    hashed = hashlib.sha256(json.dumps(said).encode())
     for cloud in clouds:
-        hashed.update(f"{cloud.shape}".encode() + cloud.tobytes())
+        hashed.update(f"{cloud.points.shape}".encode())
+        hashed.update(cloud.points.tobytes() + cloud.normals.tobytes())
     return hashed.hexdigest()[:16]
 
 
@@ -163,7 +193,7 @@ def _plain(found: Discovery | None) -> dict[str, Any]:
     return {"part": torch.from_numpy(found.part.astype(np.uint8)), "joints": joints}
 
 
-def _read(kept: dict[str, Any], stored: NDArray[np.int16]) -> Discovery | None:
+def _read(kept: dict[str, Any], poses: _Clouds) -> Discovery | None:
     if not kept:
         return None
     joints = tuple(
@@ -176,5 +206,4 @@ def _read(kept: dict[str, Any], stored: NDArray[np.int16]) -> Discovery | None:
         )
         for joint in kept["joints"]
     )
-    points = unpacked(torch.from_numpy(stored[0])).double().numpy()
-    return Discovery(joints, points, kept["part"].numpy().astype(np.int64))
+    return Discovery(joints, poses.unpacked()[0], kept["part"].numpy().astype(np.int64))

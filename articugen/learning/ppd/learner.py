@@ -21,7 +21,7 @@ from articugen.learning.ppd.discriminator import Discriminator
 from articugen.learning.ppd.found import discovered
 from articugen.learning.ppd.model import PPD, Prediction
 from articugen.learning.ppd.reconstruct import Meshes, reconstruction_of
-from articugen.learning.ppd.settings import PPDRecipe
+from articugen.learning.ppd.settings import PPDRecipe, directions_of
 from articugen.learning.tensors import made
 from articugen.records import Floats
 
@@ -81,6 +81,7 @@ class PPDLearner(Predictor):
             joints=(len(settings.model.revolute), len(settings.model.prismatic)),
             poses=settings.warm_start.share > 0,
             hidden=settings.warm_start.share > 0,
+            normals=settings.warm_start.share > 0,
         )
         with made(seed, device):
             self.model, self.discriminator = PPD(settings.model), Discriminator()
@@ -107,8 +108,9 @@ class PPDLearner(Predictor):
     ) -> None:
         """Find the joints of the training objects, if there is a warm start."""
         if self.settings.warm_start.share:
-            found, rows = discovered(training, beside, tell)
-            self.targets = warm_start.targets(training, found, rows, self.settings.model)
+            model = self.settings.model
+            found, rows = discovered(training, beside, directions_of(model), tell)
+            self.targets = warm_start.targets(training, found, rows, model)
 
     def aim_of(self, batch: Batch) -> Callable[[Prediction, Tensor], Terms] | None:
         """What a warm start asks of the prediction for a batch, while there is one."""

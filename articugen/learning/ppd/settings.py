@@ -6,11 +6,13 @@ What a key takes from the paper and what from the authors' release is listed in 
 import math
 from typing import Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from articugen.learning.evaluation.paper import COMPLETE
 from articugen.learning.recipe import Schedule, Seeds, Stage, TrainRecipe
 from articugen.recipe_files import Section
+from articugen.records import Floats, JointKind
 
 Direction = tuple[float, float, float]
 
@@ -69,6 +71,14 @@ class ModelSettings(Section):
     @property
     def parts(self) -> int:
         return 1 + self.joints
+
+
+def directions_of(model: ModelSettings) -> dict[JointKind, Floats]:
+    """(n, 3) where the candidates of each kind point."""
+    return {
+        JointKind.REVOLUTE: np.array(model.revolute),
+        JointKind.PRISMATIC: np.array(model.prismatic),
+    }
 
 
 class LossSettings(Section):

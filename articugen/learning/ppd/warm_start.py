@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, softplus
 
-from articugen.discovery import Discovery, Ownership, assign_material
+from articugen.discovery import LEAN, Discovery, Ownership, assign_material
 from articugen.discovery.ownership import CLEARLY, MOST_DOUBT, RARELY, RIM
 from articugen.geometry import invert_rigid
 from articugen.learning.dataset import PackedSplit, unpacked
@@ -26,12 +26,9 @@ from articugen.learning.method import Terms
 from articugen.learning.ppd.found import Found, kinds_of
 from articugen.learning.ppd.losses import POINTS_OF_THE_PAPER
 from articugen.learning.ppd.model import Prediction, amount_of, rest_states
-from articugen.learning.ppd.settings import ModelSettings, WarmStart
+from articugen.learning.ppd.settings import ModelSettings, WarmStart, directions_of
 from articugen.learning.ppd.shape import PartBox
 from articugen.records import Floats, JointKind
-
-LEAN = np.cos(np.radians(30.0))
-"""A joint that leans further from all candidates of its kind is a mistake."""
 
 LEAST_SIZE = 0.03
 """Half of the least edge that a part's box is asked to have."""
@@ -189,18 +186,13 @@ def _cells(points: Tensor, R: int) -> Tensor:
 def likely(found: Found, model: ModelSettings) -> Found:
     """What was found, without the objects that are unlike the others or the candidates: with a
     kind of joint that few objects have, or a joint that leans too far from every candidate."""
-    kinds = kinds_of(found)
+    kinds, directions = kinds_of(found), directions_of(model)
 
     def is_likely(each: Discovery) -> bool:
-        along = [np.abs(_directions(j.kind, model) @ j.axis).max() for j in each.joints]
+        along = [np.abs(directions[j.kind] @ j.axis).max() for j in each.joints]
         return min(along) > LEAN and {joint.kind for joint in each.joints} <= kinds
 
     return [each if each and is_likely(each) else None for each in found]
-
-
-def _directions(kind: JointKind, model: ModelSettings) -> Floats:
-    """(candidates, 3) where those of a kind point."""
-    return np.array(model.revolute if kind == JointKind.REVOLUTE else model.prismatic)
 
 
 def assigned(found: Discovery, model: ModelSettings) -> list[tuple[int, float] | None]:
@@ -212,7 +204,7 @@ def assigned(found: Discovery, model: ModelSettings) -> list[tuple[int, float] |
     """
     taken: list[tuple[int, float] | None] = [None] * len(found.joints)
     for kind, first in ((JointKind.REVOLUTE, 0), (JointKind.PRISMATIC, len(model.revolute))):
-        directions = _directions(kind, model)
+        directions = directions_of(model)[kind]
         own = [j for j, joint in enumerate(found.joints) if joint.kind == kind][: len(directions)]
         if own:
             own = [own[i] for i in _as_read(np.array([found.joints[j].pivot for j in own]))]
