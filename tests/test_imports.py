@@ -29,10 +29,10 @@ WITH_TORCH = {"store.torch_dataset"} | {
     for name in (
         "benchmark", "cells", "commands", "dataset", "loop", "optimisers", "processes", "race",
         "runs", "safetensors", "study", "tensors", "together",
-        "ppd.depth", "ppd.descent", "ppd.discriminator", "ppd.drawing", "ppd.found",
-        "ppd.fused",
-        "ppd.kinematics", "ppd.learner", "ppd.many", "ppd.warm_start",
-        "ppd.losses", "ppd.model", "ppd.objective", "ppd.reconstruct", "ppd.release", "ppd.shape",
+        "ppd.batches", "ppd.depth", "ppd.descent", "ppd.discriminator", "ppd.drawing",
+        "ppd.encoders", "ppd.found", "ppd.fused", "ppd.kinematics", "ppd.learner", "ppd.many",
+        "ppd.warm_start", "ppd.losses", "ppd.model", "ppd.objective", "ppd.reconstruct",
+        "ppd.release", "ppd.shape", "ppd.variation",
     )
 }  # fmt: skip
 """The modules that cannot be imported without torch."""

@@ -106,6 +106,11 @@ FORMS = {
         "warm_start": {"share": 0.5},
         "data": {"varying_points": 20},
     },
+    "varied, seen as a grid": {
+        "model": {"part_boxes": True, "part_frame": "world", "encoder": "grid"},
+        "warm_start": {"share": 0.5},
+        "vary": {"stretch": 0.3, "shrink": 0.2, "mirror": True, "shift": True},
+    },
     "in the world, few decisive points": {
         "model": {"part_frame": "world"},
         "data": {"surface_points": 500, "uniform_points": 30, "grid_points": 30},
@@ -127,7 +132,7 @@ def test_in_double_precision_there_is_no_difference(boxes, name):
         learner._begin_stage()  # optimisers of double precision too
     split = load_split(boxes, "train", alone[0].inputs, [8, 16])
     for learner in (*alone, *joined):
-        learner.targets = some_targets(len(split), recipe.model)
+        learner.targets = some_targets(2 * len(split), recipe.model)
     team = Many(joined)
     for iteration in range(8):
         if iteration in (3, 6):
@@ -173,6 +178,9 @@ def some_targets(instances: int, model: ModelSettings) -> Targets:
         size=0.1 + 0.4 * of(J + 1, 3),
         rotation=of(J + 1, 3, 3),
         offset=of(J + 1, 3) - 0.5,
+        centre=0.1 * of(3),
+        extent=0.5 + 0.4 * of(3),
+        alike=torch.eye(3, dtype=torch.float64).repeat(instances, 1, 1),
         grid=(3 * of(J + 1)).long(),
         doubt=torch.rand(3, R**3, generator=some),
         cells=R,
@@ -180,7 +188,8 @@ def some_targets(instances: int, model: ModelSettings) -> Targets:
 
 
 def double(batch):
-    return replace(batch, cloud=batch.cloud.double(), points=batch.points.double())
+    exact = {name: getattr(batch, name).double() for name in ("cloud", "points", "chance")}
+    return replace(batch, **exact)
 
 
 def test_they_go_on_alone_and_together_wherever_they_stand(boxes, alone, tmp_path):

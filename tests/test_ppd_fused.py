@@ -8,7 +8,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen import rehearsal  # noqa: E402
-from articugen.learning.ppd import fused, shape, sine_kernels  # noqa: E402
+from articugen.learning.ppd import fused, greatest, shape, sine_kernels  # noqa: E402
 from articugen.learning.ppd.model import PPD  # noqa: E402
 from articugen.learning.ppd.settings import ModelSettings  # noqa: E402
 
@@ -125,7 +125,7 @@ def test_what_is_compiled_ahead_is_what_is_used(model):
     rehearsal.networks()
     out, own = fields(model, 20)
     gradients(out, weights(out, "all"), own)
-    for kernel in (sine_kernels.forward, sine_kernels.backward, shape.greatest):
+    for kernel in (sine_kernels.forward, sine_kernels.backward, greatest.greatest):
         assert len(kernel.signatures) == 1
 
 

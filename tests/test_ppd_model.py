@@ -13,16 +13,15 @@ from articugen.geometry import rotation_about
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen.learning.method import load_recipe  # noqa: E402
+from articugen.learning.ppd.batches import argmax_of_points, distinct  # noqa: E402
 from articugen.learning.ppd.discriminator import Discriminator  # noqa: E402
+from articugen.learning.ppd.encoders import Encoder, GridEncoder, _merged, filled  # noqa: E402
 from articugen.learning.ppd.kinematics import inverse_motion, joint_frames, rotation_from_z  # noqa: E402
 from articugen.learning.ppd.model import PPD, rest_states  # noqa: E402
 from articugen.learning.ppd.settings import ModelSettings  # noqa: E402
 from articugen.learning.ppd.shape import (  # noqa: E402
     PLAIN_SIZE,
-    Encoder,
     Quantizer,
-    argmax_of_points,
-    distinct,
 )
 
 torch.set_num_threads(1)
@@ -116,6 +115,40 @@ def test_each_number_once_a_row(count, levels):
     each = [set(row) for row in index.tolist()]
     assert [set(row) for row in once.tolist()] == each
     assert once.shape[1] == max(map(len, each))
+
+
+def test_a_grid_is_filled_as_it_says():
+    points = cloud(2, 30)
+    points[0, 0] = torch.tensor([0.5, -0.5, 0.0])  # on the cube's rim
+    cells = 6
+    counted = torch.zeros(2, cells, cells, cells, dtype=torch.float64)
+    centres = (torch.arange(cells) + 0.5) / cells - 0.5
+    for b in range(2):
+        for point in points[b].clamp(centres[0], centres[-1]):
+            near = [(1.0 - cells * (centres - x).abs()).clamp(min=0.0) for x in point]
+            counted[b] += torch.einsum("i,j,k->ijk", *near)
+    found = filled(points, cells).view(counted.shape)
+    torch.testing.assert_close(found, counted * 2048 / 30, atol=3.0, rtol=0)
+    assert found.sum((1, 2, 3)).tolist() == pytest.approx([2048.0] * 2)
+
+
+def test_a_grid_s_patches_are_its_blocks():
+    x = torch.arange(4**3).view(1, -1, 1)
+    blocks = _merged(x, 4, 2)
+    grid = x.view(4, 4, 4)
+    assert blocks.shape == (1, 8, 8)
+    assert torch.equal(blocks[0, 0].view(2, 2, 2), grid[:2, :2, :2])
+    assert torch.equal(blocks[0, 6].view(2, 2, 2), grid[2:, 2:, :2])
+
+
+def test_the_grid_s_encoder_sees_where_points_are_and_not_in_which_order():
+    torch.manual_seed(0)
+    encoder, points = GridEncoder().double(), cloud(2, 700)
+    latent = encoder(points)
+    assert latent.shape == (2, 512)
+    torch.testing.assert_close(encoder(points[:, torch.randperm(700)]), latent)
+    torch.testing.assert_close(encoder(points.repeat(1, 2, 1)), latent)
+    assert (encoder(points.flip(2)) - latent).abs().max() > 1e-3
 
 
 def test_the_order_of_points_does_not_matter(model):

@@ -131,7 +131,7 @@ def test_batches_ask_for_owners_as_ownership_does(boxes):
     aims = targets(split, true, rows, MODEL)
     for each, mine in zip(true, rows, strict=True):
         taken = [(-1, 1.0), *assigned(each, MODEL)]
-        motion = _from_closed(each, taken)
+        motion = _from_closed(each, tuple(sense for _, sense in taken))
         own = _owned(split, mine, motion)
         back = np.linalg.inv(motion)
         slots = np.array([slot + 1 for slot, _ in taken])

@@ -41,6 +41,7 @@ class BatchSpec:
         poses: whether several poses of each object are compared; for `varying_points` they are.
         hidden: whether it is wanted which voxels of the finest grid are not free.
         normals: whether the normals of surface points are wanted.
+        chances: so many random numbers the learner asks for each sample.
     """
 
     surface_points: int
@@ -57,6 +58,7 @@ class BatchSpec:
     poses: bool = False
     hidden: bool = False
     normals: bool = False
+    chances: int = 0
 
     @staticmethod
     def of(data: DataSettings, **more: Any) -> "BatchSpec":
@@ -76,6 +78,7 @@ class Batch:
         occupied: (B, m) bool, their indicator values.
         spread: the first so many query points are spread evenly over the cube, the others lie near
             the surface, in the band around it, and where the object's poses differ, in this order.
+        chance: (B, k) random numbers in [0, 1), for whatever the learner does with the samples.
     """
 
     rows: Tensor
@@ -84,13 +87,14 @@ class Batch:
     points: Tensor
     occupied: Tensor
     spread: int
+    chance: Tensor
 
     def share(self) -> "Batch":
         """What this process takes of it; all of it where there is one."""
         of = processes.share
         return Batch(
             of(self.rows), of(self.cloud), of(self.part), of(self.points), of(self.occupied),
-            self.spread,
+            self.spread, of(self.chance),
         )  # fmt: skip
 
 
@@ -202,8 +206,12 @@ class PackedSplit:
                 points.append(centres)
                 occupied.append(inside)
         spread = spec.grid_points + spec.uniform_points
+        device = at.device
+        chance = torch.zeros(len(at), 0, device=device)
+        if spec.chances:
+            chance = uniform(rng, len(at), spec.chances, device)
         return Batch(
-            at, unpacked(cloud), part, torch.cat(points, 1), torch.cat(occupied, 1), spread
+            at, unpacked(cloud), part, torch.cat(points, 1), torch.cat(occupied, 1), spread, chance
         )
 
     def _clouds(self, at: Tensor, spec: BatchSpec, rng: Chance) -> tuple[Tensor, Tensor]:

@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn.functional import mse_loss
 
 from articugen.learning.dataset import Batch, PackedSplit, unpacked
 from articugen.learning.method import Terms
 from articugen.learning.ppd.descent import Descent
+from articugen.learning.ppd.encoders import encoder_of
 from articugen.learning.ppd.learner import PPDLearner, Predictor, validation
-from articugen.learning.ppd.shape import Encoder
 from articugen.learning.tensors import made
 
 
@@ -38,8 +38,9 @@ class DepthLearner(Predictor):
         self.points = None
         self.residual_direction = first.residual_direction
         self.teacher = first.model.encoder
+        plain = first.settings.model.model_copy(update={"latent_start": "release"})
         with made(seed, device):
-            self.student = Encoder().to(device)
+            self.student = encoder_of(plain).to(device)
         self.model = copy.deepcopy(first.model)
         self.model.encoder = self.student
         self.descent = Descent(self.student, rate="depth.learning_rate")
@@ -81,6 +82,6 @@ class DepthLearner(Predictor):
 
 
 @torch.no_grad()
-def latents(encoder: Encoder, clouds: Tensor) -> Tensor:
+def latents(encoder: nn.Module, clouds: Tensor) -> Tensor:
     """(I, 512) what an encoder makes of clouds (I, n, 3) as they are stored."""
     return torch.cat([encoder(unpacked(block)) for block in clouds.split(64)])

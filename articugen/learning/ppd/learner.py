@@ -22,6 +22,7 @@ from articugen.learning.ppd.found import discovered
 from articugen.learning.ppd.model import PPD, Prediction
 from articugen.learning.ppd.reconstruct import Meshes, reconstruction_of
 from articugen.learning.ppd.settings import PPDRecipe, directions_of
+from articugen.learning.ppd.variation import CHANCES, Variation, is_mirrored
 from articugen.learning.tensors import made
 from articugen.records import Floats
 
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
 VALIDATION_GRID = 32
 VALIDATION_INSTANCES = 64
 MOVED_POSES, MOVED_POINTS = 6, 2048
+
+LABELLED = 512
+"""At about so many points of a cloud it is asked whose field is the greatest."""
 
 
 class Predictor(Learner):
@@ -82,12 +86,14 @@ class PPDLearner(Predictor):
             poses=settings.warm_start.share > 0,
             hidden=settings.warm_start.share > 0,
             normals=settings.warm_start.share > 0,
+            chances=CHANCES if settings.vary else 0,
         )
         with made(seed, device):
             self.model, self.discriminator = PPD(settings.model), Discriminator()
         self.model.to(device)
         self.discriminator.to(device)
         self.points = settings.data.surface_points
+        self.turning = len(settings.model.revolute)
         self.at(0)
         self._begin_stage()
 
@@ -110,28 +116,39 @@ class PPDLearner(Predictor):
         if self.settings.warm_start.share:
             model = self.settings.model
             found, rows = discovered(training, beside, directions_of(model), tell)
-            self.targets = warm_start.targets(training, found, rows, model)
+            mirrored = self.settings.vary.mirror
+            self.targets = warm_start.targets(training, found, rows, model, mirrored=mirrored)
 
-    def aim_of(self, batch: Batch) -> Callable[[Prediction, Tensor], Terms] | None:
-        """What a warm start asks of the prediction for a batch, while there is one."""
-        warm = self.settings.warm_start
-        if self.iteration >= warm.share * self.settings.schedule.iterations:
-            return None
-        aim = self.targets.of(batch.rows)
+    def prepared(self, batch: Batch) -> tuple[Batch, Callable[[Prediction, Tensor], Terms] | None]:
+        """The batch, varied where the recipe says so, and what a warm start asks of the prediction
+        for it, while there is one."""
+        warm, vary, turning = self.settings.warm_start, self.settings.vary, self.turning
+        if not warm.share:
+            return batch, None
+        mirrored = is_mirrored(batch.chance, vary)
+        aim = self.targets.of(batch.rows, mirrored)
         owner = aim.owner(batch.points, batch.occupied)
-        seen = aim.owner(batch.cloud, torch.ones_like(batch.cloud[..., 0], dtype=torch.bool))
-        turning = len(self.settings.model.revolute)
+        every = max(batch.cloud.shape[1] // LABELLED, 1)
+        seen = batch.cloud[:, ::every]
+        labels = aim.owner(seen, torch.ones_like(seen[..., 0], dtype=torch.bool))
+        if vary:
+            variation = Variation.of(batch.chance, mirrored, aim, vary)
+            batch, freed = variation.batch(batch)
+            owner = owner.masked_fill(freed, -1)
+            aim, seen = variation.targets(aim, turning), batch.cloud[:, ::every]
+        if self.iteration >= warm.share * self.settings.schedule.iterations:
+            return batch, None
 
         def asked(predicted: Prediction, part_logits: Tensor) -> Terms:
             terms = warm_start.aim_terms(predicted, part_logits, owner, aim, warm, turning)
             if warm.labels:
                 motion = self.model.motion(predicted.pose)
-                fields = self.model.fields(predicted.shape, motion, batch.cloud).product
-                wrong = warm_start.labels_entropy(fields, seen, aim.known)
+                fields = self.model.fields(predicted.shape, motion, seen).product
+                wrong = warm_start.labels_entropy(fields, labels, aim.known)
                 terms["aim_labels"] = warm.labels * wrong
             return terms
 
-        return asked
+        return batch, asked
 
     def learn(self, batch: Batch, rng: torch.Generator | None, *, iteration: int) -> Terms:
         """One step of the discriminator and one of the model."""
@@ -140,7 +157,7 @@ class PPDLearner(Predictor):
             self._begin_stage()
         self.at(iteration)
         rate = plan.rate_at(iteration)
-        aim = self.aim_of(batch)
+        batch, aim = self.prepared(batch)
         predict = partial(self.model, batch.cloud, residual_direction=self.residual_direction)
         predicted = predict()
         posed, judged = None, {}

@@ -22,10 +22,10 @@ from articugen.learning.dataset import Batch, PackedSplit
 from articugen.learning.method import Team, Terms
 from articugen.learning.optimisers import Optimiser, optimiser_of
 from articugen.learning.ppd import objective
+from articugen.learning.ppd.batches import whole_batches
 from articugen.learning.ppd.learner import PPDLearner
 from articugen.learning.ppd.model import PPD
 from articugen.learning.ppd.settings import PPDRecipe
-from articugen.learning.ppd.shape import whole_batches
 
 
 def can_learn_at_once(recipe: PPDRecipe) -> bool:
@@ -79,12 +79,19 @@ class Many(Team):
         S = len(self.learners)
 
         def of_one(weights: Mapping[str, Tensor], *own: Tensor) -> Terms:
-            return functional_call(self.objective, dict(weights), (*own, batch.spread))
+            return functional_call(self.objective, dict(weights), (batch.spread, *own))
 
         weights = {f"model.{name}": value for name, value in self._weights()}
         shares = [
             x.unflatten(0, (S, len(batch.rows) // S))
-            for x in (batch.rows, batch.cloud, batch.part, batch.points, batch.occupied)
+            for x in (
+                batch.rows,
+                batch.cloud,
+                batch.part,
+                batch.points,
+                batch.occupied,
+                batch.chance,
+            )
         ]
         with whole_batches():
             return vmap(of_one)(weights, *shares)
@@ -118,17 +125,18 @@ class _Objective(nn.Module):
 
     def forward(
         self,
+        spread: int,
         rows: Tensor,
         cloud: Tensor,
         part: Tensor,
         points: Tensor,
         occupied: Tensor,
-        spread: int,
+        chance: Tensor,
     ) -> Terms:
         learner, weigh = self.learner, self.learner.settings.losses
-        batch = Batch(rows, cloud, part, points, occupied, spread)
+        given = Batch(rows, cloud, part, points, occupied, spread, chance)
+        batch, aim = learner.prepared(given)
         predicted = self.model(batch.cloud, residual_direction=learner.residual_direction)
-        aim = learner.aim_of(batch)
         return objective.generator_terms(self.model, predicted, batch, weigh, aim=aim)
 
 

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import leaky_relu
 
+from articugen.learning.ppd.encoders import COMMON, POSE, SHAPE, TEMPLATE, encoder_of
 from articugen.learning.ppd.kinematics import (
     InverseMotion,
     inverse_motion,
@@ -19,12 +20,7 @@ from articugen.learning.ppd.kinematics import (
 )
 from articugen.learning.ppd.settings import ModelSettings
 from articugen.learning.ppd.shape import (
-    COMMON,
-    POSE,
-    SHAPE,
-    TEMPLATE,
     WIDTH,
-    Encoder,
     Grouped,
     PartLogits,
     Quantizer,
@@ -82,7 +78,7 @@ class PPD(nn.Module):
     def __init__(self, settings: ModelSettings) -> None:
         super().__init__()
         self.settings = settings
-        self.encoder = Encoder(settings.latent_start)
+        self.encoder = encoder_of(settings)
         self.shape = ShapeDecoder(settings)
         self.pose = PoseDecoder(settings)
 
@@ -162,7 +158,7 @@ class PoseDecoder(nn.Module):
         euler = euler_common if euler_residual is None else euler_common + euler_residual
         return Pose(
             amount=amount,
-            state=_widest(amount, self.revolute) * (0.5 * (torch.tanh(2.0 * amount) + 1.0)),
+            state=widest(amount, self.revolute) * (0.5 * (torch.tanh(2.0 * amount) + 1.0)),
             pivot=0.5 * torch.tanh(pivot_common + pivot_residual),
             pivot_common=pivot_common,
             pivot_residual=pivot_residual,
@@ -184,10 +180,10 @@ def rest_states(states: Tensor, revolute: int) -> Tensor:
 
 def amount_of(state: Tensor, revolute: int) -> Tensor:
     """The amounts a (B, J) of states inside their ranges, of which the first are revolute."""
-    return 0.5 * torch.atanh(2.0 * state / _widest(state, revolute) - 1.0)
+    return 0.5 * torch.atanh(2.0 * state / widest(state, revolute) - 1.0)
 
 
-def _widest(states: Tensor, revolute: int) -> Tensor:
+def widest(states: Tensor, revolute: int) -> Tensor:
     """(J,) how far states can go: pi, or 1 where a joint slides."""
     most = torch.ones_like(states[0])
     most[:revolute] = math.pi

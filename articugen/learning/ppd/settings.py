@@ -40,6 +40,8 @@ class ModelSettings(Section):
         latent_start: how the encoder's weights start: `release`, as torch's layers do, which leaves
             latents of different objects the same to a thousandth; or `he`, by He et al. 2015, and
             the layer that reads z^s 20 times larger, so that shapes differ from the start.
+        encoder: `points`, the paper's PointNet; or `grid`, which sees how full the cells of a grid
+            are, and so what lies beside what.
     """
 
     revolute: tuple[Direction, ...] = ((0, 0, 1), (0, 0, -1), (0, 1, 0))
@@ -52,6 +54,7 @@ class ModelSettings(Section):
     part_frame: Literal["world", "joint"] = "world"
     part_boxes: bool = False
     latent_start: Literal["release", "he"] = "release"
+    encoder: Literal["points", "grid"] = "points"
 
     @model_validator(mode="after")
     def _fits_together(self) -> "ModelSettings":
@@ -138,6 +141,26 @@ class WarmStart(Section):
     box: float = Field(default=20.0, ge=0)
 
 
+class VarySettings(Section):
+    """How training objects are varied, anew in each batch; see `variation`. The paper does not.
+
+    Attributes:
+        stretch: the logarithm of how much longer or shorter along an axis at most; the longest edge
+            stays, and so do right angles of what turns.
+        shrink: the share that an object is smaller at most.
+        mirror: whether every other sample has left and right swapped.
+        shift: whether it is anywhere in the cube, instead of in the middle.
+    """
+
+    stretch: float = Field(default=0.0, ge=0, le=1)
+    shrink: float = Field(default=0.0, ge=0, le=0.9)
+    mirror: bool = False
+    shift: bool = False
+
+    def __bool__(self) -> bool:
+        return self.stretch > 0 or self.shrink > 0 or self.mirror or self.shift
+
+
 class PPDStage(Stage):
     """A stretch of training; the optimiser starts afresh in each.
 
@@ -179,6 +202,7 @@ class PPDRecipe(TrainRecipe):
     model: ModelSettings = ModelSettings()
     losses: LossSettings = LossSettings()
     warm_start: WarmStart = WarmStart()
+    vary: VarySettings = VarySettings()
     schedule: PPDSchedule = PPDSchedule()  # pyright: ignore[reportIncompatibleVariableOverride]
     depth: DepthSettings = DepthSettings()
 
@@ -187,6 +211,15 @@ class PPDRecipe(TrainRecipe):
         if self.data.grid_points + self.data.uniform_points == 0:
             raise ValueError(
                 "data.grid_points or uniform_points must be more than 0: L_vol needs them"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _knows_what_it_varies(self) -> "PPDRecipe":
+        if self.vary and not self.warm_start.share:
+            raise ValueError(
+                "vary needs a warm start, which finds what turns about which axis: set "
+                "warm_start.share, or leave vary out"
             )
         return self
 

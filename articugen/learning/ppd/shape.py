@@ -1,142 +1,25 @@
-"""The encoder and the shape decoders: 214,928 parameters, the paper's 2.149 x 10^5.
-
-Both use that a maximum passes its gradient to one element only. What is pooled away is evaluated
-without a graph, and what is left is evaluated again with one: value and gradient are exactly those
-of the plain network, for a tenth of the work and memory.
-"""
+"""The shape decoders; with the PointNet 214,928 parameters, the paper's 2.149 x 10^5."""
 
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Literal
 
 import torch
 from torch import Tensor, nn
 
+from articugen.learning.ppd.batches import one_by_one, spares
+from articugen.learning.ppd.encoders import SHAPE, TEMPLATE
 from articugen.learning.ppd.fused import can_fuse, sine_parts
-from articugen.learning.ppd.greatest import greatest
 from articugen.learning.ppd.kinematics import InverseMotion
 from articugen.learning.ppd.settings import ModelSettings
 
 WIDTH = 205
 """Channels of all parts together; a part has WIDTH // P."""
 
-POSE, SHAPE, TEMPLATE, COMMON = 128, 256, 64, 64
-"""The latent is z^p, z^s, the template's and z^{p,c}, in this order."""
-
 _FREQUENCY = 30.0
 
 PLAIN_SIZE = 0.25
 """Half the edge of the box of a part that is seen as it is; others are as if they were as large."""
-
-
-def gather_points(points: Tensor, index: Tensor) -> Tensor:
-    """The points (B, k, C) at `index` (B, k) of `points` (B, n, C)."""
-    return points.gather(1, index[..., None].expand(-1, -1, points.shape[-1]))
-
-
-_whole = ContextVar("whole", default=False)
-
-
-@contextmanager
-def whole_batches() -> Iterator[None]:
-    """Within, a CPU takes the ways of a GPU: batches as they are, nothing that asks for a number.
-
-    Both give the same numbers; `torch.vmap` cannot go the CPU's own ways.
-    """
-    before = _whole.set(True)
-    try:
-        yield
-    finally:
-        _whole.reset(before)
-
-
-def spares(x: Tensor) -> bool:
-    """Whether a few samples and points at a time are fastest, as they are on a CPU."""
-    return x.device.type == "cpu" and not _whole.get()
-
-
-def one_by_one(function: Callable[..., Tensor], *batches: Tensor) -> Tensor:
-    """`function` of batches, on a CPU one sample after the other.
-
-    A sample's activations stay in the cache and their memory is used again for the next one's,
-    which makes the decoders four times as fast; a GPU takes the batch as it is.
-    """
-    if not spares(batches[0]):
-        return function(*batches)
-    samples = zip(*(batch.split(1) for batch in batches), strict=True)
-    return torch.cat([function(*sample) for sample in samples])
-
-
-def argmax_of_points(x: Tensor) -> Tensor:
-    """(B, C) the place of a greatest point of each channel of (B, n, C).
-
-    Where torch looks, by blocks of 64 points: it finds maxima without their places ten times as
-    fast.
-    """
-    B, n, C = x.shape
-    if x.device.type == "cpu" and x.dtype == torch.float32:
-        out = torch.empty(B, C, dtype=torch.int64)
-        greatest(x.detach().contiguous().numpy(), out.numpy())
-        return out
-    blocks = nn.functional.pad(x, (0, 0, 0, -n % 64), value=-torch.inf).view(B, -1, 64, C)
-    block = blocks.amax(2).argmax(1)
-    at = block[:, None, None].expand(B, 1, 64, C)
-    return 64 * block + blocks.gather(1, at)[:, 0].argmax(1)
-
-
-def distinct(index: Tensor) -> Tensor:
-    """(B, k) the numbers in each row of (B, n), once each; rows that have fewer repeat one."""
-    ordered = index.sort(1).values
-    again = ordered[:, 1:] == ordered[:, :-1]
-    ordered[:, 1:] = torch.where(again, ordered[:, :1], ordered[:, 1:])
-    most = int((~again).sum(1).max()) + 1
-    return ordered.sort(1).values[:, -most:]
-
-
-class Encoder(nn.Module):
-    """The simple PointNet of Occupancy Networks (Mescheder et al. 2019), three pooled blocks."""
-
-    def __init__(self, start: Literal["release", "he"] = "release") -> None:
-        super().__init__()
-        self.position = nn.Linear(3, 256)
-        self.first, self.second, self.third = (nn.Linear(256, 128) for _ in range(3))
-        self.latent = nn.Linear(128, POSE + SHAPE + TEMPLATE + COMMON)
-        if start == "he":
-            for layer in (self.position, self.first, self.second, self.third, self.latent):
-                nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
-
-    def forward(self, cloud: Tensor) -> Tensor:
-        """The latent (B, 512) of clouds (B, n, 3), whatever the order of their points."""
-        most = 128 if spares(cloud) else 3 * 128  # of what `_decisive` keeps
-        if torch.is_grad_enabled() and cloud.shape[1] > most:
-            cloud = gather_points(cloud, self._decisive(cloud))
-        return self.latent(self._each(cloud)[-1].amax(1).relu())
-
-    @torch.no_grad()
-    def _decisive(self, cloud: Tensor) -> Tensor:
-        """(B, 384) the indices of the points that hold a maximum in any of the blocks; on a CPU
-        less, since many hold several.
-        """
-        index = one_by_one(
-            lambda c: torch.cat([argmax_of_points(each) for each in self._each(c)], 1), cloud
-        )
-        return distinct(index) if spares(index) else index
-
-    def _each(self, cloud: Tensor) -> list[Tensor]:
-        """What each block makes of each point: (B, n, 128).
-
-        From the second block on, half of a point's input is the pooled vector, the same for every
-        point: its share of the layer is computed once a cloud.
-        """
-        blocks = [self.first(self.position(cloud).relu_())]
-        for block in (self.second, self.third):
-            own, shared = block.weight.split(128, dim=1)
-            common = nn.functional.linear(blocks[-1].amax(1).relu(), shared, block.bias)
-            blocks.append(blocks[-1].relu() @ own.T + common[:, None])
-        return blocks
 
 
 class Quantizer(nn.Module):

@@ -18,20 +18,26 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, softplus
 
-from articugen.discovery import LEAN, Discovery, Ownership, assign_material
+from articugen.discovery import LEAN, Discovery, FoundJoint, Ownership, assign_material
 from articugen.discovery.ownership import CLEARLY, MOST_DOUBT, RARELY, RIM
 from articugen.geometry import invert_rigid
 from articugen.learning.dataset import PackedSplit, unpacked
 from articugen.learning.method import Terms
 from articugen.learning.ppd.found import Found, kinds_of
 from articugen.learning.ppd.losses import POINTS_OF_THE_PAPER
-from articugen.learning.ppd.model import Prediction, amount_of, rest_states
+from articugen.learning.ppd.model import Prediction, amount_of, rest_states, widest
 from articugen.learning.ppd.settings import ModelSettings, WarmStart, directions_of
 from articugen.learning.ppd.shape import PartBox
 from articugen.records import Floats, JointKind
 
 LEAST_SIZE = 0.03
 """Half of the least edge that a part's box is asked to have."""
+
+LEFT_RIGHT = 1
+"""The axis of the unit frame that goes from left to right."""
+
+_UPRIGHT = np.cos(np.radians(10.0))
+"""A joint that leans less from a coordinate axis is taken to point along it."""
 
 ROW = 0.075
 """Joints whose pivots are so far apart in height are not in one row."""
@@ -44,7 +50,8 @@ degrees."""
 @dataclass(frozen=True, eq=False)
 class Targets:
     """What the instances of a split are like. I instances, P parts, J = P - 1 candidates; C cells
-    on each axis.
+    on each axis. Where they may be mirrored there are 2 I rows, row I + i being what is asked of
+    instance i then: other candidates may take its joints. All is told of it as it is, though.
 
     Attributes:
         known: (I,) 1 where it was found how the instance moves, else 0: nothing to aim at.
@@ -55,6 +62,9 @@ class Targets:
         middle, size: (I, P, 3) of a box around it, in the part's rest frame, that of the pose in
             which it is closed.
         rotation, offset: (I, P, 3, 3), (I, P, 3) from the instance to the rest frame.
+        centre, extent: (I, 3) the middle and the edges of a box that holds all poses of the object.
+        alike: (I, 3, 3) takes the logarithms of an object's growth along the axes to those of one
+            that leaves its motions rigid: the mean over axes that a joint turns into each other.
         grid: (I, P) which of `doubt` belongs to a part; the first is that of unknown ones.
         doubt: (V, C^3) as in `Ownership`, of cells of a part's rest frame.
         cells: C.
@@ -70,12 +80,17 @@ class Targets:
     size: Tensor
     rotation: Tensor
     offset: Tensor
+    centre: Tensor
+    extent: Tensor
+    alike: Tensor
     grid: Tensor
     doubt: Tensor
     cells: int
 
-    def of(self, rows: Tensor) -> Targets:
-        """Those of some instances."""
+    def of(self, rows: Tensor, mirrored: Tensor | None = None) -> Targets:
+        """Those of some instances, of which some (B,) are mirrored."""
+        if mirrored is not None:
+            rows = rows + mirrored * (len(self.known) // 2)
         some = {f.name: getattr(self, f.name)[rows] for f in fields(self)[:-2]}
         return replace(self, **some)
 
@@ -102,6 +117,8 @@ def targets(
     found: Found,
     rows: Sequence[NDArray[np.intp]],
     model: ModelSettings,
+    *,
+    mirrored: bool = False,
 ) -> Targets:
     """The targets of a split, on its device.
 
@@ -109,61 +126,151 @@ def targets(
         split: with what is hidden.
         found: what was found in each object, its poses in the order of `rows`.
         rows: the instances of each object that were looked at.
+        mirrored: whether they may be mirrored.
     """
-    count, J = len(split), model.joints
-    known = np.zeros(count)
-    there, state = np.zeros((count, J)), np.zeros((count, J))
-    axis, pivot = np.zeros((count, J, 3)), np.zeros((count, J, 3))
-    owns, box = np.zeros((count, J + 1)), np.ones((2, count, J + 1, 3))
-    inverse = np.tile(np.eye(4), (count, J + 1, 1, 1))
-    grid = np.zeros((count, J + 1), np.int64)
     R = split.band.resolution
     doubt = [torch.ones(R**3, dtype=torch.float16)]
+    tables = [_Table(len(split), model) for _ in range(1 + mirrored)]
     for each, mine in zip(likely(found, model), rows, strict=True):
         if not each:
             continue
-        known[mine] = 1.0
-        taken = [(-1, 1.0), *assigned(each, model)]
-        motion = _from_closed(each, taken)
-        T, own = invert_rigid(motion), _owned(split, mine, motion)
+        placed: dict[tuple[float, ...], _Placed] = {}
+        for table, seen in zip(tables, (each, in_mirror(each)), strict=False):
+            taken = [(-1, 1.0), *assigned(seen, model)]
+            senses = tuple(slot[1] if slot else 1.0 for slot in taken)
+            if senses not in placed:
+                placed[senses] = _Placed.of(split, mine, each, senses, len(doubt))
+                doubt += [torch.from_numpy(d).flatten().half() for d in placed[senses].own.doubt]
+            table.fill(mine, each, taken, placed[senses])
+    joined = {name: np.concatenate([getattr(t, name) for t in tables]) for name in _Table.NAMES}
+    device = split.surface.device
+    told = {name: torch.from_numpy(array).float().to(device) for name, array in joined.items()}
+    told["state"] = in_range(
+        told["state"] + rest_states(told["state"], len(model.revolute)), len(model.revolute)
+    )
+    grid = torch.from_numpy(np.concatenate([table.grid for table in tables])).to(device)
+    return Targets(**told, grid=grid, doubt=torch.stack(doubt).to(device), cells=R)
+
+
+def in_range(states: Tensor, revolute: int) -> Tensor:
+    """States (..., J), no nearer to the ends of their ranges than half of a closed joint's."""
+    beside = 0.5 * rest_states(states, revolute)
+    return torch.maximum(torch.minimum(states, widest(states, revolute) - beside), beside)
+
+
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """Where an object's material is, if its joints open in these senses.
+
+    Attributes:
+        motion: (K, P, 4, 4) of each part from its rest frame.
+        own: whose it is; `first`: the place of part 0's cells among those of all objects.
+        centre, extent: (3,) of a box that holds all poses.
+    """
+
+    motion: NDArray[np.float64]
+    own: Ownership
+    first: int
+    centre: Floats
+    extent: Floats
+
+    @staticmethod
+    def of(
+        split: PackedSplit,
+        rows: NDArray[np.intp],
+        found: Discovery,
+        senses: tuple[float, ...],
+        first: int,
+    ) -> _Placed:
+        motion = _from_closed(found, senses)
+        points = unpacked(split.surface[torch.from_numpy(rows)].cpu()).double().flatten(0, 1)
+        low, high = points.amin(0).numpy(), points.amax(0).numpy()
+        own = _owned(split, rows, motion)
+        return _Placed(motion, own, first, 0.5 * (low + high), high - low)
+
+
+class _Table:
+    """What `Targets` holds of I instances, while it is filled in; I instances of which nothing is
+    known."""
+
+    NAMES = (
+        "known", "there", "state", "axis", "pivot", "owns", "middle", "size", "rotation", "offset",
+        "centre", "extent", "alike",
+    )  # fmt: skip
+
+    def __init__(self, count: int, model: ModelSettings) -> None:
+        J = model.joints
+        self.known = np.zeros(count)
+        self.there, self.state = np.zeros((count, J)), np.zeros((count, J))
+        self.axis, self.pivot = np.zeros((count, J, 3)), np.zeros((count, J, 3))
+        self.owns = np.zeros((count, J + 1))
+        self.middle, self.size = np.ones((2, count, J + 1, 3))
+        self.rotation = np.tile(np.eye(3), (count, J + 1, 1, 1))
+        self.offset = np.zeros((count, J + 1, 3))
+        self.centre, self.extent = np.zeros((count, 3)), np.ones((count, 3))
+        self.alike = np.full((count, 3, 3), 1.0 / 3.0)
+        self.grid = np.zeros((count, J + 1), np.int64)
+
+    def fill(
+        self,
+        rows: NDArray[np.intp],
+        found: Discovery,
+        taken: list[tuple[int, float] | None],
+        placed: _Placed,
+    ) -> None:
+        """Tell of an object's instances; `taken` as `assigned` gives it, with the fixed part."""
+        T, own = invert_rigid(placed.motion), placed.own
+        self.known[rows] = 1.0
+        self.centre[rows], self.extent[rows] = placed.centre, placed.extent
+        self.alike[rows] = _alike(found)
         for part, candidate in enumerate(taken):
             if candidate is None:
                 continue
             slot, sense = candidate
-            inverse[mine, slot + 1] = T[:, part]
-            owns[mine, slot + 1] = own.owns[part]
-            box[0, mine, slot + 1] = own.middle[part]
-            box[1, mine, slot + 1] = own.size[part]
-            grid[mine, slot + 1] = len(doubt)
-            doubt.append(torch.from_numpy(own.doubt[part]).flatten().half())
+            self.rotation[rows, slot + 1] = T[:, part, :3, :3]
+            self.offset[rows, slot + 1] = T[:, part, :3, 3]
+            self.owns[rows, slot + 1] = own.owns[part]
+            self.middle[rows, slot + 1] = own.middle[part]
+            self.size[rows, slot + 1] = own.size[part]
+            self.grid[rows, slot + 1] = placed.first + part
             if part:
-                joint = each.joints[part - 1]
-                there[mine, slot], axis[mine, slot] = 1.0, sense * joint.axis
+                joint = found.joints[part - 1]
+                self.there[rows, slot], self.axis[rows, slot] = 1.0, sense * joint.axis
                 opened = sense * joint.states
-                state[mine, slot], pivot[mine, slot] = opened - opened.min(), joint.pivot
-    rest = rest_states(torch.zeros(1, J), len(model.revolute)).double().numpy()
-    widest = np.where(np.arange(J) < len(model.revolute), np.pi, 1.0)
-    state = (state + rest).clip(0.5 * rest, widest - 0.5 * rest)
-
-    device = split.surface.device
-
-    def tensor(array: Floats) -> Tensor:
-        return torch.from_numpy(array).float().to(device)
-
-    return Targets(
-        tensor(known), tensor(there), tensor(state), tensor(axis), tensor(pivot),
-        tensor(owns), tensor(box[0]), tensor(box[1]),
-        tensor(inverse[..., :3, :3]), tensor(inverse[..., :3, 3]),
-        torch.from_numpy(grid).to(device), torch.stack(doubt).to(device), R,
-    )  # fmt: skip
+                self.state[rows, slot] = opened - opened.min()
+                self.pivot[rows, slot] = joint.pivot
 
 
-def _from_closed(found: Discovery, taken: list[tuple[int, float] | None]) -> Floats:
+def in_mirror(found: Discovery) -> Discovery:
+    """An object's joints as a mirror shows them that swaps left and right: what turns one way turns
+    the other way then."""
+    side = np.ones(3)
+    side[LEFT_RIGHT] = -1.0
+
+    def seen(joint: FoundJoint) -> FoundJoint:
+        sense = -1.0 if joint.kind == JointKind.REVOLUTE else 1.0
+        return replace(joint, axis=sense * side * joint.axis, pivot=side * joint.pivot)
+
+    return replace(found, joints=tuple(seen(joint) for joint in found.joints))
+
+
+def _alike(found: Discovery) -> Floats:
+    """(3, 3) of `Targets.alike`: joints turn two coordinate axes into each other if they point
+    along the third, else all three."""
+    across = np.zeros((3, 3), bool)
+    for joint in found.joints:
+        if joint.kind == JointKind.REVOLUTE:
+            about = np.abs(joint.axis) > _UPRIGHT
+            across |= ~(about[:, None] | about)
+    together = np.linalg.matrix_power(across + np.eye(3), 2) > 0
+    return together / together.sum(1, keepdims=True)
+
+
+def _from_closed(found: Discovery, senses: tuple[float, ...]) -> Floats:
     """(K, P, 4, 4) the motion of each part from the pose in which it is closed, which is that with
-    the least state, to all poses; `taken` as `assigned` gives it, with the fixed part."""
+    the least state in the `senses` of the parts, to all poses."""
     motion = np.stack([found.motion(k) for k in range(len(found.joints[0].states))])
-    for part, candidate in enumerate(taken[1:], 1):
-        sense = candidate[1] if candidate else 1.0
+    for part, sense in enumerate(senses[1:], 1):
         closed = int((sense * found.joints[part - 1].states).argmin())
         motion[:, part] = motion[:, part] @ invert_rigid(motion[closed, part])
     return motion

@@ -1,0 +1,154 @@
+"""Training objects varied: what is asked of them afterwards is as true as before."""
+
+import numpy as np
+import pytest
+from ppd_data import write_boxes
+
+torch = pytest.importorskip("torch")
+
+from articugen.discovery import Discovery, FoundJoint  # noqa: E402
+from articugen.errors import InvalidRecipe  # noqa: E402
+from articugen.learning.dataset import BatchSpec, load_split, unpacked  # noqa: E402
+from articugen.learning.method import load_recipe  # noqa: E402
+from articugen.learning.ppd.kinematics import inverse_motion, rotation_from_z  # noqa: E402
+from articugen.learning.ppd.model import rest_states  # noqa: E402
+from articugen.learning.ppd.settings import ModelSettings, VarySettings  # noqa: E402
+from articugen.learning.ppd.variation import CHANCES, Variation, is_mirrored  # noqa: E402
+from articugen.learning.ppd.warm_start import targets  # noqa: E402
+from articugen.recipe_files import with_settings  # noqa: E402
+from articugen.records import JointKind  # noqa: E402
+
+MODEL = ModelSettings(part_boxes=True)
+R = len(MODEL.revolute)
+WILD = VarySettings(stretch=0.5, shrink=0.4, mirror=True, shift=True)
+SPEC = BatchSpec(
+    surface_points=128, uniform_points=256, near_points=64, poses=True, hidden=True, normals=True,
+    chances=CHANCES,
+)  # fmt: skip
+
+STATES = np.array([0.0, 0.3, 0.1, 0.25, 0.05, 0.2, 0.15])
+
+
+def joint(kind: JointKind, axis: tuple, pivot: tuple, share: float = 1.0) -> FoundJoint:
+    return FoundJoint(kind, np.array(axis, float), np.array(pivot), share * STATES, 0.9)
+
+
+HINGE = joint(JointKind.REVOLUTE, (0.0, 0.0, 1.0), (0.1, -0.2, 0.05), 4.0)
+DRAWER = joint(JointKind.PRISMATIC, (1.0, 0.0, 0.0), (0.2, 0.2, 0.1))
+ACROSS = joint(JointKind.REVOLUTE, (0.0, 1.0, 0.0), (0.1, 0.0, -0.1), 3.0)
+
+
+@pytest.fixture(scope="module")
+def split(tmp_path_factory):
+    folder = write_boxes(tmp_path_factory.mktemp("boxes"), train=1, test=1, states=6)
+    return load_split(folder, "train", SPEC, ())
+
+
+def aims(split, *joints):
+    points = unpacked(split.surface[:1])[0].double().numpy()
+    found = Discovery(joints, points, np.arange(len(points)) % (1 + len(joints)))
+    rows = split.poses_of(split.object_id[0])
+    return targets(split, [found], [rows], MODEL, mirrored=True)
+
+
+@pytest.mark.parametrize("joints", [(HINGE,), (DRAWER,), (ACROSS,), (HINGE, DRAWER)])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_varied_sample_moves_as_is_asked_of_it(split, joints, seed):
+    """Brought to rest and varied is varied and brought to rest, by the axes, pivots and states that
+    are asked for."""
+    rows = torch.arange(len(split))
+    chance = torch.rand(len(rows), CHANCES, generator=torch.Generator().manual_seed(seed))
+    mirrored = is_mirrored(chance, WILD)
+    assert mirrored.any()
+    assert not mirrored.all()
+    aim = aims(split, *joints).of(rows, mirrored)
+    variation = Variation.of(chance, mirrored, aim, WILD)
+    points = unpacked(split.surface[rows, :50])
+    rest = torch.einsum("bpij,bnj->bpni", aim.rotation, points) + aim.offset[:, :, None]
+    wanted = rest * variation.scale[:, None, None] + variation.shift[:, None, None]
+
+    asked = variation.targets(aim, R)
+    state = asked.state - rest_states(asked.state, R)
+    motion = inverse_motion(rotation_from_z(asked.axis), state, asked.pivot[:, :R], R, "world")
+    found = motion.apply(variation.moved(points))
+    found[:, 1 : 1 + R] += asked.pivot[:, :R, None]
+    there = asked.there > 0
+    assert there.sum(1).eq(len(joints)).all()
+    torch.testing.assert_close(found[:, 1:][there], wanted[:, 1:][there], atol=2e-5, rtol=0)
+    beyond = (rest - aim.middle[:, :, None]).abs() - aim.size[:, :, None]
+    still = (wanted - asked.middle[:, :, None]).abs() - asked.size[:, :, None]
+    longer = variation.scale.abs()[:, None, None]
+    torch.testing.assert_close(still, beyond * longer, atol=2e-5, rtol=0)
+
+
+def test_objects_stay_in_the_cube_and_are_no_larger(split):
+    rows = torch.arange(len(split)).repeat(40)
+    chance = torch.rand(len(rows), CHANCES, generator=torch.Generator().manual_seed(1))
+    aim = aims(split, DRAWER).of(rows, is_mirrored(chance, WILD))
+    variation = Variation.of(chance, is_mirrored(chance, WILD), aim, WILD)
+    moved = variation.moved(unpacked(split.surface[rows]))
+    assert moved.abs().max() <= 0.5
+    edges = (variation.scale.abs() * aim.extent).amax(1) / aim.extent.amax(1)
+    assert edges.max() <= 1.0 + 1e-5
+    assert edges.min() >= 1.0 - WILD.shrink - 1e-5
+    assert edges.std() > 0.05
+    assert moved.mean(1).std(0).min() > 0.03  # elsewhere
+
+
+def test_points_spread_over_the_cube_stay_so_and_know_what_is_free(split):
+    """The labels of varied points are those of where they came from; what was beyond is free."""
+    rows = [0, 1, 2, 3] * 20
+    batch = split.batch(rows, SPEC, 32, torch.Generator().manual_seed(0))
+    aim = aims(split, DRAWER).of(batch.rows)
+    small = VarySettings(shrink=0.5)
+    variation = Variation.of(batch.chance, is_mirrored(batch.chance, small), aim, small)
+    varied, freed = variation.batch(batch)
+    assert varied.points.abs().max() <= 0.5 + 1e-6
+    assert torch.equal(varied.occupied, batch.occupied & ~freed)
+    kept = ~freed
+    torch.testing.assert_close(varied.points[kept], variation.moved(batch.points)[kept])
+    assert freed[:, : batch.spread].any()
+    assert not freed[:, batch.spread :].any()
+    even = varied.points[:, : batch.spread].flatten(0, 1)
+    counts = torch.histogramdd(even, bins=[4, 4, 4], range=[-0.5, 0.5] * 3).hist.flatten()
+    wanted = len(even) / 64
+    assert (counts - wanted).abs().max() < 6.0 * wanted**0.5
+
+
+def test_without_chances_and_settings_nothing_changes(split):
+    batch = split.batch([0, 1], SPEC, 32, torch.Generator().manual_seed(0))
+    aim = aims(split, HINGE).of(batch.rows)
+    none = VarySettings()
+    assert not none
+    variation = Variation.of(batch.chance, is_mirrored(batch.chance, none), aim, none)
+    varied, freed = variation.batch(batch)
+    assert not freed.any()
+    torch.testing.assert_close(varied.cloud, batch.cloud, atol=1e-6, rtol=0)
+    asked = variation.targets(aim, R)
+    for name in ("state", "axis", "pivot", "middle", "size"):
+        torch.testing.assert_close(getattr(asked, name), getattr(aim, name), atol=1e-6, rtol=0)
+
+
+def test_what_turns_is_not_bent(split):
+    for joints, together in (
+        ((HINGE,), [[1, 1, 0], [1, 1, 0], [0, 0, 1]]),
+        ((ACROSS,), [[1, 0, 1], [0, 1, 0], [1, 0, 1]]),
+        ((HINGE, ACROSS), [[1, 1, 1]] * 3),
+        ((DRAWER,), np.eye(3).tolist()),
+        ((joint(JointKind.REVOLUTE, (0.0, 0.6, 0.8), (0, 0, 0)),), [[1, 1, 1]] * 3),
+    ):
+        alike = aims(split, *joints).alike[0]
+        wanted = torch.tensor(together, dtype=torch.float32)
+        torch.testing.assert_close(alike, wanted / wanted.sum(1, keepdim=True))
+
+
+def test_a_mirrored_door_has_the_candidate_of_the_other_side(split):
+    aim = aims(split, HINGE)
+    count = len(split)
+    assert aim.there[:count].argmax(1).eq(0).all()
+    assert aim.there[count:].argmax(1).eq(1).all()
+
+
+def test_a_recipe_that_varies_what_it_does_not_know_is_refused():
+    with pytest.raises(InvalidRecipe, match="vary needs a warm start"):
+        with_settings(load_recipe("ppd_plain"), ["vary.stretch=0.2"])
