@@ -107,7 +107,7 @@ FORMS = {
         "data": {"varying_points": 20},
     },
     "varied, seen as a grid": {
-        "model": {"part_boxes": True, "part_frame": "world", "encoder": "grid"},
+        "model": {"part_boxes": True, "part_frame": "world", "encoder": "both"},
         "warm_start": {"share": 0.5},
         "vary": {"stretch": 0.3, "shrink": 0.2, "mirror": True, "shift": True},
     },

@@ -1,4 +1,4 @@
-"""From a cloud to its latent: the paper's PointNet, or an encoder of the grid that it fills."""
+"""From a cloud to its latent: the paper's PointNet, and an encoder of the grid that it fills."""
 
 from typing import Literal
 
@@ -23,13 +23,17 @@ LATENT = POSE + SHAPE + TEMPLATE + COMMON
 _GRID = 64
 """Cells along an edge of the grid that clouds fill."""
 
+_FEW = 512
+"""About so many points of a cloud are enough for a PointNet beside a grid."""
+
 _USUAL = 2048
 """Points of a cloud whose cells are as full as counted; others are counted in proportion."""
 
 
 def encoder_of(settings: ModelSettings) -> nn.Module:
     """The encoder that a recipe asks for: clouds (B, n, 3) to latents (B, 512)."""
-    return GridEncoder() if settings.encoder == "grid" else Encoder(settings.latent_start)
+    points = Encoder(settings.latent_start)
+    return BothEncoders(points, GridEncoder()) if settings.encoder == "both" else points
 
 
 class Encoder(nn.Module):
@@ -105,6 +109,19 @@ class GridEncoder(nn.Module):
         for layer, cells, along in ((self.patch, 64, 4), (self.first, 16, 2), (self.second, 8, 2)):
             x = leaky_relu(layer(_merged(x, cells, along)), 0.1)
         return self.latent(self.whole(x.flatten(1)).relu())
+
+
+class BothEncoders(nn.Module):
+    """The sum of both latents, at first the PointNet's alone."""
+
+    def __init__(self, points: Encoder, grid: GridEncoder) -> None:
+        super().__init__()
+        self.points, self.grid = points, grid
+        nn.init.zeros_(grid.latent.weight)
+
+    def forward(self, cloud: Tensor) -> Tensor:
+        """The latent (B, 512) of clouds (B, n, 3)."""
+        return self.points(cloud[:, :: max(cloud.shape[1] // _FEW, 1)]) + self.grid(cloud)
 
 
 @torch.no_grad()

@@ -40,8 +40,8 @@ class ModelSettings(Section):
         latent_start: how the encoder's weights start: `release`, as torch's layers do, which leaves
             latents of different objects the same to a thousandth; or `he`, by He et al. 2015, and
             the layer that reads z^s 20 times larger, so that shapes differ from the start.
-        encoder: `points`, the paper's PointNet; or `grid`, which sees how full the cells of a grid
-            are, and so what lies beside what.
+        encoder: `points`, the paper's PointNet; or `both`, that and one which sees how full the
+            cells of a grid are, and so what lies beside what.
     """
 
     revolute: tuple[Direction, ...] = ((0, 0, 1), (0, 0, -1), (0, 1, 0))
@@ -54,7 +54,7 @@ class ModelSettings(Section):
     part_frame: Literal["world", "joint"] = "world"
     part_boxes: bool = False
     latent_start: Literal["release", "he"] = "release"
-    encoder: Literal["points", "grid"] = "points"
+    encoder: Literal["points", "both"] = "points"
 
     @model_validator(mode="after")
     def _fits_together(self) -> "ModelSettings":
