@@ -198,7 +198,7 @@ def boxed():
     torch.manual_seed(4)
     model = PPD(load_recipe("ppd_quick").model).double()
     with torch.no_grad():
-        model.shape.box_in[-1].weight.normal_(std=0.3)
+        model.shape.box_in[-1].weight.normal_(std=0.1)
     return model
 
 
