@@ -32,7 +32,7 @@ WITH_TORCH = {"store.torch_dataset"} | {
         "ppd.batches", "ppd.depth", "ppd.descent", "ppd.discriminator", "ppd.drawing",
         "ppd.encoders", "ppd.found", "ppd.fused", "ppd.kinematics", "ppd.learner", "ppd.many",
         "ppd.warm_start", "ppd.losses", "ppd.model", "ppd.objective", "ppd.reconstruct",
-        "ppd.release", "ppd.shape", "ppd.variation",
+        "ppd.release", "ppd.shape", "ppd.targets", "ppd.variation",
     )
 }  # fmt: skip
 """The modules that cannot be imported without torch."""

@@ -17,7 +17,7 @@ from articugen.learning.dataset import load_split  # noqa: E402
 from articugen.learning.loop import train  # noqa: E402
 from articugen.learning.ppd.learner import PPDLearner  # noqa: E402
 from articugen.learning.ppd.many import Many  # noqa: E402
-from articugen.learning.ppd.warm_start import Targets  # noqa: E402
+from articugen.learning.ppd.targets import Targets  # noqa: E402
 from articugen.learning.race import can_run_at_once, race  # noqa: E402
 from articugen.learning.runs import LATEST, METRICS, RunFolder, read_checkpoint  # noqa: E402
 from articugen.learning.tensors import check_like, digest  # noqa: E402

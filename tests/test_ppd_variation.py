@@ -13,8 +13,8 @@ from articugen.learning.method import load_recipe  # noqa: E402
 from articugen.learning.ppd.kinematics import inverse_motion, rotation_from_z  # noqa: E402
 from articugen.learning.ppd.model import rest_states  # noqa: E402
 from articugen.learning.ppd.settings import ModelSettings, VarySettings  # noqa: E402
+from articugen.learning.ppd.targets import targets  # noqa: E402
 from articugen.learning.ppd.variation import CHANCES, Variation, is_mirrored  # noqa: E402
-from articugen.learning.ppd.warm_start import targets  # noqa: E402
 from articugen.recipe_files import with_settings  # noqa: E402
 from articugen.records import JointKind  # noqa: E402
 

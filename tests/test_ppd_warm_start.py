@@ -26,16 +26,18 @@ from articugen.learning.ppd.found import (  # noqa: E402
 from articugen.learning.ppd.model import Prediction, amount_of  # noqa: E402
 from articugen.learning.ppd.settings import ModelSettings, WarmStart, directions_of  # noqa: E402
 from articugen.learning.ppd.shape import PartBox  # noqa: E402
-from articugen.learning.ppd.warm_start import (  # noqa: E402
-    LEAST_SIZE,
+from articugen.learning.ppd.targets import (  # noqa: E402
     _from_closed,
     _owned,
-    aim_terms,
     assigned,
-    labels_entropy,
     likely,
-    parts_entropy,
     targets,
+)
+from articugen.learning.ppd.warm_start import (  # noqa: E402
+    LEAST_SIZE,
+    aim_terms,
+    labels_entropy,
+    parts_entropy,
 )
 from articugen.records import JointKind  # noqa: E402
 from articugen.store.shards import open_shard  # noqa: E402

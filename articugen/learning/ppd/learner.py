@@ -22,6 +22,7 @@ from articugen.learning.ppd.found import discovered
 from articugen.learning.ppd.model import PPD, Prediction
 from articugen.learning.ppd.reconstruct import Meshes, reconstruction_of
 from articugen.learning.ppd.settings import PPDRecipe, directions_of
+from articugen.learning.ppd.targets import targets
 from articugen.learning.ppd.variation import CHANCES, Variation, is_mirrored
 from articugen.learning.tensors import made
 from articugen.records import Floats
@@ -117,7 +118,7 @@ class PPDLearner(Predictor):
             model = self.settings.model
             found, rows = discovered(training, beside, directions_of(model), tell)
             mirrored = self.settings.vary.mirror
-            self.targets = warm_start.targets(training, found, rows, model, mirrored=mirrored)
+            self.targets = targets(training, found, rows, model, mirrored=mirrored)
 
     def prepared(self, batch: Batch) -> tuple[Batch, Callable[[Prediction, Tensor], Terms] | None]:
         """The batch, varied where the recipe says so, and what a warm start asks of the prediction

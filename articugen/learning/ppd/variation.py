@@ -15,7 +15,7 @@ from torch import Tensor
 from articugen.learning.dataset import Batch
 from articugen.learning.ppd.model import rest_states
 from articugen.learning.ppd.settings import VarySettings
-from articugen.learning.ppd.warm_start import LEFT_RIGHT, Targets, in_range
+from articugen.learning.ppd.targets import LEFT_RIGHT, Targets, in_range
 
 CHANCES = 8
 """Random numbers that the variation of a sample takes."""
