@@ -113,9 +113,21 @@ class Cells:
         where on them a cloud has points."""
         return max(reach - 0.6 * self.near, _ACROSS)
 
-    def met(self, surface: Surface, motions: Floats, reach: float) -> NDArray[np.bool_]:
-        """(K, n) whether points, moved by `motions` (K, 3, 4), lie on each pose."""
-        return self.distances(surface, motions, reach) <= reach
+    def met(
+        self,
+        surface: Surface,
+        motions: Floats,
+        reach: float,
+        asked: NDArray[np.bool_] | None = None,
+    ) -> NDArray[np.bool_]:
+        """(K, n) whether points, moved by `motions` (K, 3, 4), lie on each pose; False where that
+        is not `asked` (K, n)."""
+        if asked is None:
+            asked = np.ones((len(motions), len(surface)), np.bool_)
+        return kernels.met(
+            surface.points, surface.normals, asked, motions, self.points, self.normals,
+            self.signed, self.starts, reach, self.across(reach),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -322,8 +322,8 @@ class _Found:
         where it lands on nothing it is wrong; what was hidden in pose 0 and is there in most others
         says neither."""
         M = motions(joint)
-        right = self.seen.targets.met(self.part, M, reach) & self.gone
-        wrong = ~self.seen.poses.met(self.part, M, reach) & self.gone
+        right = self.seen.targets.met(self.part, M, reach, self.gone)
+        wrong = self.gone & ~self.seen.poses.met(self.part, M, reach, self.gone)
         left = np.maximum(self.gone.sum(0), 1)
         follow = (wrong.sum(0) <= _WRONG * left) & (right.sum(0) >= _RIGHT * left)
         return _Grown(joint, right, wrong, follow)

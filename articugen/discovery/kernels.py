@@ -90,6 +90,51 @@ def distances(queries, query_normals, motions, points, normals, signed, starts, 
     return out
 
 
+@helper
+def _fits(points, normals, signed, n, x, y, z, nx, ny, nz, reach, across):
+    """Whether point n may be of the same surface as (x, y, z), as in `_nearest`."""
+    dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
+    if dx * dx + dy * dy + dz * dz > reach * reach or abs(dx * nx + dy * ny + dz * nz) > across:
+        return False
+    along = normals[n, 0] * nx + normals[n, 1] * ny + normals[n, 2] * nz
+    return abs(along) <= 1e-9 or (along if signed else abs(along)) >= LIKE
+
+
+@helper
+def _meets(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, across):
+    """Whether `_nearest` would find a point; what is in the same cell is looked at first."""
+    a, b = int(np.floor((x + 0.5) * CELLS)), int(np.floor((y + 0.5) * CELLS))
+    c = int(np.floor((z + 0.5) * CELLS))
+    if 0 <= a < CELLS and 0 <= b < CELLS and 0 <= c < CELLS:
+        own = (a * CELLS + b) * CELLS + c
+        for n in range(starts[pose, own], starts[pose, own + 1]):
+            if _fits(points, normals, signed, n, x, y, z, nx, ny, nz, reach, across):
+                return True
+    for i in _span(x, reach):
+        for j in _span(y, reach):
+            for n in _row(starts, pose, i, j, z, reach):
+                if _fits(points, normals, signed, n, x, y, z, nx, ny, nz, reach, across):
+                    return True
+    return False
+
+
+@kernel
+def met(
+    queries, query_normals, asked, motions, points, normals, signed, starts, reach, across
+):  # fmt: skip
+    """(K, n) whether each query point, moved as in each pose, lies on what may be of the same
+    surface in that pose; False where it is not `asked` (K, n). `motions` (K, 3, 4)."""
+    out = np.zeros(asked.shape, np.bool_)
+    for k in range(len(motions)):
+        for i in range(len(queries)):
+            if asked[k, i]:
+                x, y, z, nx, ny, nz = _moved(motions[k], queries[i], query_normals[i])
+                out[k, i] = _meets(
+                    points, normals, signed, starts, k, x, y, z, nx, ny, nz, reach, across
+                )
+    return out
+
+
 @kernel
 def about(queries, values, points, starts, pose, reach, skip_self):
     """(n, 2) of the points of a pose within `reach` of each query: how many, and the sum of their
