@@ -24,6 +24,8 @@ from articugen.slurm import Array
 from articugen.store.manifest import Manifest
 
 MANY = TINY.with_counts(objects=9, states=2)
+LONG = TINY.with_counts(objects=9, states=8)
+"""With tasks that are not done before one can harm them."""
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +40,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Daem
 
 
 def on_slurm(out: Path, query: str = "tasks=3&cpus=1", **changes: object) -> Job:
-    return job(out, recipe=MANY, scheduler=f"slurm://all?{query}", **changes)
+    return job(out, **{"recipe": MANY, "scheduler": f"slurm://all?{query}"} | changes)
 
 
 def finished(job: Job) -> tuple[Manifest, list[ObjectReport], list[str]]:
@@ -48,18 +50,30 @@ def finished(job: Job) -> tuple[Manifest, list[ObjectReport], list[str]]:
         return run.finish(reports.append, notices.append), reports, notices
 
 
-def at_work(out: Path, task: int) -> str:
-    """Wait until a task is at its objects; the array that it is of."""
-    while not list(out.glob(f".articugen-journal.{task}-of-3.*")):
-        time.sleep(0.02)
-    return said("squeue", "-h", "-o", "%F").split()[0]
+def running() -> dict[int, tuple[str, str]]:
+    """Of each task that has started and not ended: the array that it is of, and its node."""
+    told = said("squeue", "-h", "-r", "-t", "R", "-o", "%K %F %N").split("\n")
+    rows = [line.split() for line in told if line]
+    return {int(task): (array, node) for task, array, node in rows}
 
 
 def harm(out: Path, nodes: dict[str, Daemon]) -> None:
-    """Kill task 0, and cut off the node of task 1, which works on."""
-    for process in processes_of(at_work(out, 0), 0):
+    """Kill task 0, and cut off the node of task 1, which works on. SLURM must have heard of the
+    first by then: a task whose node it loses it begins again itself."""
+    while len(tasks := running()) < 3:
+        time.sleep(0.05)
+    array, node = tasks[1]
+
+    def wait_for(task: int) -> None:
+        while not list(out.glob(f".articugen-journal.{task}-of-3.*")):
+            time.sleep(0.01)
+
+    wait_for(0)
+    for process in processes_of(array, 0):
         os.kill(process, signal.SIGKILL)
-    node = said("squeue", "-h", "-j", f"{at_work(out, 1)}_1", "-o", "%N").strip()
+    while 0 in running():
+        time.sleep(0.01)
+    wait_for(1)
     nodes[node].kill()
     said("scontrol", "update", f"nodename={node}", "state=down", "reason=cut-off")
 
@@ -69,13 +83,13 @@ def test_one_task_is_killed_and_one_is_cut_off(cluster: dict[str, Daemon], tmp_p
     out = tmp_path / "array"
     with ThreadPoolExecutor(1) as pool:
         harmed = pool.submit(harm, out, cluster)
-        manifest, reports, notices = finished(on_slurm(out))
+        manifest, reports, notices = finished(on_slurm(out, recipe=LONG))
         harmed.result()
     arrays = [re.sub(r"\d+", "N", notice, count=1) for notice in notices]
     assert arrays == [f"SLURM has job N, an array of {n}" for n in ("3 tasks", "1 task")]
     first = re.findall(r"\d+", notices[0])[0]
     assert "Restarts=1" in said("scontrol", "show", "job", f"{first}_1")
-    here, _ = made(job(tmp_path / "here", recipe=MANY))
+    here, _ = made(job(tmp_path / "here", recipe=LONG))
     assert manifest.content_sha256 == here.content_sha256
     assert contents(out) == contents(tmp_path / "here")
     assert len(reports) == 9
