@@ -2,7 +2,7 @@
 has left pose 0 and what is new elsewhere."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -61,15 +61,11 @@ class Surface:
         normals = outward if signed else np.zeros_like(points)
         return Surface(points, normals, np.broadcast_to(np.eye(3), (len(points), 3, 3)), signed)
 
-    @staticmethod
-    def estimated(
-        points: Floats, of: "Cells", near: float, outward: Floats | None = None
-    ) -> "Surface":
-        """Points with what the cloud `of` (one pose) around them tells, unless `outward` normals
-        (n, 3) are given."""
-        normals, stiffness = kernels.shapes(points, of.points, of.starts, 0, 1.8 * near)
-        signed = outward is not None
-        return Surface(points, outward if signed else normals, stiffness, signed)
+    def shaped(self, of: "Cells", near: float) -> "Surface":
+        """With what the cloud `of` (one pose) around the points tells; normals that are known
+        stay."""
+        normals, stiffness = kernels.shapes(self.points, of.points, of.starts, 0, 1.8 * near)
+        return replace(self, normals=self.normals if self.signed else normals, stiffness=stiffness)
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,8 +196,7 @@ def still(count: int) -> Floats:
 
 
 def _surface(cloud: Surface, near: float) -> Surface:
-    of = Cells.of([Surface.bare(cloud.points)])
-    return Surface.estimated(cloud.points, of, near, cloud.normals if cloud.signed else None)
+    return cloud.shaped(Cells.of([cloud]), near)
 
 
 def _checked(poses: Sequence[Any]) -> list[Floats]:

@@ -30,6 +30,8 @@ LEAN = np.cos(np.radians(30.0))
 """A joint that leans further from where joints of its kind point is a mistake."""
 
 _SAME_WAY = 0.99
+"""Directions are one where the cosine between them, whatever their signs, is no less."""
+
 _PATCHES, _PATCH = 12, 48
 _MOVERS = 800
 """So many of the points that have left are looked at."""
@@ -164,9 +166,10 @@ class _Grown:
 def _unlike(directions: Floats) -> Floats:
     """Each direction once, whatever its sign."""
     unlike: list[Floats] = []
-    for one in np.asarray(directions, np.float64):
+    for direction in np.asarray(directions, np.float64):
+        one = direction / np.linalg.norm(direction)
         if all(abs(one @ other) < _SAME_WAY for other in unlike):
-            unlike.append(one / np.linalg.norm(one))
+            unlike.append(one)
     return np.array(unlike)
 
 
@@ -393,7 +396,7 @@ def _told(
 ) -> Discovery:
     """Labels, states of all poses and scores, in the frame of the clouds."""
     cloud = np.ascontiguousarray(seen.frame.to_unit(points))
-    surface = Surface.estimated(cloud, seen.first, seen.near, outward)
+    surface = Surface.bare(cloud, outward).shaped(seen.first, seen.near)
     part = _labels(seen, joints, surface)
     order = np.argsort([-(part == j + 1).sum() for j in range(len(joints))], kind="stable")
     told = [_joint(seen, joints[j], surface[part == j + 1]) for j in order if (part == j + 1).any()]

@@ -58,22 +58,28 @@ def _moved(M, p, n):
 
 
 @helper
+def _is_alike(normals, signed, n, dx, dy, dz, nx, ny, nz, across):
+    """Whether point n, so far from another one, may be of the same surface as that: no more than
+    `across` from plane to plane. A normal of zeros says nothing; `signed` ones point out of the
+    material, others either way."""
+    if abs(dx * nx + dy * ny + dz * nz) > across:
+        return False
+    along = normals[n, 0] * nx + normals[n, 1] * ny + normals[n, 2] * nz
+    return abs(along) <= 1e-9 or (along if signed else abs(along)) >= LIKE
+
+
+@helper
 def _nearest(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, across):
     """(index, squared distance) of the point of a pose that is nearest to (x, y, z) and may be of
-    the same surface, -1 if there is none within `reach`, and `across` from plane to plane. A normal
-    of zeros says nothing; `signed` ones point out of the material, others either way."""
+    the same surface, -1 if there is none within `reach`."""
     best, at = reach * reach, -1
     for i in _span(x, reach):
         for j in _span(y, reach):
             for n in _row(starts, pose, i, j, z, reach):
                 dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
                 d = dx * dx + dy * dy + dz * dz
-                if d > best or abs(dx * nx + dy * ny + dz * nz) > across:
-                    continue
-                along = normals[n, 0] * nx + normals[n, 1] * ny + normals[n, 2] * nz
-                if abs(along) > 1e-9 and (along if signed else abs(along)) < LIKE:
-                    continue
-                best, at = d, n
+                if d <= best and _is_alike(normals, signed, n, dx, dy, dz, nx, ny, nz, across):
+                    best, at = d, n
     return at, best if at >= 0 else FAR
 
 
@@ -92,12 +98,11 @@ def distances(queries, query_normals, motions, points, normals, signed, starts, 
 
 @helper
 def _fits(points, normals, signed, n, x, y, z, nx, ny, nz, reach, across):
-    """Whether point n may be of the same surface as (x, y, z), as in `_nearest`."""
+    """Whether point n is within `reach` of (x, y, z) and may be of the same surface."""
     dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
-    if dx * dx + dy * dy + dz * dz > reach * reach or abs(dx * nx + dy * ny + dz * nz) > across:
+    if dx * dx + dy * dy + dz * dz > reach * reach:
         return False
-    along = normals[n, 0] * nx + normals[n, 1] * ny + normals[n, 2] * nz
-    return abs(along) <= 1e-9 or (along if signed else abs(along)) >= LIKE
+    return _is_alike(normals, signed, n, dx, dy, dz, nx, ny, nz, across)
 
 
 @helper

@@ -206,10 +206,7 @@ class PackedSplit:
                 points.append(centres)
                 occupied.append(inside)
         spread = spec.grid_points + spec.uniform_points
-        device = at.device
-        chance = torch.zeros(len(at), 0, device=device)
-        if spec.chances:
-            chance = uniform(rng, len(at), spec.chances, device)
+        chance = uniform(rng, len(at), spec.chances, at.device)
         return Batch(
             at, unpacked(cloud), part, torch.cat(points, 1), torch.cat(occupied, 1), spread, chance
         )
@@ -406,8 +403,7 @@ def _finest(path: Path) -> int:
 def _none(shard: Shard, name: str) -> NDArray[Any]:
     """A field without any of its points."""
     shape = shard.fields[name]
-    dtype = np.int8 if name.endswith("_normals") else np.uint8
-    dtype = np.uint16 if name.endswith("_points") else dtype
+    dtype = {"points": np.uint16, "normals": np.int8}.get(name.rpartition("_")[2], np.uint8)
     return np.zeros((shape[0], 0, *shape[2:]), dtype)
 
 

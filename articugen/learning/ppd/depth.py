@@ -34,7 +34,16 @@ class DepthLearner(Predictor):
         self.settings = first.settings.third_stage()
         kinds = ("grid", "uniform", "near", "band", "varying")
         none = {f"{kind}_points": 0 for kind in kinds}
-        self.inputs = replace(first.inputs, **none, joints=None, poses=False, partial=True)
+        self.inputs = replace(
+            first.inputs,
+            **none,
+            joints=None,
+            poses=False,
+            hidden=False,
+            normals=False,
+            chances=0,
+            partial=True,
+        )
         self.points = None
         self.residual_direction = first.residual_direction
         self.teacher = first.model.encoder
