@@ -164,13 +164,13 @@ $(VENV)/bin/python:
 $(generator): pyproject.toml constraints.txt | $(VENV)/bin/python
 	@echo "Installing the generator and its pinned libraries into $(VENV) ..."
 	@$(pinned) --editable .
-	@echo "Compiling the kernels ..."
-	@$(VENV)/bin/python -c 'from articugen.compiling import compile_all; compile_all()'
 	@touch $@
 
 $(testing): $(generator)
 	@echo "Installing the test tools ..."
 	@$(pinned) --editable '.[test]'
+	@echo "Compiling the kernels ..."
+	@$(VENV)/bin/python -c 'from articugen.compiling import compile_all; compile_all()'
 	@touch $@
 
 $(learner): $(generator)

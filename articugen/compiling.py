@@ -4,7 +4,7 @@ Left alone, each worker compiles every kernel when it first meets it, all of the
 beside what numba keeps says that there is nothing left to do; without it nothing goes wrong, it
 only takes a few seconds to find out.
 
-`make` calls `compile_all` when it sets up.
+Commands call `compile_kernels` for what they need; `make test` calls `compile_all` when it sets up.
 """
 
 import hashlib

@@ -230,7 +230,6 @@ class Run:
         on_notice: Callable[[str], None] = lambda _: None,
     ) -> Manifest:
         """Make what is missing; see `generate`, but a `shortfall` is not raised."""
-        began = time.perf_counter()
         if not self.plan.tasks and self.journal.is_complete(self.plan.keys):
             manifest = Manifest.read(self.job.out)
             if manifest.shortfall == _shortfall(self.plan.done, self.job.recipe):
@@ -238,6 +237,8 @@ class Run:
                     on_object(report_of(outcome, reused=True))
                 return manifest
         licence = registry.licence(self.job.source)  # while the source is there
+        self.compile(on_notice)
+        began = time.perf_counter()
         outcomes = self.make(on_object, on_notice)
         made = [outcome.made for outcome in outcomes[len(self.plan.done) :] if outcome.made]
         instances = sum(entry.instances for entry in made)
@@ -265,9 +266,7 @@ class Run:
         """The outcome of each task, as they finish."""
         yield from (task.known for task in self.plan.tasks if task.known)
         tasks = [task for task in self.plan.tasks if not task.known]
-        if tasks:
-            jobs = 0 if self.job.scheduler else self.job.jobs
-            compile_kernels("generate", jobs=jobs, notice=on_notice)
+        self.compile(on_notice)
         limit = limit_of(self.job.recipe)
         try:
             with closing(self._ends(tasks, limit, on_notice)) as made:
@@ -277,6 +276,11 @@ class Run:
             raise MachineFault(
                 f"{error}; finished objects are kept, the same command goes on after them"
             ) from error
+
+    def compile(self, on_notice: Callable[[str], None]) -> None:
+        """The kernels, unless they are already, or nothing is made here."""
+        if not self.job.scheduler and any(task.known is None for task in self.plan.tasks):
+            compile_kernels("generate", jobs=self.job.jobs, notice=on_notice)
 
     def _ends(
         self, tasks: Sequence[Task], limit: workers.Limit, on_notice: Callable[[str], None]

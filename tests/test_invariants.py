@@ -14,7 +14,7 @@ from articugen.geometry import voxel_centres
 from articugen.recipe import Recipe, Sampling
 from articugen.records import Instance, dequantize, quantize
 from articugen.verify import bounds, exact, invariants, sampled
-from articugen.verify.nearest import any_within, nearest_within
+from articugen.verify.nearest import any_within, by_cell, nearest_within
 from tests.benchmarks.soundness import made_sets
 
 ROWS = hinged_box()
@@ -322,7 +322,7 @@ def _with_enclosed(row: Instance) -> Instance:
 
     def relabelled(points, label):
         flat = points.reshape(-1, 3)
-        far = ~any_within(surface, flat, 0.03) & (np.abs(flat) < 0.4).all(axis=1)
+        far = ~any_within(by_cell(surface), flat, 0.03) & (np.abs(flat) < 0.4).all(axis=1)
         return np.where((label == 0) & far.reshape(label.shape), 255, label).astype(np.uint8)
 
     queries = {
@@ -430,8 +430,8 @@ def test_nearest_is_the_nearest(seed, many, few, radius):
     if many:
         found = distance.min(axis=1) <= radius
         expected[found] = distance.argmin(axis=1)[found]
-    np.testing.assert_array_equal(nearest_within(points, queries, radius), expected)
-    np.testing.assert_array_equal(any_within(points, queries, radius), expected >= 0)
+    np.testing.assert_array_equal(nearest_within(by_cell(points), queries, radius), expected)
+    np.testing.assert_array_equal(any_within(by_cell(points), queries, radius), expected >= 0)
 
 
 def test_labels_about_a_point_are_those_of_the_eight_nearest_voxels():

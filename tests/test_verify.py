@@ -189,7 +189,7 @@ def test_every_edit_of_a_manifest_is_found(small):
 
 
 def test_edits_with_a_new_digest_are_found_by_what_else_is_known(small, monkeypatch):
-    monkeypatch.setattr(verification, "_geometry_findings", lambda _: ())  # of the shards alone
+    monkeypatch.setattr(verification, "_geometry_findings", lambda *_: ())  # of the shards alone
     manifest = json.loads((small / MANIFEST_NAME).read_text())
     missed, known = set(), set()
     for path, what, other in edited_manifests(manifest):

@@ -96,11 +96,14 @@ def train(
 
         check_category(category)
         with loading():
+            from articugen.compiling import compile_kernels
             from articugen.learning import commands, processes
+            from articugen.pipeline import default_jobs
 
         if processes.is_first():
             for hint in commands.hints(data):
                 stderr.print(hint, soft_wrap=True, markup=False)
+            compile_kernels("train", jobs=default_jobs(), notice=stderr.print)
         with _ProgressBar() as on_progress:
             run = commands.train(
                 data,

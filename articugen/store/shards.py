@@ -265,9 +265,21 @@ class Shard:
             CorruptShard: the bytes fail their checksum.
             IndexError: there is no such row.
         """
+        return self.instance_of(self.stored_row(index))
+
+    def stored_row(self, index: int) -> dict[str, NDArray[Any]]:
+        """All fields of row `index` as they are stored, for `instance_of` and `instance_sha256`.
+
+        Raises:
+            CorruptShard, IndexError: as `instance`.
+        """
         if not 0 <= index < len(self):
             raise IndexError(f"{self.path}: no instance {index}, there are {len(self)}")
-        row: dict[str, Any] = {name: self.read(name, index) for name in self.fields}
+        return {name: self.read(name, index) for name in self.fields}
+
+    def instance_of(self, stored: Mapping[str, NDArray[Any]]) -> Instance:
+        """The record that was written as a row, which `stored_row` gives."""
+        row: dict[str, Any] = dict(stored)
         for field in schema.FIELDS:
             if field.is_grid:
                 names = sorted(filter(field.matches, self.fields), key=schema.resolution_of)

@@ -15,9 +15,10 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
-from itertools import groupby
 from pathlib import Path
+from typing import Any
 
+from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from articugen import workers
@@ -33,7 +34,7 @@ from articugen.store.manifest import (
     ShardEntry,
 )
 from articugen.store.manifest_pages import MOST_BYTES, listed_pages, stale_pages
-from articugen.store.shards import Shard, content_sha256, open_shard
+from articugen.store.shards import Shard, content_sha256, instance_sha256, open_shard
 from articugen.verify.invariants import faults
 
 WELCOME = (".png", ".html")
@@ -310,9 +311,10 @@ def _shard_findings(
         other = not entry.is_of(path)
         with open_shard(path) as shard:
             findings += _attribute_findings(shard, about, objects)
-            findings += _content_findings(shard, entry, objects)
+            content, geometry = _row_findings(shard, entry, objects)
+            findings += content
             extended = other and shard.extended and not findings
-            findings += _geometry_findings(shard)
+            findings += geometry
     except CorruptShard as error:
         findings.append(Finding("schema", str(error), entry.name))
     except OSError as error:
@@ -338,32 +340,47 @@ def _attribute_findings(
             yield Finding("attributes", f"{attribute} is {about[attribute]}, not {right}", name)
 
 
-def _content_findings(
+def _row_findings(
     shard: Shard, entry: ShardEntry, objects: list[ObjectEntry]
-) -> Iterator[Finding]:
-    name, content = shard.path.name, shard.content()
-    if len(content) != entry.instances:
-        yield Finding("content", f"{len(content)} instances, not {entry.instances}", name)
+) -> tuple[list[Finding], list[Finding]]:
+    """What is wrong with the content, and with the geometry; each row is read once for both."""
+    name, about, recipe = shard.path.name, str(shard.attributes["recipe"]), None
+    content: list[Finding] = []
+    geometry: list[Finding] = []
+    try:
+        recipe = Recipe.model_validate_json(about)
+    except ValidationError:
+        sentence = "recipe is not a recipe of this version"
+        geometry.append(Finding("attributes", sentence, name))
+    if len(shard) != entry.instances:
+        content.append(Finding("content", f"{len(shard)} instances, not {entry.instances}", name))
     recorded = {o.key.object_id: o.content_sha256 for o in objects}
-    for object_id in sorted(recorded.keys() | {instance[0] for instance in content}):
-        mine = [instance for instance in content if instance[0] == object_id]
-        if content_sha256(mine) != recorded.get(object_id):
-            yield Finding("content", "not the content that the manifest records", name, object_id)
+    places: dict[str, list[int]] = {object_id: [] for object_id in recorded}
+    for index, object_id in enumerate(shard.object_ids()):
+        places.setdefault(object_id, []).append(index)
+    for object_id in sorted(places):
+        rows = [shard.stored_row(index) for index in places[object_id]]
+        made = [
+            (object_id, int(row["state_index"]), instance_sha256(object_id, row.items()))
+            for row in rows
+        ]
+        if content_sha256(made) != recorded.get(object_id):
+            sentence = "not the content that the manifest records"
+            content.append(Finding("content", sentence, name, object_id))
+        if recipe is not None and rows:
+            geometry += _geometry_findings(shard, object_id, rows, recipe)
+    return content, geometry
 
 
-def _geometry_findings(shard: Shard) -> Iterator[Finding]:
+def _geometry_findings(
+    shard: Shard, object_id: str, stored: list[dict[str, NDArray[Any]]], recipe: Recipe
+) -> Iterator[Finding]:
+    """What is wrong with one object, given its rows as they are stored."""
     name = shard.path.name
     try:
-        recipe = Recipe.model_validate_json(str(shard.attributes["recipe"]))
-    except ValidationError:
-        yield Finding("attributes", "recipe is not a recipe of this version", name)
+        rows = [shard.instance_of(row) for row in stored]
+    except ValueError as error:
+        yield Finding("numbers", str(error), name, object_id)
         return
-    by_object = sorted((object_id, i) for i, object_id in enumerate(shard.object_ids()))
-    for object_id, places in groupby(by_object, key=lambda place: place[0]):
-        try:
-            rows = [shard.instance(i) for _, i in places]
-        except ValueError as error:
-            yield Finding("numbers", str(error), name, object_id)
-            continue
-        for fault in faults(rows, recipe):
-            yield Finding(fault.check, fault.sentence, name, object_id, fault.state_index)
+    for fault in faults(rows, recipe):
+        yield Finding(fault.check, fault.sentence, name, object_id, fault.state_index)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from articugen.geometry import apply, rotation_about, transform
+from articugen.geometry import apply, bounds, rotation_about, transform
 from articugen.recipe import Recipe
 from articugen.records import (
     ENCLOSED,
@@ -31,7 +31,7 @@ def _numbers(row: Instance, _: Recipe) -> Iterator[str]:
     for name, array in row.arrays().items():
         if name in limits or isinstance(array, str | tuple):  # names are no numbers
             continue
-        if not np.isfinite(array).all():
+        if np.issubdtype(np.asarray(array).dtype, np.inexact) and not np.isfinite(array).all():
             yield f"{name} has numbers that are not finite"
     if (
         np.isnan([row.joint_lower, row.joint_upper]).any()
@@ -149,7 +149,7 @@ def _inside_box(row: Instance, recipe: Recipe) -> Iterator[str]:
         ("surface_points", dequantize(row.surface_points), "box"),
         ("occupied uniform_points", occupied, "occupied box"),
     ):
-        beyond = np.abs(points).max(axis=1, initial=0.0) - half
+        beyond = np.maximum.reduce([np.abs(column) for column in points.T]) - half
         out = TOLERANCES[tolerance].exceeded_by(beyond)
         if out.any():
             yield f"{out.sum()} {name} lie outside of the box of half edge {half:.4f}"
@@ -207,7 +207,8 @@ def _fills_box(rows: Sequence[Instance], recipe: Recipe) -> Iterator[tuple[int |
     points = dequantize(np.concatenate([row.surface_points for row in rows]))
     if len(points) < FEWEST_FOR_EXTENT:
         return
-    extent = np.ptp(points, axis=0).max()
+    low, high = bounds(points)
+    extent = (high - low).max()
     if extent < LEAST_EXTENT * (1.0 - recipe.padding):
         yield None, f"all instances together extend over {extent:.3f}, not {1 - recipe.padding:.3f}"
 

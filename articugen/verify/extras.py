@@ -9,7 +9,7 @@ from articugen.recipe import Recipe
 from articugen.records import Floats, Instance, dequantize
 from articugen.store import schema
 from articugen.verify.bounds import TOLERANCES
-from articugen.verify.nearest import nearest_within
+from articugen.verify.nearest import by_cell, nearest_within
 
 _LOOKED_AT = 500
 """Query points whose distance is compared with that to each surface point."""
@@ -51,7 +51,7 @@ def distances(row: Instance, recipe: Recipe) -> Iterator[str]:
             yield f"{stem}_distance goes beyond the recipe's signed_distance"
         step = max(1, len(far) // _LOOKED_AT)
         points = dequantize(getattr(row, f"{stem}_points")[::step])
-        nearest = nearest_within(surface, points, recipe.sampling.signed_distance)
+        nearest = nearest_within(by_cell(surface), points, recipe.sampling.signed_distance)
         there = np.flatnonzero(nearest >= 0)
         reach = np.linalg.norm(surface[nearest[there]] - points[there], axis=1)
         if TOLERANCES["distance"].exceeded_by(np.abs(far[::step][there]) - reach).any():

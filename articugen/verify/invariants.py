@@ -14,7 +14,7 @@ from articugen.recipe import Recipe
 from articugen.records import Instance
 from articugen.verify import extras
 from articugen.verify.exact import GEOMETRY_CHECKS, OBJECT_CHECKS, VALUE_CHECKS, InstanceCheck
-from articugen.verify.sampled import SHARE_CHECKS, Share, flow_shares
+from articugen.verify.sampled import SHARE_CHECKS, Samples, Share, flow_shares
 
 
 @dataclass(frozen=True)
@@ -41,12 +41,13 @@ def faults(rows: Sequence[Instance], recipe: Recipe) -> Iterator[Fault]:
 
 def shares(rows: Sequence[Instance], recipe: Recipe) -> Iterator[tuple[int, str, Share]]:
     """(state_index, check, share) of everything sampled in all instances of one object."""
-    canonical = next((row for row in rows if row.state_index == 0), None)
+    canonical = next((Samples(row) for row in rows if row.state_index == 0), None)
     for row in rows:
+        seen = Samples(row)
         for check, judge in SHARE_CHECKS.items():
-            yield from ((row.state_index, check, share) for share in judge(row, recipe))
+            yield from ((row.state_index, check, share) for share in judge(seen, recipe))
         if canonical is not None:
-            yield from ((row.state_index, "flow", share) for share in flow_shares(row, canonical))
+            yield from ((row.state_index, "flow", share) for share in flow_shares(seen, canonical))
 
 
 def _refused(found: Iterator[tuple[int, str, Share]]) -> Iterator[Fault]:

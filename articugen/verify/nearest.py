@@ -4,26 +4,48 @@ Cells along z lie in one piece, so that a query looks at a few columns of them; 
 three times as many as points, of which a surface leaves most empty.
 """
 
-import numpy as np
+from typing import Any, NamedTuple
 
-from articugen.jit import helper, kernel
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.jit import helper, inlined, kernel
 
 _ROUNDING = 1e-9
 """Cells are chosen that much more generously; what is in them is compared exactly."""
 
 
+class Sorted(NamedTuple):
+    """Points in the order of their cells.
+
+    Attributes:
+        points: (m, 3).
+        number: (m,) their places before they were sorted.
+        start: (cells^3 + 1,) where each cell's begin.
+        cells: along an edge of the unit cube.
+    """
+
+    points: Any
+    number: Any
+    start: Any
+    cells: int
+
+
+def by_cell(points: NDArray[np.float64]) -> Sorted:
+    """`points` (m, 3), sorted once for however many questions."""
+    cells = max(1, int(1.5 * len(points) ** (1.0 / 3.0)))
+    number, start = _by_cell(points, cells)
+    return Sorted(points[number], number, start, cells)
+
+
 @kernel
-def any_within(points, queries, radius):  # pragma: no cover - compiled
-    """(n,) whether any of `points` (m, 3) lies within `radius` of each query (n, 3)."""
+def any_within(among, queries, radius):  # pragma: no cover - compiled
+    """(n,) whether any of the `Sorted` points lies within `radius` of each query (n, 3)."""
+    held, start, cells = among.points, among.start, among.cells
     found = np.zeros(len(queries), np.bool_)
-    if len(queries) == 0 or len(points) == 0:
-        return found
-    cells = _fitting(len(points), radius)
-    start, order = _by_cell(points, cells)
-    held = points[order]
     most, reach = radius * radius, radius + _ROUNDING
     for k in range(len(queries)):
-        query = queries[k]
+        query = (queries[k, 0], queries[k, 1], queries[k, 2])
         own = _cell_of(query, cells)
         if _nearest(held, start[own], start[own + 1], query, most)[0] >= 0:
             found[k] = True
@@ -45,17 +67,14 @@ def any_within(points, queries, radius):  # pragma: no cover - compiled
 
 
 @kernel
-def nearest_within(points, queries, radius):  # pragma: no cover - compiled
-    """(n,) the index of the one of `points` (m, 3) nearest to each query (n, 3) within `radius`, or
-    -1; of several equally near one."""
+def nearest_within(among, queries, radius):  # pragma: no cover - compiled
+    """(n,) which of the `Sorted` points, by their places before, is nearest to each query (n, 3)
+    within `radius`, or -1; of several equally near one."""
+    held, number, start, cells = among.points, among.number, among.start, among.cells
     found = np.full(len(queries), -1, np.int64)
-    if len(queries) == 0 or len(points) == 0:
-        return found
-    cells = _fitting(len(points), radius)
-    start, order = _by_cell(points, cells)
-    held, reach = points[order], radius + _ROUNDING
+    reach = radius + _ROUNDING
     for k in range(len(queries)):
-        query, best = queries[k], radius * radius
+        query, best = (queries[k, 0], queries[k, 1], queries[k, 2]), radius * radius
         low, high = _cell(query[2] - reach, cells), _cell(query[2] + reach, cells)
         for x in range(_cell(query[0] - reach, cells), _cell(query[0] + reach, cells) + 1):
             off = _off(x, cells, query[0])
@@ -66,15 +85,8 @@ def nearest_within(points, queries, radius):  # pragma: no cover - compiled
                 first, last = start[column + low], start[column + high + 1]
                 i, d = _nearest(held, first, last, query, best)
                 if i >= 0 and (d < best or found[k] < 0):
-                    best, found[k] = d, order[i]
+                    best, found[k] = d, number[i]
     return found
-
-
-@helper
-def _fitting(count, radius):  # pragma: no cover - compiled
-    """Cells along an edge of the unit cube, for so many points: none narrower than half a radius,
-    which would only be more to look at."""
-    return max(1, min(int(1.5 * count ** (1.0 / 3.0)), int(2.0 / radius)))
 
 
 @helper
@@ -89,21 +101,21 @@ def _cell_of(point, cells):  # pragma: no cover - compiled
     return (x * cells + y) * cells + z
 
 
-@helper
+@kernel
 def _by_cell(points, cells):  # pragma: no cover - compiled
     """The numbers of the points (m, 3) in the order of their cells, and where each cell's begin."""
     start = np.zeros(cells**3 + 1, np.int32)
     cell = np.empty(len(points), np.int32)
     for i in range(len(points)):
-        cell[i] = _cell_of(points[i], cells)
+        cell[i] = _cell_of((points[i, 0], points[i, 1], points[i, 2]), cells)
         start[cell[i] + 1] += 1
     for j in range(cells**3):
         start[j + 1] += start[j]
-    free, order = start.copy(), np.empty(len(points), np.int64)
+    free, number = start.copy(), np.empty(len(points), np.int64)
     for i in range(len(points)):
-        order[free[cell[i]]] = i
+        number[free[cell[i]]] = i
         free[cell[i]] += 1
-    return start, order
+    return number, start
 
 
 @helper
@@ -114,15 +126,15 @@ def _off(cell, cells, at):  # pragma: no cover - compiled
     return gap * gap if gap > 0.0 else 0.0
 
 
-@helper
+@inlined
 def _nearest(points, first, last, query, most):  # pragma: no cover - compiled
     """(i, d): which of points[first:last] is nearest, and its squared distance; (-1, most) where
     none is within the root of `most`."""
-    found = -1
+    found, least = -1, most
     for i in range(first, last):
-        d = 0.0
-        for axis in range(3):
-            d += (points[i, axis] - query[axis]) ** 2
-        if d < most or (d == most and found < 0):
-            found, most = i, d
-    return found, most
+        n = np.uintp(i)  # unsigned: numba does not ask whether to count from the end
+        x, y, z = points[n, 0] - query[0], points[n, 1] - query[1], points[n, 2] - query[2]
+        d = x * x + y * y + z * z
+        if d < least or (d == least and found < 0):
+            found, least = i, d
+    return found, least

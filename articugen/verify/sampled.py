@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from articugen.verify.bounds import (
     SAME_SURFACE,
     STEEPEST,
 )
-from articugen.verify.nearest import any_within, nearest_within
+from articugen.verify.nearest import Sorted, any_within, by_cell, nearest_within
 
 
 @dataclass(frozen=True)
@@ -51,17 +52,45 @@ def _share(bound: str, sentence: str, agree: NDArray[np.bool_]) -> Share:
     return Share(bound, sentence, int(agree.sum()), agree.size)
 
 
-def _grids_agree(row: Instance, _: Recipe) -> Iterator[Share]:
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """What is sampled of an instance, in the unit frame, made ready once for all checks.
+
+    Attributes:
+        row: the instance.
+    """
+
+    row: Instance
+
+    @cached_property
+    def surface(self) -> Floats:
+        """(S, 3) surface points."""
+        return dequantize(self.row.surface_points)
+
+    @cached_property
+    def near_surface(self) -> Sorted:
+        """The surface points, to be asked which are near."""
+        return by_cell(self.surface)
+
+    @cached_property
+    def queries(self) -> tuple[Floats, NDArray[np.uint8]]:
+        """All query points (n, 3) and their labels (n,)."""
+        points = np.concatenate([self.row.uniform_points, self.row.near_points])
+        return dequantize(points), np.concatenate([self.row.uniform_label, self.row.near_label])
+
+
+def _grids_agree(seen: Samples, _: Recipe) -> Iterator[Share]:
     """A query point far from the surface is in a cell whose centre is on its side of it.
 
     Nothing else is sure: a gap or a panel may lie between all centres of a grid, and enclosed space
     may end without a surface.
     """
-    surface = dequantize(row.surface_points)
-    points, label = (_some(each, 8000) for each in _queries(row))
-    for resolution, grid in sorted(row.occupancy.items()):
-        reach = math.hypot(0.5 * math.sqrt(3.0) / resolution, _spacing(len(surface)))
-        away = ~any_within(surface, points, reach)
+    points, label = (_some(each, 8000) for each in seen.queries)
+    away = np.zeros(len(points), np.bool_)
+    for resolution, grid in sorted(seen.row.occupancy.items()):
+        reach = math.hypot(0.5 * math.sqrt(3.0) / resolution, _spacing(len(seen.surface)))
+        close = np.flatnonzero(~away)  # what was away by a wider reach still is
+        away[close] = ~any_within(seen.near_surface, points[close], reach)
         for what, judged in (("free", label == FREE), ("occupied", is_material(label))):
             yield _share(
                 what,
@@ -71,19 +100,20 @@ def _grids_agree(row: Instance, _: Recipe) -> Iterator[Share]:
             )
 
 
-def _grids_filled(row: Instance, _: Recipe) -> Iterator[Share]:
+def _grids_filled(seen: Samples, _: Recipe) -> Iterator[Share]:
     """Voxels of a part lie where other samples are occupied, close by by the same part.
 
     The other way about proves nothing: a thin panel may lie between all voxels' centres.
     """
-    points, label = _queries(row)
-    surface = dequantize(row.surface_points)
-    occupied = np.concatenate([points[label > 0], surface])
+    row, (points, label) = seen.row, seen.queries
     held = is_material(label)
-    solid = np.concatenate([points[held], surface])
+    occupied = by_cell(np.concatenate([points[label > 0], seen.surface]))
+    solid = np.concatenate([points[held], seen.surface])
     own = np.concatenate([label[held], row.surface_part + np.uint8(1)])
-    for resolution, grid in sorted(row.occupancy.items()):
-        for part in range(len(row.part_motion)):
+    whole = by_cell(solid)
+    for part in range(len(row.part_motion)):
+        of_part = by_cell(solid[own == part + 1])
+        for resolution, grid in sorted(row.occupancy.items()):
             voxels = _some(np.flatnonzero(grid == part + 1), 400)
             centres = voxel_centres(resolution, voxels)
             yield _share(
@@ -92,22 +122,22 @@ def _grids_filled(row: Instance, _: Recipe) -> Iterator[Share]:
                 "the points show anything",
                 any_within(occupied, centres, _ball(len(row.uniform_points))),
             )
-            met = centres[any_within(solid, centres, CLOSE)]
+            met = centres[any_within(whole, centres, CLOSE)]
             yield _share(
                 "parts",
                 f"only {{share}} of the voxels of part {part} in occupancy_{resolution} are "
                 "close to other samples of that part",
-                any_within(solid[own == part + 1], met, 3.0 * CLOSE),
+                any_within(of_part, met, 3.0 * CLOSE),
             )
 
 
-def _covered(row: Instance, _: Recipe) -> Iterator[Share]:
+def _covered(seen: Samples, _: Recipe) -> Iterator[Share]:
     """The centre of a cell that is all inside is inside, and of one that is all free it is free.
 
     But for films finer than the sub-samples that pass just through the centre.
     """
-    for resolution, coverage in sorted(row.coverage.items()):
-        inside = row.occupancy[resolution] > 0
+    for resolution, coverage in sorted(seen.row.coverage.items()):
+        inside = seen.row.occupancy[resolution] > 0
         for value, wanted in ((255, True), (0, False)):
             yield _share(
                 "coverage",
@@ -117,29 +147,28 @@ def _covered(row: Instance, _: Recipe) -> Iterator[Share]:
             )
 
 
-def _near(row: Instance, recipe: Recipe) -> Iterator[Share]:
+def _near(seen: Samples, recipe: Recipe) -> Iterator[Share]:
     """Points near the surface are near the surface points."""
-    if not len(row.surface_points):
+    if not len(seen.surface):
         return
-    surface, near = dequantize(row.surface_points), dequantize(_some(row.near_points))
-    reach = max(ANY_SURFACE, _spacing(len(surface))) + 4.0 * float(
+    near = dequantize(_some(seen.row.near_points))
+    reach = max(ANY_SURFACE, _spacing(len(seen.surface))) + 4.0 * float(
         np.max(recipe.sampling.near_sigma)
     )
     yield _share(
         "near",
         "only {share} of near_points are near surface_points",
-        any_within(surface, near, reach),
+        any_within(seen.near_surface, near, reach),
     )
 
 
-def _zero_level(row: Instance, _: Recipe) -> Iterator[Share]:
+def _zero_level(seen: Samples, _: Recipe) -> Iterator[Share]:
     """Just in front of a surface point is free, just behind it occupied.
 
     Unless another part lies in front, whose own surface no view sees: a shut laptop's.
     """
-    points, label = _queries(row)
-    surface = dequantize(row.surface_points)
-    nearest = nearest_within(surface, points, NEAR)
+    row, surface, (points, label) = seen.row, seen.surface, seen.queries
+    nearest = nearest_within(seen.near_surface, points, NEAR)
     points, label, nearest = points[nearest >= 0], label[nearest >= 0], nearest[nearest >= 0]
     ahead = np.einsum("ni,ni->n", points - surface[nearest], row.surface_normals[nearest] / 127.0)
     beside = np.linalg.norm(points - surface[nearest], axis=1)
@@ -159,11 +188,12 @@ def _zero_level(row: Instance, _: Recipe) -> Iterator[Share]:
     )
 
 
-def _partial_parts(row: Instance, recipe: Recipe) -> Iterator[Share]:
-    if recipe.sampling.depth_noise > MOST_NOISE or not len(row.surface_points):
+def _partial_parts(seen: Samples, recipe: Recipe) -> Iterator[Share]:
+    row = seen.row
+    if recipe.sampling.depth_noise > MOST_NOISE or not len(seen.surface):
         return
-    surface, seen = dequantize(row.surface_points), dequantize(row.partial_points).reshape(-1, 3)
-    nearest = nearest_within(surface, seen, SAME_SURFACE)
+    partial = dequantize(row.partial_points).reshape(-1, 3)
+    nearest = nearest_within(seen.near_surface, partial, SAME_SURFACE)
     found = nearest >= 0
     yield _share(
         "partial parts",
@@ -173,20 +203,21 @@ def _partial_parts(row: Instance, recipe: Recipe) -> Iterator[Share]:
     yield _share(
         "seen",
         "only {share} of partial_points are near surface_points",
-        any_within(surface, seen, max(ANY_SURFACE, _spacing(len(surface)))),
+        any_within(seen.near_surface, partial, max(ANY_SURFACE, _spacing(len(seen.surface)))),
     )
 
 
-def flow_shares(row: Instance, canonical: Instance) -> Iterator[Share]:
+def flow_shares(seen: Samples, canonical: Samples) -> Iterator[Share]:
     """`part_motion` brings each part's surface back to where the canonical pose has something."""
-    if not canonical.occupancy or not len(canonical.surface_points):
+    grids = canonical.row.occupancy
+    if not grids or not len(canonical.surface):
         return
-    surface, points = dequantize(canonical.surface_points), dequantize(row.surface_points)
-    grid = canonical.occupancy[max(canonical.occupancy)]
-    back = invert_rigid(row.part_motion)
+    grid = grids[max(grids)]
+    back = invert_rigid(seen.row.part_motion)
+    reach = max(ANY_SURFACE, _spacing(len(canonical.surface)))
     for part in range(1, len(back)):
-        moved = apply(back[part], _some(points[row.surface_part == part]))
-        met = any_within(surface, moved, max(ANY_SURFACE, _spacing(len(surface))))
+        moved = apply(back[part], _some(seen.surface[seen.row.surface_part == part]))
+        met = any_within(canonical.near_surface, moved, reach)
         met[~met] = (_about(grid, moved[~met]) > 0).any(axis=1)
         yield _share(
             "flow",
@@ -214,7 +245,7 @@ def _cells(grid: NDArray[np.uint8], points: Floats) -> NDArray[np.uint8]:
     return grid[x, y, z]
 
 
-ShareCheck = Callable[[Instance, Recipe], Iterator[Share]]
+ShareCheck = Callable[[Samples, Recipe], Iterator[Share]]
 
 SHARE_CHECKS: dict[str, ShareCheck] = {
     "grids": _grids_agree,
@@ -224,12 +255,6 @@ SHARE_CHECKS: dict[str, ShareCheck] = {
     "zero level": _zero_level,
     "partial parts": _partial_parts,
 }
-
-
-def _queries(row: Instance) -> tuple[Floats, NDArray[np.uint8]]:
-    """All query points (n, 3) in the unit frame and their labels."""
-    points = np.concatenate([row.uniform_points, row.near_points])
-    return dequantize(points), np.concatenate([row.uniform_label, row.near_label])
 
 
 def _some(rows: NDArray[Any], most: int = 1000) -> NDArray[Any]:
