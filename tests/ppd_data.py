@@ -21,14 +21,15 @@ def write_boxes(
     category: str = "box",
     recipe: Recipe = SMALL,
     slides: float = 0.3,
+    first: int = 0,
 ) -> Path:
     """`train` + `test` objects, each in its canonical pose and at `states` random ones; the knob on
-    the lid slides so far at most."""
+    the lid slides so far at most. Their numbers begin with `first`."""
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(5)
     outcomes = []
-    for index in range(train + test):
-        split = "train" if index < train else "test"
+    for index in range(first, first + train + test):
+        split = "train" if index < first + train else "test"
         name = f"box-{index}"
         angles = [(0.0, 0.0), *zip(rng.uniform(0, 1.7, states), rng.uniform(0, slides, states))]  # noqa: B905
         amounts = [(float(a), float(b)) for a, b in angles]

@@ -107,6 +107,22 @@ def test_seeds_race_and_a_race_resumes(folder):
     assert json.loads((runs / "box" / "000" / "race.json").read_text()) == told
 
 
+def test_several_data_sets_are_learned_from_together(folder, tmp_path):
+    data, runs = folder / "data", tmp_path / "runs"
+    other = write_boxes(tmp_path / "other", train=2, test=0, states=1, first=10)
+    base = ("train", "-c", "box", "-d", data, "-r", folder / "tiny.yaml", "--runs", runs)
+    done = articugen(*base, "-d", other)
+    assert done.exit_code == 0, done.output
+    run = runs / "box" / "000"
+    told = json.loads((run / "run.json").read_text())["data"]
+    assert (told["folder"], told["also"][0]["folder"]) == (str(data), str(other))
+    assert articugen(*base, "-d", other, "--resume", run).exit_code == 0
+    assert articugen("evaluate", run, "-d", data, "--resolution", 8).exit_code == 0
+    done = articugen(*base, "--resume", run)
+    assert done.exit_code == 1
+    assert "was started on other data" in " ".join(done.output.split())
+
+
 def test_depth_input_and_the_release_s_protocol(folder):
     data, run = folder / "data", folder / "copy" / "000"
     shutil.copytree(folder / "runs" / "box" / "000", run)

@@ -220,6 +220,27 @@ def with_enclosed(label):
     return label
 
 
+def test_several_data_sets_are_as_one(folder, packed, tmp_path):
+    other = write_boxes(tmp_path / "other", train=2, test=1, states=2, first=10)
+    alone = load_split(other, "train", ASK, [8])
+    both = load_split((folder, other), "train", ASK, [8], category="box")
+    assert both.object_id.tolist() == [*packed.object_id, *alone.object_id]
+    assert torch.equal(both.surface, torch.cat([packed.surface, alone.surface]))
+    assert torch.equal(both.grids[8], torch.cat([packed.grids[8], alone.grids[8]]))
+    assert both.bytes == packed.bytes + alone.bytes
+
+
+def test_data_sets_that_do_not_go_together_are_refused(folder, tmp_path):
+    jars = write_boxes(tmp_path / "jars", train=1, test=0, states=1, category="jar", first=10)
+    tested = write_boxes(tmp_path / "tested", train=1, test=0, states=1, first=5)
+    for other, said in (
+        (jars, "jars: holds jar, not box"),
+        (tested, "tested: has an object box-5, as .* has; leave it out of one"),
+    ):
+        with pytest.raises(CorruptShard, match=said):
+            load_split((folder, other), "train", ASK, [8])
+
+
 def test_enclosed_space_is_occupied_or_free_as_the_recipe_says(tmp_path):
     """No label reaches a batch as a part's number: 255 names none."""
     write_boxes(tmp_path, train=1, test=0, states=1)

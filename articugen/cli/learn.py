@@ -53,7 +53,15 @@ def register(app: typer.Typer) -> None:
 
 def train(
     category: Annotated[str, typer.Option("--category", "-c", help="What the data set holds.")],
-    data: Annotated[Path, typer.Option("--data", "-d", help="The folder of the data set.")],
+    data: Annotated[
+        list[Path],
+        typer.Option(
+            "--data",
+            "-d",
+            help="The folder of the data set. May be given several times: all are learned from "
+            "together, real objects beside bundled ones, say.",
+        ),
+    ],
     recipe: Annotated[
         str | None,
         typer.Option(
@@ -123,7 +131,7 @@ def train(
         if not run.writes:
             return
         stdout.print(f"done: {run.path}", soft_wrap=True)
-        stdout.print(f"next: articugen evaluate {run.path} --data {data}", soft_wrap=True)
+        stdout.print(f"next: articugen evaluate {run.path} --data {data[0]}", soft_wrap=True)
 
 
 def train_depth(

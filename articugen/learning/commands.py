@@ -51,7 +51,7 @@ _PAPER = Yardstick(
 
 
 def train(
-    data: FolderLike,
+    data: FolderLike | Sequence[FolderLike],
     recipe: RecipeLike | None = None,
     *,
     method: str | None = None,
@@ -66,10 +66,12 @@ def train(
     threads: int = 0,
     on_progress: Tell = lambda _: None,
 ) -> RunFolder:
-    """Train on a data set, or go on with a run.
+    """Train on a data set, or on several, or go on with a run.
 
     Args:
-        data: the folder of a data set.
+        data: the folder of a data set, or a sequence of those of several that are learned from
+            together: real objects beside bundled ones, say. All are of one category and made with
+            the same numbers of points and grids; no object is in two.
         recipe: a name under recipes/, a YAML file, a mapping of keys that may say `extends`, or a
             recipe; None is the method's own, and where a run is resumed, that run's.
         method: whose recipe it must be; None is whosever it is.
@@ -112,13 +114,13 @@ def train(
             raise ArticugenError("torchrun: seeds race in processes of their own; add --seeds 1")
         at_once = (jobs or os.cpu_count() or 1) if device == "cpu" else 1
         run_training = partial(race, jobs=min(at_once, settings.seeds.count))
-    folder = Path(data)
-    category = category or Manifest.read(folder).category
+    folders = _folders(data)
+    category = category or Manifest.read(folders[0]).category
     with processes.joined(device) as own_device:
         return run_training(
             settings,
             category=category,
-            data=folder,
+            data=folders,
             runs=Path(runs) / category,
             seed=seed,
             resume=resume,
@@ -354,21 +356,38 @@ def predict(
     return Predicted(given, found, write_rig(found, Path(out), frame=given.frame))
 
 
-def hints(data: FolderLike) -> list[str]:
-    """What to know before a training on a data set."""
-    found, count = [], sum(o.key.split == "train" for o in Manifest.read(Path(data)).objects)
-    if count < FEW_OBJECTS:
+def hints(data: FolderLike | Sequence[FolderLike]) -> list[str]:
+    """What to know before a training on a data set, or on several."""
+    folders, found = _folders(data), []
+    counts = [
+        sum(o.key.split == "train" for o in Manifest.read(folder).objects) for folder in folders
+    ]
+    if sum(counts) < FEW_OBJECTS:
         found.append(
-            f"{data}: {count} training objects show that all works, but teach little that carries "
-            "over to others; for that make the full data set, without RECIPE=quick or OBJECTS="
+            f"{folders[0]}: {sum(counts)} training objects show that all works, but teach little "
+            "that carries over to others; for that make the full data set, without RECIPE=quick or "
+            "OBJECTS="
         )
-    if others := lying_otherwise(Path(data)):
-        found.append(
-            f"{data}: the joints of {len(others)} of the {count} training objects lie along other "
-            f"axes than most ({', '.join(others[:3])}{', ...' if others[3:] else ''}); a category "
-            "is learnt in a frame that its objects share, so turn those that lie turned by mistake"
-        )
+    for folder, count in zip(folders, counts, strict=True):
+        if others := lying_otherwise(folder):
+            found.append(
+                f"{folder}: the joints of {len(others)} of the {count} training objects lie along "
+                f"other axes than most ({', '.join(others[:3])}{', ...' if others[3:] else ''}); a "
+                "category is learnt in a frame that its objects share, so turn those that lie "
+                "turned by mistake"
+            )
     return found if tensorboard.is_installed() else [*found, tensorboard.MISSING]
+
+
+def _folders(data: FolderLike | Sequence[FolderLike]) -> tuple[Path, ...]:
+    """
+    Raises:
+        ArticugenError: there is none.
+    """
+    each = (data,) if isinstance(data, str | os.PathLike) else tuple(data)
+    if not each:
+        raise ArticugenError("no data set to train on; give its folder")
+    return tuple(map(Path, each))
 
 
 def newest(run: FolderLike) -> Path:

@@ -254,18 +254,26 @@ def unpacked(stored: Tensor) -> Tensor:
     return (stored.int() & 0xFFFF).float() / 65535.0 - 0.5
 
 
+Folders = Path | tuple[Path, ...]
+"""Of a data set with its manifest, or of several that are learned from together."""
+
+
+def folders_of(data: Folders) -> tuple[Path, ...]:
+    return data if isinstance(data, tuple) else (data,)
+
+
 def load_split(
-    folder: Path,
+    data: Folders,
     split: str,
     spec: BatchSpec,
     resolutions: Iterable[int],
     *,
     category: str | None = None,
 ) -> PackedSplit:
-    """Pack a split of a data set.
+    """Pack a split of a data set, or of several as if they were one.
 
     Args:
-        folder: of the data set, with its manifest.
+        data: the folder, or folders, of data sets of one category.
         spec: what batches must hold; more is not read.
         resolutions: of the grids wanted.
         category: what the data set must be of.
@@ -273,26 +281,26 @@ def load_split(
     Raises:
         CorruptShard: no such data set or split, another category, too few points, no such grid, no
             clouds of depth cameras, no joint, more joints than the learner can hold, poses of an
-            object that share no frame or, where poses are compared, an object that has but one.
+            object that share no frame or, where poses are compared, an object that has but one; an
+            object that two of the data sets have, or grids and points of other sizes in one.
     """
-    manifest = Manifest.read(folder)
-    if category is not None and manifest.category != category:
-        raise CorruptShard(f"{folder}: holds {manifest.category}, not {category}")
-    names = sorted({o.shard for o in manifest.objects if o.key.split == split})
-    if not names:
-        have = sorted({o.key.split for o in manifest.objects})
-        raise CorruptShard(
-            f"{folder}: has no object in split {split!r}, only in: {', '.join(have)}"
-        )
-    about = {"split": split, "category": manifest.category}
+    folders, wanted = folders_of(data), sorted(set(resolutions))
     is_fine = spec.band_points or spec.varying_points or spec.hidden
-    finest = _finest(folder / names[0]) if is_fine else 0
-    wanted = sorted(set(resolutions))
-    shards = [_read(folder / name, about, spec, wanted, finest) for name in names]
+    shards: list[dict[str, NDArray[Any]]] = []
+    finest = 0
+    for folder in folders:
+        names, about = _shards_of(folder, split, category)
+        finest = finest or (_finest(folder / names[0]) if is_fine else 0)
+        category = about["category"]
+        shards += [_read(folder / name, about, spec, wanted, finest) for name in names]
+    _check_apart(folders)
     try:
         joined = {name: np.concatenate([shard[name] for shard in shards]) for name in shards[0]}
     except ValueError:
-        raise CorruptShard(f"{folder}: shards of different shapes; make them again") from None
+        where = ", ".join(map(str, folders))
+        raise CorruptShard(
+            f"{where}: shards of different shapes; make them again, all by one recipe"
+        ) from None
     grids = {int(n.rpartition("_")[2]): n for n in joined if n.startswith("occupancy_")}
     return PackedSplit(
         joined["object_id"],
@@ -308,6 +316,34 @@ def load_split(
         LabelledCells(finest, _tensor(joined["varying"]), _tensor(joined["varying_count"])),
         _tensor(joined["partial_points"]),
     )
+
+
+def _shards_of(folder: Path, split: str, category: str | None) -> tuple[list[str], dict[str, str]]:
+    """The names of the shards of a split, and what each must say of itself."""
+    manifest = Manifest.read(folder)
+    if category is not None and manifest.category != category:
+        raise CorruptShard(f"{folder}: holds {manifest.category}, not {category}")
+    names = sorted({o.shard for o in manifest.objects if o.key.split == split})
+    if not names:
+        have = sorted({o.key.split for o in manifest.objects})
+        raise CorruptShard(
+            f"{folder}: has no object in split {split!r}, only in: {', '.join(have)}"
+        )
+    return names, {"split": split, "category": manifest.category}
+
+
+def _check_apart(folders: tuple[Path, ...]) -> None:
+    """No object is in two data sets: both would be taken for one, or what one is tested on would be
+    learned from the other."""
+    where: dict[str, Path] = {}
+    for folder in folders if len(folders) > 1 else ():
+        for entry in Manifest.read(folder).objects:
+            name = entry.key.object_id
+            if where.setdefault(name, folder) is not folder:
+                raise CorruptShard(
+                    f"{folder}: has an object {name}, as {where[name]} has; leave it out of one, "
+                    "with --exclude"
+                )
 
 
 def _read(

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from articugen.errors import InvalidCheckpoint
 from articugen.learning import processes
-from articugen.learning.dataset import PackedSplit, load_split
+from articugen.learning.dataset import Folders, PackedSplit, folders_of, load_split
 from articugen.learning.method import Learner, find_method
 from articugen.learning.recipe import Schedule, TrainRecipe
 from articugen.learning.runs import (
@@ -163,7 +163,7 @@ def train(
     recipe: TrainRecipe,
     *,
     category: str,
-    data: Path,
+    data: Folders,
     runs: Path,
     seed: int = 0,
     resume: Path | None = None,
@@ -176,7 +176,7 @@ def train(
 
     Args:
         recipe: everything that decides the run, besides the data and the seed.
-        data: the data set's folder.
+        data: the data set's folder, or those of several that are learned from together.
         runs: where a new, numbered run folder is made.
         seed: of the weights, the batches and everything drawn.
         resume: the folder of a run to go on with instead.
@@ -271,7 +271,7 @@ def shared_folder(run: RunFolder) -> Path:
 
 
 def split_for(
-    learner: Learner, data: Path, category: str, device: torch.device
+    learner: Learner, data: Folders, category: str, device: torch.device
 ) -> tuple[PackedSplit, PackedSplit]:
     """The training instances, and those of the objects that are held out."""
     spec, recipe = learner.inputs, learner.settings
@@ -282,7 +282,7 @@ def split_for(
 
 
 def look(
-    recipe: TrainRecipe, category: str, data: Path
+    recipe: TrainRecipe, category: str, data: Folders
 ) -> Callable[[Path, Callable[[str], None]], None]:
     """Raise CorruptShard where `train` would, before a run's folder is made.
 
@@ -307,10 +307,15 @@ def split_objects(object_ids: Iterable[str], held_out: int) -> tuple[list[str], 
 
 
 def new_run(
-    recipe: TrainRecipe, category: str, data: Path, runs: Path, seed: int, name: str | None = None
-) -> RunFolder:
+    recipe: TrainRecipe, category: str, data: Folders, runs: Path, seed: int,
+    name: str | None = None,
+) -> RunFolder:  # fmt: skip
     """A new run's folder, which says what it is trained on."""
-    source = {"folder": str(data), "content_sha256": Manifest.read(data).content_sha256}
+    first, *others = [
+        {"folder": str(folder), "content_sha256": Manifest.read(folder).content_sha256}
+        for folder in folders_of(data)
+    ]
+    source = first | ({"also": others} if others else {})
     return RunFolder.new(runs, recipe, category=category, seed=seed, data=source, name=name)
 
 
@@ -319,7 +324,7 @@ def begun(
     training: PackedSplit,
     held_out: PackedSplit,
     category: str,
-    data: Path,
+    data: Folders,
     runs: Path,
     seed: int,
     resume: Path | None = None,
@@ -336,7 +341,7 @@ def begun(
 def _run_and_start(
     recipe: TrainRecipe,
     category: str,
-    data: Path,
+    data: Folders,
     runs: Path,
     seed: int,
     resume: Path | None,
@@ -361,11 +366,14 @@ def _run_and_start(
     return run, start
 
 
-def check_data(run: RunFolder, data: Path) -> None:
-    """Raise InvalidCheckpoint where a run was started on another data set."""
-    if run.about()["data"]["content_sha256"] != Manifest.read(data).content_sha256:
+def check_data(run: RunFolder, data: Folders) -> None:
+    """Raise InvalidCheckpoint where a run was started on another data set, or others."""
+    told, folders = run.about()["data"], folders_of(data)
+    started_on = [each["content_sha256"] for each in (told, *told.get("also", ()))]
+    if started_on != [Manifest.read(folder).content_sha256 for folder in folders]:
+        given = ", ".join(map(str, folders))
         raise InvalidCheckpoint(
-            f"{run.path}: was started on other data than {data}; start a new run"
+            f"{run.path}: was started on other data than {given}; start a new run"
         )
 
 

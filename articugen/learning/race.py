@@ -19,6 +19,7 @@ from typing import Any
 import torch
 
 from articugen.errors import InvalidCheckpoint, TrainingDiverged
+from articugen.learning.dataset import Folders
 from articugen.learning.loop import (
     SEEDS,
     Progress,
@@ -45,7 +46,7 @@ class Heat:
 
     recipe: TrainRecipe
     category: str
-    data: Path
+    data: Folders
     folder: Path
     seed: int
     stop: int
@@ -102,7 +103,7 @@ def race(
     recipe: TrainRecipe,
     *,
     category: str,
-    data: Path,
+    data: Folders,
     runs: Path,
     seed: int = 0,
     resume: Path | None = None,
@@ -164,7 +165,7 @@ def race(
 
 
 def _run_to_race_in(
-    recipe: TrainRecipe, category: str, data: Path, runs: Path, seed: int, resume: Path | None
+    recipe: TrainRecipe, category: str, data: Folders, runs: Path, seed: int, resume: Path | None
 ) -> RunFolder:
     """A new run, or the one to go on with, as `race` takes them."""
     if resume is None:

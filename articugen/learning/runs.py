@@ -78,9 +78,15 @@ class _Told(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
 
-class _Data(_Told):
+class _Folder(_Told):
     folder: str
     content_sha256: Sha256
+
+
+class _Data(_Folder):
+    """What it is trained on; `also`: further data sets."""
+
+    also: list[_Folder] = []
 
 
 class _About(_Told):

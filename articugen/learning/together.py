@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from articugen.errors import InvalidRecipe
+from articugen.learning.dataset import Folders
 from articugen.learning.loop import (
     Course,
     Due,
@@ -33,7 +34,7 @@ def train_together(
     recipe: TrainRecipe,
     *,
     category: str,
-    data: Path,
+    data: Folders,
     runs: Path,
     seeds: Iterable[int],
     stop_after: int,
