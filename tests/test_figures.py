@@ -119,6 +119,17 @@ def test_nothing_predicted_is_drawn_as_nothing():
     assert predicted.min() == 255
 
 
+def test_of_parts_with_one_label_the_one_that_is_there_tells_of_the_joint():
+    """A door that is hinged left and one that is hinged right have a part each."""
+    shape = dataclasses.replace(solid_truth(hinged_box()[0]), parts=4)
+    moved = dataclasses.replace(shape, part=np.where(shape.part == 1, 3, shape.part))
+    left_and_right = Names([0, 1, 2, 1], [0, 1, 2, -1])
+    assert left_and_right.part_of(0, shape) == 1
+    assert left_and_right.part_of(0, moved) == 3
+    assert left_and_right.part_of(1, moved) == 2
+    assert Names([0, -1, 2, -1], [0, -1, 2, -1]).part_of(0, shape) is None
+
+
 def test_parts_of_one_label_have_shades_of_its_colour():
     colours = part_colours([0, 1, -1, 1], [0, -1, -1, 1])
     assert colours[0] == COLOURS[0]

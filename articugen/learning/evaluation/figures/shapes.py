@@ -36,9 +36,14 @@ class Names:
     def colours(self) -> list[str]:
         return part_colours(self.labels, self.dominant)
 
-    def part_of(self, joint: int) -> int | None:
-        """The dominant predicted part of what a true joint moves."""
-        return list(self.dominant).index(joint + 1) if joint + 1 in self.dominant else None
+    def part_of(self, joint: int, shape: Reconstruction) -> int | None:
+        """The predicted part of what a true joint moves: of several the one that is there in the
+        shape, by its surface, as doors that are hinged left and right have a part each."""
+        corners = shape.triangles
+        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        area = np.bincount(shape.part, np.linalg.norm(across, axis=1), minlength=shape.parts)
+        mine = [i for i, label in enumerate(self.labels) if label == joint + 1]
+        return max(mine, key=lambda i: (area[i], self.dominant[i] == joint + 1), default=None)
 
 
 def by_opening(instances: Sequence[Instance]) -> list[Instance]:
@@ -115,7 +120,7 @@ def _changes(
     if first.joints is None or found.joints is None:
         return changes
     for j, kind in enumerate(instance.joint_kind.tolist()):
-        i = names.part_of(j)
+        i = names.part_of(j, first)
         if i is None or found.joints.kind[i] != kind:
             changes.append(None)
             continue
@@ -148,11 +153,11 @@ def _true_axes(instance: Instance) -> ColouredMesh:
 
 
 def _predicted_axes(instance: Instance, found: Reconstruction, names: Names) -> ColouredMesh:
-    """The axes of the dominant parts, as long as the true ones would be there."""
+    """The axes of the parts that joints move, as long as the true ones would be there."""
     points, part = dequantize(instance.surface_points), instance.surface_part
     joints, axes = found.joints, []
     for j in range(len(instance.joint_kind)):
-        i = names.part_of(j)
+        i = names.part_of(j, found)
         if joints is None or i is None or joints.kind[i] == JointKind.FIXED:
             continue
         kind, pivot, direction = joints.kind[i], joints.pivot[i], joints.direction[i]
