@@ -2,10 +2,11 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
-from instances import hinged_box
+from instances import SMALL, hinged_box
 from ppd_data import write_boxes
 
 from articugen.errors import CorruptShard
@@ -132,11 +133,27 @@ def test_two_parts_for_one_label_are_not_one(boxes):
     assert result.means["epe_transform_all"] == pytest.approx(0.0, abs=1e-15)
 
 
+def test_what_is_thinner_than_a_voxel_is_missing_from_the_voxels(tmp_path):
+    """Its points are given to whatever part lies nearest."""
+    recipe = SMALL.model_copy(
+        update={"sampling": SMALL.sampling.model_copy(update={"grids": (4, 8, 32)})}
+    )
+    data = write_boxes(tmp_path / "boxes", train=1, test=1, states=1, recipe=recipe)
+    coarse, fair, fine = (
+        evaluate(data, partial(truth, resolution=R), FEW).means["voxels_label_iou"]
+        for R in (4, 8, 32)
+    )
+    assert coarse < fair < fine
+    assert coarse < 0.7
+    assert fine > 0.85
+
+
 def test_a_method_without_joints_has_no_numbers_of_joints(boxes):
     """Labels and surfaces are measured as ever; the rest is not made up."""
     full = evaluate(boxes, exactly, FEW)
     segments = evaluate(boxes, lambda i: replace(exactly(i), joints=None, T_part=None), FEW)
-    shape = {"label_iou", "reconstruction_iou", "chamfer_l1", "f_score", "no_surface"}
+    shape = {"label_iou", "reconstruction_iou", "voxels_label_iou"}
+    shape |= {"chamfer_l1", "f_score", "no_surface"}
     assert set(segments.means) == shape | {"epe_nothing_moves", "matched_part_iou"}
     assert segments.means == {name: full.means[name] for name in segments.means}
     assert segments.joint_states == segments.joint_lines == segments.joint_errors == ()

@@ -138,7 +138,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     | {"discovery"},
     "learning.ppd.greatest": {"jit"},
     "learning.ppd.sine_kernels": {"jit"},
-    "learning.evaluation": VOCABULARY | {"store", "inspection"},
+    "learning.evaluation": VOCABULARY | {"store", "inspection", "marching_cubes"},
     # others' formats, a file a format; parts are made again as replay does
     "export": VOCABULARY
     | {"store", "inspection", "marching_cubes", "model_text", "verify.replay", "export"},

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from articugen.errors import CorruptShard
 from articugen.learning.evaluation import metrics
@@ -26,6 +27,7 @@ from articugen.learning.evaluation.results import (
     LeftOut,
 )
 from articugen.learning.evaluation.surfaces import distance, sample
+from articugen.marching_cubes import zero_level
 from articugen.records import Floats, Instance, JointKind, dequantize, is_material
 from articugen.seeding import generator
 from articugen.store.manifest import Manifest
@@ -105,8 +107,8 @@ def evaluate(
     """Evaluate on the test objects of a data set, or on all objects of another one.
 
     What needs joints or motions is measured where the reconstructions have them. Means that are
-    called `matched_*` are those of pose estimators, see `matched`. There is a `reconstruction_iou`
-    where the data set has a grid of the reconstructions' resolution.
+    called `matched_*` are those of pose estimators, see `matched`. There are a `reconstruction_iou`
+    and a `voxels_label_iou` where the data set has a grid of the reconstructions' resolution.
 
     Args:
         category: what the data sets must be of.
@@ -214,7 +216,10 @@ def _measure_shape(
     grid = instance.occupancy.get(len(found.occupied))
     if grid is not None:
         true_grid = is_material(grid) if protocol.occupancy == "material" else grid > 0
-        tally.add(reconstruction_iou=metrics.occupancy_iou(found.occupied, true_grid))
+        tally.add(
+            reconstruction_iou=metrics.occupancy_iou(found.occupied, true_grid),
+            voxels_label_iou=_voxels_label_iou(grid, points, true),
+        )
     surface = dequantize(instance.surface_points)
     to_predicted = np.minimum(distance(surface, found.whole), DIAGONAL)
     to_true = np.full(1, DIAGONAL)
@@ -228,6 +233,16 @@ def _measure_shape(
         no_surface=float(not len(found.whole)),
     )
     return matched
+
+
+def _voxels_label_iou(grid: NDArray[np.uint8], points: Floats, true: Ints) -> float:
+    """The label IoU of a reconstruction that knows the true label of every voxel's centre, and
+    nothing in between: what is thinner than a voxel is missing there."""
+    parts = int(true.max(initial=0)) + 1
+    surfaces = [zero_level(np.where(grid == k + 1, 1.0, -1.0)).triangles for k in range(parts)]
+    part = np.repeat(np.arange(parts), [len(surface) for surface in surfaces])
+    near = metrics.nearest_part(points, np.concatenate(surfaces), part, parts)
+    return metrics.label_iou(near, true)
 
 
 def motions(first: Reconstruction, found: Reconstruction) -> dict[str, Floats]:

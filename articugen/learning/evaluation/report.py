@@ -54,6 +54,7 @@ _DETAILS = (
     ("EPE x 100, transform only, dominant part", "epe_transform_dominant", 100.0),
     ("EPE x 100 if nothing moved", "epe_nothing_moves", 100.0),
     ("reconstruction IoU on the meshes' grid, %", "reconstruction_iou", 100.0),
+    ("label IoU of the true labels of that grid's voxels, %", "voxels_label_iou", 100.0),
     ("instances without any surface, %", "no_surface", 100.0),
 )
 
