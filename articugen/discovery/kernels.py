@@ -41,7 +41,9 @@ def _row(starts, pose, i, j, z, reach):
     first = max(int(np.floor((z - reach + 0.5) * CELLS)), 0)
     last = min(int(np.floor((z + reach + 0.5) * CELLS)), CELLS - 1)
     row = (i * CELLS + j) * CELLS
-    return range(starts[pose, row + first], starts[pose, row + max(last, first - 1) + 1])
+    k = np.uintp(pose)  # unsigned: numba does not ask whether to count from the end
+    begin, end = np.uintp(row + first), np.uintp(row + max(last, first - 1) + 1)
+    return range(starts[k, begin], starts[k, end])
 
 
 @helper
@@ -75,11 +77,12 @@ def _nearest(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, 
     best, at = reach * reach, -1
     for i in _span(x, reach):
         for j in _span(y, reach):
-            for n in _row(starts, pose, i, j, z, reach):
+            for m in _row(starts, pose, i, j, z, reach):
+                n = np.uintp(m)
                 dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
                 d = dx * dx + dy * dy + dz * dz
                 if d <= best and _is_alike(normals, signed, n, dx, dy, dz, nx, ny, nz, across):
-                    best, at = d, n
+                    best, at = d, m
     return at, best if at >= 0 else FAR
 
 
@@ -112,12 +115,14 @@ def _meets(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, ac
     c = int(np.floor((z + 0.5) * CELLS))
     if 0 <= a < CELLS and 0 <= b < CELLS and 0 <= c < CELLS:
         own = (a * CELLS + b) * CELLS + c
-        for n in range(starts[pose, own], starts[pose, own + 1]):
+        for m in range(starts[pose, own], starts[pose, own + 1]):
+            n = np.uintp(m)
             if _fits(points, normals, signed, n, x, y, z, nx, ny, nz, reach, across):
                 return True
     for i in _span(x, reach):
         for j in _span(y, reach):
-            for n in _row(starts, pose, i, j, z, reach):
+            for m in _row(starts, pose, i, j, z, reach):
+                n = np.uintp(m)
                 if _fits(points, normals, signed, n, x, y, z, nx, ny, nz, reach, across):
                     return True
     return False
@@ -290,7 +295,8 @@ def votes(turned, offsets, weights, grid):
     """For each of C candidates and each of eight poses, the step at which most points land.
 
     Args:
-        turned: (T, m, 3) float32, the points at each of T steps, in cells of `grid`.
+        turned: (T, 3, m) float32, the points at each of T steps, in cells of `grid`: coordinate by
+            coordinate, so that several points are looked up at a time.
         offsets: (C, T, 3) float32, what each candidate adds to them.
         weights: (m,) uint64: byte k is 1 where the point counts in pose k.
         grid: (VOTES^3,) uint64: byte k is 1 where pose k has something new. At most 255 points.
@@ -299,16 +305,19 @@ def votes(turned, offsets, weights, grid):
         (C, 8) the greatest number of points, and (C, 8) the step where it is reached first.
     """
     C, T = offsets.shape[0], offsets.shape[1]
+    nought, edge, row = np.float32(0.0), np.float32(VOTES), np.int32(VOTES)
     most, step = np.zeros((C, 8), np.uint8), np.zeros((C, 8), np.int32)
     for t in range(T):
-        Y = turned[t]
+        X, Y, Z = turned[t, 0], turned[t, 1], turned[t, 2]
         for c in range(C):
             ox, oy, oz = offsets[c, t, 0], offsets[c, t, 1], offsets[c, t, 2]
             total = np.uint64(0)
-            for m in range(len(Y)):
-                x, y, z = Y[m, 0] + ox, Y[m, 1] + oy, Y[m, 2] + oz
-                if 0.0 <= x < VOTES and 0.0 <= y < VOTES and 0.0 <= z < VOTES:
-                    total += grid[(int(x) * VOTES + int(y)) * VOTES + int(z)] & weights[m]
+            for m in range(len(X)):
+                x, y, z = X[m] + ox, Y[m] + oy, Z[m] + oz
+                inside = (x >= nought) & (y >= nought) & (z >= nought)
+                if inside & (x < edge) & (y < edge) & (z < edge):
+                    at = (np.int32(x) * row + np.int32(y)) * row + np.int32(z)
+                    total += grid[np.uintp(at)] & weights[m]
             for k in range(8):
                 count = np.uint8(total >> np.uint64(8 * k) & np.uint64(255))
                 if count > most[c, k]:

@@ -113,7 +113,7 @@ class Search:
         pivots = self._pivots(across, axis)
         angles = np.linspace(-np.pi, np.pi, ANGLES, endpoint=False)
         spin = Candidate(True, axis, np.zeros(3), angles)
-        turned = np.einsum("tij,mj->tmi", motions(spin)[:, :, :3], P)
+        turned = np.einsum("tij,mj->tim", motions(spin)[:, :, :3], P)
         rest = pivots[:, None] - np.einsum("tij,cj->cti", motions(spin)[:, :, :3], pivots)
         w = weights(self.change, which)
         most, step = kernels.votes(
@@ -137,7 +137,7 @@ class Search:
         P, R = self.change.clouds[0].points[which], kernels.VOTES
         lengths = np.arange(-_LONGEST_SLIDE, _LONGEST_SLIDE, SLIDE_STEP)
         offsets = ways[:, None] * lengths[:, None] + 0.5
-        turned = np.broadcast_to(P * R, (len(lengths), *P.shape))
+        turned = np.broadcast_to(P.T * R, (len(lengths), *P.T.shape))
         most, step = kernels.votes(
             turned.astype(np.float32), (offsets * R).astype(np.float32),
             weights(self.change, which), self.grid,
