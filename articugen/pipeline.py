@@ -4,7 +4,6 @@ What an object becomes depends on its files, the recipe, the seed and the code a
 number of workers nor an interruption can be seen in the data. `instance.py` tells how one is made.
 """
 
-import ctypes
 import hashlib
 import os
 import resource
@@ -13,7 +12,7 @@ import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -30,6 +29,7 @@ from articugen.errors import (
     printable,
 )
 from articugen.estimate import instance_bytes, run_seconds
+from articugen.memory import give_back
 from articugen.recipe import Recipe, check_category
 from articugen.records import ArticulatedObject, Instance
 from articugen.sources import registry
@@ -52,8 +52,8 @@ SECONDS_FOR_ANY_OBJECT = 600.0
 SECONDS_FOR_ANY_INSTANCE = 5.0
 """What an object may take where its recipe says nothing of it: a hundred times what most do."""
 
-_M_MMAP_THRESHOLD = -3  # of malloc.h
-_LARGE_BLOCK = 8 << 20
+_DEPTH_MAPS = 8 << 20
+"""Bytes: what is as large as they are goes back to the system once it is freed."""
 
 
 @dataclass(frozen=True)
@@ -346,7 +346,7 @@ def make_object(job: Job, task: Task, check: Check | None = None) -> Outcome:
         ArticugenError: no object can be made, for want of a library say.
     """
     started = time.perf_counter()
-    _give_back_large_blocks()
+    give_back(_DEPTH_MAPS)
     try:
         obj, instances = _instances(job, task)
         if _is_other(task, obj.sha256):
@@ -423,17 +423,6 @@ def _verdict(error: Exception, ref: ObjectRef, recipe: Recipe) -> Exception | No
     if isinstance(error, OSError) and error.errno is not None:
         return error
     return None
-
-
-@cache
-def _give_back_large_blocks() -> None:
-    """Have glibc return freed depth maps to the system; by default it keeps them, full of holes.
-
-    Elsewhere than on glibc nothing changes.
-    """
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
-    if mallopt is not None:
-        mallopt(_M_MMAP_THRESHOLD, _LARGE_BLOCK)
 
 
 def _instances(job: Job, task: Task) -> tuple[ArticulatedObject, Iterator[Instance]]:

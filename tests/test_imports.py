@@ -16,8 +16,8 @@ from articugen.content import STAGES as DECLARED
 PACKAGE = Path(articugen.__file__).parent
 
 VOCABULARY = {
-    "bundled", "colours", "content", "errors", "geometry", "jit", "plugins", "portable", "recipe",
-    "recipe_files", "records",
+    "bundled", "colours", "content", "errors", "geometry", "jit", "memory", "plugins", "portable",
+    "recipe", "recipe_files", "records",
     "seeding", "store.files", "store.schema",
 }  # fmt: skip
 """What everybody speaks; the two of the store are what recipes are checked against and read by."""
@@ -41,6 +41,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     # the vocabulary
     "errors": set(),
     "jit": set(),
+    "memory": set(),
     "mesh_file": {"errors", "records"},
     "bundled": set(),
     "colours": set(),

@@ -107,7 +107,8 @@ class PackedSplit:
         state_index: (I,) 0 is the canonical pose.
         surface: (I, S, 3).
         part: (I, S) the parts of the surface points; (I, 0) unless asked for.
-        normals: (I, S, 3) int8 normals of the surface points, 127 times; (I, 0, 3) likewise.
+        normals: (I, S, 3) int8 normals of the surface points, 127 times; (I, 0, 3) likewise. No
+            batch holds them.
         grids: (I, R^3) labels by resolution, above 0 where the recipe calls it occupied.
         uniform, near: ((I, K, 3) coordinates, (I, K) such labels).
         hidden: (I, R^3 / 8) one bit for each voxel of the finest grid, 0 where it is free, whatever
@@ -153,6 +154,11 @@ class PackedSplit:
         at = torch.from_numpy(rows)
         some = self._with(lambda tensor: tensor[at])
         return replace(some, object_id=self.object_id[rows], state_index=self.state_index[rows])
+
+    def for_batches(self) -> "PackedSplit":
+        """Without what batches do not hold, and `Learner.begin` alone looks at: 56 KiB of an
+        instance's 200."""
+        return replace(self, normals=self.normals[:, :0].clone(), hidden=self.hidden[:, :0].clone())
 
     def to(self, device: torch.device) -> "PackedSplit":
         """The same in the memory of a device."""
@@ -295,7 +301,8 @@ def load_split(
         shards += [_read(folder / name, about, spec, wanted, finest) for name in names]
     _check_apart(folders)
     try:
-        joined = {name: np.concatenate([shard[name] for shard in shards]) for name in shards[0]}
+        # what is joined is let go: there is never much more than all of it at a time
+        joined = {name: np.concatenate([s.pop(name) for s in shards]) for name in list(shards[0])}
     except ValueError:
         where = ", ".join(map(str, folders))
         raise CorruptShard(

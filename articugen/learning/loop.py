@@ -35,6 +35,7 @@ from articugen.learning.runs import (
     read_depth_checkpoint,
 )
 from articugen.learning.tensors import digest
+from articugen.memory import given_back
 from articugen.seeding import generator as seeded
 from articugen.store.manifest import Manifest
 
@@ -52,6 +53,10 @@ class Progress:
     said: str = ""
     """What is done before the first iteration, where that takes time."""
 
+
+SHARDS = 1 << 20
+"""Bytes: what is as large as fields of a shard goes back to the system while data are made ready,
+which takes as much again for a while."""
 
 SEEDS = "seeds"
 """The folder of a race's own runs, in that of the race."""
@@ -195,6 +200,7 @@ def train(
     learner = method.start(recipe, seed=draw(seed, recipe.method, "weights"), device=where)
     splits = split_for(learner, data, category, where)
     course = begun(learner, *splits, category, data, runs, seed, resume, name)
+    del splits  # the course lets go of what batches do not hold
     return follow(course, stop_after, on_progress)
 
 
@@ -237,13 +243,14 @@ def train_depth(
 
 def follow(course: Course, stop_after: int | None, on_progress: Tell) -> RunFolder:
     """The loop: from where the course stands to its schedule's end, or to `stop_after`."""
-    learner, training = course.learner, course.training
-    plan = learner.settings.schedule
-    learner.begin(
-        training,
-        shared_folder(course.run),
-        lambda said: on_progress(Progress(course.iteration, plan.iterations, said=said)),
-    )
+    learner, plan = course.learner, course.learner.settings.schedule
+    with given_back(SHARDS):
+        learner.begin(
+            course.training,
+            shared_folder(course.run),
+            lambda said: on_progress(Progress(course.iteration, plan.iterations, said=said)),
+        )
+        training = course.training = course.training.for_batches()
     with course.run.metrics_from(course.iteration, course.files) as log:
         for iteration in range(
             course.iteration, min(plan.iterations, stop_after or plan.iterations)
@@ -276,9 +283,10 @@ def split_for(
     """The training instances, and those of the objects that are held out."""
     spec, recipe = learner.inputs, learner.settings
     grids = {stage.resolution for stage in recipe.schedule.stages if spec.grid_points}
-    everything = load_split(data, "train", spec, {*grids, *spec.grids}, category=category)
-    kept, held_out = split_objects(everything.object_id, recipe.data.validation_objects)
-    return everything.of(kept).to(device), everything.of(held_out).to(device)
+    with given_back(SHARDS):
+        everything = load_split(data, "train", spec, {*grids, *spec.grids}, category=category)
+        kept, held_out = split_objects(everything.object_id, recipe.data.validation_objects)
+        return everything.of(kept).to(device), everything.of(held_out).to(device)
 
 
 def look(

@@ -22,6 +22,7 @@ from articugen.errors import InvalidCheckpoint, TrainingDiverged
 from articugen.learning.dataset import Folders
 from articugen.learning.loop import (
     SEEDS,
+    SHARDS,
     Progress,
     Tell,
     check_data,
@@ -34,6 +35,7 @@ from articugen.learning.method import find_method
 from articugen.learning.recipe import TrainRecipe
 from articugen.learning.runs import BEST, LATEST, METRICS, RunFolder, read_checkpoint
 from articugen.learning.together import train_together
+from articugen.memory import given_back
 from articugen.store.files import write_atomically
 from articugen.workers import Crew, report
 
@@ -139,7 +141,9 @@ def race(
     heat = partial(Heat, recipe, category, data, run.path / SEEDS, device=device)
     at_once = can_run_at_once(recipe, device) if at_once is None else at_once
     with run.locked():
-        begin(shared_folder(run), lambda said: on_progress(Progress(0, total, said=said)))
+        with given_back(SHARDS):
+            begin(shared_folder(run), lambda said: on_progress(Progress(0, total, said=said)))
+        del begin  # it holds all instances
         with _crew(jobs, on_progress) as crew:
             run_heats = partial(_at_once, tell=on_progress) if at_once else crew.in_order
             racing = list(range(seed, seed + recipe.seeds.count))

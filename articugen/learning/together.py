@@ -64,6 +64,7 @@ def train_together(
         courses.append(
             begun(learner, *splits, category, data, runs, seed, resume=resume, name=str(seed))
         )
+    del splits  # the courses let go of what batches do not hold
     courses = [course for course in courses if course.iteration < stop_after]
     courses.sort(key=lambda course: course.iteration)
     diverged: set[int] = set()
@@ -81,10 +82,12 @@ def follow_together(
 ) -> set[int]:
     """The loop for a team whose courses stand at the same iteration; the seeds that diverged."""
     first, diverged = courses[0], set[int]()
-    plan, training = first.learner.settings.schedule, first.training
-    device = training.surface.device
+    plan, device = first.learner.settings.schedule, first.training.surface.device
     chances = [torch.Generator(device) for _ in courses]
-    team.begin(training, shared_folder(first.run))
+    team.begin(first.training, shared_folder(first.run))
+    training = first.training.for_batches()
+    for course in courses:
+        course.training = training
     with ExitStack() as stack:
         logs = [stack.enter_context(c.run.metrics_from(c.iteration, c.files)) for c in courses]
         for iteration in range(first.iteration, min(plan.iterations, stop_after)):
