@@ -49,6 +49,30 @@ def test_a_model_s_surfaces_lie_where_its_field_is_zero(part_frame):
         np.testing.assert_allclose(apply(found.T_part[i], local[i]), [0.1, 0.2, 0.3], atol=1e-5)
 
 
+def test_a_part_is_not_far_outside_of_its_box():
+    """Within `ROOM` times the box its field is what the model says, beyond it below 0."""
+    torch.manual_seed(1)
+    settings = ModelSettings(part_frame="world", part_boxes=True, coordinate_bound=1 / 3)
+    model = PPD(settings).eval()
+    (instance,) = hinged_box([(0.3, 0.1)])
+    cloud = torch.as_tensor(dequantize(instance.surface_points), dtype=torch.float32)
+    points = torch.rand(500, 3) - 0.5
+    with torch.no_grad():
+        model.shape.box_in[-1].bias.view(-1, 6)[:, 3:] -= 0.5
+        model.shape.head_2.bias += 5.0  # all of the cube would be each part's
+        predicted = model(cloud[None])
+        field = model.shape(predicted.shape, model.motion(predicted.pose), points[None]).product[0]
+        local = model.motion(predicted.pose).apply(points[None])[0]
+    box = predicted.shape.box
+    off = (local - box.middle[0, :, None]).abs() / box.size[0, :, None]
+    beyond = (off > reconstruction.ROOM).any(-1).numpy()
+    assert 0.05 < beyond.mean() < 0.95
+    found = reconstruction.logits_at(model, predicted, points)
+    np.testing.assert_allclose(found[~beyond], field.numpy()[~beyond], atol=1e-5)
+    assert (found[beyond] < 0.0).all()
+    assert (field.numpy()[beyond] > 0.0).any()
+
+
 def test_interpolation_holds_what_it_holds():
     torch.manual_seed(0)
     model = PPD(ModelSettings()).eval()

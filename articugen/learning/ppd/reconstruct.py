@@ -16,7 +16,7 @@ from articugen.learning.dataset import voxel_centres
 from articugen.learning.evaluation.reconstruction import PartJoints, Reconstruction
 from articugen.learning.ppd.kinematics import InverseMotion
 from articugen.learning.ppd.model import PPD, Prediction
-from articugen.learning.ppd.shape import ShapeCode, ShapeDecoder
+from articugen.learning.ppd.shape import PartBox, ShapeCode, ShapeDecoder
 from articugen.marching_cubes import zero_level
 from articugen.records import Floats, JointKind
 
@@ -29,6 +29,10 @@ _BLOCK, _LARGE_BLOCK = 1 << 11, 1 << 18
 than half of the time; on a GPU there are enough to keep it busy."""
 
 _DENSE = 64
+
+ROOM = 1.5
+"""A part is not farther from the middle of its box than so many times the box's half edges: sines
+repeat, and far away, where hardly a point is ever drawn, there would be crumbs."""
 
 
 def reconstruction_of(
@@ -121,16 +125,25 @@ def _doubled(grids: NDArray[Any]) -> NDArray[Any]:
 def logits_at(
     model: PPD, predicted: Prediction, points: Tensor, parts: NDArray[np.int64] | None = None
 ) -> Floats:
-    """(P, n): the field of each part, or of these `parts`, at points (n, 3), before the sigmoid."""
+    """(P, n): the field of each part, or of these `parts`, at points (n, 3), before the sigmoid;
+    below 0 far outside of the part's box, where it has one."""
     decoder, code, inverse = model.shape, predicted.shape, model.motion(predicted.pose)
     if parts is not None:
         decoder, code, inverse = _of_parts(decoder, code, inverse, torch.from_numpy(parts))
     block = _BLOCK if inverse.offset.device.type == "cpu" else _LARGE_BLOCK
-    field = [
-        decoder(code, inverse, some[None].to(inverse.offset)).product[0]
-        for some in points.split(block)
-    ]
+    field = []
+    for some in points.split(block):
+        at = some.to(inverse.offset)
+        values = decoder(code, inverse, at[None]).product[0]
+        field.append(_within(code.box, inverse, at, values) if code.box else values)
     return torch.cat(field, 1).double().cpu().numpy()
+
+
+def _within(box: PartBox, inverse: InverseMotion, points: Tensor, field: Tensor) -> Tensor:
+    """A field (P, n) at points (n, 3), below 0 beyond `ROOM` times the parts' boxes."""
+    rest = inverse.rotation[0] @ points.mT + (inverse.offset - box.middle)[0, :, :, None]
+    beyond = (rest.abs() > ROOM * box.size[0, :, :, None]).any(1)
+    return torch.where(beyond, field.clamp(max=-1.0), field)
 
 
 def _of_parts(
