@@ -237,7 +237,7 @@ class Run:
                     on_object(report_of(outcome, reused=True))
                 return manifest
         licence = registry.licence(self.job.source)  # while the source is there
-        self.compile(on_notice)
+        self.compile(on_notice)  # which is not the data's time
         began = time.perf_counter()
         outcomes = self.make(on_object, on_notice)
         made = [outcome.made for outcome in outcomes[len(self.plan.done) :] if outcome.made]

@@ -38,7 +38,7 @@ def _span(x, reach):
 @helper
 def _row(starts, pose, i, j, z, reach):
     """The points of a pose in the cells (i, j, k) that come within `reach` of z."""
-    first = max(int(np.floor((z - reach + 0.5) * CELLS)), 0)
+    first = min(max(int(np.floor((z - reach + 0.5) * CELLS)), 0), CELLS)
     last = min(int(np.floor((z + reach + 0.5) * CELLS)), CELLS - 1)
     row = (i * CELLS + j) * CELLS
     k = np.uintp(pose)  # unsigned: numba does not ask whether to count from the end

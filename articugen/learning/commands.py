@@ -380,7 +380,8 @@ def hints(data: FolderLike | Sequence[FolderLike]) -> list[str]:
 
 
 def _folders(data: FolderLike | Sequence[FolderLike]) -> tuple[Path, ...]:
-    """
+    """Of one data set or of several, as the loop takes them.
+
     Raises:
         ArticugenError: there is none.
     """

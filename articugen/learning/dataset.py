@@ -156,8 +156,7 @@ class PackedSplit:
         return replace(some, object_id=self.object_id[rows], state_index=self.state_index[rows])
 
     def for_batches(self) -> "PackedSplit":
-        """Without what batches do not hold, and `Learner.begin` alone looks at: 56 KiB of an
-        instance's 200."""
+        """Without what batches do not hold, and `Learner.begin` alone looks at."""
         return replace(self, normals=self.normals[:, :0].clone(), hidden=self.hidden[:, :0].clone())
 
     def to(self, device: torch.device) -> "PackedSplit":
@@ -291,15 +290,16 @@ def load_split(
             object that two of the data sets have, or grids and points of other sizes in one.
     """
     folders, wanted = folders_of(data), sorted(set(resolutions))
+    manifests = [Manifest.read(folder) for folder in folders]
+    _check_apart(folders, manifests)
     is_fine = spec.band_points or spec.varying_points or spec.hidden
     shards: list[dict[str, NDArray[Any]]] = []
     finest = 0
-    for folder in folders:
-        names, about = _shards_of(folder, split, category)
+    for folder, manifest in zip(folders, manifests, strict=True):
+        names, about = _shards_of(folder, manifest, split, category)
         finest = finest or (_finest(folder / names[0]) if is_fine else 0)
         category = about["category"]
         shards += [_read(folder / name, about, spec, wanted, finest) for name in names]
-    _check_apart(folders)
     try:
         # what is joined is let go: there is never much more than all of it at a time
         joined = {name: np.concatenate([s.pop(name) for s in shards]) for name in list(shards[0])}
@@ -325,9 +325,10 @@ def load_split(
     )
 
 
-def _shards_of(folder: Path, split: str, category: str | None) -> tuple[list[str], dict[str, str]]:
+def _shards_of(
+    folder: Path, manifest: Manifest, split: str, category: str | None
+) -> tuple[list[str], dict[str, str]]:
     """The names of the shards of a split, and what each must say of itself."""
-    manifest = Manifest.read(folder)
     if category is not None and manifest.category != category:
         raise CorruptShard(f"{folder}: holds {manifest.category}, not {category}")
     names = sorted({o.shard for o in manifest.objects if o.key.split == split})
@@ -339,12 +340,12 @@ def _shards_of(folder: Path, split: str, category: str | None) -> tuple[list[str
     return names, {"split": split, "category": manifest.category}
 
 
-def _check_apart(folders: tuple[Path, ...]) -> None:
+def _check_apart(folders: Sequence[Path], manifests: Sequence[Manifest]) -> None:
     """No object is in two data sets: both would be taken for one, or what one is tested on would be
     learned from the other."""
     where: dict[str, Path] = {}
-    for folder in folders if len(folders) > 1 else ():
-        for entry in Manifest.read(folder).objects:
+    for folder, manifest in zip(folders, manifests, strict=True):
+        for entry in manifest.objects:
             name = entry.key.object_id
             if where.setdefault(name, folder) is not folder:
                 raise CorruptShard(
