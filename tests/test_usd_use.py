@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from click.testing import Result
 from published import zipped
 from typer.testing import CliRunner
 from usd_models import artvip
@@ -24,7 +23,7 @@ pytest.importorskip("pxr", reason="pip install 'articugen[usd]'")
 TINY = {"extends": "quick", "views": {"count": 30, "resolution": 128}, "sampling": {"grids": [16]}}
 
 
-def run(*arguments: object) -> Result:
+def run(*arguments: object):
     return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
