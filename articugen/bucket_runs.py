@@ -23,6 +23,8 @@ from articugen.pipeline import (
     Plan,
     Task,
     as_its_source_is,
+    common_folder,
+    help_make,
     import_stages,
     limit_of,
     make_object,
@@ -136,13 +138,15 @@ class BucketRun:
     ) -> Iterator[tuple[Task, Outcome | None]]:
         """What became of each task; None where another process is at it."""
         bucket = self.journal.bucket
-        with tempfile.TemporaryDirectory(prefix="articugen-") as folder:
+        aside = tempfile.TemporaryDirectory(prefix="articugen-")
+        with aside as folder, common_folder(self.job) as common:
             each = workers.each(
-                partial(make_into, replace(self.job, out=Path(folder)), claim),
+                partial(make_into, replace(self.job, out=Path(folder)), claim, common=common),
                 tasks,
                 workers=self.job.jobs,
                 limit=limit,
                 ready=import_stages,
+                help=common and partial(help_make, self.job, common),
                 notice=on_notice,
                 name=name_of,
             )
@@ -190,13 +194,16 @@ def started(job: Job, share: Share | None = None, *, command: str = "") -> Itera
     yield BucketRun(job, journal, plan_for(job, journal, [refs[p] for p in chosen]), share)
 
 
-def make_into(job: Job, claim: tuple[str, float], task: Task) -> Outcome | None:
+def make_into(
+    job: Job, claim: tuple[str, float], task: Task, common: Path | None = None
+) -> Outcome | None:
     """Make one object and copy it into the store; None where another process is at it.
 
     Args:
         job: with `out`, a folder of this machine for files that are not copied yet.
         claim: the run's name, and the seconds that its claims last.
         task: the object.
+        common: as of `make_object`.
 
     Raises:
         MachineFault, MemoryError, ArticugenError: as `make_object`; the store does not answer.
@@ -210,7 +217,7 @@ def make_into(job: Job, claim: tuple[str, float], task: Task) -> Outcome | None:
         known = read_record(text, task.shard) if text is not None else None
         if known is not None and _will_do(known, task) and _is_there(bucket, known):
             return known  # another process was at it until now
-        outcome = task.known or make_object(job, task)
+        outcome = task.known or make_object(job, task, common=common)
         if outcome.shard:
             bucket.put(task.shard, job.out / task.shard)
         _record(bucket, task, outcome)

@@ -8,15 +8,16 @@ import hashlib
 import os
 import resource
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from articugen import __version__, cluster, content, workers
+from articugen import __version__, cluster, content, sharing, workers
 from articugen.compiling import compile_kernels
 from articugen.errors import (
     ArticugenError,
@@ -31,7 +32,7 @@ from articugen.errors import (
 from articugen.estimate import instance_bytes, run_seconds
 from articugen.memory import give_back
 from articugen.recipe import Recipe, check_category
-from articugen.records import ArticulatedObject, Instance
+from articugen.records import Instance
 from articugen.sources import registry
 from articugen.sources.refs import ObjectRef
 from articugen.store import croissant
@@ -48,9 +49,15 @@ from articugen.store.manifest import (
 )
 from articugen.store.shards import Check, write_shard
 
+if TYPE_CHECKING:
+    from articugen.instance import Prepared
+
 SECONDS_FOR_ANY_OBJECT = 600.0
 SECONDS_FOR_ANY_INSTANCE = 5.0
 """What an object may take where its recipe says nothing of it: a hundred times what most do."""
+
+_FEWEST_SHARED = 8
+"""Instances of an object that others may help with: fewer are made before they are ready."""
 
 _DEPTH_MAPS = 8 << 20
 """Bytes: what is as large as they are goes back to the system once it is freed."""
@@ -297,16 +304,39 @@ class Run:
                 self.journal.path.resolve(),
             )
             return cluster.each(duty, tasks, address=self.job.scheduler, notice=on_notice)
-        return workers.each(
-            partial(make_object, self.job, check=self.check),
-            tasks,
-            workers=self.job.jobs,
-            limit=limit,
-            ready=import_stages,
-            handles=self.journal.handles,
-            notice=on_notice,
-            name=name_of,
-        )
+        return self._ends_here(tasks, limit, on_notice)
+
+    def _ends_here(
+        self, tasks: Sequence[Task], limit: workers.Limit, on_notice: Callable[[str], None]
+    ) -> Generator[workers.Ended[Outcome], None, None]:
+        with common_folder(self.job) as common:
+            each = workers.each(
+                partial(make_object, self.job, check=self.check, common=common),
+                tasks,
+                workers=self.job.jobs,
+                limit=limit,
+                ready=import_stages,
+                help=common and partial(help_make, self.job, common),
+                handles=self.journal.handles,
+                notice=on_notice,
+                name=name_of,
+            )
+            with closing(each):
+                yield from each
+
+
+@contextmanager
+def common_folder(job: Job) -> Iterator[Path | None]:
+    """Where workers that have no object left help others with theirs; None if they do not."""
+    if job.jobs < 2 or _instances_each(job.recipe) < _FEWEST_SHARED:
+        yield None
+        return
+    with ExitStack() as stack:
+        folder = None
+        with suppress(OSError):  # no room, no right: everyone works alone
+            temporary = tempfile.TemporaryDirectory(prefix="articugen-", ignore_cleanup_errors=True)
+            folder = Path(stack.enter_context(temporary))
+        yield folder
 
 
 def name_of(task: Task) -> str:
@@ -337,9 +367,11 @@ def manifest_of(job: Job, outcomes: Sequence[Outcome], timings: Timings, licence
     )
 
 
-def make_object(job: Job, task: Task, check: Check | None = None) -> Outcome:
+def make_object(
+    job: Job, task: Task, check: Check | None = None, common: Path | None = None
+) -> Outcome:
     """Make one object and write its shard; a fault of the object becomes its rejection, and so does
-    what `check` raises of the shard.
+    what `check` raises of the shard. Other workers may help in the folder `common`, if any.
 
     Raises:
         MachineFault, MemoryError: it says nothing about the object.
@@ -347,11 +379,22 @@ def make_object(job: Job, task: Task, check: Check | None = None) -> Outcome:
     """
     started = time.perf_counter()
     give_back(_DEPTH_MAPS)
+    elsewhere = 0.0
+
+    def here(made: _Made) -> Instance:
+        nonlocal elsewhere
+        elsewhere += made.seconds if made.process != os.getpid() else 0.0
+        return made.instance
+
     try:
-        obj, instances = _instances(job, task)
-        if _is_other(task, obj.sha256):
-            return _changed(task)
-        record = write_shard(job.out / task.shard, instances, _attributes(job, task), check)
+        with sharing.owned(common and common / task.shard) as owner:
+            prepared = _prepared(job, task)
+            obj = prepared.obj
+            if _is_other(task, obj.sha256):
+                return _changed(task)
+            made = owner.in_order(len(prepared.states), partial(_made, prepared))
+            attributes = _attributes(job, task)
+            record = write_shard(job.out / task.shard, map(here, made), attributes, check)
     except Exception as error:  # an object must not take the others down with it
         verdict = _verdict(error, task.ref, job.recipe)
         if verdict is None:
@@ -366,8 +409,18 @@ def make_object(job: Job, task: Task, check: Check | None = None) -> Outcome:
         record,
         input_sha256=obj.sha256,
         notes=obj.notes,
-        seconds=time.perf_counter() - started,
+        seconds=time.perf_counter() - started + elsewhere,
     )
+
+
+def help_make(job: Job, common: Path, task: Task) -> int:
+    """Make instances of an object that another worker makes, until none is left; how many."""
+    give_back(_DEPTH_MAPS)
+    prepared = _prepared(job, task)
+    if _is_other(task, prepared.obj.sha256):
+        return 0
+    count = len(prepared.states)
+    return sharing.help_with(common / task.shard, count, partial(_made, prepared))
 
 
 def _is_other(task: Task, digest: str) -> bool:
@@ -425,15 +478,29 @@ def _verdict(error: Exception, ref: ObjectRef, recipe: Recipe) -> Exception | No
     return None
 
 
-def _instances(job: Job, task: Task) -> tuple[ArticulatedObject, Iterator[Instance]]:
-    """The object and its instances, which are made as they are asked for."""
+@dataclass(frozen=True)
+class _Made:
+    """An instance, which process made it and in how many seconds."""
+
+    instance: Instance
+    process: int
+    seconds: float
+
+
+def _made(prepared: "Prepared", index: int) -> _Made:
+    from articugen.instance import make_instance  # noqa: PLC0415
+
+    began = time.perf_counter()
+    instance = make_instance(prepared, index)
+    return _Made(instance, os.getpid(), time.perf_counter() - began)
+
+
+def _prepared(job: Job, task: Task) -> "Prepared":
     # numba and the mesh readers take a second to import: the command line should not wait for them
-    from articugen.instance import make_instance, prepare  # noqa: PLC0415
+    from articugen.instance import prepare  # noqa: PLC0415
     from articugen.resolving import resolved  # noqa: PLC0415
 
-    prepared = prepare(resolved(task.ref, job.recipe), job.recipe, job.seed)
-    every = range(len(prepared.states))
-    return prepared.obj, (make_instance(prepared, index) for index in every)
+    return prepare(resolved(task.ref, job.recipe), job.recipe, job.seed)
 
 
 def import_stages() -> None:

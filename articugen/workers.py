@@ -16,7 +16,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -77,6 +77,7 @@ def each(
     workers: int,
     limit: Limit = Limit(),
     ready: Callable[[], None] = _nothing,
+    help: Callable[[T], object] | None = None,
     handles: Sequence[int] = (),
     notice: Callable[[str], None] = _nothing,
     name: Callable[[T], str] = str,
@@ -84,9 +85,10 @@ def each(
     """As `Crew.each`, by a crew of its own: closing this ends all tasks."""
     with Crew(
         function,
-        workers=min(workers, len(tasks)),
+        workers=workers if help and tasks else min(workers, len(tasks)),
         limit=limit,
         ready=ready,
+        help=help,
         handles=handles,
         notice=notice,
         name=name,
@@ -141,11 +143,12 @@ def serve(handle: int, parent: int) -> None:
     with Connection(handle) as pipe:
         _report = lambda message: pipe.send((_SAID, message))  # noqa: E731
         try:
-            function, ready = pipe.recv()
+            function, ready, help = pipe.recv()
             kind, value = _answer(lambda _: ready(), None)
             pipe.send((_READY if kind is _DONE else kind, value))
             while True:
-                pipe.send(_answer(function, pipe.recv()))
+                helps, task = pipe.recv()
+                pipe.send(_answer(help if helps else function, task))
         except (EOFError, OSError, MemoryError):
             os._exit(1)  # nobody is there to be answered
 
@@ -190,13 +193,12 @@ class _Worker:
 
     def __init__(
         self,
-        function: Callable[[Any], Any],
-        ready: Callable[[], None],
+        does: tuple[Callable[[Any], Any], Callable[[], None], Callable[[Any], object] | None],
         handles: Sequence[int],
         clock: _Clock,
     ) -> None:
         self.number: int | None = None
-        self.alone = False
+        self.alone = self.helps = False
         self.since: float | None = None  # when its clock started; None while it gets ready
         self._clock = clock
         self._ready = False
@@ -213,12 +215,12 @@ class _Worker:
             )
         self.pipe = ours
         self.pid = self._process.pid
-        self._send((function, ready))
+        self._send(does)
 
-    def begin(self, number: int, task: object, *, alone: bool) -> None:
-        self.number, self.alone = number, alone
+    def begin(self, number: int, task: object, *, alone: bool = False, helps: bool = False) -> None:
+        self.number, self.alone, self.helps = number, alone, helps
         self.since = self._clock() if self._ready else None
-        self._send(task)
+        self._send((helps, task))
 
     def hear(self) -> tuple[str, Any]:
         """What it says; `EOFError` where it is gone."""
@@ -260,6 +262,8 @@ class Crew(Generic[T, R]):
         workers: processes at most; 0 does all of it in this process, without any limit.
         limit: what one task may take.
         ready: called once in each worker before its first task, off the clock.
+        help: what a worker without a task does for one that another is at, from its beginning; it
+            returns where nothing is left to do there. What it returns or raises means nothing.
         handles: open files that every worker holds open as long as it lives, locks for instance.
         on_report: called here with each message that a task gives to `report`, in their order.
         notice: called with one sentence where a worker was lost.
@@ -273,6 +277,7 @@ class Crew(Generic[T, R]):
         workers: int,
         limit: Limit = Limit(),
         ready: Callable[[], None] = _nothing,
+        help: Callable[[T], object] | None = None,
         handles: Sequence[int] = (),
         on_report: Callable[[Any], None] = _nothing,
         notice: Callable[[str], None] = _nothing,
@@ -280,7 +285,7 @@ class Crew(Generic[T, R]):
     ) -> None:
         self._function = function
         self._clock = _Clock()
-        self._hire = lambda: _Worker(function, ready, handles, self._clock)
+        self._hire = lambda: _Worker((function, ready, help), handles, self._clock)
         self._limit = limit
         self._here = workers == 0
         self._width = workers
@@ -290,7 +295,10 @@ class Crew(Generic[T, R]):
         self._hopeless = workers + 3
         self._deaths = 0
         self._any_done = False
+        self._may_help = help is not None
+        self._helpless: set[int] = set()  # tasks in which nothing is left for helpers
         self._busy: list[_Worker] = []
+        self._helping: list[_Worker] = []
         self._idle: list[_Worker] = []
         self._waiting: deque[int] = deque()
         self._alone: deque[int] = deque()
@@ -299,6 +307,7 @@ class Crew(Generic[T, R]):
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._end_helpers()
         for worker in self._busy + self._idle:
             worker.end()
         self._busy, self._idle = [], []
@@ -312,10 +321,14 @@ class Crew(Generic[T, R]):
         if self._here:
             yield from map(self._do_here, range(len(tasks)), tasks)
             return
+        self._end_helpers()
+        self._helpless = set()
         self._waiting.extend(range(len(tasks)))
         while self._waiting or self._alone or self._busy:
             self._hand_out(tasks)
-            spoken = wait([worker.pipe for worker in self._busy], TICK)
+            self._help_out(tasks)
+            spoken = wait([worker.pipe for worker in self._busy + self._helping], TICK)
+            self._hear_helpers(spoken)
             for worker in [w for w in self._busy if w.pipe in spoken]:
                 ended, lost = self._heard(worker)
                 if ended:
@@ -324,7 +337,8 @@ class Crew(Generic[T, R]):
                     self._notice(self._loss(lost, self._name(tasks[worker.number or 0])))
             for worker, over in self._over_limit():
                 self._dismiss(worker)
-                yield Ended(worker.number or 0, over=over)
+                if not worker.helps:
+                    yield Ended(worker.number or 0, over=over)
 
     def in_order(self, tasks: Sequence[T]) -> Iterator[R]:
         """The function of each task, in the order of the tasks; raises what it raises.
@@ -361,6 +375,49 @@ class Crew(Generic[T, R]):
                 self._width = len(self._busy)
         if self._alone and not self._busy:
             self._give(self._alone, tasks, alone=True)
+
+    def _help_out(self, tasks: Sequence[T]) -> None:
+        """Have workers without a task help where one is begun, with the one of fewest helpers."""
+        while self._may_help and not self._waiting and not self._alone:
+            at_work = len(self._busy) + len(self._helping)
+            numbers = {w.number: w.since for w in self._busy if w.number not in self._helpless}
+            if not numbers or at_work >= self._width:
+                break
+            if not self._idle and not self._is_one_more_hired():
+                break
+            helped = Counter(worker.number for worker in self._helping)
+            begun = [number for number, since in numbers.items() if since is not None]
+            if not begun:
+                break
+            number = cast("int", min(begun, key=lambda n: helped[n]))
+            self._helping.append(self._idle.pop())
+            self._helping[-1].begin(number, tasks[number], helps=True)
+
+    def _is_one_more_hired(self) -> bool:
+        try:
+            self._idle.append(self._hire())
+        except OSError:
+            self._may_help = False  # the tasks do without
+        return self._may_help
+
+    def _hear_helpers(self, spoken: Sequence[object]) -> None:
+        for helper in [w for w in self._helping if w.pipe in spoken]:
+            try:
+                kind, _ = helper.hear()
+            except EOFError:
+                kind = None
+            if kind in (_READY, _SAID):
+                continue
+            self._helping.remove(helper)
+            self._helpless.add(cast("int", helper.number))
+            if kind == _DONE:
+                self._idle.append(helper)
+            else:  # what is wrong there, the task will tell by itself
+                helper.end()
+
+    def _end_helpers(self) -> None:
+        while self._helping:
+            self._helping.pop().end()
 
     def _give(self, numbers: deque[int], tasks: Sequence[T], *, alone: bool) -> bool:
         """Hand the next task to a worker; whether there was one to be had."""
@@ -410,6 +467,8 @@ class Crew(Generic[T, R]):
             return Ended(number, lost=fate), None
         self._alone.append(number)
         self._width = max(1, self._width - 1)
+        self._may_help = False
+        self._end_helpers()
         while self._idle:  # what they hold on to may be what was missing
             self._idle.pop().end()
         return None, fate
@@ -420,7 +479,8 @@ class Crew(Generic[T, R]):
 
     def _over_limit(self) -> list[tuple[_Worker, str]]:
         now, most = self._clock(), 1e6 * self._limit.megabytes
-        at_work = [(w, w.since) for w in self._busy if w.since is not None]
+        every = self._busy + self._helping
+        at_work = [(w, w.since) for w in every if w.since is not None]
         clocks = [w for w, since in at_work if now - since > self._limit.seconds]
         others = [w for w, _ in at_work if w not in clocks]
         held = resident_bytes([w.pid for w in others]) if math.isfinite(most) else {}
@@ -428,7 +488,9 @@ class Crew(Generic[T, R]):
         return [(w, "seconds") for w in clocks] + [(w, "megabytes") for w in heavy]
 
     def _dismiss(self, worker: _Worker) -> int:
-        self._busy.remove(worker)
+        if worker.helps:
+            self._helpless.add(cast("int", worker.number))
+        (self._helping if worker.helps else self._busy).remove(worker)
         return worker.end()
 
 

@@ -72,6 +72,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     # what leads through them
     "instance": VOCABULARY | STAGES | {"sharp"},
     "workers": {"errors"},
+    "sharing": set(),
     "cluster": {"errors", "workers", "store.manifest"},
     "rehearsal": VOCABULARY
     | STAGES
@@ -80,7 +81,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "estimate": {"store.manifest", "recipe"},
     "pipeline": VOCABULARY
     | {"store", "sources", "articulation", "resolving", "instance", "workers", "estimate"}
-    | {"cluster", "compiling"},
+    | {"cluster", "compiling", "sharing"},
     # beyond one machine
     "ranks": VOCABULARY | {"pipeline", "sources", "store"},
     "slurm": {"compiling", "errors", "pipeline", "ranks", "store.manifest", "store.rank_journal"},
