@@ -29,8 +29,9 @@ PARTS = {
 
 _PACKAGE = Path(__file__).resolve().parent
 _KERNELS = (
-    "fusion", "inspection", "jit.py", "learning/ppd/greatest.py", "learning/ppd/sine_kernels.py",
-    "rehearsal.py", "rendering", "report/skin.py", "sources/obj_kernel.py", "swept.py",
+    "fusion", "inspection", "jit.py", "learning/ppd/greatest.py", "learning/ppd/patches.py",
+    "learning/ppd/sine_kernels.py", "rehearsal.py", "rendering", "report/skin.py",
+    "sources/obj_kernel.py", "swept.py",
 )  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from articugen.inspection.light import SurfaceCloud, occlusion_in_detail
 from articugen.inspection.surfels import OrientedPoints, draw, surfels
 from articugen.learning.ppd import sine_kernels
 from articugen.learning.ppd.greatest import greatest
+from articugen.learning.ppd.patches import patches
 from articugen.recipe import Fusion
 from articugen.records import DepthMaps, LabelledMesh, Views
 from articugen.rendering import rasterizer
@@ -101,6 +102,7 @@ def light() -> None:
 
 def networks() -> None:
     greatest(np.zeros((1, 1, 1), np.float32), np.zeros((1, 1), np.int64))
+    patches(np.zeros((1, 1, 3), np.float32), 4, 4)
     P, c = 1, 4
     layers = [(P, 12, c), (P, 6, 12), (2 * P, 12, 6), (2 * P, c, 12), (2 * P, 1, c)]
     shapes = [(1, 1, 3), (1, P, c, 3), (1, P, c), (1, P, c), (1, P, 6)]

@@ -76,7 +76,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "cluster": {"errors", "workers", "store.manifest"},
     "rehearsal": VOCABULARY
     | STAGES
-    | {"inspection", "report.skin", "learning.ppd.greatest", "learning.ppd.sine_kernels"},
+    | {"inspection", "report.skin"}
+    | {"learning.ppd.greatest", "learning.ppd.patches", "learning.ppd.sine_kernels"},
     "compiling": {"bundled", "workers", "rehearsal"},
     "estimate": {"store.manifest", "recipe"},
     "pipeline": VOCABULARY
@@ -139,6 +140,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     | {"store", "inspection", "marching_cubes", "workers", "model_text", "plugins", "ply"}
     | {"discovery"},
     "learning.ppd.greatest": {"jit"},
+    "learning.ppd.patches": {"jit"},
     "learning.ppd.sine_kernels": {"jit"},
     "learning.evaluation": VOCABULARY | {"store", "inspection", "marching_cubes"},
     # others' formats, a file a format; parts are made again as replay does

@@ -15,9 +15,16 @@ torch = pytest.importorskip("torch", reason="PPD needs torch")
 from articugen.learning.method import load_recipe  # noqa: E402
 from articugen.learning.ppd.batches import argmax_of_points, distinct  # noqa: E402
 from articugen.learning.ppd.discriminator import Discriminator  # noqa: E402
-from articugen.learning.ppd.encoders import Encoder, GridEncoder, _merged, filled  # noqa: E402
+from articugen.learning.ppd.encoders import (  # noqa: E402
+    Encoder,
+    GridEncoder,
+    _merged,
+    can_spare_patches,
+    filled,
+)
 from articugen.learning.ppd.kinematics import inverse_motion, joint_frames, rotation_from_z  # noqa: E402
 from articugen.learning.ppd.model import PPD, rest_states  # noqa: E402
+from articugen.learning.ppd.patches import patches  # noqa: E402
 from articugen.learning.ppd.settings import ModelSettings  # noqa: E402
 from articugen.learning.ppd.shape import (  # noqa: E402
     PLAIN_SIZE,
@@ -149,6 +156,36 @@ def test_the_grid_s_encoder_sees_where_points_are_and_not_in_which_order():
     torch.testing.assert_close(encoder(points[:, torch.randperm(700)]), latent)
     torch.testing.assert_close(encoder(points.repeat(1, 2, 1)), latent)
     assert (encoder(points.flip(2)) - latent).abs().max() > 1e-3
+
+
+def test_patches_hold_what_the_grid_is_filled_with():
+    points = cloud(3, 200).float()
+    points[0, 0] = torch.tensor([0.5, -0.5, 0.0])  # on the cube's rim
+    index, held = patches(points.numpy(), 8, 4)
+    of_all = torch.zeros(3 * 8, 4**3)
+    of_all[torch.from_numpy(index)] = torch.from_numpy(held)
+    wanted = _merged(filled(points, 8)[..., None], 8, 4).view(of_all.shape) * 200 / 2048
+    torch.testing.assert_close(of_all, wanted)
+    assert len(set(index.tolist())) == len(index) == int((wanted > 0).any(1).sum())
+
+
+@pytest.mark.parametrize("points", [1, 60, 3000])
+def test_patches_that_hold_nothing_need_not_be_looked_at(points):
+    torch.manual_seed(0)
+    encoder, clouds = GridEncoder(), cloud(2, points).float()
+    clouds[1] *= 0.2
+    for parameter in encoder.parameters():
+        torch.nn.init.normal_(parameter, std=0.1)
+
+    def told(way):
+        encoder.zero_grad()
+        out = encoder.latent(encoder.whole(way(clouds)).relu())
+        out.square().sum().backward()
+        return [out.detach(), *(parameter.grad.clone() for parameter in encoder.parameters())]
+
+    assert can_spare_patches(clouds)
+    for few, all_ in zip(told(encoder._few), told(encoder._all), strict=True):
+        torch.testing.assert_close(few, all_, atol=float(all_.abs().max()) * 1e-5, rtol=1e-4)
 
 
 def test_the_order_of_points_does_not_matter(model):

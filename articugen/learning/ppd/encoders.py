@@ -1,6 +1,6 @@
 """From a cloud to its latent: the paper's PointNet, and an encoder of the grid that it fills."""
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -13,6 +13,7 @@ from articugen.learning.ppd.batches import (
     one_by_one,
     spares,
 )
+from articugen.learning.ppd.patches import patches
 from articugen.learning.ppd.settings import ModelSettings
 
 POSE, SHAPE, TEMPLATE, COMMON = 128, 256, 64, 64
@@ -105,10 +106,55 @@ class GridEncoder(nn.Module):
 
     def forward(self, cloud: Tensor) -> Tensor:
         """The latent (B, 512) of clouds (B, n, 3), whatever the order of their points."""
+        x = self._few(cloud) if can_spare_patches(cloud) else self._all(cloud)
+        return self.latent(self.whole(x).relu())
+
+    def _all(self, cloud: Tensor) -> Tensor:
+        """What the layers before the last two make of all patches: (B, 64 64)."""
         x = 2.0 * filled(cloud, _GRID).log1p()[..., None]
         for layer, cells, along in ((self.patch, 64, 4), (self.first, 16, 2), (self.second, 8, 2)):
             x = leaky_relu(layer(_merged(x, cells, along)), 0.1)
-        return self.latent(self.whole(x.flatten(1)).relu())
+        return x.flatten(1)
+
+    def _few(self, cloud: Tensor) -> Tensor:
+        """The same, from what holds something alone; what does not is the same everywhere."""
+        place, held = map(torch.from_numpy, patches(cloud.detach().contiguous().numpy(), 64, 4))
+        few = _Few(place, 2.0 * (held * (_USUAL / cloud.shape[1])).log1p(), held.new_zeros(4**3))
+        few = few.joined(self.patch).merged(16).joined(self.first).merged(8).joined(self.second)
+        return few.all(len(cloud) * 4**3).view(len(cloud), -1)
+
+
+def can_spare_patches(cloud: Tensor) -> bool:
+    """Whether patches that hold nothing are left out: on a CPU, in single precision."""
+    return spares(cloud) and cloud.dtype == torch.float32 and not cloud.requires_grad
+
+
+class _Few(NamedTuple):
+    """Some of the cells of B grids, by their flat place (M,), with what they hold (M, C), and what
+    all others hold (C,)."""
+
+    place: Tensor
+    held: Tensor
+    others: Tensor
+
+    def joined(self, layer: nn.Module) -> "_Few":
+        """After a layer of `GridEncoder`."""
+        held, others = leaky_relu(layer(self.held), 0.1), leaky_relu(layer(self.others), 0.1)
+        return _Few(self.place, held, others)
+
+    def merged(self, cells: int) -> "_Few":
+        """As `_merged`, for blocks of two of `cells` along each edge; those of which one is here
+        are."""
+        x, y, z = self.place // cells**2, self.place // cells % cells, self.place % cells
+        block = (x // 2 * (cells // 2) + y // 2) * (cells // 2) + z // 2
+        place, at = block.unique(return_inverse=True)
+        inside = (x % 2 * 2 + y % 2) * 2 + z % 2
+        held = self.others.expand(8 * len(place), -1).index_copy(0, 8 * at + inside, self.held)
+        return _Few(place, held.view(len(place), -1), self.others.repeat(8))
+
+    def all(self, count: int) -> Tensor:
+        """What each of `count` cells holds, (count, C)."""
+        return self.others.expand(count, -1).index_copy(0, self.place, self.held)
 
 
 class BothEncoders(nn.Module):
