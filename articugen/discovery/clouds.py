@@ -2,7 +2,7 @@
 has left pose 0 and what is new elsewhere."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -30,11 +30,12 @@ _TELLING, _COMMON = 4, 0.55
 _NEAR = np.array([0.008, 0.05])
 
 
-def cell_of(cloud: Floats) -> NDArray[np.int64]:
-    """(n,) the number of the cell that each point is in; what is outside counts to the border."""
+def cell_of(cloud: Floats) -> NDArray[np.uint16]:
+    """(n,) the number of the cell that each point is in; what is outside counts to the border. Of
+    16 bits, which numpy sorts by radix."""
     R = kernels.CELLS
-    at = np.clip(np.floor((cloud + 0.5) * R).astype(np.int64), 0, R - 1)
-    return (at[:, 0] * R + at[:, 1]) * R + at[:, 2]
+    i, j, k = np.clip((cloud.T + 0.5) * R, 0.0, R - 1.0).astype(np.uint16)
+    return (i * np.uint16(R) + j) * np.uint16(R) + k
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,13 +72,15 @@ class Surface:
 @dataclass(frozen=True, eq=False)
 class Cells:
     """Surfaces of K poses, each pose's points sorted by cell: `points`, `normals` (n, 3) and
-    `starts` (K, cells + 1); `near` as in `Change`, `signed` as in `Surface`."""
+    `starts` (K, cells + 1); `near` as in `Change`, `signed` as in `Surface`. Grids of what is
+    `within` some cells of a point are made when they are first asked for."""
 
     points: Floats
     normals: Floats
     starts: NDArray[np.int64]
     near: float
     signed: bool
+    _within: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
 
     @staticmethod
     def of(surfaces: Sequence[Surface], near: float = 0.0) -> "Cells":
@@ -87,7 +90,8 @@ class Cells:
             order = np.argsort(cell, kind="stable")
             points.append(surface.points[order])
             normals.append(surface.normals[order])
-            starts.append(before + np.searchsorted(cell[order], np.arange(kernels.CELLS**3 + 1)))
+            counts = np.bincount(cell, minlength=kernels.CELLS**3)
+            starts.append(before + np.concatenate([[0], np.cumsum(counts)]))
             before += len(surface)
         signed = all(surface.signed for surface in surfaces)
         return Cells(
@@ -97,12 +101,47 @@ class Cells:
     def __len__(self) -> int:
         return len(self.starts)
 
+    def within(self, reach: float) -> NDArray[np.uint8]:
+        """(G, VOTES^3) the bits by which `kernels.is_void` tells what is out of reach."""
+        steps = int(np.ceil(reach * kernels.VOTES))
+        if steps not in self._within:
+            marks = self._marks()
+            R = kernels.VOTES
+            self._within[steps] = _widened(marks.reshape(-1, R, R, R), steps).reshape(
+                len(marks), -1
+            )
+        return self._within[steps]
+
+    def _marks(self) -> NDArray[np.uint8]:
+        """(G, VOTES^3) bit k % 8 of byte `[k // 8, cell]` is 1 where pose k has a point."""
+        R = kernels.VOTES
+        marks = np.zeros((-(-len(self) // 8), R**3), np.uint8)
+        i, j, k = np.clip(((self.points + 0.5) * R).astype(np.int64), 0, R - 1).T
+        cell = (i * R + j) * R + k
+        for pose, starts in enumerate(self.starts):
+            mine = cell[starts[0] : starts[-1]]
+            marks[pose // 8, mine] |= np.uint8(1 << pose % 8)
+        return marks
+
+    def _of(self, surface: Surface, *of_each: Any, reach: float) -> tuple[Any, ...]:
+        """What the kernels ask for."""
+        return (
+            surface.points, surface.normals, *of_each, self.points, self.normals, self.signed,
+            self.starts, self.within(reach), reach, self.across(reach),
+        )  # fmt: skip
+
     def distances(self, surface: Surface, motions: Floats, reach: float) -> NDArray[np.float32]:
         """(K, n) from each pose, of points moved by `motions` (K, 3, 4)."""
-        return kernels.distances(
-            surface.points, surface.normals, motions, self.points, self.normals, self.signed,
-            self.starts, reach, self.across(reach),
-        )  # fmt: skip
+        return kernels.distances(*self._of(surface, motions, reach=reach))
+
+    def agreement(self, surface: Surface, motions: Floats, reach: float) -> Floats:
+        """(K,) how well points, moved by `motions` (K, 3, 4), lie on each pose, the more the nearer
+        they are to it."""
+        return kernels.agreement(*self._of(surface, motions, reach=reach))
+
+    def profiles(self, surface: Surface, steps: Floats, reach: float) -> Floats:
+        """(K, T) the same for each of `steps` (T, 3, 4) in each pose."""
+        return kernels.profiles(*self._of(surface, steps, reach=reach))
 
     def across(self, reach: float) -> float:
         """How far from plane to plane points within `reach` may be: planes are known better than
@@ -120,10 +159,7 @@ class Cells:
         is not `asked` (K, n)."""
         if asked is None:
             asked = np.ones((len(motions), len(surface)), np.bool_)
-        return kernels.met(
-            surface.points, surface.normals, asked, motions, self.points, self.normals,
-            self.signed, self.starts, reach, self.across(reach),
-        )  # fmt: skip
+        return kernels.met(*self._of(surface, asked, motions, reach=reach))
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,6 +224,18 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
     new = [_new(surface, stays, near) for surface in surfaces]
     targets = Cells.of(_rare(new, searched, near), near)
     return Change(frame, clouds, near, start, first, chosen, searched, targets, gone, movers)
+
+
+def _widened(bits: NDArray[np.uint8], steps: int) -> NDArray[np.uint8]:
+    """Grids (G, R, R, R) of bits, with those of all that is so many cells away along each axis."""
+    for axis in (1, 2, 3):
+        wider = bits.copy()
+        before, after = np.moveaxis(bits, axis, 0), np.moveaxis(wider, axis, 0)
+        for step in range(1, steps + 1):
+            after[step:] |= before[:-step]
+            after[:-step] |= before[step:]
+        bits = wider
+    return bits
 
 
 def still(count: int) -> Floats:

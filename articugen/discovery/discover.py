@@ -36,6 +36,9 @@ _PATCHES, _PATCH = 12, 48
 _MOVERS = 800
 """So many of the points that have left are looked at."""
 
+_ALL, _SOME = slice(None), slice(None, None, 2)
+"""Of those: what candidates are asked for in the end, and what ranks them at first."""
+
 _RIGHT, _WRONG = 0.4, 0.2
 """Of the poses in which a point has left, a joint that it follows is right in this share at least,
 and wrong in this share at most."""
@@ -63,12 +66,15 @@ explains about as much."""
 _ALONE = 0.15
 """Of what a joint explains of points that it explains best, no other does this share at least."""
 
-_GROWN = 24
+_GROWN = 10
 """So many candidates grow, of those that patches vote for."""
 
 _GROWS, _WIDE = (2.0, 2.0, 2.0, 2.0, 1.5), 0.015
 """How far a point may be from where it should land, as a candidate grows: so many times `near`, or
 `_WIDE` where that is more."""
+
+_CORE = 200
+"""To so many of the points that follow it a candidate is fitted as it grows."""
 
 _WORTH = 0.04
 """A joint explains at least this share of all that has left."""
@@ -217,12 +223,12 @@ class _Found:
                 pool[best] = self._polished(pool[best])
         return len(self.joints) > before
 
-    def _gain(self, grown: _Grown) -> float:
+    def _gain(self, grown: _Grown, among: slice = _ALL) -> float:
         """How many pairs of a point and a pose it explains that nothing yet does, less those where
-        it is wrong of its own points."""
+        it is wrong of its own points; of the movers `among` which it was asked."""
         if not self._points_right(grown.joint):
             return -1.0
-        mine = grown.follow & self.left
+        mine = grown.follow & self.left[among]
         gain = grown.right[:, mine].sum() - 2.0 * grown.wrong[:, mine].sum()
         if grown.joint.turns:
             return float(gain * (1.0 - _FAR_TURNS * np.abs(grown.joint.states).mean()))
@@ -247,13 +253,15 @@ class _Found:
     def _grown(self, patches: list[NDArray[np.intp]]) -> list[_Grown]:
         """The candidates that patches vote for, each fitted to its patch; the best of them that are
         not alike grow."""
+        reach = 2.0 * self.seen.near
         seeds = [self._seed(joint, patch) for patch in patches for joint in self._voted(patch)]
-        seeds.sort(key=lambda seed: -self._gain(seed))
+        seeds = [self._explained(seed, reach, _SOME) for seed in seeds]
+        seeds.sort(key=lambda seed: -self._gain(seed, _SOME))
         unlike: list[_Grown] = []
         for seed in seeds:
-            if not any(_alike(seed, other) for other in unlike):
+            if len(unlike) < _GROWN and not any(_alike(seed, other) for other in unlike):
                 unlike.append(seed)
-        return [self._grow(seed) for seed in unlike[:_GROWN]]
+        return [self._grow(self._explained(seed.joint, reach)) for seed in unlike]
 
     def _voted(self, patch: NDArray[np.intp]) -> list[Candidate]:
         which = self.movers[patch]
@@ -267,20 +275,19 @@ class _Found:
             voted += self.search.slides(which, ways, 2)
         return [joint for _, joint in voted]
 
-    def _seed(self, joint: Candidate, patch: NDArray[np.intp]) -> _Grown:
-        near, core = self.seen.near, some(patch, 60)
-        joint = fitted(joint, self.part[core], self.seen.targets, 2 * near, 3)
-        return self._explained(joint, 2.0 * near)
+    def _seed(self, joint: Candidate, patch: NDArray[np.intp]) -> Candidate:
+        core = some(patch, 60)
+        return fitted(joint, self.part[core], self.seen.targets, 2.0 * self.seen.near, 3)
 
     def _points_right(self, joint: Candidate) -> bool:
         kind = JointKind.REVOLUTE if joint.turns else JointKind.PRISMATIC
         known = self.directions.get(kind)
         return known is None or np.abs(known @ joint.axis).max() > LEAN
 
-    def _grow(self, grown: _Grown) -> _Grown:
-        near, targets, joint, follow = self.seen.near, self.seen.targets, grown.joint, grown.follow
+    def _grow(self, seed: _Grown) -> _Grown:
+        near, targets, joint, follow = self.seen.near, self.seen.targets, seed.joint, seed.follow
         for reach in (*(grows * max(near, _WIDE) for grows in _GROWS), near):
-            core = some(np.flatnonzero(follow & self.left), 200)
+            core = some(np.flatnonzero(follow & self.left), _CORE)
             if len(core) < 12:
                 break
             joint = fitted(joint, self.part[core], targets, reach, 3)
@@ -290,7 +297,7 @@ class _Found:
     def _polished(self, grown: _Grown) -> _Grown:
         """With the states voted anew by all that follow, and all of it fitted to them; about the
         coordinate axis beside its own, where that explains as much."""
-        core = some(np.flatnonzero(grown.follow & self.left), 160)
+        core = some(np.flatnonzero(grown.follow & self.left), _CORE)
         if len(core) < 12:
             return replace(grown, polished=True)
         tried = [grown, self._revoted(grown.joint, core, tilts=True)]
@@ -313,21 +320,22 @@ class _Found:
             if best is None or self._gain(now) > self._gain(best):
                 best = now
             around = self._explained(joint, 2.0 * wide).follow & self.left
-            again = some(np.flatnonzero(around), 160)
+            again = some(np.flatnonzero(around), _CORE)
             if len(again) < 12:
                 break
             core = again
         assert best is not None
         return best
 
-    def _explained(self, joint: Candidate, reach: float) -> _Grown:
-        """What a candidate explains: where a point has left and lands on something new it is right,
-        where it lands on nothing it is wrong; what was hidden in pose 0 and is there in most others
-        says neither."""
-        M = motions(joint)
-        right = self.seen.targets.met(self.part, M, reach, self.gone)
-        wrong = self.gone & ~self.seen.poses.met(self.part, M, reach, self.gone)
-        left = np.maximum(self.gone.sum(0), 1)
+    def _explained(self, joint: Candidate, reach: float, among: slice = _ALL) -> _Grown:
+        """What a candidate explains of the movers: where a point has left and lands on something
+        new it is right, where it lands on nothing it is wrong; what was hidden in pose 0 and is
+        there in most others says neither."""
+        M, part, gone = motions(joint), self.part[among], self.gone[:, among]
+        right = self.seen.targets.met(part, M, reach, gone)
+        wrong = gone & ~right  # what is new in a pose is of it
+        wrong &= ~self.seen.poses.met(part, M, reach, wrong)
+        left = np.maximum(gone.sum(0), 1)
         follow = (wrong.sum(0) <= _WRONG * left) & (right.sum(0) >= _RIGHT * left)
         return _Grown(joint, right, wrong, follow)
 
@@ -399,7 +407,9 @@ def _told(
     surface = Surface.bare(cloud, outward).shaped(seen.first, seen.near)
     part = _labels(seen, joints, surface)
     order = np.argsort([-(part == j + 1).sum() for j in range(len(joints))], kind="stable")
-    told = [_joint(seen, joints[j], surface[part == j + 1]) for j in order if (part == j + 1).any()]
+    others = Cells.of(seen.clouds[1:], seen.near)
+    parts = [(joints[j], surface[part == j + 1]) for j in order if (part == j + 1).any()]
+    told = [_joint(seen, others, joint, mine) for joint, mine in parts]
     number = np.zeros(len(joints) + 1, np.int64)
     number[1 + order] = 1 + np.arange(len(joints))
     return Discovery(tuple(told), points, number[part])
@@ -438,10 +448,9 @@ def _as_neighbours(
     return np.where(votes.sum(0) > 0, votes.argmax(0), label)
 
 
-def _joint(seen: Change, joint: Candidate, part: Surface) -> FoundJoint:
-    """The joint in the clouds' frame, with the states of all poses."""
+def _joint(seen: Change, others: Cells, joint: Candidate, part: Surface) -> FoundJoint:
+    """The joint in the clouds' frame, with the states of all `others` than pose 0."""
     core = part[some(np.arange(len(part)), 250)]
-    others = Cells.of(seen.clouds[1:], seen.near)
     states = np.concatenate([[0.0], states_of(joint, core, others, seen.near)])
     sign = -1.0 if states.mean() < 0.0 else 1.0
     gone = ~seen.poses.met(core, still(len(seen.chosen)), seen.near)

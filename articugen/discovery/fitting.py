@@ -6,18 +6,18 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.discovery import kernels
+from articugen.discovery import gauss_newton
 from articugen.discovery.clouds import Cells, Surface
-from articugen.discovery.search import Candidate, motions, plane_across
+from articugen.discovery.search import Candidate, motions
 from articugen.records import Floats
 
 _DAMPED = {True: 1e-4, False: 2e-2}
 """What slides is often flat, and says little of where across it goes: it is damped the more."""
 
-_WANDERS = 0.7
-"""Pivots farther out than this are no better than slides."""
-
 STEPS = 160
+_FEW = {True: 80, False: 160}
+"""So many points of a part say roughly where it may lie, with and without known normals."""
+
 _PEAKS = 3
 """Of each pose so many states are made exact, before the best is taken."""
 
@@ -41,35 +41,13 @@ def fitted(
         states_alone: or everything but the states is kept.
     """
     held = 4 if states_alone else 0 if tilts else 2
-    for _ in range(rounds):
-        across = plane_across(joint.axis)
-        H, g = kernels.normal_equations(
-            part.points, part.normals, part.stiffness, motions(joint), joint.turns,
-            np.concatenate([joint.axis[None], joint.pivot[None], across]),
-            cells.points, cells.normals, cells.signed, cells.starts, reach,
-            cells.across(reach),
-        )  # fmt: skip
-        H[:held], H[:, :held], g[:held] = 0.0, 0.0, 0.0
-        scale = max(H.diagonal().max(), 1e-9)
-        damped = _DAMPED[joint.turns]
-        H[np.diag_indices(len(H))] += damped * (H.diagonal() + 0.005 * scale)
-        step = np.clip(-np.linalg.solve(H, g), -0.2, 0.2)
-        joint = _moved(joint, across, step)
-        if np.abs(step).max() < 1e-5:
-            break
-    return joint
-
-
-def _moved(joint: Candidate, across: Floats, step: Floats) -> Candidate:
-    if joint.turns:
-        w = step[0] * across[0] + step[1] * across[1]
-        axis = joint.axis + np.cross(w, joint.axis)
-        pivot = joint.pivot + step[2] * across[0] + step[3] * across[1]
-        pivot = np.clip(pivot, -_WANDERS, _WANDERS)
-    else:
-        axis, pivot = joint.axis + step[0] * across[0] + step[1] * across[1], joint.pivot
-    states = joint.states + step[4:]
-    return replace(joint, axis=axis / np.linalg.norm(axis), pivot=pivot, states=states)
+    axis, pivot, states = joint.axis.copy(), joint.pivot.copy(), np.array(joint.states, np.float64)
+    gauss_newton.fit(
+        part.points, part.normals, part.stiffness, joint.turns, axis, pivot, states, held, rounds,
+        _DAMPED[joint.turns], cells.points, cells.normals, cells.signed, cells.starts,
+        cells.within(reach), reach, cells.across(reach),
+    )  # fmt: skip
+    return replace(joint, axis=axis, pivot=pivot, states=states)
 
 
 def states_of(joint: Candidate, part: Surface, cells: Cells, near: float) -> Floats:
@@ -79,38 +57,20 @@ def states_of(joint: Candidate, part: Surface, cells: Cells, near: float) -> Flo
         steps = np.linspace(-np.pi, np.pi, STEPS, endpoint=False)
     else:
         steps = np.linspace(-1.0, 1.0, STEPS + 1)
-    wide = 1.5 * near
-    heights = _profiles(joint, steps, part, cells, wide)
+    few = part[some(np.arange(len(part)), _FEW[part.signed])]
+    heights = cells.profiles(few, motions(joint, steps), 1.5 * near)
     found, fit = [], []
     for _ in range(_PEAKS):
         peak = heights.argmax(1)
-        exact = replace(joint, states=steps[peak])
+        close = replace(joint, states=steps[peak])
         for reach in (2.0 * near, near):
-            exact = fitted(exact, part, cells, reach, 4, states_alone=True)
-        found.append(exact.states)
-        fit.append(_fit(exact, part, cells, near))
+            close = fitted(close, few, cells, reach, 4, states_alone=True)
+        found.append(close.states)
+        fit.append(cells.agreement(few, motions(close), near))
         for k, at in enumerate(peak):
             heights[k, max(at - 2, 0) : at + 3] = -1.0
-    return np.choose(np.argmax(fit, axis=0), found)
-
-
-def _profiles(joint: Candidate, steps: Floats, part: Surface, cells: Cells, reach: float) -> Floats:
-    """(K, T) how well the part lies on each pose at each step of the joint."""
-    M = motions(joint, steps)
-    return np.array([_profile(M, part, cells, k, reach) for k in range(len(cells))])
-
-
-def _fit(joint: Candidate, part: Surface, cells: Cells, reach: float) -> Floats:
-    """(K,) how well the part lies on each pose at the joint's state of it."""
-    M = motions(joint)
-    return np.array([_profile(M[[k]], part, cells, k, reach)[0] for k in range(len(cells))])
-
-
-def _profile(M: Floats, part: Surface, cells: Cells, pose: int, reach: float) -> Floats:
-    return kernels.profile(
-        part.points, part.normals, M, cells.points, cells.normals, cells.signed, cells.starts,
-        pose, reach, cells.across(reach),
-    )  # fmt: skip
+    best = replace(joint, states=np.choose(np.argmax(fit, axis=0), found))
+    return fitted(best, part, cells, near, 8, states_alone=True).states
 
 
 def some(which: NDArray[np.intp], most: int) -> NDArray[np.intp]:

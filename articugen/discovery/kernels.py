@@ -13,7 +13,7 @@ CELLS = 32
 """Cells along an edge."""
 
 VOTES = 64
-"""Cells along an edge of the grid that votes are looked up in."""
+"""Cells along an edge of the grids that votes are looked up in, and what poses are empty of."""
 
 ALONG = 0.02
 """How much a point's distance counts along the surface or the rod that it is on; across it 1."""
@@ -47,7 +47,7 @@ def _row(starts, pose, i, j, z, reach):
 
 
 @helper
-def _moved(M, p, n):
+def moved(M, p, n):
     """A point p and its normal n, moved by M (3, 4)."""
     return (
         M[0, 0] * p[0] + M[0, 1] * p[1] + M[0, 2] * p[2] + M[0, 3],
@@ -57,6 +57,25 @@ def _moved(M, p, n):
         M[1, 0] * n[0] + M[1, 1] * n[1] + M[1, 2] * n[2],
         M[2, 0] * n[0] + M[2, 1] * n[1] + M[2, 2] * n[2],
     )
+
+
+@helper
+def _voter(x):
+    """Which of VOTES cells along an edge x is in, or before."""
+    return min(max(int((x + 0.5) * VOTES), 0), VOTES - 1)
+
+
+@helper
+def is_void(within, pose, x, y, z):
+    """Whether a pose surely has no point within reach of (x, y, z): told by one look at a bit.
+
+    `within` (G, VOTES^3): bit k % 8 of byte `[k // 8, cell]` is 1 where pose k has a point within
+    reach of any place in the cell. A place outside the cube is no nearer to what is in it than the
+    cell at the border before it.
+    """
+    cell = (_voter(x) * VOTES + _voter(y)) * VOTES + _voter(z)
+    byte = within[np.uintp(pose >> 3), np.uintp(cell)]
+    return (byte >> np.uint8(pose & 7)) & np.uint8(1) == 0
 
 
 @helper
@@ -71,7 +90,7 @@ def _is_alike(normals, signed, n, dx, dy, dz, nx, ny, nz, across):
 
 
 @helper
-def _nearest(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, across):
+def nearest(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, across):
     """(index, squared distance) of the point of a pose that is nearest to (x, y, z) and may be of
     the same surface, -1 if there is none within `reach`."""
     best, at = reach * reach, -1
@@ -87,15 +106,20 @@ def _nearest(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, 
 
 
 @kernel
-def distances(queries, query_normals, motions, points, normals, signed, starts, reach, across):
+def distances(
+    queries, query_normals, motions, points, normals, signed, starts, within, reach, across
+):  # fmt: skip
     """(K, n) the distance of each query point, moved as in each pose, from what may be of the same
-    surface in that pose; FAR beyond `reach`. `motions` (K, 3, 4)."""
-    out = np.empty((len(motions), len(queries)), np.float32)
+    surface in that pose; FAR beyond `reach`. `motions` (K, 3, 4), `within` as in `is_void`."""
+    out = np.full((len(motions), len(queries)), FAR, np.float32)
     for k in range(len(motions)):
         for i in range(len(queries)):
-            x, y, z, nx, ny, nz = _moved(motions[k], queries[i], query_normals[i])
-            at, d = _nearest(points, normals, signed, starts, k, x, y, z, nx, ny, nz, reach, across)
-            out[k, i] = np.sqrt(d) if at >= 0 else FAR
+            x, y, z, nx, ny, nz = moved(motions[k], queries[i], query_normals[i])
+            if is_void(within, k, x, y, z):
+                continue
+            at, d = nearest(points, normals, signed, starts, k, x, y, z, nx, ny, nz, reach, across)
+            if at >= 0:
+                out[k, i] = np.sqrt(d)
     return out
 
 
@@ -110,7 +134,7 @@ def _fits(points, normals, signed, n, x, y, z, nx, ny, nz, reach, across):
 
 @helper
 def _meets(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, across):
-    """Whether `_nearest` would find a point; what is in the same cell is looked at first."""
+    """Whether `nearest` would find a point; what is in the same cell is looked at first."""
     a, b = int(np.floor((x + 0.5) * CELLS)), int(np.floor((y + 0.5) * CELLS))
     c = int(np.floor((z + 0.5) * CELLS))
     if 0 <= a < CELLS and 0 <= b < CELLS and 0 <= c < CELLS:
@@ -130,15 +154,18 @@ def _meets(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, ac
 
 @kernel
 def met(
-    queries, query_normals, asked, motions, points, normals, signed, starts, reach, across
+    queries, query_normals, asked, motions, points, normals, signed, starts, within, reach, across
 ):  # fmt: skip
     """(K, n) whether each query point, moved as in each pose, lies on what may be of the same
-    surface in that pose; False where it is not `asked` (K, n). `motions` (K, 3, 4)."""
+    surface in that pose; False where it is not `asked` (K, n). `motions` (K, 3, 4), `within` as in
+    `is_void`."""
     out = np.zeros(asked.shape, np.bool_)
     for k in range(len(motions)):
         for i in range(len(queries)):
-            if asked[k, i]:
-                x, y, z, nx, ny, nz = _moved(motions[k], queries[i], query_normals[i])
+            if not asked[k, i]:
+                continue
+            x, y, z, nx, ny, nz = moved(motions[k], queries[i], query_normals[i])
+            if not is_void(within, k, x, y, z):
                 out[k, i] = _meets(
                     points, normals, signed, starts, k, x, y, z, nx, ny, nz, reach, across
                 )
@@ -190,7 +217,7 @@ def to_nothing(rest, motions, taken, points, starts, reach):
     for k in range(len(motions)):
         M = motions[k]
         for i in range(len(rest)):
-            x, y, z, _, _, _ = _moved(M, rest[i], rest[i])
+            x, y, z, _, _, _ = moved(M, rest[i], rest[i])
             a = min(max(int(np.floor((x + 0.5) * R)), 0), R - 1)
             b = min(max(int(np.floor((y + 0.5) * R)), 0), R - 1)
             c = min(max(int(np.floor((z + 0.5) * R)), 0), R - 1)
@@ -325,93 +352,48 @@ def votes(turned, offsets, weights, grid):
     return most, step
 
 
-@kernel
-def profile(
-    queries, query_normals, turned_steps, points, normals, signed, starts, pose, reach, across
+@helper
+def _agreement(
+    queries, query_normals, M, points, normals, signed, starts, within, pose, reach, across
 ):  # fmt: skip
-    """(T,) how well query points (m, 3), moved by each of `turned_steps` (T, 3, 4), lie on a pose:
-    the sum over them of 1 - (d / reach)^2, 0 beyond it."""
-    out = np.zeros(len(turned_steps))
-    for t in range(len(turned_steps)):
-        for i in range(len(queries)):
-            x, y, z, nx, ny, nz = _moved(turned_steps[t], queries[i], query_normals[i])
-            at, d = _nearest(
-                points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, across
-            )
-            if at >= 0:
-                out[t] += 1.0 - d / (reach * reach)
+    """How well query points, moved by M, lie on a pose: the sum over them of 1 - (d / reach)^2."""
+    total = 0.0
+    for i in range(len(queries)):
+        x, y, z, nx, ny, nz = moved(M, queries[i], query_normals[i])
+        if is_void(within, pose, x, y, z):
+            continue
+        at, d = nearest(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, across)
+        if at >= 0:
+            total += 1.0 - d / (reach * reach)
+    return total
+
+
+@kernel
+def agreement(
+    queries, query_normals, motions, points, normals, signed, starts, within, reach, across
+):  # fmt: skip
+    """(K,) how well query points (m, 3), moved by `motions` (K, 3, 4), lie on each pose: the sum
+    over them of 1 - (d / reach)^2, 0 beyond it. `within` as in `is_void`."""
+    out = np.zeros(len(motions))
+    for k in range(len(motions)):
+        out[k] = _agreement(
+            queries, query_normals, motions[k], points, normals, signed, starts, within, k, reach,
+            across,
+        )  # fmt: skip
     return out
 
 
 @kernel
-def normal_equations(  # noqa: PLR0912
-    queries, query_normals, stiffness, motions, turns, joint,
-    points, normals, signed, starts, reach, across,
+def profiles(
+    queries, query_normals, steps, points, normals, signed, starts, within, reach, across
 ):  # fmt: skip
-    """Gauss and Newton's system for a joint and its states: each moved point against what is
-    nearest to it in the pose, by its own stiffness, as in generalised ICP (Segal et al. 2009).
-
-    Args:
-        queries, query_normals, stiffness: (m, 3), (m, 3), (m, 3, 3) of pose 0.
-        motions: (K, 3, 4) of each pose.
-        turns: whether it is a revolute joint.
-        joint: (4, 3) axis, pivot, and two unit vectors that span the plane across the axis.
-        reach: what is farther counts for nothing, what is near it for little (Tukey's weights).
-
-    Returns:
-        H (4 + K, 4 + K), g (4 + K,): tilts of the axis about both vectors (of a slide: towards
-        them), shifts of the pivot along them, states.
-    """
-    K = len(motions)
-    H, g = np.zeros((4 + K, 4 + K)), np.zeros(4 + K)
-    J, B, S = np.zeros((6, 3)), np.zeros((6, 3)), np.zeros(3)
-    a, c = joint[0], joint[1]
-    for k in range(K):
-        M = motions[k]
-        for i in range(len(queries)):
-            p = queries[i]
-            x, y, z, nx, ny, nz = _moved(M, p, query_normals[i])
-            at, d = _nearest(points, normals, signed, starts, k, x, y, z, nx, ny, nz, reach, across)
-            if at < 0:
-                continue
-            weight = (1.0 - d / (reach * reach)) ** 2
-            rx, ry, rz = x - points[at, 0], y - points[at, 1], z - points[at, 2]
-            if turns:
-                qx, qy, qz = x - c[0], y - c[1], z - c[2]
-                ox, oy, oz = p[0] - c[0], p[1] - c[1], p[2] - c[2]
-                J[4, 0] = a[1] * qz - a[2] * qy
-                J[4, 1] = a[2] * qx - a[0] * qz
-                J[4, 2] = a[0] * qy - a[1] * qx
-                for e in range(2):
-                    w = joint[2 + e]
-                    ux, uy, uz = w[1] * oz - w[2] * oy, w[2] * ox - w[0] * oz, w[0] * oy - w[1] * ox
-                    J[e, 0] = w[1] * qz - w[2] * qy - (M[0, 0] * ux + M[0, 1] * uy + M[0, 2] * uz)
-                    J[e, 1] = w[2] * qx - w[0] * qz - (M[1, 0] * ux + M[1, 1] * uy + M[1, 2] * uz)
-                    J[e, 2] = w[0] * qy - w[1] * qx - (M[2, 0] * ux + M[2, 1] * uy + M[2, 2] * uz)
-                    for r in range(3):
-                        J[2 + e, r] = w[r] - (M[r, 0] * w[0] + M[r, 1] * w[1] + M[r, 2] * w[2])
-            else:
-                sx, sy, sz = M[0, 3], M[1, 3], M[2, 3]
-                s = sx * a[0] + sy * a[1] + sz * a[2]
-                for r in range(3):
-                    J[4, r] = a[r]
-                    J[0, r], J[1, r] = s * joint[2, r], s * joint[3, r]
-                    J[2, r], J[3, r] = 0.0, 0.0
-            J[5, 0], J[5, 1], J[5, 2] = rx, ry, rz
-            W = stiffness[i]
-            for u in range(6):  # in the frame of pose 0
-                jx, jy, jz = J[u, 0], J[u, 1], J[u, 2]
-                for r in range(3):
-                    B[u, r] = M[0, r] * jx + M[1, r] * jy + M[2, r] * jz
-            for u in range(5):
-                row = u if u < 4 else 4 + k
-                for r in range(3):
-                    S[r] = weight * (W[r, 0] * B[u, 0] + W[r, 1] * B[u, 1] + W[r, 2] * B[u, 2])
-                g[row] += S[0] * B[5, 0] + S[1] * B[5, 1] + S[2] * B[5, 2]
-                for v in range(u + 1):
-                    column = v if v < 4 else 4 + k
-                    value = S[0] * B[v, 0] + S[1] * B[v, 1] + S[2] * B[v, 2]
-                    H[row, column] += value
-                    if row != column:
-                        H[column, row] += value
-    return H, g
+    """(K, T) the `agreement` of query points, moved by each of `steps` (T, 3, 4), with each of the
+    poses."""
+    out = np.zeros((len(starts), len(steps)))
+    for k in range(len(starts)):
+        for t in range(len(steps)):
+            out[k, t] = _agreement(
+                queries, query_normals, steps[t], points, normals, signed, starts, within, k, reach,
+                across,
+            )  # fmt: skip
+    return out

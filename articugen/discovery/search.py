@@ -2,6 +2,7 @@
 grid, and slid along every direction of a fan, and what lands on something new is counted."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,10 @@ PIVOT_STEP = 0.03
 SLIDE_STEP = 0.0125
 _LONGEST_SLIDE = 0.8
 _FAN = 60
+_FEW, _KEPT = 3, 8
+"""Turns about all pivots are tried with one in so many points of a patch, then those about the best
+pivots, one in so many, with all of its points."""
+
 _VOTE_REACH = 0.02
 """Votes are for places so near to something new, at least: pivots and axes are on coarse grids."""
 
@@ -103,22 +108,20 @@ class Search:
         points = change.clouds[0].points[change.movers]
         self.low = np.min([points.min(0), change.targets.points.min(0)], axis=0)
         self.high = np.max([points.max(0), change.targets.points.max(0)], axis=0)
+        self._turns: dict[tuple[float, ...], tuple[Floats, Floats, Floats, Any]] = {}
 
     def turns(
         self, which: NDArray[np.intp], axis: Floats, keep: int
     ) -> list[tuple[float, Candidate]]:
         """The best turns of some points (at most 255) about an axis of this direction."""
-        P, R = self.change.clouds[0].points[which], kernels.VOTES
-        across = plane_across(axis)
-        pivots = self._pivots(across, axis)
-        angles = np.linspace(-np.pi, np.pi, ANGLES, endpoint=False)
-        spin = Candidate(True, axis, np.zeros(3), angles)
-        turned = np.einsum("tij,mj->tim", motions(spin)[:, :, :3], P)
-        rest = pivots[:, None] - np.einsum("tij,cj->cti", motions(spin)[:, :, :3], pivots)
+        angles, spins, pivots, rest = self._turns_about(tuple(axis.tolist()))
+        points = self.change.clouds[0].points[which] * kernels.VOTES
+        turned = (spins @ points.T).astype(np.float32)
         w = weights(self.change, which)
-        most, step = kernels.votes(
-            (turned * R).astype(np.float32), ((rest + 0.5) * R).astype(np.float32), w, self.grid
-        )
+        few, _ = kernels.votes(turned[:, :, ::_FEW].copy(), rest, w[::_FEW].copy(), self.grid)
+        kept = np.argsort(-few.sum(1), kind="stable")[: max(len(pivots) // _KEPT, keep)]
+        pivots = pivots[kept]
+        most, step = kernels.votes(turned, rest[kept], w, self.grid)
         share = most.sum(1) / self._whole(which)
         found, free = [], np.ones(len(pivots), bool)
         for _ in range(keep):
@@ -129,6 +132,21 @@ class Search:
             if not free.any():
                 break
         return found
+
+    def _turns_about(
+        self, axis: tuple[float, ...]
+    ) -> tuple[Floats, Floats, Floats, NDArray[np.float32]]:
+        """What turns of all patches about an axis share: (T,) angles, (T, 3, 3) rotations, (C, 3)
+        pivots, and (C, T, 3) what each pivot adds to what is turned, in cells of the grid."""
+        if axis not in self._turns:
+            way = np.array(axis)
+            pivots = self._pivots(plane_across(way), way)
+            angles = np.linspace(-np.pi, np.pi, ANGLES, endpoint=False)
+            spins = motions(Candidate(True, way, np.zeros(3), angles))[:, :, :3]
+            rest = pivots[:, None] - np.einsum("tij,cj->cti", spins, pivots)
+            offsets = ((rest + 0.5) * kernels.VOTES).astype(np.float32)
+            self._turns[axis] = angles, spins, pivots, offsets
+        return self._turns[axis]
 
     def slides(
         self, which: NDArray[np.intp], ways: Floats, keep: int

@@ -24,7 +24,7 @@ from articugen.records import JointKind
 from articugen.store.files import make_folder
 from articugen.workers import Crew
 
-FORMAT = "articugen joints 3"
+FORMAT = "articugen joints 4"
 """Of the files that keep what was found; to be raised when something else would be found."""
 
 MOST_POSES = 128
