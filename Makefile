@@ -9,6 +9,12 @@ RUNS   ?= runs
 articugen := $(VENV)/bin/articugen
 pinned    := $(VENV)/bin/python -m pip install -qq --disable-pip-version-check -c constraints.txt
 
+# All that the generator imports, named one by one: yourdfpy asks for whatever trimesh can make use of,
+# a third of the environment and of the time to install it. Other extras bring it.
+generators := annotated-doc annotated-types h5py llvmlite lxml manifold3d markdown-it-py mdurl numba numpy \
+    pillow platformdirs pycollada pydantic pydantic-core pygments python-dateutil pyyaml rich shellingham \
+    six trimesh typer typing-extensions typing-inspection yourdfpy
+
 # Python compiles what is imported anyhow, and most of what is installed never is: half of the time,
 # and 100 MB. (PIP_NO_COMPILE=1 would say the contrary.)
 export PIP_COMPILE := 0
@@ -163,7 +169,7 @@ $(VENV)/bin/python:
 
 $(generator): pyproject.toml constraints.txt | $(VENV)/bin/python
 	@echo "Installing the generator and its pinned libraries into $(VENV) ..."
-	@$(pinned) --editable .
+	@$(pinned) --no-deps $(generators) --editable .
 	@touch $@
 
 $(testing): $(generator)
