@@ -5,6 +5,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+NO_BYTECODE = {"PYTHONDONTWRITEBYTECODE": "1"}
+"""For a Python whose files may not grow: it would keep modules cut short, and all that import them
+later would fail."""
+
 
 def ended(
     *arguments: str, folder: Path | None = None, seconds: float = 300, **env: str

@@ -405,8 +405,9 @@ def test_a_full_disk_ends_the_call_and_a_larger_one_goes_on(hub, tmp_path):
         assert whole(disk, *LAPTOPS)
 
 
-def test_files_that_may_not_grow_so_large(hub, tmp_path):
+def test_files_that_may_not_grow_so_large(hub, tmp_path, monkeypatch):
     """The limit of file sizes is a process's own, and has no need of root."""
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # it would be cut short
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, before[1]))

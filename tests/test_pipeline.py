@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from python_process import NO_BYTECODE
 from test_workers import alive, children
 from trouble import obeying_permissions, small_disk
 
@@ -683,7 +684,7 @@ def made_under(
         text=True,
         timeout=60,
         check=False,
-        env=os.environ | environment,
+        env=os.environ | NO_BYTECODE | environment,
     )
     return done.stderr.strip().split("\n")[-1]
 

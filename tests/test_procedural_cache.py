@@ -180,7 +180,10 @@ def limited(kind: int, most: int) -> Iterator[None]:
         resource.setrlimit(kind, (soft, hard))
 
 
-def test_a_fault_of_the_machine_is_no_verdict_on_the_object(tmp_path: Path) -> None:
+def test_a_fault_of_the_machine_is_no_verdict_on_the_object(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # it would be cut short
     folder = tmp_path / NAME
     with (
         limited(resource.RLIMIT_FSIZE, 2000),

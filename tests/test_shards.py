@@ -21,6 +21,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from instances import SMALL, changed, hinged_box
+from python_process import NO_BYTECODE
 from trouble import small_disk
 
 from articugen.errors import ArticugenError, CorruptShard, MachineFault, RejectedInstance
@@ -700,7 +701,7 @@ def test_file_size_limit_is_one_sentence(tmp_path):
         capture_output=True,
         text=True,
         check=True,
-        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
+        env=os.environ | {"NUMBA_DISABLE_JIT": "1"} | NO_BYTECODE,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
     )
     assert "files may not grow so large here" in done.stdout
