@@ -10,9 +10,15 @@ from articugen.discovery import Discovery, FoundJoint  # noqa: E402
 from articugen.errors import InvalidRecipe  # noqa: E402
 from articugen.learning.dataset import BatchSpec, load_split, unpacked  # noqa: E402
 from articugen.learning.method import load_recipe  # noqa: E402
+from articugen.learning.ppd import learner as learner_module  # noqa: E402
 from articugen.learning.ppd.kinematics import inverse_motion, rotation_from_z  # noqa: E402
+from articugen.learning.ppd.learner import PPDLearner  # noqa: E402
 from articugen.learning.ppd.model import rest_states  # noqa: E402
-from articugen.learning.ppd.settings import ModelSettings, VarySettings  # noqa: E402
+from articugen.learning.ppd.settings import (  # noqa: E402
+    ModelSettings,
+    PPDRecipe,
+    VarySettings,
+)
 from articugen.learning.ppd.targets import targets  # noqa: E402
 from articugen.learning.ppd.variation import CHANCES, Variation, is_mirrored  # noqa: E402
 from articugen.recipe_files import with_settings  # noqa: E402
@@ -58,7 +64,7 @@ def test_a_varied_sample_moves_as_is_asked_of_it(split, joints, seed):
     are asked for."""
     rows = torch.arange(len(split))
     chance = torch.rand(len(rows), CHANCES, generator=torch.Generator().manual_seed(seed))
-    mirrored = is_mirrored(chance, WILD)
+    mirrored = is_mirrored(chance, True)
     assert mirrored.any()
     assert not mirrored.all()
     aim = aims(split, *joints).of(rows, mirrored)
@@ -84,8 +90,8 @@ def test_a_varied_sample_moves_as_is_asked_of_it(split, joints, seed):
 def test_objects_stay_in_the_cube_and_are_no_larger(split):
     rows = torch.arange(len(split)).repeat(40)
     chance = torch.rand(len(rows), CHANCES, generator=torch.Generator().manual_seed(1))
-    aim = aims(split, DRAWER).of(rows, is_mirrored(chance, WILD))
-    variation = Variation.of(chance, is_mirrored(chance, WILD), aim, WILD)
+    aim = aims(split, DRAWER).of(rows, is_mirrored(chance, True))
+    variation = Variation.of(chance, is_mirrored(chance, True), aim, WILD)
     moved = variation.moved(unpacked(split.surface[rows]))
     assert moved.abs().max() <= 0.5
     edges = (variation.scale.abs() * aim.extent).amax(1) / aim.extent.amax(1)
@@ -101,7 +107,7 @@ def test_points_spread_over_the_cube_stay_so_and_know_what_is_free(split):
     batch = split.batch(rows, SPEC, 32, torch.Generator().manual_seed(0))
     aim = aims(split, DRAWER).of(batch.rows)
     small = VarySettings(shrink=0.5)
-    variation = Variation.of(batch.chance, is_mirrored(batch.chance, small), aim, small)
+    variation = Variation.of(batch.chance, is_mirrored(batch.chance, False), aim, small)
     varied, freed = variation.batch(batch)
     assert varied.points.abs().max() <= 0.5 + 1e-6
     assert torch.equal(varied.occupied, batch.occupied & ~freed)
@@ -120,7 +126,7 @@ def test_without_chances_and_settings_nothing_changes(split):
     aim = aims(split, HINGE).of(batch.rows)
     none = VarySettings()
     assert not none
-    variation = Variation.of(batch.chance, is_mirrored(batch.chance, none), aim, none)
+    variation = Variation.of(batch.chance, is_mirrored(batch.chance, False), aim, none)
     varied, freed = variation.batch(batch)
     assert not freed.any()
     torch.testing.assert_close(varied.cloud, batch.cloud, atol=1e-6, rtol=0)
@@ -147,6 +153,31 @@ def test_a_mirrored_door_has_the_candidate_of_the_other_side(split):
     count = len(split)
     assert aim.there[:count].argmax(1).eq(0).all()
     assert aim.there[count:].argmax(1).eq(1).all()
+
+
+@pytest.mark.parametrize("lean", [0.0, 0.2])
+def test_glasses_are_not_mirrored(split, lean, monkeypatch, tmp_path):
+    """One temple always folds over the other: in a mirror it is the other one."""
+    left = joint(JointKind.REVOLUTE, (0.0, lean, 1.0), (0.1, -0.2, 0.0), 4.0)
+    right = joint(JointKind.REVOLUTE, (0.0, -lean, -1.0), (0.1, 0.2, 0.0), 4.0)
+    points = unpacked(split.surface[:1])[0].double().numpy()
+    glasses = Discovery((left, right), points, np.arange(len(points)) % 3)
+    rows = [split.poses_of(split.object_id[0])]
+    monkeypatch.setattr(learner_module, "discovered", lambda *_: ([glasses], rows))
+    recipe = load_recipe("ppd_quick")
+    assert isinstance(recipe, PPDRecipe)
+    learner = PPDLearner(recipe, seed=0, device=torch.device("cpu"))
+    said = []
+    learner.begin(split, tmp_path, said.append)
+    assert len(learner.targets.known) == (len(split) if lean else 2 * len(split))
+    assert len(said) == (lean > 0)
+    batch = split.batch(list(range(len(split))), SPEC, 32, torch.Generator())
+    varied, asked = learner.prepared(batch)
+    assert asked
+    terms = asked(learner.model(varied.cloud), torch.zeros(len(split), 8, varied.points.shape[1]))
+    assert all(bool(term.isfinite()) for term in terms.values())
+    flipped = (varied.cloud[:, :, 1] * batch.cloud[:, :, 1]).sum(1) < 0
+    assert bool(flipped.any()) == (lean == 0)
 
 
 def test_a_recipe_that_varies_what_it_does_not_know_is_refused():

@@ -22,7 +22,7 @@ from articugen.learning.ppd.found import discovered
 from articugen.learning.ppd.model import PPD, Prediction
 from articugen.learning.ppd.reconstruct import Meshes, reconstruction_of
 from articugen.learning.ppd.settings import PPDRecipe, directions_of
-from articugen.learning.ppd.targets import targets
+from articugen.learning.ppd.targets import is_one_sided, targets
 from articugen.learning.ppd.variation import CHANCES, Variation, is_mirrored
 from articugen.learning.tensors import made
 from articugen.records import Floats
@@ -117,8 +117,10 @@ class PPDLearner(Predictor):
         if self.settings.warm_start.share:
             model = self.settings.model
             found, rows = discovered(training, beside, directions_of(model), tell)
-            mirrored = self.settings.vary.mirror
-            self.targets = targets(training, found, rows, model, mirrored=mirrored)
+            self.mirrors = self.settings.vary.mirror and not is_one_sided(found, model)
+            if self.settings.vary.mirror and not self.mirrors:
+                tell("no object is mirrored: joints lean to one side, a mirror shows none like it")
+            self.targets = targets(training, found, rows, model, mirrored=self.mirrors)
 
     def prepared(self, batch: Batch) -> tuple[Batch, Callable[[Prediction, Tensor], Terms] | None]:
         """The batch, varied where the recipe says so, and what a warm start asks of the prediction
@@ -126,7 +128,7 @@ class PPDLearner(Predictor):
         warm, vary, turning = self.settings.warm_start, self.settings.vary, self.turning
         if not warm.share:
             return batch, None
-        mirrored = is_mirrored(batch.chance, vary)
+        mirrored = is_mirrored(batch.chance, self.mirrors)
         aim = self.targets.of(batch.rows, mirrored)
         owner = aim.owner(batch.points, batch.occupied)
         every = max(batch.cloud.shape[1] // LABELLED, 1)

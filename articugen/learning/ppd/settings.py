@@ -148,7 +148,8 @@ class VarySettings(Section):
         stretch: the logarithm of how much longer or shorter along an axis at most; the longest edge
             stays, and so do right angles of what turns.
         shrink: the share that an object is smaller at most.
-        mirror: whether every other sample has left and right swapped.
+        mirror: whether every other sample has left and right swapped; none has where joints lean to
+            one side (`targets.is_one_sided`).
         shift: whether it is anywhere in the cube, instead of in the middle.
     """
 

@@ -13,6 +13,7 @@ from itertools import permutations
 
 import numpy as np
 import torch
+from numpy.linalg import norm
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -20,7 +21,7 @@ from articugen.discovery import LEAN, Discovery, FoundJoint, Ownership, assign_m
 from articugen.discovery.ownership import CLEARLY, MOST_DOUBT, RARELY, RIM
 from articugen.geometry import invert_rigid
 from articugen.learning.dataset import PackedSplit, unpacked
-from articugen.learning.ppd.found import Found, kinds_of
+from articugen.learning.ppd.found import FEW_OBJECTS, Found, kinds_of
 from articugen.learning.ppd.model import rest_states, widest
 from articugen.learning.ppd.settings import ModelSettings, directions_of
 from articugen.records import Floats, JointKind
@@ -33,6 +34,9 @@ _UPRIGHT = np.cos(np.radians(10.0))
 
 ROW = 0.075
 """Joints whose pivots are so far apart in height are not in one row."""
+
+_ONE_SIDED = np.cos(np.radians(5.0))
+"""Joints that a mirror lets lean otherwise by more than this are not as any object's are."""
 
 _FLIPPED = 0.5
 """What it costs to give a joint to a candidate that turns the other way: as much as a lean of 29
@@ -244,6 +248,25 @@ def in_mirror(found: Discovery) -> Discovery:
         return replace(joint, axis=sense * side * joint.axis, pivot=side * joint.pivot)
 
     return replace(found, joints=tuple(seen(joint) for joint in found.joints))
+
+
+def is_one_sided(found: Found, model: ModelSettings) -> bool:
+    """Whether mirrored objects are unlike all that there are: the joints of some candidate lean to
+    one side. Of glasses the same temple always folds over the other one, which their open pose
+    does not show; with mirrored ones among them a model can only guess."""
+    axes: tuple[dict[int, list[Floats]], ...] = {}, {}
+    known = [each for each in likely(found, model) if each]
+    for each in known:
+        for own, seen in zip(axes, (each, in_mirror(each)), strict=True):
+            for joint, taken in zip(seen.joints, assigned(seen, model), strict=True):
+                if taken:
+                    own.setdefault(taken[0], []).append(taken[1] * joint.axis)
+    means = [
+        [np.mean(own[slot], axis=0) for own in axes]
+        for slot in axes[0].keys() & axes[1].keys()
+        if min(len(own[slot]) for own in axes) >= FEW_OBJECTS * len(known)
+    ]
+    return any(a @ b < _ONE_SIDED * norm(a) * norm(b) for a, b in means)
 
 
 def _alike(found: Discovery) -> Floats:

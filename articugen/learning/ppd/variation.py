@@ -21,9 +21,9 @@ CHANCES = 8
 """Random numbers that the variation of a sample takes."""
 
 
-def is_mirrored(chance: Tensor, vary: VarySettings) -> Tensor:
-    """(B,) which samples are mirrored."""
-    if not vary.mirror:
+def is_mirrored(chance: Tensor, mirrors: bool) -> Tensor:
+    """(B,) which samples are mirrored, where some are; `chance` (B, CHANCES or 0)."""
+    if not mirrors:
         return torch.zeros_like(chance[:, :0].sum(1), dtype=torch.bool)
     return chance[:, 0] < 0.5
 
