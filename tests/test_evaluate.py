@@ -11,7 +11,8 @@ from ppd_data import write_boxes
 
 from articugen.errors import CorruptShard
 from articugen.geometry import transform
-from articugen.learning.evaluation.evaluate import Protocol, evaluate, label_votes
+from articugen.learning.evaluation import evaluate as evaluation_module
+from articugen.learning.evaluation.evaluate import Protocol, evaluate, label_votes, objects_of
 from articugen.learning.evaluation.reconstruction import PartJoints, truth
 
 FEW = Protocol(points=100, surface_samples=200)
@@ -175,6 +176,37 @@ def test_parts_may_have_other_numbers_in_every_instance(boxes):
     means = evaluate(boxes, renumbered, FEW).means
     assert means["matched_part_iou"] == 1.0
     assert means["label_iou"] < 0.6
+
+
+@pytest.mark.parametrize("whole", ["box-0", "box-1", "box-2", "box-3"])
+def test_objects_may_have_other_numbers_of_parts(boxes, whole, monkeypatch):
+    """One object alone has a knob; of all others it is a piece of the lid. A part that no training
+    object has has no label: it counts as missed."""
+
+    def without_knob(row):
+        of_joints = ("kind", "parent", "state", "lower", "upper", "axis", "pivot")
+        fewer = {f"joint_{name}": getattr(row, f"joint_{name}")[:1] for name in of_joints}
+        return replace(
+            row,
+            surface_part=np.minimum(row.surface_part, 1),
+            part_motion=row.part_motion[:2],
+            occupancy={size: np.minimum(grid, 2) for size, grid in row.occupancy.items()},
+            **fewer,
+        )
+
+    def mixed(*args):
+        for rows in objects_of(*args):
+            has = rows[0].object_id == whole
+            yield rows if has else [without_knob(row) for row in rows]
+
+    def predicted(row):
+        return replace(exactly(row), parts=3, T_part=None, joints=None)
+
+    monkeypatch.setattr(evaluation_module, "objects_of", mixed)
+    means = evaluate(boxes, predicted, FEW).means
+    known = 1.0 if whole in ("box-0", "box-1") else 0.5 * (1.0 + 2.0 / 3.0)
+    assert means["label_iou"] == pytest.approx(known)
+    assert means["matched_part_iou"] == 1.0
 
 
 def test_all_poses_can_vote(boxes):

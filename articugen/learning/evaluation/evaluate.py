@@ -165,19 +165,18 @@ def tested(data: Path, on: Path | None, states: int | None) -> Iterator[list[Ins
 def label_votes(
     data: Path, reconstruct: Reconstruct, protocol: Protocol, on_object: Callable[[str], None]
 ) -> Floats:
-    """(P, K) the votes of the training instances, summed."""
+    """(P, K) the votes of the training instances, summed; K parts of the object that has most."""
     states = 0 if protocol.label_poses == "canonical" else None
-    table: Floats | None = None
+    ballots = []
     for instances in objects_of(data, "train", states):
         for instance in instances:
             points, true = surface_of(instance, protocol.points)
             found = reconstruct(instance)
             near = metrics.nearest_part(points, found.triangles, found.part, found.parts)
-            ballot = metrics.votes(near, true, found.parts, len(instance.part_motion))
-            table = ballot if table is None else table + ballot
+            ballots.append(metrics.votes(near, true, found.parts, len(instance.part_motion)))
         on_object(instances[0].object_id)
-    assert table is not None  # check_splits looked first
-    return table
+    most = max(ballot.shape[1] for ballot in ballots)
+    return np.sum([np.pad(b, ((0, 0), (0, most - b.shape[1]))) for b in ballots], axis=0)
 
 
 def objects_of(data: Path, split: str | None, states: int | None) -> Iterator[list[Instance]]:
