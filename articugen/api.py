@@ -55,7 +55,7 @@ def jobs_of(
         Job(
             source=source,
             category=name,
-            recipe=with_settings(load_recipe(recipe, name), changes)
+            recipe=with_settings(load_recipe(recipe, name, source), changes)
             .with_counts(objects=objects, states=states, max_rejected=max_rejected)
             .with_articulation(movable=movable, canonical=canonical),
             seed=seed,

@@ -371,11 +371,14 @@ def check_category(name: str) -> None:
         )
 
 
-def load_recipe(given: "str | Path | Mapping[str, Any] | Recipe | None", category: str) -> Recipe:
+def load_recipe(
+    given: "str | Path | Mapping[str, Any] | Recipe | None", category: str, source: str = ""
+) -> Recipe:
     """The recipe `given`: a name under recipes/, a path, the keys of such a file, a recipe, which
     is taken as it is, or None for the category's own.
 
-    A category without a recipe of its own gets recipes/default.yaml.
+    A category's own is recipes/<category>-<source>.yaml, where that source has one to itself, else
+    recipes/<category>.yaml, else recipes/default.yaml.
 
     Raises:
         InvalidRecipe: no such recipe, bad YAML, an unknown key or a bad value.
@@ -383,19 +386,21 @@ def load_recipe(given: "str | Path | Mapping[str, Any] | Recipe | None", categor
     if isinstance(given, Recipe):
         return given
     check_category(category)
+    own = _category_recipe(category, source)
 
     def base_of(base: str) -> Path:
-        return _category_recipe(category) if base == "category" else find(base, learner=False)
+        return own if base == "category" else find(base, learner=False)
 
     if isinstance(given, Mapping):
         where = "the recipe that is given"
         data = {"name": "own"} | resolved_mapping(given, base_of)
         return validated(Recipe, data, where)
-    path = _category_recipe(category) if given is None else find(str(given), learner=False)
+    path = own if given is None else find(str(given), learner=False)
     data = resolved(path, base_of)
     return validated(Recipe, {"name": path.stem} | data, str(path))
 
 
-def _category_recipe(category: str) -> Path:
-    own = RECIPES / f"{category}.yaml"
-    return own if own.is_file() else RECIPES / "default.yaml"
+def _category_recipe(category: str, source: str) -> Path:
+    names = [f"{category}-{source}"] if _CATEGORY.fullmatch(source) else []  # else it is a path
+    paths = [RECIPES / f"{name}.yaml" for name in (*names, category, "default")]
+    return next((path for path in paths if path.is_file()), paths[-1])

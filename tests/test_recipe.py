@@ -34,6 +34,23 @@ def test_category_recipes_are_the_papers_protocol(category: str) -> None:
     assert recipe.articulation.revolute_degrees == (0.0, upper)
 
 
+def test_a_source_may_have_a_recipe_to_itself(tmp_path: Path, monkeypatch) -> None:
+    """Bundled drawers are many, others as the paper has them. A source may be a path, which names
+    no file here."""
+    many = load_recipe(None, "drawer", "procedural")
+    assert (many.name, many.objects, many.articulation.states) == ("drawer-procedural", 300, 16)
+    for source in ("", "partnet_mobility", "../drawer", "/models/drawer", "procedural/", "x\0y"):
+        assert load_recipe(None, "drawer", source) == load_recipe(None, "drawer")
+    quick = load_recipe("quick", "drawer", "procedural")
+    assert (quick.objects, quick.articulation.states) == (10, 10)
+    monkeypatch.setattr(recipe_module, "RECIPES", tmp_path / "recipes")
+    (tmp_path / "recipes").mkdir()
+    written(tmp_path / "recipes", "objects: 7", "default.yaml")
+    (tmp_path / "recipes" / "drawer-..").mkdir()
+    written(tmp_path, "objects: 666", "stolen.yaml")
+    assert load_recipe(None, "drawer", "../../stolen").objects == 7
+
+
 @pytest.mark.parametrize("name", known(learner=False))
 def test_every_recipe_in_the_repository_loads_for_every_category(name: str) -> None:
     for category in (*CATEGORIES, "anything"):

@@ -257,6 +257,7 @@ def study(
     """Measure a device, race seeds, train, evaluate: all categories, one folder. Resumable."""
     with said("interrupted; the same command goes on where it stood"):
         from articugen import api
+        from articugen import recipe as recipes
         from articugen.learning import study as studies
         from articugen.learning.method import load_recipe
         from articugen.recipe_files import with_settings
@@ -266,7 +267,8 @@ def study(
             if quick:
                 api.generate(category, out=folder.parent, recipe="quick", objects=6, states=4)
             else:
-                api.generate(category, out=folder.parent, states=40)
+                own = recipes.load_recipe(None, category, "procedural").articulation.states
+                api.generate(category, out=folder.parent, states=min(own, 40))
 
         asked = studies.Asked(
             categories=registry.categories("procedural", [categories]),
