@@ -147,6 +147,8 @@ class VarySettings(Section):
     Attributes:
         stretch: the logarithm of how much longer or shorter along an axis at most; the longest edge
             stays, and so do right angles of what turns.
+        warp: how much more an object grows in some places along an axis than in others, by each of
+            two waves at most, where no joint turns or slides along it (see `variation.Warp`).
         shrink: the share that an object is smaller at most.
         mirror: whether every other sample has left and right swapped; none has where joints lean to
             one side (`targets.is_one_sided`).
@@ -154,12 +156,13 @@ class VarySettings(Section):
     """
 
     stretch: float = Field(default=0.0, ge=0, le=1)
+    warp: float = Field(default=0.0, ge=0, lt=0.5)
     shrink: float = Field(default=0.0, ge=0, le=0.9)
     mirror: bool = False
     shift: bool = False
 
     def __bool__(self) -> bool:
-        return self.stretch > 0 or self.shrink > 0 or self.mirror or self.shift
+        return any((self.stretch, self.warp, self.shrink, self.mirror, self.shift))
 
 
 class PPDStage(Stage):
