@@ -109,7 +109,7 @@ FORMS = {
     "varied, seen as a grid": {
         "model": {"part_boxes": True, "part_frame": "world", "encoder": "both"},
         "warm_start": {"share": 0.5},
-        "vary": {"stretch": 0.3, "shrink": 0.2, "mirror": True, "shift": True},
+        "vary": {"stretch": 0.3, "warp": 0.3, "shrink": 0.2, "mirror": True, "shift": True},
     },
     "in the world, few decisive points": {
         "model": {"part_frame": "world"},
@@ -181,6 +181,7 @@ def some_targets(instances: int, model: ModelSettings) -> Targets:
         centre=0.1 * of(3),
         extent=0.5 + 0.4 * of(3),
         alike=torch.eye(3, dtype=torch.float64).repeat(instances, 1, 1),
+        free=(of(3) > 0.5).double(),
         grid=(3 * of(J + 1)).long(),
         doubt=torch.rand(3, R**3, generator=some),
         cells=R,

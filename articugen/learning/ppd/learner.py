@@ -93,6 +93,7 @@ class PPDLearner(Predictor):
             self.model, self.discriminator = PPD(settings.model), Discriminator()
         self.model.to(device)
         self.discriminator.to(device)
+        self.mirrors = settings.vary.mirror
         self.points = settings.data.surface_points
         self.turning = len(settings.model.revolute)
         self.at(0)
@@ -117,8 +118,8 @@ class PPDLearner(Predictor):
         if self.settings.warm_start.share:
             model = self.settings.model
             found, rows = discovered(training, beside, directions_of(model), tell)
-            self.mirrors = self.settings.vary.mirror and not is_one_sided(found, model)
-            if self.settings.vary.mirror and not self.mirrors:
+            if self.mirrors and is_one_sided(found, model):
+                self.mirrors = False
                 tell("no object is mirrored: joints lean to one side, a mirror shows none like it")
             self.targets = targets(training, found, rows, model, mirrored=self.mirrors)
 
