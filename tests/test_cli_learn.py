@@ -52,6 +52,19 @@ def folder(tmp_path_factory):
     return folder
 
 
+def test_training_says_what_was_found_of_joints(tmp_path):
+    """Once, whichever of the seeds says so; of what is counted only the end stays."""
+    data = write_boxes(tmp_path / "data", train=3, test=1, states=7, slides=0.0)
+    recipe = tmp_path / "warm.yaml"
+    recipe.write_text(RECIPE.replace("ppd_plain", "ppd_quick").replace("count: 1", "count: 2"))
+    told = ("-c", "box", "-d", data, "-r", recipe, "--runs", tmp_path / "runs")
+    done = articugen("train", *told)
+    assert done.exit_code == 0, done.output
+    assert done.output.count("looking for joints") == 1
+    assert "looking for joints in the training objects: 2 of 2" in done.output
+    assert done.output.count("joints are known of 2 of 2 training objects") == 1
+
+
 def test_evaluate_predict(folder, monkeypatch):
     monkeypatch.setattr("articugen.learning.evaluation.figures.draw.STEPS", 2)
     data, runs = folder / "data", folder / "runs"

@@ -319,7 +319,8 @@ def predict(
 
 
 class _ProgressBar:
-    """A bar with rate and time left on a terminal; a line at each validation elsewhere."""
+    """A bar with rate and time left on a terminal; elsewhere a line at each validation, and the
+    last that was said of each thing done before: counts come to an end, findings stay."""
 
     def __init__(self) -> None:
         from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
@@ -336,6 +337,8 @@ class _ProgressBar:
             disable=not (stderr.is_terminal and is_first()),
         )
         self.tasks: dict[int | None, TaskID] = {}
+        self.latest: dict[int | None, str] = {}
+        self.kept: set[str] = set()
 
     def __enter__(self) -> "Callable[[Progress], None]":
         self.bar.start()
@@ -350,6 +353,9 @@ class _ProgressBar:
         task = self.tasks[progress.seed]
         who = "" if progress.seed is None else f"seed {progress.seed}: "
         self.bar.update(task, completed=progress.iteration, total=progress.iterations)
+        before, self.latest[progress.seed] = self.latest.get(progress.seed, ""), progress.said
+        if before and before.partition(":")[0] != progress.said.partition(":")[0]:
+            self._keep(before)
         if progress.said:
             self.bar.update(task, state=progress.said)
         if progress.terms:
@@ -360,3 +366,9 @@ class _ProgressBar:
             values = ", ".join(f"{k} {v:.4f}" for k, v in progress.validation.items())
             line = f"{who}{progress.iteration}/{progress.iterations} held-out objects: {values}"
             self.bar.console.print(line, soft_wrap=True)
+
+    def _keep(self, said: str) -> None:
+        """Print it once, whichever of the seeds that race say so."""
+        if said not in self.kept:
+            self.kept.add(said)
+            self.bar.console.print(said, soft_wrap=True)

@@ -22,7 +22,7 @@ from articugen.learning.ppd.found import discovered
 from articugen.learning.ppd.model import PPD, Prediction
 from articugen.learning.ppd.reconstruct import Meshes, reconstruction_of
 from articugen.learning.ppd.settings import PPDRecipe, directions_of
-from articugen.learning.ppd.targets import is_one_sided, targets
+from articugen.learning.ppd.targets import is_one_sided, likely, targets
 from articugen.learning.ppd.variation import CHANCES, Variation, is_mirrored
 from articugen.learning.tensors import made
 from articugen.records import Floats
@@ -118,6 +118,8 @@ class PPDLearner(Predictor):
         if self.settings.warm_start.share:
             model = self.settings.model
             found, rows = discovered(training, beside, directions_of(model), tell)
+            known = sum(each is not None for each in likely(found, model))
+            tell(f"joints are known of {known} of {len(found)} training objects")
             if self.mirrors and is_one_sided(found, model):
                 self.mirrors = False
                 tell("no object is mirrored: joints lean to one side, a mirror shows none like it")
