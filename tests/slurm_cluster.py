@@ -32,12 +32,13 @@ MpiDefault=none
 SelectType=select/cons_tres
 SelectTypeParameters=CR_Core
 KillWait=2
-ReturnToService=2
+ReturnToService=0
 NodeName={nodes[0]} NodeHostname={host} NodeAddr=127.0.0.1 Port={ports[1]} CPUs=2
 NodeName={nodes[1]} NodeHostname={host} NodeAddr=127.0.0.1 Port={ports[2]} CPUs=2
 PartitionName=all Nodes={nodes[0]},{nodes[1]} Default=YES MaxTime=INFINITE
 """
-"""`cred_expire`: so many seconds after it was lost a task may begin again, 120 by default."""
+"""`cred_expire`: so many seconds after it was lost a task may begin again, 120 by default.
+`ReturnToService`: a node that was said to be down stays down, whatever it said just before."""
 
 
 @contextmanager
