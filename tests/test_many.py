@@ -170,6 +170,7 @@ def some_targets(instances: int, model: ModelSettings) -> Targets:
     return Targets(
         known=(of() > 0.3).double(),
         there=(of(J) > 0.5).double(),
+        still=(of(J) > 0.5).double(),
         state=0.1 + 0.5 * of(J),
         axis=of(J, 3),
         pivot=of(J, 3) - 0.5,

@@ -23,7 +23,7 @@ from articugen.learning.ppd.found import (  # noqa: E402
     discovered,
     kinds_of,
 )
-from articugen.learning.ppd.model import Prediction, amount_of  # noqa: E402
+from articugen.learning.ppd.model import Prediction, amount_of, rest_states  # noqa: E402
 from articugen.learning.ppd.settings import ModelSettings, WarmStart, directions_of  # noqa: E402
 from articugen.learning.ppd.shape import PartBox  # noqa: E402
 from articugen.learning.ppd.targets import (  # noqa: E402
@@ -241,7 +241,7 @@ def test_a_prediction_that_is_as_aimed_costs_nothing(boxes):
         some = Prediction(shape, replace(pose, **{**right, **changed}))
         return aim_terms(some, logits, owner, aims, WarmStart(), turning)
 
-    for name in ("aim_state", "aim_direction", "aim_pivot", "aim_box"):
+    for name in ("aim_state", "aim_still", "aim_direction", "aim_pivot", "aim_box"):
         assert float(terms()[name]) == pytest.approx(0.0, abs=1e-9)
     slot = assigned(true[0], MODEL)[0][0]
     off = pivot.clone()
@@ -256,6 +256,35 @@ def test_a_prediction_that_is_as_aimed_costs_nothing(boxes):
     assert owned == 2  # the fixed part and the lid
     wide = terms(box=PartBox(middle, np.e * size))["aim_box"]
     assert float(wide) == pytest.approx(WarmStart().box * 3 * owned, rel=1e-4)
+
+
+def test_a_candidate_that_only_other_objects_have_is_asked_to_stand_still(boxes):
+    split, true, rows = boxes
+    model = ModelSettings(revolute=((0, 1, 0), (0, -1, 0), (0, 0, 1)))
+    hinge = true[1].joints[0]
+    turned = replace(hinge, axis=-hinge.axis, states=-hinge.states)
+    true = [true[0], replace(true[1], joints=(turned,))]
+    first, second = (assigned(each, model)[0][0] for each in true)
+    assert {first, second} == {0, 1}
+    aims = targets(split, true, rows, model)
+    wanted = torch.zeros_like(aims.there)
+    wanted[rows[0], second] = wanted[rows[1], first] = 1.0
+    assert torch.equal(aims.still, wanted)
+    assert torch.equal(aims.state[rows[0], second], rest_states(aims.state, 3)[second].expand(8))
+    unknown = targets(split, [true[0], None], rows, model)
+    assert not unknown.still.any()
+
+    aims, turning = aims.of(torch.from_numpy(rows[0][:2])), len(model.revolute)
+    learner = find_method("ppd").start(load_recipe("ppd_quick"), seed=0, device=torch.device("cpu"))
+    with torch.no_grad():
+        predicted = learner.model(unpacked(split.surface[rows[0][:2], :128]))
+    amount = amount_of(aims.state, turning)
+    amount[0, second] += 0.1
+    some = replace(predicted, pose=replace(predicted.pose, amount=amount))
+    logits, owner = torch.zeros(2, 8, 5), torch.zeros(2, 5, dtype=torch.long)
+    terms = aim_terms(some, logits, owner, aims, WarmStart(still=3.0), turning)
+    assert float(terms["aim_state"]) == pytest.approx(0.0, abs=1e-9)
+    assert float(terms["aim_still"]) == pytest.approx(3.0 * 0.01 / 2, rel=1e-4)
 
 
 def test_parts_entropy_is_what_it_says():

@@ -129,6 +129,8 @@ class WarmStart(Section):
         labels: weight of whose field is the greatest at the points that the encoder is given.
         state, direction, pivot, box: weights of how far these are off: amounts, 1 - cos, the square
             of the distance between the pivots, and the parts' boxes (`box_misfit`).
+        still: weight of how far the amounts of candidates that only other objects have are from
+            those of a closed joint.
     """
 
     share: float = Field(default=0.0, ge=0, le=1)
@@ -136,6 +138,7 @@ class WarmStart(Section):
     occupied: float = Field(default=4.0, gt=0)
     labels: float = Field(default=0.02, ge=0)
     state: float = Field(default=20.0, ge=0)
+    still: float = Field(default=2.0, ge=0)
     direction: float = Field(default=20.0, ge=0)
     pivot: float = Field(default=200.0, ge=0)
     box: float = Field(default=20.0, ge=0)

@@ -55,7 +55,8 @@ class Targets:
     Attributes:
         known: (I,) 1 where it was found how the instance moves, else 0: nothing to aim at.
         there: (I, J) 1 where the object has a joint for the candidate, else 0.
-        state: (I, J) of that joint.
+        still: (I, J) 1 where it has none, but other objects have one, else 0.
+        state: (I, J) of that joint; of a closed one where there is none.
         axis, pivot: (I, J, 3) of that joint, in the unit frame.
         owns: (I, P) 1 where it is known where the part's material lies, else 0.
         middle, size: (I, P, 3) of a box around it, in the part's rest frame, that of the pose in
@@ -72,6 +73,7 @@ class Targets:
 
     known: Tensor
     there: Tensor
+    still: Tensor
     state: Tensor
     axis: Tensor
     pivot: Tensor
@@ -146,6 +148,7 @@ def targets(
     joined = {name: np.concatenate([getattr(t, name) for t in tables]) for name in _Table.NAMES}
     device = split.surface.device
     told = {name: torch.from_numpy(array).float().to(device) for name, array in joined.items()}
+    told["still"] = told["known"][:, None] * told["there"].amax(0) * (1.0 - told["there"])
     told["state"] = in_range(
         told["state"] + rest_states(told["state"], len(model.revolute)), len(model.revolute)
     )

@@ -33,6 +33,8 @@ def aim_terms(
     """How far a prediction is from its targets.
 
     Amounts are compared instead of states, since near the ends of a tanh nothing would be learned.
+    Of a candidate that only other objects have it is asked to stand still: else it would be said to
+    move with the one that this object has in its place.
 
     Args:
         part_logits: (B, P, n) of the composed fields.
@@ -41,12 +43,13 @@ def aim_terms(
     """
     pose, there = predicted.pose, aim.there
     amount = amount_of(aim.state, revolute)
-    states = ((pose.amount - amount).square() * there).sum(1).mean()
+    off = (pose.amount - amount).square()
     lean = ((1.0 - (pose.direction * aim.axis).sum(2)) * there).sum(1).mean()
     square = (pose.pivot[:, 1:] - aim.pivot).square().sum(2)[:, :revolute]
     terms = {
         "aim_parts": weigh.parts * parts_entropy(part_logits, owner, aim.known, weigh.occupied),
-        "aim_state": weigh.state * states,
+        "aim_state": weigh.state * (off * there).sum(1).mean(),
+        "aim_still": weigh.still * (off * aim.still).sum(1).mean(),
         "aim_direction": weigh.direction * lean,
         "aim_pivot": weigh.pivot * (square * there[:, :revolute]).sum(1).mean(),
     }
