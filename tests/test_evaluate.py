@@ -60,6 +60,20 @@ def test_the_truth_scores_full_marks(boxes):
     assert seen == ["box-0", "box-1", "box-2", "box-3"]
 
 
+def test_labels_are_told_by_a_finer_grid_as_well(boxes):
+    """The finer surfaces alone decide, and the votes of the others."""
+
+    def confused(instance):
+        found = exactly(instance)
+        return replace(found, part=(found.part + 1) % found.parts)
+
+    means = evaluate(boxes, exactly, FEW, finer=exactly).means
+    assert means["label_iou"] == means["finer_label_iou"] == 1.0
+    means = evaluate(boxes, exactly, FEW, finer=confused).means
+    assert (means["label_iou"], means["finer_label_iou"]) == (1.0, 0.0)
+    assert "finer_label_iou" not in evaluate(boxes, exactly, FEW).means
+
+
 def test_nothing_predicted_counts_as_failed(boxes):
     def nothing(instance):
         empty, found = np.zeros((0, 3, 3)), exactly(instance)

@@ -69,8 +69,11 @@ def test_a_part_is_not_far_outside_of_its_box():
     assert 0.05 < beyond.mean() < 0.95
     found = reconstruction.logits_at(model, predicted, points)
     np.testing.assert_allclose(found[~beyond], field.numpy()[~beyond], atol=1e-5)
-    assert (found[beyond] < 0.0).all()
+    assert (found[beyond] <= reconstruction._AT_MOST).all()
     assert (field.numpy()[beyond] > 0.0).any()
+    far = ((off - reconstruction.ROOM) * box.size[0, :, None] > reconstruction._MARGIN).any(-1)
+    assert (found[far.numpy()] == reconstruction._NOWHERE).all()
+    assert (found[beyond & ~far.numpy()] > reconstruction._NOWHERE).any()
 
 
 def test_interpolation_holds_what_it_holds():
@@ -128,6 +131,33 @@ def test_some_parts_alone_have_the_fields_that_they_have_among_all():
     alone = reconstruction.logits_at(model, predicted, points, some)
     np.testing.assert_allclose(alone, every[some], atol=1e-5)
     assert np.abs(every).max() > 0.01
+
+
+def test_a_part_that_is_nowhere_is_not_looked_for_on_a_finer_grid(monkeypatch):
+    torch.manual_seed(1)
+    model = PPD(ModelSettings(coordinate_bound=1 / 3)).eval()
+    with torch.no_grad():
+        predicted = model(torch.rand(1, 64, 3) - 0.5)
+        middling = np.median(part_logits(model, predicted, 16).max(0))
+        model.shape.head_2.bias[8:] -= 2.0 * middling
+        model.shape.head_2.bias[8 + 3] -= 100.0
+    asked, every = [], reconstruction.logits_at
+
+    def counted(*given):
+        asked.append((len(given[2]), given[3:]))
+        return every(*given)
+
+    monkeypatch.setattr(reconstruction, "logits_at", counted)
+    found = reconstruction_of(model, predicted, 64)
+    assert asked[0] == (32**3, ())
+    points, (parts,) = asked[1]
+    assert points == 64**3
+    assert 3 not in parts
+    each, whole = reconstruction._meshes(part_logits(model, predicted, 64))
+    assert len(whole)
+    np.testing.assert_allclose(found.whole, whole, atol=1e-6)
+    np.testing.assert_allclose(found.triangles, np.concatenate(each), atol=1e-6)
+    np.testing.assert_array_equal(found.part, np.repeat(np.arange(8), [len(e) for e in each]))
 
 
 def test_nothing_anywhere_has_no_surface_at_any_resolution():

@@ -161,7 +161,12 @@ def evaluate(
     ] = "paper",
     resolution: Annotated[
         int | None,
-        typer.Option(min=8, max=256, help="Of the meshes' grid.", show_default="32; release: 64"),
+        typer.Option(
+            min=8,
+            max=256,
+            help="Of the meshes' grid.",
+            show_default="32, labels on 64 as well; release: 64",
+        ),
     ] = None,
     label_poses: Annotated[
         str, typer.Option(help="Whose poses vote for labels: canonical or all.")

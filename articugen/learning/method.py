@@ -135,11 +135,13 @@ class Yardstick:
         resolution: of the grid, unless said otherwise.
         reconstruct: (learner, cloud, resolution), what is measured.
         evaluate: as `evaluation.evaluate.evaluate`.
+        finer: of the grid by which labels are told as well, if no grid was asked for.
     """
 
     resolution: int
     reconstruct: Callable[[Any, Floats, int], Reconstruction]
     evaluate: Callable[..., Evaluation]
+    finer: int | None = None
 
 
 class Method(Protocol):

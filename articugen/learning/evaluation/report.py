@@ -95,7 +95,11 @@ def _by_category(results: Sequence[RunEvaluation]) -> list[str]:
     lines += ["|---" * 3 + "|---:" * (len(here) + len(_HEADERS)) + "|"]
     categories = dict.fromkeys([*paper.CATEGORIES, *(r.run.category for r in results), "mean"])
     table, theirs = _LABELS[results[0].run.label_poses]
-    metrics = (("label IoU, %", 2, table, "label_iou", 100.0, theirs), *_METRICS)
+    names = {"label_iou": "label IoU, %"}
+    if finer := next((r.run.finer for r in results if r.run.finer), None):
+        names["finer_label_iou"] = f"label IoU, %, meshes on {finer}^3"
+    labels = ((title, 2, table, name, 100.0, theirs) for name, title in names.items())
+    metrics = (*labels, *_METRICS)
     for title, decimals, table, name, factor, theirs in metrics:
         measured = {key: r.means[name] for key, r in chosen.items() if name in r.means}
         ours = _with_means({key: factor * value for key, value in measured.items()})

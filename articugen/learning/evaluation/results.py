@@ -104,6 +104,7 @@ class EvaluatedRun(_Record):
         variant: the row of Table 5 that it belongs to.
         states: random ones of each test object; None is all.
         resolution: of the grid of its meshes.
+        finer: of the grid that labels are told by as well.
         on: the folder of the data set whose objects were tested, where that is another one than
             the run's.
     """
@@ -119,6 +120,7 @@ class EvaluatedRun(_Record):
     label_poses: Literal["canonical", "all"] = "canonical"
     states: int | None = None
     resolution: int
+    finer: int | None = None
     on: str | None = None
 
 

@@ -1,6 +1,5 @@
 """What a trained model says of one cloud: part surfaces, joints, and how parts moved."""
 
-import copy
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -9,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.nn import Parameter
+from torch.func import functional_call
 
 from articugen.geometry import invert_rigid
 from articugen.learning.dataset import voxel_centres
@@ -24,15 +23,26 @@ Meshes = Callable[[Floats], tuple[list[Floats], Floats]]
 """From the parts' logits (P, R, R, R) to the triangles of each part, and those of the whole."""
 
 _NO_TRIANGLES = np.zeros((0, 3, 3))
-_BLOCK, _LARGE_BLOCK = 1 << 11, 1 << 18
-"""Points at a time: on a CPU what the decoders make of them stays in the cache, which takes less
-than half of the time; on a GPU there are enough to keep it busy."""
+_BLOCK, _LARGE_BLOCK = 1 << 14, 1 << 21
+"""Points at a time, of all parts together: on a CPU what the decoders make of them stays in the
+cache, which takes less than half of the time; on a GPU there are enough to keep it busy."""
 
 _DENSE = 64
 
 ROOM = 1.5
 """A part is not farther from the middle of its box than so many times the box's half edges: sines
 repeat, and far away, where hardly a point is ever drawn, there would be crumbs."""
+
+_MARGIN = 3.0**0.5 / 32.0
+"""So much farther out it need not be evaluated: surfaces on grids of 32^3 and finer lie between
+samples that are not so far apart."""
+
+_AT_MOST, _NOWHERE = -1.0, -10.0
+"""The field beyond that many half edges at most, and beyond the margin."""
+
+_ABSENT = -4.0
+"""A part whose field is below that on a whole grid is nowhere on one that is twice as fine either:
+candidates that no object has are at -7, the thinnest parts above 0."""
 
 
 def reconstruction_of(
@@ -79,7 +89,12 @@ def reconstruction_of(
 
 def part_logits(model: PPD, predicted: Prediction, resolution: int) -> Floats:
     """(P, R, R, R): the field of each part at the voxel centres, before the sigmoid."""
-    values = logits_at(model, predicted, _all_centres(resolution))
+    return _on_grid(logits_at(model, predicted, _all_centres(resolution)))
+
+
+def _on_grid(values: Floats) -> Floats:
+    """(P, R, R, R) of (P, R^3)."""
+    resolution = round(values.shape[1] ** (1 / 3))
     return values.reshape(-1, resolution, resolution, resolution)
 
 
@@ -98,8 +113,7 @@ def logits_near_surfaces(
     surface that is seen there, and so does leaving out a part that is nowhere.
     """
     if resolution < 2 * dense or resolution % 2:
-        logits = part_logits(model, predicted, resolution)
-        return np.arange(len(logits)), logits
+        return _on_the_whole_grid(model, predicted, resolution)
     parts, coarse = logits_near_surfaces(model, predicted, resolution // 2, dense)
     there = coarse.reshape(len(coarse), -1).max(1) > 0.0
     there[0] |= not there.any()
@@ -111,6 +125,20 @@ def logits_near_surfaces(
     for field, values in zip(fine, logits_at(model, predicted, centres, parts), strict=True):
         field.reshape(-1)[cells] = values
     return parts, fine
+
+
+def _on_the_whole_grid(
+    model: PPD, predicted: Prediction, resolution: int
+) -> tuple[NDArray[np.int64], Floats]:
+    """Parts and their fields, on fine grids without the parts that `_ABSENT` says are nowhere."""
+    if resolution < _DENSE:
+        logits = part_logits(model, predicted, resolution)
+        return np.arange(len(logits)), logits
+    coarse = part_logits(model, predicted, resolution // 2)
+    there = coarse.reshape(len(coarse), -1).max(1) > _ABSENT
+    there[0] |= not there.any()
+    parts = np.flatnonzero(there)
+    return parts, _on_grid(logits_at(model, predicted, _all_centres(resolution), parts))
 
 
 def _doubled(grids: NDArray[Any]) -> NDArray[Any]:
@@ -127,41 +155,54 @@ def logits_at(
 ) -> Floats:
     """(P, n): the field of each part, or of these `parts`, at points (n, 3), before the sigmoid;
     below 0 far outside of the part's box, where it has one."""
-    decoder, code, inverse = model.shape, predicted.shape, model.motion(predicted.pose)
-    if parts is not None:
-        decoder, code, inverse = _of_parts(decoder, code, inverse, torch.from_numpy(parts))
-    block = _BLOCK if inverse.offset.device.type == "cpu" else _LARGE_BLOCK
-    field = []
-    for some in points.split(block):
-        at = some.to(inverse.offset)
-        values = decoder(code, inverse, at[None]).product[0]
-        field.append(_within(code.box, inverse, at, values) if code.box else values)
-    return torch.cat(field, 1).double().cpu().numpy()
+    inverse = model.motion(predicted.pose)
+    points = points.to(inverse.offset)
+    each = torch.arange(model.settings.parts) if parts is None else torch.from_numpy(parts)
+    each = each.to(points.device)
+    if not predicted.shape.box:
+        field = _field(model.shape, predicted.shape, inverse, points, each)
+    else:
+        field = points.new_full((len(each), len(points)), _NOWHERE)
+        for values, part in zip(field, each.split(1), strict=True):
+            beyond = _beyond(predicted.shape.box, inverse, points, part)
+            near = beyond < _MARGIN
+            alone = _field(model.shape, predicted.shape, inverse, points[near], part)[0]
+            values[near] = torch.where(beyond[near] > 0.0, alone.clamp(max=_AT_MOST), alone)
+    return field.double().cpu().numpy()
 
 
-def _within(box: PartBox, inverse: InverseMotion, points: Tensor, field: Tensor) -> Tensor:
-    """A field (P, n) at points (n, 3), below 0 beyond `ROOM` times the parts' boxes."""
-    rest = inverse.rotation[0] @ points.mT + (inverse.offset - box.middle)[0, :, :, None]
-    beyond = (rest.abs() > ROOM * box.size[0, :, :, None]).any(1)
-    return torch.where(beyond, field.clamp(max=-1.0), field)
+def _beyond(box: PartBox, inverse: InverseMotion, points: Tensor, part: Tensor) -> Tensor:
+    """(n,) how far points (n, 3) are outside of `ROOM` times the box of a part (1,), along that
+    axis of the box along which it is most; negative inside."""
+    offset = inverse.offset[0, part] - box.middle[0, part]
+    rest = points @ inverse.rotation[0, part][0].mT + offset
+    return (rest.abs() - ROOM * box.size[0, part]).amax(1)
 
 
-def _of_parts(
-    decoder: ShapeDecoder, code: ShapeCode, inverse: InverseMotion, parts: Tensor
-) -> tuple[ShapeDecoder, ShapeCode, InverseMotion]:
-    """The decoders of some parts alone, and what they are given."""
-    parts = parts.to(inverse.offset.device)
-    both, fewer = torch.cat([parts, decoder.parts + parts]), copy.deepcopy(decoder)
-    layers = {fewer.coordinate: parts, fewer.trunk_0: parts, fewer.trunk_1: parts}
-    heads = {fewer.head_0: both, fewer.head_1: both, fewer.head_2: both}
-    for layer, groups in (layers | heads).items():
-        assert layer.bias is not None
-        layer.weight, layer.bias = Parameter(layer.weight[groups]), Parameter(layer.bias[groups])
-    return (
-        fewer,
-        code.of(parts),
-        InverseMotion(inverse.rotation[:, parts], inverse.offset[:, parts]),
-    )
+def _field(
+    decoder: ShapeDecoder, code: ShapeCode, inverse: InverseMotion, points: Tensor, parts: Tensor
+) -> Tensor:
+    """(p, n): the field of some parts (p,) at points (n, 3), a few at a time."""
+    block = (_BLOCK if points.device.type == "cpu" else _LARGE_BLOCK) // len(parts)
+    weights, code = _weights_of(decoder, parts), code.of(parts)
+    inverse = InverseMotion(inverse.rotation[:, parts], inverse.offset[:, parts])
+    fields = [
+        functional_call(decoder, weights, (code, inverse, some[None])).product[0]
+        for some in points.split(block)
+    ]
+    return torch.cat(fields, 1)
+
+
+def _weights_of(decoder: ShapeDecoder, parts: Tensor) -> dict[str, Tensor]:
+    """What the layers of some parts know."""
+    both = torch.cat([parts, decoder.parts + parts])
+    groups = {"coordinate": parts, "trunk_0": parts, "trunk_1": parts}
+    groups |= {"head_0": both, "head_1": both, "head_2": both}
+    known = dict(decoder.named_parameters())
+    return {f"{n}.{kind}": known[f"{n}.{kind}"][g] for n, g in groups.items() for kind in _KINDS}
+
+
+_KINDS = "weight", "bias"
 
 
 def _beside_surfaces(logits: Floats) -> NDArray[np.bool_]:
