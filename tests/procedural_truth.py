@@ -24,10 +24,10 @@ def object_id(category: str, index: int) -> str:
 
 
 def written(
-    category: str, object_id: str, folder: Path, *, messy: bool = False
+    category: str, object_id: str, folder: Path, *, messy: bool = False, varied: bool = False
 ) -> tuple[ArticulatedObject, Truth]:
     """An object written to `folder`, read back, and its truth."""
-    path = write_object(category, object_id, folder, messy=messy)
+    path = write_object(category, object_id, folder, messy=messy, varied=varied)
     return load_urdf(path, object_id=object_id, category=category), load_truth(folder)
 
 

@@ -14,11 +14,12 @@ from articugen.sources.source_file import read_source_file
 FOLDERS = sorted(path.parent for path in SOURCES.glob("*/source.yaml"))
 
 
-def test_the_four_sources_are_there():
+def test_the_five_sources_are_there():
     assert {folder.name for folder in FOLDERS} >= {
         "partnet_mobility",
         "procedural",
         "procedural_messy",
+        "procedural_varied",
         "shape2motion",
     }
     listed = {info.name: info for info in source_names()}
@@ -38,13 +39,14 @@ def test_source_is_described(folder: Path):
 
 
 def test_messy_objects_are_the_clean_ones():
-    clean, messy = (
+    clean, messy, varied = (
         read_source_file(SOURCES / name / "source.yaml")
-        for name in ("procedural", "procedural_messy")
+        for name in ("procedural", "procedural_messy", "procedural_varied")
     )
-    assert clean.categories == messy.categories
+    assert clean.categories == messy.categories == varied.categories
     assert set(clean.categories) == set(procedural.CATEGORIES)
-    assert (clean.messy, messy.messy) == (False, True)
+    assert (clean.messy, messy.messy, varied.messy) == (False, True, False)
+    assert (clean.varied, messy.varied, varied.varied) == (False, False, True)
 
 
 def test_no_model_is_committed():

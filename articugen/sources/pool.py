@@ -175,6 +175,7 @@ def _made(
                     named.folder / category / name,
                     reader=named.file.reader,
                     messy=named.file.messy,
+                    varied=named.file.varied,
                 )
             )
         i += 1

@@ -54,6 +54,7 @@ class ObjectRef:
         location, root, reader: as in `Found`.
         own_category: what the model itself says that it is; "" where it does not.
         messy: of objects that are made, whether as badly as real ones come.
+        varied: of objects that are made, whether as various as those of others are.
     """
 
     source: str
@@ -65,6 +66,7 @@ class ObjectRef:
     reader: str = "urdf"
     own_category: str = ""
     messy: bool = False
+    varied: bool = False
 
 
 class CategorySettings(Section):

@@ -22,6 +22,7 @@ class SourceFile(Section):
         reader: the layout they are in, a name of `readers.READERS` or of another package's.
         clip_to_limits: whether recipes that leave it to the source stay inside the URDF's limits.
         messy: (procedural only) write the objects as badly as real data come.
+        varied: (procedural only) draw them as various as those of others are.
         path: the folder of the models, absolute or relative to source.yaml; by default
             $ARTICUGEN_SOURCES/<source> where that exists, else the folder of source.yaml.
         categories: by name; of procedural objects, those that there are if not given.
@@ -33,6 +34,7 @@ class SourceFile(Section):
     reader: str = "urdf"
     clip_to_limits: bool = True
     messy: bool = False
+    varied: bool = False
     path: Path | None = None
     categories: dict[str, CategorySettings] = Field(min_length=1)
 

@@ -19,7 +19,13 @@ sys.path.insert(0, str(Path(__file__).parent))  # mkdocs loads this file alone
 import gallery  # noqa: E402
 import reference  # noqa: E402
 
-_SOURCES = ("procedural", "procedural_messy", "partnet_mobility", "shape2motion")
+_SOURCES = (
+    "procedural",
+    "procedural_messy",
+    "procedural_varied",
+    "partnet_mobility",
+    "shape2motion",
+)
 
 PAGES = {
     "README.md": "index.md",

@@ -1,8 +1,8 @@
 """The bundled objects: parametric models whose exact occupancy is known.
 
 `write_object` makes one as an ordinary URDF with OBJ meshes; `truth.load_truth` reads its exact
-solids back. An object depends on its id alone. A category is a module of its own here and a line
-of `CATEGORIES`; docs/extending.md shows how to add one.
+solids back. An object depends on its id, and whether it is a varied one, alone. A category is a
+module of its own here and a line of `CATEGORIES`; docs/extending.md shows how to add one.
 """
 
 import importlib
@@ -27,8 +27,12 @@ CATEGORIES = {
 more are asked for. These are those of the PPD paper (its table of training and test samples)."""
 
 
-def build_model(category: str, object_id: str) -> Model:
+def build_model(category: str, object_id: str, *, varied: bool = False) -> Model:
     """The model of one object.
+
+    Args:
+        varied: as various as objects of others are: what the category's module builds by
+            `build_varied`, where it has that.
 
     Raises:
         InvalidSource: there is no such category, or it has no such object.
@@ -40,10 +44,13 @@ def build_model(category: str, object_id: str) -> Model:
     if not re.fullmatch(rf"{category}_[0-9]{{4,9}}", object_id):
         raise InvalidSource(f"procedural has no {object_id!r}; its ids are like {category}_0003")
     module = importlib.import_module(f"{__name__}.{category}")
-    return module.build(generator(0, object_id, "procedural"))
+    build = getattr(module, "build_varied", module.build) if varied else module.build
+    return build(generator(0, object_id, "procedural"))
 
 
-def write_object(category: str, object_id: str, folder: Path, *, messy: bool = False) -> Path:
+def write_object(
+    category: str, object_id: str, folder: Path, *, messy: bool = False, varied: bool = False
+) -> Path:
     """Write one object as `folder`, unless it is there as it should be, and return its URDF's path.
 
     Where `folder` cannot be written to, the URDF is elsewhere (see `cache.stored`).
@@ -51,6 +58,7 @@ def write_object(category: str, object_id: str, folder: Path, *, messy: bool = F
     Args:
         folder: the object's own folder, for instance urdf_sources/procedural/laptop/laptop_0003.
         messy: the same object as real data come (see `writer.write_model`).
+        varied: another object, see `build_model`.
 
     Raises:
         InvalidSource: no such category or object.
@@ -58,9 +66,11 @@ def write_object(category: str, object_id: str, folder: Path, *, messy: bool = F
     """
 
     def write(work: Path) -> None:
-        model = build_model(category, object_id)
+        model = build_model(category, object_id, varied=varied)
         write_model(model, work, object_id=object_id, category=category, messy=messy)
 
     identity = {"object_id": object_id, "category": category, "messy": messy}
+    if varied:
+        identity["varied"] = True
     identity["content_version"] = model_version(category)
     return stored(folder, identity, write) / URDF_NAME

@@ -34,7 +34,9 @@ def index_of(category: str, object_id: str) -> int | None:
 
 def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
     """Read one object, which is written first where it is not there yet."""
-    path = procedural.write_object(ref.category, ref.object_id, ref.location, messy=ref.messy)
+    path = procedural.write_object(
+        ref.category, ref.object_id, ref.location, messy=ref.messy, varied=ref.varied
+    )
     return load_urdf(
         path,
         object_id=ref.object_id,

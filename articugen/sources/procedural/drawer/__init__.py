@@ -1,6 +1,7 @@
-"""Chests, consoles, desks and sideboards with three drawers that slide out along +x.
+"""Chests, consoles, desks and sideboards with three drawers that slide out along +x; varied ones
+may have two drawers or one.
 
-A front is cut into compartments: three hold drawers, others are open shelves or doors that do not
+A front is cut into compartments: some hold drawers, others are open shelves or doors that do not
 open (what they would hide is filled). Every drawer is a hollow box behind a front plate.
 """
 
@@ -18,7 +19,7 @@ from articugen.sources.procedural.drawer.furniture import (
     support,
     top,
 )
-from articugen.sources.procedural.drawer.layouts import draw_layout
+from articugen.sources.procedural.drawer.layouts import Layout, draw_layout
 from articugen.sources.procedural.kit import GAP
 from articugen.sources.procedural.kit.model import Model, ModelJoint, ModelLink
 from articugen.sources.procedural.kit.parts import (
@@ -65,13 +66,25 @@ class Style:
     stroke: float
 
 
+MOST_STROKE, MOST_STROKE_VARIED = 0.9, 1.0
+"""How far a drawer slides out at most, part of its box's depth."""
+
+
 def build(rng: np.random.Generator) -> Model:
     """One object: links body and drawer_0 to drawer_2."""
-    layout = draw_layout(rng)
+    return _built(rng, draw_layout(rng), MOST_STROKE)
+
+
+def build_varied(rng: np.random.Generator) -> Model:
+    """One with one to three drawers, which may slide all the way out."""
+    return _built(rng, draw_layout(rng, varied=True), MOST_STROKE_VARIED)
+
+
+def _built(rng: np.random.Generator, layout: Layout, most_stroke: float) -> Model:
     width, depth, height = layout.size
     extent = max(width, height, 1.9 * depth)
     board = rng.uniform(0.017, 0.025) * extent
-    style = _style(rng, extent, board)
+    style = _style(rng, extent, board, most_stroke)
     legs, lift = support(rng, layout, board)
     slab = rng.uniform(0.9, 1.5) * board
     span = (-width / 2 + layout.kneehole * width, width / 2)
@@ -101,7 +114,7 @@ def _slider(name: str, cell: Cell, carcass: Carcass, stroke: float) -> ModelJoin
     )
 
 
-def _style(rng: np.random.Generator, extent: float, board: float) -> Style:
+def _style(rng: np.random.Generator, extent: float, board: float, most_stroke: float) -> Style:
     fronts = ["flat", "flat", "flat", "bevel", "shaker", "shaker", "raised", "slats", "bow", "slot"]
     front = str(rng.choice(fronts))
     mount = str(rng.choice(["full", "partial", "inset"]))
@@ -124,7 +137,7 @@ def _style(rng: np.random.Generator, extent: float, board: float) -> Style:
         girth=rng.uniform(0.0135, 0.019) * extent,
         level=float(rng.choice([0.5, 0.5, 0.68])),
         side_height=rng.uniform(0.6, 0.88),
-        stroke=rng.uniform(0.6, 0.9),
+        stroke=rng.uniform(0.6, most_stroke),
     )
 
 

@@ -1,4 +1,4 @@
-"""What pieces of furniture with three drawers there are, and how their fronts are divided."""
+"""What pieces of furniture with drawers there are, and how their fronts are divided."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -30,7 +30,7 @@ class Layout:
 
     Attributes:
         size: (width, depth, height), metres.
-        cells: how the front is divided; exactly three compartments are drawers.
+        cells: how the front is divided.
         supports: names in `_SUPPORTS` that suit it.
         kneehole: the part of the width that is left open at one side: a desk.
     """
@@ -41,9 +41,10 @@ class Layout:
     kneehole: float
 
 
-def draw_layout(rng: np.random.Generator) -> Layout:
-    """The layout of any of the pieces."""
-    piece = _PIECES[rng.integers(len(_PIECES))]
+def draw_layout(rng: np.random.Generator, *, varied: bool = False) -> Layout:
+    """The layout of any of the pieces with three drawers; of any at all where it may be varied."""
+    pieces = _PIECES + _WITH_FEWER if varied else _PIECES
+    piece = pieces[rng.integers(len(pieces))]
     growth = draw(rng, piece.growth)
     width, depth, height = (draw(rng, side) for side in piece.size)
     cells = piece.cells.drawn(rng, growth)
@@ -126,3 +127,43 @@ _PIECES = (
            _rows((1, 1, (1.0, 2.0)), _THREE), ("legs", "floor"), kneehole=(0.55, 0.66)),
 )
 # fmt: on
+"""Those with three drawers, the number of moving parts that PPD's drawers have."""
+
+_DOORS = Either(0.5, "door", _columns((1, 1), ("door", "door")))
+_BELOW = Either(0.7, _DOORS, "shelf")
+_TWO = _THREE[:2]
+_ON_THE_FLOOR = ("plinth", "floor", "brackets", "legs")
+
+# fmt: off
+_WITH_FEWER = (
+    _Piece(((0.4, 0.85), (0.4, 0.6), (0.65, 0.95)),  # a drawer over a door or two
+           _rows(((0.25, 0.6), 1), ("drawer", _BELOW)), _ON_THE_FLOOR),
+    _Piece(((0.45, 0.95), (0.35, 0.55), (0.55, 0.85)),  # a table
+           _rows((1,), ("drawer",)), ("tall", "tall_round")),
+    _Piece(((0.45, 0.8), (0.4, 0.6), (0.35, 0.55)),  # a bedside box
+           _rows((1, (0.5, 1.2)), ("drawer", Either(0.6, "door", "shelf")), _ANY_ORDER),
+           (*_LOW, "floor")),
+    _Piece(((0.35, 0.5), (0.36, 0.5), (0.8, 1.2)),  # a tower
+           _rows((1, (1.0, 3.0)), ("drawer", Either(0.5, "door", _rows((1, 1), ("shelf",) * 2))),
+                 _ANY_ORDER), _ON_THE_FLOOR),
+    _Piece(((0.38, 0.65), (0.42, 0.6), (0.5, 0.75)),  # for files
+           _rows((1, (1.0, 1.4)), _TWO), ("casters", *_ON_THE_FLOOR)),
+    _Piece(((0.45, 0.85), (0.4, 0.58), (0.7, 0.95)),  # two drawers over doors
+           _rows((1, 1, (1.2, 2.8)), (*_TWO, _BELOW)), _ON_THE_FLOOR),
+    _Piece(((0.75, 1.2), (0.4, 0.58), (0.7, 0.95)),  # two side by side over doors
+           _rows((1, (1.2, 3.0)), (_columns((1, 1), _TWO), _BELOW)), _ON_THE_FLOOR),
+    _Piece(((0.8, 1.3), (0.34, 0.45), (0.65, 0.85)),  # a console
+           _columns((1, (0.8, 1.25)), _TWO), ("tall", "tall_round")),
+    _Piece(((1.1, 1.5), (0.38, 0.48), (0.4, 0.6)),  # for a television
+           _columns((1, (1.0, 1.6), 1), ("drawer", Either(0.5, "shelf", "door"), "drawer")),
+           (*_LOW, "floor")),
+    _Piece(((0.75, 1.1), (0.38, 0.5), (0.55, 0.85)),  # a door beside a drawer or two
+           _columns((1, 1), ("door", Either(0.5, _rows((1, 1), _TWO),
+                                            _rows((1, (0.8, 1.6)), ("drawer", "shelf")))),
+                    _ANY_ORDER), _ON_THE_FLOOR),
+    _Piece(((1.0, 1.35), (0.5, 0.6), (0.72, 0.78)),  # a desk
+           _rows((1, (1.0, 2.5)), ("drawer", Either(0.5, "drawer", "door"))), ("legs", "floor"),
+           kneehole=(0.55, 0.66)),
+)
+# fmt: on
+"""Those with one or two."""

@@ -9,6 +9,9 @@ inwards when open and no more, and the hinge stands that far behind the front. F
 temples must cross in many states, since each is longer than half the face is wide. Therefore both
 hinges lean about x by the same few degrees, as opticians set them: the temples turn in two parallel
 planes, and `_lean` is the angle at which the left one, bent tip and all, passes over the right one.
+
+Modellers rarely know: their hinges stand upright, and folded temples pass through each other. So do
+those of varied glasses.
 """
 
 from dataclasses import dataclass
@@ -83,6 +86,15 @@ class _Shape:
 
 def build(rng: np.random.Generator) -> Model:
     """Eyeglasses with links `front`, `left_temple`, `right_temple` and a joint for each temple."""
+    return _built(rng, upright=False)
+
+
+def build_varied(rng: np.random.Generator) -> Model:
+    """The same with upright hinges."""
+    return _built(rng, upright=True)
+
+
+def _built(rng: np.random.Generator, *, upright: bool) -> Model:
     shape = _draw(rng)
     if shape.style == "shield":
         face, outer = _shield(rng, shape)
@@ -94,6 +106,7 @@ def build(rng: np.random.Generator) -> Model:
     bare_temple = _temple(rng, shape, across)
     lean = _lean(bare_temple, across)
     hinge = np.array([_hinge_depth(shape, face, bare_temple, lean), across, shape.hinge_z])
+    lean = 0.0 if upright else lean
     parts: dict[str, list[Solid]] = {"front": list(face)}
     for side, sign in _SIDES.items():
         # Drawn on the right; the mirror image of what leans one way leans the other way.
