@@ -79,8 +79,8 @@ class ModelSettings(Section):
 def directions_of(model: ModelSettings) -> dict[JointKind, Floats]:
     """(n, 3) where the candidates of each kind point."""
     return {
-        JointKind.REVOLUTE: np.array(model.revolute),
-        JointKind.PRISMATIC: np.array(model.prismatic),
+        JointKind.REVOLUTE: np.array(model.revolute, np.float64),
+        JointKind.PRISMATIC: np.array(model.prismatic, np.float64),
     }
 
 
