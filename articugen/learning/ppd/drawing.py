@@ -14,9 +14,6 @@ from articugen.learning.ppd.model import PPD, Prediction
 from articugen.learning.ppd.reconstruct import logits_at, reconstruction_of
 from articugen.records import Floats, JointKind
 
-DENSE = 32
-"""What a grid of so many misses is not in the measured meshes either, so it is not drawn."""
-
 TITLES = {
     "rec": "$L_{rec}$",
     "rec_common": "$L_{rec}$, category-common",
@@ -43,7 +40,7 @@ def drawable(learner: Predictor, resolution: int) -> Drawable:
     kinds = [JointKind.FIXED, *[JointKind.REVOLUTE] * revolute, *[JointKind.PRISMATIC] * prismatic]
 
     def drawn(prediction: Prediction) -> Reconstruction:
-        return reconstruction_of(model, prediction, resolution, dense=DENSE)
+        return reconstruction_of(model, prediction, resolution)
 
     def part_fields(cloud: Floats, points: Floats) -> Floats:
         logits = logits_at(model, learner.predict(cloud), torch.from_numpy(points))
