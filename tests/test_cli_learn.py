@@ -68,7 +68,10 @@ def test_training_says_what_was_found_of_joints(tmp_path):
 def test_evaluate_predict(folder, monkeypatch):
     monkeypatch.setattr("articugen.learning.evaluation.figures.draw.STEPS", 2)
     data, runs = folder / "data", folder / "runs"
+    done = articugen("evaluate", runs / "box", "-d", data, "--no-figures")
+    assert "| 2 | label IoU, %, meshes on 64^3 | box |" in done.output
     done = articugen("evaluate", runs / "box", "-d", data, "--resolution", 8)
+    assert "meshes on 64^3" not in done.output
     assert done.exit_code == 0, done.output
     assert "| label IoU, % |" in done.output
     result = json.loads((runs / "box" / "000" / "evaluation" / "evaluation.json").read_text())

@@ -138,9 +138,10 @@ def evaluate(
             for errors in (pose_errors, joint_errors):
                 for name, error in errors((canonical, instance), (first, found), matched):
                     tally.add(**{name: error})
-        for instance in (canonical, *posed) if finer else ():
-            near, true = _nearest_parts(instance, finer(instance), protocol)
-            tally.add(finer_label_iou=_label_iou(tally, near, true))
+        if finer:
+            for instance in (canonical, *posed):
+                near, true = _nearest_parts(instance, finer(instance), protocol)
+                tally.add(finer_label_iou=_label_iou(tally, near, true))
         on_object(canonical.object_id)
     return tally.evaluation()
 
