@@ -115,8 +115,7 @@ def logits_near_surfaces(
     if resolution < 2 * dense or resolution % 2:
         return _on_the_whole_grid(model, predicted, resolution)
     parts, coarse = logits_near_surfaces(model, predicted, resolution // 2, dense)
-    there = coarse.reshape(len(coarse), -1).max(1) > 0.0
-    there[0] |= not there.any()
+    there = _somewhere_above(0.0, coarse)
     parts, coarse = parts[there], coarse[there]
     fine, cells = _doubled(coarse), np.flatnonzero(_doubled(_beside_surfaces(coarse)[None]))
     if not len(cells):
@@ -135,10 +134,15 @@ def _on_the_whole_grid(
         logits = part_logits(model, predicted, resolution)
         return np.arange(len(logits)), logits
     coarse = part_logits(model, predicted, resolution // 2)
-    there = coarse.reshape(len(coarse), -1).max(1) > _ABSENT
-    there[0] |= not there.any()
-    parts = np.flatnonzero(there)
+    parts = np.flatnonzero(_somewhere_above(_ABSENT, coarse))
     return parts, _on_grid(logits_at(model, predicted, _all_centres(resolution), parts))
+
+
+def _somewhere_above(level: float, logits: Floats) -> NDArray[np.bool_]:
+    """(P,) whether fields (P, R, R, R) are above a level anywhere; the first, if none is."""
+    there = logits.reshape(len(logits), -1).max(1) > level
+    there[0] |= not there.any()
+    return there
 
 
 def _doubled(grids: NDArray[Any]) -> NDArray[Any]:
@@ -199,10 +203,8 @@ def _weights_of(decoder: ShapeDecoder, parts: Tensor) -> dict[str, Tensor]:
     groups = {"coordinate": parts, "trunk_0": parts, "trunk_1": parts}
     groups |= {"head_0": both, "head_1": both, "head_2": both}
     known = dict(decoder.named_parameters())
-    return {f"{n}.{kind}": known[f"{n}.{kind}"][g] for n, g in groups.items() for kind in _KINDS}
-
-
-_KINDS = "weight", "bias"
+    kinds = "weight", "bias"
+    return {f"{n}.{kind}": known[f"{n}.{kind}"][g] for n, g in groups.items() for kind in kinds}
 
 
 def _beside_surfaces(logits: Floats) -> NDArray[np.bool_]:
