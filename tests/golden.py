@@ -28,11 +28,16 @@ GOLDEN = Path(__file__).with_name("data") / "golden.json"
 
 CATEGORIES = tuple(content.MODELS)
 
+WRITTEN = ("messy", "varied")
+"""The sources procedural_<how> whose objects are other ones, or written otherwise."""
+
 RENEW = "python -m tests.golden --write"
 
 SETS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(CATEGORIES, ()),
     "laptop, messy": (),
+    "drawer, varied": (),
+    "eyeglasses, varied": (),
     "boxes": (),
     "boxes, rigid": ("fusion.rule=rigid",),
     "boxes, reachable": ("fusion.rule=reachable", "sampling.coverage=true"),
@@ -87,7 +92,7 @@ CABINET = """\
 def own_models(folder: Path) -> Iterator[None]:
     """Meanwhile bundled models are written to `folder` and read from there alone: those on the disk
     are as their code was when they were written."""
-    for source in ("procedural", "procedural_messy"):
+    for source in ("procedural", *(f"procedural_{how}" for how in WRITTEN)):
         (folder / source).mkdir(parents=True)
     with mock.patch.dict(os.environ, ARTICUGEN_SOURCES=str(folder)):
         yield
@@ -99,7 +104,7 @@ def data(name: str, folder: Path) -> str:
     (folder / "tiny.yaml").write_text(RECIPE)
     (folder / "cabinet.urdf").write_text(CABINET)
     category, _, how = name.partition(", ")
-    source = "procedural_messy" if how == "messy" else "procedural"
+    source = f"procedural_{how}" if how in WRITTEN else "procedural"
     if category == "boxes":
         source = str(folder / "cabinet.urdf")
     recipe = with_settings(load_recipe(folder / "tiny.yaml", category), SETS[name])
