@@ -30,25 +30,39 @@ def zero_level(field: NDArray[np.floating]) -> Mesh:
     field counts as linear. Nothing is inside beyond the grid: there the surface closes up to half a
     voxel outside the outermost samples. A grid without any inside gives an empty mesh.
     """
-    R = len(field)
-    if not (field > 0.0).any():
+    inside = field > 0.0
+    if not inside.any():
         return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
-    padded = np.pad(field, 1, constant_values=-max(float(np.abs(field).max()), 1.0))
-    strides = np.array([(R + 2) ** 2, R + 2, 1])
+    box, border = _around(inside), 0.0
+    if any(side.start == 0 or side.stop > len(field) for side in box):
+        border = max(float(field.max()), -float(field.min()), 1.0)
+    padded = np.pad(field[box], 1, constant_values=-border)
+    _, Y, Z = padded.shape
+    strides = np.array([Y * Z, Z, 1])
     keys, faces = np.unique(_crossed_edges(padded > 0.0, strides), return_inverse=True)
     low, axis = np.divmod(keys, 3)  # the lower sample of each crossed edge, and its direction
     first, second = (padded.ravel()[at].astype(np.float64) for at in (low, low + strides[axis]))
     position = np.stack(np.unravel_index(low, padded.shape), 1).astype(np.float64)
+    position += [side.start for side in box]
     position[np.arange(len(axis)), axis] += first / (first - second)
-    return Mesh((position - 0.5) / R - 0.5, faces.reshape(-1, 3).astype(np.int32))
+    return Mesh((position - 0.5) / len(field) - 0.5, faces.reshape(-1, 3).astype(np.int32))
+
+
+def _around(inside: NDArray[np.bool_]) -> tuple[slice, ...]:
+    """What is inside, and one sample more on each side that the grid has."""
+    along_x_y = np.any(inside, axis=2)
+    lines = np.any(along_x_y, axis=1), np.any(along_x_y, axis=0), np.any(inside, axis=(0, 1))
+    there = [np.flatnonzero(line)[[0, -1]].tolist() for line in lines]
+    return tuple(slice(max(low - 1, 0), high + 2) for low, high in there)
 
 
 def _crossed_edges(inside: NDArray[np.bool_], strides: NDArray[np.int64]) -> NDArray[np.int64]:
     """(F, 3): the edge that each corner of each triangle lies on, 3 * its lower sample + axis."""
-    n, corners = len(inside), np.array(list(itertools.product((0, 1), repeat=3)))
-    case = np.zeros((n - 1,) * 3, np.uint8)
+    corners = np.array(list(itertools.product((0, 1), repeat=3)))
+    X, Y, Z = (n - 1 for n in inside.shape)
+    case = np.zeros((X, Y, Z), np.uint8)
     for corner, (x, y, z) in enumerate(corners):
-        case |= inside[x : n - 1 + x, y : n - 1 + y, z : n - 1 + z] * np.uint8(1 << corner)
+        case |= inside[x : X + x, y : Y + y, z : Z + z] * np.uint8(1 << corner)
     cells = np.argwhere((case > 0) & (case < 255))
     triangles = _CASES[case[tuple(cells.T)]]
     there = triangles[..., 0] >= 0

@@ -72,6 +72,21 @@ def test_vertices_lie_on_the_zero_level_between_two_samples():
     np.testing.assert_allclose(0.1 + mesh.vertices[within] @ [1.0, -2.0, 0.5], 0.0, atol=1e-12)
 
 
+@settings(deadline=None, max_examples=40)
+@given(seed=st.integers(0, 10**6), size=st.tuples(*[st.integers(1, 4)] * 3), data=st.data())
+def test_a_surface_is_the_same_wherever_it_is(seed, size, data):
+    """Grids are looked at near what is inside alone, in a corner or in the middle."""
+    at = [data.draw(st.integers(0, 8 - side)) for side in size]
+    meshes = []
+    for R, start in ((8, at), (16, [i + 4 for i in at])):
+        field = np.full((R, R, R), -2.0)
+        place = tuple(slice(i, i + side) for i, side in zip(start, size, strict=True))
+        field[place] = np.random.default_rng(seed).uniform(-2.0, 2.0, size)
+        meshes.append(zero_level(field))
+    np.testing.assert_array_equal(meshes[0].faces, meshes[1].faces)
+    np.testing.assert_allclose(meshes[0].vertices, 2.0 * meshes[1].vertices, atol=1e-12)
+
+
 def test_the_whole_cube_is_closed_at_its_border():
     mesh = zero_level(np.ones((4, 4, 4)))
     assert is_closed(mesh)

@@ -1,5 +1,8 @@
 """What PPD's model says of a cloud: surfaces where its field is zero, and what lies between two."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from instances import hinged_box
@@ -111,7 +114,8 @@ def test_a_fine_grid_need_only_be_evaluated_near_surfaces(monkeypatch):
         return 20.0 * np.stack(far)[parts]
 
     monkeypatch.setattr(reconstruction, "logits_at", balls)
-    parts, fine = reconstruction.logits_near_surfaces(None, None, 32, 16)
+    without_boxes: Any = SimpleNamespace(shape=SimpleNamespace(box=None))
+    parts, fine = reconstruction.logits_near_surfaces(None, without_boxes, 32, 16)
     assert parts.tolist() == [0, 1]
     assert sum(asked) < 0.5 * 32**3
     own, whole = reconstruction._meshes(fine)
@@ -158,6 +162,35 @@ def test_a_part_that_is_nowhere_is_not_looked_for_on_a_finer_grid(monkeypatch):
     np.testing.assert_allclose(found.whole, whole, atol=1e-6)
     np.testing.assert_allclose(found.triangles, np.concatenate(each), atol=1e-6)
     np.testing.assert_array_equal(found.part, np.repeat(np.arange(8), [len(e) for e in each]))
+
+
+def test_parts_with_boxes_are_looked_for_there(monkeypatch):
+    """One that is too thin for the grid as well; one that is nowhere is not looked at again."""
+    torch.manual_seed(1)
+    settings = ModelSettings(part_frame="world", part_boxes=True, coordinate_bound=1 / 3)
+    model = PPD(settings).eval()
+    with torch.no_grad():
+        model.shape.box_in[-1].bias.view(-1, 6)[:, 3:] -= 0.5
+        model.shape.box_in[-1].bias.view(-1, 6)[1, 3] = -3.0
+        model.shape.head_2.bias += 5.0
+        model.shape.head_2.bias[8 + 3] -= 100.0
+        predicted = model(torch.rand(1, 64, 3) - 0.5)
+    thin = predicted.shape.box.size[0, 1, 0]
+    assert 2.0 * reconstruction.ROOM * thin < 1 / 16
+    whole = part_logits(model, predicted, 16)
+    asked, every = [], reconstruction.logits_at
+
+    def noted(*given):
+        asked.append(given[3].tolist())
+        return every(*given)
+
+    monkeypatch.setattr(reconstruction, "logits_at", noted)
+    found = reconstruction_of(model, predicted, 16)
+    assert asked == [[0, 1, 2, 4, 5, 6, 7]]
+    each, union = reconstruction._meshes(np.delete(whole, 3, 0))
+    np.testing.assert_allclose(found.whole, union, atol=1e-6)
+    np.testing.assert_allclose(found.triangles, np.concatenate(each), atol=1e-6)
+    assert len(union)
 
 
 def test_nothing_anywhere_has_no_surface_at_any_resolution():

@@ -46,10 +46,11 @@ class SurfaceCloud:
         """Not many more than `ENOUGH` points."""
         return self.thinned(max(len(self.points) // ENOUGH, 1))
 
-    def columns(self) -> NDArray[np.float32]:
-        """(7, n) points, normals and area: as the sums read them quickest."""
+    def columns(self) -> tuple[NDArray[np.float32], ...]:
+        """Seven times (n,): points, normals and area, as the sums read them quickest. Rows of one
+        table would not do: numba takes them for strided, and gathers instead of loading."""
         table = np.concatenate([self.points.T, self.normals.T, self.area[None]])
-        return np.ascontiguousarray(table, dtype=np.float32)
+        return tuple(np.ascontiguousarray(table, dtype=np.float32))
 
 
 def occlusion(at: Array, facing: Array, cloud: SurfaceCloud) -> Array:

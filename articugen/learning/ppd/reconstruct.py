@@ -41,8 +41,11 @@ _AT_MOST, _NOWHERE = -1.0, -10.0
 """The field beyond that many half edges at most, and beyond the margin."""
 
 _ABSENT = -4.0
-"""A part whose field is below that on a whole grid is nowhere on one that is twice as fine either:
+"""A part whose field is nowhere above that at the places where it is looked for is nowhere at all:
 candidates that no object has are at -7, the thinnest parts above 0."""
+
+_LOOKED_FOR = 12
+"""So many places along each edge of the box that a part can be in."""
 
 
 def reconstruction_of(
@@ -129,13 +132,25 @@ def logits_near_surfaces(
 def _on_the_whole_grid(
     model: PPD, predicted: Prediction, resolution: int
 ) -> tuple[NDArray[np.int64], Floats]:
-    """Parts and their fields, on fine grids without the parts that `_ABSENT` says are nowhere."""
-    if resolution < _DENSE:
+    """Parts and their fields, without those that `_ABSENT` says are nowhere."""
+    if predicted.shape.box:
+        looked_for = _in_boxes(model, predicted.shape, predicted.shape.box)
+    elif resolution >= _DENSE:
+        looked_for = logits_at(model, predicted, _all_centres(resolution // 2))
+    else:
         logits = part_logits(model, predicted, resolution)
         return np.arange(len(logits)), logits
-    coarse = part_logits(model, predicted, resolution // 2)
-    parts = np.flatnonzero(_somewhere_above(_ABSENT, coarse))
+    parts = np.flatnonzero(_somewhere_above(_ABSENT, looked_for))
     return parts, _on_grid(logits_at(model, predicted, _all_centres(resolution), parts))
+
+
+@torch.no_grad()
+def _in_boxes(model: PPD, code: ShapeCode, box: PartBox) -> Floats:
+    """(P, n): the field of each part at places all over the box that it can be in, however small
+    that is: grids of the cube may miss what is thin."""
+    points = 2.0 * ROOM * _all_centres(_LOOKED_FOR).to(box.middle)
+    into = InverseMotion(torch.diag_embed(box.size), box.middle)
+    return model.fields(code, into, points[None]).product[0].double().cpu().numpy()
 
 
 def _somewhere_above(level: float, logits: Floats) -> NDArray[np.bool_]:
@@ -167,20 +182,22 @@ def logits_at(
         field = _field(model.shape, predicted.shape, inverse, points, each)
     else:
         field = points.new_full((len(each), len(points)), _NOWHERE)
+        columns = points.mT.contiguous()
         for values, part in zip(field, each.split(1), strict=True):
-            beyond = _beyond(predicted.shape.box, inverse, points, part)
-            near = beyond < _MARGIN
+            beyond = _beyond(predicted.shape.box, inverse, columns, part)
+            near = torch.nonzero(beyond < _MARGIN)[:, 0]
             alone = _field(model.shape, predicted.shape, inverse, points[near], part)[0]
             values[near] = torch.where(beyond[near] > 0.0, alone.clamp(max=_AT_MOST), alone)
     return field.double().cpu().numpy()
 
 
 def _beyond(box: PartBox, inverse: InverseMotion, points: Tensor, part: Tensor) -> Tensor:
-    """(n,) how far points (n, 3) are outside of `ROOM` times the box of a part (1,), along that
+    """(n,) how far points (3, n) are outside of `ROOM` times the box of a part (1,), along that
     axis of the box along which it is most; negative inside."""
     offset = inverse.offset[0, part] - box.middle[0, part]
-    rest = points @ inverse.rotation[0, part][0].mT + offset
-    return (rest.abs() - ROOM * box.size[0, part]).amax(1)
+    rest = torch.addmm(offset.mT, inverse.rotation[0, part][0], points)
+    x, y, z = rest.abs_().sub_(ROOM * box.size[0, part].mT)
+    return torch.maximum(torch.maximum(x, y), z)
 
 
 def _field(
