@@ -112,7 +112,7 @@ gpu-study: $(learner)  ## on a GPU: measure it, race seeds, train, evaluate; aga
 	@$(articugen) study --categories "$(or $(CATEGORY),all)" --data "$(OUT)" --out "$(or $(STUDY),study)" --recipe "$(or $(RECIPE),ppd_hour)" $(settings) --device "$(or $(DEVICE),cuda)" $(if $(SEEDS),--seeds "$(SEEDS)") $(if $(BUDGET),--budget "$(BUDGET)") $(if $(QUICK),--quick)
 
 test: $(testing)  ## run the tests; those of absent optional backends are skipped
-	@$(VENV)/bin/python -m pytest $(ARGS)
+	@OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest $(ARGS) # processes side by side; more threads only wait
 
 chaos: $(testing)  ## kill runs and fail disks at every moment; a table of what survived (ARGS=--quick)
 	@$(VENV)/bin/python -m tests.chaos $(ARGS)

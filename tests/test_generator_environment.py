@@ -39,7 +39,9 @@ run("inspect", "laptop", "--image", "sheet.png")
 run("inspect", "laptop", "--html", "report.html")
 run("verify", "laptop")
 run("discover", "laptop")
-for name in ("urdf", "glb", "mjcf", "onet", "ply"):
+for name in ("urdf", "glb", "mjcf"):
+    run("export", "laptop", "--to", name, "--out", name, "--resolution", 32)
+for name in ("onet", "ply"):
     run("export", "laptop", "--to", name, "--out", name)
 run("mesh", "laptop", "laptop_0000", "--output", "field.glb", "--resolution", 32)
 """
