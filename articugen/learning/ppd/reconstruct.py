@@ -111,9 +111,9 @@ def logits_near_surfaces(
 ) -> tuple[NDArray[np.int64], Floats]:
     """((k,), (k, R, R, R)): some parts, and their fields as `part_logits` gives them.
 
-    Grids of twice `dense` and finer are evaluated near surfaces only, and of parts alone that are
-    anywhere on the grid that is half as fine: what is far keeps its value there, which changes no
-    surface that is seen there, and so does leaving out a part that is nowhere.
+    Parts that are nowhere are left out. Grids of twice `dense` and finer are evaluated near
+    surfaces only, and of parts alone that are anywhere on the grid that is half as fine: what is
+    far keeps its value there, which changes no surface that is seen there.
     """
     if resolution < 2 * dense or resolution % 2:
         return _on_the_whole_grid(model, predicted, resolution)
@@ -154,7 +154,7 @@ def _in_boxes(model: PPD, code: ShapeCode, box: PartBox) -> Floats:
 
 
 def _somewhere_above(level: float, logits: Floats) -> NDArray[np.bool_]:
-    """(P,) whether fields (P, R, R, R) are above a level anywhere; the first, if none is."""
+    """(P,) whether fields (P, ...) are above a level anywhere; the first, if none is."""
     there = logits.reshape(len(logits), -1).max(1) > level
     there[0] |= not there.any()
     return there
