@@ -164,6 +164,26 @@ def test_a_part_that_is_nowhere_is_not_looked_for_on_a_finer_grid(monkeypatch):
     np.testing.assert_array_equal(found.part, np.repeat(np.arange(8), [len(e) for e in each]))
 
 
+def test_places_all_over_a_box_are_where_the_part_s_pose_has_brought_them():
+    torch.manual_seed(2)
+    settings = ModelSettings(part_frame="world", part_boxes=True, coordinate_bound=1 / 3)
+    model = PPD(settings).eval()
+    with torch.no_grad():
+        predicted = model(torch.rand(1, 64, 3) - 0.5)
+        motion, box = model.motion(predicted.pose), predicted.shape.box
+    found = reconstruction._in_boxes(model, predicted.shape, box)
+    along = (np.arange(12) + 0.5) / 6.0 - 1.0
+    share = np.stack(np.meshgrid(along, along, along, indexing="ij"), -1).reshape(-1, 3)
+    for part, field in enumerate(found):
+        size, middle = box.size[0, part], box.middle[0, part]
+        rest = torch.as_tensor(reconstruction.ROOM * share, dtype=torch.float32) * size + middle
+        posed = (rest - motion.offset[0, part]) @ motion.rotation[0, part]
+        with torch.no_grad():
+            there = model.fields(predicted.shape, motion, posed[None]).product[0, part].numpy()
+        np.testing.assert_allclose(field, there, atol=1e-4)
+        assert np.ptp(field) > 1e-3
+
+
 def test_parts_with_boxes_are_looked_for_there(monkeypatch):
     """One that is too thin for the grid as well; one that is nowhere is not looked at again."""
     torch.manual_seed(1)

@@ -42,7 +42,7 @@ _AT_MOST, _NOWHERE = -1.0, -10.0
 
 _ABSENT = -4.0
 """A part whose field is nowhere above that at the places where it is looked for is nowhere at all:
-candidates that no object has are at -7, the thinnest parts above 0."""
+candidates that no object has are at -7, and whatever was there came to -0.1 at the least."""
 
 _LOOKED_FOR = 12
 """So many places along each edge of the box that a part can be in."""
