@@ -169,6 +169,7 @@ def test_places_all_over_a_box_are_where_the_part_s_pose_has_brought_them():
     settings = ModelSettings(part_frame="world", part_boxes=True, coordinate_bound=1 / 3)
     model = PPD(settings).eval()
     with torch.no_grad():
+        model.shape.box_in[-1].bias += 0.3 * torch.rand(8 * 6) - 0.3
         predicted = model(torch.rand(1, 64, 3) - 0.5)
         motion, box = model.motion(predicted.pose), predicted.shape.box
     found = reconstruction._in_boxes(model, predicted.shape, box)
