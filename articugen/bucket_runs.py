@@ -106,7 +106,7 @@ class BucketRun:
         token, limit = uuid4().hex, limit_of(self.job.recipe)
         lease = limit.seconds + MARGIN_SECONDS
         claims = ObjectClaims(self.journal.bucket, token, lease)
-        todo, waiting = list(self.plan.tasks), list[Task]()
+        todo, waiting, told = list(self.plan.tasks), list[Task](), False
         random.Random(token).shuffle(todo)  # so that processes rarely meet
         if todo:
             compile_kernels("generate", jobs=self.job.jobs, notice=on_notice)
@@ -117,8 +117,9 @@ class BucketRun:
                         waiting.append(task)
                     else:
                         yield outcome, False
-                if todo and waiting:
-                    on_notice(f"{len(waiting)} objects are at other processes, which is waited for")
+                if waiting and not told:
+                    told = True
+                    on_notice(f"other processes are at {len(waiting)} of the objects; waiting")
                 time.sleep(POLL_SECONDS if waiting else 0.0)
                 found = self._recorded(waiting)
                 yield from ((outcome, True) for outcome in found if outcome)

@@ -36,6 +36,10 @@ LONGEST_LOOK = 5.0
 """Seconds that count at most between two looks: this process was stopped (Ctrl-Z), or the machine
 slept, and so did the workers."""
 
+LONGEST_START = 600.0
+"""Seconds in which a worker must be ready: with too little address space OpenBLAS, for instance,
+asks for memory again and again while it is loaded, for ever."""
+
 _READY, _SAID, _DONE, _RAISED, _NO_MEMORY = "ready", "said", "done", "raised", "no memory"
 _PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 _STOPPING = {signal.SIGINT, signal.SIGTERM}
@@ -200,7 +204,7 @@ class _Worker:
         self.number: int | None = None
         self.alone = self.helps = False
         self.since: float | None = None  # when its clock started; None while it gets ready
-        self._clock = clock
+        self._clock, self._hired = clock, clock()
         self._ready = False
         ours, theirs = Pipe()
         code = (
@@ -216,6 +220,10 @@ class _Worker:
         self.pipe = ours
         self.pid = self._process.pid
         self._send(does)
+
+    @property
+    def is_stuck(self) -> bool:
+        return not self._ready and self._clock() - self._hired > LONGEST_START
 
     def begin(self, number: int, task: object, *, alone: bool = False, helps: bool = False) -> None:
         self.number, self.alone, self.helps = number, alone, helps
@@ -329,8 +337,9 @@ class Crew(Generic[T, R]):
             self._help_out(tasks)
             spoken = wait([worker.pipe for worker in self._busy + self._helping], TICK)
             self._hear_helpers(spoken)
-            for worker in [w for w in self._busy if w.pipe in spoken]:
-                ended, lost = self._heard(worker)
+            for worker in [w for w in self._busy if w.pipe in spoken or w.is_stuck]:
+                hear = self._heard if worker.pipe in spoken else self._given_up
+                ended, lost = hear(worker)
                 if ended:
                     yield ended
                 if lost:
@@ -454,6 +463,10 @@ class Crew(Generic[T, R]):
             self._idle.append(worker)
             return Ended(worker.number or 0, value=value), None
         return None, None
+
+    def _given_up(self, worker: _Worker) -> tuple[Ended[Any] | None, str | None]:
+        self._dismiss(worker)
+        return self._lost(worker, f"was not ready after {LONGEST_START:g} s")
 
     def _lost(self, worker: _Worker, fate: str) -> tuple[Ended[Any] | None, str | None]:
         number = worker.number or 0

@@ -6,11 +6,13 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from articugen import workers as module
 from articugen.errors import MachineFault, MissingExtra
 from articugen.workers import Crew, Ended, Limit, each, in_order, report, resident_bytes
 
@@ -116,6 +118,24 @@ def test_other_ends_of_a_worker_have_their_names() -> None:
     assert ended([("no memory", None)], workers=0)[0].lost == "ran out of memory"
     with pytest.raises(MachineFault, match=r"5: its worker was ended by SIGSEGV when .* --jobs"):
         list(in_order(do, [("die", signal.SIGSEGV)], workers=1, name=lambda _: "5"))
+
+
+def get_ready(hung: Path) -> None:
+    if not hung.exists():
+        hung.touch()
+        time.sleep(600)
+
+
+def test_a_worker_that_is_never_ready_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Off the clock of its task, whose limit it does not exceed."""
+    monkeypatch.setattr(module, "LONGEST_START", 4.0)
+    ready, notices = partial(get_ready, tmp_path / "hung"), list[str]()
+    found = ended([("say", 0), ("say", 1)], workers=1, ready=ready, notice=notices.append)
+    assert [found[n].value for n in range(2)] == [0, 1]
+    assert len(notices) == 1
+    assert notices[0].startswith("a worker was not ready after 4 s at ('say', 0), which is tried")
 
 
 def test_no_more_is_tried_where_every_worker_is_lost() -> None:
