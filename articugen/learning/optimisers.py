@@ -13,10 +13,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor, nn
+from torch.optim.adam import adam
 
 Betas = tuple[float, float]
 
@@ -52,41 +53,66 @@ def optimiser_of(name: str, network: nn.Module) -> Optimiser:
 
 
 class Adam:
-    """Adam (Kingma and Ba 2015) as torch has it."""
+    """Adam (Kingma and Ba 2015) as torch has it.
+
+    Its function, not its class: that one sorts all parameters anew at every step, and with it
+    torch's compiler is imported, which takes a second.
+    """
 
     def __init__(self, named: Named, betas: Betas = (0.9, 0.999)) -> None:
-        self.named = named
+        self.named, self.betas = named, betas
         # One call for all parameters; the other devices have no such kernel.
-        fused = {p.device.type for p in named.values()} <= {"cpu", "cuda"}
-        group = {"params": list(named.values())}
-        self.adam = torch.optim.Adam([group], betas=betas, eps=EPSILON, fused=fused)
+        self.fused = {p.device.type for p in named.values()} <= {"cpu", "cuda"}
+        self.kept = {
+            n: _Moments(p.new_zeros(p.shape), p.new_zeros(p.shape), self._no_steps(p))
+            for n, p in named.items()
+        }
 
+    def _no_steps(self, parameter: Tensor) -> Tensor:
+        return torch.zeros((), device=parameter.device if self.fused else "cpu")
+
+    @torch.no_grad()
     def step(self, rate: float) -> None:
-        for group in self.adam.param_groups:
-            group["lr"] = rate
-        self.adam.step()
+        there = [(p, p.grad, self.kept[n]) for n, p in self.named.items() if p.grad is not None]
+        adam(
+            [p for p, _, _ in there],
+            [gradient for _, gradient, _ in there],
+            [kept.mean for _, _, kept in there],
+            [kept.square for _, _, kept in there],
+            [],
+            [kept.steps for _, _, kept in there],
+            fused=self.fused or None,
+            amsgrad=False,
+            beta1=self.betas[0],
+            beta2=self.betas[1],
+            lr=rate,
+            weight_decay=0.0,
+            eps=EPSILON,
+            maximize=False,
+        )
 
     def state(self) -> dict[str, Any]:
-        """By the names of the parameters; new ones count 0 steps."""
-        at, none = self.adam.state, torch.zeros(())
-        steps = {
-            n: at[p]["step"].detach().cpu() if p in at else none for n, p in self.named.items()
+        """By the names of the parameters."""
+        return {
+            "step": {n: kept.steps.cpu() for n, kept in self.kept.items()},
+            "exp_avg": {n: kept.mean for n, kept in self.kept.items()},
+            "exp_avg_sq": {n: kept.square for n, kept in self.kept.items()},
         }
-        moments = {
-            moment: {
-                n: at[p][moment] if p in at else torch.zeros_like(p) for n, p in self.named.items()
-            }
-            for moment in ("exp_avg", "exp_avg_sq")
-        }
-        return {"step": steps, **moments}
 
     def load(self, state: dict[str, Any]) -> None:
-        each = {
-            index: {what: state[what][name].clone() for what in ("step", "exp_avg", "exp_avg_sq")}
-            for index, name in enumerate(self.named)
-        }
-        groups = self.adam.state_dict()["param_groups"]
-        self.adam.load_state_dict({"state": each, "param_groups": groups})
+        for name, kept in self.kept.items():
+            kept.steps.copy_(state["step"][name])
+            kept.mean.copy_(state["exp_avg"][name])
+            kept.square.copy_(state["exp_avg_sq"][name])
+
+
+class _Moments(NamedTuple):
+    """What Adam keeps of one parameter: running means of its gradient and of the square, and how
+    many steps it has made, ()."""
+
+    mean: Tensor
+    square: Tensor
+    steps: Tensor
 
 
 class Soap:
@@ -210,8 +236,8 @@ class _Side:
     @staticmethod
     def new(count: int, n: int, like: Tensor) -> _Side:
         """Nothing is known yet."""
-        eye = torch.eye(n, dtype=like.dtype, device=like.device)
-        return _Side(like.new_zeros(count, n, n), eye.repeat(count, 1, 1))
+        basis = like.new_empty(count, n, n)
+        return _Side(like.new_zeros(count, n, n), basis.copy_(torch.eye(n, device="cpu")))
 
     def of(self, some: slice) -> _Side:
         """Views of some."""

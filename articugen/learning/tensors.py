@@ -16,6 +16,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.overrides import TorchFunctionMode
 
 from articugen.errors import InvalidCheckpoint
 from articugen.store.files import UnfitFile, read_regular, write_atomically
@@ -169,7 +170,24 @@ def digest(state: dict[str, Any]) -> str:
 def made(seed: int, device: torch.device) -> Iterator[None]:
     """Networks that are made within get weights that the seed alone decides, whatever the device
     that they go to then; on `meta` they cost nothing."""
-    at_first = torch.device("meta" if device.type == "meta" else "cpu")
-    with torch.random.fork_rng(devices=[]), at_first:
+    if device.type == "meta":
+        with device, _Unfilled():
+            yield
+        return
+    with torch.random.fork_rng(devices=[]), torch.device("cpu"):
         torch.manual_seed(seed)
         yield
+
+
+class _Unfilled(TorchFunctionMode):
+    """Leaves out what fills tensors with random numbers: on `meta` there are none, and torch would
+    import its compiler for it, which takes a second."""
+
+    def __torch_function__(
+        self, func: Any, types: Any, args: Any = (), kwargs: dict[str, Any] | None = None
+    ) -> Any:
+        named = kwargs or {}
+        within = getattr(func, "__module__", None)
+        if func in (Tensor.normal_, Tensor.uniform_) or within == "torch.nn.init":
+            return args[0] if args else named["tensor"]
+        return func(*args, **named)

@@ -21,10 +21,10 @@ class SpectralLinear(nn.Module):
 
     def __init__(self, n_in: int, n_out: int) -> None:
         super().__init__()
-        self.weight = nn.Parameter(torch.randn(n_out, n_in) * 0.02)
+        self.weight = nn.Parameter(nn.init.normal_(torch.empty(n_out, n_in), std=0.02))
         bound = n_in**-0.5
         self.bias = nn.Parameter(torch.empty(n_out).uniform_(-bound, bound))
-        self.register_buffer("u", normalize(torch.randn(n_out), dim=0))
+        self.register_buffer("u", normalize(torch.randn(n_out, device="cpu"), dim=0))
 
     def normalized(self) -> Tensor:
         """The weight of unit norm; one step of power iteration a call while training."""

@@ -63,18 +63,18 @@ def release_deviation(final: Tensor, common: Tensor) -> Tensor:
 
 
 def nearest_distance(pivots: Tensor, points: Tensor, chosen: Tensor) -> Tensor:
-    """min over the chosen points of ||q - x||, (B, R); 0 where none is chosen.
+    """min over the chosen points of ||q - x||, (..., B, R); 0 where none is chosen.
 
     Args:
-        pivots: (B, R, 3).
+        pivots: (..., B, R, 3).
         points: (B, n, 3).
-        chosen: (B, R, n) bool.
+        chosen: (..., B, R, n) bool.
     """
     with torch.no_grad():
         distance = torch.cdist(pivots, points).masked_fill(~chosen, torch.inf)
-        nearest = distance.argmin(2)
-    at = points.gather(1, nearest[..., None].expand(-1, -1, 3))
-    return (pivots - at).norm(dim=2) * chosen.any(2)
+        nearest = distance.argmin(-1)
+    sample = torch.arange(len(points), device=points.device)[:, None]
+    return (pivots - points[sample, nearest]).norm(dim=-1) * chosen.any(-1)
 
 
 def location(pivots: Tensor, points: Tensor, occupied: Tensor, inside: Tensor) -> Tensor:
@@ -87,9 +87,9 @@ def location(pivots: Tensor, points: Tensor, occupied: Tensor, inside: Tensor) -
         inside: (B, R, n) bool, O_i(B_i^{-1} x) > 0.5 of the revolute parts. S_i is where part i is,
             S_ij where any other revolute part is; an empty one counts 0.
     """
-    to_any = nearest_distance(pivots, points, occupied[:, None].expand_as(inside))
-    to_own = nearest_distance(pivots, points, inside)
-    to_other = nearest_distance(pivots, points, _others(inside))
+    anywhere = occupied[:, None].expand_as(inside)
+    chosen = torch.stack([anywhere, inside, _others(inside)])
+    to_any, to_own, to_other = nearest_distance(pivots, points, chosen)
     return (to_any + 0.5 * (to_own + to_other)).mean()
 
 
@@ -99,20 +99,20 @@ def _others(inside: Tensor) -> Tensor:
 
 
 def release_location(pivots: Tensor, points: Tensor, occupied: Tensor, fields: Tensor) -> Tensor:
-    """The squared distance from a pivot to where its part and the fixed part meet.
+    """The mean squared distance from a pivot to where its part and the fixed part meet, (...).
 
     Args:
-        pivots: (B, R, 3), also called with the raw q^c.
+        pivots: (..., B, R, 3), the final ones and the raw q^c for instance.
         points: (B, n, 3).
         occupied: (B, n) bool. Of these, points count where the fields of part i and of part 0 are
             both above 0; where there are none, all of them do.
         fields: (B, P, n) part logits.
     """
-    R = pivots.shape[1]
+    R = pivots.shape[-2]
     meeting = occupied[:, None] & (fields[:, :1] > 0) & (fields[:, 1 : 1 + R] > 0)
     anywhere = occupied[:, None].expand_as(meeting)
     chosen = torch.where(meeting.any(2, keepdim=True), meeting, anywhere)
-    return nearest_distance(pivots, points, chosen).square().mean()
+    return nearest_distance(pivots, points, chosen).square().mean((-2, -1))
 
 
 def release_chain_squares(pivots: Tensor, points: Tensor, fields: Tensor) -> tuple[Tensor, Tensor]:
@@ -127,10 +127,9 @@ def release_chain_squares(pivots: Tensor, points: Tensor, fields: Tensor) -> tup
     greatest, owner = fields.max(1)
     solid = (greatest > 0)[:, None]
     mine = owner[:, None] == torch.arange(1, 1 + R, device=owner.device)[:, None]
-    both = (solid & mine, solid & ~mine)
-    squares = [nearest_distance(pivots, points, chosen).square() for chosen in both]
-    there = [chosen.any(2).to(pivots.dtype) for chosen in both]
-    return torch.stack(squares, 1), torch.stack(there, 1)
+    both = torch.stack([solid & mine, solid & ~mine])
+    squares = nearest_distance(pivots, points, both).square()
+    return squares.transpose(0, 1), both.any(-1).to(pivots.dtype).transpose(0, 1)
 
 
 def release_chain(squares: Tensor, there: Tensor) -> Tensor:

@@ -132,7 +132,8 @@ class PoseDecoder(nn.Module):
         super().__init__()
         self.parts, self.revolute = settings.parts, len(settings.revolute)
         self.common_pose = settings.common_pose
-        directions = torch.tensor([*settings.revolute, *settings.prismatic], dtype=torch.float32)
+        known = [*settings.revolute, *settings.prismatic]
+        directions = torch.tensor(known, dtype=torch.float32, device="cpu")
         self.register_buffer("initial", rotation_from_z(directions), persistent=False)
         self.backbone = nn.Linear(POSE, WIDTH)
         self.residual = _Residual(1, WIDTH, WIDTH, norm_groups=1)

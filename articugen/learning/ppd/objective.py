@@ -162,13 +162,11 @@ def _location(
     pivots, product = pose.pivot[:, revolute], fields.product.detach()
     if weigh.loc_form == "paper":
         return losses.location(pivots, batch.points, batch.occupied, product[:, revolute] > 0)
-    near = losses.release_location(pivots, batch.points, batch.occupied, product)
     squares = losses.release_chain_squares(pivots, batch.points, product)
     chain = losses.release_chain(*(processes.gathered(x) for x in squares))
-    if not model.settings.common_pose:
-        return near + chain
-    raw = pose.pivot_common[:, revolute]
-    return near + chain + losses.release_location(raw, batch.points, batch.occupied, product)
+    asked = [pivots, pose.pivot_common[:, revolute]] if model.settings.common_pose else [pivots]
+    near = losses.release_location(torch.stack(asked), batch.points, batch.occupied, product)
+    return near.sum() + chain
 
 
 def _variation(model: PPD, pose: Pose, weigh: LossSettings) -> Terms:
