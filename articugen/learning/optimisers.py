@@ -63,17 +63,19 @@ class Adam:
         self.named, self.betas = named, betas
         # One call for all parameters; the other devices have no such kernel.
         self.fused = {p.device.type for p in named.values()} <= {"cpu", "cuda"}
-        self.kept = {
-            n: _Moments(p.new_zeros(p.shape), p.new_zeros(p.shape), self._no_steps(p))
-            for n, p in named.items()
-        }
+        self.kept: dict[str, _Moments] = {}
 
-    def _no_steps(self, parameter: Tensor) -> Tensor:
-        return torch.zeros((), device=parameter.device if self.fused else "cpu")
+    def _moments(self, name: str) -> _Moments:
+        """Made when they are first asked for, of the type that the parameter has by then."""
+        if name not in self.kept:
+            p = self.named[name]
+            steps = torch.zeros((), device=p.device if self.fused else "cpu")
+            self.kept[name] = _Moments(p.new_zeros(p.shape), p.new_zeros(p.shape), steps)
+        return self.kept[name]
 
     @torch.no_grad()
     def step(self, rate: float) -> None:
-        there = [(p, p.grad, self.kept[n]) for n, p in self.named.items() if p.grad is not None]
+        there = [(p, p.grad, self._moments(n)) for n, p in self.named.items() if p.grad is not None]
         adam(
             [p for p, _, _ in there],
             [gradient for _, gradient, _ in there],
@@ -93,14 +95,16 @@ class Adam:
 
     def state(self) -> dict[str, Any]:
         """By the names of the parameters."""
+        kept = {name: self._moments(name) for name in self.named}
         return {
-            "step": {n: kept.steps.cpu() for n, kept in self.kept.items()},
-            "exp_avg": {n: kept.mean for n, kept in self.kept.items()},
-            "exp_avg_sq": {n: kept.square for n, kept in self.kept.items()},
+            "step": {name: moments.steps.cpu() for name, moments in kept.items()},
+            "exp_avg": {name: moments.mean for name, moments in kept.items()},
+            "exp_avg_sq": {name: moments.square for name, moments in kept.items()},
         }
 
     def load(self, state: dict[str, Any]) -> None:
-        for name, kept in self.kept.items():
+        for name in self.named:
+            kept = self._moments(name)
             kept.steps.copy_(state["step"][name])
             kept.mean.copy_(state["exp_avg"][name])
             kept.square.copy_(state["exp_avg_sq"][name])
