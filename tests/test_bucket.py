@@ -176,8 +176,8 @@ def test_what_another_process_is_at_is_left_to_it(
     assert not mine.take("train-00000.h5")
     assert not mine.is_free("train-00000.h5")
     assert theirs.take("train-00000.h5")  # another worker of the same run
-    recipe = TINY.model_copy(update={"seconds_per_object": 2.0})
-    monkeypatch.setattr(bucket_runs, "MARGIN_SECONDS", 1.0)
+    recipe = TINY.model_copy(update={"seconds_per_object": 13.0})
+    monkeypatch.setattr(bucket_runs, "MARGIN_SECONDS", -10.0)  # so claims hold for 3 s
     told: list[str] = []
     began = time.monotonic()
     with bucket_runs.started(into(url, recipe=recipe)) as run:

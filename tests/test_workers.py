@@ -130,12 +130,12 @@ def test_a_worker_that_is_never_ready_is_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Off the clock of its task, whose limit it does not exceed."""
-    monkeypatch.setattr(module, "LONGEST_START", 4.0)
+    monkeypatch.setattr(module, "LONGEST_START", 6.0)
     ready, notices = partial(get_ready, tmp_path / "hung"), list[str]()
     found = ended([("say", 0), ("say", 1)], workers=1, ready=ready, notice=notices.append)
     assert [found[n].value for n in range(2)] == [0, 1]
     assert len(notices) == 1
-    assert notices[0].startswith("a worker was not ready after 4 s at ('say', 0), which is tried")
+    assert notices[0].startswith("a worker was not ready after 6 s at ('say', 0), which is tried")
 
 
 def test_no_more_is_tried_where_every_worker_is_lost() -> None:
