@@ -77,9 +77,21 @@ def test_values_and_gradients_are_those_of_the_plain_network(model, which, count
         torch.testing.assert_close(left[name], wanted, rtol=0.0, atol=near, msg=name)
 
 
-def test_many_parts_are_narrower_than_their_layers():
-    many = wavy(revolute=((0, 0, 1),) * 12, prismatic=((1, 0, 0),) * 12)
-    assert many.shape.width < 12
+MANY = {"revolute": ((0, 0, 1),) * 12, "prismatic": ((1, 0, 0),) * 12}
+
+
+@pytest.mark.parametrize(
+    ("settings", "widths"),
+    [
+        (MANY, (8, 12, 6)),
+        ({"part_widths": (32, 24, 16)}, (32, 24, 16)),
+        ({"part_widths": (5, 9, 17)}, (5, 9, 17)),
+    ],
+)
+def test_layers_have_other_widths(settings, widths):
+    many = wavy(**settings)
+    assert many.shape.widths == widths
+    assert many.shape.trunk_1.weight.shape[1:] == (widths[2], widths[1])
     short, single = fields(many, 40)
     plain, double = fields(many, 40, torch.float64)
     torch.testing.assert_close(short.double(), plain, rtol=1e-3, atol=1e-4)

@@ -7,7 +7,7 @@ import math
 from typing import Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, PositiveInt, model_validator
 
 from articugen.learning.evaluation.paper import COMPLETE
 from articugen.learning.recipe import Schedule, Seeds, Stage, TrainRecipe
@@ -37,6 +37,9 @@ class ModelSettings(Section):
             predicted from z^s: drawers of other sizes in other places then look alike. The paper
             has no such boxes; there z^s says all by six numbers a part. They lie along the unit
             frame's axes, and so ask for the part frame `world`.
+        part_widths: channels of a part's shape decoders: of their outer layers, of those within,
+            and of the innermost, which is how many numbers z^s tells of the part's shape. None:
+            the release's, (205 / P rounded down, 12, 6).
         latent_start: how the encoder's weights start: `release`, as torch's layers do, which leaves
             latents of different objects the same to a thousandth; or `he`, by He et al. 2015, and
             the layer that reads z^s 20 times larger, so that shapes differ from the start.
@@ -53,6 +56,7 @@ class ModelSettings(Section):
     coordinate_bound: float = Field(default=math.sqrt(2.0), gt=0.0)
     part_frame: Literal["world", "joint"] = "world"
     part_boxes: bool = False
+    part_widths: tuple[PositiveInt, PositiveInt, PositiveInt] | None = None
     latent_start: Literal["release", "he"] = "release"
     encoder: Literal["points", "both"] = "points"
 

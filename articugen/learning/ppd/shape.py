@@ -14,7 +14,10 @@ from articugen.learning.ppd.kinematics import InverseMotion
 from articugen.learning.ppd.settings import ModelSettings
 
 WIDTH = 205
-"""Channels of all parts together; a part has WIDTH // P."""
+"""Channels of all parts together, where a recipe names none; a part has WIDTH // P."""
+
+WITHIN = (12, 6)
+"""Channels of a part's layers within, where a recipe names none."""
 
 _FREQUENCY = 30.0
 
@@ -48,7 +51,7 @@ class ShapeCode:
 
     Attributes:
         template: (B, P, C) the same for all samples, but for the gradient.
-        detail: (B, P, 6) of the instance.
+        detail: (B, P, m) of the instance.
         quantizer: (before, code), both (B, P C), for L_vq.
         box: where each part lies in its rest frame, None where parts have no boxes.
     """
@@ -111,17 +114,16 @@ class ShapeDecoder(nn.Module):
         self.parts = P = settings.parts
         self.common_shape = settings.common_shape
         self.box_in = _box_head(P) if settings.part_boxes else None
-        c = WIDTH // P
-        self.width = c
+        c, h, m = self.widths = settings.part_widths or (WIDTH // P, *WITHIN)
         self.template_in = nn.Linear(TEMPLATE, P * c)
         self.template_codes = Quantizer(1, P * c, settings.codes_learn)
         self.template_0, self.template_1 = Grouped(P, c, c, "latent"), Grouped(P, c, c)
         self.coordinate = Grouped(P, 3, c, bound=settings.coordinate_bound)
-        self.trunk_0, self.trunk_1 = Grouped(P, c, 12), Grouped(P, 12, 6)
-        self.detail_in = nn.Linear(SHAPE, P * 6)
-        self.detail = Grouped(1, P * 6, P * 6)
+        self.trunk_0, self.trunk_1 = Grouped(P, c, h), Grouped(P, h, m)
+        self.detail_in = nn.Linear(SHAPE, P * m)
+        self.detail = Grouped(1, P * m, P * m)
         # Groups 0 to P - 1 are the heads of F^{s,c}, the others those of F^{s,z}.
-        self.head_0, self.head_1 = Grouped(2 * P, 6, 12), Grouped(2 * P, 12, c)
+        self.head_0, self.head_1 = Grouped(2 * P, m, h), Grouped(2 * P, h, c)
         self.head_2 = Grouped(2 * P, c, 1)
         scale = 0.2 if settings.latent_start == "he" else 0.01
         nn.init.normal_(self.detail_in.weight, std=scale * math.sqrt(2.0 / SHAPE))
@@ -133,8 +135,8 @@ class ShapeDecoder(nn.Module):
         before = self.template_in(nn.functional.leaky_relu(z_template, 0.2))
         quantized, code = self.template_codes(before)
         template = self.template_1.sine(self.template_0(quantized.view(B, P, -1, 1)))
-        detail = self.detail.sine(self.detail_in(z_shape).view(B, 1, -1, 1))
-        return ShapeCode(template[..., 0], detail.view(B, P, 6), (before, code), self._box(z_shape))
+        detail = self.detail.sine(self.detail_in(z_shape).view(B, 1, -1, 1)).view(B, P, -1)
+        return ShapeCode(template[..., 0], detail, (before, code), self._box(z_shape))
 
     def _box(self, z_shape: Tensor) -> PartBox | None:
         if self.box_in is None:

@@ -4,10 +4,10 @@ A block's activations stay in the first caches, nothing of them is kept for the 
 them again is cheaper than to fetch them), and there only points are looked at that a gradient comes
 from. Single precision. Parts are independent: threads may take some each.
 
-Arrays: B samples, P parts, n points, `c` channels of a part. Weights come with the sine's factor,
-groups P to 2 P - 1 of the heads' are those of F^{s,z}:
-points (B, n, 3), moved (B, P, c, 3), shift and template (B, P, c), detail (B, P, 6);
-W1 (P, 12, c), W2 (P, 6, 12), W3 (2 P, 12, 6), W4 (2 P, c, 12), W5 (2 P, 1, c), b1 to b5 alike.
+Arrays: B samples, P parts, n points; a part's layers have c, h, m, h, c channels. Weights come with
+the sine's factor, groups P to 2 P - 1 of the heads' are those of F^{s,z}:
+points (B, n, 3), moved (B, P, c, 3), shift and template (B, P, c), detail (B, P, m);
+W1 (P, h, c), W2 (P, m, h), W3 (2 P, h, m), W4 (2 P, c, h), W5 (2 P, 1, c), b1 to b5 alike.
 """
 
 import numpy as np
@@ -130,8 +130,9 @@ def forward(
     """The logits out (B, 2 P, n) of the parts from `first` to before `last`."""
     B, n, _ = points.shape
     P, c = shift.shape[1:]
-    x, trunk = np.zeros((3, BLOCK), np.float32), np.zeros((6, BLOCK), np.float32)
-    most = max(c, 12)
+    h, m = W1.shape[1], W2.shape[1]
+    x, trunk = np.zeros((3, BLOCK), np.float32), np.zeros((m, BLOCK), np.float32)
+    most = max(c, h, m)
     z, s = np.zeros((most, BLOCK), np.float32), np.zeros((most, BLOCK), np.float32)
     for p in range(first, last):
         for b in range(B):
@@ -146,16 +147,16 @@ def forward(
                     for j in range(BLOCK):
                         s[o, j] += template[b, p, o]
                 _affine(W1[p], b1[p], s, z)
-                _sines(z, 12, s)
+                _sines(z, h, s)
                 _affine(W2[p], b2[p], s, z)
-                _sines(z, 6, trunk)
+                _sines(z, m, trunk)
                 for head in range(2):
                     g = p + head * P
-                    for o in range(6):
+                    for o in range(m):
                         for j in range(BLOCK):
                             s[o, j] = trunk[o, j] + (detail[b, p, o] if head else _ZERO)
                     _affine(W3[g], b3[g], s, z)
-                    _sines(z, 12, s)
+                    _sines(z, h, s)
                     _affine(W4[g], b4[g], s, z)
                     _sines(z, c, s)
                     _affine(W5[g], b5[g], s, z)
@@ -173,18 +174,19 @@ def backward(  # noqa: PLR0912, PLR0915 - one pass, in the order of the layers
     in the parts from `first` to before `last`."""
     B, n, _ = points.shape
     P, c = shift.shape[1:]
-    most = max(c, 12)
+    h, m = W1.shape[1], W2.shape[1]
+    most = max(c, h, m)
     x, z = np.zeros((3, BLOCK), np.float32), np.zeros((most, BLOCK), np.float32)
     s0, c0 = np.zeros((c, BLOCK), np.float32), np.zeros((c, BLOCK), np.float32)
-    s1, c1 = np.zeros((12, BLOCK), np.float32), np.zeros((12, BLOCK), np.float32)
-    s2, c2 = np.zeros((6, BLOCK), np.float32), np.zeros((6, BLOCK), np.float32)
-    s3, c3 = np.zeros((12, BLOCK), np.float32), np.zeros((12, BLOCK), np.float32)
+    s1, c1 = np.zeros((h, BLOCK), np.float32), np.zeros((h, BLOCK), np.float32)
+    s2, c2 = np.zeros((m, BLOCK), np.float32), np.zeros((m, BLOCK), np.float32)
+    s3, c3 = np.zeros((h, BLOCK), np.float32), np.zeros((h, BLOCK), np.float32)
     s4, c4 = np.zeros((c, BLOCK), np.float32), np.zeros((c, BLOCK), np.float32)
     d, e = np.zeros((most, BLOCK), np.float32), np.zeros((most, BLOCK), np.float32)
-    g, own = np.zeros((1, BLOCK), np.float32), np.zeros((6, BLOCK), np.float32)
+    g, own = np.zeros((1, BLOCK), np.float32), np.zeros((m, BLOCK), np.float32)
     none, chosen = np.zeros(most, np.float32), np.zeros(n, np.int64)
-    T1, T2 = np.zeros((c, 12), np.float32), np.zeros((12, 6), np.float32)
-    T3, T4 = np.zeros((2, 6, 12), np.float32), np.zeros((2, 12, c), np.float32)
+    T1, T2 = np.zeros((c, h), np.float32), np.zeros((h, m), np.float32)
+    T3, T4 = np.zeros((2, m, h), np.float32), np.zeros((2, h, c), np.float32)
     for p in range(first, last):
         _transpose(W1[p], T1)
         _transpose(W2[p], T2)
@@ -208,10 +210,10 @@ def backward(  # noqa: PLR0912, PLR0915 - one pass, in the order of the layers
                     for j in range(BLOCK):
                         s0[o, j] += template[b, p, o]
                 _affine(W1[p], b1[p], s0, z)
-                _sines_and_cosines(z, 12, s1, c1)
+                _sines_and_cosines(z, h, s1, c1)
                 _affine(W2[p], b2[p], s1, z)
-                _sines_and_cosines(z, 6, s2, c2)
-                for o in range(6):
+                _sines_and_cosines(z, m, s2, c2)
+                for o in range(m):
                     for j in range(BLOCK):
                         own[o, j] = _ZERO
                 for head in range(2):
@@ -219,41 +221,41 @@ def backward(  # noqa: PLR0912, PLR0915 - one pass, in the order of the layers
                     for j in range(BLOCK):
                         g[0, j] = given[b, at, chosen[start + j]] if j < count else _ZERO
                     if head:
-                        for o in range(6):
+                        for o in range(m):
                             for j in range(BLOCK):
                                 s2[o, j] += detail[b, p, o]
                     _affine(W3[at], b3[at], s2, z)
-                    _sines_and_cosines(z, 12, s3, c3)
+                    _sines_and_cosines(z, h, s3, c3)
                     _affine(W4[at], b4[at], s3, z)
                     _sines_and_cosines(z, c, s4, c4)
                     _gathered(g, s4, 1, c, g_W5[at], g_b5[at])
                     for o in range(c):
                         for j in range(BLOCK):
                             d[o, j] = W5[at, 0, o] * g[0, j] * c4[o, j]
-                    _gathered(d, s3, c, 12, g_W4[at], g_b4[at])
+                    _gathered(d, s3, c, h, g_W4[at], g_b4[at])
                     _affine(T4[head], none, d, e)
-                    for o in range(12):
+                    for o in range(h):
                         for j in range(BLOCK):
                             d[o, j] = e[o, j] * c3[o, j]
-                    _gathered(d, s2, 12, 6, g_W3[at], g_b3[at])
+                    _gathered(d, s2, h, m, g_W3[at], g_b3[at])
                     _affine(T3[head], none, d, e)
-                    for o in range(6):
+                    for o in range(m):
                         for j in range(BLOCK):
                             own[o, j] += e[o, j]
                     if head:
-                        _added(e, 6, g_detail[b, p])
-                        for o in range(6):
+                        _added(e, m, g_detail[b, p])
+                        for o in range(m):
                             for j in range(BLOCK):
                                 s2[o, j] -= detail[b, p, o]
-                for o in range(6):
+                for o in range(m):
                     for j in range(BLOCK):
                         d[o, j] = own[o, j] * c2[o, j]
-                _gathered(d, s1, 6, 12, g_W2[p], g_b2[p])
+                _gathered(d, s1, m, h, g_W2[p], g_b2[p])
                 _affine(T2, none, d, e)
-                for o in range(12):
+                for o in range(h):
                     for j in range(BLOCK):
                         d[o, j] = e[o, j] * c1[o, j]
-                _gathered(d, s0, 12, c, g_W1[p], g_b1[p])
+                _gathered(d, s0, h, c, g_W1[p], g_b1[p])
                 _affine(T1, none, d, e)
                 _added(e, c, g_template[b, p])
                 for o in range(c):
