@@ -181,7 +181,8 @@ def made(seed: int, device: torch.device) -> Iterator[None]:
 
 class _Unfilled(TorchFunctionMode):
     """Leaves out what fills tensors with random numbers: on `meta` there are none, and torch would
-    import its compiler for it, which takes a second."""
+    import its compiler for it, which takes a second. So it would for arithmetic there: what
+    networks compute of constants while they are made they compute on the CPU."""
 
     def __torch_function__(
         self, func: Any, types: Any, args: Any = (), kwargs: dict[str, Any] | None = None
