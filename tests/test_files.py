@@ -15,6 +15,7 @@ from articugen.store.files import (
     partial_name,
     read_regular,
     whole_name,
+    within,
     write_atomically,
 )
 
@@ -30,6 +31,24 @@ def test_a_regular_file_is_read(tmp_path):
         read_regular(link, 5, follow=False)
     with pytest.raises(UnfitFile, match="5 bytes, more than the 4 that it may have"):
         read_regular(path, 4)
+
+
+@pytest.mark.parametrize("name", ["", "/x", "../x", "a/../../x", "a//x", "a/.", "a\0", "a/", "..."])
+def test_names_that_lead_out_of_a_folder_are_refused(tmp_path, name):
+    with pytest.raises(UnfitFile, match="is no name of a file in it"):
+        within(tmp_path, name)
+
+
+def test_a_path_goes_through_no_link_below_the_folder(tmp_path):
+    (tmp_path / "real" / "a").mkdir(parents=True)
+    folder = tmp_path / "named"
+    folder.symlink_to("real")  # the folder itself was named
+    assert within(folder, "a/b/..c") == folder / "a" / "b" / "..c"
+    for link in ("a/link", "gone"):
+        (folder / link).symlink_to(tmp_path if link == "a/link" else "nowhere")
+        for name in (link, f"{link}/file"):
+            with pytest.raises(UnfitFile, match="'(link|gone)' in it is a symbolic link"):
+                within(folder, name)
 
 
 def test_no_more_room_is_made_than_a_file_takes(tmp_path):

@@ -169,6 +169,7 @@ def _edited(change):
         (_edited(lambda m: m.update(seed="0")), "seed: Input should be a valid integer"),
         (_edited(lambda m: m.update(schema_version=99)), "schema version 99, this articugen reads"),
         (_edited(lambda m: m["shards"][0].update(name="../x.h5")), r"shards\.0\.name"),
+        (_edited(lambda m: m["objects"][0]["key"].update(split="../x")), r"objects\.0\.key\.split"),
         (_edited(lambda m: m["shards"][0].update(sha256="0")), r"shards\.0\.sha256"),
         (_edited(lambda m: m["shards"].pop()), "same instances"),
         (_edited(lambda m: m["objects"].pop()), "content_sha256"),

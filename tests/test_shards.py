@@ -561,6 +561,15 @@ HARM = {
     ),
     "attributes that are a list": (_attributes(lambda a: [*a]), "does not hold the others"),
     "array attribute": (_attributes(lambda a: a | {"note": [1, 2]}), "'note' is neither"),
+    "a split that leads out": (
+        _attributes(lambda a: a | {"split": "../../x"}),
+        r"no split may be called '\.\./\.\./x'",
+    ),
+    "an absolute split": (
+        _attributes(lambda a: a | {"split": "/x"}),
+        "no split may be called '/x'",
+    ),
+    "a split of two lines": (_attributes(lambda a: a | {"split": "a\n"}), "no split may be called"),
     "missing attribute": (_attributes(_without_seed), "not of its type"),
 }
 

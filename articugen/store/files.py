@@ -92,6 +92,25 @@ def is_no_folder(path: Path) -> bool:
     return os.path.lexists(path) and (path.is_symlink() or not path.is_dir())
 
 
+def within(folder: Path, name: str) -> Path:
+    """The path of `name`, with slashes, in a folder: never outside, and through no symbolic link.
+
+    The folder itself may be one, since it is what somebody named.
+
+    Raises:
+        UnfitFile: the name is absolute, has an empty step or "..", or a step is a link.
+    """
+    steps = name.split("/")
+    if "\0" in name or not all(step.strip(".") for step in steps):
+        raise UnfitFile(errno.EINVAL, f"{name!r} is no name of a file in it")
+    path = folder
+    for step in steps:
+        path = path / step
+        if path.is_symlink():
+            raise UnfitFile(errno.ELOOP, f"{step!r} in it is a symbolic link, which nobody follows")
+    return path
+
+
 def check_regular(path: Path) -> None:
     """See to it that a library which opens files by name will not wait for a writer.
 

@@ -30,7 +30,7 @@ from articugen.store.files import (
     write_atomically,
 )
 from articugen.store.manifest_pages import MOST_BYTES, Head, Page, slices, stale_pages
-from articugen.store.schema import SCHEMA_VERSION
+from articugen.store.schema import SCHEMA_VERSION, SPLIT
 from articugen.store.shards import ShardRecord, content_sha256
 
 MANIFEST_NAME = "manifest.json"
@@ -83,7 +83,7 @@ class Key(_Entry):
         generator: what of the code decides it: see `content`.
     """
 
-    split: str
+    split: Annotated[str, Field(pattern=SPLIT)]
     object_id: str
     ref: str
     recipe_sha256: Sha256

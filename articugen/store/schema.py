@@ -19,6 +19,9 @@ MAX_CHUNK_BYTES = 1 << 26
 MAX_TEXT = 255
 """Bytes of a text in UTF-8: an object_id, the name of a joint or a part."""
 
+SPLIT = r"^[A-Za-z0-9_][A-Za-z0-9_-]{0,99}$"
+"""What a split may be called: shards and folders are called after it."""
+
 USER_GROUP = "user"
 """A group of this name belongs to whoever uses the data: everybody leaves it alone."""
 
@@ -391,7 +394,11 @@ ATTRIBUTES: Mapping[str, tuple[type, str]] = {
     "format": (str, f'Always "{FORMAT}".'),
     "schema_version": (int, "Of this description; readers refuse later ones."),
     "category": (str, "For instance laptop."),
-    "split": (str, "train or test, say; each object is in one split only."),
+    "split": (
+        str,
+        "train or test, say: letters, digits, _ and -, not - at first; each object is in one split "
+        "only.",
+    ),
     "recipe": (str, "The resolved recipe as canonical JSON: everything that decides the content."),
     "recipe_sha256": (str, "The hex digest of that text."),
     "seed": (int, "The master seed."),

@@ -9,6 +9,7 @@ import io
 import json
 import math
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -694,6 +695,8 @@ def _attributes(file: h5py.File) -> dict[str, Attribute]:
     for name, (kind, _) in schema.ATTRIBUTES.items():
         if not isinstance(attributes.get(name), kind):
             raise CorruptShard(f"attribute {name!r} is missing or not of its type")
+    if not re.fullmatch(schema.SPLIT, str(attributes["split"])):
+        raise CorruptShard(f"no split may be called {attributes['split']!r}")
     if attributes["schema_version"] != version:
         raise CorruptShard(f"schema version {version} or {attributes['schema_version']}")
     return attributes
