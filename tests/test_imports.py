@@ -228,6 +228,7 @@ FOREIGN: dict[str, set[str]] = {
     "pyrender": {"rendering.opengl"},
     "OpenGL": {"rendering.opengl"},
     "sapien": {"rendering.sapien"},
+    "websockets": {"viewer.guard"},
     "viser": {"viewer.panel", "viewer.serve", "viewer.session", "viewer.stage"},
     "torch": WITH_TORCH | {"learning.method", "learning.ppd.method", "learning.tensorboard"},
 }

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from articugen.errors import ArticugenError, MissingExtra
 from articugen.store.dataset import open as open_data_set
+from articugen.viewer.guard import guarded
 from articugen.viewer.prediction import Predictor
 from articugen.viewer.session import Session
 from articugen.viewer.sources import Source, StoredObjects, is_run, source_of
@@ -99,8 +100,9 @@ def _server(host: str, port: int | None) -> "viser.ViserServer":
             raise
         raise MissingExtra("viser", "view") from None
     _check_free(host, port)
+    port = PORT if port is None else port
     with contextlib.redirect_stdout(io.StringIO()):  # where it listens is said by the command
-        return viser.ViserServer(host=host, port=PORT if port is None else port, verbose=False)
+        return guarded(host, lambda: viser.ViserServer(host=host, port=port, verbose=False))
 
 
 def _check_free(host: str, port: int | None) -> None:
