@@ -147,7 +147,7 @@ def _cloud(pose: Pose) -> Floats:
 def _judged(found: Discovery | None, rows: Sequence[Row]) -> Judged:
     """What was found beside the truth of the rows, the first of which is pose 0."""
     truth, first = rows[0].joints, rows[0]
-    states = np.array([[joint.state for joint in row.joints] for row in rows])
+    states = np.array([[joint.state_unit for joint in row.joints] for row in rows])
     if found is None:
         return Judged(not truth, False, False, False, None, None)
     of = _matched(found, first.surface.part, len(truth))

@@ -33,13 +33,16 @@ from articugen.records import (
 )
 from articugen.seeding import generator
 from articugen.sources import registry
-from articugen.store.rows import Row
+from articugen.store.rows import Row, RowJoint
 from articugen.swept import swept_box
 
 ANY_CATEGORY = "object"
 """Of a model that does not tell what it is."""
 
 _TIE = 1e-9
+
+_SAME = 1e-12
+"""Joint values that differ by no more, relatively, are one: shards hold them in another unit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,6 +181,13 @@ class Made(Row):
         return dict(zip(names, q, strict=True))
 
     @cached_property
+    def joints(self) -> tuple[RowJoint, ...]:
+        """Joint j moves part j + 1. Their states are those that were asked for, to the bit."""
+        states = self.state.values()
+        pairs = zip(super().joints, states, strict=True)
+        return tuple(replace(joint, state=state) for joint, state in pairs)
+
+    @cached_property
     def instance(self) -> Instance:
         """The `records.Instance` that a shard would hold."""
         return make_instance(self._prepared, self._index)
@@ -291,17 +301,28 @@ class Maker(Sequence[Made]):
         """The object at a joint state.
 
         Args:
-            state, joints: values by joint name, rad or m from the canonical pose; joints that are
-                not named are 0. Names that are no Python names go into `state`.
+            state, joints: values by joint name, rad or m from the canonical pose, as
+                `row.joints[k].state` has them; joints that are not named are 0. Names that are no
+                Python names go into `state`. At a state of the recipe's it is that instance.
 
         Raises:
-            InvalidArgument: no such joint, a joint that follows another, a value outside its
-                range; or the object would stick out of the unit frame.
+            InvalidArgument: no such joint, another value than a joint that follows has there, a
+                value outside its range; or the object would stick out of the unit frame.
         """
         values = {**(state or {}), **joints}
         for name, value in values.items():
             self._check(name, value)
-        return self._made(articulation.driven_state(self.obj, values))
+        driven = articulation.driven_state(self.obj, values)
+        for joint, q in zip(self.joints, driven.q.tolist(), strict=True):
+            if joint.mimic and not abs(values.get(joint.name, q) - q) <= _TIE * max(1.0, abs(q)):
+                raise InvalidArgument(
+                    f"{self.obj.object_id}: joint {joint.name!r} follows {joint.mimic.joint!r}, "
+                    f"which puts it at {q:g}; give that alone"
+                )
+        for index, known in enumerate(self.prepared.states):
+            if np.allclose(driven.q, known.q, rtol=_SAME, atol=0.0):
+                return self[index]
+        return self._made(driven)
 
     def random(self, count: int = 1, *, rng: int | np.random.Generator | None = None) -> list[Made]:
         """The object at random joint states, as the recipe's are drawn.
@@ -320,10 +341,6 @@ class Maker(Sequence[Made]):
             raise InvalidArgument(
                 f"{self.obj.object_id}: no joint {name!r} moves{nearest(name, list(known))}; "
                 f"those that do: {', '.join(known)}"
-            )
-        if joint.mimic is not None:
-            raise InvalidArgument(
-                f"{self.obj.object_id}: joint {name!r} follows {joint.mimic.joint!r}; give that"
             )
         lower, upper = min(joint.lower, 0.0), max(joint.upper, 0.0)
         if not lower - _TIE <= value <= upper + _TIE:
@@ -345,7 +362,7 @@ class Maker(Sequence[Made]):
         """Views that hold the object at `state`: the recipe's, where they do."""
         p = self.prepared
         box = _box(p, [state])
-        if np.abs(box).max() > 0.5:
+        if np.abs(box).max() > 0.5 + _TIE:
             raise InvalidArgument(
                 f"{self.obj.object_id}: at {_values(self.obj, state)} it sticks out of the unit "
                 f"frame, which the recipe's {len(p.states)} states span; raise padding or "

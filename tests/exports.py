@@ -66,8 +66,7 @@ def motion_in_metres(row: ag.Row, part: int) -> np.ndarray:
 
 
 def state_in_metres(row: ag.Row) -> list[float]:
-    unit = {"prismatic": row.scale, "revolute": 1.0}
-    return [joint.state * unit[joint.kind] for joint in row.joints]
+    return [joint.state for joint in row.joints]
 
 
 def canonical_meshes(data: ag.DataSet, row: ag.Row) -> list[np.ndarray]:

@@ -105,7 +105,7 @@ def check_frame(folder, frame, told, row):
     x, y = ((k + 0.5) / 24 - 1.0 for k in (j, i))
     points = (np.stack([x * half[0] * z, y * half[1] * z, z], axis=1) - T) @ R.T
     metres = row.to_metres(points)
-    bolt = [0.4 - row.joints[0].state * row.scale, 0.0, 0.0]
+    bolt = [0.4 - row.joints[0].state, 0.0, 0.0]
     solids = ((np.zeros(3), [0.1, 0.2, 0.2]), (bolt, [0.1, 0.05, 0.05]))
     off = [np.abs(np.abs(metres - middle) - half).min(axis=1) for middle, half in solids]
     inside = [(np.abs(metres - middle) < np.add(half, 2e-3)).all(axis=1) for middle, half in solids]

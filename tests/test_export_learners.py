@@ -230,7 +230,7 @@ def test_particulate_as_it_articulates(exported, rows):
         np.testing.assert_allclose(np.ptp(data["points"], axis=0).max(), 1.0, atol=1e-6)
         points, part = data["points"].astype(np.float64), data["point_to_bone"]
         # the slide first, which the hinge then carries, as its tree of parts does
-        amount = row.joints[1].state / span
+        amount = row.joints[1].state_unit / span
         assert ranges[2, 2] <= amount <= ranges[2, 3] + 1e-6
         points[part == 2] += amount * axes[2, 6:9]
         line, moment = axes[1, :3], axes[1, 3:6]

@@ -1,15 +1,18 @@
 """Models at joint states of one's own: the same as a data set has, and the same frame."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import articugen as ag
 from articugen.errors import ArticugenError, InvalidArgument, InvalidRecipe, InvalidSource
-from articugen.geometry import rotation_about
-from articugen.records import FREE
+from articugen.geometry import rotation_about, transform
+from articugen.records import FREE, JointKind, Mesh
 from articugen.store.shards import open_shard
 
 CABINET = """<robot name="cabinet">
@@ -50,6 +53,9 @@ TINY = {
 }  # fmt: skip
 
 
+RIGID = TINY | {"fusion": {"rule": "rigid"}, "views": {"count": 12, "resolution": 64}}
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("urdfs")
@@ -58,8 +64,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def maker(folder: Path) -> ag.Maker:
-    return ag.Maker(ag.load(folder / "cabinet.urdf", category="cabinet"), TINY, seed=3)
+def cabinet(folder: Path) -> ag.Model:
+    return ag.load(folder / "cabinet.urdf", category="cabinet")
+
+
+@pytest.fixture(scope="module")
+def maker(cabinet: ag.Model) -> ag.Maker:
+    return ag.Maker(cabinet, TINY, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +99,12 @@ def test_a_joint_state_by_name(maker, inst):
     assert [joint.name for joint in maker.joints] == ["door", "lock", "slide"]
     assert inst.state == {"door": 1.2, "lock": 0.6, "slide": 0.05}
     states = {joint.name: joint.state for joint in inst.joints}
-    assert states == pytest.approx({"door": 1.2, "lock": 0.6, "slide": 0.05 / inst.scale})
+    assert states == inst.state
+    units = {joint.name: joint.state_unit for joint in inst.joints}
+    assert units == pytest.approx({"door": 1.2, "lock": 0.6, "slide": 0.05 / inst.scale})
+    slide = inst.joints[2]
+    assert (slide.lower, slide.upper) == pytest.approx((0.0, 0.2))
+    assert (slide.lower_unit, slide.upper_unit) == pytest.approx((0.0, 0.2 / inst.scale))
     about_z = rotation_about((0, 0, 1), 1.2)
     np.testing.assert_allclose(inst.parts[1].motion[:3, :3], about_z, atol=1e-12)
     assert maker.at({"slide": 0.05}, door=1.2).state == inst.state
@@ -97,7 +113,54 @@ def test_a_joint_state_by_name(maker, inst):
     other = maker.at(door=1.1)
     assert not np.array_equal(other.uniform.points, inst.uniform.points)
     assert (other.scale, other.center.tolist()) == (inst.scale, inst.center.tolist())
-    assert "Joint('door', revolute, 68.8°" in repr(inst)
+    assert "Joint('door', revolute, 1.2 of 0 to 1.57 rad)" in repr(inst)
+    assert "Joint('slide', prismatic, 0.05 of 0 to 0.2 m)" in repr(inst)
+
+
+def as_stored(inst: ag.Made) -> ag.Row:
+    """What a shard would give back of an instance."""
+    arrays = inst.instance.arrays()
+    return ag.Row(lambda names: [arrays[name] for name in names], arrays)
+
+
+def sized(model: ag.Model, size: float) -> ag.Model:
+    """The model, `size` times as large."""
+    links = [
+        replace(link, mesh=Mesh(size * link.mesh.vertices, link.mesh.faces))
+        for link in model.obj.links
+    ]
+    joints = [
+        replace(
+            joint,
+            T_parent_joint=transform(
+                joint.T_parent_joint[:3, :3], size * joint.T_parent_joint[:3, 3]
+            ),
+            upper=joint.upper * (size if joint.kind == JointKind.PRISMATIC else 1.0),
+        )
+        for joint in model.obj.joints
+    ]
+    return replace(model, obj=replace(model.obj, links=tuple(links), joints=tuple(joints)))
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.floats(-2.0, 2.0), st.integers(0, 2), st.floats(0.0, 1.0))
+def test_the_states_of_a_row_are_what_at_takes(cabinet, digits, index, share):
+    """For models of 1 cm to 100 m; what a shard holds of the same pose is in the unit frame."""
+    maker = ag.Maker(sized(cabinet, 10.0**digits), RIGID, seed=3)
+    between = maker.at({joint.name: share * joint.upper for joint in maker.joints})
+    for inst, row in (
+        (maker[index], as_stored(maker[index])),
+        (between, between),
+    ):
+        again = maker.at({joint.name: joint.state for joint in row.joints})
+        arrays = again.instance.arrays()
+        for name, value in inst.instance.arrays().items():
+            np.testing.assert_array_equal(arrays[name], value, err_msg=name)
+    row = as_stored(between)
+    again = maker.at({joint.name: joint.state for joint in row.joints})
+    for part, same in zip(again.parts, between.parts, strict=True):
+        np.testing.assert_allclose(part.motion, same.motion, atol=1e-12)
+    assert again.state == pytest.approx(between.state, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -107,7 +170,8 @@ def test_a_joint_state_by_name(maker, inst):
         ({"door": 1.6}, r"joint 'door' at 1.6 rad is outside its range, 0 to 1.57"),
         ({"slide": -0.01}, r"joint 'slide' at -0.01 m is outside its range, 0 to 0.2"),
         ({"door": np.nan}, "outside its range"),
-        ({"lock": 0.1}, "joint 'lock' follows 'door'; give that"),
+        ({"lock": 0.1}, "joint 'lock' follows 'door', which puts it at 0; give that alone"),
+        ({"door": 1.0, "lock": np.nan}, "outside its range"),
     ],
 )
 def test_what_no_joint_does_is_refused(maker, state, sentence):

@@ -110,7 +110,7 @@ def test_a_row_reads_a_field_when_it_is_asked_for_and_once(data, monkeypatch):
     assert asked == ["surface_points"]
     assert len(row.joints) == 2
     names = ("kind", "state", "lower", "upper", "axis", "pivot", "parent")
-    assert set(asked[1:]) == {f"joint_{name}" for name in names}
+    assert set(asked[1:]) == {"scale", *(f"joint_{name}" for name in names)}
 
 
 def test_flow_is_what_the_parts_motions_say(data):
@@ -188,7 +188,7 @@ def test_batches_hold_the_same_as_rows(data):
         np.testing.assert_array_equal(batch["surface_normals"][i], row.surface.normals)
         np.testing.assert_array_equal(batch["surface_part"][i], row.surface.part)
         np.testing.assert_array_equal(batch["occupancy_8"][i], row.grids[8])
-        assert batch["joint_state"][i].tolist() == [joint.state for joint in row.joints]
+        assert batch["joint_state"][i].tolist() == [joint.state_unit for joint in row.joints]
         assert (batch["object_id"][i], batch["scale"][i]) == (row.object_id, row.scale)
     raw = data.batch(numbers, POINTS, raw=True)
     assert [raw[name].dtype for name in POINTS] == [np.uint16, np.int8, np.uint8]

@@ -47,8 +47,8 @@ def _scene(start: Row, end: Row) -> dict[str, NDArray]:
         "screw_moment": np.cross(joint.pivot, axis),
         "joint_type": np.array(0 if joint.kind == "revolute" else 1),
         "joint_index": np.array(joint.part),
-        "state_start": np.array(joint.state),
-        "state_end": np.array(end.joints[0].state),
+        "state_start": np.array(joint.state_unit),
+        "state_end": np.array(end.joints[0].state_unit),
     }
     for word, other, here, there in (("start", "end", start, end), ("end", "start", end, start)):
         cloud = here.partial.points.reshape(-1, 3)

@@ -38,7 +38,6 @@ def metric_joints(row: Row) -> tuple[MetricJoint, ...]:
     The range is that of the data, widened to the canonical pose where that lies outside.
     """
     names = unique(joint.name or f"joint_{joint.part}" for joint in row.joints)
-    length = [row.scale if joint.kind == "prismatic" else 1.0 for joint in row.joints]
     return tuple(
         MetricJoint(
             name=name,
@@ -47,10 +46,10 @@ def metric_joints(row: Row) -> tuple[MetricJoint, ...]:
             part=joint.part,
             pivot=row.to_metres(joint.pivot),
             axis=np.asarray(joint.axis) / np.linalg.norm(joint.axis),
-            lower=min(joint.lower * unit, 0.0),
-            upper=max(joint.upper * unit, 0.0),
+            lower=min(joint.lower, 0.0),
+            upper=max(joint.upper, 0.0),
         )
-        for name, joint, unit in zip(names, row.joints, length, strict=True)
+        for name, joint in zip(names, row.joints, strict=True)
     )
 
 

@@ -34,7 +34,7 @@ def _arrays(row: Row) -> dict[str, NDArray]:
             ranges[joint.part, :2] = joint.lower, joint.upper
         else:
             axes[joint.part, 6:] = plucker
-            ranges[joint.part, 2:] = joint.lower * scale, joint.upper * scale
+            ranges[joint.part, 2:] = joint.lower_unit * scale, joint.upper_unit * scale
     groups = [row.surface, *([row.sharp] if "sharp_points" in row.fields else [])]
     points = np.concatenate([group.points for group in groups])
     return {

@@ -66,9 +66,9 @@ def _motion(row: Row) -> dict[str, NDArray]:
         for i, joint in enumerate(joints):
             told[f"{word}_anchor_point_{i}"] = np.asarray(joint.pivot)
             told[f"{word}_direction_{i}"] = np.asarray(joint.axis)
-            told[f"{word}_amount_{i}"] = np.array([joint.state])
-            told[f"{word}_amount_min_{i}"] = np.array([joint.lower])
-            told[f"{word}_amount_max_{i}"] = np.array([joint.upper])
+            told[f"{word}_amount_{i}"] = np.array([joint.state_unit])
+            told[f"{word}_amount_min_{i}"] = np.array([joint.lower_unit])
+            told[f"{word}_amount_max_{i}"] = np.array([joint.upper_unit])
     return told
 
 

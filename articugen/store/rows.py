@@ -55,8 +55,11 @@ class RowJoint:
     Attributes:
         name: in the model's file; "" where the shard has none.
         kind: "revolute" (or continuous) or "prismatic".
-        state: how far from the canonical pose: radians, or lengths of the unit frame.
+        state: how far from the canonical pose: rad, or m of the model's own frame; what
+            `Maker.at` takes.
         lower, upper: the range that states are sampled from, likewise.
+        state_unit, lower_unit, upper_unit: the same as a shard holds them: rad, or lengths of the
+            unit frame.
         axis, pivot: (3,) unit direction, and a point on the axis, as posed, unit frame.
         parent, part: the part that it hangs on, and the part that it moves.
     """
@@ -66,17 +69,18 @@ class RowJoint:
     state: float
     lower: float
     upper: float
+    state_unit: float
+    lower_unit: float
+    upper_unit: float
     axis: Floats
     pivot: Floats
     parent: int
     part: int
 
     def __repr__(self) -> str:
-        def said(value: float) -> str:
-            return f"{np.degrees(value):.1f}°" if self.kind == "revolute" else f"{value:.3f}"
-
-        where = f"{said(self.state)} of {said(self.lower)} to {said(self.upper)}"
-        return f"Joint({self.name or 'part ' + str(self.part)!r}, {self.kind}, {where})"
+        where = f"{self.state:.3g} of {self.lower:.3g} to {self.upper:.3g}"
+        unit = "rad" if self.kind == "revolute" else "m"
+        return f"Joint({self.name or 'part ' + str(self.part)!r}, {self.kind}, {where} {unit})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,22 +347,27 @@ class Row:
     def joints(self) -> tuple[RowJoint, ...]:
         """Joint j moves part j + 1."""
         names = ("name", "kind", "state", "lower", "upper", "axis", "pivot", "parent")
-        self._learn([f"joint_{name}" for name in names])
+        self._learn(["scale", *(f"joint_{name}" for name in names)])
         each: dict[str, Any] = {name: self._known.get(f"joint_{name}") for name in names}
         each["name"] = each["name"] or ("",) * len(each["kind"])
+        kinds = [str(JointKind(kind)) for kind in each["kind"]]
+        metres = [self.scale if kind == "prismatic" else 1.0 for kind in kinds]
         return tuple(
             RowJoint(
                 name=each["name"][j],
-                kind=str(JointKind(kind)),
-                state=float(each["state"][j]),
-                lower=float(each["lower"][j]),
-                upper=float(each["upper"][j]),
+                kind=kind,
+                state=float(each["state"][j]) * metres[j],
+                lower=float(each["lower"][j]) * metres[j],
+                upper=float(each["upper"][j]) * metres[j],
+                state_unit=float(each["state"][j]),
+                lower_unit=float(each["lower"][j]),
+                upper_unit=float(each["upper"][j]),
                 axis=each["axis"][j],
                 pivot=each["pivot"][j],
                 parent=int(each["parent"][j]),
                 part=j + 1,
             )
-            for j, kind in enumerate(each["kind"])
+            for j, kind in enumerate(kinds)
         )
 
     @cached_property
