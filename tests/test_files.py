@@ -47,7 +47,7 @@ def test_a_path_goes_through_no_link_below_the_folder(tmp_path):
     for link in ("a/link", "gone"):
         (folder / link).symlink_to(tmp_path if link == "a/link" else "nowhere")
         for name in (link, f"{link}/file"):
-            with pytest.raises(UnfitFile, match="'(link|gone)' in it is a symbolic link"):
+            with pytest.raises(UnfitFile, match=r"'(link|gone)' in it is a symbolic link"):
                 within(folder, name)
 
 

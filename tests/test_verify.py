@@ -336,7 +336,8 @@ def _remade(folder: Path, outcome: Outcome) -> None:
     ],
 )
 def test_shard_of_another_data_set(folder, attribute):
-    about = attributes(key()) | {attribute: 5 if attribute == "seed" else "{}"}
+    other = {"seed": 5, "split": "another"}.get(attribute, "{}")
+    about = attributes(key()) | {attribute: other}
     record = write_shard(folder / "train-00000.h5", hinged_box(STATES), about)
     _remade(folder, Outcome.of_shard(key(), record, input_sha256="f" * 64))
     assert found(verify(folder)) == {("train-00000.h5", "attributes")}
