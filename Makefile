@@ -6,7 +6,8 @@ SOURCE ?= procedural
 OUT    ?= data
 RUNS   ?= runs
 
-articugen := $(VENV)/bin/articugen
+# Called by make, articugen says what comes next in make's words.
+articugen := ARTICUGEN_CALLED_BY=make $(VENV)/bin/articugen
 pinned    := $(VENV)/bin/python -m pip install -qq --disable-pip-version-check -c constraints.txt
 
 # All that the generator imports, named one by one: yourdfpy asks for whatever trimesh can make use of,
@@ -111,8 +112,11 @@ endif
 gpu-study: $(learner)  ## on a GPU: measure it, race seeds, train, evaluate; again goes on
 	@$(articugen) study --categories "$(or $(CATEGORY),all)" --data "$(OUT)" --out "$(or $(STUDY),study)" --recipe "$(or $(RECIPE),ppd_hour)" $(settings) --device "$(or $(DEVICE),cuda)" $(if $(SEEDS),--seeds "$(SEEDS)") $(if $(BUDGET),--budget "$(BUDGET)") $(if $(QUICK),--quick)
 
-test: $(testing)  ## run the tests; those of absent optional backends are skipped
-	@OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest $(ARGS) # processes side by side; more threads only wait
+# A process a core, each of one thread: more threads only wait. What ARGS says counts (-n 0 --pdb).
+pytest := OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest -n logical --maxprocesses 16 --dist worksteal
+
+test: $(testing)  ## run the tests, the same each time; those of absent optional backends are skipped
+	@$(pytest) $(ARGS)
 
 chaos: $(testing)  ## kill runs and fail disks at every moment; a table of what survived (ARGS=--quick)
 	@$(VENV)/bin/python -m tests.chaos $(ARGS)
@@ -139,8 +143,9 @@ bench-reading: $(testing)  ## measure what reading a shard costs, beside .npz fi
 bench-train: $(testing) $(learner)  ## measure PPD's training: rate, shares, memory (ARGS=--iterations 20)
 	@$(VENV)/bin/python -m tests.benchmarks.training $(ARGS)
 
-fuzz: $(testing)  ## read files that mean harm, by the thousand (ARGS="--seconds 60 --target urdf")
-	@$(VENV)/bin/python -m tests.fuzz $(ARGS)
+fuzz: $(testing)  ## draw anew: tests of properties, then files that mean harm (ARGS="--target urdf")
+	@$(if $(findstring --target,$(ARGS)),true,$(pytest) -m hypothesis --hypothesis-profile=chance); \
+	    status=$$?; $(VENV)/bin/python -m tests.fuzz $(ARGS) && exit $$status
 
 docs: $(site) $(gallery)  ## build the documentation site, with gallery and reports, into build/site
 	@NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --quiet

@@ -5,7 +5,9 @@ import itertools
 import json
 import os
 import socket
+import sys
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -35,8 +37,6 @@ def test_nothing_escapes(name):
         pytest.importorskip(target.extra)
     chosen = itertools.islice(inputs(target, 0), len(target.seeds()) + INPUTS)
     with sandbox() as room:
-        for data in target.seeds()[:1]:
-            room.run(target, data)  # imports what is imported late
         assert [escape for data in chosen if (escape := room.run(target, data))] == []
         assert room.accepted or name in NOBODY_S
 
@@ -80,6 +80,22 @@ def test_inputs_are_the_same_for_the_same_seed():
         )
         assert one == same
         assert one != other
+
+
+@pytest.mark.parametrize(("profile", "alike"), [("same", True), ("chance", False)])
+def test_tests_of_properties_draw_the_same_each_time_and_make_fuzz_anew(profile, alike):
+    drawn = []
+
+    @settings(settings.get_profile(profile))
+    @given(st.integers())
+    def draw(number):
+        drawn.append(number)
+
+    draw()
+    first = drawn.copy()
+    draw()
+    assert (drawn == 2 * first) is alike
+    assert settings.get_current_profile_name() in ("same", "chance")
 
 
 # --- what watches has eyes
@@ -159,6 +175,19 @@ def test_an_escape_is_seen(monkeypatch, read, said):
         escape = room.run(target, b"")
     assert escape is not None
     assert said in escape.sentence
+
+
+def test_what_the_first_import_writes_is_no_escape(monkeypatch, tmp_path):
+    (tmp_path / "never_before_imported.py").write_text("from pathlib import Path")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    monkeypatch.setattr(sys, "pycache_prefix", str(tmp_path / "kept"))
+    target = replace(TARGETS["urdf"], read=lambda _: import_module("never_before_imported"))
+    with sandbox() as room:
+        assert room.run(target, b"") is None
+    assert [path.name.partition(".")[0] for path in tmp_path.glob("kept/**/*.pyc")] == [
+        "never_before_imported"
+    ]
 
 
 # --- what is mended is sound

@@ -8,6 +8,7 @@ import argparse
 import importlib.util
 import os
 import platform
+import random
 import shutil
 import signal
 import subprocess
@@ -42,7 +43,8 @@ def main() -> int:
                         help=f"one of {', '.join(TARGETS)}; several times for several")  # fmt: skip
     parser.add_argument("--seconds", type=float, help="for each target; 20 if no --runs are given")
     parser.add_argument("--runs", type=int, help="inputs of each target")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=random.randrange(10**6),
+                        help="the same inputs again; drawn anew where none is given")  # fmt: skip
     parser.add_argument("--engine", choices=("atheris", "chance"),
                         default="atheris" if has_atheris() else "chance")  # fmt: skip
     parser.add_argument("--keep", type=Path, default=Path("build/fuzz"),
@@ -58,7 +60,7 @@ def main() -> int:
         row = fuzzed(target, asked.engine, asked.keep, asked.seed, asked.runs or _NEVER, seconds)
         rows.append(row)
         print(f"{name}: {row.executions:,}, {len(row.escapes)} escapes", file=sys.stderr)
-    print(table(rows, asked.engine))
+    print(table(rows, f"{asked.engine}, --seed {asked.seed}"))
     for row in rows:
         for said in row.escapes:
             file = asked.keep / row.name / said["file"]

@@ -75,7 +75,17 @@ class Sandbox:
         """Inputs that were read without a refusal."""
 
     def run(self, target: Target, data: bytes) -> Escape | None:
-        """Read one input as the target does; what was not as it should be, None where all was."""
+        """Read one input as the target does; what was not as it should be, None where all was.
+
+        Whoever is the first in a process to import a module may write its bytecode, to load a
+        kernel may compile it, and look for both in any folder. That is done once, and what an input
+        does it does again: what strays from these folders, or is slow, counts the second time.
+        """
+        escape, once = self._read(target, data)
+        return self._read(target, data)[0] if once else escape
+
+    def _read(self, target: Target, data: bytes) -> tuple[Escape | None, bool]:
+        """What was not as it should be, and whether that may be so only the first time."""
         if self._prepared is not target or target.writes:
             shutil.rmtree(self.model)
             self.model.mkdir()
@@ -92,15 +102,16 @@ class Sandbox:
         if target.forks:
             strayed.remove("os.fork ()")
         took = time.process_time() - began
-        strayed += [f"opened {name}" for name in self._outside.names()]
-        strayed += [f"changed {name}" for name in self._base.names()]
+        here = [f"opened {name}" for name in self._outside.names()]
+        here += [f"changed {name}" for name in self._base.names()]
         if not target.writes:
-            strayed += [f"changed {name}" for name in self._model.names()]
-        if strayed:
-            return Escape(f"{target.name}: strayed: {strayed[0]}", "; ".join(strayed))
+            here += [f"changed {name}" for name in self._model.names()]
+        if all_of_it := strayed + here:
+            sentence = "; ".join(all_of_it)
+            return Escape(f"{target.name}: strayed: {all_of_it[0]}", sentence), not here
         if escape is None and took > SECONDS:
-            return Escape(f"{target.name}: slow", f"took {took:.1f} s")
-        return escape
+            return Escape(f"{target.name}: slow", f"took {took:.1f} s"), True
+        return escape, False
 
     def _tried(self, target: Target, path: Path) -> Escape | None:
         try:
