@@ -1,14 +1,18 @@
 """Archives that strangers pack: what is unpacked, and what is refused before a byte is written."""
 
+import contextlib
 import gzip
 import io
 import stat
 import struct
 import tarfile
+import tempfile
 import zipfile
 from pathlib import Path, PurePosixPath
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from articugen.errors import InvalidSource, MachineFault
 from articugen.fetching import archives
@@ -186,6 +190,88 @@ def test_a_tar_whose_header_claims_a_gigabyte_of_itself_is_refused(tmp_path, out
     path.write_bytes(gzip.compress(info.tobuf(tarfile.USTAR_FORMAT) + bytes(2**22)))
     with pytest.raises(InvalidSource, match="is damaged"):
         all_of(path, outside)
+
+
+def header(kind: bytes, data: bytes = b"") -> bytes:
+    """A header that tells more of the next entry of a tar."""
+    info = tarfile.TarInfo("more")
+    info.type, info.size = kind, len(data)
+    return info.tobuf(tarfile.USTAR_FORMAT) + data + bytes(-len(data) % 512)
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        header(tarfile.XHDTYPE) * 4000,
+        header(tarfile.GNUTYPE_LONGNAME, b"m\0") * 4000,
+        header(tarfile.XGLTYPE, b"9 a=1234\n") * 4000,
+        header(tarfile.XHDTYPE, b"5 aaa" * 200_000),  # the square of its length, by tarfile
+        header(tarfile.XHDTYPE, b"9" * 5000 + b" path=m\n"),
+        header(tarfile.XHDTYPE, b"5014 size=" + b"9" * 5003 + b"\n"),
+        header(tarfile.XHDTYPE, b"-9 path=m\n"),
+        header(tarfile.XHDTYPE, b"11 size=-1\n"),
+        header(tarfile.XHDTYPE, b"22 GNU.sparse.major=1\n"),
+    ],
+    ids=["pax", "gnu", "global", "long", "digits", "size", "negative", "no size", "sparse"],
+)
+def test_headers_before_a_file_that_claim_too_much_are_refused(tmp_path, outside, headers):
+    path = tmp_path / "a.tar.gz"
+    path.write_bytes(gzip.compress(headers + gzip.decompress(tarred(MODEL))))
+    with pytest.raises(InvalidSource, match=r"is damaged|has more than|unusual way"):
+        all_of(path, outside)
+    assert not list(outside.iterdir())
+
+
+NAMES = st.lists(
+    st.text(st.characters(categories=["L", "N"]), min_size=1, max_size=60), min_size=1, max_size=9
+)
+
+
+@given(st.lists(NAMES, max_size=3), st.sampled_from([tarfile.PAX_FORMAT, tarfile.GNU_FORMAT]))
+@settings(max_examples=25, deadline=None)
+def test_names_of_any_length_are_read_as_tarfile_reads_them(names, format):
+    files = {"/".join(name): repr(name).encode() for name in names}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.tar.gz"
+        with tarfile.open(path, "w:gz", format=format) as archive:
+            for name, data in files.items():
+                info = tarfile.TarInfo(name)
+                info.size = len(data)
+                archive.addfile(info, io.BytesIO(data))
+        with archives.opened(path) as archive:
+            found = {str(m.name): d.read(2**20) for m, d in archives.contents(archive, path)}
+    assert found == files
+
+
+@given(st.lists(st.tuples(st.integers(0, 10**6), st.binary(min_size=1, max_size=9)), max_size=4))
+@settings(max_examples=60, deadline=None)
+def test_a_tar_with_any_bytes_changed_is_read_or_refused(changes):
+    image = bytearray(gzip.decompress(tarred({"a" * 120: b"", **MODEL})))
+    for at, new in changes:
+        header = at % len(image) // 512 * 512
+        image[header + at % 512 : header + at % 512 + len(new)] = new
+        image[header + 148 : header + 156] = b" " * 8  # and its sum is right again
+        image[header + 148 : header + 156] = b"%06o\0 " % sum(image[header : header + 512])
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.tar.gz"
+        path.write_bytes(gzip.compress(bytes(image), 1))
+        with contextlib.suppress(InvalidSource):
+            unpack(path, Path(folder), lambda _: False, lambda *_: None)
+
+
+@pytest.mark.parametrize("limit", ["MAX_FOLDERS", "_ALWAYS_ENTRIES"])
+def test_more_names_than_an_archive_of_its_size_can_mean_are_refused(
+    tmp_path, outside, monkeypatch, limit
+):
+    """Each costs memory and time, folders too of which only the names of files tell."""
+    monkeypatch.setattr(archives, limit, 1000)
+    files = {f"{k}/{'d/' * 9}" if limit == "MAX_FOLDERS" else f"{k}": b"" for k in range(2000)}
+    files = {f"{name}a.obj": b"" for name in files}
+    path = tmp_path / "a.tar.gz"
+    path.write_bytes(tarred(MODEL | files))
+    with pytest.raises(InvalidSource, match=r"holds more than .* files or .* folders; split it"):
+        all_of(path, outside)
+    assert not list(outside.iterdir())
 
 
 def test_more_files_than_anybody_needs_are_refused(tmp_path, outside, monkeypatch):

@@ -7,10 +7,11 @@ allows is refused as a whole: what tries such a thing is not to be trusted with 
 import gzip
 import io
 import stat
+import sys
 import tarfile
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -18,6 +19,7 @@ from typing import BinaryIO, Protocol
 
 from articugen.errors import InvalidSource, machine_fault, printable
 from articugen.sources.model_files import MAX_NAME_BYTES, quoted
+from articugen.store.files import open_regular
 
 MAX_FILES = 1_000_000
 """In one archive; Artiverse's largest has 313,000."""
@@ -26,13 +28,28 @@ MAX_FILE_BYTES = 2**30
 MAX_RATIO = 200
 """How many times its own size an archive may unpack to; OBJ files and textures give 3 to 10."""
 MAX_DEPTH = 32
+MAX_FOLDERS = 250_000
+"""In one archive, those included that only the names of others tell of."""
+MAX_DENSITY = 16
+"""Bytes of an archive that an entry takes at least, beyond the first `_ALWAYS_ENTRIES`; a header
+and some content give more than 60."""
 
+_ALWAYS_ENTRIES = 10_000
+_BLOCK = tarfile.BLOCKSIZE
+"""What a file takes at least, though it be empty."""
 _ALWAYS_BYTES = 64 * 2**20
 """What any archive may unpack to, small as it is."""
 _MOST_AT_ONCE = 2**20
 """Bytes read in one go: a header that claims a gigabyte of itself is refused."""
 
 _DAMAGED = (zipfile.BadZipFile, tarfile.TarError, zlib.error, gzip.BadGzipFile, EOFError)
+_OF_THE_NEXT = (
+    *(tarfile.XHDTYPE, tarfile.SOLARIS_XHDTYPE),
+    *(tarfile.GNUTYPE_LONGNAME, tarfile.GNUTYPE_LONGLINK),
+)
+"""Headers in a tar that tell more of the entry after them."""
+_MOST_HEADERS = 8
+"""Of these in a row; there is need of two."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +91,7 @@ def opened(path: Path) -> Iterator[Archive]:
         MachineFault, MemoryError: the disk does not answer, or the like.
     """
     try:
-        with path.open("rb") as file:
+        with open_regular(path, sys.maxsize) as file:
             start = file.read(4)
             file.seek(0)
             if start[:2] == b"PK":
@@ -84,7 +101,7 @@ def opened(path: Path) -> Iterator[Archive]:
                 yield _TarGz(file)
             else:
                 raise InvalidSource(f"{path}: is no .zip or .tar.gz; name one")
-    except (*_DAMAGED, NotImplementedError, UnicodeDecodeError, ValueError) as error:
+    except (*_DAMAGED, NotImplementedError, ValueError, RecursionError) as error:
         reason = printable(str(error) or type(error).__name__)[:200]
         raise InvalidSource(f"{path}: is damaged ({reason}); get it again") from error
     except OSError as error:
@@ -99,16 +116,21 @@ def checked_members(archive: Archive, path: Path) -> list[Member]:
     Raises:
         InvalidSource: one is not, or together they break a bound; names the archive and the entry.
     """
-    most_bytes = max(_ALWAYS_BYTES, MAX_RATIO * path.stat().st_size)
+    packed = path.stat().st_size
+    most_bytes = max(_ALWAYS_BYTES, MAX_RATIO * packed)
+    most_entries = min(MAX_FILES, _ALWAYS_ENTRIES + packed // MAX_DENSITY)
     members: list[Member] = []
     files: set[PurePosixPath] = set()
     folders: set[PurePosixPath] = set()
     total = 0
     for count, entry in enumerate(archive.entries(), 1):
         name = _plain_name(entry, path)
-        total += entry.bytes
-        if count > MAX_FILES:
-            raise InvalidSource(f"{path}: holds more than {MAX_FILES:,} files; split it")
+        total += max(entry.bytes, _BLOCK)
+        if count > most_entries or len(folders) > MAX_FOLDERS:
+            raise InvalidSource(
+                f"{path}: holds more than {most_entries:,} files or {MAX_FOLDERS:,} folders; "
+                "split it, or get it from its authors"
+            )
         if total > most_bytes:
             raise InvalidSource(
                 f"{path}: unpacks to more than {MAX_RATIO} times its size; it is a trap, or made "
@@ -116,13 +138,15 @@ def checked_members(archive: Archive, path: Path) -> list[Member]:
             )
         if name is None:
             continue
+        for folder in (name, *name.parents) if entry.folder else name.parents:
+            if folder in folders:  # and so are those above it
+                break
+            folders.add(folder)
         if entry.folder:
-            folders.add(name)
             continue
         if name in files:
             raise _refused(path, entry.name, "is there twice")
         files.add(name)
-        folders.update(name.parents)
         members.append(Member(name, entry.bytes))
     for name in files & folders:
         raise _refused(path, str(name), "is a file and a folder")
@@ -196,6 +220,9 @@ def _zip_entry(info: zipfile.ZipInfo) -> _Entry:
 
 
 class _TarGz:
+    """Read from its beginning to its end. `tarfile` takes headers of one entry within each other,
+    as deep as an archive has them, keeps all entries, and takes the square of a header's length."""
+
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
 
@@ -203,21 +230,77 @@ class _TarGz:
         return (entry for entry, _ in self.contents())
 
     def contents(self) -> Iterator[tuple[_Entry, BinaryIO]]:
-        self._file.seek(0)
-        with tarfile.open(fileobj=_Bounded(self._file), mode="r:") as archive:
-            while (info := archive.next()) is not None:
-                # Of hundreds of thousands of files it would keep every one.
-                archive.members = []  # pyright: ignore[reportAttributeAccessIssue]
-                entry = _tar_entry(info)
-                data = None if entry.odd or entry.folder else archive.extractfile(info)
-                yield entry, data or io.BytesIO()  # pyright: ignore[reportReturnType]
+        file = _Bounded(self._file)
+        further: dict[bytes, bytes] = {}
+        headers = 0
+        while any(block := file.read(_BLOCK)):
+            info = tarfile.TarInfo.frombuf(block, "utf-8", "surrogateescape")
+            if info.type in (*_OF_THE_NEXT, tarfile.XGLTYPE):
+                headers += 1
+                if headers > _MOST_HEADERS or not 0 <= info.size <= _MOST_AT_ONCE:
+                    raise tarfile.ReadError("a header of it claims too much")
+                body = _Body(file, info.size)
+                further |= _further(info, body.read(_MOST_AT_ONCE))
+            else:
+                entry = _tar_entry(info, further)
+                further, headers = {}, 0
+                body = _Body(file, 0 if entry.odd or entry.folder else entry.bytes)
+                yield entry, body  # pyright: ignore[reportReturnType]
+            body.skip()
 
 
-def _tar_entry(info: tarfile.TarInfo) -> _Entry:
+class _Body:
+    """The bytes after a header, up to the next one."""
+
+    def __init__(self, file: "_Bounded", size: int) -> None:
+        self._file, self._left, self._padding = file, size, -size % _BLOCK
+
+    def read(self, most: int) -> bytes:
+        data = self._file.read(min(most, self._left))
+        if self._left and not data:
+            raise EOFError("it is cut short")
+        self._left -= len(data)
+        return data
+
+    def skip(self) -> None:
+        while self._left:
+            self.read(_MOST_AT_ONCE)
+        self._file.read(self._padding)
+
+
+def _further(info: tarfile.TarInfo, data: bytes) -> dict[bytes, bytes]:
+    """What a header tells of the next entry, as POSIX's (pax) calls it; records of it that nothing
+    here asks for are left out.
+
+    Raises:
+        ValueError: a record has no length, or ends elsewhere.
+    """
+    if info.type == tarfile.GNUTYPE_LONGNAME:
+        return {b"path": data.partition(b"\0")[0]}
+    found: dict[bytes, bytes] = {}
+    at = 0
+    while info.type in (tarfile.XHDTYPE, tarfile.SOLARIS_XHDTYPE) and at < len(data) and data[at]:
+        space = data.index(b" ", at, at + 20)
+        end = at + int(data[at:space])
+        record = data[space + 1 : end]
+        if not record.endswith(b"\n"):
+            raise ValueError("a record of a header has another length")
+        key, _, value = record[:-1].partition(b"=")
+        if key in (b"path", b"size") or key.startswith(b"GNU.sparse."):
+            found[key] = value
+        at = end
+    return found
+
+
+def _tar_entry(info: tarfile.TarInfo, further: Mapping[bytes, bytes]) -> _Entry:
+    folder = info.isdir()
     odd = ""
-    if not (info.isdir() or (info.isreg() and not info.issparse())):
+    plain = info.isreg() and info.type != tarfile.GNUTYPE_SPARSE
+    if not folder and (not plain or any(key.startswith(b"GNU") for key in further)):
         odd = "a link" if info.issym() or info.islnk() else "a device, or packed in an unusual way"
-    return _Entry(info.name, 0 if info.isdir() else info.size, info.isdir(), odd)
+    name = further.get(b"path", info.name.encode("utf-8", "surrogateescape"))
+    size = int(further.get(b"size", info.size))
+    return _Entry(name.decode("utf-8", "surrogateescape"), 0 if folder else size, folder, odd)
 
 
 class _Bounded(gzip.GzipFile):
