@@ -6,16 +6,23 @@ import exports
 import numpy as np
 import pytest
 from exports import name_of
+from instances import changed, hinged_box
+from python_process import printed
+from test_html_report import named, shard
 
 import articugen as ag
 
 boxes, rows, exported, laptops = exports.boxes, exports.rows, exports.exported, exports.laptops
 
 
-def test_parquet_in_datasets(exported, rows, tmp_path, monkeypatch):
+@pytest.fixture
+def datasets(tmp_path, monkeypatch):
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     monkeypatch.setenv("HF_HOME", str(tmp_path / "home"))
-    datasets = pytest.importorskip("datasets", reason="make exporters installs it")
+    return pytest.importorskip("datasets", reason="make exporters installs it")
+
+
+def test_parquet_in_datasets(exported, rows, tmp_path, datasets):
     folder = str(exported("parquet"))
     for split in ("train", "test"):
         loaded = datasets.load_dataset(folder, split=split, cache_dir=str(tmp_path / "cache"))
@@ -27,6 +34,44 @@ def test_parquet_in_datasets(exported, rows, tmp_path, monkeypatch):
                 stored = np.asarray(row.stored(name))
                 value = np.array(sample[name], dtype=stored.dtype)
                 np.testing.assert_array_equal(value, stored, err_msg=name)
+
+
+def without_its_knob(instance):
+    """The box whose knob is a part of the lid: one joint, two parts."""
+
+    labels = {"surface_part": 1, "partial_part": 1, "uniform_label": 2, "near_label": 2}
+    joints = {name: getattr(instance, f"joint_{name}")[:1] for name in
+              ("kind", "parent", "state", "lower", "upper", "axis", "pivot")}  # fmt: skip
+    return changed(
+        instance,
+        **{f"joint_{name}": value for name, value in joints.items()},
+        part_motion=instance.part_motion[:2],
+        occupancy={r: np.minimum(grid, 2) for r, grid in instance.occupancy.items()},
+        **{name: np.minimum(getattr(instance, name), most) for name, most in labels.items()},
+    )
+
+
+def test_parquet_of_objects_with_unlike_numbers_of_joints_in_datasets(tmp_path, datasets):
+    """As real categories are: one file's columns are those of all."""
+    folder = tmp_path / "boxes"
+    folder.mkdir()
+    shard(folder / "train-00000.h5", [named(i) for i in hinged_box(object_id="two")])
+    shard(folder / "train-00001.h5", [without_its_knob(i) for i in hinged_box(object_id="one")])
+    ag.export(folder, "parquet", tmp_path / "out")
+    loaded = datasets.load_dataset(
+        str(tmp_path / "out"), split="train", cache_dir=str(tmp_path / "cache")
+    )
+    arrays = loaded.with_format("numpy")
+    assert sorted({len(sample["joint_state"]) for sample in arrays}) == [1, 2]
+    for sample, row in zip(arrays, ag.open(folder), strict=True):
+        assert sample["object_id"] == row.object_id
+        assert (sample["joint_name"] is None) == (row.object_id == "one")
+        for name in row.fields:
+            stored = np.asarray(row.stored(name))
+            if stored.dtype.kind not in "OU":
+                value = sample[name]  # an array at once, no array of arrays
+                assert np.shape(value) == stored.shape, name
+                np.testing.assert_array_equal(value, stored.astype(value.dtype), err_msg=name)
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # files left open
@@ -53,11 +98,27 @@ def test_croissant_in_mlcroissant(exported, rows, to):
     assert told["conformsTo"].endswith("/1.1")
     dataset = mlc.Dataset(jsonld=folder / "croissant.json")
     assert not dataset.metadata.issues.errors
+    (warning,) = dataset.metadata.issues.warnings
+    assert "datePublished" in warning  # which no two runs would have alike
+    assert dataset.metadata.cite_as.startswith("@misc{articugen,")
+    assert f"title = {{box-{to}}}" in dataset.metadata.cite_as
     assert dataset.metadata.name == f"box-{to}"
     assert dataset.metadata.license == ["MIT"]
-    if to == "parquet":
-        ids = [record["instances/object_id"] for record in dataset.records("instances")]
-        assert sorted(map(bytes.decode, ids)) == sorted(row.object_id for row in rows)
+
+
+READ = """
+import mlcroissant
+records = mlcroissant.Dataset(jsonld="croissant.json").records("instances")
+print(*sorted(record["instances/object_id"].decode() for record in records))
+"""
+
+
+def test_records_of_parquet_in_mlcroissant(exported, rows):
+    """In a process of its own: pandas cannot hash arrays of `datasets` where that is imported."""
+    pytest.importorskip("mlcroissant", reason="make exporters installs it")
+    assert printed("-c", READ, folder=exported("parquet")).split() == sorted(
+        row.object_id for row in rows
+    )
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")

@@ -1,10 +1,12 @@
 """Parquet: every stored field of every instance, for Hugging Face `datasets` and data frames.
 
 Numbers are what shards hold, bit for bit; docs/format.md says what each means and how whole numbers
-become coordinates. Nested fixed-size lists keep the shapes.
+become coordinates. All files have one schema, whatever the objects' numbers of joints, and tell
+`datasets` the shapes, which it then gives as arrays and not as lists of lists.
 """
 
 import json
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,6 +25,10 @@ if TYPE_CHECKING:
 
 _TEXTS = ("split", "category")
 
+_EXTENSION = "datasets.features.features.Array{}DExtensionType"
+"""How `datasets` marks the columns that it gives as arrays; to readers that do not know it they are
+nested lists."""
+
 
 def _items(data: DataSet) -> "Iterator[Item]":
     """A file an object, numbered as Hugging Face numbers the files of a split."""
@@ -36,7 +42,7 @@ def _items(data: DataSet) -> "Iterator[Item]":
 def _write(item: Item, target: Target) -> None:
     from pyarrow import parquet  # noqa: PLC0415 - optional
 
-    layout = _layout(item.rows[0])
+    layout = _layout(item.rows.fields)
     with (
         target.opened(f"{item.key}.parquet") as file,
         parquet.ParquetWriter(file, layout, compression="zstd") as writer,
@@ -45,41 +51,45 @@ def _write(item: Item, target: Target) -> None:
             writer.write_table(_table(row, layout))
 
 
-def _layout(row: Row) -> "pyarrow.Schema":
-    """The columns of an object's instances; the shapes of its fields are in them."""
+def _layout(shapes: Mapping[str, tuple[int, ...]]) -> "pyarrow.Schema":
+    """The columns, the same for all objects of a data set.
+
+    Fields and their shapes follow from the recipe, but for the numbers of joints and parts, and for
+    names, which one model tells and another does not.
+    """
     import pyarrow as pa  # noqa: PLC0415
 
     columns = [pa.field(name, pa.string()) for name in _TEXTS]
-    for name in row.fields:
-        value = row.stored(name)
-        kind, shape = _kind(name, value)
-        for size in reversed(shape):
-            kind = pa.list_(kind, size)
-        field = schema.field_of(name)
-        assert field is not None
-        about = {"unit": field.unit, "frame": field.frame, "meaning": field.meaning}
-        columns.append(pa.field(name, kind, metadata={k: v for k, v in about.items() if v}))
+    for field in schema.FIELDS:
+        is_text = field.dtype == "S"
+        for name in [field.name] if is_text else filter(field.matches, shapes):
+            sizes = shapes.get(name, (0,) * (len(field.shape) - 1))
+            kind = pa.string() if is_text else pa.from_numpy_dtype(np.dtype(field.dtype))
+            about = {"unit": field.unit, "frame": field.frame, "meaning": field.meaning}
+            shape = [
+                None if letter in ("J", "P") else size
+                for letter, size in zip(field.shape[1:], sizes, strict=True)
+            ]
+            if len(shape) > 1:
+                about["ARROW:extension:name"] = _EXTENSION.format(len(shape))
+                about["ARROW:extension:metadata"] = json.dumps([shape, np.dtype(field.dtype).name])
+            for size in reversed(shape):
+                kind = pa.list_(kind, -1 if size is None or len(shape) > 1 else size)
+            columns.append(pa.field(name, kind, metadata={k: v for k, v in about.items() if v}))
     return pa.schema(columns)
-
-
-def _kind(name: str, value: Any) -> tuple[Any, tuple[int, ...]]:
-    import pyarrow as pa  # noqa: PLC0415
-
-    field = schema.field_of(name)
-    if field is not None and field.dtype == "S":
-        return pa.string(), () if isinstance(value, str) else (len(value),)
-    array = np.asarray(value)
-    return pa.from_numpy_dtype(array.dtype.newbyteorder("=")), array.shape
 
 
 def _table(row: Row, layout: "pyarrow.Schema") -> "pyarrow.Table":
     import pyarrow as pa  # noqa: PLC0415
 
-    told = {"split": row.split, "category": row.category}
+    texts = {"split": row.split, "category": row.category}
     columns = []
     for field in layout:
-        value = told.get(field.name) or row.stored(field.name)
-        columns.append(_column(value, field.type))
+        if field.name in texts or field.name in row.fields:
+            value = texts.get(field.name) or row.stored(field.name)
+            columns.append(_column(value, field.type))
+        else:
+            columns.append(pa.nulls(1, field.type))
     return pa.Table.from_arrays(columns, schema=layout)
 
 
@@ -87,14 +97,18 @@ def _column(value: Any, kind: "pyarrow.DataType") -> "pyarrow.Array":
     """One value as a column of one row."""
     import pyarrow as pa  # noqa: PLC0415
 
-    sizes, leaf = [], kind
-    while pa.types.is_fixed_size_list(leaf):
-        sizes.append(leaf.list_size)
-        leaf = leaf.value_type
+    shape, kinds = np.shape(value), [kind]
+    while not pa.types.is_primitive(kinds[-1]) and kinds[-1] != pa.string():
+        kinds.append(kinds[-1].value_type)
+    leaf = kinds.pop()
     flat = [value] if isinstance(value, str) else np.ravel(value)
     column = pa.array(list(map(str, flat)) if leaf == pa.string() else flat, leaf)
-    for size in reversed(sizes):
-        column = pa.FixedSizeListArray.from_arrays(column, size)
+    for above, size in zip(reversed(kinds), reversed(shape), strict=True):
+        if pa.types.is_fixed_size_list(above):
+            column = pa.FixedSizeListArray.from_arrays(column, size)
+        else:
+            ends = np.arange(len(column) // size + 1, dtype=np.int32) * size
+            column = pa.ListArray.from_arrays(ends, column)
     return column
 
 

@@ -1,9 +1,12 @@
 """Croissant 1.1: what a data set is, for machines that look for data sets.
 
-Every file is there with its digest, as one FileObject, or where there are many, as a FileSet.
+Every file is there with its digest, as one FileObject, or where there are many, as a FileSet. The
+day of publication is for whoever publishes: nothing here is of the clock, so that the same data
+have the same text.
 """
 
 import json
+import re
 from collections.abc import Sequence
 from typing import Any, Protocol
 
@@ -73,6 +76,12 @@ _MIME = {
 }
 
 
+_CITATION = (
+    "@misc{articugen, author = {{The articugen authors}}, title = {%s}, "
+    "note = {made by articugen %s}}"
+)
+
+
 class File(Protocol):
     """A file: its name from the folder on, with slashes; its size and digest."""
 
@@ -134,6 +143,7 @@ def document(
         "description": description,
         "creator": {"@type": "sc:Organization", "name": f"articugen {__version__}"},
         "version": "1.0.0",
+        "citeAs": _CITATION % (re.sub(r"[^\w -]", "_", name), __version__),
     }
     if manifest is not None:
         told |= {"license": manifest.licence, "isBasedOn": manifest.source}
