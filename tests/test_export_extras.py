@@ -1,15 +1,20 @@
 """Formats that need more than the default samples, read as their loaders read them."""
 
 import json
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
+from instances import changed, hinged_box
 from PIL import Image
+from scipy.spatial.transform import Rotation
 from test_extras import ASKING, SLIDE
+from test_html_report import shard
 
 import articugen as ag
 from articugen.errors import InvalidArgument
+from articugen.geometry import transform
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +72,18 @@ def test_vecset_as_doras_loader_reads_it(bolts, rows, tmp_path):
             np.testing.assert_allclose(truncated, (-2 * far).clip(-0.015, 0.015) / 0.015)
 
 
+@pytest.fixture(scope="module")
+def scenes(bolts, tmp_path_factory):
+    out = tmp_path_factory.mktemp("scenes") / "a"
+    ag.export(bolts, "artgs", out)
+    return out
+
+
+def ends_of(own):
+    """The instances that a scene shows, by the names of its ends."""
+    return {"start": own[0], "end": max(own, key=lambda row: row.joints[0].state)}
+
+
 def readers_camera(frame):
     """(R, T) as ArtGS's reader makes them of a frame: x_camera = R^T x + T, y down, z forward."""
     c2w = np.array(frame["transform_matrix"])
@@ -75,12 +92,21 @@ def readers_camera(frame):
     return np.transpose(w2c[:3, :3]), w2c[:3, 3]
 
 
-def test_artgs_as_its_reader_reads_it(bolts, rows, tmp_path):
-    ag.export(bolts, "artgs", tmp_path / "a")
+def readers_image(folder, file_path):
+    """Where ArtGS's reader looks for a frame's image: in `rgba` beside it where there is one."""
+    path = folder / file_path
+    if (path.parent.parent / "rgba").exists():
+        path = path.parent.parent / "rgba" / path.name
+    assert path.suffix == ".png"
+    assert int(path.stem) >= 0
+    return path
+
+
+def test_artgs_as_its_scene_reads_it(scenes, rows):
     for object_id, own in rows.by_object():
-        folder = tmp_path / "a" / own[0].split / object_id
-        shown = {"start": own[0], "end": max(own, key=lambda row: row.joints[0].state)}
-        for (word, row), time in zip(shown.items(), (0.0, 1.0), strict=True):
+        folder = scenes / own[0].split / object_id
+        assert (folder / "transforms_train.json").exists()  # or its Scene finds no data
+        for (word, row), time in zip(ends_of(own).items(), (0.0, 1.0), strict=True):
             counts = {}
             for split in ("train", "test"):
                 told = json.loads((folder / f"transforms_{split}_{word}.json").read_text())
@@ -89,11 +115,81 @@ def test_artgs_as_its_reader_reads_it(bolts, rows, tmp_path):
                     assert frame["time"] == time
                     check_frame(folder, frame, told, row)
             assert counts == {"train": 8, "test": 1}
+        both = json.loads((folder / "transforms_train.json").read_text())["frames"]
+        assert [frame["time"] for frame in both] == 8 * [0.0] + 8 * [1.0]
+        assert all((folder / frame["file_path"]).is_file() for frame in both)
+
+
+def test_artgs_as_its_point_clouds_are_made(scenes, rows):
+    """data_tools/process_artgs.py takes files by number and poses by their place in the list."""
+    for object_id, own in rows.by_object():
+        folder = scenes / own[0].split / object_id
+        assert np.array(Image.open(folder / "start/train/rgba/0000.png")).shape == (48, 48, 4)
+        for word in ("start", "end"):
+            told = json.loads((folder / f"transforms_train_{word}.json").read_text())
+            for number, frame in enumerate(told["frames"]):
+                rgba = folder / word / "train" / "rgba" / f"{number:04d}.png"
+                assert readers_image(folder, frame["file_path"]) == rgba
+                assert np.array(Image.open(rgba)).shape == (48, 48, 4)
+                depth = folder / word / "train" / "depth" / rgba.name
+                assert np.array(Image.open(depth)).dtype == np.uint16
+
+
+def test_artgs_as_paris_reads_it(scenes, rows):
+    counts = {"train": 8, "val": 1, "test": 1}
+    for object_id, own in rows.by_object():
+        folder = scenes / own[0].split / object_id
+        for split, (word, row) in product(counts, ends_of(own).items()):
+            cameras = json.loads((folder / word / f"camera_{split}.json").read_text())
+            K = np.array(cameras.pop("K"))
+            assert (K[0, 2], K[1, 2]) == (24, 24)  # which it takes to be the middle
+            assert len(cameras) == counts[split]
+            for name, pose in cameras.items():
+                c2w = np.array(pose)[:3, :4]
+                rgba = np.array(Image.open(folder / word / split / f"{name}.png"))
+                assert rgba.shape == (48, 48, 4)
+                j, i = np.mgrid[:48, :48] + 0.5
+                rays = [(i - 24) / K[0, 0], -(j - 24) / K[0, 0], -np.ones_like(i)]
+                rays = np.stack(rays, axis=-1) @ c2w[:, :3].T
+                (k,) = [k for k, T in enumerate(row.images.T_camera_world)
+                        if np.allclose(np.linalg.inv(T)[:3, 3], c2w[:, 3])]  # fmt: skip
+                depth = row.images.depth[k]
+                np.testing.assert_array_equal(rgba[..., 3] > 0, depth > 0)
+                check_on_surface(c2w[:, 3] + rays[depth > 0] * depth[depth > 0][:, None], row)
+
+
+def readers_motion(joint):
+    """(4, 4) from start to end as PARIS and ArtGS make it of what gt/trans.json says of a joint."""
+    axis, amount = np.array(joint["axis"]["d"]), joint[joint["type"]]
+    amount = amount["r"] - amount["l"]
+    if joint["type"] == "translate":
+        return transform(translation=amount * axis)
+    turn = Rotation.from_rotvec(axis * np.deg2rad(amount)).as_matrix()
+    return transform(turn, (np.eye(3) - turn) @ np.array(joint["axis"]["o"]))
+
+
+def test_the_truth_of_a_scene_of_artgs_moves_its_parts(scenes, rows, tmp_path):
+    """A joint that is alone stands alone, as PARIS wants it; several are a list, as ArtGS does."""
+    for object_id, own in rows.by_object():
+        path = scenes / own[0].split / object_id / "gt" / "trans.json"
+        T = readers_motion(json.loads(path.read_text())["trans_info"])
+        np.testing.assert_allclose(T, ends_of(own)["end"].parts[1].motion, atol=1e-9)
+    blank = {"depth": np.zeros((2, 4, 4), np.float32), "rgba": np.zeros((2, 4, 4, 4), np.uint8),
+             "part": np.zeros((2, 4, 4), np.uint8), "intrinsics": np.ones((2, 4)),
+             "T_camera_world": np.stack([np.eye(4)] * 2)}  # fmt: skip
+    blank = {f"image_{name}": value for name, value in blank.items()}
+    box = shard(tmp_path / "box.h5", [changed(i, **blank) for i in hinged_box()])
+    ag.export(box, "artgs", tmp_path / "out")
+    (path,) = (tmp_path / "out").rglob("trans.json")
+    hinge, slide = map(readers_motion, json.loads(path.read_text())["trans_info"])
+    end = ag.open(box)[2]  # the one opened furthest
+    np.testing.assert_allclose(hinge, end.parts[1].motion, atol=1e-9)
+    np.testing.assert_allclose(hinge @ slide, end.parts[2].motion, atol=1e-9)
 
 
 def check_frame(folder, frame, told, row):
     """Depths that are seen lie on the surface, where its cameras put them."""
-    path = folder / frame["file_path"]
+    path = readers_image(folder, frame["file_path"])
     rgba = np.array(Image.open(path).convert("RGBA"))
     depth = np.array(Image.open(str(path).replace("rgba", "depth"))) / 1e3
     assert depth.shape == rgba.shape[:2] == (48, 48)
@@ -103,7 +199,10 @@ def check_frame(folder, frame, told, row):
     z = depth[i, j]
     half = np.tan(told["camera_angle_x"] / 2), np.tan(told["camera_angle_y"] / 2)
     x, y = ((k + 0.5) / 24 - 1.0 for k in (j, i))
-    points = (np.stack([x * half[0] * z, y * half[1] * z, z], axis=1) - T) @ R.T
+    check_on_surface((np.stack([x * half[0] * z, y * half[1] * z, z], axis=1) - T) @ R.T, row)
+
+
+def check_on_surface(points, row):
     metres = row.to_metres(points)
     bolt = [0.4 - row.joints[0].state, 0.0, 0.0]
     solids = ((np.zeros(3), [0.1, 0.2, 0.2]), (bolt, [0.1, 0.05, 0.05]))
@@ -113,7 +212,7 @@ def check_frame(folder, frame, told, row):
         [near & (far < 2e-3) for near, far in zip(inside, off, strict=True)], axis=0
     )
     assert on_surface.mean() > 0.99
-    assert len(z) > 100
+    assert len(points) > 100
 
 
 def test_particulate_has_its_half_of_sharp_points(bolts, rows, tmp_path):

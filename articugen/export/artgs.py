@@ -1,12 +1,14 @@
-"""ArtGS's scenes (and PARIS's and DTA's, which it follows): an object in two states, in images.
+"""Scenes of ArtGS, and of PARIS, which it follows: an object in two states, in images.
 
-<split>/<object>/{start,end}/{rgba,depth}/<camera>.png and transforms_{train,test}_{start,end}.json.
 The start is the canonical pose, the end the state in which the joints are furthest from it. Of the
-cameras, which both states share, every eighth is for the test.
+cameras, which both states share, every eighth is for the test. Each loader finds files of its own
+in an object's folder: ArtGS <end>/<views>/{rgba,depth}/ and transforms_*.json, PARIS <end>/<views>/
+and <end>/camera_*.json, both the truth in gt/trans.json.
 """
 
 import io
 import json
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,24 +27,28 @@ _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 def _write(item: Item, target: Target) -> None:
     start = canonical(item.rows)
-    if not {"image_rgba", "image_depth"} <= set(start.fields):
+    if not {"image_rgba", "image_depth"} <= set(start.fields) or len(start.images.rgba) < 2:
         raise LeftOut(
-            f"{start.object_id}: no images with depth and rgba are stored; make the data with "
-            "images.views"
+            f"{start.object_id}: no images with depth and rgba of two cameras or more are stored; "
+            "make the data with images.views"
         )
     end = max(item.rows, key=_opened)
     if end.state_index == start.state_index:
         raise LeftOut(f"{start.object_id}: has one state, of two that are needed")
     folder = f"{file_name(start.split)}/{file_name(start.object_id)}"
-    for word, time, row in (("start", 0.0, start), ("end", 1.0, end)):
-        for camera in range(len(row.images.rgba)):
-            name = f"{folder}/{word}/{{}}/{camera:03d}.png"
-            depth = np.round(_MILLI * row.images.depth[camera]).astype(np.uint16)
-            target.write(name.format("rgba"), _png(row.images.rgba[camera]))
-            target.write(name.format("depth"), _png(depth))
-        for split, cameras in _splits(len(row.images.rgba)).items():
-            told = json.dumps(_transforms(row, word, time, cameras), indent=1).encode()
-            target.write(f"{folder}/transforms_{split}_{word}.json", told + b"\n")
+    ends = (("start", 0.0, start), ("end", 1.0, end))
+    for views, cameras in _splits(len(start.images.rgba)).items():
+        frames = {word: _frames(row, f"{word}/{views}", time, cameras) for word, time, row in ends}
+        for word, _, row in ends:
+            _write_images(row, f"{folder}/{word}/{views}", cameras, views != "val", target)
+            _write_json(f"{folder}/{word}/camera_{views}.json", _cameras(row, cameras), target)
+            if views != "val":
+                some = {**_angles(row), "frames": frames[word]}
+                _write_json(f"{folder}/transforms_{views}_{word}.json", some, target)
+        if views != "val":
+            every = {**_angles(start), "frames": frames["start"] + frames["end"]}
+            _write_json(f"{folder}/transforms_{views}.json", every, target)
+    _write_json(f"{folder}/gt/trans.json", _truth(start, end), target)
 
 
 def _opened(row: Row) -> float:
@@ -51,25 +57,65 @@ def _opened(row: Row) -> float:
 
 
 def _splits(cameras: int) -> dict[str, list[int]]:
-    tests = [k for k in range(cameras) if k % _TEST == _TEST - 1]
-    return {"train": [k for k in range(cameras) if k not in tests], "test": tests}
+    """The cameras of each set of views; PARIS looks at `val` while it trains, ArtGS has none."""
+    tests = list(range(_TEST - 1, cameras, _TEST)) or [cameras - 1]
+    return {"train": [k for k in range(cameras) if k not in tests], "val": tests, "test": tests}
 
 
-def _transforms(row: Row, word: str, time: float, cameras: list[int]) -> dict[str, object]:
+def _write_images(row: Row, folder: str, cameras: list[int], depth: bool, target: Target) -> None:
+    """Number the images of these cameras from 0 on; ArtGS's, which have depths, in `rgba`, too."""
+    for number, k in enumerate(cameras):
+        rgba = _png(row.images.rgba[k])
+        target.write(f"{folder}/{number:04d}.png", rgba)
+        if depth:
+            thousandths = np.round(_MILLI * row.images.depth[k]).astype(np.uint16)
+            target.write(f"{folder}/rgba/{number:04d}.png", rgba)
+            target.write(f"{folder}/depth/{number:04d}.png", _png(thousandths))
+
+
+def _frames(row: Row, folder: str, time: float, cameras: list[int]) -> list[dict[str, Any]]:
+    return [
+        {
+            "file_path": f"{folder}/rgba/{number:04d}.png",
+            "time": time,
+            "transform_matrix": _to_world(row.images.T_camera_world[k]).tolist(),
+        }
+        for number, k in enumerate(cameras)
+    ]
+
+
+def _angles(row: Row) -> dict[str, float]:
     fx, fy, _, _ = row.images.intrinsics[0]
     size = row.images.rgba.shape[1]
     return {
         "camera_angle_x": 2.0 * float(np.arctan2(size, 2.0 * fx)),
         "camera_angle_y": 2.0 * float(np.arctan2(size, 2.0 * fy)),
-        "frames": [
-            {
-                "file_path": f"{word}/rgba/{k:03d}.png",
-                "time": time,
-                "transform_matrix": _to_world(row.images.T_camera_world[k]).tolist(),
-            }
-            for k in cameras
-        ],
     }
+
+
+def _cameras(row: Row, cameras: list[int]) -> dict[str, Any]:
+    """PARIS's: one matrix of intrinsics, and a pose for each image's name."""
+    fx, fy, cx, cy = row.images.intrinsics[0].tolist()
+    poses = (_to_world(row.images.T_camera_world[k]).tolist() for k in cameras)
+    return {
+        "K": [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]],
+        **{f"{number:04d}": pose for number, pose in enumerate(poses)},
+    }
+
+
+def _truth(start: Row, end: Row) -> dict[str, Any]:
+    """Each joint's axis at the start and how far it moves, in degrees or the unit frame's unit."""
+    moved = []
+    for joint, other in zip(start.joints, end.joints, strict=True):
+        kind, unit = ("rotate", 180.0 / np.pi) if joint.kind == "revolute" else ("translate", 1.0)
+        axis = {"o": np.asarray(joint.pivot).tolist(), "d": np.asarray(joint.axis).tolist()}
+        span = {"l": joint.state * unit, "r": other.state * unit}
+        moved.append({"type": kind, "axis": axis, kind: span})
+    return {"trans_info": moved[0] if len(moved) == 1 else moved}
+
+
+def _write_json(name: str, value: dict[str, Any], target: Target) -> None:
+    target.write(name, json.dumps(value, indent=1).encode() + b"\n")
 
 
 def _to_world(T_camera_world: NDArray[np.float64]) -> NDArray[np.float64]:
