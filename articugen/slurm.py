@@ -19,7 +19,13 @@ from urllib.parse import parse_qsl, urlsplit
 
 from articugen import pipeline, ranks
 from articugen.compiling import compile_kernels
-from articugen.errors import ArticugenError, InvalidArgument, MachineFault, MissingExtra
+from articugen.errors import (
+    ArticugenError,
+    InvalidArgument,
+    MachineFault,
+    MissingExtra,
+    printable,
+)
 from articugen.pipeline import Job, ObjectReport, Plan, report_of, timings_of
 from articugen.store.manifest import Manifest
 from articugen.store.rank_journal import CommonPlan, Following, Name, Share
@@ -213,7 +219,7 @@ class _Rank:
 
 
 def _log(sentence: str) -> None:
-    sys.stderr.write(f"{sentence}\n")
+    sys.stderr.write(f"{printable(sentence)}\n")
 
 
 class _Queue:

@@ -2,8 +2,10 @@
 
 import copy
 import hashlib
+import io
 import json
 import os
+import re
 import shutil
 from fnmatch import fnmatch
 from functools import reduce
@@ -14,10 +16,13 @@ import h5py
 import numpy as np
 import pytest
 from instances import SMALL, changed, edited, hinged_box
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
 from test_manifest import STATES, TIMINGS, attributes, key, keys, make, manifest_of, run
 from typer.testing import CliRunner
 
-from articugen.cli import app
+from articugen.cli import app, saying
 from articugen.store.files import partial_name
 from articugen.store.journal import Journal
 from articugen.store.manifest import MANIFEST_NAME, Manifest, Outcome, Rejection
@@ -106,6 +111,41 @@ def test_strays_are_named_and_pictures_are_welcome(folder):
     report = verify(folder)
     assert found(report) == {(name, "surplus") for name in strays}
     assert all(str(finding).isprintable() for finding in report.findings)
+
+
+HOSTILE = "\x1b]0;owned\x07\x1b[2J\x9b31m\r\u202e[/red]"
+
+
+def test_what_a_file_says_moves_no_cursor(folder):
+    """As a terminal would take it: our own colours are all that may begin with an escape."""
+
+    def edit(data):
+        data["licence"] = HOSTILE
+        data["rejected"][0]["reason"] = HOSTILE
+        data["versions"][HOSTILE] = HOSTILE
+
+    with_manifest(folder, edit)
+    (folder / "[red]\x1b[2J").write_text("x")
+    for command in ("verify", "inspect", "merge", "clean"):
+        done = CliRunner().invoke(app, [command, str(folder)], color=True)
+        assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
+        output = re.sub(r"\x1b\[[0-9;]*m", "", done.output)
+        assert output.replace("\n", "").isprintable(), ascii(output)
+        assert command in ("merge", "clean") or "\\x1b]0;owned" in "".join(output.split())
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_console_spells_out_whatever_is_printed(terminal):
+    file = io.StringIO()
+    console = saying.Terminal(file=file, force_terminal=terminal, width=300, highlight=False)
+    table = Table(HOSTILE.replace("[/red]", ""))
+    table.add_row(Text(HOSTILE, "red"))
+    console.print(table, Text(f"{HOSTILE}\n\tsecond line"))
+    console.print(escape(HOSTILE), soft_wrap=True)
+    output = re.sub(r"\x1b\[[0-9;]*m", "", file.getvalue())
+    assert output.replace("\n", "").isprintable()
+    assert output.count("\\x1b]0;owned") == 4
+    assert "second line" in output.splitlines()[-2]
 
 
 def test_a_folder_of_links_is_a_data_set_as_well(sound, tmp_path):

@@ -26,10 +26,12 @@ def sources_table(sources: Iterable[SourceInfo]) -> RenderableType:
         table = facts()
         for category in source.categories:
             if category.train + category.test:
-                table.add_row(category.name, f"{category.train} train, {category.test} test")
+                table.add_row(
+                    escape(category.name), f"{category.train} train, {category.test} test"
+                )
         missing = [c.name for c in source.categories if not c.train + c.test]
         if missing:
-            table.add_row("none yet", ", ".join(missing))
+            table.add_row("none yet", escape(", ".join(missing)))
         lines += [
             Text(source.name, "bold"),
             _indented(Text(f"{source.origin} ({source.licence})")),

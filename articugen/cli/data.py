@@ -314,7 +314,7 @@ def _made(job: "Job", *, dry_run: bool, replace: bool) -> int:
         if manifest.shortfall:
             raise ArticugenError(manifest.shortfall)
         stdout.print(
-            f"next: articugen inspect {job.out} --image {job.out}/sheet.png", soft_wrap=True
+            escape(f"next: articugen inspect {job.out} --image {job.out}/sheet.png"), soft_wrap=True
         )
     return REJECTED if manifest.rejected else 0
 
@@ -383,14 +383,14 @@ def inspect(
 
             with stderr.status("drawing ..."):
                 contact_sheet(shards, image, **asked)
-            stdout.print(f"drawn: {image}", soft_wrap=True)
+            stdout.print(escape(f"drawn: {image}"), soft_wrap=True)
         if html is not None:
             from articugen.inspection.tables import size
             from articugen.report.page import write_report
 
             with stderr.status("looking at all of it ..."):
                 written = write_report(path, shards, html, **asked)
-            stdout.print(f"report: {html}, {size(written)}", soft_wrap=True)
+            stdout.print(escape(f"report: {html}, {size(written)}"), soft_wrap=True)
 
 
 @app.command(
@@ -442,14 +442,14 @@ def verify(
                     on_notice=stderr.print,
                 )  # fmt: skip
             for finding in report.findings:
-                stdout.print(f"[red]✗[/] {folder}: {escape(str(finding))}", soft_wrap=True)
+                stdout.print(f"[red]✗[/] {escape(f'{folder}: {finding}')}", soft_wrap=True)
             if report.ok:
                 replayed = f"; {again} came out the same, made again" if again else ""
                 more = len(report.extended)
                 theirs = f"; {more} with a group 'user', which was not looked at" if more else ""
                 stdout.print(
-                    f"[green]✓[/] {folder}: {report.shards} shards, {report.instances:,} instances"
-                    f" are as they were made{theirs}{replayed}",
+                    f"[green]✓[/] {escape(str(folder))}: {report.shards} shards, "
+                    f"{report.instances:,} instances are as they were made{theirs}{replayed}",
                     soft_wrap=True,
                 )
             elif report.mendable and not repair:
@@ -490,7 +490,7 @@ def clean(
                 escape(f"{'would remove' if dry_run else 'removed'} {what}"), soft_wrap=True
             )
         if not leftovers:
-            stdout.print(f"{path}: no killed run has left anything here", soft_wrap=True)
+            stdout.print(escape(f"{path}: no killed run has left anything here"), soft_wrap=True)
 
 
 @app.command(
@@ -511,7 +511,7 @@ def mesh(
 
         with stderr.status("fusing ..."):
             faces = write_mesh(folder, object_id, state, resolution, output)
-        stdout.print(f"{output}: {faces:,} faces, unit frame", soft_wrap=True)
+        stdout.print(escape(f"{output}: {faces:,} faces, unit frame"), soft_wrap=True)
 
 
 register_merge(app)

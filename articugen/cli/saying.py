@@ -5,22 +5,39 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import typer
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.markup import escape
+from rich.segment import Segment
 
-from articugen.errors import ArticugenError, printable
+from articugen.errors import ArticugenError, printable, spelt_out
 
 FAILED, REJECTED = 1, 3
 STOPPED: dict[int, int] = {signal.SIGINT: 130, signal.SIGTERM: 143}
 """The exit status after each signal that stops the work in good order."""
 KEPT = "finished work is kept; run the same command to resume"
 
-stdout = Console(highlight=False)
-stderr = Console(stderr=True, highlight=False)
+
+class Terminal(Console):
+    """A console whose terminal obeys us alone: escapes in what is printed are spelt out, whatever
+    file it comes from."""
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterator[Segment]:
+        for segment in super().render(renderable, options):
+            if segment.control or segment.text.isprintable():
+                yield segment
+            else:
+                lines = map(spelt_out, segment.text.split("\n"))
+                yield Segment("\n".join(lines), segment.style)
+
+
+stdout = Terminal(highlight=False)
+stderr = Terminal(stderr=True, highlight=False)
 
 
 def say_error(sentence: str) -> None:
-    """To stderr, with nothing in it that a terminal would obey."""
+    """Print an error to stderr, on one line."""
     stderr.print(f"[bold red]error:[/] {escape(printable(sentence))}", soft_wrap=True)
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from articugen import workers
-from articugen.errors import CorruptShard
+from articugen.errors import CorruptShard, spelt_out
 from articugen.recipe import Recipe
 from articugen.store import croissant
 from articugen.store.files import read_regular
@@ -65,10 +65,8 @@ class Finding:
 
     def __str__(self) -> str:
         state = "" if self.state_index is None else f"[{self.state_index}]"
-        where = " ".join(_plain(part) for part in (self.shard, self.object_id + state) if part)
-        return (
-            f"{where}: {self.check}: {self.sentence}" if where else f"{self.check}: {self.sentence}"
-        )
+        where = " ".join(part for part in (self.shard, self.object_id + state) if part)
+        return spelt_out(f"{where and f'{where}: '}{self.check}: {self.sentence}")
 
 
 @dataclass(frozen=True)
@@ -88,12 +86,7 @@ class Repair:
     ok: bool
 
     def __str__(self) -> str:
-        return f"{_plain(self.name)}: {self.wrong}: {self.done}"
-
-
-def _plain(name: str) -> str:
-    """A name as it can be printed on one line."""
-    return name if name.isprintable() else ascii(name)
+        return spelt_out(f"{self.name}: {self.wrong}: {self.done}")
 
 
 @dataclass(frozen=True, repr=False)
