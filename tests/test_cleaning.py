@@ -70,7 +70,7 @@ def test_a_shard_that_was_not_recorded_goes_and_the_run_goes_on(tmp_path):
 def test_killed_between_manifest_and_journal(folder):
     claims = {"claims": [*COMPLETE[1:], "train-00007.h5"]}
     (folder / JOURNAL_NAME).write_text(json.dumps(claims) + "\n")
-    (folder / "train-00007.h5").write_bytes(b"of an earlier recipe")
+    make(folder, keys(seed=7)[1], "train-00007.h5")
     assert removed(folder) == ["train-00007.h5", JOURNAL_NAME]
     assert names_in(folder) == COMPLETE
     assert verify(folder).ok
@@ -84,6 +84,67 @@ def test_names_in_a_journal_are_not_believed(tmp_path):
     with pytest.raises(CorruptShard, match="line 1 is damaged"):
         clean(folder)
     assert (tmp_path / "x.h5").read_text() == "precious"
+
+
+def planted(folder: Path, names: list[str]) -> dict[str, bytes]:
+    """A journal that claims somebody's own files, and what they are."""
+    claims = {"claims": sorted([*COMPLETE[1:], *names])}
+    (folder / JOURNAL_NAME).write_text(json.dumps(claims) + "\n")
+    return {name: (folder / name).read_bytes() for name in names}
+
+
+@pytest.mark.parametrize("act", ["clean", "generate"])
+def test_what_a_journal_claims_is_removed_only_where_it_is_what_runs_write(complete, folder, act):
+    """Results of one's own, whole shards by a name of one's own, links, files of another split."""
+    names = ["results.h5", "train-00004.h5", "kept.h5", "train-00005.h5", "test-00006.h5"]
+    for name in names[:2]:
+        (folder / name).write_bytes(b"of months of work")
+    shutil.copyfile(complete / "train-00000.h5", folder / "kept.h5")
+    (folder / "train-00005.h5").symlink_to(complete / "train-00000.h5")
+    shutil.copyfile(complete / "train-00000.h5", folder / "test-00006.h5")
+    before = planted(folder, names)
+    if act == "clean":
+        assert removed(folder) == [JOURNAL_NAME]
+    else:
+        run(folder, keys(seed=7))
+    assert {name: (folder / name).read_bytes() for name in names} == before
+    assert (folder / "train-00005.h5").is_symlink()
+
+
+def test_a_run_writes_over_no_file_that_only_a_journal_claims(folder):
+    for name in (MANIFEST_NAME, "train-00000.h5"):
+        (folder / name).unlink()
+    (folder / "train-00000.h5").write_bytes(b"of months of work")
+    before = planted(folder, ["train-00000.h5"])
+    with pytest.raises(ArticugenError, match=r"train-00000\.h5: exists and was not made by"):
+        run(folder, keys())
+    assert (folder / "train-00000.h5").read_bytes() == before["train-00000.h5"]
+
+
+def test_links_are_followed_neither_in_a_data_set_nor_to_one(folder, tmp_path):
+    elsewhere = tmp_path / "elsewhere"
+    folder.rename(elsewhere)
+    part = partial_name("train-00001.h5")
+    (elsewhere / part).write_bytes(b"half")
+    (data := tmp_path / "data").mkdir()
+    (data / "box").symlink_to(elsewhere)
+    for command in ("clean", "merge"):
+        done = CliRunner().invoke(app, [command, str(data)])
+        assert (done.exit_code, "a link to elsewhere; name that" in done.output) == (1, True)
+    assert (elsewhere / part).exists()
+    assert data_sets(data) == [data / "box"]  # to read it
+    (link := elsewhere / partial_name("train-00000.h5")).symlink_to(elsewhere / "train-00000.h5")
+    assert removed(data / "box") == [part]  # it was named
+    assert link.is_symlink()
+
+
+def test_pages_stay_where_the_manifest_is_lost(folder):
+    (page := folder / "manifest-00000-0123456789abcdef.json").write_text("all that is left")
+    (folder / MANIFEST_NAME).unlink()
+    assert removed(folder) == []
+    (folder / JOURNAL_NAME).write_text('{"claims": []}\n')
+    assert removed(folder) == []
+    assert page.exists()
 
 
 def test_not_while_a_run_is_at_work(tmp_path):

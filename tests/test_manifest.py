@@ -244,7 +244,7 @@ def test_killed_run_goes_on(complete, tmp_path, moment):
 def test_killed_between_manifest_and_journal(folder):
     run(folder.parent / "other", keys(), stop_after=2)
     (folder / JOURNAL_NAME).write_bytes((folder.parent / "other" / JOURNAL_NAME).read_bytes())
-    (folder / "train-00007.h5").write_bytes(b"of an earlier recipe")
+    make(folder, key(seed=7), "train-00007.h5")
     text = (folder / JOURNAL_NAME).read_text()
     (folder / JOURNAL_NAME).write_text(text.replace('"test-', '"train-00007.h5", "test-', 1))
     assert run(folder, keys()) == []
@@ -414,7 +414,7 @@ def test_a_manifest_may_hold_anything(tmp_path, text):
 
 
 def test_a_shard_s_name_may_be_a_link_or_a_folder(folder):
-    """Links are replaced and removed themselves, not what they lead to; folders stay."""
+    """Links are replaced themselves, not what they lead to, and never removed; folders stay."""
     outside = folder.parent / "mine.h5"
     outside.write_text("precious")
     for name in ("train-00000.h5", "test-00000.h5"):
@@ -422,8 +422,9 @@ def test_a_shard_s_name_may_be_a_link_or_a_folder(folder):
         (folder / name).symlink_to(outside)
     few = [k for k in keys() if k.split == "train"]
     assert run(folder, few) == ["box-0"]
-    assert names_in(folder) == ["manifest.json", "train-00000.h5", "train-00001.h5"]
+    assert names_in(folder) == COMPLETE
     assert not (folder / "train-00000.h5").is_symlink()
+    assert (folder / "test-00000.h5").is_symlink()
     assert outside.read_text() == "precious"
     (folder / "train-00001.h5").unlink()
     (folder / "train-00001.h5").mkdir()

@@ -142,8 +142,7 @@ def test_a_run_that_is_killed_between_pages_goes_on(tmp_path: Path, written: int
     assert journal.JOURNAL_NAME in names_in(tmp_path)
     with pytest.raises(CorruptShard, match="goes on when it is started again"):
         Manifest.read(tmp_path)
-    left = [item.path.name for item in clean(tmp_path, dry_run=True)]
-    assert left == pages(tmp_path)
+    assert clean(tmp_path, dry_run=True) == []  # they are the next run's to remove
     assert run(tmp_path, keys()) == []
     assert len(pages(tmp_path)) == 2
     assert {page["name"] for page in head(tmp_path)["pages"]} == set(pages(tmp_path))
@@ -183,9 +182,9 @@ def test_only_what_is_called_like_a_page_goes(folder: Path) -> None:
     (precious := folder.parent / "precious").write_text("mine")
     link = folder / "manifest-00008-0123456789abcdef.json"
     link.symlink_to(precious)
-    assert [item.path for item in clean(folder)] == [link]
+    assert clean(folder) == []
     found = {f.shard for f in verify(folder).findings if f.check == "surplus"}
-    assert found == {*mine, "manifest-00009-0123456789abcdef.json"}
+    assert found == {*mine, link.name, "manifest-00009-0123456789abcdef.json"}
     assert precious.read_text() == "mine"
 
 

@@ -434,7 +434,7 @@ def verify(
         from articugen.store.journal import data_sets
         from articugen.verify.check import check
 
-        for folder in data_sets(path):
+        for folder in data_sets(path, follow=not repair):
             with counting_bar() as told:
                 report = check(
                     folder, replay=again, repair=repair, drop_user=drop_user, jobs=jobs,

@@ -163,7 +163,7 @@ def merge(
         from articugen.pipeline import default_jobs
         from articugen.store.journal import data_sets
 
-        for folder in data_sets(path):
+        for folder in data_sets(path, follow=False):
             with counting_bar() as told:
                 manifest = ranks.merge(
                     folder, jobs=jobs or default_jobs(), sizes_only=sizes_only, on_object=told

@@ -25,9 +25,10 @@ class Leftover:
 def clean(path: Path, *, dry_run: bool = False) -> list[Leftover]:
     """Remove what killed runs left in a data set, or in the data sets of a folder.
 
-    That is temporary files, shards that were written but not recorded, pages that no manifest
-    lists, and a journal beside a whole manifest. What is recorded as finished stays, and so does
-    the journal of a run that can go on.
+    That is temporary files, shards that were written but not recorded, pages that a manifest does
+    not list, and a journal beside a whole manifest. What is recorded as finished stays, and so does
+    the journal of a run that can go on, and whatever is not what its name tells. No link is
+    followed or removed.
 
     Args:
         path: the folder of a data set, or of such folders.
@@ -39,7 +40,7 @@ def clean(path: Path, *, dry_run: bool = False) -> list[Leftover]:
         MachineFault: something cannot be read or removed.
     """
     found: list[Leftover] = []
-    for folder in data_sets(path):
+    for folder in data_sets(path, follow=False):
         with Journal(folder) as journal:
             leftovers = journal.leftovers()
             found += [

@@ -92,6 +92,11 @@ def is_no_folder(path: Path) -> bool:
     return os.path.lexists(path) and (path.is_symlink() or not path.is_dir())
 
 
+def is_plain_file(path: Path) -> bool:
+    """Whether a regular file is there, no link to one."""
+    return path.is_file() and not path.is_symlink()
+
+
 def within(folder: Path, name: str) -> Path:
     """The path of `name`, with slashes, in a folder: never outside, and through no symbolic link.
 

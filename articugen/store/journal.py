@@ -26,6 +26,7 @@ from articugen.store.files import (
     UnfitFile,
     cannot_write,
     is_no_folder,
+    is_plain_file,
     make_folder,
     open_regular,
     sync,
@@ -48,6 +49,7 @@ JOURNAL_NAME = ".articugen-journal.jsonl"
 COMMON_PLAN = ".articugen-plan.json"
 """What ranks agree on."""
 
+_SHARD = re.compile(r"(?P<split>.+)-\d{5,}\.h5")
 _OF_A_RANK = re.compile(r"\.articugen-journal\.(\d{1,7})-of-(\d{1,7})\.[0-9a-f]{8}\.jsonl")
 
 NEVER_MADE = "it has not been made yet"
@@ -210,7 +212,7 @@ class Journal:
         names = sorted(set(names))
         if self._lock is None:
             self._take_lock()
-        foreign = [n for n in names if self._is_foreign(self.folder / n)]
+        foreign = self._foreign(names)
         if foreign:
             raise ArticugenError(
                 f"{self.folder / foreign[0]}: exists and was not made by an earlier run here; "
@@ -248,10 +250,11 @@ class Journal:
         told = self._manifest if self._manifest and self._tells_all(self._manifest) else None
         entries = [o.shard for o in self._outcomes.values() if o.shard]
         kept = {shard.name for shard in (told.shards if told else entries)}
-        orphans = [name for name in sorted(self._ours - kept) if self._is_file(name)]
+        orphans = [name for name in sorted(self._ours - kept) if self._is_ours(name)]
         found = dict.fromkeys(self._temporary(), "a temporary file")
         found |= dict.fromkeys(orphans, "a shard that is not recorded")
-        found |= dict.fromkeys(self._stale_pages(), "a page that no manifest lists")
+        if self._manifest:  # without one, pages are all that tells of the shards
+            found |= dict.fromkeys(self._stale_pages(), "a page that no manifest lists")
         if told:
             journals = [n for n in (JOURNAL_NAME, *self._of_ranks) if self._is_file(n)]
             found |= dict.fromkeys(journals, "the manifest says it all")
@@ -286,7 +289,19 @@ class Journal:
             raise MachineFault(f"{self.folder}: cannot be read ({error.strerror})") from None
 
     def _is_file(self, name: str) -> bool:
-        return is_no_folder(self.folder / name)
+        return is_plain_file(self.folder / name)
+
+    def _is_ours(self, name: str) -> bool:
+        """Whether a file that a journal claims is what runs put there, a shard of the split that it
+        is called by: journals are files like any other, and may claim what is somebody's own."""
+        called = _SHARD.fullmatch(name)
+        if called is None or not self._is_file(name):
+            return False
+        try:
+            with open_shard(self.folder / name) as shard:
+                return shard.attributes["split"] == called["split"]
+        except CorruptShard:
+            return False
 
     def _take_lock(self) -> None:
         try:
@@ -295,9 +310,17 @@ class Journal:
         except OSError as error:
             raise MachineFault(cannot_write(self.folder, error)) from None
 
-    def _is_foreign(self, path: Path) -> bool:
-        """Whether there is something that no run of ours has put there."""
-        return os.path.lexists(path) and not (path.name in self._ours and self._is_file(path.name))
+    def _foreign(self, names: Iterable[str]) -> list[str]:
+        """Those of the names where something is that no run of ours has put there. What is recorded
+        may be damaged, or a link, which is itself replaced."""
+        recorded = {o.shard.name for o in self._outcomes.values() if o.shard}
+        return [
+            name
+            for name in names
+            if os.path.lexists(self.folder / name)
+            and not (name in recorded and is_no_folder(self.folder / name))
+            and not (name in self._ours and self._is_ours(name))
+        ]
 
     def _load(self) -> None:
         if os.path.lexists(self.folder / MANIFEST_NAME):
@@ -392,16 +415,24 @@ def why_again(key: Key, outcome: Outcome | None, is_whole: Callable[[Outcome], b
     return None if is_whole(outcome) else f"its shard {outcome.shard.name} is missing or altered"
 
 
-def data_sets(path: Path) -> list[Path]:
+def data_sets(path: Path, *, follow: bool = True) -> list[Path]:
     """The data set in `path`, or those in its folders, whole or not.
+
+    Args:
+        path: a folder; the link to one is followed, since it was named.
+        follow: whether links in it are; not where something is written or removed.
 
     Raises:
         CorruptShard: there is none.
+        ArticugenError: a data set would have to be followed to.
     """
     folders = [path]
     if not _is_data_set(path):
         inside = sorted(path.iterdir()) if path.is_dir() else []
         folders = [folder for folder in inside if _is_data_set(folder)]
+        links = [] if follow else [folder for folder in folders if folder.is_symlink()]
+        if links:
+            raise ArticugenError(f"{links[0]}: a link to elsewhere; name that folder itself")
     if not folders:
         raise CorruptShard(f"{path}: holds no data set; make one with: articugen generate")
     return folders

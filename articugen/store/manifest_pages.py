@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError, model_validator
 
-from articugen.store.files import UnfitFile, is_no_folder, read_regular
+from articugen.store.files import UnfitFile, is_plain_file, read_regular
 
 T = TypeVar("T")
 Data = bytes
@@ -123,7 +123,7 @@ def stale_pages(manifest: Path) -> list[str]:
     """
     there = sorted(filter(is_page_name, os.listdir(manifest.parent)))
     listed = listed_pages(manifest) if there else set[str]()
-    return [name for name in there if name not in listed and is_no_folder(manifest.parent / name)]
+    return [n for n in there if n not in listed and is_plain_file(manifest.parent / n)]
 
 
 def listed_pages(manifest: Path) -> set[str]:

@@ -216,7 +216,7 @@ class RankJournal(Journal):
         if self._lock is None:
             self._take_lock()
         self._agree()
-        if any(self._is_foreign(self.folder / name) for name in names):
+        if self._foreign(names):
             self._load()  # of a rank that has come meanwhile
         self._ours.update(self._free(names))
         line = json.dumps(Claims(claims=tuple(names)).model_dump()) + "\n"
