@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.markup import escape
 
 from articugen.cli.saying import KEPT, REJECTED, counting_bar, said, stderr, stdout
 from articugen.errors import ArticugenError, InvalidArgument
@@ -126,7 +125,7 @@ def _told_share(outcomes: "Sequence[Outcome]", then: str) -> int:
             f"{len(failed)} of {len(outcomes)} objects failed through no fault of theirs, and are "
             f"tried again by the same command; the first, {failed[0].sentence}"
         )
-    stdout.print(escape(then), soft_wrap=True)
+    stdout.print(then, soft_wrap=True, markup=False)
     return 0
 
 
