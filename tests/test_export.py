@@ -6,10 +6,15 @@ import shutil
 import signal
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from instances import hinged_box
 from ppd_data import write_boxes
+from test_html_report import shard
 from typer.testing import CliRunner
 
 import articugen as ag
@@ -163,6 +168,40 @@ def test_a_link_in_the_place_of_the_journal_is_not_followed(boxes, tmp_path):
     assert other.read_bytes() == b"all of it"
 
 
+def test_no_link_in_the_folder_is_written_through(boxes, tmp_path):
+    """Neither one that lies beside an empty journal, nor one in the place of a folder of ours."""
+    out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    out.mkdir()
+    (out / JOURNAL_NAME).touch()
+    (out / "test").symlink_to(elsewhere)
+    with pytest.raises(ArticugenError, match=r"out: holds something else \(test\)"):
+        ag.export(boxes, "ply", out)
+    (out / "test").unlink()
+    ag.export(boxes, "ply", out, split="test")  # what a kill leaves after a part is no other folder
+    whole = files_in(out)
+    shutil.move(out / "test", elsewhere / "test")
+    (out / "test").symlink_to(elsewhere / "test")
+    unfinish(out)
+    before = files_in(elsewhere)
+    with pytest.raises(ArticugenError, match=r"out: not written: 'test' in it is a symbolic link"):
+        ag.export(boxes, "ply", out, split="test")
+    assert files_in(elsewhere) == before
+    (out / "test").unlink()
+    ag.export(boxes, "ply", out, split="test")
+    assert files_in(out) == whole
+
+
+def unfinish(folder: Path) -> None:
+    """Make a finished export one that was cut short before its report."""
+    report = json.loads((folder / REPORT_NAME).read_text())
+    names = [file for file in report["files"] if file["name"].endswith(".ply")]
+    done = [{"item": f["name"][:-4], "files": [f], "left_out": None} for f in names]
+    lines = [json.dumps(line) + "\n" for line in (report["about"], *done)]
+    (folder / JOURNAL_NAME).write_text("".join(lines))
+    (folder / REPORT_NAME).unlink()
+
+
 def test_two_exports_do_not_write_into_one_folder(boxes, tmp_path):
     def another(done, items, item):
         if done == 1:
@@ -212,6 +251,60 @@ def test_names_of_files_are_safe_and_tell_texts_apart(name):
     assert not set(made) & set("/\\. \0")
     assert made != file_name(name + "!")
     assert file_name("Schränke") == "Schränke"
+
+
+@given(st.sets(st.text("ab/_-0\u00e4", max_size=6), min_size=2), st.booleans())
+def test_no_two_texts_share_a_name(texts, again):
+    if again:  # what others are called is hostile, too
+        texts |= {file_name(text) for text in texts}
+    assert len({file_name(text) for text in texts}) == len(texts)
+
+
+def of_names(folder: Path, *names: tuple[str, str]) -> Path:
+    """A folder of shards with one object each, of a split and an id."""
+    folder.mkdir()
+    for number, (split, name) in enumerate(names):
+        path = folder / f"{split}-{number:05d}.h5"
+        shard(path, hinged_box(object_id=name, states=((0.0, 0.0),)), split=split)
+    return folder
+
+
+@pytest.mark.parametrize("to", ["onet", "npcs", "opalign", "particulate", "ply", "webdataset"])
+def test_all_files_of_objects_whose_names_were_alike(tmp_path, to):
+    data = of_names(tmp_path / "data", ("train", "a/b"), ("train", "a_b-c14cddc0"), ("test", "c"))
+    done = ag.export(data, to, tmp_path / "out")
+    rows = ag.open(data)
+    names = {file_name(name) for name in rows.objects}
+    assert len(names) == 3
+    there = files_in(tmp_path / "out")
+    assert done.files == len(there) - 1
+    for name in names:
+        assert any(name in path or name.encode() in text for path, text in there.items())
+
+
+def alike() -> tuple[str, str]:
+    """Two texts whose names are the same, by a digest of 32 bits that they share."""
+    known: dict[str, str] = {}
+    for odd in product(map(chr, range(0x2010, 0x205E)), repeat=3):
+        text = "".join(odd)
+        other = known.setdefault(file_name(text), text)
+        if other != text:
+            return other, text
+    raise AssertionError("there is none")
+
+
+def test_instances_that_would_be_called_alike_are_refused(boxes, tmp_path):
+    out = tmp_path / "out"
+    both = of_names(tmp_path / "both", ("test", "a"), ("train", "a"))
+    with pytest.raises(InvalidArgument, match=r"'a' \(train\) and 'a' \(test\) would be called"):
+        ag.export(both, "onet", out)
+    one, other = alike()
+    same = of_names(tmp_path / "same", ("train", one), ("train", other))
+    with pytest.raises(InvalidArgument, match="would be called alike"):
+        ag.export(same, "imnet", out)
+    with pytest.raises(InvalidArgument, match="choose instances that are there once"):
+        ag.export(ag.open(boxes)[[0, 1, 0]], "ply", out)
+    assert not out.exists()
 
 
 def test_names_are_not_given_twice():

@@ -6,6 +6,8 @@ fields name, dtype and shape in a table that begins with `| field |`.
 
 import importlib.util
 import re
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -56,16 +58,20 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def options_for(to: str) -> dict:
+    """What makes an export of the format quick; a format whose library is missing is skipped."""
+    for library, extra in format_named(to).needs:
+        pytest.importorskip(library, reason=f"needs articugen[{extra}]")
+    return {"resolution": 48} if "resolution" in format_named(to).takes else {}
+
+
 @pytest.fixture(scope="module")
 def exported(root: Path):
     """The folder of the laptops in a format: <root>/<format>/laptop, as the pages have it."""
 
     def export(to: str) -> Path:
-        for library, extra in format_named(to).needs:
-            pytest.importorskip(library, reason=f"needs articugen[{extra}]")
-        takes = format_named(to).takes
-        options: dict = {"resolution": 48} if "resolution" in takes else {}
-        if "collision" in takes and to != "usd":
+        options = options_for(to)
+        if "collision" in format_named(to).takes and to != "usd":
             pytest.importorskip("coacd", reason="make exporters installs it")
             options["collision"] = True
         assert ag.export(root / "data" / "laptop", to, root / to / "laptop", **options).files
@@ -85,6 +91,23 @@ def test_every_format_has_its_page_and_the_overview_and_the_site_link_it() -> No
         assert f"[`{name}`](exports/{name}.md)" in overview
         assert f"- exports/{name}.md" in site
         assert f"`{name}`" in readme
+
+
+@pytest.mark.parametrize("split", ["../../x", "absolute", ""])
+@pytest.mark.parametrize("name", NAMES)
+def test_no_split_leads_out_of_the_folder(name: str, split: str, root: Path, tmp_path) -> None:
+    """Neither manifest nor shard may name such splits; should one ever come through, the folder
+    that is written to holds all the same."""
+    split = f"{tmp_path}/absolute" if split == "absolute" else split
+    data = ag.open(root / "data" / "laptop")
+    data = data.of(data.objects[0])
+    data._shelf.entries = tuple(replace(entry, split=split) for entry in data._shelf.entries)
+    out = tmp_path / "a" / "b" / "out"
+    options = options_for(name)
+    with suppress(ag.ArticugenError):
+        ag.export(data, name, out, **options)
+    assert {p for p in tmp_path.rglob("*") if p.is_file() and not p.is_relative_to(out)} == set()
+    assert not list(root.glob("x*"))
 
 
 @pytest.mark.parametrize("name", NAMES)

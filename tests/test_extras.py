@@ -372,6 +372,9 @@ def test_they_come_back_from_a_shard(tmp_path):
     assert row.collision_depth == 0.0
     assert row.images.depth.shape == row.images.part.shape == (2, 64, 64)
     assert row.images.normal.dtype == np.float32
+    there = np.where(row.images.depth > 0, 1.0, 0.0)
+    np.testing.assert_allclose(np.linalg.norm(row.images.normal, axis=-1), there, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(row.sharp.normals, axis=-1), 1.0, atol=1e-6)
     assert row.images.rgba.shape == (2, 64, 64, 4)
     assert row.images.T_camera_world.shape == (2, 4, 4)
     assert row.images.intrinsics.shape == (2, 4)

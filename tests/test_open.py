@@ -50,6 +50,14 @@ def test_rows_are_what_is_stored(folder, data):
             np.testing.assert_array_equal(row.stored(name), value, err_msg=name)
 
 
+def test_normals_of_nothing_stay_nothing():
+    stored = np.array([[[0, 0, 0], [0, 0, -126]], [[89, 90, 1], [-128, 0, 5]]], np.int8)
+    normal = in_units("image_normal", stored)
+    assert normal.dtype == np.float32
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=-1), [[0, 1], [1, 1]], atol=1e-6)
+    np.testing.assert_array_equal(normal[0], [[0, 0, 0], [0, 0, -1]])
+
+
 def test_a_row_is_in_units(data):
     row = data[7]
     with open_shard(data.shards[1]) as shard:
@@ -60,10 +68,10 @@ def test_a_row_is_in_units(data):
         assert cloud.points.dtype == np.float32
         np.testing.assert_allclose(cloud.points, dequantize(stored), atol=6e-8)
         assert len(cloud) == len(stored)
-    np.testing.assert_array_equal(
-        row.surface.normals, np.float32(1 / 127) * instance.surface_normals
-    )
-    np.testing.assert_allclose(np.linalg.norm(row.surface.normals, axis=1), 1.0, atol=7e-3)
+    normals = row.surface.normals
+    length = np.linalg.norm(instance.surface_normals, axis=1, keepdims=True)
+    assert np.abs(length - 127.0).max() > 0.05  # what is stored is not of unit length
+    np.testing.assert_allclose(normals, instance.surface_normals / length, atol=1e-6)
     np.testing.assert_array_equal(row.near.label, instance.near_label)
     np.testing.assert_array_equal(row.partial.part, instance.partial_part)
     assert row.partial.points.shape == instance.partial_points.shape

@@ -11,15 +11,18 @@ from articugen.store.rows import Row
 _SAFE = 80
 """Characters of a name: with a number and an ending it fits into every file system's 255 bytes."""
 
+_DIGEST = re.compile(r"-[0-9a-f]{8}$")
+
 
 def file_name(text: str) -> str:
     """A name for files that any system takes, made of a text that may be hostile.
 
-    Letters of any script, digits, _ and - stay. What had to change ends in a digest of the text, so
-    that two texts never share a name.
+    Letters of any script, digits, _ and - stay. What had to change ends in a digest of the text,
+    and so does what ends as if it had: texts whose digests differ never share a name.
     """
     clean = re.sub(r"[^\w-]", "_", text)
-    if clean == text and 0 < len(text.encode()) <= _SAFE:
+    plain = clean == text and not _DIGEST.search(text)
+    if plain and 0 < len(text.encode()) <= _SAFE:
         return text
     kept = clean.encode()[: _SAFE - 9].decode("utf-8", "ignore")
     return f"{kept}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"

@@ -10,6 +10,7 @@ from pathlib import Path
 from articugen.errors import InvalidArgument, MissingExtra
 from articugen.export import croissant
 from articugen.export.formats import Item, LeftOut, format_named, options_for
+from articugen.export.items import file_name, instance_name
 from articugen.export.parts import PartMeshes
 from articugen.export.target import Target
 from articugen.store.dataset import DataSet
@@ -112,12 +113,28 @@ def _write(
 
 
 def _digest(data: DataSet) -> str:
-    """Tells these instances from any others."""
+    """Tells these instances from any others.
+
+    Raises:
+        InvalidArgument: two of them would be called alike: nothing may be lost, nor an object of
+            two splits end in one folder.
+    """
     digest = hashlib.sha256()
     if data.manifest is not None:
         digest.update(data.manifest.content_sha256.encode())
     else:
         digest.update("".join(map(sha256_of, data.shards)).encode())
+    objects: dict[str, tuple[str, str]] = {}
+    instances: set[str] = set()
     for row in data:
         digest.update(f"{row.split}\x1f{row.object_id}\x1f{row.state_index}\n".encode())
+        which = (row.object_id, row.split)
+        other = objects.setdefault(file_name(row.object_id), which)
+        name = instance_name(row)
+        if other != which or name in instances:
+            raise InvalidArgument(
+                f"{data.path}: {which[0]!r} ({which[1]}) and {other[0]!r} ({other[1]}) would be "
+                f"called alike, {name}; choose instances that are there once"
+            )
+        instances.add(name)
     return digest.hexdigest()

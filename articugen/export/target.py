@@ -24,6 +24,7 @@ from articugen.store.files import (
     read_regular,
     sha256_of,
     whole_name,
+    within,
     write_atomically,
     written_atomically,
 )
@@ -85,6 +86,7 @@ class Target:
         self.complete = False
         self._about = {**about, "options": asdict(options)}
         self._files: list[Written] = []
+        self._names: set[str] = set()
         self._journal: BinaryIO | None = None
         try:
             make_folder(folder)
@@ -101,10 +103,8 @@ class Target:
                     self._tidy()
                     (self.folder / JOURNAL_NAME).unlink()
             return
-        if names and JOURNAL_NAME not in names:
-            raise ArticugenError(
-                f"{self.folder}: holds something else ({names[0]}); choose an empty or new folder"
-            )
+        if JOURNAL_NAME not in names:
+            self._refuse(names)
         # Whatever lies there, no other file is written to, and nobody is waited for.
         flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
         self._journal = os.fdopen(os.open(self.folder / JOURNAL_NAME, flags, 0o666), "a+b")
@@ -119,6 +119,7 @@ class Target:
         self._journal.seek(0)
         lines = self._journal.read().split(b"\n")
         if len(lines) == 1:  # new, or cut short before its first line was whole
+            self._refuse(names)
             self._journal.truncate(0)
             self._note(self._about)
             return
@@ -133,6 +134,15 @@ class Target:
             ) from None
         self._journal.truncate(sum(len(line) + 1 for line in lines[:-1]))  # what a kill tore
         self._tidy()
+
+    def _refuse(self, names: list[str]) -> None:
+        """See to it that nothing but a journal is there."""
+        others = [name for name in names if name != JOURNAL_NAME]
+        if others:
+            self.close()
+            raise ArticugenError(
+                f"{self.folder}: holds something else ({others[0]}); choose an empty or new folder"
+            )
 
     def _take_over(self, path: Path) -> None:
         """What a finished export says of itself; export.json of others may hold anything."""
@@ -155,11 +165,15 @@ class Target:
     def _believe(self, noted: Mapping[str, Any]) -> None:
         """An item counts as done while its files are there in full."""
         files = tuple(map(Written.of, noted["files"]))
-        for each in files:
-            path = self.folder / each.name
-            if not path.is_file() or path.stat().st_size != each.bytes:
+        for file in files:
+            try:
+                path = within(self.folder, file.name)
+            except UnfitFile:
+                return
+            if not path.is_file() or path.stat().st_size != file.bytes:
                 return
         self.done[noted["item"]] = Done(files, noted["left_out"])
+        self._names |= {file.name for file in files}
 
     def _tidy(self) -> None:
         """Remove what a killed run was writing."""
@@ -200,11 +214,20 @@ class Target:
         self._files.append(Written(name, path.stat().st_size, sha256_of(path)))
 
     def _path(self, name: str) -> Path:
-        path = self.folder / name
+        """Where a file goes: into the folder, through no link, in the place of no other file."""
         try:
+            path = within(self.folder, name)
             make_folder(path.parent)
+        except UnfitFile as error:
+            raise ArticugenError(f"{self.folder}: not written: {error.strerror}") from None
         except OSError as error:
-            raise MachineFault(cannot_write(path, error)) from error
+            raise MachineFault(cannot_write(self.folder / name, error)) from error
+        if name in self._names or name in (REPORT_NAME, JOURNAL_NAME):
+            raise ArticugenError(
+                f"{path}: two things would be called so; rename an object or a split, or export "
+                "the splits one by one"
+            )
+        self._names.add(name)
         return path
 
     def finished(self, item: str, left_out: str | None = None) -> None:

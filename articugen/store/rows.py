@@ -21,7 +21,8 @@ Float32 = NDArray[np.float32]
 Floats = NDArray[np.float64]
 Labels = NDArray[np.uint8]
 
-_UNITS = {"1/65535": (1 / 65535, -0.5), "1/127": (1 / 127, 0.0), "1/255": (1 / 255, 0.0)}
+_NORMALS = "1/127"
+_UNITS = {"1/65535": (1 / 65535, -0.5), _NORMALS: (1 / 127, 0.0), "1/255": (1 / 255, 0.0)}
 """For numbers that are stored whole, by the schema's unit: x = stored * step + first."""
 
 
@@ -32,12 +33,16 @@ def is_scaled(name: str) -> bool:
 
 
 def in_units(name: str, stored: NDArray[Any], out: Float32 | None = None) -> Float32:
-    """What is stored of a field with `is_scaled`, as float32: coordinates in the unit frame,
-    components of normals, shares of a cell. Exact to 6e-8."""
+    """What is stored of a field with `is_scaled`, as float32: coordinates in the unit frame and
+    shares of a cell, exact to 6e-8; normals, which rounding made too short or too long by up to
+    0.7 %, of unit length, or zeros."""
     field = schema.field_of(name)
     assert field is not None
     step, first = _UNITS[field.unit]
     out = np.multiply(stored, np.float32(step), out=out, dtype=np.float32)
+    if field.unit == _NORMALS:
+        length = np.sqrt(np.einsum("...i,...i->...", out, out))[..., None]
+        return np.divide(out, length, out=out, where=length > 0)
     return np.add(out, np.float32(first), out=out) if first else out
 
 
@@ -120,7 +125,7 @@ class _Group:
 
 class RowSurface(_Group):
     """Surface points: `points` (S, 3) float32, unit frame, uniform by area; their `normals` (S, 3)
-    float32, outward, of unit length to 0.7 %; the `part` (S,) each belongs to."""
+    float32, outward, of unit length; the `part` (S,) each belongs to."""
 
     @cached_property
     def normals(self) -> Float32:
