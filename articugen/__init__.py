@@ -11,6 +11,7 @@ Whatever a command does is a function here: `fetch`, `generate`, `verify`, `expo
 """
 
 from importlib import import_module
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
@@ -66,12 +67,20 @@ __all__ = [
     "train",
     "verify",
 ]
+if find_spec("torch") is None:  # then `import *` and the like do without
+    __all__.remove("evaluate")
+    __all__.remove("train")
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    home = import_module(f"{__name__}.{_HOME[name]}" if _HOME[name] else f"{__name__}.{name}")
+    from articugen.errors import MissingExtra  # noqa: PLC0415 - as everything else
+
+    try:
+        home = import_module(f"{__name__}.{_HOME[name]}" if _HOME[name] else f"{__name__}.{name}")
+    except MissingExtra as missing:  # or hasattr and inspect would raise it
+        raise AttributeError(f"{__name__}.{name}: {missing}") from missing
     value = getattr(home, name) if _HOME[name] else home
     globals()[name] = value
     return value

@@ -1,7 +1,11 @@
 """The errors a user can meet. Each message is one sentence that names the file and the cure."""
 
 import errno
+import os
+import shlex
+import sys
 from collections.abc import Iterator
+from shutil import which
 
 _LONGEST = 2000  # letters of a sentence; the cure stands at its end
 
@@ -58,11 +62,25 @@ class CorruptShard(ArticugenError):
     """A shard or manifest is damaged, of another version, or not one of ours."""
 
 
+def installing(extra: str) -> str:
+    """The command that brings an extra to the Python at work, wherever articugen came from."""
+    from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415 - slow to import
+
+    own = os.path.join(os.path.dirname(sys.executable), "pip")
+    pip = "pip" if which("pip") == own else f"{shlex.quote(sys.executable)} -m pip"
+    where = "articugen"  # pip finds an installed one, which is published nowhere
+    try:
+        version(where)
+    except PackageNotFoundError:  # a checkout on the path
+        where = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    return f"{pip} install {shlex.quote(f'{where}[{extra}]')}"
+
+
 class MissingExtra(ArticugenError):
     """An optional library is not installed."""
 
     def __init__(self, library: str, extra: str) -> None:
-        super().__init__(f"{library} is not installed; run: pip install 'articugen[{extra}]'")
+        super().__init__(f"{library} is not installed; run: {installing(extra)}")
 
 
 class MissingDriver(ArticugenError):

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from usd_models import LINK, artvip, at, body, joint, text
 
-from articugen.errors import InvalidSource
+from articugen.errors import InvalidSource, installing
 from articugen.sources import registry
 from articugen.sources.usd import apart, layers, model
 
@@ -291,8 +291,7 @@ def test_without_openusd_one_sentence_says_what_to_install(tmp_path, monkeypatch
     with pytest.raises(InvalidSource) as refused:
         registry.load_path(tmp_path / "cab")
     assert str(refused.value) == (
-        f"{path}: is USD, and usd-core, which reads it, is not installed; run: pip install "
-        "'articugen[usd]'"
+        f"{path}: is USD, and usd-core, which reads it, is not installed; run: {installing('usd')}"
     )
 
 

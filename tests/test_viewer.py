@@ -21,6 +21,7 @@ from articugen.errors import (
     CorruptShard,
     InvalidSource,
     NotOfCategory,
+    installing,
 )
 from articugen.geometry import apply, rotation_about
 from articugen.records import ENCLOSED, FREE, Instance, JointKind, dequantize
@@ -317,7 +318,7 @@ def test_without_viser_one_learns_how_to_get_it(folder: Path, monkeypatch) -> No
     monkeypatch.setitem(sys.modules, "viser", None)
     done = run("view", folder / "data" / "cabinet")
     assert done.exit_code == 1
-    assert "viser is not installed; run: pip install 'articugen[view]'" in done.stderr
+    assert f"viser is not installed; run: {installing('view')}\n" in done.stderr
 
 
 def test_a_port_that_is_taken_is_said(viser: Any, folder: Path) -> None:

@@ -13,12 +13,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from articugen.errors import MachineFault
+from articugen.errors import MachineFault, installing
 from articugen.store.files import cannot_write, make_folder
 
 MISSING = (
     "tensorboard is not installed, so metrics go to metrics.jsonl alone; "
-    "for both: pip install 'articugen[tensorboard]'"
+    f"for both: {installing('tensorboard')}"
 )
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from articugen.errors import InvalidSource, MachineFault, printable
+from articugen.errors import InvalidSource, MachineFault, installing, printable
 from articugen.records import Joint, JointKind, Mesh
 from articugen.sources.usd import openusd
 from articugen.sources.usd.model import Model
@@ -78,8 +78,8 @@ def _asked(path: Path, root: Path, how: dict[str, bool]) -> tuple[dict[str, Any]
     """What the process answers: a line, and what comes behind it."""
     if not openusd.is_there():
         raise InvalidSource(
-            f"{path}: is USD, and usd-core, which reads it, is not installed; run: pip install "
-            "'articugen[usd]'"
+            f"{path}: is USD, and usd-core, which reads it, is not installed; run: "
+            f"{installing('usd')}"
         )
     limits = {"seconds": SECONDS, "memory": MEMORY, "parent": os.getpid()}
     request = {"path": str(path), "root": str(root), **limits, **how}
