@@ -210,16 +210,41 @@ def objects_of(job: Job) -> tuple[ObjectRef, ...]:
         InvalidSource: unknown source, category or object.
         InvalidRecipe: they are more than a manifest can tell of.
     """
-    refs = registry.object_refs(
-        job.source, job.category, objects=job.recipe.objects, ids=job.ids, exclude=job.exclude,
-        joints=job.joints,
-    )  # fmt: skip
+    crew = workers.Crew(
+        partial(_is_of_category, job.recipe),
+        workers=min(job.jobs, 1),
+        limit=limit_of(job.recipe),
+        ready=_import_readers,
+        name=lambda ref: plain_name(ref.object_id),
+    )
+    with crew:  # files of others are read where they can do no harm
+        refs = registry.object_refs(
+            job.source, job.category, objects=job.recipe.objects, ids=job.ids, exclude=job.exclude,
+            joints=job.joints,
+            counts=lambda ref: all(ended.value is not False for ended in crew.each([ref])),
+        )  # fmt: skip
     if len(refs) > MOST_OBJECTS:
         raise InvalidRecipe(
             f"{len(refs):,} objects of {job.category}: a data set has at most {MOST_OBJECTS:,}, so "
             "that it can be opened; give --objects, or make several data sets of other --ids"
         )
     return refs
+
+
+def _is_of_category(recipe: Recipe, ref: ObjectRef) -> bool:
+    """Whether something of an object moves in the recipe's sense; no mesh is read. One that cannot
+    be read counts: its turn comes to be refused, with the reason."""
+    from articugen.resolving import resolved  # noqa: PLC0415 - slow to import
+    from articugen.sources.meshes import unread  # noqa: PLC0415
+
+    try:
+        with unread():
+            resolved(ref, recipe)
+    except NotOfCategory:
+        return False
+    except Exception as error:
+        _verdict(error, ref, recipe)  # raises what says nothing of the object
+    return True
 
 
 @dataclass(frozen=True)

@@ -115,6 +115,15 @@ def test_generate_says_what_was_made_and_what_comes_next(made: Path, recipe: Pat
     assert {shard["instances"] for shard in manifest["shards"]} == {3}
 
 
+def test_generate_warns_of_an_empty_split(made: Path, recipe: Path, boxes: Path, tmp_path: Path):
+    both = run("generate", "-c", "laptop", "-r", recipe, "-o", made.parent)
+    assert "no object is for" not in both.stdout
+    one = boxes / "one.urdf"
+    alone = run("generate", "-c", "box", "-s", one, "-r", recipe, "-o", tmp_path, "-j", 0)
+    assert "no test" in alone.stdout
+    assert "no object is for testing: add models" in " ".join(alone.stdout.split())
+
+
 def test_a_dry_run_tells_the_plan_and_makes_nothing(recipe: Path, tmp_path: Path) -> None:
     done = run("generate", "-c", "oven", "-r", recipe, "-o", tmp_path / "new", "--dry-run")
     assert done.exit_code == 0

@@ -1,5 +1,6 @@
 """A data set by many processes: any number of them, some killed, is what one process makes."""
 
+import hashlib
 import os
 import shutil
 import subprocess
@@ -7,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from test_pipeline import TINY, contents, job, made, own_models  # noqa: F401
+from test_pipeline import BOX, TINY, contents, job, made, own_models  # noqa: F401
 from trouble import held_by_another_run
 from typer.testing import CliRunner
 
@@ -15,6 +16,7 @@ from articugen import pipeline, ranks
 from articugen.cli import app
 from articugen.errors import ArticugenError, CorruptShard, InvalidArgument, InvalidRecipe
 from articugen.pipeline import plan
+from articugen.sources.splits import TEST_FRACTION
 from articugen.store.cleaning import clean
 from articugen.store.files import partial_name
 from articugen.store.journal import COMMON_PLAN, JOURNAL_NAME, Journal, is_journal
@@ -226,3 +228,25 @@ def test_no_more_objects_than_a_manifest_can_tell_of(
     monkeypatch.setattr(pipeline, "MOST_OBJECTS", 3)
     with pytest.raises(InvalidRecipe, match="4 objects of eyeglasses: a data set has at most 3"):
         rank(tmp_path, "0/2")
+
+
+def test_ranks_and_chosen_ids_agree_on_splits_that_no_hash_decides(tmp_path: Path) -> None:
+    """All that hashes put into `test` has no joint: it is skipped, and none of the others was."""
+    folder = tmp_path / "boxes"
+    folder.mkdir()
+    for number in range(6):
+        is_test = hashlib.sha256(f"box{number}".encode()).digest()[0] < 256 * TEST_FRACTION
+        text = BOX.format(size=1 + number / 10)
+        (folder / f"box{number}.urdf").write_text(text.replace("revolute", "fixed", is_test))
+    few = {"source": str(folder), "category": "box", "recipe": TINY.with_counts(objects=99)}
+    plain, _ = made(job(tmp_path / "plain", **few))
+    splits = {entry.key.object_id: entry.key.split for entry in plain.objects}
+    assert (len(splits), list(splits.values()).count("test")) == (6 - len(plain.skipped), 1)
+    assert {entry.key.split for entry in plain.skipped} == {"test"}
+    many = tmp_path / "many"
+    for text in ("2/3", "0/3", "1/3"):
+        rank(many, text, **few)
+    assert ranks.merge(many).content_sha256 == plain.content_sha256
+    chosen = next(name for name, split in splits.items() if split == "test")
+    alone = plan(job(tmp_path / "alone", ids=(chosen,), jobs=1, **few))
+    assert alone.keys == tuple(e.key for e in plain.objects if e.key.split == "test")

@@ -5,6 +5,7 @@ import os
 import pickle
 from collections import Counter
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -487,6 +488,36 @@ def test_hash_split_is_stable_and_never_one_sided(some, more):
     larger = assign_splits({name: name for name in some | more}, None, None)
     changed = [name for name in some if splits[name] != larger[name]]
     assert len(changed) <= 1  # the one that was taken because a split was empty
+
+
+@given(names, st.sets(st.text("abc123", min_size=1, max_size=2)))
+def test_neither_split_is_without_an_object_that_counts(some, others):
+    """Objects of other categories lie in the same folder, and hashes may put all of those into one
+    split that are of this."""
+    every = some | {f"other {name}" for name in others}
+    asked = []
+
+    def counts(name):
+        asked.append(name)
+        return name in some
+
+    splits = assign_splits({name: name for name in every}, None, None, counts)
+    assert {splits[name] for name in some} == {"train", "test"}
+    by_hash = {n: "test" if sha256(n.encode()).digest()[0] < 256 * 0.2 else "train" for n in every}
+    if {by_hash[name] for name in some} == {"train", "test"}:
+        assert splits == by_hash
+        if not others:
+            assert len(asked) == 2
+    alone = assign_splits(dict.fromkeys(every, "one mesh"), None, None, counts)
+    assert set(alone.values()) == {"train"}
+
+
+def test_an_object_alone_is_for_training():
+    for number in range(30):
+        assert assign_splits({str(number): str(number)}, None, None) == {str(number): "train"}
+        two = {str(number): str(number), "b": "b"}
+        splits = assign_splits(two, None, None, lambda name: name == "b")
+        assert splits["b"] == "train"
 
 
 def test_hash_split_is_about_eight_to_two():

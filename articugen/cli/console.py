@@ -88,6 +88,12 @@ def made_table(manifest: Manifest, folder: Path | str) -> RenderableType:
         f"{_count(took.workers, 'worker')}, {size(took.peak_memory_bytes)} of memory at most",
     )
     table.add_row("content", manifest.content_sha256)
+    for split in {"train", "test"} - set(splits) if splits else ():
+        table.add_row(
+            f"[yellow]no {split}[/]",
+            f"[yellow]no object is for {'training' if split == 'train' else 'testing'}: add models, "
+            "or list ids of both splits in a source.yaml (docs/conventions.md)[/]",
+        )
     _add_left_out(table, manifest)
     return Group(_title(manifest.category, folder), table)
 

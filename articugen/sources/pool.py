@@ -1,6 +1,8 @@
 """All objects that a source has of a category, each with its split."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import replace
+from functools import cache
 from os.path import exists
 from pathlib import Path
 
@@ -13,9 +15,21 @@ from articugen.sources.readers import Maker
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.splits import assign_splits, split_sizes, take
 
+Counts = Callable[[ObjectRef], bool]
+"""Whether an object will be in the data, which no split may be without: see `assign_splits`."""
+
+
+def all_count(_: ObjectRef) -> bool:
+    """Whoever does not look: all will."""
+    return True
+
 
 def of_named(
-    named: NamedSource, category: str, objects: int | None, ids: Collection[str]
+    named: NamedSource,
+    category: str,
+    objects: int | None,
+    ids: Collection[str],
+    counts: Counts = all_count,
 ) -> list[ObjectRef]:
     """The objects of a named source; of one that makes them, so many and those called `ids`.
 
@@ -26,7 +40,7 @@ def of_named(
     maker = named.file.maker
     if maker:
         return _made(named, maker, own, objects, ids)
-    refs = _found(named, sorted_models(named.file.reader, named.folder), own)
+    refs = _found(named, sorted_models(named.file.reader, named.folder), own, counts)
     if not refs:
         raise InvalidSource(
             f"no model of {own!r} under {named.folder}; {named.yaml.parent}/README.md says how to"
@@ -44,7 +58,7 @@ def of_every_category(named: NamedSource) -> dict[str, list[ObjectRef]]:
     return {own: _found(named, models, own) for own in every}
 
 
-def of_path(path: Path, category: str) -> list[ObjectRef]:
+def of_path(path: Path, category: str, counts: Counts = all_count) -> list[ObjectRef]:
     """The objects of a file, or of a folder that no source.yaml describes.
 
     Raises:
@@ -66,7 +80,7 @@ def of_path(path: Path, category: str) -> list[ObjectRef]:
             f"{path}: holds no URDF or USD; put each model there as <id>.urdf, <id>.usd or "
             "<id>/<any name>.urdf"
         )
-    return _with_splits(found, CategorySettings(), str(path), category, path)
+    return _with_splits(found, CategorySettings(), str(path), category, path, counts)
 
 
 def model_at(path: str | Path, category: str = "") -> ObjectRef:
@@ -119,32 +133,41 @@ def _of_category(found: list[Found], path: Path, category: str) -> list[Found]:
     return kept + [f for f in found if not f.kinds]
 
 
-def _found(named: NamedSource, models: Collection[Found], own: str) -> list[ObjectRef]:
+def _found(
+    named: NamedSource, models: Collection[Found], own: str, counts: Counts = all_count
+) -> list[ObjectRef]:
     """Those of `models` that are of the category."""
     found = of_category(models, named.file, own)
-    return _with_splits(found, named.file.categories[own], named.name, own, named.folder)
+    settings = named.file.categories[own]
+    return _with_splits(found, settings, named.name, own, named.folder, counts)
 
 
 def _with_splits(
-    found: Sequence[Found], own: CategorySettings, source: str, category: str, base: Path
+    found: Sequence[Found],
+    own: CategorySettings,
+    source: str,
+    category: str,
+    base: Path,
+    counts: Counts = all_count,
 ) -> list[ObjectRef]:
     """Objects with their splits; those that the category's lists leave out are left out."""
     found = sorted(distinct(found, base), key=lambda f: f.object_id)
-    splits = assign_splits({f.object_id: f.group for f in found}, own.train, own.test)
-    return [
-        ObjectRef(
+    refs = {
+        f.object_id: ObjectRef(
             source,
             category,
             f.object_id,
-            splits[f.object_id],
+            "",
             f.location,
             f.root,
             reader=f.reader,
             own_category=f.category,
         )
         for f in found
-        if f.object_id in splits
-    ]
+    }
+    groups = {f.object_id: f.group for f in found}
+    splits = assign_splits(groups, own.train, own.test, cache(lambda name: counts(refs[name])))
+    return [replace(ref, split=splits[name]) for name, ref in refs.items() if name in splits]
 
 
 def _made(

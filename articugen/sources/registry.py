@@ -93,6 +93,7 @@ def object_refs(
     ids: Collection[str] = (),
     exclude: Collection[str] = (),
     joints: Collection[str] = (),
+    counts: pool.Counts = pool.all_count,
 ) -> tuple[ObjectRef, ...]:
     """The objects of one category, in a fixed order.
 
@@ -106,13 +107,16 @@ def object_refs(
         exclude: but not these. Neither changes anything of the other objects.
         joints: only objects all of whose moving joints are of these kinds, () means any: see
             `by_joints`.
+        counts: whether an object will be in the data; where a hash decides about splits neither is
+            without one, if two will.
 
     Raises:
         InvalidSource: unknown source, category, id or kind of joint, or no object.
     """
     if objects is not None and objects < 1:
         raise InvalidSource(f"{objects} objects asked for; ask for one at least")
-    refs = _chosen(_pool(source, category, objects, (*ids, *exclude)), category, ids, exclude)
+    there = _pool(source, category, objects, (*ids, *exclude), counts)
+    refs = _chosen(there, category, ids, exclude)
     refs = of_joints(refs, joints, category)
     if objects is None or objects >= len(refs):
         return tuple(refs)
@@ -243,13 +247,17 @@ def _named(source: str | Path) -> NamedSource | None:
 
 
 def _pool(
-    source: str | Path, category: str, objects: int | None, ids: Collection[str]
+    source: str | Path,
+    category: str,
+    objects: int | None,
+    ids: Collection[str],
+    counts: pool.Counts = pool.all_count,
 ) -> list[ObjectRef]:
     """All objects of a category; of one whose objects are made, so many and those called `ids`."""
     named = _named(source)
     if named is None:
-        return pool.of_path(Path(source), category)
-    return pool.of_named(named, category, objects, ids)
+        return pool.of_path(Path(source), category, counts)
+    return pool.of_named(named, category, objects, ids, counts)
 
 
 def _chosen(

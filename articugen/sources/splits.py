@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from articugen.sources.refs import Share
 
@@ -10,16 +10,23 @@ TEST_FRACTION = 0.2
 """Of the objects of a source that says nothing about splits."""
 
 
-def assign_splits(group_of: Mapping[str, str], train: Share, test: Share) -> dict[str, str]:
+def assign_splits(
+    group_of: Mapping[str, str],
+    train: Share,
+    test: Share,
+    counts: Callable[[str], bool] = lambda _: True,
+) -> dict[str, str]:
     """The split, "train" or "test", of each object.
 
     Ids name the objects of a split; where both splits name theirs, other objects have none.
     Otherwise a hash of its group decides for each object by itself, so that more objects change
-    nothing for the others, except that with two groups or more neither split is empty.
+    nothing for the others, except that neither split is without an object that counts where two
+    groups have one. One alone is for training.
 
     Args:
         group_of: a group for each object id; objects of one group (the same meshes) stay together.
         train, test: ids, or numbers whose ratio is kept, or None.
+        counts: whether an object will be in the data; few are asked for.
     """
     listed = {"train": train, "test": test}
     named = {i: split for split, ids in listed.items() if isinstance(ids, tuple) for i in ids}
@@ -31,7 +38,7 @@ def assign_splits(group_of: Mapping[str, str], train: Share, test: Share) -> dic
     fraction = TEST_FRACTION
     if isinstance(train, int) and isinstance(test, int):
         fraction = test / (train + test)
-    chosen = _test_groups(set(group_of.values()), fraction)
+    chosen = _test_groups(group_of, fraction, counts)
     return {i: "test" if group in chosen else "train" for i, group in group_of.items()}
 
 
@@ -49,10 +56,22 @@ def take(left: dict[str, int], split: str) -> bool:
     return left[split] >= 0
 
 
-def _test_groups(groups: set[str], fraction: float) -> set[str]:
-    """The groups whose hash, as a number in [0, 1), is below `fraction`."""
-    ranked = sorted((hashlib.sha256(os.fsencode(name)).digest(), name) for name in groups)
+def _test_groups(
+    group_of: Mapping[str, str], fraction: float, counts: Callable[[str], bool]
+) -> set[str]:
+    """The groups whose hash, as a number in [0, 1), is below `fraction`; see `assign_splits`."""
+    members: dict[str, list[str]] = {}
+    for name, group in group_of.items():
+        members.setdefault(group, []).append(name)
+    ranked = sorted((hashlib.sha256(os.fsencode(name)).digest(), name) for name in members)
+    places, names = range(len(ranked)), [name for _, name in ranked]
     count = sum(int.from_bytes(digest[:8], "big") < fraction * 2.0**64 for digest, _ in ranked)
-    if 0.0 < fraction < 1.0 and len(groups) > 1:
-        count = min(max(count, 1), len(groups) - 1)
-    return {name for _, name in ranked[:count]}
+    if 0.0 < fraction < 1.0:
+
+        def first_of(order: Iterable[int]) -> int:
+            return next((k for k in order if any(map(counts, members[names[k]]))), 0)
+
+        alone = len(names) == 1  # whatever it holds: nobody need be asked
+        first, last = (0, 0) if alone else (first_of(places), first_of(reversed(places)))
+        count = min(max(count, first + 1), last)
+    return set(names[:count])
