@@ -1,5 +1,6 @@
 """Publishers on this machine: servers of loopback that speak as the hub and SAPIEN's site do."""
 
+import contextlib
 import hashlib
 import io
 import json
@@ -58,6 +59,10 @@ class Publisher:
         stall: of a file, after how many bytes nothing more comes.
         status: of a file, what it is answered with.
         moved: files that are elsewhere on the same server.
+        leads: of a file, where the server says that it is, with a body that has no end.
+        claims: of a file, what its Content-Length says.
+        sizes: of a file, how large the list says that it is.
+        link: what the header of that name says of the list.
         busy: so many requests are told to come again.
         asked: all requests: path, query and headers.
         cdn: the second server, which has the files, as the hub's do.
@@ -69,6 +74,10 @@ class Publisher:
     stall: dict[str, int] = field(default_factory=dict)
     status: dict[str, int] = field(default_factory=dict)
     moved: set[str] = field(default_factory=set)
+    leads: dict[str, str] = field(default_factory=dict)
+    claims: dict[str, str] = field(default_factory=dict)
+    sizes: dict[str, int] = field(default_factory=dict)
+    link: str = ""
     busy: int = 0
     ranges: bool = True
     lie: set[str] = field(default_factory=set)
@@ -106,7 +115,7 @@ class _Handler(BaseHTTPRequestHandler):
         half = (len(names) + 1) // 2
         first = "cursor" not in parse_qs(urlsplit(self.path).query)
         page = names[:half] if first else names[half:]
-        more = f'<{own.base}{path}?recursive=true&cursor=x>; rel="next"'
+        more = own.link or f'<{own.base}{path}?recursive=true&cursor=x>; rel="next"'
         entries = [self.entry(own, name) for name in page]
         return self.answer(200, json.dumps(entries).encode(), {"Link": more} if first else {})
 
@@ -115,13 +124,12 @@ class _Handler(BaseHTTPRequestHandler):
         entry: dict[str, object] = {
             "type": "file",
             "path": name,
-            "size": len(data),
+            "size": own.sizes.get(name, len(data)),
             "oid": "0" * 40,
         }
         if name.endswith(".zip"):
-            data = data + b"?" if name in own.lie else data
-            oid = hashlib.sha256(data).hexdigest()
-            entry["lfs"] = {"oid": oid, "size": len(own.files[name]), "pointerSize": 134}
+            oid = hashlib.sha256(data + b"?" if name in own.lie else data).hexdigest()
+            entry["lfs"] = {"oid": oid, "size": own.sizes.get(name, len(data)), "pointerSize": 134}
         return entry
 
     def file(self, own: Publisher, path: str) -> None:
@@ -133,6 +141,14 @@ class _Handler(BaseHTTPRequestHandler):
             return self.answer(403 if given else 401, b"no")
         if name in own.status or name not in own.files:
             return self.answer(own.status.get(name, 404), b"not here")
+        if name in own.leads:
+            self.send_response(302)
+            self.send_header("Location", own.leads[name])
+            self.end_headers()
+            self.close_connection = True
+            with contextlib.suppress(OSError):
+                while True:
+                    self.wfile.write(bytes(2**20))
         if name in own.moved and not path.startswith("/moved/"):
             return self.answer(307, b"", {"Location": f"/moved/{name}"})
         if own.cdn is not None:
@@ -150,6 +166,9 @@ class _Handler(BaseHTTPRequestHandler):
                 return self.answer(416, b"")
             headers["Content-Range"] = f"bytes {first}-{last}/{len(data)}"
         part = data[first : last + 1]
+        if name in own.claims:
+            self.close_connection = True
+            return self.answer(200, part, {"Content-Length": own.claims[name]})
         cuts = own.cut.get(name, [])
         if not cuts and name not in own.stall:
             return self.answer(206 if "Content-Range" in headers else 200, part, headers)
@@ -167,7 +186,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def answer(self, status: int, data: bytes, headers: Mapping[str, str] | None = None) -> None:
         self.send_response(status)
-        for key, value in {**(headers or {}), "Content-Length": str(len(data))}.items():
+        for key, value in {"Content-Length": str(len(data)), **(headers or {})}.items():
             self.send_header(key, value)
         self.end_headers()
         self.wfile.write(data)

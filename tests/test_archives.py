@@ -54,7 +54,7 @@ def all_of(path: Path, into: Path) -> dict[str, dict[str, bytes]]:
             for p in folder.rglob("*")
             if p.is_file()
         }
-        assert (model.files, model.bytes) == (len(files), sum(map(len, files.values())))
+        assert (len(model.listing), model.bytes) == (len(files), sum(map(len, files.values())))
         found[str(model.root)] = files
 
     unpack(path, into, lambda _: True, on_model)

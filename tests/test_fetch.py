@@ -1,5 +1,6 @@
 """`articugen fetch` against publishers on this machine; nothing else is asked."""
 
+import gzip
 import hashlib
 import io
 import json
@@ -9,6 +10,7 @@ import resource
 import signal
 import subprocess
 import sys
+import tarfile
 import time
 import zipfile
 from pathlib import Path
@@ -525,6 +527,174 @@ def test_the_command_refuses_in_a_sentence(tmp_path, arguments, sentence):
     assert sentence in done.output
 
 
+# ------------------------------------------------------------------ what is in the way
+
+
+@pytest.fixture
+def elsewhere(tmp_path):
+    """A folder beside the one that is fetched into, to which links lead; it stays as it is."""
+    folder = tmp_path / "elsewhere"
+    (folder / "unpacking").mkdir(parents=True)
+    for name in ("mine.txt", "unpacking/mine.txt", ".fetched.json.01234567.partial"):
+        (folder / name).write_text(name)
+    before = {p: p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+    yield folder
+    assert {p: p.read_bytes() for p in folder.rglob("*") if p.is_file()} == before
+
+
+@pytest.mark.parametrize(
+    ("link", "to"),
+    [
+        (".fetch", ""),
+        (".fetch/unpacking", "unpacking"),
+        (".fetch/downloads", ""),
+        (".fetch/downloads/.9748.zip.part", "mine.txt"),
+        (".fetch/lock", "mine.txt"),
+        ("terms", ""),
+        ("terms/.README.md.part", "mine.txt"),
+        ("9748", ""),
+    ],
+)
+def test_no_link_is_followed_by_what_writes_or_deletes(hub, tmp_path, elsewhere, link, to):
+    path = tmp_path / "out" / link
+    path.parent.mkdir(parents=True)
+    path.symlink_to(elsewhere / to)
+    done = run("partnet-mobility", "--ids", "9748", "-o", tmp_path / "out")
+    assert done.exit_code == 1
+    assert done.output.count("symbolic link") == 1 or "Too many levels of symbolic" in done.output
+    assert path.is_symlink()
+
+
+def test_no_link_is_followed_to_a_category(tmp_path, elsewhere):
+    (tmp_path / "a.zip").write_bytes(zipped(shape2motion(), folder="laptop/0001/"))
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "laptop").symlink_to(elsewhere)
+    done = run("shape2motion", "--from", tmp_path / "a.zip", "-o", tmp_path / "out")
+    assert done.exit_code == 1
+    assert "laptop/0001: 'laptop' in it is a symbolic link" in done.output
+
+
+def test_a_file_of_ones_own_in_a_models_folder_stays(hub, tmp_path):
+    run("partnet-mobility", "--ids", "9748", "-o", tmp_path)
+    (tmp_path / "9748" / "notes.txt").write_text("mine")
+    hub.asked.clear()
+    done = run("partnet-mobility", "--ids", "9748", "-o", tmp_path)
+    assert "1 models, 0 of them new" in done.output
+    assert not [path for path, _ in hub.asked if ".zip" in path]
+    assert (tmp_path / "9748" / "notes.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("own", ["notes.txt", ".hidden", "mobility.urdf", "link"])
+def test_what_is_ones_own_is_set_aside_where_a_new_version_comes(hub, tmp_path, own):
+    run("partnet-mobility", "--ids", "9748", "-o", tmp_path)
+    path = tmp_path / "9748" / own
+    if own == "link":
+        path.symlink_to(tmp_path)
+    else:
+        path.write_bytes(b" " * path.stat().st_size if path.exists() else b"mine")
+    before = files_in(tmp_path / "9748")
+    hub.files["9748.zip"] = hub.cdn.files["9748.zip"] = zipped(model_files("Oven"))
+    done = run("partnet-mobility", "--ids", "9748", "-o", tmp_path)
+    assert "9748: holds what was not fetched, or has changed; it is in" in done.output
+    assert files_in(tmp_path / "9748") == model_files("Oven")
+    aside = tmp_path / ".set-aside" / "1" / "9748"
+    assert files_in(aside) == before
+    assert os.path.lexists(aside / own)
+    assert {ref.object_id for ref in object_refs(tmp_path, "Oven")} == {"9748"}
+
+
+def test_a_model_in_a_models_folder_is_refused_and_the_outer_one_stays_whole(tmp_path):
+    files = {f"{at}/{n}": d for at in ("x", "x/y", "z") for n, d in shape2motion().items()}
+    (tmp_path / "a.zip").write_bytes(zipped(files))
+    for new in (2, 0):
+        done = run("shape2motion", "--from", tmp_path / "a.zip", "-o", tmp_path / "out")
+        assert done.exit_code == 3
+        assert f"2 models, {new} of them new" in done.output
+        assert "not fetched a.zip/x/y: x/y: lies in the folder of another model, x;" in done.output
+        assert files_in(tmp_path / "out" / "x") == shape2motion()
+    (tmp_path / "b.zip").write_bytes(zipped(shape2motion(), folder="x/y/"))
+    done = run("shape2motion", "--from", tmp_path / "b.zip", "-o", tmp_path / "out")
+    assert "x/y: lies in the folder of another model, x;" in done.output
+    assert files_in(tmp_path / "out" / "x") == shape2motion()
+
+
+@pytest.mark.parametrize("archives", [1, 2])
+def test_two_models_of_one_place_are_not_taken_for_each_other(tmp_path, archives):
+    files = {f"{k}/7128/{n}": d for k in "ab" for n, d in model_files("Oven" * (k == "b")).items()}
+    for k in range(archives):
+        own = {n: d for n, d in files.items() if archives == 1 or n[0] == "ab"[k]}
+        (tmp_path / f"{k}.zip").write_bytes(zipped(own))
+    named = [x for k in range(archives) for x in ("--from", tmp_path / f"{k}.zip")]
+    for _ in range(2):
+        done = run("partnet-mobility", *named, "-o", tmp_path / "out")
+        assert done.exit_code == 3
+        assert "7128: is where another model goes, 0.zip/a/7128; rename" in done.output
+        assert files_in(tmp_path / "out" / "7128") == model_files("")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "fetched.json/m",
+        "fetched.json",
+        "Fetched.JSON",
+        "terms/m",
+        "terms",
+        ".zip",
+        "..zip",
+        "...zip",
+    ],
+)
+def test_a_model_is_called_as_nothing_that_fetch_keeps_is(tmp_path, name):
+    bad, good = tmp_path / "bad.zip", tmp_path / "good.zip"
+    if name.endswith("zip"):
+        bad = tmp_path / name
+        bad.write_bytes(zipped(shape2motion()))
+    else:
+        bad.write_bytes(zipped(shape2motion(), folder=f"{name}/"))
+    good.write_bytes(zipped(shape2motion(), folder="laptop/1/"))
+    done = run("shape2motion", "--from", bad, "--from", good, "-o", tmp_path / "out")
+    assert done.exit_code == 3, done.output
+    assert "no model can be called so here; rename its folder" in done.output
+    assert set(json.loads((tmp_path / "out" / "fetched.json").read_text())["models"]) == {
+        "laptop/1"
+    }
+
+
+def test_whatever_an_archive_is_the_next_one_is_unpacked(tmp_path):
+    nested = tarfile.TarInfo("pax")
+    nested.type = tarfile.XHDTYPE
+    (tmp_path / "nested.tar.gz").write_bytes(gzip.compress(nested.tobuf() * 4000))
+    os.mkfifo(tmp_path / "fifo.zip")
+    (tmp_path / "\udcff.zip").write_bytes(b"no zip")
+    (tmp_path / "1\udcff.zip").write_bytes(zipped(model_files()))
+    (tmp_path / "good.zip").write_bytes(zipped(model_files(), folder="9748/"))
+    names = ("nested.tar.gz", "fifo.zip", "\udcff.zip", "1\udcff.zip", "nul\0.zip", "good.zip")
+    done = ag.fetch(
+        "partnet-mobility", tmp_path / "out", archives=[tmp_path / name for name in names]
+    )
+    assert (done.models, done.new, len(done.failed)) == (1, 1, 5)
+    assert files_in(tmp_path / "out" / "9748") == model_files()
+    assert all("; " in why and why.isprintable() for why in done.failed.values())
+    assert json.loads((tmp_path / "out" / "fetched.json").read_text())["failed"] == done.failed
+
+
+def test_a_folder_of_no_possible_name_is_told():
+    with pytest.raises(InvalidArgument, match="no folder can have that name"):
+        ag.fetch("partnet-mobility", "a\0b", ids=["1"])
+
+
+@pytest.mark.parametrize(
+    "change", [{"source": "nobody's"}, {"listing": {"../../x": 3}}, {"listing": {"\0": "x"}}]
+)
+def test_a_receipt_that_another_wrote_is_none(hub, tmp_path, change):
+    fetch_partnet_mobility(tmp_path, ids=["9748"])
+    path = tmp_path / "9748" / RECEIPT_NAME
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"files": 1} | change))
+    again = fetch_partnet_mobility(tmp_path, ids=["9748"])
+    assert (again.models, again.new) == (1, 1)
+
+
 # ------------------------------------------------------------------ the web
 
 
@@ -587,3 +757,90 @@ def test_a_receipt_that_is_deep_is_none(hub, tmp_path):
     receipt.write_bytes(b"[" * 100_000)
     again = fetch_partnet_mobility(tmp_path, ids=["9748"])
     assert (again.models, again.new) == (1, 1)
+
+
+def test_an_empty_file_of_terms_is_one(hub, tmp_path):
+    hub.files["LICENSE"] = hub.cdn.files["LICENSE"] = b""
+    assert run("partnet-mobility", "--ids", "9748", "-o", tmp_path).exit_code == 0
+    assert (tmp_path / "terms" / "LICENSE").read_bytes() == b""
+
+
+@pytest.mark.parametrize("claim", [str(10**15), "9" * 5000, "-1"])
+def test_no_length_that_a_server_claims_lifts_the_bound(site, tmp_path, monkeypatch, claim):
+    monkeypatch.setattr(web, "MAX_FILE_BYTES", 50_000)
+    site.claims["9748.zip"] = claim
+    with pytest.raises(NotFetched, match=r"9748\.zip: is larger than it should be"):
+        fetch_partnet_mobility(tmp_path, ids=["9748"], via="sapien", token="sapien-secret")
+    assert not list((tmp_path / ".fetch" / "downloads").iterdir())
+
+
+def test_no_size_that_the_list_claims_lifts_the_bound(hub, tmp_path):
+    hub.sizes |= {"9748.zip": 10**15, "7138.zip": 10**15}
+    done = run("partnet-mobility", "--ids", "9748,10040", "-o", tmp_path)
+    assert done.exit_code == 3
+    assert "9748.zip: is larger than it should be" in done.output
+    assert whole(tmp_path, "10040")
+    assert not hub.cdn.bytes_of("9748.zip")
+
+
+@pytest.mark.parametrize(
+    "to", ["ftp://127.0.0.1/9748.zip", "http://[::1", "http://127.0.0.1:x/", "file:///etc/passwd"]
+)
+def test_a_server_leads_to_no_other_kind_of_address(hub, tmp_path, to):
+    hub.leads["9748.zip"] = to
+    done = run("partnet-mobility", "--ids", "9748,10040", "-o", tmp_path)
+    assert done.exit_code == 3
+    assert done.output.count("not fetched 9748: http://127.0.0.1") == 1
+    assert whole(tmp_path, "10040")
+
+
+def test_the_body_of_what_leads_on_is_not_read(hub, tmp_path):
+    hub.leads["9748.zip"] = f"{hub.cdn.base}/lfs/9748.zip"
+    assert run("partnet-mobility", "--ids", "9748", "-o", tmp_path).exit_code == 0
+    assert whole(tmp_path, "9748")
+
+
+@pytest.mark.parametrize(
+    ("base", "token"),
+    [
+        ("http://[::1", ""),
+        ("http://127.0.0.1:x", ""),
+        ("ftp://127.0.0.1", ""),
+        ("file:///etc", ""),
+        ("127.0.0.1", ""),
+        ("http://\udcff", ""),
+        ("http://" + "a" * 80 + ".example", ""),
+        ("http://127.0.0.1:9", "secret\nX-Y: z"),
+        ("http://127.0.0.1:9", "secret\udcff"),
+    ],
+)
+def test_a_malformed_address_or_token_is_told_in_a_sentence(tmp_path, monkeypatch, base, token):
+    monkeypatch.setenv("HF_ENDPOINT", base)
+    with pytest.raises(NotFetched, match=r"malformed; correct what names it, HF_ENDPOINT") as told:
+        fetch_partnet_mobility(tmp_path, ids=["9748"], token=token or "hf_x")
+    assert "secret" not in str(told.value)
+
+
+@pytest.mark.parametrize("link", ["<" * 60_000, "<" * 6_000 + ">;" + " " * 50_000, "<http://[::1>"])
+def test_a_link_of_any_kind_is_read_in_linear_time(hub, link):
+    hub.link = f'{link}; rel="next"'
+    server = Server(hub.base, token=TOKEN)
+    if "[" in link:
+        with pytest.raises(NotFetched, match="leads on to another server"):
+            server.json("/api/datasets/x/tree/main?recursive=true")
+    else:
+        assert server.json("/api/datasets/x/tree/main?recursive=true")[1] == ""
+
+
+def test_names_that_a_list_of_files_may_hold(hub, tmp_path):
+    """Ids of 5,000 digits, terms of any name: no such file is asked for."""
+    odd = ("9" * 5000 + ".zip", "README\0", "LICENSE\n", "TERMS" + "x" * 300, "README\x1b[2J")
+    hub.files |= dict.fromkeys((*odd, "\ud800/1.zip", "README\ud800"), b"x")
+    assert run("partnet-mobility", "--ids", "9748", "-o", tmp_path).exit_code == 0
+    assert {p.name for p in (tmp_path / "terms").iterdir()} == {"README.md"}
+
+
+def test_a_remote_file_makes_no_room_for_what_an_archive_claims(hub):
+    file = RemoteFile(Server(hub.base, token=TOKEN), "/9748.zip", len(hub.files["9748.zip"]))
+    with pytest.raises(ValueError, match="has no such size"):
+        file.read(10**15)

@@ -40,7 +40,7 @@ def fetch(
         archives: unpack these .zip or .tar.gz instead, whole.
         on_progress: called with how many models or archives are done, how many there are, and the
             name of what is at hand.
-        on_notice: called with a sentence where the second route is taken.
+        on_notice: called with a sentence where the second route is taken, or a folder is set aside.
 
     Returns:
         What is there now; `terms.licence` says on which terms, `refused` and `failed` what cannot
@@ -61,7 +61,8 @@ def fetch(
                 "--from takes all models of an archive; leave --category, --ids, --token and "
                 "--via out"
             )
-        return fetch_archives(source, [Path(path) for path in archives], Path(out), on_progress)
+        paths = [Path(path) for path in archives]
+        return fetch_archives(source, paths, Path(out), on_progress, on_notice)
     if terms.source != "partnet-mobility":
         raise InvalidArgument(
             f"{terms.source} is not downloaded from here; get its archives from its authors, "

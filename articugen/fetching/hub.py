@@ -88,7 +88,7 @@ def files(server: Server, repository: str) -> list[Published]:
             version,
         )
         for each in sorted(listed, key=lambda each: each.path)
-        if each.type == "file"
+        if each.type == "file" and each.path.isprintable()
     ]
 
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path, PurePosixPath
 
-from articugen.errors import InvalidSource, machine_fault
+from articugen.errors import InvalidSource, machine_fault, printable
 from articugen.fetching.models import Unpacked, unpack
 from articugen.fetching.outcome import Fetched, outcome
 from articugen.fetching.target import Target
@@ -20,6 +20,7 @@ def fetch_archives(
     archives: Sequence[Path],
     out: Path,
     told: Callable[[int, int, str], None] = lambda *_: None,
+    notice: Callable[[str], None] = lambda _: None,
 ) -> Fetched:
     """Unpack the models in archives that were downloaded by hand; those that are there are left.
 
@@ -28,6 +29,7 @@ def fetch_archives(
         archives: .zip or .tar.gz, each of one model or of many.
         out: a new folder, or one to go on in.
         told: called with the archives that are done, all of them, and what is at hand.
+        notice: called with a sentence for each folder that is set aside.
 
     Raises:
         InvalidArgument: no such data set.
@@ -36,7 +38,7 @@ def fetch_archives(
     """
     places: list[str] = []
     new = 0
-    with closing(Target(out, terms_of(source))) as target:
+    with closing(Target(out, terms_of(source), notice)) as target:
         for number, path in enumerate(archives):
             told(number, len(archives), path.name)
             try:
@@ -55,7 +57,7 @@ def _unpacked(path: Path, target: Target) -> tuple[list[str], int]:
         digest = sha256_of(path)
     except OSError as error:
         raise machine_fault(error) or InvalidSource(
-            f"{path}: cannot be read: {error.strerror}; correct its path"
+            f"{printable(str(path))}: cannot be read: {error.strerror}; correct its path"
         ) from error
     fresh = 0
 
@@ -64,11 +66,14 @@ def _unpacked(path: Path, target: Target) -> tuple[list[str], int]:
             return PurePosixPath(path.name.removesuffix(".zip").removesuffix(".tar.gz"))
         return PurePosixPath(root.name) if target.terms.source in _FLAT else root
 
+    def wanted(root: PurePosixPath) -> bool:
+        return target.wants(place(root), digest, f"{digest}/{root}", str(path.name / root))
+
     def take_in(model: Unpacked, staged: Path) -> None:
         nonlocal fresh
-        target.take_in(place(model.root), model, staged, path.name, digest)
+        target.take_in(place(model.root), model, staged, printable(path.name), digest)
         fresh += 1
 
     with target.unpacking() as folder:
-        roots = unpack(path, folder, lambda root: not target.has(place(root), digest), take_in)
+        roots = unpack(path, folder, wanted, take_in)
     return [str(place(root)) for root in roots], fresh

@@ -1,11 +1,11 @@
 """Which folders in an archive are models, and their way into a folder of ours."""
 
 import gzip
-import os
 import shutil
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO
 
@@ -22,10 +22,15 @@ _USD = (".usd", ".usda", ".usdc", ".usdz")
 
 @dataclass(frozen=True)
 class Unpacked:
-    """A model that has been unpacked: its folder in the archive, and how much came of it."""
+    """A model that has been unpacked: its folder in the archive, and what came of it.
+
+    Attributes:
+        listing: the SHA-256 of each file, by its name in the model's folder.
+        bytes: of all files.
+    """
 
     root: PurePosixPath
-    files: int
+    listing: Mapping[str, str]
     bytes: int
 
 
@@ -39,7 +44,7 @@ def unpack(
 
     Args:
         into: an empty folder; a model is unpacked to a folder in it, which `on_model` may move.
-        wanted: whether to unpack the model of a folder in the archive.
+        wanted: whether to unpack the model of a folder in the archive; asked of all before any is.
         on_model: called once all files of a model are there.
 
     Returns:
@@ -57,8 +62,8 @@ def unpack(
             raise InvalidSource(
                 f"{path}: holds no URDF and no motion_attributes.json, nor USD; name another"
             )
-        own = {m: root_of[m.name] for m in members if m.name in root_of}
-        todo = {member: root for member, root in own.items() if wanted(root)}
+        chosen = {root for root in roots if wanted(root)}
+        todo = {m: root for m in members if (root := root_of.get(m.name)) in chosen}
         _check_room(path, into, sum(member.bytes for member in todo))
         _unpack(archive, path, into, todo, on_model)
     return roots
@@ -71,37 +76,40 @@ def _unpack(
     todo: Mapping[Member, PurePosixPath],
     on_model: Callable[[Unpacked, Path], None],
 ) -> None:
-    files = Counter(todo.values())
-    left = Counter(files)
+    left = Counter(todo.values())
     sizes: Counter[PurePosixPath] = Counter()
+    listings: dict[PurePosixPath, dict[str, str]] = {root: {} for root in left}
     folder_of = {
         root: into / str(number) / (root.name or "model")
-        for number, root in enumerate(sorted(files))
+        for number, root in enumerate(sorted(left))
     }
     for member, data in contents(archive, path) if todo else ():
         root = todo.get(member)
         if root is None:
             continue
-        _write(data, member, folder_of[root] / member.name.relative_to(root), path)
+        name = member.name.relative_to(root)
+        listings[root][str(name)] = _write(data, member, folder_of[root] / name, path)
         left[root] -= 1
         sizes[root] += member.bytes
         if left[root] == 0:
-            on_model(Unpacked(root, files[root], sizes[root]), folder_of[root])
+            on_model(Unpacked(root, listings.pop(root), sizes[root]), folder_of[root])
 
 
-def _write(data: BinaryIO, member: Member, to: Path, path: Path) -> None:
-    written = 0
+def _write(data: BinaryIO, member: Member, to: Path, path: Path) -> str:
+    written, digest = 0, sha256()
     try:
         to.parent.mkdir(parents=True, exist_ok=True)
         with to.open("xb") as file:
             while block := data.read(_BLOCK):  # to the end, where the checksum is compared
                 written += file.write(block)
+                digest.update(block)
     except gzip.BadGzipFile:
         raise
     except OSError as error:
         raise MachineFault(cannot_write(to, error, member.bytes)) from error
     if written != member.bytes:
         raise InvalidSource(f"{path}: is damaged ({member.name} is cut short); get it again")
+    return digest.hexdigest()
 
 
 def _check_room(path: Path, into: Path, wanted: int) -> None:
@@ -151,14 +159,3 @@ def _usd_roots(names: Sequence[PurePosixPath]) -> set[PurePosixPath]:
 def _is_hidden(name: PurePosixPath) -> bool:
     """What file managers leave behind."""
     return any(part.startswith(".") or part == "__MACOSX" for part in name.parts)
-
-
-def folder_size(folder: Path) -> tuple[int, int]:
-    """How many files there are below a folder, hidden ones left out, and their bytes."""
-    files = size = 0
-    for parent, _, names in os.walk(folder):
-        for name in names:
-            if not name.startswith("."):
-                files += 1
-                size += os.lstat(os.path.join(parent, name)).st_size
-    return files, size

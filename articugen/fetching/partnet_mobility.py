@@ -22,7 +22,7 @@ from articugen.errors import AccessRefused, InvalidArgument, InvalidSource, NotF
 from articugen.fetching.hub import Published, files, hub
 from articugen.fetching.models import Unpacked, unpack
 from articugen.fetching.outcome import Fetched, outcome
-from articugen.fetching.target import CATEGORIES_NAME, Target
+from articugen.fetching.target import CATEGORIES_NAME, TERMS_NAME, WORK_NAME, Target
 from articugen.fetching.terms import terms_of
 from articugen.fetching.web import RemoteFile, Server
 from articugen.recipe_files import nearest
@@ -36,7 +36,7 @@ ROUTES = ("hub", "sapien")
 
 _AT_ONCE = 4
 _LOOKS_AT_ONCE = 8
-_TERMS = re.compile(r"(README|LICEN[CS]E|TERMS)[^/]*", re.IGNORECASE)
+_TERMS = re.compile(r"(README|LICEN[CS]E|TERMS)[\w.-]{0,50}", re.IGNORECASE)
 _MAX_TERMS_BYTES = 2**20
 _HUB_CURE = (
     f"accept the terms of {REPOSITORY} with your account at the hub, and give its token with "
@@ -74,7 +74,7 @@ def fetch_partnet_mobility(
         via: "hub" or "sapien"; by default the hub and, where that refuses and there is a
             SAPIEN_ACCESS_TOKEN, the site.
         told: called with the models that are done, all of them, and what is at hand.
-        notice: called with a sentence where the second route is taken.
+        notice: called with a sentence where the second route is taken, or a folder is set aside.
 
     Raises:
         InvalidArgument: nothing is chosen, or there is no such model, category or route.
@@ -85,7 +85,7 @@ def fetch_partnet_mobility(
         raise InvalidArgument(f"no route {via!r}; there are: {', '.join(ROUTES)}")
     if not categories and not ids:
         raise InvalidArgument("nothing is chosen; name --category (or 'all', 3.3 GB) or --ids")
-    with closing(Target(out, terms_of("partnet-mobility"))) as target:
+    with closing(Target(out, terms_of("partnet-mobility"), notice)) as target:
         if via != "sapien":
             try:
                 return _from_hub(target, categories, ids, token, told)
@@ -110,7 +110,7 @@ def _from_hub(
     models = {
         match[1]: _Model(match[1], each)
         for each in listed
-        if (match := re.fullmatch(r"(?:.*/)?([0-9]+)\.zip", each.name))
+        if (match := re.fullmatch(r"(?:.*/)?([0-9]{1,9})\.zip", each.name))
     }
     for name in ids:
         if name not in models:
@@ -122,7 +122,7 @@ def _from_hub(
         chosen = _of_categories(chosen, categories, server, target, told)
     for each in listed:
         if _TERMS.fullmatch(each.name) and (each.size or 0) <= _MAX_TERMS_BYTES:
-            to = target.folder / "terms" / each.name
+            to = target.path(f"{TERMS_NAME}/{each.name}")
             server.download(each.address, to, size=each.size, sha256=each.sha256)
     return _fetched(server, chosen, target, told)
 
@@ -154,10 +154,14 @@ def _from_site(
 
 def _fetched(server: Server, models: Sequence[_Model], target: Target, told: Told) -> Fetched:
     """Download, unpack and check what is missing, some files at once."""
-    todo = [m for m in models if not target.has(PurePosixPath(m.object_id), m.file.sha256)]
+    todo = [
+        m
+        for m in models
+        if target.wants(PurePosixPath(m.object_id), m.file.sha256, m.object_id, m.object_id)
+    ]
     new, there = 0, len(models) - len(todo)
     told(there, len(models), "")
-    folder = target.work / "downloads"
+    folder = target.path(f"{WORK_NAME}/downloads")
     queue = iter(todo)
     with _threads(_AT_ONCE, server) as pool:
 

@@ -19,16 +19,17 @@ from typing import Any, TypeVar
 from urllib.parse import urljoin, urlsplit
 
 from articugen.errors import AccessRefused, MachineFault, NotFetched, printable
-from articugen.store.files import cannot_write, sha256_of
+from articugen.store.files import cannot_write, sha256_of, within
 
 MAX_FILE_BYTES = 4 * 2**30
-"""Of a file whose size nobody tells."""
+"""Of a file, whatever size is told."""
 
 WAITS = (1.0, 2.0, 4.0, 8.0)
 """Seconds before each further try, where a connection is cut or the server is busy."""
 
-_MAX_JSON_BYTES = 64 * 2**20
+_MAX_JSON_BYTES = 16 * 2**20
 _BLOCK = 2**18
+_MOST_DIGITS = 20
 _TAIL = 2**16
 _SECONDS = 30.0
 _LONGEST_WAIT = 300.0
@@ -45,19 +46,25 @@ _Answer = TypeVar("_Answer")
 
 class _Redirects(urllib.request.HTTPRedirectHandler):
     """Leads on to other servers, where files lie, without the token, and to other places of the
-    same server with it; never from https to http."""
+    same server with it; never from https to http, nor to what is neither."""
 
     def redirect_request(
         self, req: Any, fp: Any, code: int, msg: str, headers: Any, newurl: str
     ) -> urllib.request.Request | None:
         old, new = urlsplit(req.full_url), urlsplit(newurl)
-        if old.scheme == "https" and new.scheme != "https":
+        if new.scheme not in ("https", old.scheme):
             raise NotFetched(f"{_shown(req.full_url)}: leads on to an address that is not secure")
         after = super().redirect_request(req, fp, code, msg, headers, newurl)
         token = req.unredirected_hdrs.get("Authorization")
         if after is not None and token and (old.scheme, old.netloc) == (new.scheme, new.netloc):
             after.add_unredirected_header("Authorization", token)
         return after
+
+    def http_error_302(self, req: Any, fp: Any, code: int, msg: str, headers: Any) -> Any:
+        fp.close()  # urllib would read all that comes with it
+        return super().http_error_302(req, fp, code, msg, headers)
+
+    http_error_301 = http_error_303 = http_error_307 = http_error_308 = http_error_302
 
 
 _OPENER = urllib.request.build_opener(_Redirects)
@@ -97,7 +104,7 @@ class Server:
             raise NotFetched(
                 f"{self._shown(address)}: answers what is no JSON; try again later"
             ) from None
-        following = re.search(r'<([^>]*)>;\s*rel="next"', link)
+        following = re.search(r'<([^<>]*)>;\s*rel="next"', link)
         return answer, _path_of(self.base, following[1]) if following else ""
 
     def part(self, address: str, first: int, last: int) -> bytes:
@@ -131,13 +138,15 @@ class Server:
             AccessRefused, NotFetched: it does not come, or is another than it should be.
             MachineFault: the disk is full, or the like.
         """
-        part = to.with_name(f".{to.name}.part")
+        if size is not None and size > MAX_FILE_BYTES:
+            raise self._too_large(address)
         marks: dict[str, str] = {}
         try:
-            part.parent.mkdir(parents=True, exist_ok=True)
+            to.parent.mkdir(parents=True, exist_ok=True)
+            part = within(to.parent, f".{to.name}.part")
             if sha256 is None or (size is not None and _length(part) > size):
                 part.unlink(missing_ok=True)
-            if size is None or _length(part) != size:
+            if size is None or not part.exists() or _length(part) != size:
                 self._persist(
                     address,
                     lambda: self._continue(address, part, size, marks),
@@ -180,8 +189,10 @@ class Server:
             mark = response.headers.get("ETag", "")
             marks["ETag"] = "" if mark.startswith("W/") else mark
             rest = response.headers.get("Content-Length", "")
-            whole = have + int(rest) if size is None and rest.isdecimal() else size
-            most = MAX_FILE_BYTES if whole is None else whole
+            whole = size
+            if size is None and rest.isdecimal() and len(rest) < _MOST_DIGITS:
+                whole = have + int(rest)
+            most = MAX_FILE_BYTES if size is None else size
             with part.open("ab" if resumed else "wb") as file:
                 while have <= most and (block := response.read(_BLOCK)):
                     file.write(block)
@@ -189,16 +200,25 @@ class Server:
                     self._go_on(address)
         if have > most:
             part.unlink()
-            raise NotFetched(f"{self._shown(address)}: is larger than it should be")
+            raise self._too_large(address)
         if whole is not None and have < whole:
             raise ConnectionError("the connection was cut")
 
     def _ask(self, address: str, headers: Mapping[str, str] | None = None) -> Any:
-        request = urllib.request.Request(self.base + address, headers=dict(headers or {}))
-        request.add_header("User-Agent", "articugen")
-        if self.token:
-            request.add_unredirected_header("Authorization", f"Bearer {self.token}")
-        return _OPENER.open(request, timeout=_SECONDS)
+        try:
+            request = urllib.request.Request(self.base + address, headers=dict(headers or {}))
+            if request.type not in ("http", "https"):
+                raise ValueError(request.type)
+            request.add_header("User-Agent", "articugen")
+            if self.token:
+                request.add_unredirected_header("Authorization", f"Bearer {self.token}")
+            return _OPENER.open(request, timeout=_SECONDS)
+        except (ValueError, http.client.InvalidURL):  # whose words may hold the token
+            raise NotFetched(
+                f"{self._shown(address)}: cannot be asked, for its address, the one it leads on to,"
+                " or the token is malformed; correct what names it, HF_ENDPOINT or SAPIEN_ENDPOINT,"
+                " or the token"
+            ) from None
 
     def _persist(
         self, address: str, once: Callable[[], _Answer], have: Callable[[], int] = lambda: 0
@@ -231,6 +251,11 @@ class Server:
         if self.stop.is_set():
             raise NotFetched(f"{self._shown(address)}: interrupted; what came is kept")
 
+    def _too_large(self, address: str) -> NotFetched:
+        return NotFetched(
+            f"{self._shown(address)}: is larger than it should be; tell its publisher"
+        )
+
     def _refusal(self, address: str, code: int) -> NotFetched:
         where = f"{self._shown(address)}: "
         if code in (401, 403):
@@ -262,6 +287,11 @@ class RemoteFile(io.RawIOBase):
     def tell(self) -> int:
         return self._at
 
+    def read(self, size: int = -1) -> bytes:
+        if size > _MAX_JSON_BYTES:  # room would be made at once
+            raise ValueError("an archive's list of files has no such size")
+        return super().read(size) or b""
+
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
         start = {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self._size}[whence]
         self._at = max(0, start + offset)
@@ -292,7 +322,10 @@ def _path_of(base: str, address: str) -> str:
     Raises:
         NotFetched: it is another server's.
     """
-    whole = urljoin(base, address)
+    try:
+        whole = urljoin(base, address)
+    except ValueError:
+        whole = ""
     if not whole.startswith(f"{base}/"):
         raise NotFetched(f"{_shown(base)}: leads on to another server; try again later")
     return whole.removeprefix(base)
@@ -300,6 +333,9 @@ def _path_of(base: str, address: str) -> str:
 
 def _shown(address: str) -> str:
     """An address without what may be secret in it: user, password and query."""
-    parts = urlsplit(address)
-    port = f":{parts.port}" if parts.port else ""
-    return printable(f"{parts.scheme}://{parts.hostname}{port}{parts.path}")
+    try:
+        parts = urlsplit(address)
+        host = f"{parts.hostname or ''}:{parts.port}" if parts.port else parts.hostname or ""
+    except ValueError:
+        return printable(address.partition("?")[0].rpartition("@")[2])
+    return printable(f"{parts.scheme}://{host}{parts.path}")

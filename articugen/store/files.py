@@ -6,6 +6,7 @@ import os
 import re
 import secrets
 import stat
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -226,9 +227,9 @@ def sync(path: Path) -> None:
 
 
 def sha256_of(path: Path) -> str:
-    """The hex digest of a file's bytes."""
+    """The hex digest of a regular file's bytes."""
     digest = hashlib.sha256()
-    with path.open("rb") as file:
+    with open_regular(path, sys.maxsize) as file:
         while block := file.read(1 << 20):
             digest.update(block)
     return digest.hexdigest()
