@@ -128,11 +128,10 @@ def generate(
     if len(todo) != 1:
         raise InvalidArgument(f"{category!r} means {len(todo)} data sets; make one after the other")
     (job,) = todo
+    check_replaces(job, replace=replace)
     if job.bucket:
         return _generate_into_a_bucket(job, on_object)
     if slurm.is_array(job.scheduler):
-        if replace:
-            raise InvalidArgument("replace with slurm: ranks replace nothing; give a new out")
         with slurm.started(job) as array:
             _check(array.finish(on_object), str(job.out))
         return open_data_set(job.out)
@@ -142,6 +141,21 @@ def generate(
         manifest = run.finish(on_object)
     _check(manifest, str(job.out))
     return open_data_set(job.out)
+
+
+def check_replaces(job: Job, *, replace: bool, shared: bool = False) -> None:
+    """See to it that nobody counts on `replace` where processes share out the objects.
+
+    Raises:
+        InvalidArgument: it is asked for, and they do: by `shared`, or in what way else.
+    """
+    way = "an object store" if job.bucket else "slurm" if slurm.is_array(job.scheduler) else ""
+    way = way or ("--shard" if shared else "")
+    if replace and way:
+        raise InvalidArgument(
+            f"--replace (replace=True) with {way}: processes that share out objects replace "
+            "nothing; give a new --out"
+        )
 
 
 def _generate_into_a_bucket(job: Job, on_object: Callable[[ObjectReport], None]) -> DataSet:

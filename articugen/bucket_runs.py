@@ -83,6 +83,7 @@ class BucketRun:
             made.append(outcome)
             on_object(report_of(outcome, reused=reused))
         outcomes = [*self.plan.done, *made]
+        self.journal.check_there(outcomes)
         if self.share is not None:
             return outcomes, None
         instances = sum(o.made.instances for o in made if o.made)

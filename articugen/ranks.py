@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from articugen.errors import ArticugenError
 from articugen.pipeline import (
     Job,
@@ -102,8 +104,10 @@ def merge(
     sizes_only: bool = False,
     timings: Timings | None = None,
     on_object: Callable[[int, int, str], None] = lambda *_: None,
+    on_notice: Callable[[str], None] = lambda _: None,
 ) -> Manifest:
-    """Look at all that ranks have made in a folder, and write its manifest.
+    """Look at all that ranks have made in a folder, and write its manifest; once it is written and
+    they have left nothing since, look whether it still holds.
 
     Args:
         folder: of the data set.
@@ -111,13 +115,19 @@ def merge(
         sizes_only: look at the sizes of shards, not at every byte.
         timings: of the ranks, where they are known; else the merge's own.
         on_object: called with how many objects were looked at, of how many, and the last one.
+        on_notice: called with one sentence where nothing is left to merge.
 
     Raises:
-        ArticugenError: objects are missing, and which command makes them; ranks are at work.
+        ArticugenError: objects are missing, and which command makes them; ranks are at work; no
+            rank has been; their plan is of another version.
         CorruptShard: a journal is damaged.
     """
     began = time.perf_counter()
     with Merging(folder, sizes_only=sizes_only) as journal:
+        if journal.merged:
+            _check_merged(journal, journal.merged)
+            on_notice("nothing to merge: the manifest tells of all that was made")
+            return journal.merged
         job = _job_of(journal.common, folder, jobs)
         refs = objects_of(job)
         _check_listing(journal, names_of(refs))
@@ -135,6 +145,16 @@ def merge(
             raise ArticugenError(_told(journal, missing, len(refs)))
         timings = timings or timings_of(0, time.perf_counter() - began, jobs)
         return conclude(job, journal, outcomes, timings, registry.licence(job.source))
+
+
+def _check_merged(journal: Merging, manifest: Manifest) -> None:
+    for outcome in manifest.outcomes:
+        why = outcome.shard and journal.why(outcome.key)
+        if why:
+            raise ArticugenError(
+                f"{journal.folder}: is merged, but {why}; mend it with: articugen verify "
+                f"{journal.folder} --repair"
+            )
 
 
 def _why(
@@ -216,10 +236,16 @@ def common_plan(job: Job, refs: Sequence[ObjectRef], command: str) -> CommonPlan
 
 
 def _job_of(common: CommonPlan, folder: Path, jobs: int) -> Job:
+    try:
+        recipe = Recipe.model_validate_json(common.recipe)
+    except ValidationError:
+        raise ArticugenError(
+            f"{folder}: the ranks' recipe is of another version of articugen; merge it there"
+        ) from None
     return Job(
         source=common.source,
         category=common.category,
-        recipe=Recipe.model_validate_json(common.recipe),
+        recipe=recipe,
         seed=common.seed,
         out=folder,
         jobs=jobs,

@@ -6,14 +6,17 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from bucket_server import BUCKET, Trouble, bucket_server
 from test_pipeline import TINY, contents, job, made, own_models  # noqa: F401
+from typer.testing import CliRunner
 
 import articugen as ag
 from articugen import bucket_runs
+from articugen.cli import app
 from articugen.errors import (
     ArticugenError,
     CorruptShard,
@@ -30,7 +33,8 @@ from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.manifest_pages import is_page_name
 from articugen.store.rank_journal import Share
 
-pytest.importorskip("obstore", reason="obstore is not installed")
+obstore = pytest.importorskip("obstore", reason="obstore is not installed")
+pytest.importorskip("obstore.store")
 pytest.importorskip("flask_cors", reason="moto's server is not installed")
 
 
@@ -204,6 +208,66 @@ def test_two_processes_share_out_the_objects(server: Trouble, whole: Path, tmp_p
         assert other.wait(60) == 0
     assert len(data) == 12
     assert files(f"{url}/eyeglasses") == contents(whole)
+
+
+@pytest.mark.parametrize("share", [None, "0/1"])
+def test_a_shard_that_is_removed_during_the_run_is_told_of_and_made_again(
+    server: Trouble, whole: Path, share: str | None
+) -> None:
+    """Once as one made by this run, once as one that was there already."""
+    url = f"s3://{BUCKET}/removed-{share}/eyeglasses"
+    chosen = Share.of_text(share) if share else None
+    for gone in ("train-00001.h5", "test-00000.h5"):
+        with (
+            pytest.raises(ArticugenError, match=f"1 shards were removed or .* \\({gone}"),
+            bucket_runs.started(into(url), chosen) as run,
+        ):
+            run.finish(lambda report, gone=gone: Bucket(url).delete([gone]))
+        assert MANIFEST_NAME not in files(url)
+    manifest, told = finished(into(url))
+    assert manifest is not None
+    assert [report.reused for report in told].count(False) == 1
+    assert files(url) == contents(whole)
+
+
+def test_nothing_in_a_store_is_replaced(server: Trouble) -> None:
+    url = f"s3://{BUCKET}/replaced"
+    with pytest.raises(InvalidArgument, match=r"with an object store: .* new --out"):
+        ag.generate("eyeglasses", out=url, recipe=TINY, jobs=0, replace=True)
+    command = ["generate", "-c", "eyeglasses", "-o", url, "--replace"]
+    told = CliRunner().invoke(app, command)
+    assert (told.exit_code, "with an object store" in told.output) == (1, True)
+    assert Bucket(url).listed("") == {}
+
+
+@pytest.mark.parametrize(
+    ("url", "name", "server_at", "plain"),
+    [
+        ("s3://bucket/x", "AWS_ENDPOINT_URL", "http://127.0.0.1:9", True),
+        ("s3://bucket/x", "AWS_ENDPOINT_URL", "https://127.0.0.1:9", False),
+        ("s3://bucket/x", "GOOGLE_BASE_URL", "http://127.0.0.1:9", False),
+        ("gs://bucket/x", "GOOGLE_BASE_URL", "http://127.0.0.1:9", True),
+        ("http://127.0.0.1:9/x", "AWS_ENDPOINT_URL", "", True),
+        ("https://127.0.0.1:9/x", "AWS_ENDPOINT_URL", "", False),
+    ],
+)
+def test_http_is_spoken_only_where_somebody_asked_for_it(
+    monkeypatch: pytest.MonkeyPatch, url: str, name: str, server_at: str, plain: bool
+) -> None:
+    """`AWS_ENDPOINT_URL` of the environment of other tests does not count."""
+    asked: list[dict[str, bool]] = []
+    real = obstore.store.from_url
+
+    def from_url(url: str, **options: Any) -> Any:
+        asked.append(options["client_options"])
+        return real(url, **options)
+
+    monkeypatch.setattr(obstore.store, "from_url", from_url)
+    monkeypatch.delenv("AWS_ENDPOINT_URL", raising=False)
+    monkeypatch.setenv("GOOGLE_SKIP_SIGNATURE", "true")
+    monkeypatch.setenv(name, server_at)
+    Bucket(url)
+    assert asked == [{"allow_http": True} if plain else {}]
 
 
 def test_a_store_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:

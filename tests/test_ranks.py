@@ -1,6 +1,7 @@
 """A data set by many processes: any number of them, some killed, is what one process makes."""
 
 import hashlib
+import json
 import os
 import shutil
 import subprocess
@@ -206,7 +207,7 @@ def test_the_command_line_makes_shares_and_merges_them(tmp_path: Path) -> None:
     assert "shard 1/2: 1 of 3 objects" in dry.stdout
     assert not (tmp_path / "data").exists()
     assert run(*command, "--shard", "2/2").exit_code == 1
-    assert "ranks replace nothing" in run(*command, "--shard", "0/2", "--replace").stderr
+    assert "replace nothing; give" in run(*command, "--shard", "0/2", "--replace").stderr
     done = run(*command, "--shard", "1/2")
     folder = tmp_path / "data" / "eyeglasses"
     assert done.exit_code == 0, done.output
@@ -218,7 +219,20 @@ def test_the_command_line_makes_shares_and_merges_them(tmp_path: Path) -> None:
     assert run(*command, "--shard", "0/2").exit_code == 0
     assert run("merge", tmp_path / "data").exit_code == 0
     assert not (folder / JOURNAL_NAME).exists()
+    again = run("merge", folder)
+    assert (again.exit_code, "nothing to merge" in again.stdout) == (0, True)
+    (folder / "train-00000.h5").unlink()
+    assert "train-00000.h5 is missing or altered; mend it with" in run("merge", folder).stderr
+    (folder / "manifest.json").unlink()
     assert "no rank has been at work" in run("merge", folder).stderr
+
+
+def test_a_plan_of_another_version_is_told_of(tmp_path: Path) -> None:
+    rank(tmp_path, "0/2")
+    path = tmp_path / COMMON_PLAN
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"recipe": '{"name": 5}'}))
+    with pytest.raises(ArticugenError, match="recipe is of another version of articugen"):
+        ranks.merge(tmp_path)
 
 
 def test_no_more_objects_than_a_manifest_can_tell_of(

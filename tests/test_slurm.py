@@ -152,7 +152,7 @@ def test_addresses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     command = ["generate", "-c", "laptop", "-o", str(tmp_path), "--scheduler", "slurm", "--replace"]
     told = CliRunner().invoke(app, command)
     assert told.exit_code == 1
-    assert "give neither --shard nor --replace" in told.output
+    assert "--replace (replace=True) with slurm: " in told.output
     monkeypatch.setitem(sys.modules, "submitit", None)
     with pytest.raises(MissingExtra, match=r"pip install 'articugen\[cluster\]'"):
         finished(on_slurm(tmp_path))

@@ -273,7 +273,7 @@ def generate(
 ) -> None:
     """Make a data set, or what is missing of it: run it again to resume."""
     with said(KEPT):
-        from articugen.api import jobs_of
+        from articugen.api import check_replaces, jobs_of
 
         todo = jobs_of(
             category, source, folder, recipe,
@@ -282,12 +282,13 @@ def generate(
             movable=listed(movable), canonical=canonical, max_rejected=max_rejected, jobs=jobs,
             scheduler=scheduler,
         )  # fmt: skip
-        share = share_of(shard, replace=replace)
+        share = share_of(shard)
+        check_replaces(todo[0], replace=replace, shared=share is not None)
         from articugen.slurm import is_array
     one = partial(made_share, share=share) if share else partial(_made, replace=replace)
     one = partial(made_in_bucket, share=share) if todo[0].bucket else one
     if is_array(todo[0].scheduler):
-        one = partial(made_by_array, share=share, replace=replace)
+        one = partial(made_by_array, share=share)
     make = one if len(todo) == 1 else partial(_made_each, one)
     status = make(*todo, dry_run=dry_run)
     if status:

@@ -27,18 +27,16 @@ def register(app: typer.Typer) -> None:
     )(merge)
 
 
-def share_of(text: str | None, *, replace: bool) -> "Share | None":
+def share_of(text: str | None) -> "Share | None":
     """What `--shard` says.
 
     Raises:
-        InvalidArgument: it is not like 3/8, or comes with `--replace`.
+        InvalidArgument: it is not like 3/8.
     """
     if text is None:
         return None
     from articugen.store.rank_journal import Share
 
-    if replace:
-        raise InvalidArgument("--replace with --shard: ranks replace nothing; give a new --out")
     return Share.of_text(text)
 
 
@@ -76,17 +74,14 @@ def made_in_bucket(job: "Job", *, dry_run: bool, share: "Share | None") -> int:
         return _told(manifest, job.bucket)
 
 
-def made_by_array(job: "Job", *, dry_run: bool, share: "Share | None", replace: bool) -> int:
+def made_by_array(job: "Job", *, dry_run: bool, share: "Share | None") -> int:
     """Make one data set by an array of SLURM and tell of it; the exit status."""
     with said(KEPT):
         from articugen import slurm
         from articugen.cli import console
 
-        if share or replace:
-            raise InvalidArgument(
-                "--scheduler slurm shares out the objects by itself and replaces nothing: give "
-                "neither --shard nor --replace"
-            )
+        if share:
+            raise InvalidArgument("--scheduler slurm shares out the objects by itself: no --shard")
         with slurm.started(job, command=_whole_command(sys.argv)) as run:
             if dry_run:
                 stdout.print(console.plan_table(job, run.plan))
@@ -165,8 +160,9 @@ def merge(
         for folder in data_sets(path, follow=False):
             with counting_bar() as told:
                 manifest = ranks.merge(
-                    folder, jobs=jobs or default_jobs(), sizes_only=sizes_only, on_object=told
-                )
+                    folder, jobs=jobs or default_jobs(), sizes_only=sizes_only, on_object=told,
+                    on_notice=stdout.print,
+                )  # fmt: skip
             status = max(status, _told(manifest, folder))
     if status:
         raise typer.Exit(status)

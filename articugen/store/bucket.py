@@ -4,6 +4,7 @@ What the store does not answer is asked again; what it refuses is one sentence. 
 of another server than Amazon's come from the environment: AWS_ACCESS_KEY_ID, AWS_ENDPOINT_URL.
 """
 
+import os
 import re
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -28,6 +29,14 @@ AT_ONCE = 16
 PART = 1 << 26
 """Bytes above which a file is sent in parts, each a request."""
 
+_ENDPOINTS = {
+    "s3": ("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT"),
+    "gs": ("GOOGLE_BASE_URL",),
+    "az": ("AZURE_STORAGE_ENDPOINT", "AZURE_ENDPOINT"),
+    "abfs": ("AZURE_STORAGE_ENDPOINT", "AZURE_ENDPOINT"),
+}
+"""Where the environment tells of another server, by scheme."""
+
 _LIKE_A_URL = re.compile(r"([a-z][a-z0-9+]+)://.+", re.DOTALL)
 
 
@@ -40,6 +49,12 @@ def scheme_of(url: str) -> str:
     """What stands before ://, "" where nothing does."""
     match = _LIKE_A_URL.fullmatch(url)
     return match[1] if match else ""
+
+
+def _is_plain(url: str) -> bool:
+    """Whether somebody has asked for http, which anybody on the way can read and change."""
+    names = _ENDPOINTS.get(scheme_of(url), ())
+    return any(at.startswith("http://") for at in (url, *(os.environ.get(n, "") for n in names)))
 
 
 def check_can_be_shared(url: str) -> None:
@@ -172,7 +187,7 @@ class Bucket:
         try:
             self._store: Any = from_url(
                 self.url,
-                client_options={"allow_http": True},
+                client_options={"allow_http": True} if _is_plain(self.url) else {},
                 retry_config={"max_retries": RETRIES},
             )
         except (obstore.exceptions.BaseError, ValueError) as error:

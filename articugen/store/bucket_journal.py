@@ -12,7 +12,7 @@ from uuid import uuid4
 
 from pydantic import ValidationError
 
-from articugen.errors import CorruptShard
+from articugen.errors import ArticugenError, CorruptShard
 from articugen.store.bucket import Bucket
 from articugen.store.journal import why_again
 from articugen.store.manifest import Key, Manifest, Outcome
@@ -87,6 +87,20 @@ class BucketJournal:
                     "and nothing in a store is replaced; choose another --out"
                 )
         return None
+
+    def check_there(self, outcomes: Sequence[Outcome]) -> None:
+        """See to it that the shards of these outcomes are there still.
+
+        Raises:
+            ArticugenError: some were removed or replaced meanwhile.
+        """
+        self._files = self.bucket.listed("")
+        gone = [o.shard.name for o in outcomes if o.shard and not self._is_whole(o)]
+        if gone:
+            raise ArticugenError(
+                f"{self.bucket.url}: {len(gone)} shards were removed or replaced during the run "
+                f"({gone[0]}, for one); see who writes there, and run the same command again"
+            )
 
     def _is_known(self, name: Name) -> bool:
         outcome = self._outcomes.get(name)

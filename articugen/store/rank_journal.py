@@ -32,7 +32,7 @@ from articugen.store.files import (
     write_atomically,
 )
 from articugen.store.journal import COMMON_PLAN, Journal, rank_of
-from articugen.store.manifest import Claims, Key, Outcome, Sha256
+from articugen.store.manifest import Claims, Key, Manifest, Outcome, Sha256
 from articugen.store.manifest_pages import MOST_PAGED_BYTES
 
 _MOST_PLAN_BYTES = 1 << 26
@@ -244,7 +244,15 @@ class RankJournal(Journal):
 
 
 class Merging(Journal):
-    """A folder that ranks have filled; as `Journal`, no other run may be at work in it."""
+    """A folder that ranks have filled; as `Journal`, no other run may be at work in it.
+
+    Attributes:
+        merged: its manifest, where nothing of ranks is left to merge; else None.
+        common: what the ranks make together, where something is.
+    """
+
+    merged: Manifest | None
+    common: CommonPlan
 
     def __init__(self, folder: Path, *, sizes_only: bool = False) -> None:
         """
@@ -257,14 +265,18 @@ class Merging(Journal):
         """
         self._sizes_only = sizes_only
         super().__init__(folder)
-        plan = CommonPlan.read(folder)
-        if plan is None:
-            self.close()
+
+    def _load(self) -> None:
+        super()._load()
+        plan = CommonPlan.read(self.folder)
+        if plan is None and (self._manifest is None or self._of_ranks):
             raise ArticugenError(
-                f"{folder}: no rank has been at work here; make objects with: articugen generate "
-                "... --shard i/n"
+                f"{self.folder}: no rank has been at work here; make objects with: articugen "
+                "generate ... --shard i/n"
             )
-        self.common = plan
+        self.merged = self._manifest if plan is None else None
+        if plan is not None:
+            self.common = plan
 
     @property
     def shares(self) -> tuple[Share, ...]:
