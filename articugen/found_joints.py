@@ -34,6 +34,7 @@ class Judged:
     Attributes:
         count: as many joints were found as there are.
         kind: they are of their kinds; `axis`: within AXIS, `pivot`: and PIVOT of the true ones.
+        states: and their mean error is within AXIS or PIVOT.
         turned, slid: the mean error of the states of revolute (radians) and prismatic joints (unit
             frame) of the right kind; None where there are none.
     """
@@ -42,6 +43,7 @@ class Judged:
     kind: bool
     axis: bool
     pivot: bool
+    states: bool
     turned: float | None
     slid: float | None
 
@@ -149,26 +151,25 @@ def _judged(found: Discovery | None, rows: Sequence[Row]) -> Judged:
     truth, first = rows[0].joints, rows[0]
     states = np.array([[joint.state_unit for joint in row.joints] for row in rows])
     if found is None:
-        return Judged(not truth, False, False, False, None, None)
+        return Judged(not truth, False, False, False, False, None, None)
     of = _matched(found, first.surface.part, len(truth))
-    kind, axis, pivot = True, True, True
+    kind, axis, pivot, near = True, True, True, True
     errors: dict[str, list[float]] = {"revolute": [], "prismatic": []}
     for j, true in enumerate(truth):
         mine = found.joints[of[j]] if j in of else None
         if mine is None or str(mine.kind) != true.kind:
-            kind = axis = pivot = False
+            kind = axis = pivot = near = False
             continue
         along = float(mine.axis @ true.axis)
         axis &= bool(np.degrees(np.arccos(min(abs(along), 1.0))) <= AXIS)
         if mine.kind == JointKind.REVOLUTE:
             pivot &= axes_apart(mine, true.axis, true.pivot) <= PIVOT
-        errors[true.kind].append(
-            float(np.abs(np.sign(along) * mine.states - states[:, j] + states[0, j]).mean())
-        )
+        off = float(np.abs(np.sign(along) * mine.states - states[:, j] + states[0, j]).mean())
+        near &= bool(off <= (np.radians(AXIS) if mine.kind == JointKind.REVOLUTE else PIVOT))
+        errors[true.kind].append(off)
     mean = {name: float(np.mean(each)) if each else None for name, each in errors.items()}
-    return Judged(
-        len(found.joints) == len(truth), kind, axis, pivot, mean["revolute"], mean["prismatic"]
-    )
+    count = len(found.joints) == len(truth)
+    return Judged(count, kind, axis, pivot, near, mean["revolute"], mean["prismatic"])
 
 
 def axes_apart(found: FoundJoint, axis: Floats, pivot: Floats) -> float:

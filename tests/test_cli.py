@@ -1,6 +1,8 @@
 """The command line as a user meets it: real commands, real data sets, tiny ones."""
 
 import json
+import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -10,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from articugen import __version__, articulation
-from articugen.cli import app
+from articugen.cli import app, saying
 from articugen.errors import NotOfCategory
 from articugen.store.shards import open_shard
 
@@ -79,6 +81,18 @@ def test_sources_lists_the_procedural_ones_with_the_papers_counts() -> None:
     assert "laptop            73 train, 13 test" in [line.strip() for line in lines]
 
 
+def test_sources_lists_what_will_be_made(tmp_path: Path) -> None:
+    (line,) = [
+        words
+        for block in run("sources").output.split("\n\n")
+        if block.startswith("procedural\n")
+        for words in map(str.split, block.splitlines())
+        if words[0] == "drawer"
+    ]
+    plan = run("generate", "-c", "drawer", "-o", tmp_path, "--dry-run").output
+    assert f"{int(line[1]) + int(line[3])} objects" in plan
+
+
 def test_settings_become_part_of_the_recipe_that_is_stored(recipe: Path, tmp_path: Path) -> None:
     given = ("generate", "-c", "eyeglasses", "-r", recipe, "-o", tmp_path, "-j", 0, "-n", 1)
     done = run(*given, "--set", "sampling.grids=[4]", "--set", "articulation.states=1")
@@ -111,7 +125,8 @@ def test_generate_says_what_was_made_and_what_comes_next(made: Path, recipe: Pat
     assert again.exit_code == 0
     assert "nothing to do" in again.stdout
     assert manifest["content_sha256"] in again.stdout.replace("\n", "")
-    assert f"next: articugen inspect {made}" in again.stdout
+    looking = saying.command("inspect", made, "--image", made / "sheet.png")
+    assert f"next: {looking}\n" in again.stdout
     assert {shard["instances"] for shard in manifest["shards"]} == {3}
 
 
@@ -122,6 +137,81 @@ def test_generate_warns_of_an_empty_split(made: Path, recipe: Path, boxes: Path,
     alone = run("generate", "-c", "box", "-s", one, "-r", recipe, "-o", tmp_path, "-j", 0)
     assert "no test" in alone.stdout
     assert "no object is for testing: add models" in " ".join(alone.stdout.split())
+
+
+def test_what_comes_next_can_be_pasted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    ours = tmp_path / "my env" / "articugen"
+    ours.parent.mkdir()
+    ours.write_text("#!/bin/sh\n")
+    ours.chmod(0o755)
+    monkeypatch.setattr(sys, "argv", [str(ours)])
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert shlex.split(saying.command("inspect", "my data")) == [str(ours), "inspect", "my data"]
+    monkeypatch.setenv("PATH", str(ours.parent))
+    assert saying.command("inspect", "my data") == "articugen inspect 'my data'"
+    monkeypatch.setattr(sys, "argv", ["/elsewhere/bin/articugen"])
+    assert saying.command("sources") == "/elsewhere/bin/articugen sources"
+    monkeypatch.setattr(sys, "argv", ["articugen/__main__.py"])
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert saying.command("sources") == f"{shlex.quote(sys.executable)} -m articugen sources"
+
+
+def test_what_make_calls_speaks_of_make(
+    recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ARTICUGEN_CALLED_BY", "make")
+    monkeypatch.chdir(tmp_path)
+    given = ("generate", "-c", "laptop", "-r", recipe, "-j", 0, "-n", 1)
+    assert "next: make inspect CATEGORY=laptop\n" in run(*given).output
+    done = run(*given, "-o", "my data")
+    assert "next: make inspect CATEGORY=laptop 'OUT=my data'\n" in done.output
+    done = run(*given, "--seed", 1)
+    assert done.exit_code == 1
+    assert done.output.endswith(", or add REPLACE=1\n")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes of POSIX")
+@pytest.mark.parametrize(
+    "words", [("--help",), ("sources",), ("generate", "--help"), ("export", "--to"), ("discover",)]
+)
+def test_who_stops_reading_ends_a_command_without_a_word(made: Path, words: tuple[str]) -> None:
+    """As `head` does; the status is that of SIGPIPE, as other tools have it."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    more = [str(made)] if words == ("discover",) else []
+    code = "from articugen.cli import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code, *words, *more], stdout=writer, stderr=subprocess.PIPE,
+        check=False,
+    )  # fmt: skip
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (141, b"")
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "sentence"),
+    [
+        (("x", "--to", "onett", "--out", "o"), 1, "no format 'onett'; did you mean 'onet'?"),
+        (("x", "--to", "onet"), 2, "name a folder with --out as well"),
+        (("--to", "onet", "--out", "o"), 2, "name a data set as well"),
+        (("x", "--out", "o"), 2, "name a format with --to; --to alone lists them"),
+    ],
+)
+def test_an_export_that_lacks_something_says_so_and_no_more(
+    words: tuple[str], status: int, sentence: str
+) -> None:
+    done = run("export", *words)
+    assert done.exit_code == status
+    assert done.output.startswith(f"error: {sentence}")
+    assert done.output.count("\n") == 1
+
+
+def test_formats_are_listed_where_none_is_named() -> None:
+    done = run("export", "--to")
+    assert done.exit_code == 0
+    assert {"onet", "glb", "parquet"} <= {
+        line.partition(" ")[0] for line in done.output.split("\n")
+    }
 
 
 def test_a_dry_run_tells_the_plan_and_makes_nothing(recipe: Path, tmp_path: Path) -> None:

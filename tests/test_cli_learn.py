@@ -11,6 +11,7 @@ from ppd_data import write_boxes
 from typer.testing import CliRunner
 
 from articugen.cli import app
+from articugen.cli.saying import command
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 torch.set_num_threads(1)
@@ -47,7 +48,7 @@ def folder(tmp_path_factory):
     done = articugen("train", *arguments, "--runs", folder / "runs")
     assert done.exit_code == 0, done.output
     assert "3/3 held-out objects: rec 0." in done.output
-    assert "next: articugen evaluate" in done.output
+    assert f"next: {command('evaluate', folder / 'runs')}" in done.output
     assert "data: 2 training objects show that all works" in done.output.replace("\n", " ")
     return folder
 

@@ -2,18 +2,21 @@
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from ppd_data import write_boxes
+from rich.console import Console
 from typer.testing import CliRunner
 
 import articugen as ag
 from articugen.cli import app
-from articugen.discovery import KINDS, Discovery, discover
+from articugen.cli.discover import _summary, _table
+from articugen.discovery import KINDS, Discovery, FoundJoint, discover
 from articugen.errors import InvalidArgument
-from articugen.found_joints import axes_apart, discover_all
+from articugen.found_joints import Judged, ObjectJoints, axes_apart, discover_all
 from articugen.geometry import apply, rotation_about, transform
 from articugen.records import Floats, JointKind
 from tests.shapes import box
@@ -261,6 +264,27 @@ def test_a_data_set_is_judged_by_its_truth(tmp_path: Path) -> None:
     lid = max(one.found.joints, key=lambda joint: abs(joint.axis @ truth.axis))
     assert degrees_between(lid.axis * np.sign(lid.axis @ truth.axis), truth.axis) < 5.0
     assert axes_apart(lid, truth.axis, truth.pivot) < 0.05
+
+
+def test_states_that_are_off_are_not_right() -> None:
+    right = Judged(True, True, True, True, True, np.radians(1.0), None)
+    off = replace(right, states=False, turned=np.radians(55.0))
+    objects = [ObjectJoints(str(k), None, "", judged, 0.0) for k, judged in enumerate((right, off))]
+    text = _summary(objects)
+    assert text.startswith("2 objects, right in all joints: number 100%")
+    assert "states within these 50%; states off by 28.00 degrees on average" in text
+    assert _summary(objects[:1]).startswith("1 object, ")
+
+
+def test_the_table_fits_a_narrow_terminal() -> None:
+    axis, pivot = -np.ones(3) / np.sqrt(3), np.full(3, -0.45)
+    joint = FoundJoint(JointKind.PRISMATIC, axis, pivot, np.array([-0.5, 0.5]), 0.5)
+    turns = replace(joint, kind=JointKind.REVOLUTE, states=np.radians([-100.0, 100.0]))
+    found = Discovery((joint, turns), np.zeros((9, 3)), np.ones(9, np.int64))
+    console = Console(width=80)
+    with console.capture() as shown:
+        console.print(_table(found))
+    assert len(shown.get().strip().splitlines()) == 4
 
 
 def test_the_same_poses_give_the_same_joints() -> None:

@@ -13,7 +13,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, Task, TextColumn, 
 from rich.table import Table
 from rich.text import Text
 
-from articugen.inspection.tables import duration, facts, size
+from articugen.inspection.tables import counted, duration, facts, size
 from articugen.pipeline import Job, ObjectReport, Plan
 from articugen.sources.registry import SourceInfo
 from articugen.store.manifest import MANIFEST_NAME, Manifest, Outcome
@@ -55,15 +55,15 @@ def plan_table(job: Job, plan: Plan) -> RenderableType:
     reasons: dict[str, list[str]] = {}
     for task in plan.tasks:
         reasons.setdefault(task.why, []).append(task.ref.object_id)
-    table.add_row("there already", _count(len(plan.done), "object"))
+    table.add_row("there already", counted(len(plan.done), "object"))
     for why, objects in reasons.items():
         some = ", ".join(objects[:3]) + (", ..." if len(objects) > 3 else "")
         table.add_row(
-            "to make", escape(f"{_count(len(objects), 'object')} ({some}), each because {why}")
+            "to make", escape(f"{counted(len(objects), 'object')} ({some}), each because {why}")
         )
     table.add_row("instances", f"{plan.instances:,}")
     table.add_row("disk", f"about {size(plan.bytes)}: an estimate")
-    on = f"on {_count(max(job.jobs, 1), 'worker')}"
+    on = f"on {counted(max(job.jobs, 1), 'worker')}"
     table.add_row("time", f"about {duration(round(plan.seconds))} {on}: an estimate")
     lines: list[RenderableType] = [_title(job.category, job.bucket or job.out), table]
     if plan.conflict:
@@ -85,7 +85,7 @@ def made_table(manifest: Manifest, folder: Path | str) -> RenderableType:
     table.add_row(
         "last run",
         f"{duration(took.seconds)}, {took.instances_per_second:.1f} instances/s on "
-        f"{_count(took.workers, 'worker')}, {size(took.peak_memory_bytes)} of memory at most",
+        f"{counted(took.workers, 'worker')}, {size(took.peak_memory_bytes)} of memory at most",
     )
     table.add_row("content", manifest.content_sha256)
     for split in {"train", "test"} - set(splits) if splits else ():
@@ -132,7 +132,7 @@ def _add_left_out(table: Table, manifest: Manifest) -> None:
         for each in objects:
             table.add_row(f"[yellow]{word}[/]", f"[yellow]{escape(each.sentence)}[/]")
     for first in manifest.skipped[:1]:
-        count = _count(len(manifest.skipped), "object")
+        count = counted(len(manifest.skipped), "object")
         table.add_row("skipped", escape(f"{count}, such as {first.sentence}"))
 
 
@@ -205,7 +205,3 @@ class _Rate(TextColumn):
 
 def _title(category: str, folder: Path | str) -> Text:
     return Text.assemble((category, "bold"), f" in {folder}")
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number:,} {noun}" + ("" if number == 1 else "s")

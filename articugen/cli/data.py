@@ -8,6 +8,7 @@ that were rejected (within the recipe's limit); 130 interrupted; 143 ended by SI
 # Everything else is imported where it is used: --help should not wait for numba, h5py and trimesh.
 # ruff: noqa: PLC0415
 import os
+import shlex
 import signal
 import sys
 from collections.abc import Callable
@@ -32,7 +33,10 @@ from articugen.cli.saying import (
     KEPT,
     REJECTED,
     STOPPED,
+    UNHEARD,
     Stopped,
+    called_by_make,
+    command,
     counting_bar,
     said,
     say_error,
@@ -75,6 +79,9 @@ def main() -> None:
     except SystemExit as left:
         if stopped and left.code:
             _leave_at_once(STOPPED[stopped[0]])
+        if isinstance(left.__context__, BrokenPipeError):  # rich and click call that 1
+            _drop_output()
+            sys.exit(UNHEARD)
         raise
 
 
@@ -306,7 +313,8 @@ def _made(job: "Job", *, dry_run: bool, replace: bool) -> int:
                 stdout.print(console.plan_table(job, run.plan))
                 return 0
             if run.plan.conflict and not replace:
-                raise ArticugenError(f"{run.plan.conflict}, or add --replace")
+                cure = "REPLACE=1" if called_by_make() else "--replace"
+                raise ArticugenError(f"{run.plan.conflict}, or add {cure}")
             with console.progress(stderr, run.plan) as bar:
                 manifest = run.finish(bar.of_object, bar.of_notice)
         if not run.plan.tasks:
@@ -314,10 +322,16 @@ def _made(job: "Job", *, dry_run: bool, replace: bool) -> int:
         stdout.print(console.made_table(manifest, job.out))
         if manifest.shortfall:
             raise ArticugenError(manifest.shortfall)
-        stdout.print(
-            escape(f"next: articugen inspect {job.out} --image {job.out}/sheet.png"), soft_wrap=True
-        )
+        stdout.print(f"next: {escape(_looking(job.out))}", soft_wrap=True)
     return REJECTED if manifest.rejected else 0
+
+
+def _looking(folder: Path) -> str:
+    """The command that shows what a data set holds."""
+    if not called_by_make():
+        return command("inspect", folder, "--image", folder / "sheet.png")
+    where = [] if str(folder.parent) == "data" else [f"OUT={folder.parent}"]
+    return shlex.join(["make", "inspect", f"CATEGORY={folder.name}", *where])
 
 
 def _made_each(one: Callable[..., int], *todo: "Job", dry_run: bool) -> int:
@@ -454,7 +468,8 @@ def verify(
                     soft_wrap=True,
                 )
             elif report.mendable and not repair:
-                hint = f"mend what can be made again with: articugen verify {folder} --repair"
+                hint = "mend what can be made again with: "
+                hint += command("verify", folder, "--repair")
                 stderr.print(escape(hint), soft_wrap=True)
             sound = sound and report.ok
     if not sound:

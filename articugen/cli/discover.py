@@ -109,21 +109,18 @@ def _table(found: "Discovery") -> "Table":
     from articugen.inspection.tables import quiet_table
     from articugen.records import JointKind
 
-    def vector(v: "Floats") -> str:
-        return " ".join(f"{x:.3f}" for x in np.round(v, 3) + 0.0)
+    def vector(v: "Floats", digits: int) -> str:
+        return " ".join(f"{x:.{digits}f}" for x in np.round(v, digits) + 0.0)
 
-    table = quiet_table("joint", "axis", "pivot", "states", ">points", ">score")
-    for j, joint in enumerate(found.joints):
+    table = quiet_table("joint", "axis", "pivot", "states", ">score")  # 80 columns; JSON has more
+    for joint in found.joints:
         turns = joint.kind == JointKind.REVOLUTE
         low, high = joint.states.min(), joint.states.max()
         span = (
-            f"{np.degrees(low):.1f}° to {np.degrees(high):.1f}°"
-            if turns
-            else f"{low:.3f} to {high:.3f}"
+            f"{np.degrees(low):.1f}..{np.degrees(high):.1f}°" if turns else f"{low:.3f}..{high:.3f}"
         )
-        points = f"{(found.part == j + 1).sum():,}"
         table.add_row(
-            str(joint.kind), vector(joint.axis), vector(joint.pivot), span, points,
+            str(joint.kind), vector(joint.axis, 2), vector(joint.pivot, 3), span,
             f"{joint.score:.2f}",
         )  # fmt: skip
     return table
@@ -131,15 +128,17 @@ def _table(found: "Discovery") -> "Table":
 
 def _summary(objects: "Sequence[ObjectJoints]") -> str:
     from articugen.found_joints import AXIS, PIVOT, mean_error, share
+    from articugen.inspection.tables import counted
 
     turned, slid = mean_error(objects, "turned"), mean_error(objects, "slid")
     errors = [f"{turned * 57.29578:.2f} degrees"] if turned is not None else []
     errors += [f"{slid:.4f} of the unit frame"] if slid is not None else []
     seconds = sum(o.seconds for o in objects) / max(len(objects), 1)
     return (
-        f"{len(objects)} objects, right in all joints: number {share(objects, 'count'):.0%}, "
-        f"kind {share(objects, 'kind'):.0%}, axis within {AXIS:g} degrees "
-        f"{share(objects, 'axis'):.0%}, pivot within {PIVOT:g} {share(objects, 'pivot'):.0%}; "
+        f"{counted(len(objects), 'object')}, right in all joints: number "
+        f"{share(objects, 'count'):.0%}, kind {share(objects, 'kind'):.0%}, axis within {AXIS:g} "
+        f"degrees {share(objects, 'axis'):.0%}, pivot within {PIVOT:g} "
+        f"{share(objects, 'pivot'):.0%}, states within these {share(objects, 'states'):.0%}; "
         f"states off by {' and '.join(errors) or 'nothing that can be said'} on average; "
         f"{seconds:.1f} s of CPU an object"
     )

@@ -9,7 +9,7 @@ import typer
 from rich.markup import escape
 from typer.core import TyperCommand
 
-from articugen.cli.saying import FAILED, REJECTED, counting_bar, said, say_error, stdout
+from articugen.cli.saying import REJECTED, counting_bar, said, say_error, stdout
 
 if TYPE_CHECKING:
     from articugen.export.run import Exported
@@ -95,24 +95,22 @@ def export(
 
 
 def _list_formats(data: Path | None, to: str | None, out: Path | None) -> None:
-    """Say what is missing, and which formats there are; and leave."""
-    from articugen.errors import InvalidArgument
+    """Say what is missing, or which formats there are where nothing is named; and leave."""
     from articugen.export.formats import NAMES, format_named
     from articugen.inspection.tables import quiet_table
 
+    if to is not None:
+        format_named(to)  # or says what there is
+        say_error(f"name {'a data set' if data is None else 'a folder with --out'} as well")
+        raise typer.Exit(2)
+    if data or out:
+        say_error("name a format with --to; --to alone lists them")
+        raise typer.Exit(2)
     table = quiet_table("format", "what it is")
     for name in NAMES:
         table.add_row(name, format_named(name).what)
     stdout.print(table)
-    if to is None:
-        raise typer.Exit(2 if data or out else 0)
-    try:
-        format_named(to)
-    except InvalidArgument as error:
-        say_error(str(error))
-        raise typer.Exit(FAILED) from None
-    say_error(f"name {'a data set' if data is None else 'a folder with --out'} as well")
-    raise typer.Exit(2)
+    raise typer.Exit
 
 
 def _print(done: "Exported") -> None:

@@ -9,7 +9,7 @@ import typer
 from rich.markup import escape
 
 from articugen.cli.listed import listed
-from articugen.cli.saying import REJECTED, counting_bar, said, stderr, stdout
+from articugen.cli.saying import REJECTED, command, counting_bar, said, stderr, stdout
 from articugen.errors import printable
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def _print(done: "Fetched") -> None:
     )
     category = "object" if done.terms.source == "articraft" else "all"  # which tells no categories
     stdout.print(
-        f"next: articugen generate --source {escape(str(done.folder))} --category {category}",
+        f"next: {escape(command('generate', '--source', done.folder, '--category', category))}",
         soft_wrap=True,
     )
 

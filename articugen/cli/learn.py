@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.markup import escape
 
-from articugen.cli.saying import loading, said, stderr, stdout
+from articugen.cli.saying import command, loading, said, stderr, stdout
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
@@ -131,7 +132,7 @@ def train(
         if not run.writes:
             return
         stdout.print(f"done: {run.path}", soft_wrap=True)
-        stdout.print(f"next: articugen evaluate {run.path} --data {data[0]}", soft_wrap=True)
+        _say_next(run.path, data[0])
 
 
 def train_depth(
@@ -150,7 +151,12 @@ def train_depth(
                 run, data, device=device, threads=threads, on_progress=on_progress
             )
         stdout.print(f"done: {done.path / commands.DEPTH.latest}", soft_wrap=True)
-        stdout.print(f"next: articugen evaluate {done.path} --data {data}", soft_wrap=True)
+        _say_next(done.path, data)
+
+
+def _say_next(run: Path, data: Path) -> None:
+    what = command("evaluate", run, "--data", data)
+    stdout.print(f"next: {escape(what)}", soft_wrap=True)
 
 
 def evaluate(

@@ -1,8 +1,12 @@
 """What all commands say alike: where it goes, our errors in one sentence, and the exit status."""
 
+import os
+import shlex
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from shutil import which
 
 import typer
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -14,6 +18,8 @@ from articugen.errors import ArticugenError, printable, spelt_out
 FAILED, REJECTED = 1, 3
 STOPPED: dict[int, int] = {signal.SIGINT: 130, signal.SIGTERM: 143}
 """The exit status after each signal that stops the work in good order."""
+UNHEARD = 128 + 13
+"""The exit status where whoever reads the output has left, as `head` does: that of SIGPIPE."""
 KEPT = "finished work is kept; run the same command to resume"
 
 
@@ -39,6 +45,22 @@ stderr = Terminal(stderr=True, highlight=False)
 def say_error(sentence: str) -> None:
     """Print an error to stderr, on one line."""
     stderr.print(f"[bold red]error:[/] {escape(printable(sentence))}", soft_wrap=True)
+
+
+def called_by_make() -> bool:
+    """Whether a target of the Makefile calls: what comes next is then said in make's words."""
+    return os.environ.get("ARTICUGEN_CALLED_BY") == "make"
+
+
+def command(*words: object) -> str:
+    """A command of ours as it can be pasted: `articugen`, or how this process was called where no
+    such command is found, as in an environment that is not activated."""
+    program, found = [sys.argv[0]], which("articugen")
+    if os.path.basename(program[0]) != "articugen":  # python -m articugen
+        program = ["articugen"] if found else [sys.executable, "-m", "articugen"]
+    elif found and os.path.realpath(found) == os.path.realpath(program[0]):
+        program = ["articugen"]
+    return shlex.join([*program, *map(str, words)])
 
 
 class Stopped(KeyboardInterrupt):

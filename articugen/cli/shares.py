@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from articugen.cli.saying import KEPT, REJECTED, counting_bar, said, stderr, stdout
+from articugen.cli.saying import KEPT, REJECTED, command, counting_bar, said, stderr, stdout
 from articugen.errors import ArticugenError, InvalidArgument
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def made_share(job: "Job", *, dry_run: bool, share: "Share") -> int:
                 return 0
             with console.progress(stderr, rank.plan) as bar:
                 outcomes = rank.finish(bar.of_object, bar.of_notice)
-        return _told_share(outcomes, f"when all shards are made: articugen merge {job.out}")
+        return _told_share(outcomes, f"when all shards are made: {command('merge', job.out)}")
 
 
 def made_in_bucket(job: "Job", *, dry_run: bool, share: "Share | None") -> int:

@@ -7,6 +7,7 @@ from os.path import exists
 from pathlib import Path
 
 from articugen.errors import InvalidSource, printable
+from articugen.recipe import load_recipe
 from articugen.sources import readers
 from articugen.sources.categories import of_category, own_name, unknown
 from articugen.sources.discovery import any_models, distinct, mixed_models, sorted_models
@@ -50,10 +51,12 @@ def of_named(
 
 
 def of_every_category(named: NamedSource) -> dict[str, list[ObjectRef]]:
-    """The objects of each category of a named source, though there be none."""
+    """The objects of each category of a named source, though there be none; of one that makes them
+    as many as the category's recipe makes."""
     maker, every = named.file.maker, named.file.categories
     if maker:
-        return {own: _made(named, maker, own, None, ()) for own in every}
+        counts = {own: load_recipe(None, own, named.name).objects for own in every}
+        return {own: _made(named, maker, own, counts[own], ()) for own in every}
     models = sorted_models(named.file.reader, named.folder)
     return {own: _found(named, models, own) for own in every}
 
