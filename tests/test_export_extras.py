@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from instances import changed, hinged_box
 from PIL import Image
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from test_extras import ASKING, SLIDE
 from test_html_report import shard
@@ -46,30 +47,52 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root / "out" / "bolt"
 
 
+def drawn_by_dora(path):
+    """A sample as Dora's loader draws it with its own configuration: each point at most once."""
+    rng = np.random.default_rng(0)
+    data = np.load(path)
+    near, far = data["rand_points"][:400_000], data["rand_points"][400_000:]
+    counts = ((data["sharp_near_surface"], 21_384), (near, 10_000), (far, 10_000))
+    queries = [points[rng.choice(len(points), count, replace=False)] for points, count in counts]
+    return data["fps_coarse_surface"][:, 0, :], data["fps_sharp_surface"][:, 0, :], queries
+
+
 def test_vecset_as_doras_loader_reads_it(bolts, rows, tmp_path):
     ag.export(bolts, "vecset", tmp_path / "v")
+    lists = {split: json.loads((tmp_path / "v" / f"{split}.json").read_text())
+             for split in ("train", "val", "test")}  # fmt: skip
+    assert lists["val"] == lists["train"][:1]
     for split in rows.splits:
-        paths = json.loads((tmp_path / "v" / f"{split}.json").read_text())
-        assert len(paths) == len(rows.split(split))
-        for path, row in zip(paths, rows.split(split), strict=True):
-            data = np.load(tmp_path / "v" / path)
-            coarse = data["fps_coarse_surface"][:, 0, :]
-            sharp = data["fps_sharp_surface"][:, 0, :]
+        assert len(lists[split]) == len(rows.split(split))
+        for path, row in zip(lists[split], rows.split(split), strict=True):
+            coarse, sharp, (edges, near, far) = drawn_by_dora(tmp_path / "v" / path)
             np.testing.assert_allclose(coarse[:, :3], 2 * row.surface.points, atol=1e-7)
             np.testing.assert_allclose(sharp[:, :3], 2 * row.sharp.points, atol=1e-7)
             np.testing.assert_array_equal(sharp[:, 3:], row.sharp.normals)
-            near, edges = data["rand_points"], data["sharp_near_surface"]
-            assert (len(near), len(edges)) == (300 + 500, 200)
-            assert near.dtype == np.float32
-            np.testing.assert_allclose(edges[:, :3], 2 * row.near.points[300:], atol=1e-7)
-            # its occupancy, and its truncated distance, both above 0 inside
-            occupied = np.where(near[:, 3] < 0, 0, 1)
-            label = np.concatenate([row.near.label[:300], row.uniform.label])
-            clear = np.abs(near[:, 3]) > 1e-6
-            np.testing.assert_array_equal(occupied[clear], label[clear] > 0)
-            truncated = near[:, 3].clip(-0.015, 0.015) / 0.015
-            far = np.concatenate([row.near.distance[:300], row.uniform.distance])
-            np.testing.assert_allclose(truncated, (-2 * far).clip(-0.015, 0.015) / 0.015)
+            stored = {
+                "edges": (edges, row.near, slice(300, 500)),
+                "near": (near, row.near, slice(300)),
+                "far": (far, row.uniform, slice(500)),
+            }
+            for name, (points, queries, which) in stored.items():
+                assert points.dtype == np.float32
+                distance, index = cKDTree(2 * queries.points[which]).query(points[:, :3])
+                assert distance.max() < 1e-6, name
+                # its occupancy, and its truncated distance, both above 0 inside
+                occupied = np.where(points[:, 3] < 0, 0, 1)
+                clear = np.abs(points[:, 3]) > 1e-6
+                label = queries.label[which][index]
+                np.testing.assert_array_equal(occupied[clear], label[clear] > 0)
+                truncated = points[:, 3].clip(-0.015, 0.015) / 0.015
+                truth = (-2 * queries.distance[which][index]).clip(-0.015, 0.015) / 0.015
+                np.testing.assert_allclose(truncated, truth)
+
+
+def test_vecset_wants_points_near_edges(tmp_path):
+    (tmp_path / "a.urdf").write_text(SLIDE.format(upper=0.15))
+    ag.generate("bolt", tmp_path / "a.urdf", tmp_path / "out", ASKING, states=1, jobs=0)
+    with pytest.raises(InvalidArgument, match=r"sampling\.near_sharp between 0 and 1"):
+        ag.export(tmp_path / "out" / "bolt", "vecset", tmp_path / "v")
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Samples for autoencoders of sets of latents (after 3DShape2VecSet), as Dora packs them.
+"""Samples for Dora's autoencoder of sets of latents, so that its loader takes them as configured.
 
 <split>/<object>_<state>.npz in coordinates from -1 to 1, and lists of paths, <split>.json: surface
 points and points on sharp edges, each with normals; points near the surface, then points in all of
@@ -18,6 +18,10 @@ from articugen.store.rows import Row, RowQueries, RowSurface
 
 _FIELDS = ("sharp_points", "near_distance")
 
+_NEAR, _FAR, _EDGES = 400_000, 10_000, 21_384
+"""Its loader takes the first 400,000 of `rand_points` for those near the surface, whatever they
+are, and draws 10,000 of them, 10,000 of the others and 21,384 of those near edges, none twice."""
+
 
 def _write(item: Item, target: Target) -> None:
     (row,) = item.rows
@@ -28,16 +32,28 @@ def _write(item: Item, target: Target) -> None:
             "sampling.sharp_points, sampling.near_sharp and sampling.signed_distance"
         )
     edges = round(item.rows.recipe.sampling.near_sharp * len(row.near))
+    if not 0 < edges < len(row.near) or not len(row.uniform):
+        raise LeftOut(
+            f"{row.object_id}: points near edges, near the surface and in all of the cube are "
+            "needed; make the data with sampling.near_sharp between 0 and 1 and uniform_points"
+        )
     near, far = _queries(row.near), _queries(row.uniform)
     target.write_arrays(
         _path(row),
         {
             "fps_coarse_surface": _surface(row.surface),
             "fps_sharp_surface": _surface(row.sharp),
-            "rand_points": np.concatenate([near[: len(near) - edges], far]),
-            "sharp_near_surface": near[len(near) - edges :],
+            "rand_points": np.concatenate(
+                [_repeated(near[: len(near) - edges], _NEAR)[:_NEAR], _repeated(far, _FAR)]
+            ),
+            "sharp_near_surface": _repeated(near[len(near) - edges :], _EDGES),
         },
     )
+
+
+def _repeated(points: NDArray[np.float32], least: int) -> NDArray[np.float32]:
+    """The points (n, 4), over and over where they are fewer than `least`."""
+    return np.resize(points, (max(len(points), least), points.shape[1]))
 
 
 def _path(row: Row) -> str:
@@ -55,13 +71,17 @@ def _queries(points: RowQueries) -> NDArray[np.float32]:
 
 
 def _finish(data: DataSet, target: Target) -> None:
-    for split in data.splits:
-        paths = [_path(row) for row in data.split(split)]
-        target.write(f"{file_name(split)}.json", json.dumps(paths, indent=1).encode() + b"\n")
+    lists = {name: [_path(row) for row in data.split(name)] for name in data.splits}
+    train = lists.get("train", [])
+    lists.setdefault("val", train[: -(-len(train) // 10)])  # a part of train, while that runs
+    for split, paths in lists.items():
+        if paths:
+            text = json.dumps(paths, indent=1) + "\n"
+            target.write(f"{file_name(split)}.json", text.encode())
 
 
 FORMAT = Format(
-    "Dora and others with set latents: surface, sharp edges, signed distances",
+    "Dora, autoencoders of set latents: surface, sharp edges, signed distances",
     of_instances,
     _write,
     _finish,
