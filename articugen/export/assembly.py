@@ -10,6 +10,7 @@ import numpy as np
 
 from articugen.errors import MissingExtra
 from articugen.export.formats import Item
+from articugen.export.inertia import Inertia, inertia
 from articugen.export.items import canonical
 from articugen.export.joints import MetricJoint, metric_joints, part_names
 from articugen.export.parts import in_metres
@@ -19,6 +20,10 @@ from articugen.records import Floats, Mesh
 
 DENSITY = 500.0
 """kg/m^3, of wood. Models do not tell theirs; mass and inertia follow from it and the volume."""
+
+SLOWING = 0.1
+"""Seconds in which a joint that nothing drives loses two thirds of its speed. A lid that is let go
+sinks on its stop instead of hitting it. What friction is by material, models do not tell either."""
 
 _CONCAVITY = 0.05
 """CoACD's threshold: lower means more convex parts. 0.05 is its own default."""
@@ -36,6 +41,7 @@ class Body:
         origin: (3,) where its frame stands in that of the body it hangs on, metres.
         mesh: watertight, in its frame.
         hulls: convex meshes that together fill about the same space; () unless asked for.
+        inertia: of the mesh, filled with DENSITY, in its frame.
         joint: what it moves by; None of part 0.
     """
 
@@ -43,6 +49,7 @@ class Body:
     origin: Floats
     mesh: Mesh
     hulls: tuple[Mesh, ...]
+    inertia: Inertia
     joint: MetricJoint | None
 
 
@@ -58,13 +65,34 @@ def bodies(item: Item, target: Target) -> tuple[Body, ...]:
         joint = joints[part - 1] if part else None
         hulls = convex_parts(mesh) if target.options.collision else ()
         origin = at[part] - at[joint.parent] if joint else at[0]
-        made.append(Body(part_names(row)[part], origin, mesh, hulls, joint))
+        name, solid = part_names(row)[part], inertia(mesh, DENSITY)
+        made.append(Body(name, origin, mesh, hulls, solid, joint))
     return tuple(made)
 
 
-def from_the_root(parts: Sequence[Body]) -> list[int]:
-    """The numbers of the parts, each after the part that it hangs on."""
-    order = [0]
+def damping(parts: Sequence[Body], part: int) -> float:
+    """Of the joint that moves `part`, N m s/rad or N s/m: its inertia over SLOWING.
+
+    The inertia is that of all that moves with it, canonical pose, about a hinge's axis, or its mass
+    on a slide.
+    """
+    joint = parts[part].joint
+    assert joint is not None
+    places, inert = {part: np.zeros(3)}, 0.0
+    for k in from_the_root(parts, part):
+        body = parts[k]
+        if k != part and body.joint:
+            places[k] = places[body.joint.parent] + body.origin
+        solid = body.inertia
+        arm = np.cross(joint.axis, places[k] + solid.center)
+        turned = float(joint.axis @ solid.tensor @ joint.axis + solid.mass * arm @ arm)
+        inert += turned if joint.kind == "revolute" else solid.mass
+    return inert / SLOWING
+
+
+def from_the_root(parts: Sequence[Body], root: int = 0) -> list[int]:
+    """The numbers of `root` and of all parts on it, each after the part that it hangs on."""
+    order = [root]
     for above in order:
         order += [k for k, body in enumerate(parts) if body.joint and body.joint.parent == above]
     return order

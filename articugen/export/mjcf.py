@@ -6,7 +6,7 @@ and a drawer would stick in the hull of its cabinet. Parts that share a joint ne
 
 from xml.etree import ElementTree as ET
 
-from articugen.export.assembly import DENSITY, bodies, from_the_root, numbers
+from articugen.export.assembly import DENSITY, bodies, damping, from_the_root, numbers
 from articugen.export.formats import Format, Item
 from articugen.export.items import of_objects
 from articugen.export.joints import MetricJoint, unique
@@ -16,6 +16,9 @@ from articugen.records import Mesh
 
 _WORLD = "world"
 """MuJoCo's own body, whose name many URDFs give to their first link."""
+
+_STOP = "0.01 1"
+"""A stop gives way for half as long as MuJoCo's own, and so half as far, and does not bounce."""
 
 _SEEN = {"type": "mesh", "contype": "0", "conaffinity": "0", "group": "2"}
 _FELT = {"type": "mesh", "group": "3", "density": "0"}
@@ -35,7 +38,7 @@ def _write(item: Item, target: Target) -> None:
         above = world if body.joint is None else placed[body.joint.parent]
         placed[part] = ET.SubElement(above, "body", name=names[part], pos=numbers(body.origin))
         if body.joint is not None:
-            _add_joint(placed[part], body.joint)
+            _add_joint(placed[part], body.joint, damping(parts, part))
         seen = _asset(item, target, assets, f"part_{part}", body.mesh, inertia="exact")
         ET.SubElement(placed[part], "geom", {**_SEEN, "mesh": seen, "density": f"{DENSITY:g}"})
         for k, hull in enumerate(body.hulls):
@@ -50,12 +53,11 @@ def _write(item: Item, target: Target) -> None:
     target.write(f"{item.key}/{name}.xml", ET.tostring(root, encoding="utf-8") + b"\n")
 
 
-def _add_joint(element: ET.Element, joint: MetricJoint) -> None:
+def _add_joint(element: ET.Element, joint: MetricJoint, damping: float) -> None:
     kind = "hinge" if joint.kind == "revolute" else "slide"
-    span = numbers([joint.lower, joint.upper])
-    ET.SubElement(
-        element, "joint", name=joint.name, type=kind, axis=numbers(joint.axis), range=span
-    )
+    about = {"name": joint.name, "type": kind, "axis": numbers(joint.axis)}
+    about |= {"range": numbers([joint.lower, joint.upper]), "solreflimit": _STOP}
+    ET.SubElement(element, "joint", {**about, "damping": f"{damping:.6g}"})
 
 
 def _asset(

@@ -2,9 +2,8 @@
 
 from xml.etree import ElementTree as ET
 
-from articugen.export.assembly import DENSITY, Body, bodies, numbers
+from articugen.export.assembly import Body, bodies, damping, numbers
 from articugen.export.formats import Format, Item
-from articugen.export.inertia import inertia
 from articugen.export.items import of_objects
 from articugen.export.target import Target
 from articugen.model_text import obj_text
@@ -20,8 +19,8 @@ def _write(item: Item, target: Target) -> None:
         _add_mesh(link, "visual", _mesh_file(item, target, f"part_{part}", body.mesh))
         for k, hull in enumerate(body.hulls):
             _add_mesh(link, "collision", _mesh_file(item, target, f"part_{part}_convex_{k}", hull))
-    for body in parts:
-        _add_joint(robot, body, parts)
+    for part in range(1, len(parts)):
+        _add_joint(robot, part, parts)
     ET.indent(robot)
     text = ET.tostring(robot, encoding="utf-8", xml_declaration=True)
     target.write(f"{item.key}/{item.key.rpartition('/')[2]}.urdf", text + b"\n")
@@ -38,7 +37,7 @@ def _add_mesh(link: ET.Element, kind: str, file: str) -> None:
 
 
 def _add_inertial(link: ET.Element, body: Body) -> None:
-    own = inertia(body.mesh, DENSITY)
+    own = body.inertia
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "origin", xyz=numbers(own.center), rpy="0 0 0")
     ET.SubElement(inertial, "mass", value=numbers([own.mass]))
@@ -55,10 +54,9 @@ def _add_inertial(link: ET.Element, body: Body) -> None:
     )
 
 
-def _add_joint(robot: ET.Element, body: Body, parts: tuple[Body, ...]) -> None:
-    joint = body.joint
-    if joint is None:
-        return
+def _add_joint(robot: ET.Element, part: int, parts: tuple[Body, ...]) -> None:
+    body, joint = parts[part], parts[part].joint
+    assert joint is not None
     element = ET.SubElement(robot, "joint", name=joint.name, type=joint.kind)
     ET.SubElement(element, "parent", link=parts[joint.parent].name)
     ET.SubElement(element, "child", link=body.name)
@@ -66,6 +64,7 @@ def _add_joint(robot: ET.Element, body: Body, parts: tuple[Body, ...]) -> None:
     ET.SubElement(element, "axis", xyz=numbers(joint.axis))
     limits = {"lower": numbers([joint.lower]), "upper": numbers([joint.upper])}
     ET.SubElement(element, "limit", {**limits, "effort": "10", "velocity": "10"})
+    ET.SubElement(element, "dynamics", damping=f"{damping(parts, part):.6g}", friction="0")
 
 
 FORMAT = Format(

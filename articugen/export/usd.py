@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from articugen.export.assembly import DENSITY, Body, bodies
+from articugen.export.assembly import Body, bodies, damping
 from articugen.export.colours import linear_of_part
 from articugen.export.formats import Format, Item
-from articugen.export.inertia import inertia
 from articugen.export.items import of_objects
+from articugen.export.joints import unique
 from articugen.export.target import Target
 from articugen.records import Floats, Mesh
 
@@ -34,13 +34,13 @@ def _write(item: Item, target: Target) -> None:
 
 
 def _fill(path: Path, name: str, parts: tuple[Body, ...]) -> None:
-    Tf, Usd, UsdGeom, UsdPhysics = _pxr("Tf", "Usd", "UsdGeom", "UsdPhysics")
+    Usd, UsdGeom, UsdPhysics = _pxr("Usd", "UsdGeom", "UsdPhysics")
 
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
-    root = UsdGeom.Xform.Define(stage, f"/{Tf.MakeValidIdentifier(_led_by_a_letter(name))}")
+    root = UsdGeom.Xform.Define(stage, f"/{_identifier(name)}")
     root.GetPrim().SetDisplayName(name)
     stage.SetDefaultPrim(root.GetPrim())
     UsdPhysics.ArticulationRootAPI.Apply(root.GetPrim())
@@ -49,16 +49,19 @@ def _fill(path: Path, name: str, parts: tuple[Body, ...]) -> None:
         _add_body(stage, f"{root.GetPath()}/part_{part}", part, body, place[part])
     fixed = UsdPhysics.FixedJoint.Define(stage, f"{root.GetPath()}/to_world")
     fixed.CreateBody1Rel().SetTargets([f"{root.GetPath()}/part_0"])
-    for part, body in enumerate(parts):
-        if body.joint is not None:
-            _add_joint(stage, str(root.GetPath()), part, body)
+    ours = [fixed.GetPrim().GetName(), *(f"part_{part}" for part in range(len(parts)))]
+    joints = [_identifier(body.joint.name) for body in parts if body.joint]
+    for part, joint in enumerate(unique((*ours, *joints))[len(ours) :], 1):
+        _add_joint(stage, f"{root.GetPath()}/{joint}", part, parts)
     stage.GetRootLayer().Save()
 
 
-def _led_by_a_letter(name: str) -> str:
-    """The name; led by `_` where it starts with a digit, which OpenUSD would put `_` in place of,
-    so that 12692 and 22692 became one."""
-    return f"_{name}" if name[:1].isdigit() else name
+def _identifier(name: str) -> str:
+    """The name as OpenUSD takes it for a prim; led by `_` where it starts with a digit, which
+    OpenUSD would put `_` in place of, so that 12692 and 22692 became one."""
+    (Tf,) = _pxr("Tf")
+
+    return Tf.MakeValidIdentifier(f"_{name}" if name[:1].isdigit() else name)
 
 
 def _places(parts: tuple[Body, ...]) -> list[Floats]:
@@ -81,7 +84,7 @@ def _add_body(stage: Any, path: str, part: int, body: Body, place: Floats) -> No
     prim.SetDisplayName(body.name)
     UsdPhysics.RigidBodyAPI.Apply(prim)
     mass = UsdPhysics.MassAPI.Apply(prim)
-    own = inertia(body.mesh, DENSITY)
+    own = body.inertia
     mass.CreateMassAttr(own.mass)
     mass.CreateCenterOfMassAttr(Gf.Vec3f(*own.center.tolist()))
     moments, turn = _principal(own.tensor)
@@ -110,14 +113,14 @@ def _add_mesh(stage: Any, path: str, mesh: Mesh) -> Any:
     return made
 
 
-def _add_joint(stage: Any, root: str, part: int, body: Body) -> None:
+def _add_joint(stage: Any, path: str, part: int, parts: tuple[Body, ...]) -> None:
     Gf, UsdPhysics = _pxr("Gf", "UsdPhysics")
 
-    own = body.joint
+    body, own, root = parts[part], parts[part].joint, path.rpartition("/")[0]
     assert own is not None
     revolute = own.kind == "revolute"
     kind = UsdPhysics.RevoluteJoint if revolute else UsdPhysics.PrismaticJoint
-    joint = kind.Define(stage, f"{root}/joint_{part}")
+    joint = kind.Define(stage, path)
     joint.GetPrim().SetDisplayName(own.name)
     joint.CreateBody0Rel().SetTargets([f"{root}/part_{own.parent}"])
     joint.CreateBody1Rel().SetTargets([f"{root}/part_{part}"])
@@ -130,6 +133,9 @@ def _add_joint(stage: Any, root: str, part: int, body: Body) -> None:
     unit = np.degrees(1.0) if revolute else 1.0
     joint.CreateLowerLimitAttr(own.lower * unit)
     joint.CreateUpperLimitAttr(own.upper * unit)
+    drive = UsdPhysics.DriveAPI.Apply(joint.GetPrim(), "angular" if revolute else "linear")
+    drive.CreateStiffnessAttr(0.0)
+    drive.CreateDampingAttr(damping(parts, part) / unit)
 
 
 def _principal(tensor: Floats) -> tuple[list[float], list[float]]:
