@@ -209,6 +209,7 @@ def test_an_export_that_lacks_something_says_so_and_no_more(
 def test_formats_are_listed_where_none_is_named() -> None:
     done = run("export", "--to")
     assert done.exit_code == 0
+    names = {line.split()[0] for line in done.output.splitlines() if line.split()}
     assert {"onet", "glb", "parquet"} <= {
         line.partition(" ")[0] for line in done.output.split("\n")
     }

@@ -91,8 +91,8 @@ def made_table(manifest: Manifest, folder: Path | str) -> RenderableType:
     for split in {"train", "test"} - set(splits) if splits else ():
         table.add_row(
             f"[yellow]no {split}[/]",
-            f"[yellow]no object is for {'training' if split == 'train' else 'testing'}: add models, "
-            "or list ids of both splits in a source.yaml (docs/conventions.md)[/]",
+            f"[yellow]no object is for {'training' if split == 'train' else 'testing'}: add "
+            "models, or list ids of both splits in a source.yaml (docs/conventions.md)[/]",
         )
     _add_left_out(table, manifest)
     return Group(_title(manifest.category, folder), table)
