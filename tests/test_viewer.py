@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from instances import hinged_box
+from instances import SMALL, hinged_box
 from test_cli import run
 from test_html_report import HOSTILE, STATES, named, shard
 from test_maker import CABINET, TINY
@@ -23,7 +23,7 @@ from articugen.errors import (
     NotOfCategory,
     installing,
 )
-from articugen.geometry import apply, rotation_about
+from articugen.geometry import apply, look_along, rotation_about
 from articugen.records import ENCLOSED, FREE, Instance, JointKind, dequantize
 from articugen.store.shards import open_shard
 from articugen.viewer import layers, words
@@ -31,6 +31,8 @@ from articugen.viewer.layers import Lines, Points, Solid
 from articugen.viewer.serve import served, what_to_show
 from articugen.viewer.shown import Joint, Shown
 from articugen.viewer.sources import source_of
+from articugen.viewer.stage import FIELD_OF_VIEW, FILL, eye_of
+from articugen.viewer.wish import MESHES
 from articugen.viewer.words import Scale
 
 STUCK = """<robot name="stuck">
@@ -243,6 +245,50 @@ def test_surface_points_and_normals_are_the_stored_ones(box: Instance) -> None:
     ends = only(layers.normals(box), Lines).ends
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     np.testing.assert_allclose(length, layers.NORMAL_LENGTH, rtol=0.02)
+
+
+def test_all_that_joints_do_is_framed() -> None:
+    shut, open_wide = hinged_box(((0.0, 0.0), (np.radians(100.0), 0.3)))
+    points, part = dequantize(shut.surface_points), shut.surface_part
+    everywhere = layers.swept(shut)
+    np.testing.assert_allclose(everywhere[: len(points)], points[np.argsort(part, kind="stable")])
+    for k, T in enumerate(open_wide.part_motion):
+        moved = apply(T, points[part == k])
+        apart = np.abs(everywhere[-len(points) :, None] - moved[:1]).max(axis=2).min(axis=0)
+        np.testing.assert_allclose(apart, 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("aspect", "free"), [(1.6, 1.0), (0.4, 1.0), (0.46, 0.4)])
+def test_what_is_framed_fills_the_free_part_of_the_window(aspect, free) -> None:
+    points, toward = layers.swept(hinged_box()[0]), np.array([0.6, 0.64, 0.48])
+    eye = eye_of(points, toward, aspect, free)
+    x, y, z = look_along(-toward)[:3, :3] @ (points - eye).T
+    assert (z > 0.0).all()
+    high = np.tan(FIELD_OF_VIEW / 2.0)
+    right, up = x / z / high / aspect, (-y / z / high - (1.0 - free)) / free
+    np.testing.assert_allclose([right.min(), up.min()], [-right.max(), -up.max()], atol=1e-6)
+    assert max(right.max(), up.max()) == pytest.approx(FILL)
+
+
+def test_an_object_opens_a_little_open() -> None:
+    states = np.array([[0.0, 0.0], [1.57, 0.2], [0.5, -0.1], [0.6, 0.08]])
+    joints = (
+        Joint("door", JointKind.REVOLUTE, 0.0, 1.57),
+        Joint("slide", JointKind.PRISMATIC, -0.3, 0.2),
+    )
+    shown = Shown("x", joints, states, lambda _: hinged_box()[0], image_size=8)
+    assert shown.ajar == 2  # of the slide, the farther end is the negative one
+    assert Shown("x", (), np.zeros((1, 0)), shown._read, image_size=8).ajar == 0
+
+
+def test_without_a_grid_or_a_source_the_surface_is_shown(viser: Any, tmp_path: Path) -> None:
+    recipe = SMALL.model_copy(update={"sampling": SMALL.sampling.model_copy(update={"grids": ()})})
+    path = shard(tmp_path / "train-00000.h5", hinged_box(recipe=recipe))
+    with served(source_of(str(path))) as there:
+        assert there.session.wait(60)
+        assert there.session.fault == ""
+        (drawn,) = [d for d, _ in there.session._stage._layers[MESHES]]
+        assert isinstance(drawn, Points)
 
 
 # what is said

@@ -81,9 +81,8 @@ class Window:
             box = self.tab.get_by_role("checkbox", name=name)
             if box.count() and box.is_checked() != (name in AT_FIRST):
                 self.toggle(name)
-        slider = self.tab.get_by_role("slider").first
-        slider.focus()
-        slider.press("Home")
+        self.tab.get_by_label("State").first.click()
+        self.tab.get_by_role("option").first.click()
         self.tab.wait_for_selector("text=state 0, as it is stored")
         return self.picture(lambda now: now.min() < 150)
 
@@ -138,7 +137,9 @@ def window(chromium: Any, cabinet: Served) -> Window:
 def where(image: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
     """(n, 2) the pixels of one hue, light or dark."""
     wanted, lit = np.array(colour) / max(colour), image.max(axis=2, keepdims=True)
-    alike = np.abs(image / np.maximum(lit, 1) - wanted).max(axis=2) < 0.04
+    alike = (
+        np.abs(image / np.maximum(lit, 1) - wanted).max(axis=2) < 0.15
+    )  # lamps have a hue of their own
     return np.argwhere(alike & (lit[..., 0] > 60))
 
 
@@ -185,6 +186,19 @@ def test_on_a_phone_the_object_stands_above_the_controls(chromium: Any, cabinet:
     assert_fills(image[: int(0.4 * len(image))])
     assert phone.faults == []
     phone.tab.close()
+
+
+def test_it_is_dark_where_the_system_is(chromium: Any, cabinet: Served) -> None:
+    tab = chromium.new_context(viewport=WINDOW, color_scheme="dark").new_page()
+    tab.set_default_timeout(PATIENCE)
+    tab.goto(f"{cabinet.url}/?{SHARP}")
+    tab.wait_for_selector("text=as it is stored")
+    corner = (
+        Image.open(io.BytesIO(tab.screenshot())).convert("L").getpixel((3, WINDOW["height"] - 3))
+    )
+    assert isinstance(corner, int)
+    assert corner < 60
+    tab.close()
 
 
 def test_each_toggle_draws_something_and_takes_it_away(window: Window) -> None:

@@ -136,7 +136,7 @@ class Panel:
         def moved(wish: Wish, value: float) -> Wish:
             if self._shown is None or self._shown.object_id != wish.object_id:
                 return wish
-            q = np.array(self._shown.states[0] if wish.q is None else wish.q)
+            q = np.array(self._shown.states[self._shown.ajar] if wish.q is None else wish.q)
             if scale.shown(joint, float(q[j])) == value:
                 return wish  # a window tells back what it was told, rounded
             q[j] = scale.meant(joint, value)

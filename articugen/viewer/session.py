@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from articugen.errors import ArticugenError
-from articugen.geometry import bounds
+from articugen.geometry import box_corners
 from articugen.inspection.portrait import best_azimuth
-from articugen.records import Floats, Instance, dequantize
+from articugen.records import Floats, Instance
 from articugen.report.markup import Markup, join
 from articugen.viewer import layers, words
 from articugen.viewer.layers import Drawn
@@ -146,7 +146,7 @@ class Session:
         if self.seen is None or wish.q is not self._q:
             self._panel.say(words.busy("fusing …"))
             began = time.perf_counter()
-            self.seen = shown.at_state(0) if wish.q is None else shown.at(wish.q)
+            self.seen = shown.at_state(shown.ajar) if wish.q is None else shown.at(wish.q)
             self._said = words.said_of(shown, self.seen, time.perf_counter() - began)
             self._q = wish.q
             q = self.seen.q if self.seen.asked or wish.q is None else wish.q
@@ -159,7 +159,7 @@ class Session:
         assert self.seen is not None
         instance = self.seen.instance
         if not self._stage.framed:
-            self._frame(shown, instance)
+            self._frame(shown)
         grids = sorted(instance.occupancy)
         edge = wish.resolution if wish.resolution in grids else _easy(grids)
         self._panel.offer_grids(grids, edge, visible=GRID in wish.layers)
@@ -179,6 +179,8 @@ class Session:
         if layer == PARTIAL:
             return layers.partial(instance, shown.image_size)
         if layer == MESHES:
+            if not shown.part_meshes:  # a shard may hold no grid
+                return layers.surface(instance)
             return layers.meshes(shown.part_meshes, instance.part_motion)
         if layer == PREDICTION:
             aside = APART * self._stage.right
@@ -189,16 +191,16 @@ class Session:
         self._stage.draw(layer, [])
         del self._drawn[layer]
 
-    def _frame(self, shown: Shown, first: Instance) -> None:
-        """Look at the object, in all states, from where most of its parts can be seen."""
+    def _frame(self, shown: Shown) -> None:
+        """Look at the object, over all that its joints do, from where most parts can be seen."""
         some = np.linspace(0, len(shown.states) - 1, min(LOOKED_AT, len(shown.states)))
-        instances = [first, *(shown.at_state(round(k)).instance for k in some[1:])]
-        points = np.concatenate([dequantize(i.surface_points) for i in instances])
-        if not len(points):
-            return self._stage.frame(0.0, np.zeros((2, 3)))
-        azimuth = best_azimuth(instances)
-        box = bounds(points)
-        return self._stage.frame(azimuth, box, APART if self._predictor else 0.0)
+        instances = [shown.at_state(round(k)).instance for k in some]
+        points, azimuth = layers.swept(instances[0]), 0.0
+        if len(points):
+            azimuth = best_azimuth(instances)
+        else:
+            points = box_corners(np.array([[-0.5] * 3, [0.5] * 3]))
+        self._stage.frame(azimuth, points, APART if self._predictor else 0.0)
 
 
 def _easy(grids: Sequence[int]) -> int:

@@ -16,6 +16,9 @@ from articugen.verify import replay
 SAME = 1e-9
 """Radians or metres by which joint values of one state may differ."""
 
+AJAR = 0.35
+"""Of each joint's range, how far an object is open at first."""
+
 PART_VOXELS = 96
 """Along the unit frame's edge, of part meshes."""
 
@@ -133,6 +136,12 @@ class Shown:
         """The state that differs least from `q`, each joint by its range."""
         span = np.array([joint.upper - joint.lower for joint in self.joints])
         return int((np.abs(self.states - q) / np.where(span > 0.0, span, 1.0)).sum(axis=1).argmin())
+
+    @cached_property
+    def ajar(self) -> int:
+        """The state that is nearest to a little open: what opens shut looks as if nothing moved."""
+        far = [max(joint.lower, joint.upper, key=abs) for joint in self.joints]
+        return self.nearest(AJAR * np.array(far))
 
     @cached_property
     def part_meshes(self) -> tuple[Mesh, ...]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.geometry import box_corners, look_along
+from articugen.geometry import look_along
 from articugen.inspection.portrait import ELEVATION
 from articugen.records import Floats
 from articugen.viewer.layers import Drawn, Lines, Points, Solid
@@ -37,9 +37,11 @@ class Stage:
         self._layers: dict[str, list[tuple[Drawn, Any]]] = {}
         self.framed = False
         self._placed: dict[int, tuple[float, Floats]] = {}
-        self._corners = np.zeros((8, 3))
+        self._points = np.zeros((1, 3))
         self._toward_eye = np.array([1.0, 0.0, 0.0])
         server.scene.set_up_direction("+z")
+        # its usual brightness leaves pale parts white, and none in the colour that it has
+        server.scene.configure_environment_map(environment_intensity=0.45)
         server.on_client_connect(self._welcome)
 
     @property
@@ -48,14 +50,13 @@ class Stage:
         across = np.cross([0.0, 0.0, 1.0], self._toward_eye)
         return across / np.linalg.norm(across)
 
-    def frame(self, azimuth: float, box: Floats, beside: float = 0.0) -> None:
-        """Look from this side (rad) at a box (2, 3), and at another so far to the right of it."""
+    def frame(self, azimuth: float, points: Floats, beside: float = 0.0) -> None:
+        """Look from this side (rad) at points (n, 3), and at as many so far to the right."""
         flat = np.cos(ELEVATION)
         self._toward_eye = np.array(
             [flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(ELEVATION)]
         )
-        corners = box_corners(box)
-        self._corners = np.concatenate([corners, corners + beside * self.right])
+        self._points = np.concatenate([points, points + beside * self.right])
         self.framed = True
         for client in self._server.get_clients().values():
             self._place(client)
@@ -125,18 +126,46 @@ class Stage:
             return
         camera = client.camera
         free = SHEET_LEAVES if camera.image_width < NARROW else 1.0
-        high = np.tan(FIELD_OF_VIEW / 2.0)
-        T_camera_world = look_along(-self._toward_eye)
-        middle = 0.5 * (self._corners.min(axis=0) + self._corners.max(axis=0))
-        x, y, z = T_camera_world[:3, :3] @ (self._corners - middle).T
-        away = np.maximum(np.abs(x) / camera.aspect, np.abs(y) / free) / (FILL * high) - z
-        down = T_camera_world[1, :3] * high * away.max() * (1.0 - free)
+        eye = eye_of(self._points, self._toward_eye, camera.aspect, free)
         with client.atomic():
             camera.up_direction = (0.0, 0.0, 1.0)
             camera.fov = FIELD_OF_VIEW
-            camera.position = middle + down + away.max() * self._toward_eye
-            camera.look_at = middle + down
+            camera.position = eye
+            middle = self._points.mean(axis=0)
+            camera.look_at = eye + ((middle - eye) @ self._toward_eye) * self._toward_eye
         self._placed[client.client_id] = (camera.aspect, camera.position)
+
+
+def eye_of(points: Floats, toward_eye: Floats, aspect: float, free: float) -> Floats:
+    """(3,) the nearest place from which a window sees all of the points (n, 3), in its middle.
+
+    Args:
+        toward_eye: (3,) where it is, as seen from them.
+        aspect: the window's width by its height, of which `free` is to be filled, at the top.
+    """
+    R = look_along(-toward_eye)[:3, :3]
+    x, y, z = R @ points.T  # to the right, down, away
+    high = np.tan(FIELD_OF_VIEW / 2.0)
+    rim = (1.0 - FILL) * high * free
+    across = (FILL * high * aspect,) * 2
+    along = (high - rim, (2.0 * free - 1.0) * high - rim)
+    depth = min(_deepest(x, z, *across), _deepest(y, z, *along))
+    return R.T @ [_middle(x, z - depth, *across), _middle(y, z - depth, *along), depth]
+
+
+def _deepest(u: Floats, z: Floats, before: float, after: float) -> float:
+    """The greatest depth d of an eye that sees all of the points at `u` and depth `z`: with some c,
+    -before * (z - d) <= u - c <= after * (z - d)."""
+    return ((u + before * z).min() - (u - after * z).max()) / (before + after)
+
+
+def _middle(u: Floats, z: Floats, before: float, after: float) -> float:
+    """That c of an eye at depth 0 which leaves as much room on one side as on the other."""
+    c = 0.0
+    for _ in range(20):
+        outermost = (u - c) / z
+        c += 0.5 * (outermost.min() + outermost.max() + before - after) * z.mean()
+    return c
 
 
 def _linear(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:

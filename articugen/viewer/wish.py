@@ -9,7 +9,7 @@ SURFACE, NORMALS, MESHES, GRID, INSIDE, OUTSIDE, PARTIAL, AXES, PREDICTION = LAY
     "Query points outside", "Partial clouds, cameras", "Axes and pivots", "Prediction beside",
 )  # fmt: skip
 
-AT_FIRST = frozenset({SURFACE, AXES, PREDICTION})
+AT_FIRST = frozenset({MESHES, AXES, PREDICTION})
 
 EASY_GRID = 64
 """The finest occupancy grid that is shown unless a finer one is asked for."""
@@ -19,7 +19,7 @@ EASY_GRID = 64
 class Wish:
     """Attributes:
     object_id: of whom.
-    q: (J,) joint values, rad or m; None for the object's first state.
+    q: (J,) joint values, rad or m; None for a state a little open.
     layers: what is drawn of it.
     resolution: of the occupancy grid; 0 for whichever is easily looked at.
     """
