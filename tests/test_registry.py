@@ -3,6 +3,7 @@
 import errno
 import os
 import pickle
+import shutil
 from collections import Counter
 from dataclasses import replace
 from hashlib import sha256
@@ -19,7 +20,7 @@ from articugen.sources import registry, urdf_files
 from articugen.sources.folders import meta_category
 from articugen.sources.procedural import CATEGORIES
 from articugen.sources.refs import CategorySettings, ObjectRef
-from articugen.sources.registry import load, object_refs, source_names
+from articugen.sources.registry import find, load, object_refs, source_names
 from articugen.sources.source_file import read_source_file
 from articugen.sources.splits import assign_splits, split_sizes
 from articugen.sources.urdf import load_urdf
@@ -403,6 +404,130 @@ def test_a_meta_json_that_never_ends_is_not_read(tmp_path):
     assert meta_category(tmp_path) == ""
 
 
+# --- one object by its id
+
+
+def laid_plain(folder, count):
+    for k in range(count):
+        add(folder / f"a{k}" / "deep" / "m.urdf")
+        add(folder / f"b{k}.urdf")
+
+
+def laid_shape2motion(folder, count):
+    for k in range(count):
+        (folder / "laptop" / f"{k:04d}" / "part_objs").mkdir(parents=True)
+        (folder / "laptop" / f"{k:04d}" / "motion_attributes.json").write_text("{}")
+
+
+def laid_partnet(folder, count):
+    for k in range(count):
+        add_partnet(folder / str(k), ("Laptop", "StorageFurniture")[k % 2])
+
+
+def laid_artiverse(folder, count):
+    for k in range(count):
+        model = folder / "laptop" / f"hssd{k % 3}" / f"c{k}"
+        (model / "urdf_w_collider").mkdir(parents=True, exist_ok=True)
+
+
+def laid_in_two_folders(folder, count):
+    for k in range(count):
+        add(folder / "Laptop" / f"a{k}" / "m.urdf")
+        add(folder / "oven" / f"a{k}" / "m.urdf")
+
+
+def laid_with_names_twice(folder, count):
+    for name in (
+        "x.urdf",
+        "x/m.urdf",
+        "y/m.urdf",
+        "Laptop/x/m.urdf",
+        "Laptop/q/m.urdf",
+        "y/n.urdf",
+    ):
+        add(folder / name)
+    add_partnet(folder / "z.1", "Laptop")
+    add_partnet(folder / "z" / "1", "Laptop")
+    add_partnet(folder / "laptops" / "1", "Laptop")
+    add_partnet(folder / "1", "Laptop")
+
+
+LAYOUTS = {
+    laid_plain: ("laptop", True),
+    laid_shape2motion: ("laptop", True),
+    laid_partnet: ("cabinet", True),
+    laid_artiverse: ("laptop", False),
+    laid_in_two_folders: ("laptop", True),
+    laid_with_names_twice: ("laptop", False),
+}
+
+
+@pytest.mark.parametrize("lay", LAYOUTS)
+def test_an_object_is_found_by_its_id_as_in_a_listing(lay, tmp_path):
+    lay(tmp_path, 7)
+    category, _ = LAYOUTS[lay]
+    refs = object_refs(tmp_path, category)
+    assert len(refs) > 2
+    for ref in refs:
+        assert find(tmp_path, category, ref.object_id) == replace(ref, split="")
+    for name in ("none", "", ".", "..", "a/b", f"../{tmp_path.name}", "x\0", "a*", "LAPTOP"):
+        with pytest.raises(InvalidSource, match="no object"):
+            find(tmp_path, category, name)
+
+
+@pytest.mark.parametrize(
+    ("source", "lay", "category"),
+    [
+        ("partnet_mobility", laid_partnet, "cabinet"),
+        ("partnet_mobility", laid_partnet, "laptop"),
+        ("shape2motion", laid_shape2motion, "laptop"),
+        ("shape2motion", laid_in_two_folders, "laptop"),
+        ("procedural", None, "laptop"),
+    ],
+)
+def test_an_object_of_a_named_source_is_found_as_in_a_listing(source, lay, category, own_sources):
+    if lay:
+        lay(own_sources / source, 6)
+    refs = object_refs(source, category)
+    assert len(refs) > 2
+    for ref in refs:
+        assert find(source, category, ref.object_id) == replace(ref, split="")
+    with pytest.raises(InvalidSource, match="no object '77' of"):
+        find(source, category, "77")
+
+
+@pytest.mark.parametrize("lay", LAYOUTS)
+def test_what_finding_an_object_costs_does_not_grow_with_its_source(lay, tmp_path, monkeypatch):
+    category, by_name = LAYOUTS[lay]
+    calls = []
+    for name in ("listdir", "scandir", "stat"):
+        real = getattr(os, name)
+        monkeypatch.setattr(os, name, lambda *a, real=real, **k: calls.append(a) or real(*a, **k))
+
+    def cost(count: int) -> tuple[int, int]:
+        lay(tmp_path / str(count), count)
+        refs = object_refs(tmp_path / str(count), category)
+        calls.clear()
+        find(tmp_path / str(count), category, refs[0].object_id)
+        first = len(calls)
+        find(tmp_path / str(count), category, refs[-1].object_id)
+        return first, len(calls) - first
+
+    few, many = cost(6), cost(150)
+    assert many[1] == few[1]
+    assert not by_name or many[0] == few[0]
+
+
+def test_a_model_that_came_later_is_found_too(tmp_path):
+    laid_artiverse(tmp_path, 3)
+    assert find(tmp_path, "laptop", "c2").location.name == "c2"
+    laid_artiverse(tmp_path, 4)
+    assert find(tmp_path, "laptop", "c3").location.name == "c3"
+    shutil.rmtree(tmp_path / "laptop" / "hssd0")
+    with pytest.raises(InvalidSource, match="no object 'c3'"):
+        find(tmp_path, "laptop", "c3")
+
+
 # --- refusals
 
 
@@ -503,7 +628,10 @@ def test_neither_split_is_without_an_object_that_counts(some, others):
 
     splits = assign_splits({name: name for name in every}, None, None, counts)
     assert {splits[name] for name in some} == {"train", "test"}
-    by_hash = {n: "test" if sha256(n.encode()).digest()[0] < 256 * 0.2 else "train" for n in every}
+    by_hash = {
+        n: "test" if int(sha256(n.encode()).hexdigest(), 16) < 0.2 * 2**256 else "train"
+        for n in every
+    }
     if {by_hash[name] for name in some} == {"train", "test"}:
         assert splits == by_hash
         if not others:

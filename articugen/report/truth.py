@@ -110,7 +110,7 @@ class _Model:
 
 
 def _model(manifest: Manifest, recipe: Recipe, object_id: str) -> _Model:
-    (ref,) = registry.object_refs(manifest.source, manifest.category, ids=[object_id])
+    ref = registry.find(manifest.source, manifest.category, object_id)
     obj = resolved(ref, recipe)
     posed = articulation.forward_kinematics(obj, articulation.canonical_state(obj))
     names = [link.name for link in obj.links]

@@ -44,6 +44,27 @@ def any_models(base: Path) -> list[Found]:
     return [f for child in visible(base) for f in _models_at(child, readers.detect(child))]
 
 
+def called(object_id: str, base: Path, reader: str) -> list[Found]:
+    """The models in `base` whose file or folder has the name `object_id`, and they that id; others
+    are not looked at. None where only a listing can tell: an id with a dot may be the path of one
+    of two that share a name, and another package's reader may name models as it likes.
+
+    Args:
+        reader: that of the source; "" where no source.yaml names one.
+    """
+    if not object_id or object_id != Path(object_id).name or "." in object_id:
+        return []
+    there = base / object_id
+    children = [there] if isdir(there) else [c for c in visible(base) if c.stem == object_id]
+    found: list[Found] = []
+    for child in children:
+        if reader:
+            found += readers.find_at(reader, child)
+        else:
+            found += _models_at(child, readers.detect(child))
+    return [f for f in found if f.object_id == object_id]
+
+
 def distinct(found: Sequence[Found], base: Path) -> list[Found]:
     """The same objects; those that share a name are called by their whole path below `base`, with
     a ~ for each time that this, too, is taken."""

@@ -42,7 +42,12 @@ def detect(path: Path) -> Found | None:
 
 def find(base: Path) -> list[Found]:
     """The folders in `base` that have a mobility.urdf."""
-    return [_found(folder) for folder in visible(base) if isfile(folder / URDF)]
+    return [model for folder in visible(base) for model in find_at(folder)]
+
+
+def find_at(child: Path) -> list[Found]:
+    """The model that a folder with a mobility.urdf is."""
+    return [_found(child)] if isfile(child / URDF) else []
 
 
 def _found(folder: Path) -> Found:

@@ -9,11 +9,13 @@ from pathlib import Path
 from articugen.errors import InvalidSource, printable
 from articugen.recipe import load_recipe
 from articugen.sources import readers
-from articugen.sources.categories import of_category, own_name, unknown
-from articugen.sources.discovery import any_models, distinct, mixed_models, sorted_models
+from articugen.sources.categories import of_category, own_name, plain, unknown, words
+from articugen.sources.discovery import any_models, called, distinct, mixed_models, sorted_models
+from articugen.sources.folders import visible
 from articugen.sources.named import NamedSource, common_categories
 from articugen.sources.readers import Maker
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
+from articugen.sources.source_file import SourceFile
 from articugen.sources.splits import assign_splits, split_sizes, take
 
 Counts = Callable[[ObjectRef], bool]
@@ -84,6 +86,42 @@ def of_path(path: Path, category: str, counts: Counts = all_count) -> list[Objec
             "<id>/<any name>.urdf"
         )
     return _with_splits(found, CategorySettings(), str(path), category, path, counts)
+
+
+def of_id(named: NamedSource | None, path: Path, category: str, object_id: str) -> ObjectRef | None:
+    """The object of that id where the name alone leads to it; no other one is looked at, so that
+    its split, which they decide, stays open. None where only a listing can tell.
+
+    Args:
+        named: the source whose folder `path` is; None where no source.yaml describes it.
+    """
+    own = named.category(category) if named else category
+    if named and named.file.maker:
+        number = named.file.maker.index_of(own, object_id)
+        return None if number is None else _one_made(named, named.file.maker, own, number)
+    if not named and (not path.is_dir() or readers.detect(path)):
+        return None
+    file, reader = (named.file, named.file.reader) if named else (common_categories(), "")
+    settings = named.file.categories[own] if named else CategorySettings()
+    by_folder = not named and (path / category).is_dir()
+    for folder in [path / category] if by_folder else _folders(path, file, own):
+        found = called(object_id, folder, reader)
+        if not found:
+            continue
+        kinds = set(map(plain, found[0].kinds))
+        if folder == path and not (kinds & words(file, own) if kinds else named is None):
+            return None
+        refs = _with_splits(found, settings, named.name if named else str(path), own, path)
+        return replace(refs[0], split="") if len(refs) == 1 else None
+    return None
+
+
+def _folders(base: Path, file: SourceFile | None, own: str) -> Iterator[Path]:
+    """A source's folder, then those in it that are called like a category, its own name first."""
+    yield base
+    wanted = words(file, own)
+    like = [child for child in visible(base) if plain(child.name) in wanted]
+    yield from sorted(like, key=lambda child: plain(child.name) != plain(own))
 
 
 def model_at(path: str | Path, category: str = "") -> ObjectRef:
@@ -191,18 +229,20 @@ def _made(
     while max(left.values()) > 0 or i <= max(numbers, default=-1):
         split = "test" if (i + 1) * own.test // total > i * own.test // total else "train"
         if take(left, split) or i in numbers:
-            name = maker.object_id(category, i)
-            refs.append(
-                ObjectRef(
-                    named.name,
-                    category,
-                    name,
-                    split,
-                    named.folder / category / name,
-                    reader=named.file.reader,
-                    messy=named.file.messy,
-                    varied=named.file.varied,
-                )
-            )
+            refs.append(replace(_one_made(named, maker, category, i), split=split))
         i += 1
     return refs
+
+
+def _one_made(named: NamedSource, maker: Maker, category: str, index: int) -> ObjectRef:
+    name = maker.object_id(category, index)
+    return ObjectRef(
+        named.name,
+        category,
+        name,
+        "",
+        named.folder / category / name,
+        reader=named.file.reader,
+        messy=named.file.messy,
+        varied=named.file.varied,
+    )

@@ -77,6 +77,13 @@ class Maker(Reader, Protocol):
         ...
 
 
+@runtime_checkable
+class _AtOne(Protocol):
+    """A reader of ours whose `find` makes more of a thing in a folder than `detect` does."""
+
+    def find_at(self, child: Path) -> list[Found]: ...
+
+
 READERS: dict[str, Reader] = {
     "partnet_mobility": partnet_mobility,
     "shape2motion": shape2motion,
@@ -146,6 +153,23 @@ def find(name: str, base: Path) -> list[Found]:
         return [replace(found, reader=name) for found in reader(name).find(base)]
     except Exception as error:
         raise _failed(name, base, error) from error
+
+
+def find_at(name: str, child: Path) -> list[Found]:
+    """What `find` makes of one thing in a folder; nothing where the reader is another package's,
+    which tells that of whole folders alone.
+
+    Raises:
+        InvalidSource: the reader fails at it.
+    """
+    if name not in READERS:
+        return []
+    own = READERS[name]
+    try:
+        models = own.find_at(child) if isinstance(own, _AtOne) else [own.detect(child)]
+        return [replace(found, reader=name) for found in models if found]
+    except Exception as error:
+        raise _failed(name, child, error) from error
 
 
 def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:

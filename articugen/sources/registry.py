@@ -9,6 +9,7 @@ import os
 from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 from articugen.errors import InvalidSource, printable
@@ -123,6 +124,32 @@ def object_refs(
     tests = sum(ref.split == "test" for ref in refs)
     left = split_sizes(objects, len(refs) - tests, tests)
     return tuple(ref for ref in refs if take(left, ref.split))
+
+
+def find(source: str | Path, category: str, object_id: str) -> ObjectRef:
+    """The object of one id, without its split, which the other objects decide.
+
+    Others are not looked at where the id is the name of a model's folder or file, in the source or
+    in the folder of its category; else the source is listed, once for all ids.
+
+    Raises:
+        InvalidSource: unknown source, category or id.
+    """
+    named = _named(source)
+    folder = named.folder if named else Path(source)
+    ref = pool.of_id(named, folder, category, object_id)
+    if ref is None:
+        ref = _listed(source, category, os.path.abspath(folder)).get(object_id)
+        if ref is None or not os.path.lexists(ref.location):
+            _listed.cache_clear()
+            (ref,) = object_refs(source, category, ids=[object_id])
+    return replace(ref, split="")
+
+
+@lru_cache(4)
+def _listed(source: str | Path, category: str, _folder: str) -> dict[str, ObjectRef]:
+    """The objects of a category in a folder, by id, as they were when one was first looked for."""
+    return {ref.object_id: ref for ref in _pool(source, category, None, ())}
 
 
 def load_path(path: str | Path, category: str = "") -> ArticulatedObject:

@@ -67,11 +67,14 @@ def detect(path: Path) -> Found | None:
 
 def find(base: Path) -> list[Found]:
     """The folders in `base` that hold a model in either form."""
-    return [
-        _found(folder)
-        for folder in visible(base)
-        if any(isfile(path) for form in (_ATTRIBUTES, "*.urdf") for path in folder.glob(form))
-    ]
+    return [model for folder in visible(base) for model in find_at(folder)]
+
+
+def find_at(child: Path) -> list[Found]:
+    """The model in either form that a folder is."""
+    forms = (_ATTRIBUTES, "*.urdf")
+    is_model = any(isfile(path) for form in forms for path in child.glob(form))
+    return [_found(child)] if is_model else []
 
 
 def _found(folder: Path) -> Found:

@@ -277,7 +277,7 @@ def _agrees(outcome: Outcome, witness: _Witness | None) -> bool:
     if key.ref != f"{source}/{key.object_id}":
         return key.ref == made.input_sha256
     try:
-        (ref,) = registry.object_refs(source, category, ids=[key.object_id])
+        ref = registry.find(source, category, key.object_id)
         return generator_of(ref) != key.generator or registry.digest(ref) == made.input_sha256
     except ArticugenError:  # nothing contradicts it
         return True
@@ -291,7 +291,7 @@ def _proven(folder: Path, witness: _Witness) -> Outcome:
     """
     about, object_id = witness.about, witness.object_id
     source, category = str(about["source"]), str(about["category"])
-    (ref,) = registry.object_refs(source, category, ids=[object_id])
+    ref = registry.find(source, category, object_id)
     if generator_of(ref) != about["generator"]:
         raise ArticugenError(
             f"{object_id} was made by other code ({about['generator']}, this is "

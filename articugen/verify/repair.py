@@ -146,7 +146,7 @@ def _task(manifest: Manifest, shard: str) -> Task:
     if others:
         raise ArticugenError(f"it holds {1 + len(others)} objects; make the data set again")
     source, object_id = manifest.source, entry.key.object_id
-    (ref,) = registry.object_refs(source, manifest.category, ids=[object_id])
+    ref = registry.find(source, manifest.category, object_id)
     made = registry.is_procedural(source)
     now = {
         "ref": f"{source}/{object_id}" if made else registry.digest(ref),

@@ -45,7 +45,7 @@ def source_again(
         raise InvalidSource(
             f"no object {object_id!r} in this data set; articugen inspect names some"
         )
-    (ref,) = registry.object_refs(manifest.source, manifest.category, ids=[object_id])
+    ref = registry.find(manifest.source, manifest.category, object_id)
     same_code = entry.key.model_copy(update={"generator": generator_of(ref)})
     changed = same_code.difference(entry.key)
     if changed:
