@@ -7,7 +7,7 @@ import pytest
 from test_meshes import SQUARE_OBJ, write
 
 from articugen.errors import InvalidSource, MachineFault
-from articugen.sources import model_files
+from articugen.sources import model_files, registry
 from articugen.sources.meshes import read_mesh
 from articugen.sources.model_files import ModelFiles
 
@@ -112,7 +112,10 @@ def test_limits_on_size(tmp_path, monkeypatch):
         ("https://example.org/a.obj", "is on the network, and nothing is fetched; save it in"),
         ("model://arm/a.obj", "unknown kind, 'model'; use a relative path"),
         ("../../a.obj", "leads out of .*; copy the file into that folder"),
-        ("package://nowhere/a.obj", "no folder above has a package.xml of the name 'nowhere'"),
+        (
+            "package://nowhere/a.obj",
+            "no folder above, up to .*/pkg, has a package.xml of the name 'nowhere'",
+        ),
         ("package:///a.obj", "has no name of a package"),
         ("../" * 3000 + "a.obj", "leads out of"),
     ],
@@ -151,7 +154,7 @@ def test_a_package_xml_that_is_no_file_is_none(model, target):
         os.mkfifo(model.root / "package.xml")
     else:
         (model.root / "package.xml").symlink_to("package.xml" if target == "loop" else target)
-    with pytest.raises(InvalidSource, match="no folder above has a package"):
+    with pytest.raises(InvalidSource, match=r"no folder above, up to .*, has a package"):
         model.find("package://arm/meshes/a.obj")
     assert model.find("package://pkg/meshes/a.obj") is not None
 
@@ -175,3 +178,59 @@ def test_a_fault_of_the_machine_is_not_the_models(model, monkeypatch, number, ki
     monkeypatch.setattr(model_files, "read_regular", fails)
     with pytest.raises(kind):
         model.read(path)
+
+
+NAMED = '<mesh filename="package://arm/meshes/a.obj"/>'
+
+
+@pytest.mark.parametrize(
+    ("named", "name", "read"),
+    [
+        ("robots", "robots", True),
+        ("robots/pkg", "robots/pkg", True),
+        ("robots/pkg/robots", "robots/pkg", False),
+        ("robots/pkg/robots/one", "robots/pkg", False),
+        ("robots/pkg/robots/one/m.urdf", "robots/pkg", True),  # stands for its package
+        ("robots/pkg/robots/one/m.urdf", "robots", False),  # which is the nearest one
+        ("robots/pkg/urdf", "robots/pkg", False),
+    ],
+)
+def test_no_package_above_the_folder_that_was_named_is_read(tmp_path, named, name, read):
+    """A stranger's model in a folder of somebody's own package is not part of that."""
+    package = tmp_path / name
+    text = VISUAL.format(NAMED)
+    for folder in (
+        "robots/pkg/robots/one",
+        "robots/pkg/urdf",
+        "robots/pkg/meshes",
+        f"{name}/meshes",
+    ):
+        (tmp_path / folder).mkdir(parents=True, exist_ok=True)
+    write(tmp_path / "robots" / "pkg" / "package.xml", "<package><name>other</name></package>")
+    write(package / "package.xml", "<package><name>arm</name></package>")
+    write(package / "meshes" / "a.obj", SQUARE_OBJ + "f 1 2 3\n")
+    folder = "urdf" if named.endswith("urdf") and "one" not in named else "robots/one"
+    write(tmp_path / "robots" / "pkg" / folder / "m.urdf", text)
+    for load in (registry.load_path, lambda path: registry.load(*registry.object_refs(path, "x"))):
+        if read:
+            assert len(load(tmp_path / named).links[0].mesh.faces) == 1
+        else:
+            with pytest.raises(InvalidSource, match="is of a package that is not found: no folder"):
+                load(tmp_path / named)
+
+
+def test_the_meshes_beside_a_folder_called_urdf_are_not_read_where_that_was_named(tmp_path):
+    for folder in ("urdf", "meshes"):
+        (tmp_path / "pkg" / folder).mkdir(parents=True)
+    write(tmp_path / "pkg" / "meshes" / "a.obj", SQUARE_OBJ + "f 1 2 3\n")
+    text = VISUAL.format('<mesh filename="../meshes/a.obj"/>')
+    path = write(tmp_path / "pkg" / "urdf" / "m.urdf", text)
+    for named in (path, tmp_path):
+        assert len(registry.load_path(named).links[0].mesh.faces) == 1
+    with pytest.raises(InvalidSource, match="leads out of"):
+        registry.load_path(tmp_path / "pkg" / "urdf")
+
+
+VISUAL = """<robot name="r"><link name="a"><visual><geometry>{}</geometry></visual></link>
+<link name="b"/>
+<joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint></robot>"""

@@ -2,8 +2,8 @@
 
 A model may come from a stranger, so a name that leads out of the model's folder is refused, through
 symbolic links too. The one exception is ROS's `package://name/...`: it may lead into the folder
-above the URDF that has a package.xml of that name. Only regular files are read, and none whose size
-has not been looked at.
+above the URDF that has a package.xml of that name, no higher than the folder that somebody named.
+Only regular files are read, and none whose size has not been looked at.
 """
 
 import errno
@@ -39,11 +39,13 @@ class ModelFiles:
     Args:
         folder: where relative names start, for instance the URDF's folder.
         root: the model's folder, which no file may leave; by default `folder`.
+        top: the highest folder that may be the package of a `package://`; by default `root`.
     """
 
-    def __init__(self, folder: Path, root: Path | None = None) -> None:
+    def __init__(self, folder: Path, root: Path | None = None, top: Path | None = None) -> None:
         self.folder = _real(folder)
         self.root = _real(root or folder)
+        self.top = _real(top) if top else self.root
         self._digests: dict[str, bytes] = {}
         self._packages: dict[str, Path] = {}
         self._bytes = 0
@@ -131,7 +133,8 @@ class ModelFiles:
         return _existing(_confined(self.folder / path, self.root, by))
 
     def _package(self, name: str, by: str) -> Path:
-        """The folder of a ROS package: an ancestor whose package.xml says so, or one in the root.
+        """The folder of a ROS package: one above, up to `top`, whose package.xml says so, or one in
+        the root.
 
         A folder that is merely called like the package counts only where it cannot lead out: the
         root, a folder between it and the URDF, or a folder directly in the root.
@@ -142,9 +145,12 @@ class ModelFiles:
             self._packages[name] = self._search_package(name, by)
         return self._packages[name]
 
+    def _may_be_package(self, folder: Path) -> bool:
+        return folder.is_relative_to(self.top) or folder.is_relative_to(self.root)
+
     def _search_package(self, name: str, by: str) -> Path:
         ancestors = (self.folder, *self.folder.parents)
-        for folder in ancestors:
+        for folder in (f for f in ancestors if self._may_be_package(f)):
             if _package_name(folder / "package.xml") == name:
                 return folder
         for folder in ancestors:
@@ -154,9 +160,9 @@ class ModelFiles:
         if os.path.isdir(inside) and inside.is_relative_to(self.root):
             return inside
         raise InvalidSource(
-            f"{by} is of a package that is not found: no folder above has a package.xml of the name"
-            f" {quoted(name)}, and there is no such folder in {self.root}; put the package there, "
-            "or name the file by its relative path"
+            f"{by} is of a package that is not found: no folder above, up to {self.top}, has a "
+            f"package.xml of the name {quoted(name)}, and there is no such folder in {self.root}; "
+            "put the package there, or name its folder as the source"
         )
 
 

@@ -201,7 +201,8 @@ def _with_splits(
             "",
             f.location,
             f.root,
-            reader=f.reader,
+            base if base.is_dir() else None,
+            f.reader,
             own_category=f.category,
         )
         for f in found

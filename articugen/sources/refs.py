@@ -52,6 +52,8 @@ class ObjectRef:
         category: what it was asked for as.
         split: "train" or "test".
         location, root, reader: as in `Found`.
+        top: the folder that somebody named, which packages of ROS may not leave; None where that
+            was the model's file.
         own_category: what the model itself says that it is; "" where it does not.
         messy: of objects that are made, whether as badly as real ones come.
         varied: of objects that are made, whether as various as those of others are.
@@ -63,6 +65,7 @@ class ObjectRef:
     split: str
     location: Path
     root: Path | None = None
+    top: Path | None = None
     reader: str = "urdf"
     own_category: str = ""
     messy: bool = False

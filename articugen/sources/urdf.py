@@ -36,6 +36,7 @@ def load_urdf(
     category: str,
     source: str = "",
     root: Path | None = None,
+    top: Path | None = None,
     missing_ok: str = "",
     semantics: Mapping[str, str] | None = None,
     T_world_root: Floats | None = None,
@@ -52,7 +53,8 @@ def load_urdf(
         path: the URDF.
         object_id, category, source: kept in the object.
         root: the folder that meshes may not leave (see `ModelFiles`); by default the URDF's own, or
-            the one above where that is called urdf, as in ROS packages.
+            the one above where that is called urdf, as in ROS packages, unless it is above `top`.
+        top: the highest folder that may be the package of a `package://`; by default `root`.
         missing_ok: pattern with * and ? of mesh file names that are left out, with a note, where
             they are missing or hold no triangle.
         semantics: what each link is, by link name.
@@ -63,7 +65,9 @@ def load_urdf(
     """
     path = Path(path)
     above = path.parent.parent if path.parent.name == "urdf" else path.parent
-    files = ModelFiles(path.parent, root or above)
+    if top and not above.resolve().is_relative_to(top.resolve()):
+        above = path.parent
+    files = ModelFiles(path.parent, root or above, top)
     checked, unseen = checked_robot(files.read(path, MAX_TEXT_BYTES), path)
     visuals = _Visuals(path, files, missing_ok, _take_visuals(checked))
     origins = {j.get("name"): _take_origin(j) for j in checked.findall("joint")}

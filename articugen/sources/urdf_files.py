@@ -1,6 +1,6 @@
 """Plain URDFs, as people keep them: a file a model, or somewhere in the model's own folder."""
 
-from os.path import isdir
+from os.path import isdir, isfile
 from pathlib import Path
 
 from articugen.records import ArticulatedObject
@@ -36,12 +36,15 @@ def find_at(child: Path) -> list[Found]:
 
 
 def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
-    """Read one; see `urdf.load_urdf`."""
+    """Read one; see `urdf.load_urdf`. A file that was named by itself stands for the ROS package
+    that it lies in."""
+    package = (f for f in ref.location.absolute().parents if isfile(f / "package.xml"))
     return load_urdf(
         ref.location,
         object_id=ref.object_id,
         category=ref.category,
         source=ref.source,
         root=ref.root,
+        top=ref.top or next(package, None),
         T_world_root=settings.turn,
     )
