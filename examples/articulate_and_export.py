@@ -1,7 +1,7 @@
 """Articulate a URDF of one's own, and export what comes of it to four formats.
 
 Run: python examples/articulate_and_export.py [my/cabinet.urdf] [--out made]; without a URDF it
-writes a small cabinet first.
+takes the cabinet that lies beside it.
 """
 
 import argparse
@@ -9,38 +9,20 @@ from pathlib import Path
 
 import articugen as ag
 
-CABINET = """<robot name="cabinet">
-  <link name="body">{walls}
-  </link>
-  <link name="door"><visual><origin xyz="0 0.19 0"/>
-    <geometry><box size="0.02 0.38 0.56"/></geometry></visual></link>
-  <joint name="hinge" type="revolute"><parent link="body"/><child link="door"/>
-    <origin xyz="0.21 -0.19 0"/><axis xyz="0 0 -1"/>
-    <limit lower="0" upper="1.8" effort="1" velocity="1"/></joint>
-</robot>
-"""
-WALL = '\n    <visual><origin xyz="{}"/><geometry><box size="{}"/></geometry></visual>'
-WALLS = (
-    ("-0.19 0 0", "0.02 0.4 0.6"),
-    ("0 -0.19 0", "0.4 0.02 0.6"), ("0 0.19 0", "0.4 0.02 0.6"),
-    ("0 0 -0.29", "0.4 0.4 0.02"), ("0 0 0.29", "0.4 0.4 0.02"),
-)  # fmt: skip
+CABINET = Path(__file__).with_name("models") / "cabinet.urdf"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("urdf", type=Path, nargs="?", help="without it a cabinet is written")
+    parser.add_argument("urdf", type=Path, nargs="?", default=CABINET, help="(%(default)s)")
     parser.add_argument("--out", type=Path, default=Path("made"))
     parser.add_argument("--states", type=int, default=4, help="random joint states of the data")
     parser.add_argument("--resolution", type=int, default=256, help="of part meshes")
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
-    urdf = asked.urdf or asked.out / "cabinet.urdf"
-    if asked.urdf is None:
-        urdf.write_text(CABINET.format(walls="".join(WALL.format(*wall) for wall in WALLS)))
 
     # One state of one's own: all joints half open, as instance and as mesh.
-    model = ag.load(urdf)
+    model = ag.load(asked.urdf)
     print(model)
     maker = ag.Maker(model, recipe="quick")
     half = maker.at({j.name: (j.lower + j.upper) / 2 for j in maker.joints if j.mimic is None})
@@ -50,7 +32,7 @@ def main() -> None:
 
     # A data set of random states, and what others read.
     counts = {"recipe": "quick", "states": asked.states}
-    data = ag.generate(model.category, source=urdf, out=asked.out / "data", **counts)
+    data = ag.generate(model.category, source=asked.urdf, out=asked.out / "data", **counts)
     print(data)
     meshes = {"resolution": asked.resolution}
     for name, options in (("glb", meshes), ("urdf", meshes), ("ply", {}), ("webdataset", {})):

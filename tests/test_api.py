@@ -1,4 +1,4 @@
-"""README's lines run as they stand there, in a folder that has what they name; the functions."""
+"""The functions of the package, and plain h5py as the pages read shards with it."""
 
 import inspect
 import re
@@ -17,14 +17,6 @@ from articugen.recipe import Sampling
 
 README = Path(__file__).parents[1] / "README.md"
 FORMAT = README.parent / "docs" / "format.md"
-
-TRAINING = {
-    "extends": "ppd_plain",
-    "data": {"surface_points": 256, "uniform_points": 128, "near_points": 128,
-             "validation_objects": 1},
-    "schedule": {"batch": 3, "stages": [{"resolution": 16, "iterations": 3}], "validate_every": 3},
-    "seeds": {"count": 1, "halve_at": []},
-}  # fmt: skip
 
 
 def blocks(page: Path) -> list[str]:
@@ -55,39 +47,6 @@ def test_plain_h5py_reads_shards_as_the_pages_say(folder, tmp_path, monkeypatch)
     row = ag.open("data/laptop/train-00000.h5")[7]
     np.testing.assert_allclose(names["points"], row.surface.points, atol=1e-6)
     assert names["angle"][0] == row.joints[0].state
-
-
-def test_the_lines_of_the_readme_run(folder, monkeypatch):
-    pytest.importorskip("torch", reason="one of the lines needs torch")
-    monkeypatch.chdir(folder)
-    for module in ("pipeline", "verify.check"):  # to start workers takes longer than the work
-        monkeypatch.setattr(f"articugen.{module}.default_jobs", lambda: 0)
-    _, first, second = blocks(README)
-    names: dict[str, object] = {}
-    exec(compile(first, "README.md", "exec"), names)
-    assert names["row"].surface.points.shape == (8192, 3)
-    assert names["batch"]["surface_points"].shape == (16, 8192, 3)
-    assert names["loader"][0]["surface_part"].shape == (4096,)
-    assert names["labels"].shape == (8192,)
-    assert names["flow"].shape == (8192, 3)
-    assert (folder / "door.ply").stat().st_size > 1000
-    made = ag.open("data/cabinet")
-    assert (len(made), made.objects) == (11, ("first",))
-    assert made.recipe.views.count == 50
-    names["ag"] = _TrainsBriefly()
-    exec(compile(second, "README.md", "exec"), names)
-
-
-class _TrainsBriefly:
-    """`articugen`, but what README trains in minutes takes three iterations."""
-
-    def train(self, data, recipe):
-        assert recipe == "ppd_quick"
-        return ag.train(data, recipe=TRAINING)
-
-    def evaluate(self, run, data):
-        result = ag.evaluate(run, data, resolution=8, states=1)
-        assert (result.objects, result.instances) == (1, 2)
 
 
 def test_functions_say_what_they_take():

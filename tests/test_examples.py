@@ -1,9 +1,14 @@
-"""examples/, run as anybody runs them: in an empty folder, by their own command lines."""
+"""examples/ and the blocks of the README, run as anybody runs them: in a new folder, as written."""
 
 import importlib.util
 import io
+import os
 import re
+import shlex
+import subprocess
+import sys
 import tarfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +16,11 @@ import pytest
 import trimesh
 import yourdfpy
 from python_process import printed
+from typer.main import get_command
+
+import articugen as ag
+from articugen.cli import app
+from articugen.recipe import load_recipe
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 LITTLE = """\
@@ -47,10 +57,10 @@ def test_a_urdf_is_articulated_and_exported_to_four_formats(tmp_path: Path) -> N
     made = tmp_path / "made"
     half = trimesh.load_mesh(made / "half_open.ply")
     assert half.is_watertight
-    assert "half open: {'hinge': 0.9}" in told
+    assert "half open: {'door': 0.9}" in told
     (path,) = made.glob("urdf/train/*/cabinet.urdf")
     robot = yourdfpy.URDF.load(str(path))
-    limit = robot.joint_map["hinge"].limit
+    limit = robot.joint_map["door"].limit
     assert (limit.lower, limit.upper) == (0.0, 1.8)
     door = trimesh.load_scene(next(made.glob("glb/train/*.glb"))).geometry["part_1"]
     np.testing.assert_allclose(sorted(door.extents), [0.02, 0.38, 0.56], atol=0.01)
@@ -81,3 +91,123 @@ def test_a_urdf_of_ones_own_with_another_name_goes_as_well(tmp_path: Path) -> No
     assert "half open: {'slide': 0.1}" in told
     assert all(f"{name}: " in told for name in ("glb", "urdf", "ply", "webdataset"))
     assert not (tmp_path / "made").exists()
+
+
+# --- the README
+
+NOT_RUN = {
+    "articugen fetch partnet-mobility": "wants a token",
+    "make dataset CATEGORY=laptop SOURCE=models": "its models are behind that token",
+    "make dataset CATEGORY=dishwasher,oven": "PartNet-Mobility's models",
+    "make dataset CATEGORY=cabinet SOURCE=partnet_mobility": "PartNet-Mobility's models",
+    "articugen train": "takes minutes",
+}
+"""How lines begin that are only parsed, and why; `ag.train` below takes three iterations."""
+NEEDS = {"--collision": "coacd", ".torch(": "torch", "ag.train": "torch", "ag.evaluate": "torch"}
+BRIEFLY = {
+    "extends": "ppd_plain",
+    "data": {"surface_points": 256, "uniform_points": 128, "near_points": 128,
+             "validation_objects": 1},
+    "schedule": {"batch": 3, "stages": [{"resolution": 16, "iterations": 3}], "validate_every": 3},
+    "seeds": {"count": 1, "halve_at": []},
+}  # fmt: skip
+
+
+def blocks() -> list[tuple[str, str]]:
+    """The language and the text of each block of code, in order."""
+    text = (CHECKOUT / "README.md").read_text(encoding="utf-8")
+    return re.findall(r"```(\w+)\n(.*?)```", text, re.DOTALL)
+
+
+def lacks(line: str) -> str:
+    """The library that a line needs and that is not installed, "" where there is none."""
+    wanted = [library for words, library in NEEDS.items() if words in line]
+    return next((name for name in wanted if not importlib.util.find_spec(name)), "")
+
+
+def parsed(line: str, folder: Path) -> None:
+    """Have the command line take a command, or what make would call, without running it."""
+    if line.startswith("make "):
+        line = line.replace("make", "make -n", 1)
+        line = subprocess.check_output(line, shell=True, cwd=folder, text=True).splitlines()[-1]
+    words = shlex.split(line, comments=True)
+    words = words[[Path(word).name for word in words].index("articugen") + 1 :]
+    group = get_command(app)
+    name, command, rest = group.resolve_command(group.make_context("articugen", ["sources"]), words)
+    assert command.make_context(name, rest)
+
+
+class _TrainsBriefly:
+    """`articugen`, but what README trains in minutes takes three iterations."""
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(ag, name)
+
+    def train(self, data: ag.DataSet, recipe: str) -> object:
+        assert recipe == "ppd_quick"
+        return ag.train(data, recipe=BRIEFLY)
+
+    def evaluate(self, run: object, data: ag.DataSet) -> object:
+        return ag.evaluate(run, data, resolution=8, states=1)
+
+
+@pytest.fixture(scope="module")
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder with what the checkout holds but data, and this environment as `.venv`."""
+    if not (Path(sys.prefix) / "bin" / "articugen").exists():
+        pytest.skip("articugen is not installed in this environment")
+    folder = tmp_path_factory.mktemp("checkout")
+    for path in CHECKOUT.iterdir():
+        if path.name in {"Makefile", "README.md", "pyproject.toml", "constraints.txt"} | {
+            "articugen", "docs", "examples", "recipes"}:  # fmt: skip
+            (folder / path.name).symlink_to(path)
+    (folder / ".venv").mkdir()
+    for path in Path(sys.prefix).iterdir():
+        if not path.name.startswith(".installed"):
+            (folder / ".venv" / path.name).symlink_to(path)
+    (folder / ".venv" / ".installed").touch()  # the stamp of what is made before
+    before = Path.cwd()
+    os.chdir(folder)
+    yield folder
+    os.chdir(before)
+
+
+@pytest.mark.slow
+def test_every_line_of_the_readme_runs_as_written_in_order(
+    checkout: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bin_folder = checkout / ".venv" / "bin"
+    monkeypatch.setenv("PATH", f"{bin_folder}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.setenv("PYTHONPATH", str(CHECKOUT))
+    names: dict[str, object] = {}
+    run_lines = 0
+    for language, text in blocks():
+        if language == "python":
+            lines = [line for line in text.splitlines() if not lacks(line)]
+            names["ag"] = ag
+            code = "\n".join(lines)
+            if "ag.train(" in code:
+                names["ag"] = _TrainsBriefly()
+            exec(compile(code, "README.md", "exec"), names)
+        elif language == "yaml":
+            (checkout / "path.yaml").write_text(text)
+            assert load_recipe(checkout / "path.yaml", "laptop").articulation.states == 20
+        else:
+            for line in text.splitlines():
+                if any(map(line.startswith, NOT_RUN)) or lacks(line):
+                    parsed(line, checkout)
+                    continue
+                done = subprocess.run(
+                    line, shell=True, capture_output=True, text=True, check=False, timeout=600
+                )
+                assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
+                run_lines += 1
+    assert run_lines >= 6
+    assert names["row"].surface.points.shape == (8192, 3)
+    assert names["batch"]["surface_points"].shape == (16, 8192, 3)
+    assert names["labels"].shape == (8192,)
+    assert names["flow"].shape == (8192, 3)
+    assert ag.open("data/cabinet").recipe.views.count == 50
+    assert len(ag.open("data/cupboard")) == 21
+    for path in ("door.ply", "data/laptop/sheet.png", "data/laptop/report.html", "onet/laptop"):
+        assert (checkout / path).exists()
