@@ -163,6 +163,16 @@ def test_ditto_as_its_loader_reads_it(laptops, tmp_path):
         ag.export(laptops, "ditto", tmp_path / "Shape2Motion")
 
 
+def test_of_objects_that_ditto_cannot_hold_no_folder_is_left(boxes, tmp_path):
+    (tmp_path / "mine").mkdir()
+    for out in (tmp_path / "new", tmp_path / "mine"):
+        with pytest.raises(
+            ag.ArticugenError, match=r"box-\d: 2 joints move; Ditto's scenes have one"
+        ):
+            ag.export(boxes, "ditto", out)
+    assert [path.name for path in tmp_path.rglob("*")] == ["mine"]
+
+
 def test_an_object_in_one_state_makes_no_scene_of_ditto(tmp_path):
     recipe = {"extends": "quick", "views": {"count": 30, "resolution": 128},
               "sampling": {"grids": [16]}}  # fmt: skip

@@ -9,8 +9,10 @@ from exports import name_of
 from instances import changed, hinged_box
 from python_process import printed
 from test_html_report import named, shard
+from trouble import small_disk
 
 import articugen as ag
+from articugen.errors import MachineFault
 
 boxes, rows, exported, laptops = exports.boxes, exports.rows, exports.exported, exports.laptops
 
@@ -111,6 +113,16 @@ import mlcroissant
 records = mlcroissant.Dataset(jsonld="croissant.json").records("instances")
 print(*sorted(record["instances/object_id"].decode() for record in records))
 """
+
+
+@pytest.mark.parametrize("to", ["imnet", "onet", "parquet"])  # HDF5, numpy's and pyarrow's files
+def test_a_full_disk_ends_an_export_with_a_sentence_and_leaves_nothing_half_done(
+    boxes, tmp_path, to
+):
+    with small_disk(tmp_path / "disk", "300k") as disk:
+        with pytest.raises(MachineFault, match="the disk is full"):
+            ag.export(boxes, to, disk / "out")
+        assert list(disk.rglob("*.partial")) == []
 
 
 def test_records_of_parquet_in_mlcroissant(exported, rows):

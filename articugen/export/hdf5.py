@@ -7,6 +7,8 @@ from typing import Any, BinaryIO
 import h5py
 from numpy.typing import NDArray
 
+from articugen.store.shards import Disk, new_hdf5
+
 
 def packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     """A file of arrays by name; slashes in a name are groups."""
@@ -18,8 +20,13 @@ def packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
 
 
 def stack(file: BinaryIO, count: int, rows: Iterator[Mapping[str, NDArray[Any]]]) -> None:
-    """Write `count` rows into one data set a name, (count, ...), one row at a time."""
-    with h5py.File(file, "w") as hdf5:
+    """Write `count` rows into one data set a name, (count, ...), one row at a time.
+
+    Raises:
+        OSError: as the disk gave it; HDF5, told of it, would take the process with it.
+    """
+    disk = Disk(file)
+    with new_hdf5(disk) as hdf5:
         stacks: dict[str, h5py.Dataset] = {}
         for index, row in enumerate(rows):
             for name, array in row.items():
@@ -29,3 +36,5 @@ def stack(file: BinaryIO, count: int, rows: Iterator[Mapping[str, NDArray[Any]]]
                         name, shape, array.dtype, chunks=chunk, compression=4
                     )
                 stacks[name][index] = array
+            if disk.fault is not None:
+                break

@@ -83,6 +83,9 @@ def export(
     try:
         if not target.complete:
             _write(chosen, to, target, on_item)
+    except BaseException:
+        target.withdraw()
+        raise
     finally:
         target.close()
     files = target.written

@@ -88,6 +88,7 @@ class Target:
         self._files: list[Written] = []
         self._names: set[str] = set()
         self._journal: BinaryIO | None = None
+        self._is_new = not folder.exists()
         try:
             make_folder(folder)
             self._take()
@@ -184,8 +185,17 @@ class Target:
     def close(self) -> None:
         """Let others into the folder."""
         if self._journal is not None:
-            self._journal.close()
+            with suppress(OSError):  # a full disk does not take what is left to be written
+                self._journal.close()
             self._journal = None
+
+    def withdraw(self) -> None:
+        """Where nothing is written, leave nothing: no journal, and no folder that was not there."""
+        with suppress(OSError):
+            if self._journal is not None and os.listdir(self.folder) == [JOURNAL_NAME]:
+                (self.folder / JOURNAL_NAME).unlink()
+                if self._is_new:
+                    self.folder.rmdir()
 
     def write(self, name: str, data: bytes) -> None:
         """Write a file of the item at hand; `name` is from the folder on, with slashes."""

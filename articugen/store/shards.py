@@ -108,8 +108,9 @@ def write_shard(
             check(temporary, record)
 
     with written_atomically(path, check=look) as file:
-        disk = _Disk(file)
-        with _new_file(disk, given) as hdf5:
+        disk = Disk(file)
+        with new_hdf5(disk, libver="v110") as hdf5:  # 2016: with checksums on its metadata
+            _describe_file(hdf5, given)
             for row in _written(hdf5, instances):
                 content.append(row)
                 if disk.fault is not None:
@@ -483,7 +484,7 @@ class Stored:
         return np.frombuffer(data, self.dtype).reshape(self.shape[1:])
 
 
-class _Disk(io.RawIOBase):
+class Disk(io.RawIOBase):
     """The file that HDF5 writes to; the disk's first fault is kept as it was.
 
     HDF5 would make other errors of it, and more of them when it closes: it hears that all is well
@@ -532,15 +533,14 @@ class _Disk(io.RawIOBase):
 
 
 @contextmanager
-def _new_file(disk: _Disk, attributes: Mapping[str, Attribute]) -> Iterator[h5py.File]:
-    """An HDF5 file on `disk`. Its format v110 (HDF5 1.10, 2016) has checksums on its metadata.
+def new_hdf5(disk: Disk, **options: Any) -> Iterator[h5py.File]:
+    """An HDF5 file on `disk`, with h5py's options.
 
     Raises:
         OSError: as the disk gave it.
     """
     try:
-        with h5py.File(disk, "w", libver="v110") as hdf5:
-            _describe_file(hdf5, attributes)
+        with h5py.File(disk, "w", **options) as hdf5:
             yield hdf5
     finally:
         if disk.fault is not None:
