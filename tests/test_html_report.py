@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import io
 import re
 import shutil
 from collections.abc import Iterator, Sequence
@@ -15,12 +16,13 @@ import numpy as np
 import pytest
 from browser import LAPTOP, PHONE, browser
 from instances import SMALL, edited, hinged_box
+from PIL import Image
 from test_cli import TINY, run
 
 from articugen.errors import MachineFault
-from articugen.geometry import rotation_about
+from articugen.geometry import apply, rotation_about
 from articugen.inspection.surfels import OrientedPoints
-from articugen.records import Instance
+from articugen.records import Instance, dequantize
 from articugen.report.alike import nearest_pairs, outliers
 from articugen.report.facts import CLOUD, ObjectFacts, PartSize, facts
 from articugen.report.markup import el, text
@@ -353,10 +355,66 @@ def test_a_slider_moves_its_part_as_the_shard_says(chromium: Any, page: Path) ->
             found.reshape(-1, 4, 4).transpose(0, 2, 1), instance.part_motion, atol=1e-4
         )
         seen.append(picture(tab))
-    assert seen[1] == seen[0]  # the canonical pose, as it opens
-    assert len(set(seen)) == len(made)
+    assert len(set(seen)) == len(made) + 1  # as it opens, then each pose
     assert tab.inner_text("#viewer output >> nth=1") == "2.0 cm"
+    tab.click("#view-reset")
+    assert picture(tab) == seen[0]
     assert faults == []
+
+
+def test_it_opens_a_little_open(chromium: Any, page: Path) -> None:
+    tab, _ = opened(chromium, page, PHONE)
+    values = [float(tab.input_value(f"#joint-{j}")) for j in (0, 1)]
+    np.testing.assert_allclose(values, [35.0, 10.5])  # of 100° and 30 cm
+    assert tab.inner_text("#viewer output >> nth=0") == "35°"
+
+
+@pytest.mark.parametrize("screen", [LAPTOP, PHONE], ids=["laptop", "phone"])
+def test_nothing_that_moves_is_cut_off(
+    chromium: Any, laptops: Path, tmp_path: Path, screen: dict[str, int]
+) -> None:
+    shards = sorted(laptops.glob("test*.h5"))
+    write_report(laptops, shards, tmp_path / "report.html", objects=1, states=1)
+    with open_shard(shards[0]) as opened_shard:
+        shut = opened_shard.instance(0)
+    tab, _ = opened(chromium, tmp_path / "report.html", screen)
+    points, part = dequantize(shut.surface_points), shut.surface_part
+    for share in (0.0, 0.5, 1.0):
+        set_joint(tab, 0, share * float(tab.get_attribute("#joint-0", "max")))
+        T = np.array(tab.evaluate("articugen.motions(articugen.states())")).reshape(-1, 4, 4)
+        view = np.array(tab.evaluate("articugen.view()")).reshape(4, 4).T
+        at = np.concatenate([apply(T[k].T, points[part == k]) for k in range(len(T))])
+        clip = np.concatenate([at, np.ones((len(at), 1))], axis=1) @ view.T
+        assert np.abs(clip[:, :2] / clip[:, 3:]).max() < 1.0
+
+
+def test_on_paper_every_picture_and_column_is_there(chromium: Any, page: Path) -> None:
+    tab = chromium.new_context(viewport={"width": 720, "height": 400}).new_page()
+    tab.goto(page.as_uri())
+    tab.emulate_media(media="print")
+    drawn = "[...document.images].map(i => [i.complete && i.naturalWidth > 0, i.clientWidth > 0])"
+    assert tab.evaluate(drawn) == [[True, True]] * (1 + 2 * 3)
+    cut = """[...document.querySelectorAll('.scroll')].filter(s => s.scrollWidth > s.clientWidth)
+             .map(s => [s.ariaLabel, s.scrollWidth, s.clientWidth])"""
+    assert tab.evaluate(cut) == []
+    assert not tab.is_visible("canvas")
+
+
+def test_a_table_that_is_too_wide_is_shaded_where_it_goes_on(chromium: Any, page: Path) -> None:
+    tab, _ = opened(chromium, page, PHONE)
+    wide = tab.get_by_role("region", name="Parts and their sizes")
+    assert wide.evaluate("w => w.scrollWidth > w.clientWidth")
+
+    def shade() -> tuple[int, int]:
+        """How much darker than the card the table is at its left and right rims."""
+        seen = np.asarray(Image.open(io.BytesIO(wide.screenshot())).convert("L"), np.int64)
+        return int(255 - seen[:, 1].max()), int(255 - seen[:, -2].max())
+
+    left, right = shade()
+    assert (left < 5, right > 20) == (True, True)
+    wide.evaluate("w => { w.scrollLeft = w.scrollWidth }")
+    left, right = shade()
+    assert (left > 20, right < 5) == (True, True)
 
 
 def test_keys_and_buttons_turn_it(chromium: Any, page: Path) -> None:

@@ -24,6 +24,7 @@ from articugen.errors import (
     installing,
 )
 from articugen.geometry import apply, look_along, rotation_about
+from articugen.inspection.portrait import swept
 from articugen.records import ENCLOSED, FREE, Instance, JointKind, dequantize
 from articugen.store.shards import open_shard
 from articugen.viewer import layers, words
@@ -250,7 +251,7 @@ def test_surface_points_and_normals_are_the_stored_ones(box: Instance) -> None:
 def test_all_that_joints_do_is_framed() -> None:
     shut, open_wide = hinged_box(((0.0, 0.0), (np.radians(100.0), 0.3)))
     points, part = dequantize(shut.surface_points), shut.surface_part
-    everywhere = layers.swept(shut)
+    everywhere = swept(shut)
     np.testing.assert_allclose(everywhere[: len(points)], points[np.argsort(part, kind="stable")])
     for k, T in enumerate(open_wide.part_motion):
         moved = apply(T, points[part == k])
@@ -260,7 +261,7 @@ def test_all_that_joints_do_is_framed() -> None:
 
 @pytest.mark.parametrize(("aspect", "free"), [(1.6, 1.0), (0.4, 1.0), (0.46, 0.4)])
 def test_what_is_framed_fills_the_free_part_of_the_window(aspect, free) -> None:
-    points, toward = layers.swept(hinged_box()[0]), np.array([0.6, 0.64, 0.48])
+    points, toward = swept(hinged_box()[0]), np.array([0.6, 0.64, 0.48])
     eye = eye_of(points, toward, aspect, free)
     x, y, z = look_along(-toward)[:3, :3] @ (points - eye).T
     assert (z > 0.0).all()

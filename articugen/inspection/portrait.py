@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.colours import colour_of
-from articugen.geometry import apply, invert_rigid
+from articugen.geometry import apply, invert_rigid, rotation_about, transform
 from articugen.inspection.camera import Camera, framed
 from articugen.inspection.layout import TILE
 from articugen.inspection.light import SurfaceCloud
 from articugen.inspection.shading import SUPERSAMPLING, Picture, linear, shaded
 from articugen.inspection.solids import ColouredMesh, draw_solid, spread
 from articugen.inspection.surfels import OrientedPoints, Surfels, draw, surfels
-from articugen.records import Instance, dequantize
+from articugen.records import Instance, JointKind, dequantize
 
 Array = NDArray[np.float64]
 
@@ -25,6 +25,13 @@ NOTHING = ColouredMesh(np.zeros((0, 3, 3)), np.zeros(0, np.int64), ())
 
 AZIMUTHS = tuple(np.radians((-35.0, 35.0, 145.0, 215.0)))
 ELEVATION = float(np.radians(27.0))
+
+AJAR = 0.35
+"""Of its joints' ranges, how far what can be turned is open at first: shut, nothing seems to move.
+"""
+
+SWEPT = np.linspace(0.0, 1.0, 7)
+"""Shares of their ranges at which joints are looked at together."""
 
 
 def oriented_points(instance: Instance) -> OrientedPoints:
@@ -59,6 +66,26 @@ def _seen(discs: Surfels, azimuth: float) -> float:
     row = (camera.focal * y / z + camera.cy).astype(int)
     seen = np.bincount(discs.part[z < depth[row, column] + discs.spacing], minlength=256)
     return float((seen / np.maximum(np.bincount(discs.part, minlength=256), 1)).sum())
+
+
+def swept(canonical: Instance) -> Array:
+    """(n, 3) where its surface points come when its joints go through their ranges together."""
+    points, J = dequantize(canonical.surface_points), len(canonical.joint_kind)
+    everywhere = []
+    for share in SWEPT:
+        motion = np.tile(np.eye(4), (J + 1, 1, 1))
+        for j in range(J):  # parents come before their children
+            axis, pivot = canonical.joint_axis[j], canonical.joint_pivot[j]
+            q = (1.0 - share) * canonical.joint_lower[j] + share * canonical.joint_upper[j]
+            if canonical.joint_kind[j] == JointKind.PRISMATIC:
+                moved = transform(translation=q * axis)
+            else:
+                R = rotation_about(axis, q)
+                moved = transform(R, pivot - R @ pivot)
+            motion[j + 1] = motion[canonical.joint_parent[j]] @ moved
+        for part in range(J + 1):
+            everywhere.append(apply(motion[part], points[canonical.surface_part == part]))
+    return np.concatenate(everywhere)
 
 
 def portrait(

@@ -10,6 +10,7 @@ import numpy as np
 
 from articugen.colours import colour_of
 from articugen.inspection.contact_sheet import Portraits
+from articugen.inspection.portrait import AJAR
 from articugen.inspection.tables import duration, size
 from articugen.records import JointKind
 from articugen.report.alike import FEWEST, SAME, UNLIKE, Outlier, Pair
@@ -113,15 +114,17 @@ def turning(shown: Turnable | None, objects: Sequence[ObjectFacts], still: str) 
 
 
 def _slider(joint: JointStates, j: int) -> Markup:
-    """From the canonical pose, or the least state, to the greatest."""
+    """From the canonical pose, or the least state, to the greatest; a little open at first."""
     unit = _unit(joint)
     low, high = min(joint.lower, 0.0), max(joint.upper, 0.0)
     name = joint.name or f"joint {j}"
+    start = AJAR * max(low, high, key=abs)
     return el(
         "div",
-        el("label", dot(colour_of(j + 1)), name, el("output", f"0{unit}"), for_=f"joint-{j}"),
+        el("label", dot(colour_of(j + 1)), name, el("output", f"{start:.0f}{unit}"),
+           for_=f"joint-{j}"),
         el("input", type="range", id_=f"joint-{j}", min=f"{low:.4f}", max=f"{high:.4f}",
-           step="any", value="0", data_unit=unit.strip()),
+           step="any", value=f"{start:.4f}", data_unit=unit.strip()),
         el("p", f"{joint.kind}, {_range(joint.lower, joint.upper, unit)}", class_="hint"),
         class_="joint",
     )  # fmt: skip
@@ -144,7 +147,7 @@ def _card(each: Portraits, pictures: Sequence[str]) -> Markup:
     for picture, caption in zip(pictures, each.captions, strict=True):
         states = [el("span", dot(colour), SPACE, state) for state, colour in caption]
         alt = f"{each.object_id}, joints at {', '.join(state for state, _ in caption)}"
-        image = el("img", src=picture, alt=alt, width="168", height="168", loading="lazy")
+        image = el("img", src=picture, alt=alt, width="168", height="168")
         figures.append(el("figure", image, el("figcaption", *states)))
     title = el("h3", each.object_id, el("span", each.split))
     return el("article", title, el("div", *figures, class_="tiles"), class_="card object")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from articugen.colours import colour_of
 from articugen.geometry import invert_rigid
-from articugen.inspection.portrait import best_azimuth, oriented_points
+from articugen.inspection.portrait import best_azimuth, oriented_points, swept
 from articugen.inspection.surfels import OrientedPoints
 from articugen.records import Instance, JointKind, dequantize
 from articugen.report.facts import ObjectFacts
@@ -72,6 +72,7 @@ def _scene(chosen: ObjectFacts, instances: Sequence[Instance]) -> dict[str, Any]
     clouds = [oriented_points(i).moved(invert_rigid(i.part_motion)) for i in instances]
     posed = np.concatenate([dequantize(i.surface_points) for i in instances])
     parts = [_skin_of(clouds, part) for part in range(len(first.part_motion))]
+    posed = np.concatenate([posed, swept(first)])
     low, high = posed.min(axis=0), posed.max(axis=0)
     middle = (low + high) / 2.0
     return {

@@ -53,7 +53,7 @@
   }
 
   const states = () => sliders.map((slider, j) => Number(slider.value) / scene.joints[j].unit);
-  window.articugen = { motions, states };
+  window.articugen = { motions, states, view: () => eyeAndView(canvas.width / canvas.height).view };
 
   // --- meshes ----------------------------------------------------------------------------------
 
@@ -205,7 +205,7 @@
     return { array, count: corners.length / 6 };
   }
 
-  const camera = { azimuth: scene.azimuth, elevation: 0.42, zoom: canvas.clientWidth < 500 ? 1 : 1.12 };
+  const camera = { azimuth: scene.azimuth, elevation: 0.42, zoom: 1 };
   const home = { ...camera };
 
   function eyeAndView(aspect) {
@@ -336,7 +336,7 @@
     showAxes.addEventListener("change", redraw);
     document.getElementById("view-reset").addEventListener("click", () => {
       Object.assign(camera, home);
-      sliders.forEach((slider) => ((slider.value = 0), written(slider)));
+      sliders.forEach((slider) => ((slider.value = slider.defaultValue), written(slider)));
       redraw();
     });
 

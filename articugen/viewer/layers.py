@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.colours import colour_of
-from articugen.geometry import apply, invert_rigid, rotation_about, transform
+from articugen.geometry import apply, invert_rigid
 from articugen.inspection.portrait import oriented_points
 from articugen.records import ENCLOSED, FREE, Floats, Instance, JointKind, Mesh, dequantize
 
@@ -69,9 +69,6 @@ class Solid:
     T: Floats = field(default_factory=lambda: np.eye(4))
 
 
-SWEPT = np.linspace(0.0, 1.0, 7)
-"""Shares of their ranges at which joints are looked at together."""
-
 Drawn: TypeAlias = Points | Lines | Solid
 
 
@@ -94,26 +91,6 @@ def surface(instance: Instance) -> list[Drawn]:
     colours = (PART_COLOURS[instance.surface_part] * light[:, None]).astype(np.uint8)
     size = FULL * oriented_points(instance).spacing() if len(colours) > 1 else QUERY
     return [Points(dequantize(instance.surface_points), colours, size)]
-
-
-def swept(canonical: Instance) -> Floats:
-    """(n, 3) where its surface points come when its joints go through their ranges together."""
-    points, J = dequantize(canonical.surface_points), len(canonical.joint_kind)
-    everywhere = []
-    for share in SWEPT:
-        motion = np.tile(np.eye(4), (J + 1, 1, 1))
-        for j in range(J):  # parents come before their children
-            axis, pivot = canonical.joint_axis[j], canonical.joint_pivot[j]
-            q = (1.0 - share) * canonical.joint_lower[j] + share * canonical.joint_upper[j]
-            if canonical.joint_kind[j] == JointKind.PRISMATIC:
-                moved = transform(translation=q * axis)
-            else:
-                R = rotation_about(axis, q)
-                moved = transform(R, pivot - R @ pivot)
-            motion[j + 1] = motion[canonical.joint_parent[j]] @ moved
-        for part in range(J + 1):
-            everywhere.append(apply(motion[part], points[canonical.surface_part == part]))
-    return np.concatenate(everywhere)
 
 
 def normals(instance: Instance) -> list[Drawn]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from articugen.errors import ArticugenError
 from articugen.geometry import box_corners
-from articugen.inspection.portrait import best_azimuth
+from articugen.inspection.portrait import best_azimuth, swept
 from articugen.records import Floats, Instance
 from articugen.report.markup import Markup, join
 from articugen.viewer import layers, words
@@ -195,7 +195,7 @@ class Session:
         """Look at the object, over all that its joints do, from where most parts can be seen."""
         some = np.linspace(0, len(shown.states) - 1, min(LOOKED_AT, len(shown.states)))
         instances = [shown.at_state(round(k)).instance for k in some]
-        points, azimuth = layers.swept(instances[0]), 0.0
+        points, azimuth = swept(instances[0]), 0.0
         if len(points):
             azimuth = best_azimuth(instances)
         else:

@@ -8,6 +8,7 @@ import numpy as np
 
 from articugen.errors import InvalidArgument, MissingExtra
 from articugen.geometry import apply, invert_rigid
+from articugen.inspection.portrait import AJAR
 from articugen.maker import Maker
 from articugen.marching_cubes import zero_level
 from articugen.records import Floats, Instance, JointKind, Mesh
@@ -15,9 +16,6 @@ from articugen.verify import replay
 
 SAME = 1e-9
 """Radians or metres by which joint values of one state may differ."""
-
-AJAR = 0.35
-"""Of each joint's range, how far an object is open at first."""
 
 PART_VOXELS = 96
 """Along the unit frame's edge, of part meshes."""
