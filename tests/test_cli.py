@@ -188,31 +188,6 @@ def test_who_stops_reading_ends_a_command_without_a_word(made: Path, words: tupl
     assert (done.returncode, done.stderr) == (141, b"")
 
 
-@pytest.mark.parametrize(
-    ("words", "status", "sentence"),
-    [
-        (("x", "--to", "onett", "--out", "o"), 1, "no format 'onett'; did you mean 'onet'?"),
-        (("x", "--to", "onet"), 2, "name a folder with --out as well"),
-        (("--to", "onet", "--out", "o"), 2, "name a data set as well"),
-        (("x", "--out", "o"), 2, "name a format with --to; --to alone lists them"),
-    ],
-)
-def test_an_export_that_lacks_something_says_so_and_no_more(
-    words: tuple[str], status: int, sentence: str
-) -> None:
-    done = run("export", *words)
-    assert done.exit_code == status
-    assert done.output.startswith(f"error: {sentence}")
-    assert done.output.count("\n") == 1
-
-
-def test_formats_are_listed_where_none_is_named() -> None:
-    done = run("export", "--to")
-    assert done.exit_code == 0
-    names = {line.split()[0] for line in done.output.splitlines() if line.split()}
-    assert {"onet", "glb", "parquet"} <= names
-
-
 def test_a_dry_run_tells_the_plan_and_makes_nothing(recipe: Path, tmp_path: Path) -> None:
     done = run("generate", "-c", "oven", "-r", recipe, "-o", tmp_path / "new", "--dry-run")
     assert done.exit_code == 0

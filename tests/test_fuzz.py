@@ -177,6 +177,16 @@ def test_an_escape_is_seen(monkeypatch, read, said):
     assert said in escape.sentence
 
 
+@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="counts what is open")
+def test_a_sandbox_leaves_nothing_open():
+    with sandbox() as room:
+        room.run(TARGETS["urdf"], b"")
+    before = len(os.listdir("/proc/self/fd"))
+    with sandbox() as room:
+        room.run(TARGETS["urdf"], b"")
+    assert len(os.listdir("/proc/self/fd")) == before
+
+
 def test_what_the_first_import_writes_is_no_escape(monkeypatch, tmp_path):
     (tmp_path / "never_before_imported.py").write_text("from pathlib import Path")
     monkeypatch.syspath_prepend(tmp_path)

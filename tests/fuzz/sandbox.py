@@ -74,6 +74,10 @@ class Sandbox:
         self.accepted = 0
         """Inputs that were read without a refusal."""
 
+    def close(self) -> None:
+        for watch in (self._outside, self._base, self._model):
+            watch.close()
+
     def run(self, target: Target, data: bytes) -> Escape | None:
         """Read one input as the target does; what was not as it should be, None where all was.
 
@@ -151,7 +155,11 @@ def _place(error: BaseException) -> str:
 def sandbox() -> Iterator[Sandbox]:
     """One that is gone afterwards."""
     with tempfile.TemporaryDirectory(prefix="articugen-fuzz-") as folder:
-        yield Sandbox(Path(folder))
+        room = Sandbox(Path(folder))
+        try:
+            yield room
+        finally:
+            room.close()
 
 
 @functools.cache
@@ -250,7 +258,14 @@ class _Watch:
         if sys.platform == "linux":
             self._libc = ctypes.CDLL(None)
             self._handle = self._libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
+            if self._handle < 0:  # it would see nothing, and all would seem well
+                raise OSError("no inotify is left: raise fs.inotify.max_user_instances")
         self.look()
+
+    def close(self) -> None:
+        if self._handle >= 0:
+            os.close(self._handle)
+            self._handle = -1
 
     def look(self) -> None:
         """At the folder of that name: another one may have taken its place."""
