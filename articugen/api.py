@@ -128,19 +128,45 @@ def generate(
     if len(todo) != 1:
         raise InvalidArgument(f"{category!r} means {len(todo)} data sets; make one after the other")
     (job,) = todo
+    make(job, replace=replace, on_object=on_object)
+    return open_data_set(job.bucket or job.out)
+
+
+def make(
+    job: Job,
+    *,
+    replace: bool = False,
+    on_object: Callable[[ObjectReport], None] = lambda _: None,
+    on_notice: Callable[[str], None] = lambda _: None,
+) -> Manifest:
+    """Make one data set of `jobs_of`, or what is missing of it; see `generate`.
+
+    Args:
+        on_notice: called with one sentence where a worker was lost, and the like.
+
+    Raises:
+        ArticugenError, KeyboardInterrupt: as `generate`; the manifest is written first, and tells
+            of a `shortfall`, too.
+    """
     check_replaces(job, replace=replace)
     if job.bucket:
-        return _generate_into_a_bucket(job, on_object)
-    if slurm.is_array(job.scheduler):
+        with bucket_runs.started(job) as run:
+            _, manifest = run.finish(on_object, on_notice)
+        assert manifest is not None  # it was asked for all of it
+    elif slurm.is_array(job.scheduler):
         with slurm.started(job) as array:
-            _check(array.finish(on_object), str(job.out))
-        return open_data_set(job.out)
-    with pipeline.started(job) as run:
-        if run.plan.conflict and not replace:
-            raise ArticugenError(f"{run.plan.conflict}, or pass replace=True")
-        manifest = run.finish(on_object)
-    _check(manifest, str(job.out))
-    return open_data_set(job.out)
+            manifest = array.finish(on_object, on_notice)
+    else:
+        with pipeline.started(job) as run:
+            if run.plan.conflict and not replace:
+                raise ArticugenError(f"{run.plan.conflict}, or pass replace=True")
+            manifest = run.finish(on_object, on_notice)
+    if manifest.shortfall:
+        first = (*manifest.failed, *manifest.rejected, *manifest.skipped)[0]
+        raise ArticugenError(
+            f"{job.bucket or job.out}: {manifest.shortfall}; the first, {first.sentence}"
+        )
+    return manifest
 
 
 def check_replaces(job: Job, *, replace: bool, shared: bool = False) -> None:
@@ -156,17 +182,3 @@ def check_replaces(job: Job, *, replace: bool, shared: bool = False) -> None:
             f"--replace (replace=True) with {way}: processes that share out objects replace "
             "nothing; give a new --out"
         )
-
-
-def _generate_into_a_bucket(job: Job, on_object: Callable[[ObjectReport], None]) -> DataSet:
-    with bucket_runs.started(job) as run:
-        _, manifest = run.finish(on_object)
-    assert manifest is not None  # it was asked for all of it
-    _check(manifest, job.bucket)
-    return open_data_set(job.bucket)
-
-
-def _check(manifest: Manifest, where: str) -> None:
-    if manifest.shortfall:
-        first = (*manifest.failed, *manifest.rejected, *manifest.skipped)[0]
-        raise ArticugenError(f"{where}: {manifest.shortfall}; the first, {first.sentence}")

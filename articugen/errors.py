@@ -76,6 +76,10 @@ def installing(extra: str) -> str:
     return f"{pip} install {shlex.quote(f'{where}[{extra}]')}"
 
 
+class UnfitData(ArticugenError):
+    """Data are sound, but not what a learner must be given: too few points, no such split."""
+
+
 class MissingExtra(ArticugenError):
     """An optional library is not installed."""
 

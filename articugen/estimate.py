@@ -7,7 +7,7 @@ their own times decide. What decides most is how many instances there are.
 from collections.abc import Sequence
 
 from articugen.recipe import Recipe, Sampling
-from articugen.store.manifest import ObjectEntry
+from articugen.store.manifest import ObjectEntry, ShardEntry
 
 STARTUP = 3.0
 """Seconds until a worker has imported what it needs; once a run."""
@@ -31,8 +31,10 @@ def object_seconds(recipe: Recipe, instances: int) -> float:
     return _shared_seconds(recipe) + instances * _instance_seconds(recipe)
 
 
-def instance_bytes(recipe: Recipe) -> int:
-    """Of an instance in its shard."""
+def instance_bytes(recipe: Recipe, done: Sequence[ShardEntry] = ()) -> int:
+    """Of an instance in its shard; `done` are some that this recipe made before."""
+    if done:
+        return sum(shard.bytes for shard in done) // sum(shard.instances for shard in done)
     sampling, images = recipe.sampling, recipe.images
     points = 10 * sampling.surface_points + 7 * (sampling.uniform_points + sampling.near_points)
     partial = 7 * sampling.partial_views * sampling.partial_points

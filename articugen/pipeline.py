@@ -36,7 +36,7 @@ from articugen.records import Instance
 from articugen.sources import registry
 from articugen.sources.refs import ObjectRef
 from articugen.store import croissant
-from articugen.store.files import write_atomically
+from articugen.store.files import megabytes, room_at, write_atomically
 from articugen.store.journal import Journal
 from articugen.store.manifest import (
     MOST_OBJECTS,
@@ -56,8 +56,13 @@ SECONDS_FOR_ANY_OBJECT = 600.0
 SECONDS_FOR_ANY_INSTANCE = 5.0
 """What an object may take where its recipe says nothing of it: a hundred times what most do."""
 
+_KEPT = "finished objects are kept, the same command goes on after them"
+
 _FEWEST_SHARED = 8
 """Instances of an object that others may help with: fewer are made before they are ready."""
+
+_HOPELESS = 4
+"""A run that is estimated to need so many times what is free is not begun."""
 
 _DEPTH_MAPS = 8 << 20
 """Bytes: what is as large as they are goes back to the system once it is freed."""
@@ -153,45 +158,36 @@ class Plan:
     seconds: float
     conflict: str | None
 
+    def check_room(self, out: Path, on_notice: Callable[[str], None]) -> None:
+        """Compare what it needs with what is free where it goes; shards that are there already are
+        replaced. Nobody's estimate is so wrong as to be `_HOPELESS` times too high.
 
-def plan(job: Job) -> Plan:
-    """What `generate` would do, and why; nothing is written.
-
-    Raises:
-        ArticugenError: unknown source or category; the folder is in use or damaged.
-    """
-    with started(job) as run:
-        return run.plan
-
-
-def generate(
-    job: Job,
-    on_object: Callable[[ObjectReport], None],
-    on_notice: Callable[[str], None] = lambda _: None,
-) -> Manifest:
-    """Make the data set, or what is missing of it, and write its manifest.
-
-    Args:
-        on_object: called for each object, those that are there already first.
-        on_notice: called with one sentence where a worker was lost.
-
-    Raises:
-        ArticugenError: unknown source or category; objects failed, or more were rejected than the
-            recipe allows: the manifest, which is written first, says so in its `shortfall`.
-        MachineFault: the disk is full, or the like; what was made is kept.
-        KeyboardInterrupt: finished objects are kept; the next run goes on after them.
-    """
-    with started(job) as run:
-        manifest = run.finish(on_object, on_notice)
-    if manifest.shortfall:
-        first = (*manifest.failed, *manifest.rejected, *manifest.skipped)[0]
-        raise ArticugenError(f"{job.out}: {manifest.shortfall}; the first, {first.sentence}")
-    return manifest
+        Raises:
+            MachineFault: it needs far more.
+        """
+        need = self.bytes
+        with suppress(OSError):
+            free = room_at(out)
+            shards = (out / task.shard for task in self.tasks)
+            need -= sum(shard.stat().st_size for shard in shards if shard.is_file())
+            if need <= free:
+                return
+            said = (
+                f"{out}: this takes about {megabytes(need)} on the disk, {megabytes(free)} are "
+                "free; free some space, choose another folder, or ask for fewer objects or states"
+            )
+            if need > _HOPELESS * free:
+                raise MachineFault(said)
+            on_notice(said)
 
 
 @contextmanager
 def started(job: Job) -> Iterator["Run"]:
-    """A run that has its folder to itself and a plan, and has made nothing yet."""
+    """A run that has its folder to itself and a plan, and has made nothing yet.
+
+    Raises:
+        ArticugenError: unknown source or category; the folder is in use or damaged.
+    """
     job = as_its_source_is(job)
     with Journal(job.out) as journal:
         yield Run(job, journal, plan_for(job, journal, objects_of(job)))
@@ -261,7 +257,18 @@ class Run:
         on_object: Callable[[ObjectReport], None],
         on_notice: Callable[[str], None] = lambda _: None,
     ) -> Manifest:
-        """Make what is missing; see `generate`, but a `shortfall` is not raised."""
+        """Make the data set, or what is missing of it, and write its manifest, which tells of a
+        `shortfall`, if any.
+
+        Args:
+            on_object: called for each object, those that are there already first.
+            on_notice: called with one sentence where a worker was lost, or room is short.
+
+        Raises:
+            ArticugenError: no object can be made.
+            MachineFault: the disk is full, or the like; what was made is kept.
+            KeyboardInterrupt: finished objects are kept; the next run goes on after them.
+        """
         if not self.plan.tasks and self.journal.is_complete(self.plan.keys):
             manifest = Manifest.read(self.job.out)
             if manifest.shortfall == _shortfall(self.plan.done, self.job.recipe):
@@ -286,13 +293,30 @@ class Run:
         outcomes = list(self.plan.done)
         for outcome in outcomes:
             on_object(report_of(outcome, reused=True))
+        self.plan.check_room(self.job.out, on_notice)
         self.journal.claim(task.shard for task in self.plan.tasks)
-        with closing(self.made(on_notice)) as made:
-            for outcome in made:
-                self.journal.record(outcome)
-                outcomes.append(outcome)
-                on_object(report_of(outcome, reused=False))
+        try:
+            with closing(self.made(on_notice)) as made:
+                for outcome in made:
+                    self.journal.record(outcome)
+                    outcomes.append(outcome)
+                    on_object(report_of(outcome, reused=False))
+        except BaseException as error:
+            if not self.job.scheduler:  # whose workers may be writing still
+                self.journal.tidy()
+            if isinstance(error, MachineFault):
+                left = len(self.plan.keys) - len(outcomes)
+                raise MachineFault(f"{error}{self._still_needed(left)}; {_KEPT}") from error
+            raise
         return outcomes
+
+    def _still_needed(self, objects: int) -> str:
+        """What so many objects take on the disk, where that is more than is free."""
+        need = objects * self.plan.bytes / max(len(self.plan.tasks), 1)
+        with suppress(OSError):
+            if need > (free := room_at(self.job.out)):
+                return f"; the rest takes about {megabytes(need)}, {megabytes(free)} are free"
+        return ""
 
     def made(self, on_notice: Callable[[str], None]) -> Generator[Outcome, None, None]:
         """The outcome of each task, as they finish."""
@@ -300,14 +324,9 @@ class Run:
         tasks = [task for task in self.plan.tasks if not task.known]
         self.compile(on_notice)
         limit = limit_of(self.job.recipe)
-        try:
-            with closing(self._ends(tasks, limit, on_notice)) as made:
-                for ended in made:
-                    yield ended.value or not_made(tasks[ended.number].key, ended, limit)
-        except MachineFault as error:
-            raise MachineFault(
-                f"{error}; finished objects are kept, the same command goes on after them"
-            ) from error
+        with closing(self._ends(tasks, limit, on_notice)) as made:
+            for ended in made:
+                yield ended.value or not_made(tasks[ended.number].key, ended, limit)
 
     def compile(self, on_notice: Callable[[str], None]) -> None:
         """The kernels, unless they are already, or nothing is made here."""
@@ -603,7 +622,7 @@ def plan_for(job: Job, journal: Holdings, refs: Sequence[ObjectRef]) -> Plan:
         tasks=tuple(tasks),
         done=tuple(done),
         instances=instances,
-        bytes=instances * instance_bytes(job.recipe),
+        bytes=instances * instance_bytes(job.recipe, [o.shard for o in done if o.shard]),
         seconds=run_seconds(job.recipe, len(tasks), job.jobs, entries),
         conflict=journal.conflict(keys),
     )

@@ -135,6 +135,7 @@ class ArrayRun:
         """
         if self.plan.conflict:
             raise ArticugenError(self.plan.conflict)
+        self.plan.check_room(self.job.out, on_notice)
         began = time.perf_counter()
         for outcome in self.plan.done:
             on_object(report_of(outcome, reused=True))

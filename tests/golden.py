@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from articugen import content
-from articugen.pipeline import Job, generate
+from articugen import api, content
+from articugen.pipeline import Job
 from articugen.recipe import load_recipe
 from articugen.recipe_files import with_settings
 from articugen.sources import procedural
@@ -109,7 +109,7 @@ def data(name: str, folder: Path) -> str:
         source = str(folder / "cabinet.urdf")
     recipe = with_settings(load_recipe(folder / "tiny.yaml", category), SETS[name])
     job = Job(source, category, recipe.with_counts(objects=1), seed=0, out=folder / "out", jobs=0)
-    return generate(job, lambda _: None).content_sha256
+    return api.make(job).content_sha256
 
 
 def shapes(category: str, folder: Path) -> str:

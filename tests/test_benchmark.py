@@ -170,6 +170,15 @@ def test_reports_are_published_with_their_pictures(tmp_path):
     assert (root / "docs" / "images" / "methods.png").read_bytes() == b"png"
 
 
+@pytest.mark.parametrize("commit", ["78dfd59732ff-dirty", "78dfd59732ff+changes", "unknown"])
+def test_figures_of_code_that_no_commit_has_are_not_published(tmp_path, commit):
+    report = _report()
+    report["about"]["commit"] = commit
+    (tmp_path / "readme.md").write_text(glance.markdown(report))
+    with pytest.raises(SystemExit, match="commit first, and measure again"):
+        publish.main(tmp_path, tmp_path)
+
+
 def test_a_picture_has_a_dot_a_method(tmp_path):
     pytest.importorskip("matplotlib", reason="pictures need matplotlib")
     assert glance.draw(_report(), tmp_path / "methods.png") is None

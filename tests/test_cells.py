@@ -10,7 +10,7 @@ import pytest
 from instances import SMALL, hinged_box
 from ppd_data import write_boxes
 
-from articugen.errors import CorruptShard
+from articugen.errors import UnfitData
 from articugen.records import is_material
 from articugen.store.shards import Shard, open_shard, write_shard
 
@@ -180,7 +180,7 @@ def test_the_finest_grid_up_to_the_limit_is_taken(folder, monkeypatch):
     monkeypatch.setattr(cells, "FINEST", 20)
     assert load_split(folder, "train", ASK, [8]).varying.resolution == 16
     monkeypatch.setattr(cells, "FINEST", 4)
-    with pytest.raises(CorruptShard, match=r"train-00000\.h5: has no grid of 4 or less"):
+    with pytest.raises(UnfitData, match=r"train-00000\.h5: has no grid of 4 or less"):
         load_split(folder, "train", ASK, [8])
 
 
@@ -246,7 +246,7 @@ CASES = [
 @pytest.mark.parametrize(("edit", "said"), CASES)
 def test_poses_that_cannot_be_compared_are_refused_in_one_sentence(tmp_path, edit, said):
     write_again(tmp_path, edit)
-    with pytest.raises(CorruptShard, match=f"train-00000.h5: {said}") as told:
+    with pytest.raises(UnfitData, match=f"train-00000.h5: {said}") as told:
         load_split(tmp_path, "train", ASK, [8])
     assert "; " in str(told.value)  # what to do about it
 
@@ -269,7 +269,7 @@ def test_labels_of_the_first_format_tell_nothing_of_frames(tmp_path):
     grid = np.stack([row.occupancy[32] for row in shifted(hinged_box()[:2])])
     for version in (1, 2):
         shard = SimpleNamespace(path=tmp_path, attributes={"schema_version": version})
-        with pytest.raises(CorruptShard) if version == 2 else nullcontext():
+        with pytest.raises(UnfitData) if version == 2 else nullcontext():
             check_fixed_part(cast(Shard, shard), np.array(["a", "a"]), grid)
 
 
@@ -308,14 +308,14 @@ def test_one_pose_is_enough_where_none_are_compared(tmp_path):
     write_again(tmp_path, lambda rows: rows[:1])
     band = dataclasses.replace(ASK, varying_points=0)
     assert len(load_split(tmp_path, "train", band, [8])) == 1
-    with pytest.raises(CorruptShard, match="holds one pose"):
+    with pytest.raises(UnfitData, match="holds one pose"):
         load_split(tmp_path, "train", dataclasses.replace(band, poses=True), [8])
 
 
 def test_a_joint_that_no_candidate_can_follow_is_refused(folder):
     for joints, kind in (((0, 4), "revolute"), ((3, 0), "prismatic")):
         said = f"has a {kind} joint, .*; add directions to model.{kind}"
-        with pytest.raises(CorruptShard, match=said):
+        with pytest.raises(UnfitData, match=said):
             load_split(folder, "train", dataclasses.replace(ASK, joints=joints), [8])
 
 

@@ -9,7 +9,7 @@ import pytest
 from instances import SMALL, hinged_box
 from ppd_data import write_boxes
 
-from articugen.errors import CorruptShard
+from articugen.errors import UnfitData
 from articugen.geometry import transform
 from articugen.learning.evaluation import evaluate as evaluation_module
 from articugen.learning.evaluation.evaluate import Protocol, evaluate, label_votes, objects_of
@@ -247,11 +247,11 @@ def test_all_objects_of_another_data_set_are_tested(boxes, tmp_path):
     training = write_boxes(tmp_path / "training", train=1, test=0, states=1)
     assert evaluate(training, exactly, FEW, on=others).objects == 3
     lamps = write_boxes(tmp_path / "lamps", train=1, test=0, states=1, category="lamp")
-    with pytest.raises(CorruptShard, match="lamps: holds lamp, the model is of box"):
+    with pytest.raises(UnfitData, match="lamps: holds lamp, the model is of box"):
         evaluate(boxes, exactly, FEW, on=lamps, category="box")
 
 
 def test_a_data_set_without_test_objects_is_refused(tmp_path):
     data = write_boxes(tmp_path / "boxes", train=1, test=0, states=1)
-    with pytest.raises(CorruptShard, match="has no object in split 'test'"):
+    with pytest.raises(UnfitData, match="has no object in split 'test'"):
         evaluate(data, truth, FEW)

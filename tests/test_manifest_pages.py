@@ -12,14 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 from test_manifest import keys, names_in, run
-from test_pipeline import contents, job, made, own_models  # noqa: F401
+from test_pipeline import contents, job, made, own_models, planned  # noqa: F401
 from test_ranks import rank
 from trouble import unfit
 
 import articugen as ag
 from articugen import ranks
 from articugen.errors import CorruptShard, MachineFault
-from articugen.pipeline import plan
 from articugen.store import files, journal, manifest, manifest_pages
 from articugen.store.cleaning import clean
 from articugen.store.manifest import MANIFEST_NAME, Manifest
@@ -95,7 +94,7 @@ def test_a_data_set_with_pages_is_like_any_other(whole: Path, folder: Path) -> N
     assert len(data.split("train").objects) == 3
     assert len(data[-1].surface.points)
     assert verify(whole).findings == ()
-    assert plan(job(whole)).tasks == ()
+    assert planned(job(whole)).tasks == ()
     assert clean(folder) == []
     before = contents(folder)
     made(job(folder))

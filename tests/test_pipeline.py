@@ -18,7 +18,7 @@ from test_workers import alive, children
 from trouble import obeying_permissions, small_disk
 
 import articugen
-from articugen import articulation, content
+from articugen import api, articulation, content
 from articugen.errors import (
     ArticugenError,
     InvalidRecipe,
@@ -27,12 +27,12 @@ from articugen.errors import (
     NotOfCategory,
 )
 from articugen.instance import make_instance, prepare
-from articugen.pipeline import Job, ObjectReport, generate, plan
+from articugen.pipeline import Job, ObjectReport, Plan, started
 from articugen.recipe import Articulation, Recipe, Sampling, ViewSettings, load_recipe
 from articugen.sources import meshes, registry
 from articugen.store import croissant
 from articugen.store import manifest as manifest_module
-from articugen.store.journal import JOURNAL_NAME
+from articugen.store.journal import JOURNAL_NAME, is_temporary
 from articugen.store.manifest import (
     MANIFEST_NAME,
     Manifest,
@@ -89,7 +89,12 @@ def job(out: Path, **changes: object) -> Job:
 
 def made(job: Job) -> tuple[Manifest, list[ObjectReport]]:
     reports: list[ObjectReport] = []
-    return generate(job, reports.append), reports
+    return api.make(job, replace=True, on_object=reports.append), reports
+
+
+def planned(job: Job) -> Plan:
+    with started(job) as run:
+        return run.plan
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -174,7 +179,8 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(
     code = f"""
 import os, signal
 from pathlib import Path
-from articugen.pipeline import Job, generate
+from articugen import api
+from articugen.pipeline import Job
 from articugen.recipe import Recipe
 # A shell that runs the tests in the background has its children ignore Ctrl-C.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -183,7 +189,7 @@ job = Job("procedural", "eyeglasses", recipe, 0, Path({str(out)!r}), {jobs})
 def told(report):
     print(report.object_id, flush=True)
     os.killpg(0, signal.SIGINT)  # as Ctrl-C in a terminal: the workers get it too
-generate(job, told)
+api.make(job, on_object=told)
 """
     process = subprocess.Popen(
         [sys.executable, "-c", code],
@@ -200,7 +206,7 @@ generate(job, told)
     assert (out / JOURNAL_NAME).exists()
     assert_nobody_left(process.pid)
 
-    tasks = plan(cut).tasks
+    tasks = planned(cut).tasks
     assert {task.why for task in tasks} == {NEVER_MADE}
     left = [task.ref.object_id for task in tasks]
     assert 0 < len(left) < 4
@@ -238,7 +244,7 @@ def test_objects_caps_the_number_and_more_are_added_later(whole: Path, tmp_path:
 
 
 def test_a_plan_writes_nothing_and_says_that_nothing_is_made_yet(tmp_path: Path) -> None:
-    found = plan(job(tmp_path / "new"))
+    found = planned(job(tmp_path / "new"))
     assert [task.why for task in found.tasks] == [NEVER_MADE] * 4
     assert found.instances == 12
     assert found.bytes > 0
@@ -249,7 +255,7 @@ def test_a_plan_writes_nothing_and_says_that_nothing_is_made_yet(tmp_path: Path)
 
 def test_nothing_is_done_again(whole: Path) -> None:
     before = {p.name: p.stat().st_mtime_ns for p in whole.iterdir()}
-    assert plan(job(whole)).tasks == ()
+    assert planned(job(whole)).tasks == ()
     manifest, reports = made(job(whole))
     assert manifest == Manifest.read(whole)
     assert [r.reused for r in reports] == [True] * 4
@@ -258,29 +264,30 @@ def test_nothing_is_done_again(whole: Path) -> None:
 
 def test_the_recipes_name_and_its_limit_of_rejects_change_no_object(whole: Path) -> None:
     other = TINY.model_copy(update={"name": "other", "max_rejected_fraction": 0.5})
-    assert plan(job(whole, recipe=other)).tasks == ()
+    assert planned(job(whole, recipe=other)).tasks == ()
 
 
 def test_a_changed_recipe_or_seed_is_why_all_are_made_again(mine: Path) -> None:
     more = TINY.model_copy(update={"padding": 0.2})
-    found = plan(job(mine, recipe=more))
+    found = planned(job(mine, recipe=more))
     assert {task.why for task in found.tasks} == {"the recipe has changed"}
     assert "4 shards of an earlier run will be replaced" in (found.conflict or "")
-    found = plan(job(mine, seed=7))
+    found = planned(job(mine, seed=7))
     assert [task.why for task in found.tasks] == ["the seed was 0, is 7"] * 4
     manifest, _ = made(job(mine, seed=7))
     assert manifest.seed == 7
-    assert plan(job(mine, seed=7)).tasks == ()
+    assert planned(job(mine, seed=7)).tasks == ()
     assert verify(mine).findings == ()
 
 
 PLANNED = """
 from pathlib import Path
-from articugen.pipeline import Job, plan
+from articugen.pipeline import Job, started
 from articugen.recipe import Recipe
 from articugen.store.manifest import code_version
 recipe = Recipe.model_validate_json({recipe!r})
-found = plan(Job("procedural", "eyeglasses", recipe, 0, Path({out!r}), 0))
+with started(Job("procedural", "eyeglasses", recipe, 0, Path({out!r}), 0)) as run:
+    found = run.plan
 print(code_version(), len(found.done), len(found.tasks))
 """
 
@@ -322,16 +329,16 @@ def test_a_raised_version_makes_data_again(
 ) -> None:
     monkeypatch.setitem(getattr(content, table), name, 2)
     why = f"the code makes other data: it was {told} 1, is {told} 2"
-    assert [task.why for task in plan(job(whole)).tasks] == [why] * 4
-    assert why in (plan(job(whole)).conflict or "")
+    assert [task.why for task in planned(job(whole)).tasks] == [why] * 4
+    assert why in (planned(job(whole)).conflict or "")
 
 
 def test_versions_of_bundled_models_decide_no_other_models(
     boxes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before = [task.key for task in plan(job(tmp_path, source=str(boxes), category="box")).tasks]
+    before = [task.key for task in planned(job(tmp_path, source=str(boxes), category="box")).tasks]
     monkeypatch.setitem(content.MODELS, "box", 2)
-    after = [task.key for task in plan(job(tmp_path, source=str(boxes), category="box")).tasks]
+    after = [task.key for task in planned(job(tmp_path, source=str(boxes), category="box")).tasks]
     assert after == before
 
 
@@ -340,7 +347,7 @@ def test_a_missing_or_altered_shard_is_made_again(mine: Path, whole: Path) -> No
     damaged = bytearray((mine / "test-00000.h5").read_bytes())
     damaged[len(damaged) // 2] ^= 1
     (mine / "test-00000.h5").write_bytes(damaged)
-    found = plan(job(mine))
+    found = planned(job(mine))
     assert {task.why for task in found.tasks} == {
         "its shard train-00001.h5 is missing or altered",
         "its shard test-00000.h5 is missing or altered",
@@ -354,7 +361,7 @@ def test_a_changed_model_is_made_again_alone(boxes: Path, tmp_path: Path) -> Non
     ours = job(tmp_path / "out", source=str(boxes), category="box")
     made(ours)
     (boxes / "box2.urdf").write_text(BOX.format(size=3))
-    found = plan(ours)
+    found = planned(ours)
     assert [(t.ref.object_id, t.why) for t in found.tasks] == [("box2", "its source has changed")]
     made(ours)
     assert verify(ours.out).findings == ()
@@ -372,14 +379,14 @@ def test_planning_makes_nothing_of_meshes(
     ours = job(tmp_path / "out", source=str(boxes), category="box")
     with monkeypatch.context() as patch:
         patch.setattr(meshes, "checked", lambda *_: 1 / 0)
-        keys = {task.ref.object_id: task.key.ref for task in plan(ours).tasks}
+        keys = {task.ref.object_id: task.key.ref for task in planned(ours).tasks}
     manifest, _ = made(ours)
     assert {o.key.object_id: o.input_sha256 for o in manifest.objects} == keys
     (boxes / "lid.obj").write_text("v 0 0 0\nf 1 2 3\n")
-    assert {task.why for task in plan(ours).tasks} == {"its source has changed"}
+    assert {task.why for task in planned(ours).tasks} == {"its source has changed"}
     with pytest.raises(ArticugenError, match="4 of 4 objects were rejected"):
         made(ours)
-    assert plan(ours).tasks == ()
+    assert planned(ours).tasks == ()
 
 
 # --- what cannot be made
@@ -410,7 +417,7 @@ def test_plain_urdfs_are_made_and_a_broken_one_is_told_of(boxes: Path, tmp_path:
     assert made(ours)[0] == manifest  # what was rejected is not tried again
     assert (ours.out / MANIFEST_NAME).stat().st_mtime_ns == before
     (boxes / "box3.urdf").write_text(BOX.format(size=1.3))
-    assert [task.ref.object_id for task in plan(ours).tasks] == ["box3"]
+    assert [task.ref.object_id for task in planned(ours).tasks] == ["box3"]
     manifest, _ = made(ours)
     assert (len(manifest.objects), len(manifest.rejected), len(manifest.skipped)) == (4, 0, 1)
 
@@ -481,7 +488,7 @@ def test_a_file_where_a_folder_must_be_stops_the_run_and_rejects_nothing(
     with pytest.raises(MachineFault, match="a file is in the way; move it away or"):
         made(job(tmp_path / "out"))
     (tmp_path / taken).unlink()
-    assert [task.why for task in plan(job(tmp_path / "out")).tasks] == [NEVER_MADE] * 4
+    assert [task.why for task in planned(job(tmp_path / "out")).tasks] == [NEVER_MADE] * 4
     assert made(job(tmp_path / "out"))[0].rejected == ()
     assert contents(tmp_path / "out") == contents(whole)
 
@@ -494,9 +501,9 @@ def test_a_disk_that_is_locked_meanwhile_stops_the_run_and_rejects_nothing(
 
     with small_disk(tmp_path / "disk", "20m") as disk:
         with pytest.raises(MachineFault, match=r"not written: the folder cannot be written to"):
-            generate(job(disk / "out"), lambda _: remount("ro"))
+            api.make(job(disk / "out"), on_object=lambda _: remount("ro"))
         remount("rw")
-        assert len(plan(job(disk / "out")).tasks) == 3
+        assert len(planned(job(disk / "out")).tasks) == 3
         assert made(job(disk / "out"))[0].rejected == ()
         assert contents(disk / "out") == contents(whole)
 
@@ -512,9 +519,9 @@ def test_files_that_are_not_ours_are_left_alone(boxes: Path, tmp_path: Path) -> 
 
 def test_unknown_sources_and_categories_name_the_nearest(tmp_path: Path) -> None:
     with pytest.raises(InvalidSource, match="did you mean 'procedural'"):
-        plan(job(tmp_path, source="procedurl"))
+        planned(job(tmp_path, source="procedurl"))
     with pytest.raises(InvalidSource, match="did you mean 'eyeglasses'"):
-        plan(job(tmp_path, category="eyeglass"))
+        planned(job(tmp_path, category="eyeglass"))
 
 
 # --- what is no object's fault
@@ -548,7 +555,7 @@ def test_a_fault_of_ours_ends_no_run_and_is_tried_again(
                 "box1: internal error, please report it: ZeroDivisionError: by nought"
             ]
             assert "tried again" in str(verify(ours.out).findings[0])
-            found = plan(ours)
+            found = planned(ours)
             assert [t.ref.object_id for t in found.tasks] == ["box1"]
             assert found.conflict is None  # --replace is not asked for
     manifest, reports = made(ours)
@@ -575,7 +582,7 @@ def test_rejections_that_earlier_versions_wrote_over_our_faults_are_tried_again(
     (mine / croissant.NAME).write_bytes(croissant.of_data_set(earlier))
     (mine / last.shard).unlink()
     assert [finding.check for finding in verify(mine).findings] == ["incomplete"]
-    assert [t.ref.object_id for t in plan(job(mine)).tasks] == [last.key.object_id]
+    assert [t.ref.object_id for t in planned(job(mine)).tasks] == [last.key.object_id]
     made(job(mine))
     assert contents(mine) == contents(whole)
 
@@ -619,7 +626,7 @@ def test_files_that_vanish_meanwhile_are_no_objects_fault(boxes: Path, tmp_path:
             boxes.rename(away)
 
     with pytest.raises(ArticugenError, match=r"3 of 4 objects failed .*, or are gone, since"):
-        generate(ours, pull_out)
+        api.make(ours, on_object=pull_out)
     manifest = Manifest.read(ours.out)
     assert (len(manifest.objects), len(manifest.failed), manifest.rejected) == (1, 3, ())
     away.rename(boxes)
@@ -639,7 +646,7 @@ def test_what_changes_meanwhile_is_not_taken_for_what_was_planned(
         (boxes / "box2.urdf").write_text("<robot")
 
     with pytest.raises(ArticugenError, match="failed through no fault of theirs"):
-        generate(ours, change)
+        api.make(ours, on_object=change)
     failed = {each.key.object_id for each in Manifest.read(ours.out).failed}
     assert failed <= {"box1", "box2"}
     assert failed
@@ -664,11 +671,12 @@ def test_an_array_over_the_recipes_memory_is_the_objects_fault(
 FULL = """
 import resource, sys
 from pathlib import Path
-from articugen.pipeline import Job, generate
+from articugen import api
+from articugen.pipeline import Job
 from articugen.recipe import Recipe
 {before}
 recipe = Recipe.model_validate_json({recipe!r})
-generate(Job("procedural", "eyeglasses", recipe, 0, Path({out!r}), {jobs}), lambda _: None)
+api.make(Job("procedural", "eyeglasses", recipe, 0, Path({out!r}), {jobs}))
 """
 
 
@@ -724,6 +732,32 @@ def test_a_full_disk_stops_the_run_and_rejects_nothing(whole: Path, tmp_path: Pa
         assert contents(out) == contents(whole)
 
 
+def test_what_a_run_needs_is_compared_with_what_is_free(whole: Path, tmp_path: Path) -> None:
+    """Far too little is refused before anything is written, too little told of; where the disk is
+    full in the middle, both numbers are told, what is made is kept, and nothing half written."""
+    many = TINY.with_counts(objects=6, states=60)
+    with small_disk(tmp_path / "disk", "200k") as disk:
+        ours = job(disk / "out", recipe=many, jobs=2)
+        both = r"about \d+\.\d MB on the disk, 0\.\d MB are free"
+        with started(ours) as run, pytest.raises(MachineFault, match=both):
+            run.finish(lambda _: None)
+        assert not (disk / "out").exists()
+    with small_disk(tmp_path / "larger", "1m") as disk:
+        ours, told = replace(ours, out=disk / "out"), list[str]()
+        with started(ours) as run:
+            assert 1 << 20 < run.plan.bytes < 4 << 20
+            both = r"the disk is full .* takes about \d\.\d MB, 0\.\d MB are free; finished objects"
+            with pytest.raises(MachineFault, match=both):
+                run.finish(lambda _: None, told.append)
+        assert "MB are free; free some space, choose another folder, or ask for fewer" in told[0]
+        assert [p.name for p in (disk / "out").iterdir() if is_temporary(p.name)] == []
+        subprocess.run(["mount", "-o", "remount,size=9m", str(disk)], check=True)
+        with started(ours) as run:
+            assert 0 < len(run.plan.done) < 6
+            assert run.finish(lambda _: None).shortfall is None
+        assert verify(disk / "out").ok
+
+
 # --- limits
 
 
@@ -737,9 +771,9 @@ def test_an_object_over_its_time_is_rejected_until_it_may_take_more(tmp_path: Pa
     (rejected,) = Manifest.read(hasty.out).rejected
     assert rejected.over == ("seconds_per_object", 1e-3)
     assert "it takes too many seconds; raise the recipe's seconds_per_object" in rejected.reason
-    assert plan(hasty).tasks == ()
+    assert planned(hasty).tasks == ()
     patient = replace(hasty, recipe=long, jobs=0)
-    assert [task.why for task in plan(patient).tasks] == ["the recipe now allows it more"]
+    assert [task.why for task in planned(patient).tasks] == ["the recipe now allows it more"]
     assert len(made(patient)[0].objects) == 1
 
 
@@ -756,7 +790,7 @@ def test_an_object_that_is_not_of_the_category_is_skipped_without_blame(
     assert (len(manifest.objects), manifest.rejected, manifest.shortfall) == (3, (), None)
     assert [r.skipped for r in reports if not r.shard] == ["box3: a hob, it has no door"]
     assert verify(ours.out).findings == ()
-    assert plan(ours).tasks == ()
+    assert planned(ours).tasks == ()
 
 
 def test_nothing_left_at_all_is_one_error(
@@ -857,6 +891,6 @@ def test_the_workers_of_a_killed_run_are_gone_before_the_next_begins(
         if report.shard:
             inodes[report.shard] = (out / report.shard).stat().st_ino
 
-    generate(job(out), unchanged)  # at once: its lock waits for the last of them
+    api.make(job(out), on_object=unchanged)  # at once: its lock waits for the last of them
     assert inodes == {p.name: p.stat().st_ino for p in out.glob("*.h5")}  # nobody overwrote one
     assert contents(out) == contents(whole)

@@ -6,7 +6,7 @@ import shutil
 import pytest
 from ppd_data import write_boxes
 
-from articugen.errors import CorruptShard, InvalidCheckpoint
+from articugen.errors import InvalidCheckpoint, UnfitData
 from articugen.learning.ppd.settings import (
     DepthSettings,
     LossSettings,
@@ -161,5 +161,5 @@ def test_a_camera_sees_a_part_of_the_surface_and_is_the_same_each_time():
             )
         },
     )
-    with pytest.raises(CorruptShard, match=r"has no partial clouds; set sampling\.partial_views"):
+    with pytest.raises(UnfitData, match=r"has no partial clouds; set sampling\.partial_views"):
         seen_by_a_camera(blind)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from ppd_data import write_boxes
 
-from articugen.errors import CorruptShard
+from articugen.errors import UnfitData
 
 pytest.importorskip("torch", reason="PPD needs torch")
 
@@ -112,5 +112,5 @@ def test_another_category_is_refused_before_anything_is_computed(boxes):
     def never(_):
         raise AssertionError
 
-    with pytest.raises(CorruptShard, match="holds box, the model is of oven"):
+    with pytest.raises(UnfitData, match="holds box, the model is of oven"):
         evaluate(boxes, never, category="oven")

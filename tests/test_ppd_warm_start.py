@@ -11,7 +11,7 @@ torch = pytest.importorskip("torch")
 from test_discovery import LID, posed, slide, turn  # noqa: E402
 
 from articugen.discovery import KINDS, Discovery, FoundJoint  # noqa: E402
-from articugen.errors import CorruptShard, InvalidCheckpoint  # noqa: E402
+from articugen.errors import InvalidCheckpoint, UnfitData  # noqa: E402
 from articugen.learning.dataset import BatchSpec, load_split, unpacked  # noqa: E402
 from articugen.learning.method import find_method, load_recipe  # noqa: E402
 from articugen.learning.ppd import found as found_module  # noqa: E402
@@ -389,5 +389,5 @@ def test_where_nothing_moves_one_sentence_says_so(boxes, tmp_path):
     for mine in rows:
         surface[mine] = surface[mine[0]].clone()
     still = type(split)(**{**vars(split), "surface": surface})
-    with pytest.raises(CorruptShard, match="no training object tell"):
+    with pytest.raises(UnfitData, match="no training object tell"):
         discovered(still, tmp_path, WAYS)

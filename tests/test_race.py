@@ -5,7 +5,7 @@ import json
 import pytest
 from ppd_data import write_boxes
 
-from articugen.errors import CorruptShard, InvalidCheckpoint, InvalidRecipe, TrainingDiverged
+from articugen.errors import InvalidCheckpoint, InvalidRecipe, TrainingDiverged, UnfitData
 from articugen.learning.ppd.settings import LossSettings, PPDRecipe, PPDSchedule, PPDStage
 from articugen.learning.recipe import DataSettings, Seeds
 
@@ -127,7 +127,7 @@ def test_a_seed_that_diverges_loses(boxes, tmp_path, monkeypatch):
 def test_data_that_cannot_be_learnt_from_leave_no_run(tmp_path):
     data = write_boxes(tmp_path / "data", train=2, test=0, states=0)
     settings = DataSettings(surface_points=100, grid_points=100, varying_points=20)
-    with pytest.raises(CorruptShard, match="holds one pose of box-0"):
+    with pytest.raises(UnfitData, match="holds one pose of box-0"):
         race(
             TINY.model_copy(update={"data": settings}),
             category="box",

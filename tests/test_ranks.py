@@ -9,14 +9,13 @@ import sys
 from pathlib import Path
 
 import pytest
-from test_pipeline import BOX, TINY, contents, job, made, own_models  # noqa: F401
+from test_pipeline import BOX, TINY, contents, job, made, own_models, planned  # noqa: F401
 from trouble import held_by_another_run
 from typer.testing import CliRunner
 
 from articugen import pipeline, ranks
 from articugen.cli import app
 from articugen.errors import ArticugenError, CorruptShard, InvalidArgument, InvalidRecipe
-from articugen.pipeline import plan
 from articugen.sources.splits import TEST_FRACTION
 from articugen.store.cleaning import clean
 from articugen.store.files import partial_name
@@ -75,14 +74,14 @@ def test_eight_ranks_of_which_three_are_killed_make_what_one_process_makes(tmp_p
     for name, data in contents(tmp_path / "one").items():
         assert contents(out)[name] == data, name
     assert verify(out).findings == ()
-    assert plan(job(out, recipe=all_of_them)).tasks == ()
+    assert planned(job(out, recipe=all_of_them)).tasks == ()
 
 
 def test_a_plain_run_goes_on_with_what_ranks_have_made(tmp_path: Path) -> None:
     first = rank(tmp_path, "0/3")
     assert len(first) == 2
     (tmp_path / partial_name("train-00001.h5")).write_bytes(b"of a rank that was killed")
-    assert not plan(job(tmp_path)).conflict
+    assert not planned(job(tmp_path)).conflict
     manifest, reports = made(job(tmp_path))
     assert {r.object_id for r in reports if r.reused} == set(first)
     assert {p.name for p in tmp_path.iterdir()} == {
@@ -262,5 +261,5 @@ def test_ranks_and_chosen_ids_agree_on_splits_that_no_hash_decides(tmp_path: Pat
         rank(many, text, **few)
     assert ranks.merge(many).content_sha256 == plain.content_sha256
     chosen = next(name for name, split in splits.items() if split == "test")
-    alone = plan(job(tmp_path / "alone", ids=(chosen,), jobs=1, **few))
+    alone = planned(job(tmp_path / "alone", ids=(chosen,), jobs=1, **few))
     assert alone.keys == tuple(e.key for e in plain.objects if e.key.split == "test")

@@ -16,10 +16,10 @@ from trouble import held_by_another_run
 from typer.testing import CliRunner
 
 import articugen as ag
-from articugen import content, instance
+from articugen import api, content, instance
 from articugen.cli import app
 from articugen.errors import ArticugenError, CorruptShard, InvalidArgument
-from articugen.pipeline import Job, generate
+from articugen.pipeline import Job
 from articugen.store import chunks, croissant
 from articugen.store.journal import JOURNAL_NAME
 from articugen.store.manifest import MANIFEST_NAME, Manifest
@@ -53,7 +53,7 @@ def boxes(tmp_path_factory):
     (root / "models" / "box3.urdf").write_text(BOX.format(size=1, lid=NO_LID))
     recipe = RECIPE.model_copy(update={"objects": None, "max_rejected_fraction": 0.5})
     made = Job(str(root / "models"), "box", recipe, seed=0, out=root / "made", jobs=0)
-    assert len(generate(made, lambda _: None).rejected) == 1
+    assert len(api.make(made, replace=True).rejected) == 1
     return root
 
 
@@ -330,7 +330,7 @@ def test_shards_that_tell_too_little_are_one_sentence(folder, boxes, tmp_path):
     (twice,) = mended(folder)
     assert f"{SHARD} and train-00009.h5 both hold box" in twice.done
     other = Job(str(boxes / "models"), "box", RECIPE, 1, tmp_path / "other", 0, ids=("box0",))
-    generate(other, lambda _: None)
+    api.make(other, replace=True)
     (name,) = (path.name for path in other.out.glob("*.h5"))
     shutil.copyfile(other.out / name, folder / "train-00009.h5")
     (mixed,) = mended(folder)
@@ -345,7 +345,7 @@ def test_shards_that_tell_too_little_are_one_sentence(folder, boxes, tmp_path):
 
 def test_a_manifest_of_another_run_costs_no_shard(folder, boxes, tmp_path):
     other = Job(str(boxes / "models"), "box", RECIPE, 1, tmp_path / "other", 0)
-    generate(other, lambda _: None)
+    api.make(other, replace=True)
     shutil.copyfile(other.out / MANIFEST_NAME, folder / MANIFEST_NAME)
     before = contents(folder)
     (done,) = mended(folder)

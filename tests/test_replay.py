@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from articugen import articulation, content
+from articugen import api, articulation, content
 from articugen.errors import ArticugenError, InvalidSource
 from articugen.instance import make_instance, prepare
-from articugen.pipeline import Job, generate
+from articugen.pipeline import Job
 from articugen.recipe import Recipe
 from articugen.records import dequantize, quantize
 from articugen.sources import registry
@@ -33,7 +33,7 @@ RECIPE = Recipe.model_validate(
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("oven")
-    generate(Job("procedural", "oven", RECIPE, seed=3, out=folder, jobs=0), lambda _: None)
+    api.make(Job("procedural", "oven", RECIPE, seed=3, out=folder, jobs=0))
     return folder
 
 

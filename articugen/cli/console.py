@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from rich.text import Text
 from articugen.inspection.tables import counted, duration, facts, size
 from articugen.pipeline import Job, ObjectReport, Plan
 from articugen.sources.registry import SourceInfo
+from articugen.store.files import room_at
 from articugen.store.manifest import MANIFEST_NAME, Manifest, Outcome
 
 
@@ -62,7 +63,10 @@ def plan_table(job: Job, plan: Plan) -> RenderableType:
             "to make", escape(f"{counted(len(objects), 'object')} ({some}), each because {why}")
         )
     table.add_row("instances", f"{plan.instances:,}")
-    table.add_row("disk", f"about {size(plan.bytes)}: an estimate")
+    room = ""
+    with suppress(OSError):
+        room = "" if job.bucket else f"; {size(room_at(job.out))} are free"
+    table.add_row("disk", f"about {size(plan.bytes)}: an estimate{room}")
     on = f"on {counted(max(job.jobs, 1), 'worker')}"
     table.add_row("time", f"about {duration(round(plan.seconds))} {on}: an estimate")
     lines: list[RenderableType] = [_title(job.category, job.bucket or job.out), table]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from articugen.errors import CorruptShard, InvalidSource
+from articugen.errors import InvalidSource, UnfitData
 from articugen.learning.evaluation.surfaces import Floats, sample
 from articugen.ply import claimed_rows
 from articugen.records import Instance, Normalization, dequantize
@@ -82,11 +82,11 @@ def seen_by_a_camera(instance: Instance) -> Floats:
     """(M, 3) what one of the instance's depth cameras sees, always the same one.
 
     Raises:
-        CorruptShard: it has none.
+        UnfitData: it has none.
     """
     cameras = len(instance.partial_points)
     if not cameras:
-        raise CorruptShard(
+        raise UnfitData(
             f"{instance.object_id}: has no partial clouds; set sampling.partial_views and make the "
             "data set again"
         )

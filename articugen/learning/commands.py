@@ -97,8 +97,8 @@ def train(
         The run's folder.
 
     Raises:
-        InvalidRecipe, CorruptShard, InvalidCheckpoint, TrainingDiverged, ArticugenError: as each
-            says.
+        InvalidRecipe, CorruptShard, UnfitData, InvalidCheckpoint, TrainingDiverged, ArticugenError:
+            as each says.
     """
     prepare(device, threads)
     if resume is None:
@@ -193,7 +193,7 @@ def evaluate(
 
     Raises:
         InvalidCheckpoint: the run cannot be read.
-        CorruptShard: a data set has no such object, or is of another category.
+        UnfitData: a data set has no such object, or is of another category.
         ArticugenError: there is no such protocol.
     """
     prepare(threads=threads)
@@ -283,7 +283,7 @@ def draw_examples(
 
     Raises:
         InvalidCheckpoint: a run cannot be read, or was not evaluated.
-        CorruptShard: a data set has no test object, or is of another category.
+        UnfitData: a data set has no test object, or is of another category.
         ArticugenError: the picture cannot be written.
     """
     from articugen.learning.evaluation.figures import draw as figures  # noqa: PLC0415

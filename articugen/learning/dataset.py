@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from articugen.errors import CorruptShard
+from articugen.errors import CorruptShard, UnfitData
 from articugen.learning import cells, processes
 from articugen.learning.cells import Chance, LabelledCells, drawn, uniform, voxel_centres
 from articugen.learning.fitness import check_fixed_part, check_shard, check_varies
@@ -284,7 +284,8 @@ def load_split(
         category: what the data set must be of.
 
     Raises:
-        CorruptShard: no such data set or split, another category, too few points, no such grid, no
+        CorruptShard: no such data set, or a damaged one.
+        UnfitData: no such split, another category, too few points, no such grid, no
             clouds of depth cameras, no joint, more joints than the learner can hold, poses of an
             object that share no frame or, where poses are compared, an object that has but one; an
             object that two of the data sets have, or grids and points of other sizes in one.
@@ -305,7 +306,7 @@ def load_split(
         joined = {name: np.concatenate([s.pop(name) for s in shards]) for name in list(shards[0])}
     except ValueError:
         where = ", ".join(map(str, folders))
-        raise CorruptShard(
+        raise UnfitData(
             f"{where}: shards of different shapes; make them again, all by one recipe"
         ) from None
     grids = {int(n.rpartition("_")[2]): n for n in joined if n.startswith("occupancy_")}
@@ -330,13 +331,11 @@ def _shards_of(
 ) -> tuple[list[str], dict[str, str]]:
     """The names of the shards of a split, and what each must say of itself."""
     if category is not None and manifest.category != category:
-        raise CorruptShard(f"{folder}: holds {manifest.category}, not {category}")
+        raise UnfitData(f"{folder}: holds {manifest.category}, not {category}")
     names = sorted({o.shard for o in manifest.objects if o.key.split == split})
     if not names:
         have = sorted({o.key.split for o in manifest.objects})
-        raise CorruptShard(
-            f"{folder}: has no object in split {split!r}, only in: {', '.join(have)}"
-        )
+        raise UnfitData(f"{folder}: has no object in split {split!r}, only in: {', '.join(have)}")
     return names, {"split": split, "category": manifest.category}
 
 
@@ -348,7 +347,7 @@ def _check_apart(folders: Sequence[Path], manifests: Sequence[Manifest]) -> None
         for entry in manifest.objects:
             name = entry.key.object_id
             if where.setdefault(name, folder) is not folder:
-                raise CorruptShard(
+                raise UnfitData(
                     f"{folder}: has an object {name}, as {where[name]} has; leave it out of one, "
                     "with --exclude"
                 )
@@ -437,7 +436,7 @@ def _finest(path: Path) -> int:
         grids = [int(n.rpartition("_")[2]) for n in shard.fields if n.startswith("occupancy_")]
     fit = [resolution for resolution in grids if resolution <= cells.FINEST]
     if not fit:
-        raise CorruptShard(
+        raise UnfitData(
             f"{path}: has no grid of {cells.FINEST} or less, which data.band_points and "
             f"varying_points need; add {cells.FINEST} to sampling.grids and make the data set again"
         )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.errors import CorruptShard
+from articugen.errors import UnfitData
 from articugen.records import is_material
 from articugen.store.manifest import Manifest
 from articugen.store.shards import Shard, open_shard
@@ -28,26 +28,26 @@ SAME = 1e-6
 
 
 def check_shard(shard: Shard, spec: BatchSpec, resolutions: Sequence[int]) -> None:
-    """Raise CorruptShard where something is not there that the learner must be given."""
+    """Raise UnfitData where something is not there that the learner must be given."""
     path = shard.path
     _check_joints(shard, spec.joints)
     _check_frame(shard)
     if spec.poses or spec.varying_points:
         _check_poses(shard)
     if spec.partial and 0 in shard.fields["partial_points"]:
-        raise CorruptShard(
+        raise UnfitData(
             f"{path}: has no partial clouds; set sampling.partial_views and make the data set again"
         )
     for name in ("surface_points", "uniform_points", "near_points"):
         have, count = shard.fields[name][1], getattr(spec, name)
         if have < count:
-            raise CorruptShard(
+            raise UnfitData(
                 f"{path}: has {have} {name} an instance, the recipe asks for {count}; "
                 "make the data set with more, or lower data in the training recipe"
             )
     for resolution in resolutions:
         if f"occupancy_{resolution}" not in shard.fields:
-            raise CorruptShard(
+            raise UnfitData(
                 f"{path}: has no occupancy_{resolution}; add {resolution} to sampling.grids and "
                 "make the data set again"
             )
@@ -59,17 +59,17 @@ def _check_joints(shard: Shard, joints: tuple[int, int] | None) -> None:
         return
     kind = shard.read("joint_kind")
     if not kind.size:
-        raise CorruptShard(f"{shard.path}: has no joint; what never moves teaches no parts")
+        raise UnfitData(f"{shard.path}: has no joint; what never moves teaches no parts")
     for number, (name, most) in enumerate(zip(KINDS, joints, strict=True), start=1):
         have = int((kind == number).sum(1).max())
         if have and not most:
-            raise CorruptShard(
+            raise UnfitData(
                 f"{shard.path}: an object has a {name} joint, the recipe's model no part that "
                 f"could move so; add directions to model.{name}"
             )
     have = (int((kind == 1).sum(1).max()), int((kind == 2).sum(1).max()))
     if have[0] > joints[0] or have[1] > joints[1]:
-        raise CorruptShard(
+        raise UnfitData(
             f"{shard.path}: an object has {have[0]} revolute and {have[1]} prismatic joints, the "
             f"recipe's model {joints[0]} and {joints[1]} such parts; add directions to model"
         )
@@ -82,7 +82,7 @@ def _check_frame(shard: Shard) -> None:
     moved = np.abs(shard.read("part_motion")[:, 0] - np.eye(4)).max(axis=(1, 2)) > SAME
     for name in dict.fromkeys(names.tolist()):
         if np.ptp(frame[names == name], axis=0).max() > SAME or moved[names == name].any():
-            raise CorruptShard(
+            raise UnfitData(
                 f"{shard.path}: the poses of {name} share no frame: center, scale or the place of "
                 "the fixed part differ between them; normalise each object once for all its poses "
                 "and make the shard again"
@@ -90,7 +90,7 @@ def _check_frame(shard: Shard) -> None:
 
 
 def check_fixed_part(shard: Shard, names: NDArray[Any], grid: NDArray[np.uint8]) -> None:
-    """Raise CorruptShard where most of an object's fixed part is gone in another of its poses.
+    """Raise UnfitData where most of an object's fixed part is gone in another of its poses.
 
     A pose whose grid is empty, as a coarse one of thin parts can be, says nothing, nor do shards of
     format 1, where enclosed space, which a door opens, bears the fixed part's label.
@@ -106,7 +106,7 @@ def check_fixed_part(shard: Shard, names: NDArray[Any], grid: NDArray[np.uint8])
         poses = poses[poses.any(axis=1)]
         fixed = np.flatnonzero(poses[:1] == 1)
         if fixed.size and is_material(poses[:, fixed]).mean(axis=1).min() < 0.5:
-            raise CorruptShard(
+            raise UnfitData(
                 f"{shard.path}: the poses of {name} share no frame: most of its fixed part is not "
                 "where it was in the first; normalise each object once for all its poses and make "
                 "the shard again"
@@ -114,7 +114,7 @@ def check_fixed_part(shard: Shard, names: NDArray[Any], grid: NDArray[np.uint8])
 
 
 def check_varies(path: Path, names: NDArray[Any], varying: Sequence[NDArray[np.bool_]]) -> None:
-    """Raise CorruptShard where no cell of an object differs between its poses.
+    """Raise UnfitData where no cell of an object differs between its poses.
 
     Args:
         names: (N,) the objects.
@@ -122,7 +122,7 @@ def check_varies(path: Path, names: NDArray[Any], varying: Sequence[NDArray[np.b
     """
     for name, mask in zip(names.tolist(), varying, strict=True):
         if not mask.any():
-            raise CorruptShard(
+            raise UnfitData(
                 f"{path}: no cell of occupancy_{len(mask)} differs between the poses of {name}; "
                 "make the data set again with wider joint ranges, or set data.varying_points to 0"
             )
@@ -163,7 +163,7 @@ def _check_poses(shard: Shard) -> None:
     """Each object is there in several poses."""
     names, count = np.unique(shard.object_ids(), return_counts=True)
     if count.min() < 2:
-        raise CorruptShard(
+        raise UnfitData(
             f"{shard.path}: holds one pose of {names[count.argmin()]}, the recipe compares poses "
             "of each object; make the data set with more (generate --states), or use a recipe "
             "with data.varying_points 0 and without a warm start"

@@ -190,7 +190,7 @@ def train(
         on_progress: called after each iteration.
 
     Raises:
-        CorruptShard: the data cannot be trained on.
+        UnfitData: the data cannot be trained on.
         InvalidCheckpoint: the run cannot be resumed with this recipe.
         TrainingDiverged: a term is no longer a finite number; the message says which.
     """
@@ -219,7 +219,7 @@ def train_depth(
 
     Raises:
         ArticugenError: the method has nothing for depth input.
-        CorruptShard: the data cannot be trained on, for instance has no partial clouds.
+        UnfitData: the data cannot be trained on, for instance has no partial clouds.
         InvalidCheckpoint: the run has no checkpoint.
         TrainingDiverged: the loss is no longer a finite number.
     """
@@ -292,7 +292,7 @@ def split_for(
 def look(
     recipe: TrainRecipe, category: str, data: Folders
 ) -> Callable[[Path, Callable[[str], None]], None]:
-    """Raise CorruptShard where `train` would, before a run's folder is made.
+    """Raise UnfitData where `train` would, before a run's folder is made.
 
     Returns:
         `Learner.begin` on the training instances, for all seeds of a race at once.

@@ -5,6 +5,7 @@ import hashlib
 import os
 import re
 import secrets
+import shutil
 import stat
 import sys
 from collections.abc import Callable, Iterator
@@ -15,8 +16,8 @@ from typing import BinaryIO
 from articugen.errors import MachineFault
 
 _CURES = {
-    errno.ENOSPC: "the disk is full; free {megabytes:.0f} MB or choose another output folder",
-    errno.EDQUOT: "the disk quota is used up; free {megabytes:.0f} MB or choose another folder",
+    errno.ENOSPC: "the disk is full{room}; free some space or choose another output folder",
+    errno.EDQUOT: "the disk quota is used up{room}; free some space or choose another folder",
     errno.EFBIG: "files may not grow so large here; raise the limit (ulimit -f) or choose a folder "
     "on another file system",
     errno.ENOENT: "its folder does not exist; make it first",
@@ -146,26 +147,26 @@ def write_atomically(
     Raises:
         MachineFault: the disk is full, the folder cannot be written to, or the like.
     """
-    with written_atomically(path, check=check) as file:
+    with written_atomically(path, check=check, size=len(data)) as file:
         file.write(data)
 
 
 @contextmanager
 def written_atomically(
-    path: Path, *, check: Callable[[Path], None] | None = None
+    path: Path, *, check: Callable[[Path], None] | None = None, size: int = 0
 ) -> Iterator[BinaryIO]:
     """A file to write and read; once the block has ended without an error, `path` is all of it.
 
     The bytes go to a temporary name in the same folder and to the disk (fsync); `check` looks at
     that file and raises where it is not as it should be; only then it gets its name, and the folder
     is synchronised, so that the name survives a power cut as well. Where anything fails `path` is
-    what it was, and the temporary file is gone.
+    what it was, and the temporary file is gone. `size`, where it is known, is told if the disk is
+    full.
 
     Raises:
         MachineFault: the disk is full, the folder cannot be written to, or the like.
     """
     temporary = path.with_name(partial_name(path.name))
-    size = 0
     try:
         try:
             with temporary.open("x+b") as file:  # never through a link that someone put there
@@ -200,8 +201,30 @@ def whole_name(name: str) -> str | None:
 
 def cannot_write(path: Path, error: OSError, size: int = 0) -> str:
     """One sentence on why `path` (of `size` bytes) could not be written, with the cure."""
-    cure = _CURES.get(error.errno or 0, f"{error.strerror or error}; choose another output folder")
-    return f"{path}: not written: {cure.format(megabytes=max(size, 1e6) / 1e6)}"
+    cure = _CURES.get(error.errno or 0)
+    if cure is None:
+        cure = f"{error.strerror or error}; choose another output folder"
+    elif "{room}" in cure:
+        words = [f"{megabytes(size)} are needed"] if size else []
+        with suppress(OSError):
+            words.append(f"{megabytes(room_at(path))} are free")
+        cure = cure.format(room=f" ({', '.join(words)})" if words else "")
+    return f"{path}: not written: {cure}"
+
+
+def room_at(path: Path) -> int:
+    """The bytes that are free where a path is, or will be.
+
+    Raises:
+        OSError: nobody can tell.
+    """
+    path = path.absolute()
+    return shutil.disk_usage(next(p for p in (path, *path.parents) if p.exists())).free
+
+
+def megabytes(count: float) -> str:
+    """Bytes as sentences have them."""
+    return f"{count / 1e6:,.{0 if count >= 1e7 else 1}f} MB"
 
 
 def make_folder(folder: Path) -> None:

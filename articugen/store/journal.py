@@ -12,6 +12,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -272,6 +273,12 @@ class Journal:
             sync(self.folder)
         except OSError as error:
             raise MachineFault(cannot_write(self.folder, error)) from None
+
+    def tidy(self) -> None:
+        """Remove what workers were writing as the run ended early, none of which is left; where the
+        disk does not let us, the next run does."""
+        with suppress(MachineFault):
+            self.remove(self._temporary())
 
     def _temporary(self) -> list[str]:
         return [name for name in self._names() if is_temporary(name) and self._is_file(name)]

@@ -223,6 +223,9 @@ class RankJournal(Journal):
         write_atomically(self._path, line.encode())
         self._claimed = True
 
+    def tidy(self) -> None:
+        """Leave it to the merge: other ranks may be writing."""
+
     def _agree(self) -> None:
         """Write down what all ranks make, or see that it is what the first has written."""
         if CommonPlan.read(self.folder) is None:

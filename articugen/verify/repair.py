@@ -202,6 +202,7 @@ def _made_again(
                 done = _in_place(folder / name, outcome, same_file=name not in other)
                 yield Repair(name, _in_words(wrong[name]), done, ok=outcome.shard is not None)
     finally:
+        journal.tidy()
         if other:
             _record(folder, manifest, other)
 

@@ -45,7 +45,7 @@ _ON = {
         "errors.InvalidSource", "errors.InvalidRecipe", "errors.InvalidArgument",
         "errors.NotFetched", "errors.AccessRefused", "errors.RejectedInstance",
         "errors.NotOfCategory", "errors.MachineFault", "errors.CorruptShard",
-        "errors.MissingExtra", "errors.MissingDriver", "errors.BrokenPlugin",
+        "errors.UnfitData", "errors.MissingExtra", "errors.MissingDriver", "errors.BrokenPlugin",
         "errors.InvalidCheckpoint", "errors.TrainingDiverged",
     )),
 }  # fmt: skip

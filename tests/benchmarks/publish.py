@@ -2,7 +2,8 @@
 
 What stands between `<!-- name -->` and `<!-- end of name -->` is replaced by the folder's report,
 its headings one level down: both reports in docs/performance.md, the short table in README.md, for
-each that is there; pictures go to docs/images.
+each that is there; pictures go to docs/images. Figures of code that no commit has are refused:
+nobody could measure them again.
 """
 
 import re
@@ -17,8 +18,19 @@ PAGES = {
 }
 PICTURES = ("scaling.png", "methods.png")
 
+CHANGED = re.compile(r"commit (\S+-dirty|\S+\+changes|unknown)")
+"""How a report tells of code that was changed since its commit, or of none."""
+
 
 def main(folder: Path = Path("benchmarks_out"), root: Path = ROOT) -> None:
+    """
+    Raises:
+        SystemExit: a report is of code that no commit has; nothing is written.
+    """
+    names = {name for reports in PAGES.values() for name in reports.values()}
+    for report in sorted(folder / name for name in names):
+        if report.is_file() and (changed := CHANGED.search(report.read_text())):
+            raise SystemExit(f"{report}: measured at {changed[0]}; commit first, and measure again")
     images = root / "docs" / "images"
     for name, reports in PAGES.items():
         page = root / name

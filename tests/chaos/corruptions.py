@@ -18,7 +18,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from articugen.pipeline import Job, generate
+from articugen import api
+from articugen.pipeline import Job
 from articugen.recipe import Recipe
 from articugen.store import croissant
 from articugen.store.manifest import MANIFEST_NAME, Manifest
@@ -268,7 +269,7 @@ def trials(work: Path, count: int, *, repaired: int) -> Iterator[Trial]:
 
 
 def _made(folder: Path, seed: int) -> Path:
-    generate(Job("procedural", "eyeglasses", RECIPE, seed, folder, 0), lambda _: None)
+    api.make(Job("procedural", "eyeglasses", RECIPE, seed, folder, 0))
     return folder
 
 

@@ -27,7 +27,8 @@ Row = tuple[str, int, int]
 MAKE = """
 import json, os, signal, sys
 from pathlib import Path
-from articugen.pipeline import Job, generate
+from articugen import api
+from articugen.pipeline import Job
 from tests.chaos.corruptions import RECIPE
 from tests.golden import own_models
 jobs, die = map(int, sys.argv[1:])
@@ -38,7 +39,7 @@ Path("models").mkdir(exist_ok=True)
 os.environ["ARTICUGEN_SOURCES"] = str(Path("models").absolute())
 Path("models/procedural").mkdir(exist_ok=True)
 job = Job("procedural", "eyeglasses", RECIPE, 0, Path("made").absolute(), jobs)
-print(generate(job, told).content_sha256)
+print(api.make(job, on_object=told).content_sha256)
 """
 
 MAKE_GOLDEN = """

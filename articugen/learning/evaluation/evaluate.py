@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.errors import CorruptShard
+from articugen.errors import UnfitData
 from articugen.learning.evaluation import metrics
 from articugen.learning.evaluation.matched import Matching, joint_errors, matching, pose_errors
 from articugen.learning.evaluation.metrics import DIAGONAL, NO_LABEL, Ints
@@ -120,7 +120,7 @@ def evaluate(
             a grid for F-score and Chamfer-L1, but none for labels.
 
     Raises:
-        CorruptShard: a data set has no training or no test object, or is of another category.
+        UnfitData: a data set has no training or no test object, or is of another category.
     """
     check_splits(data, category, on)
     tally = Tally(label_votes(data, reconstruct, protocol, on_object))
@@ -147,22 +147,22 @@ def evaluate(
 
 
 def check_splits(data: Path, category: str | None, on: Path | None = None) -> None:
-    """Raise CorruptShard where the data set, or with `on` both, cannot be evaluated on, before
+    """Raise UnfitData where the data set, or with `on` both, cannot be evaluated on, before
     anything is computed."""
     for folder, splits in ((data, ("train",) if on else ("train", "test")), (on, ())):
         if folder is None:
             continue
         manifest = Manifest.read(folder)
         if category is not None and manifest.category != category:
-            raise CorruptShard(f"{folder}: holds {manifest.category}, the model is of {category}")
+            raise UnfitData(f"{folder}: holds {manifest.category}, the model is of {category}")
         there = {o.key.split for o in manifest.objects}
         for split in splits:
             if split not in there:
-                raise CorruptShard(
+                raise UnfitData(
                     f"{folder}: has no object in split {split!r}; make one with more objects"
                 )
         if not there:
-            raise CorruptShard(f"{folder}: has no object")
+            raise UnfitData(f"{folder}: has no object")
 
 
 def tested(data: Path, on: Path | None, states: int | None) -> Iterator[list[Instance]]:
@@ -197,7 +197,7 @@ def objects_of(data: Path, split: str | None, states: int | None) -> Iterator[li
                 rows = np.flatnonzero(ids == object_id)
                 rows = rows[np.argsort(index[rows])]
                 if index[rows[0]] != 0:
-                    raise CorruptShard(f"{data / name}: {object_id} has no canonical instance")
+                    raise UnfitData(f"{data / name}: {object_id} has no canonical instance")
                 wanted = rows if states is None else rows[: 1 + states]
                 yield [shard.instance(int(row)) for row in wanted]
 

@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from articugen.discovery import KINDS, Directions, Discovery, FoundJoint, discover
-from articugen.errors import CorruptShard, InvalidArgument, InvalidCheckpoint
+from articugen.errors import InvalidArgument, InvalidCheckpoint, UnfitData
 from articugen.learning.dataset import PackedSplit, unpacked
 from articugen.learning.tensors import read_tensors, write_tensors
 from articugen.records import JointKind
@@ -60,7 +60,7 @@ def discovered(
         tell: called with a sentence for each object.
 
     Raises:
-        CorruptShard: in no object anything is found.
+        UnfitData: in no object anything is found.
         InvalidCheckpoint: the file is damaged.
     """
     names = list(dict.fromkeys(training.object_id.tolist()))
@@ -74,7 +74,7 @@ def discovered(
     make_folder(looked)
     found = _looked_for(clouds, directions, looked, tell)
     if not any(found):
-        raise CorruptShard(
+        raise UnfitData(
             f"{beside}: the poses of no training object tell what moves in it; make the data set "
             "with more states, or set warm_start.share=0"
         )

@@ -79,7 +79,7 @@ def evaluate(
         instances without label IoU and EPE, and the true parts that no EPE counts.
 
     Raises:
-        CorruptShard: a data set has no training or no test object, or is of another category.
+        UnfitData: a data set has no training or no test object, or is of another category.
     """
     check_splits(data, category, on)
 
