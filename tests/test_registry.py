@@ -399,9 +399,12 @@ def test_a_source_that_cannot_be_written_down_is_refused(tmp_path):
         object_refs("a" * 5000, "thing")
 
 
-def test_a_meta_json_that_never_ends_is_not_read(tmp_path):
-    (tmp_path / "meta.json").symlink_to("/dev/zero")
-    assert meta_category(tmp_path) == ""
+@pytest.mark.parametrize("to", ["/dev/zero", "../secret.json"])
+def test_a_meta_json_that_is_a_link_out_of_the_model_is_not_read(tmp_path, to):
+    add(tmp_path / "secret.json", '{"model_cat": "secret"}')
+    (tmp_path / "1").mkdir()
+    (tmp_path / "1" / "meta.json").symlink_to(to)
+    assert meta_category(tmp_path / "1") == ""
 
 
 # --- one object by its id

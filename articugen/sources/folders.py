@@ -6,7 +6,7 @@ from os.path import isdir
 from pathlib import Path
 
 from articugen.errors import InvalidSource
-from articugen.sources.model_files import MAX_TEXT_BYTES, read_source, unreadable
+from articugen.sources.model_files import MAX_TEXT_BYTES, ModelFiles, unreadable
 
 
 def visible(base: Path) -> list[Path]:
@@ -35,6 +35,7 @@ def meta_category(folder: Path) -> str:
     """The category that the meta.json of a model's folder gives, as PartNet-Mobility's do; ""
     where it gives none."""
     try:
-        return str(json.loads(read_source(folder / "meta.json", MAX_TEXT_BYTES))["model_cat"])
+        text = ModelFiles(folder).read(folder / "meta.json", MAX_TEXT_BYTES)
+        return str(json.loads(text)["model_cat"])
     except (InvalidSource, ValueError, KeyError, TypeError, RecursionError):
         return ""

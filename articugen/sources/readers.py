@@ -77,13 +77,6 @@ class Maker(Reader, Protocol):
         ...
 
 
-@runtime_checkable
-class _AtOne(Protocol):
-    """A reader of ours whose `find` makes more of a thing in a folder than `detect` does."""
-
-    def find_at(self, child: Path) -> list[Found]: ...
-
-
 READERS: dict[str, Reader] = {
     "partnet_mobility": partnet_mobility,
     "shape2motion": shape2motion,
@@ -165,8 +158,9 @@ def find_at(name: str, child: Path) -> list[Found]:
     if name not in READERS:
         return []
     own = READERS[name]
+    more = getattr(own, "find_at", None)  # where `find` makes more of it than `detect` does
     try:
-        models = own.find_at(child) if isinstance(own, _AtOne) else [own.detect(child)]
+        models = more(child) if more else [own.detect(child)]
         return [replace(found, reader=name) for found in models if found]
     except Exception as error:
         raise _failed(name, child, error) from error
