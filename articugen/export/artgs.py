@@ -109,7 +109,7 @@ def _truth(start: Row, end: Row) -> dict[str, Any]:
     for joint, other in zip(start.joints, end.joints, strict=True):
         kind, unit = ("rotate", 180.0 / np.pi) if joint.kind == "revolute" else ("translate", 1.0)
         axis = {"o": np.asarray(joint.pivot).tolist(), "d": np.asarray(joint.axis).tolist()}
-        span = {"l": joint.state * unit, "r": other.state * unit}
+        span = {"l": joint.state_unit * unit, "r": other.state_unit * unit}
         moved.append({"type": kind, "axis": axis, kind: span})
     return {"trans_info": moved[0] if len(moved) == 1 else moved}
 
