@@ -14,13 +14,15 @@ class Visual:
 
     Attributes:
         file: beside the URDF.
-        origin: (3,) where the mesh's frame stands in the link's, metres.
+        origin: (3,) where the mesh's frame stands in the link's, metres; `rpy` is how it is turned,
+            which is not written where it is None.
         rgba: (4,) its colour in 0 .. 1, or None.
     """
 
     file: str
     origin: ArrayLike = (0.0, 0.0, 0.0)
     rgba: tuple[float, float, float, float] | None = None
+    rpy: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,9 +74,10 @@ def _link(name: str, visuals: Sequence[Visual]) -> str:
         return f'  <link name="{name}"/>'
     lines = [f'  <link name="{name}">']
     for visual in visuals:
+        turn = "" if visual.rpy is None else f' rpy="{_numbers(visual.rpy)}"'
         lines += [
             "    <visual>",
-            f'      <origin xyz="{_numbers(visual.origin)}"/>',
+            f'      <origin xyz="{_numbers(visual.origin)}"{turn}/>',
             f'      <geometry><mesh filename="{visual.file}"/></geometry>',
         ]
         if visual.rgba is not None:

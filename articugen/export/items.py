@@ -52,6 +52,14 @@ def of_splits(data: DataSet) -> Iterator[Item]:
         yield Item(file_name(name), data.split(name))
 
 
+def validation(train: DataSet) -> DataSet:
+    """The first tenth of the training objects: what trainers validate on where no split is for it.
+
+    They stay in training, as in PPD's release."""
+    objects = train.objects
+    return train.of(*objects[: -(-len(objects) // 10)])
+
+
 def canonical(rows: DataSet) -> Row:
     """The canonical pose among an object's instances.
 

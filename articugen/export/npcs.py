@@ -1,20 +1,24 @@
 """NPCS and A-NCSH: depth views with, for each point, its place in the part's rest pose.
 
 hdf5/<category>/<object>/<state>/<camera>.h5 with gt_points/<part> in the camera's frame and
-gt_coords/<part> in the rest pose; pickle/ with what normalises each part; splits/ with the lists.
+gt_coords/<part> in the rest pose; pickle/ with what normalises each part; splits/ with the lists;
+render/ with the names of objects and views, urdf/ with joints, from which its loader takes these.
 """
 
 import pickle
 
 import numpy as np
+from numpy.typing import NDArray
 
 from articugen.export.cameras import camera_count, seen
-from articugen.export.formats import Format, Item, LeftOut
+from articugen.export.formats import Format, Item
 from articugen.export.hdf5 import packed
 from articugen.export.items import canonical, file_name, of_objects
 from articugen.export.labels import need
+from articugen.export.parts import part_boxes
 from articugen.export.target import Target
-from articugen.geometry import apply, bounds, invert_rigid
+from articugen.geometry import apply, bounds, box_corners, invert_rigid
+from articugen.model_text import Joint, Visual, obj_text, urdf_text
 from articugen.records import Floats
 from articugen.store.dataset import DataSet
 from articugen.store.rows import Row
@@ -22,26 +26,69 @@ from articugen.store.rows import Row
 _SHARE = "all"
 """Their folder names in splits/<category>/ tell how much of the data a list has."""
 
+_GREY = np.full((1, 1, 3), 128, np.uint8)
+"""Its loader wants a picture of every view; shards hold no colours of points."""
+
+_FACES = [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
+          [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]]  # fmt: skip
+"""Of `box_corners`, outwards."""
+
 
 def _write(item: Item, target: Target) -> None:
     need(item.rows[0], "partial", 1)
-    _boxes(item.rows)
+    rest, boxes = canonical(item.rows), part_boxes(item.rows)
+    place = _place(rest)
+    for name, text in _model(rest, boxes).items():
+        target.write(f"urdf/{place}/{name}", text.encode())
     for row in item.rows:
+        views = "".join(f"{camera}\n" for camera in range(camera_count(row)))
+        target.write(f"render/{place}/{row.state_index:04d}/all.txt", views.encode())
         for camera, name in enumerate(_files(row)):
             points, part = seen(row, camera)
             cloud = row.partial.points[camera].astype(np.float64)
-            arrays = {}
-            for k, own in enumerate(row.parts):
-                mine = part == k
-                arrays[f"gt_points/{k}"] = points[mine]
-                rest = apply(invert_rigid(own.motion), cloud[mine])
-                arrays[f"gt_coords/{k}"] = rest.astype(np.float32)
+            arrays: dict[str, NDArray] = {"rgb": _GREY}
+            for k, T in enumerate(invert_rigid(np.stack([p.motion for p in row.parts]))):
+                on_it = part == k
+                arrays[f"gt_points/{k}"] = points[on_it]
+                arrays[f"gt_coords/{k}"] = apply(T, cloud[on_it]).astype(np.float32)
             target.write(name, packed(arrays))
 
 
+def _place(row: Row) -> str:
+    return f"{file_name(row.category)}/{file_name(row.object_id)}"
+
+
 def _files(row: Row) -> list[str]:
-    folder = f"hdf5/{file_name(row.category)}/{file_name(row.object_id)}/{row.state_index:04d}"
+    folder = f"hdf5/{_place(row)}/{row.state_index:04d}"
     return [f"{folder}/{camera}.h5" for camera in range(camera_count(row))]
+
+
+def _model(rest: Row, boxes: Floats) -> dict[str, str]:
+    """Texts by file name: syn.urdf in the unit frame, and the box of each part. Its loader counts
+    these, and takes a joint's place from where its part's visual stands."""
+    links = ["base_link", *(str(joint.part) for joint in rest.joints)]
+    pivots = [np.zeros(3), *(joint.pivot for joint in rest.joints)]
+    visuals = {
+        link: [Visual(f"{k}.obj", -pivot, rpy=(0, 0, 0))]
+        for k, (link, pivot) in enumerate(zip(links, pivots, strict=True))
+    }
+    joints = [
+        Joint(
+            name=f"{joint.parent}_{joint.part}",
+            kind=joint.kind,
+            parent=links[joint.parent],
+            child=links[joint.part],
+            origin=joint.pivot - pivots[joint.parent],
+            axis=joint.axis,
+            lower=joint.lower_unit,
+            upper=joint.upper_unit,
+        )
+        for joint in rest.joints
+    ]
+    meshes = {
+        f"{k}.obj": obj_text([(box_corners(box), np.array(_FACES))]) for k, box in enumerate(boxes)
+    }
+    return {"syn.urdf": urdf_text(file_name(rest.object_id), visuals, joints), **meshes}
 
 
 def _finish(data: DataSet, target: Target) -> None:
@@ -53,7 +100,8 @@ def _finish(data: DataSet, target: Target) -> None:
         if target.done[f"{rows[0].split}/{file_name(name)}"].left_out:
             continue
         files[rows[0].split] += [file for row in rows for file in _files(row)]
-        boxes = _boxes(rows)
+        parts = part_boxes(rows)
+        boxes = [bounds(parts.reshape(-1, 3)), *parts]  # the whole object's first
         factors[file_name(name)] = [1.0 / float(np.linalg.norm(b[1] - b[0])) for b in boxes]
         corners[file_name(name)] = [[b[0][None], b[1][None]] for b in boxes]
     target.write(f"pickle/{category}.pkl", pickle.dumps(factors))
@@ -61,31 +109,6 @@ def _finish(data: DataSet, target: Target) -> None:
     for split, names in files.items():
         lines = "".join(f"{name}\n" for name in names)
         target.write(f"splits/{category}/{_SHARE}/{file_name(split)}.txt", lines.encode())
-
-
-def _boxes(rows: DataSet) -> list[Floats]:
-    """(2, 3) of the whole object and of each part in the rest pose, by their surface points.
-
-    A part that hides in the canonical pose is measured by all poses.
-
-    Raises:
-        LeftOut: one hides in all of them.
-    """
-    row = canonical(rows)
-    parts = [
-        np.concatenate([
-            apply(invert_rigid(r.parts[k].motion), r.surface.points[r.surface.part == k])
-            for r in ([row] if (row.surface.part == k).any() else rows)
-        ])
-        for k in range(len(row.parts))
-    ]  # fmt: skip
-    hidden = [k for k, points in enumerate(parts) if not len(points)]
-    if hidden:
-        raise LeftOut(
-            f"{row.object_id}: part {hidden[0]} has no surface points, so that nothing tells its "
-            "size; leave the object out of the data"
-        )
-    return [bounds(np.concatenate(parts)), *map(bounds, parts)]
 
 
 FORMAT = Format(

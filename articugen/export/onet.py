@@ -1,13 +1,13 @@
 """Occupancy Networks' layout, which ConvONet, NSD and many others read as well.
 
-<category>/<object>_<state>/{pointcloud,points}.npz and <category>/{train,test}.lst. float32 where
-the originals have float16: labels are exact at the points as they are stored.
+<category>/<object>_<state>/{pointcloud,points}.npz and <category>/{train,val,test}.lst. Floats are
+32 bits where the originals have 16: labels are exact at the points as they are stored.
 """
 
 import numpy as np
 
 from articugen.export.formats import Format, Item
-from articugen.export.items import file_name, instance_name, of_instances
+from articugen.export.items import file_name, instance_name, of_instances, validation
 from articugen.export.labels import inside
 from articugen.export.target import Target
 from articugen.store.dataset import DataSet
@@ -25,12 +25,12 @@ def _write(item: Item, target: Target) -> None:
 
 
 def _finish(data: DataSet, target: Target) -> None:
-    category = file_name(data.category)
-    for split in data.splits:
-        names = (instance_name(row) for row in data.split(split))
-        there = (name for name in names if not target.done[f"{split}/{name}"].left_out)
-        lines = "".join(f"{name}\n" for name in there)
-        target.write(f"{category}/{file_name(split)}.lst", lines.encode())
+    lists = {split: [instance_name(row) for row in data.split(split)] for split in data.splits}
+    if "train" in lists:
+        lists.setdefault("val", [instance_name(row) for row in validation(data.split("train"))])
+    for split, names in lists.items():
+        text = "\n".join(names)  # an empty line at the end is one more object to their loaders
+        target.write(f"{file_name(data.category)}/{file_name(split)}.lst", text.encode())
 
 
 FORMAT = Format(

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from articugen.export.cameras import camera_count, seen
 from articugen.export.formats import Format, Item
-from articugen.export.items import canonical, file_name, of_objects
+from articugen.export.items import file_name, of_objects
 from articugen.export.labels import need
+from articugen.export.parts import part_boxes
 from articugen.export.target import Target
-from articugen.geometry import apply, bounds
+from articugen.geometry import apply
 from articugen.records import Floats
 from articugen.store.rows import Row
 
@@ -23,8 +24,7 @@ _GREY = 0.5
 
 def _write(item: Item, target: Target) -> None:
     need(item.rows[0], "partial", 1)
-    rest = canonical(item.rows)
-    boxes = [_box(rest, part) for part in range(len(rest.parts))]
+    boxes = part_boxes(item.rows)
     for row in item.rows:
         folder = f"{file_name(row.category)}/{file_name(row.split)}/{file_name(row.object_id)}"
         for camera in range(camera_count(row)):
@@ -35,13 +35,7 @@ def _write(item: Item, target: Target) -> None:
             )
 
 
-def _box(row: Row, part: int) -> Floats:
-    """(2, 3) of a part in the canonical pose, by its surface points."""
-    mine = row.surface.part == part
-    return bounds(row.surface.points[mine]) if mine.any() else np.zeros((2, 3))
-
-
-def _view(row: Row, camera: int, boxes: list[Floats]) -> dict[str, NDArray]:
+def _view(row: Row, camera: int, boxes: Floats) -> dict[str, NDArray]:
     T_camera_unit = row.partial.T_camera_world[camera]
     points, part = seen(row, camera)
     return {

@@ -1,4 +1,5 @@
-"""The parts of a data set's objects as watertight meshes, in the canonical pose and the unit frame.
+"""The parts of a data set's objects in the canonical pose and the unit frame: boxes, and watertight
+meshes.
 
 A shard holds samples, no surface. So a part's mesh comes from the part's own solid, made again from
 its model as `verify --replay` does; or, where that cannot be, from the finest grid that is stored.
@@ -10,8 +11,9 @@ from articugen.errors import ArticugenError, RejectedInstance
 from articugen.export.formats import LeftOut, Options
 from articugen.export.items import canonical
 from articugen.export.simpler import simpler
+from articugen.geometry import apply, bounds, invert_rigid
 from articugen.marching_cubes import zero_level
-from articugen.records import Mesh
+from articugen.records import Floats, Mesh
 from articugen.store.dataset import DataSet
 from articugen.store.rows import Row
 
@@ -73,6 +75,32 @@ class PartMeshes:
                 )
             meshes.append(zero_level(np.where(inside, 1.0, -1.0)))
         return tuple(meshes)
+
+
+def part_boxes(rows: DataSet) -> Floats:
+    """(P, 2, 3) boxes of an object's parts in the canonical pose: of all stored points on them
+    and in their material, brought back from every state, so that what a shut drawer hides counts.
+
+    Raises:
+        LeftOut: no point tells of a part.
+    """
+    boxes = np.array([[[np.inf] * 3, [-np.inf] * 3]] * len(rows[0].parts))
+    for row in rows:
+        clouds = [(row.surface.points, row.surface.part), (row.partial.points, row.partial.part)]
+        clouds += [(g.points, g.label - np.uint8(1)) for g in (row.uniform, row.near)]
+        points = np.concatenate([points.reshape(-1, 3) for points, _ in clouds])
+        part = np.concatenate([part.ravel() for _, part in clouds])
+        for k, box in enumerate(boxes):
+            of_it = points[part == k]
+            if len(of_it):
+                low, high = bounds(apply(invert_rigid(row.parts[k].motion), of_it))
+                box[:] = np.minimum(box[0], low), np.maximum(box[1], high)
+    for k in np.flatnonzero(boxes[:, 0, 0] > boxes[:, 1, 0]):
+        raise LeftOut(
+            f"{rows[0].object_id}: no stored point is on or in part {k}, so that nothing tells its "
+            "size; leave the object out of the data"
+        )
+    return boxes
 
 
 def in_metres(mesh: Mesh, row: Row) -> Mesh:
