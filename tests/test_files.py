@@ -5,12 +5,17 @@ import socket
 import tracemalloc
 from pathlib import Path
 
+import numpy as np
 import pytest
+from test_cli import run
 
 from articugen.errors import InvalidArgument, InvalidSource, MachineFault
+from articugen.inspection.contact_sheet import contact_sheet
+from articugen.report.page import write_report
 from articugen.store import files
 from articugen.store.files import (
     UnfitFile,
+    check_place,
     make_folder,
     partial_name,
     read_regular,
@@ -18,6 +23,7 @@ from articugen.store.files import (
     within,
     write_atomically,
 )
+from articugen.verify.replay import write_mesh
 
 
 def test_a_regular_file_is_read(tmp_path):
@@ -140,3 +146,36 @@ def test_the_names_of_new_folders_are_synchronised(tmp_path, monkeypatch):
     assert set(synced) == {tmp_path, tmp_path / "a"}
     make_folder(tmp_path / "a" / "b")
     assert len(synced) == 2
+
+
+def test_where_nothing_can_be_written_no_work_is_begun(tmp_path, monkeypatch):
+    """Whoever writes a file at the end looks first whether there is a place for it."""
+
+    def work(*_, **__):
+        raise AssertionError("worked first")
+
+    for name in ("articugen.report.page.facts", "articugen.verify.replay.prepared_again",
+                 "articugen.inspection.contact_sheet.chosen_of",
+                 "articugen.found_joints.discover"):  # fmt: skip
+        monkeypatch.setattr(name, work)
+    (tmp_path / "a.html").mkdir()
+    clouds = [tmp_path / "a.npy", tmp_path / "b.npy"]
+    for cloud in clouds:
+        np.save(cloud, np.zeros((9, 3)))
+    for folder, cure in (("nowhere", "make it first"), ("a.npy", "a file is in the way")):
+        place = tmp_path / folder
+        for begin in (
+            lambda place=place: write_report(tmp_path, [], place / "a.html"),
+            lambda place=place: contact_sheet([], place / "a.png"),
+            lambda place=place: write_mesh(tmp_path, "a", 0, 8, place / "a.ply"),
+        ):
+            with pytest.raises(MachineFault, match=cure):
+                begin()
+        done = run("discover", *clouds, "--json", place / "joints.json")
+        assert done.exit_code == 1
+        assert cure in " ".join(done.stderr.split())
+    with pytest.raises(MachineFault, match="a folder has that name"):
+        write_report(tmp_path, [], tmp_path / "a.html")
+    before = sorted(tmp_path.iterdir())
+    check_place(tmp_path / "a.png")
+    assert sorted(tmp_path.iterdir()) == before

@@ -53,9 +53,11 @@ def discover(
     """Find the joints of objects from several poses of each, without labels."""
     with said("interrupted"):
         from articugen import found_joints
-        from articugen.store.files import write_atomically
+        from articugen.store.files import check_place, write_atomically
 
         found_joints.check_poses(paths)
+        if output is not None:
+            check_place(output)
         if len(paths) > 1:
             with stderr.status("searching ..."):
                 found = found_joints.discover(paths, joints=listed(joints))

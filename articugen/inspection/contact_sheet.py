@@ -25,6 +25,7 @@ from articugen.inspection.portrait import best_azimuth, pooled, portrait, tile_c
 from articugen.inspection.shading import Picture
 from articugen.inspection.surfels import Surfels
 from articugen.records import Instance, JointKind, dequantize
+from articugen.store.files import check_place
 from articugen.store.shards import Shard, open_shard
 
 Array = NDArray[np.float64]
@@ -91,6 +92,7 @@ def contact_sheet(shards: Sequence[Path], path: Path, *, objects: int = 4, state
     """
     if path.suffix.lower() != ".png":  # it may be somebody's data
         raise InvalidArgument(f"{path}: a contact sheet is a PNG; give it a name ending in .png")
+    check_place(path)
     drawn = portraits(chosen_of(shards, objects), states=states)
     rows = [Row(f"{d.object_id}  {d.split}", d.pictures, d.captions) for d in drawn]
     save(sheet(rows), path)

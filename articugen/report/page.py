@@ -22,7 +22,7 @@ from articugen.report.facts import Facts, facts
 from articugen.report.markup import Markup, el, join
 from articugen.report.truth import Measured, measured
 from articugen.report.turnable import Turnable, turnable
-from articugen.store.files import write_atomically
+from articugen.store.files import check_place, write_atomically
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 
 OBJECTS, STATES = 12, 3
@@ -79,6 +79,7 @@ def write_report(
     """
     if html.suffix.lower() not in (".html", ".htm"):  # it may be somebody's data
         raise InvalidArgument(f"{html}: a report is an HTML file; give it a name ending in .html")
+    check_place(html)
     manifest = Manifest.read(path) if (path / MANIFEST_NAME).is_file() else None
     found = facts(shards)
     report = Report(

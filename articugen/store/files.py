@@ -184,6 +184,22 @@ def written_atomically(
         raise MachineFault(cannot_write(path, error, size)) from error
 
 
+def check_place(path: Path) -> None:
+    """See to it that a file can be written there, before there is much work for it.
+
+    Raises:
+        MachineFault: its folder is not there or cannot be written to, or a folder is in its place.
+    """
+    temporary = path.with_name(partial_name(path.name))
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "a folder has that name")
+        temporary.open("xb").close()
+        temporary.unlink()
+    except OSError as error:
+        raise MachineFault(cannot_write(path, error)) from error
+
+
 def partial_name(name: str) -> str:
     """What a file is called until it is whole: `.<name>.<8 random hex digits>.partial`.
 

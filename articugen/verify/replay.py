@@ -17,6 +17,7 @@ from articugen.recipe import Recipe
 from articugen.records import ArticulatedObject, Instance, Mesh, dequantize
 from articugen.seeding import generator
 from articugen.sources import registry
+from articugen.store.files import check_place
 from articugen.store.manifest import Manifest, ObjectEntry, library_versions, this_machine
 from articugen.store.shards import open_shard
 from articugen.verify.bounds import BEHIND, IN_FRONT, on_level
@@ -98,6 +99,7 @@ def write_mesh(folder: Path, object_id: str, state_index: int, resolution: int, 
         ArticugenError: as `prepared_again`; no such state; the file cannot be written.
     """
     check_format(path)
+    check_place(path)
     prepared = prepared_again(Manifest.read(folder), object_id)
     if state_index >= len(prepared.states):
         raise ArticugenError(f"{object_id} has the states 0 to {len(prepared.states) - 1}")
