@@ -43,7 +43,7 @@ replace = $(if $(REPLACE),--replace)
 option = $(if $($(1)),--$(2) "$($(1))")
 
 .DEFAULT_GOAL := help
-.PHONY: help dataset inspect report view verify train depth evaluate gpu-study test check format bench accuracy bench-reading bench-train fuzz chaos docs site-tools backends cluster learner exporters viewer clean
+.PHONY: help dataset inspect report view verify train depth evaluate gpu-study test check format bench accuracy bench-reading bench-train soundness fuzz chaos docs site-tools backends cluster learner exporters viewer clean
 
 help:  ## list the targets
 	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1"
@@ -142,6 +142,9 @@ bench-reading: $(testing)  ## measure what reading a shard costs, beside .npz fi
 
 bench-train: $(testing) $(learner)  ## measure PPD's training: rate, shares, memory (ARGS=--iterations 20)
 	@$(VENV)/bin/python -m tests.benchmarks.training $(ARGS)
+
+soundness: $(testing)  ## make 3,000 bundled objects of each kind: none fails, collides or floats (ARGS=--quick)
+	@$(VENV)/bin/python -m tests.benchmarks.objects $(ARGS)
 
 fuzz: $(testing)  ## draw anew: tests of properties, then files that mean harm (ARGS="--target urdf")
 	@$(if $(findstring --target,$(ARGS)),true,$(pytest) -m hypothesis --hypothesis-profile=chance); \

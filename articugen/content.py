@@ -22,9 +22,9 @@ STAGES = {
 }
 
 MODELS = {
-    "drawer": 1,
-    "eyeglasses": 1,
-    "laptop": 1,
+    "drawer": 2,
+    "eyeglasses": 2,
+    "laptop": 2,
     "oven": 1,
     "washing_machine": 1,
 }

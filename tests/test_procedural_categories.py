@@ -2,6 +2,7 @@
 
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -14,6 +15,8 @@ from articugen.records import ArticulatedObject, Floats
 from articugen.seeding import generator
 from articugen.sources import procedural, registry
 from articugen.sources.procedural import CATEGORIES, build_model
+from articugen.sources.procedural.kit.model import Model, ModelLink
+from tests.benchmarks import objects
 from tests.procedural_truth import assert_sound, crossings, object_id, written
 
 SAMPLE = [(c, object_id(c, k)) for c in CATEGORIES for k in (5, 10, 17)]
@@ -48,18 +51,50 @@ def assert_parts_keep_clear(category: str, name: str, folder: Path) -> Articulat
     obj = resolve(obj, load_recipe(None, category).articulation)
     rng = generator(0, name, "crossings")
     for q in states(obj, rng):
-        assert crossings(obj, truth, q, rng) == set(), q
+        assert not crossings(obj, truth, q), q
     if BEYOND.get(category, LID_PUSHED_IN) is not None:
         beyond = np.full(len(obj.moving_joints), BEYOND.get(category, LID_PUSHED_IN))
-        assert crossings(obj, truth, beyond, rng), "this test must see a crossing; see BEYOND"
+        assert crossings(obj, truth, beyond), "this test must see a crossing; see BEYOND"
     return obj
 
 
-@pytest.mark.parametrize("category", CATEGORIES)
-def test_a_model_is_sound_and_stands_on_the_floor(category: str) -> None:
-    model = build_model(category, object_id(category, 10))
-    assert_sound(model)
-    assert abs(model.bounds[0, 2]) < 1e-9
+ONCE_UNSOUND = {
+    ("procedural", "drawer"): (35,),  # wheels that hung over the floor
+    ("procedural", "eyeglasses"): (186, 498),  # an end piece, a temple that folded over itself
+    ("procedural", "laptop"): (535,),  # a screen's corner that stood out of its lid
+    ("procedural_varied", "eyeglasses"): (60,),
+}
+
+
+@pytest.mark.parametrize(
+    ("source", "category"), [(s, c) for s in objects.SOURCES for c in objects.categories(s)]
+)
+def test_objects_are_sound_and_stand_on_the_floor(source: str, category: str) -> None:
+    """A lap of `make soundness`."""
+    for index in ONCE_UNSOUND.get((source, category), (10,)):
+        assert objects.faults(source, category, index) == []
+
+
+def test_what_is_unsound_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = build_model("drawer", object_id("drawer", 1))
+    body, *drawers = model.links
+
+    def faults_of(*links: ModelLink) -> list[tuple[str, str]]:
+        monkeypatch.setattr(objects, "build_model", lambda *_, **__: Model(links, model.joints))
+        return objects.faults("procedural", "drawer", 1)
+
+    def moved(link: ModelLink, x: float, z: float) -> ModelLink:
+        return replace(link, solids=tuple(s.shifted(x=x, z=z) for s in link.solids))
+
+    assert faults_of(*model.links) == []
+    kinds = [kind for kind, _ in faults_of(*(moved(k, 0.0, 2e-4) for k in model.links))]
+    assert kinds == ["off the floor"]
+    kinds = [kind for kind, _ in faults_of(body, moved(drawers[0], -0.02, 0.0), *drawers[1:])]
+    assert set(kinds) == {"collides"}
+    (faces,) = body.solids[0].cells
+    torn = replace(body.solids[0], cells=(faces[1:],))
+    kinds = [k for k, _ in faults_of(replace(body, solids=(torn, *body.solids[1:])), *drawers)]
+    assert kinds == ["fails"]
 
 
 @pytest.fixture

@@ -27,13 +27,14 @@ def test_eyeglasses_are_sound_and_no_two_parts_meet(name: str, tmp_path: Path) -
     obj, truth = written("eyeglasses", name, tmp_path / name)
     rng = generator(0, name)
     for state in (*FOLDED, *rng.uniform(0, 90, (6, 2))):
-        assert crossings(obj, truth, np.radians(state), rng) == set(), state
+        assert not crossings(obj, truth, np.radians(state)), state
 
 
-def test_the_left_temple_turns_in_a_plane_above_the_right_ones() -> None:
+@pytest.mark.parametrize("varied", [False, True])
+def test_the_left_temple_turns_in_a_plane_above_the_right_ones(*, varied: bool) -> None:
     """No state has to be tried: along the common normal the two never share a height."""
     for name in IDS[::2]:
-        model = model_of(name)
+        model = build_model("eyeglasses", name, varied=varied)
         left, right = model.joints
         normal = np.asarray(left.axis)
         np.testing.assert_allclose(normal, -np.asarray(right.axis), atol=1e-15)
@@ -41,7 +42,8 @@ def test_the_left_temple_turns_in_a_plane_above_the_right_ones() -> None:
             np.concatenate([s.vertices for s in link.solids]) @ normal for link in model.links[1:]
         )
         assert above.min() > below.max() + 0.0005, name
-        assert np.degrees(np.arccos(normal[2])) < 13.0, "hinges lean a little, no more"
+        most = 0.0 if varied else 13.0
+        assert np.degrees(np.arccos(normal[2])) <= most, "hinges lean a little, no more"
 
 
 def test_the_temples_fold_inwards_about_z(tmp_path: Path) -> None:

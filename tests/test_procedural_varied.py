@@ -1,12 +1,14 @@
 """Bundled objects as various as those of others: one to three drawers, upright hinges."""
 
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from articugen.errors import InvalidSource
 from articugen.recipe import load_recipe
 from articugen.seeding import generator
 from articugen.sources import registry
@@ -40,6 +42,7 @@ def test_cabinets_have_one_to_three_drawers() -> None:
 
 @settings(max_examples=8, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
+@example(seed=1437)  # on casters
 def test_every_seed_builds_a_sound_cabinet_of_sane_size(seed: int) -> None:
     model = drawer.build_varied(np.random.default_rng(seed))
     assert_sound(model)
@@ -56,39 +59,29 @@ def test_no_drawer_meets_anything(name: str, tmp_path: Path) -> None:
     rng = generator(0, name, "varied")
     upper = np.array([joint.upper for joint in obj.moving_joints])
     for q in (0.0 * upper, upper, *(random_state(obj, rng) for _ in range(4))):
-        assert crossings(obj, truth, q, rng) == set(), q
-    assert crossings(obj, truth, 0.0 * upper - 0.03, rng), "pushed in, they are in the back"
+        assert not crossings(obj, truth, q), q
+    assert crossings(obj, truth, 0.0 * upper - 0.03), "pushed in, they are in the back"
 
 
-def test_hinges_of_glasses_stand_upright_and_folded_temples_cross(tmp_path: Path) -> None:
-    name = object_id("eyeglasses", 1)
-    assert_sound(build_model("eyeglasses", name, varied=True))
-    obj, truth = written("eyeglasses", name, tmp_path / name, varied=True)
-    left, right = obj.moving_joints
-    np.testing.assert_array_equal(left.axis, (0, 0, 1))
-    np.testing.assert_array_equal(right.axis, (0, 0, -1))
-    rng = generator(0, name, "varied")
-    for q in ((0.0, 0.0), (1.5, 0.0), (0.0, 1.5)):
-        assert crossings(obj, truth, np.array(q), rng) == set(), q
-    temples = {left.child, right.child}
-    assert {frozenset(pair) for pair in crossings(obj, truth, np.full(2, 1.57), rng)} == {
-        frozenset(temples)
-    }
+def test_no_temple_meets_anything_where_hinges_stand_upright(tmp_path: Path) -> None:
+    for k in (1, 3):
+        name = object_id("eyeglasses", k)
+        obj, truth = written("eyeglasses", name, tmp_path / name, varied=True)
+        left, right = obj.moving_joints
+        np.testing.assert_array_equal(left.axis, (0, 0, 1))
+        np.testing.assert_array_equal(right.axis, (0, 0, -1))
+        for q in product(np.radians((0, 30, 60, 90)), repeat=2):
+            assert not crossings(obj, truth, np.array(q)), (name, q)
+        assert crossings(obj, truth, np.full(2, np.pi)), "turned to the front, they are in it"
 
 
-def test_all_glasses_consist_of_convex_cells() -> None:
-    for k in range(42):
-        model = build_model("eyeglasses", object_id("eyeglasses", k), varied=True)
-        for solid in (s for link in model.links for s in link.solids):
-            assert len(solid.half_spaces) == len(solid.cells)
-
-
-def test_other_categories_are_as_they_were() -> None:
-    for category in ("laptop", "oven", "washing_machine"):
-        plain, varied = (
-            build_model(category, object_id(category, 2), varied=each) for each in (False, True)
-        )
-        np.testing.assert_array_equal(plain.bounds, varied.bounds)
+def test_what_is_not_varied_is_not_offered() -> None:
+    offered = "drawer, eyeglasses"
+    with pytest.raises(InvalidSource, match=f"procedural_varied has no .*'oven'; it has {offered}"):
+        build_model("oven", object_id("oven", 2), varied=True)
+    with pytest.raises(InvalidSource, match=f"has no category 'laptop'; there are: {offered}"):
+        registry.object_refs(SOURCE, "laptop")
+    assert ", ".join(registry.categories(SOURCE, ["all"])) == offered
 
 
 def test_they_are_a_source_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,10 @@ module of its own here and a line of `CATEGORIES`; docs/extending.md shows how t
 
 import importlib
 import re
+from collections.abc import Callable
 from pathlib import Path
+
+import numpy as np
 
 from articugen.content import model_version
 from articugen.errors import InvalidSource
@@ -32,20 +35,25 @@ def build_model(category: str, object_id: str, *, varied: bool = False) -> Model
 
     Args:
         varied: as various as objects of others are: what the category's module builds by
-            `build_varied`, where it has that.
+            `build_varied`; some have none.
 
     Raises:
         InvalidSource: there is no such category, or it has no such object.
     """
-    if category not in CATEGORIES:
-        raise InvalidSource(
-            f"procedural has no category {category!r}; it has {', '.join(CATEGORIES)}"
-        )
+    build = _builder(category, varied=varied) if category in CATEGORIES else None
+    if build is None:
+        source = "procedural_varied" if varied else "procedural"
+        offered = [name for name in CATEGORIES if _builder(name, varied=varied)]
+        raise InvalidSource(f"{source} has no category {category!r}; it has {', '.join(offered)}")
     if not re.fullmatch(rf"{category}_[0-9]{{4,9}}", object_id):
         raise InvalidSource(f"procedural has no {object_id!r}; its ids are like {category}_0003")
-    module = importlib.import_module(f"{__name__}.{category}")
-    build = getattr(module, "build_varied", module.build) if varied else module.build
     return build(generator(0, object_id, "procedural"))
+
+
+def _builder(category: str, *, varied: bool) -> Callable[[np.random.Generator], Model] | None:
+    """What makes the models of a category; None of one that has no varied ones."""
+    module = importlib.import_module(f"{__name__}.{category}")
+    return getattr(module, "build_varied" if varied else "build", None)
 
 
 def write_object(

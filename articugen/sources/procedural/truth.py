@@ -57,7 +57,7 @@ class Truth:
     def inside(self, points: Array, T_world_link: Mapping[str, Array]) -> NDArray[np.int64]:
         """What each world point (N, 3) lies in: 0 for free space, k + 1 for `links[k]`.
 
-        Where links cross, as only folded temples of varied glasses do, the first one counts.
+        Where links cross, as those of no bundled object do, the first one counts.
 
         Args:
             T_world_link: the (4, 4) transform of every link, by its name.

@@ -245,8 +245,12 @@ def _casters(foot: Rect, lift: float, board: float) -> list[Solid]:
     r = 0.42 * lift
     for x, y, _, _ in _corners(foot, 1.2 * r):
         half = max(0.35 * r, 0.5 * board)
-        wheel = along_y(prism(circle(r, 18), -half, half)).shifted(x, y, r)
-        solids += [wheel, rod([(x, y, r), (x, y, lift)], max(0.3 * r, 0.4 * board))]
+        wheel = along_y(prism(circle(r, 18), -half, half))
+        # A polygon reaches its circle at its vertices alone, and none of them is lowest.
+        solids += [
+            wheel.shifted(x, y, -wheel.vertices[:, 2].min()),
+            rod([(x, y, r), (x, y, lift)], max(0.3 * r, 0.4 * board)),
+        ]
     return solids
 
 

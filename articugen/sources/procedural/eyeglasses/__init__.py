@@ -10,11 +10,12 @@ temples must cross in many states, since each is longer than half the face is wi
 hinges lean about x by the same few degrees, as opticians set them: the temples turn in two parallel
 planes, and `_lean` is the angle at which the left one, bent tip and all, passes over the right one.
 
-Modellers rarely know: their hinges stand upright, and folded temples pass through each other. So do
-those of varied glasses.
+Modellers rarely know: their hinges stand upright, and folded temples pass through each other. Those
+of varied glasses stand upright too, the left one higher than the right one by what the temples,
+which are low and nearly straight there, need to pass each other.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,6 +42,12 @@ _BETWEEN = 0.6 * MM
 """Between the planes of the two temples."""
 _MOST_LEAN = float(np.deg2rad(13.0))
 """Of the hinges; 5 to 11 degrees are usual."""
+_HIGHEST = 0.75
+"""A hinge's height over the lenses' middle, part of theirs."""
+_BENDS = 0.55
+"""The room along x that an end piece needs so that no bend folds over, part of its thickness."""
+_LOW = 5.0 * MM
+"""How high temples are at most where hinges stand upright."""
 
 
 @dataclass(frozen=True)
@@ -90,28 +97,41 @@ def build(rng: np.random.Generator) -> Model:
 
 
 def build_varied(rng: np.random.Generator) -> Model:
-    """The same with upright hinges."""
+    """The same with upright hinges at two heights."""
     return _built(rng, upright=True)
 
 
 def _built(rng: np.random.Generator, *, upright: bool) -> Model:
     shape = _draw(rng)
+    if upright:
+        shape = replace(shape, temple=(shape.temple[0], min(shape.temple[1], _LOW)))
     if shape.style == "shield":
-        face, outer = _shield(rng, shape)
+        face, end = _shield(rng, shape)
+        highest = float(end[2])
     else:
-        right, outer = _eye(shape), _outer_point(shape)
+        right, end = _eye(shape), None
         middle = [*_bridge(rng, shape), *_nose_pads(rng, shape)]
         face = [*right, *(s.mirrored(1) for s in right), *middle]
+        highest = _HIGHEST * float(shape.lens[:, 1].max())
     across = _hinge_across(shape, face)
-    bare_temple = _temple(rng, shape, across)
-    lean = _lean(bare_temple, across)
-    hinge = np.array([_hinge_depth(shape, face, bare_temple, lean), across, shape.hinge_z])
-    lean = 0.0 if upright else lean
+    bare_temple = _temple(rng, shape, across, level=upright)
+    lean = 0.0 if upright else _lean(bare_temple, across)
+    apart = _height(bare_temple) + _BETWEEN if upright else 0.0
+    hinge_z = min(shape.hinge_z, highest - apart / 2)
+    heights = {side: hinge_z - sign * apart / 2 for side, sign in _SIDES.items()}
+    starts = {
+        side: _outer_point(shape, z) if end is None else np.array([*end[:2], z])
+        for side, z in heights.items()
+    }
+    depth = _hinge_depth(shape, face, bare_temple, lean)
+    depth = max(depth, *(p[0] + _clear(shape) + _BENDS * shape.temple[0] for p in starts.values()))
+    hinges = {side: np.array([depth, across, z]) for side, z in heights.items()}
     parts: dict[str, list[Solid]] = {"front": list(face)}
     for side, sign in _SIDES.items():
+        hinge = hinges[side]
         # Drawn on the right; the mirror image of what leans one way leans the other way.
         T_object_hinge = transform(rotation_about((1, 0, 0), sign * lean), hinge)
-        fixed = [_end_piece(shape, outer, hinge)]
+        fixed = [_end_piece(shape, starts[side], hinge)]
         fixed += [s.moved(T_object_hinge) for s in _knuckles(shape, of_temple=False)]
         temple = [s.shifted(*hinge) for s in bare_temple]
         temple += [s.moved(T_object_hinge) for s in _knuckles(shape, of_temple=True)]
@@ -128,7 +148,7 @@ def _built(rng: np.random.Generator, *, upright: bool) -> Model:
             kind="revolute",
             parent="front",
             child=f"{side}_temple",
-            origin=hinge * (1.0, sign, 1.0) - (0.0, 0.0, lowest),
+            origin=hinges[side] * (1.0, sign, 1.0) - (0.0, 0.0, lowest),
             axis=-sign * _normal(lean),
             upper=np.deg2rad(90.0),
         )
@@ -176,7 +196,7 @@ def _draw(rng: np.random.Generator) -> _Shape:
         wire=wire,
         rim=(broad, rng.uniform(3.6, 5.5) * MM),
         wrap=np.deg2rad(rng.uniform(0.0, 9.0)),
-        hinge_z=float(outline[:, 1].max() * rng.uniform(0.15, 0.75)),
+        hinge_z=float(outline[:, 1].max() * rng.uniform(0.15, _HIGHEST)),
         temple=(2.2 * wire, 2.2 * wire)
         if round_temple
         else (rng.uniform(2.6, 4.4) * MM, tall * MM),
@@ -206,7 +226,7 @@ def _eye(s: _Shape) -> list[Solid]:
 
 
 def _shield(rng: np.random.Generator, s: _Shape) -> tuple[list[Solid], Array]:
-    """One pane bent around the face, with a bar above, and where its right end is."""
+    """One pane bent around the face, with a bar above, and the top of its right end."""
     half, bend = rng.uniform(62, 72) * MM, np.deg2rad(rng.uniform(28, 48))
     radius = half / sin(bend)
     turn = np.linspace(-bend, bend, 33)
@@ -225,8 +245,8 @@ def _shield(rng: np.random.Generator, s: _Shape) -> tuple[list[Solid], Array]:
     rim = sweep(bar, _flat_section(s.rim[1], s.rim[0]))
     pad = along_x(stack([ellipse(f * 3 * MM, f * 6 * MM, 14) for f in (1, 0.8)], (0.0, 4 * MM)))
     pad = pad.shifted(path[21, 0] + 0.4 * MM, path[21, 1], (bottom[21] + top[21]) / 2)
-    outer = np.array([path[-1, 0], path[-1, 1] - MM, min(s.hinge_z, top[-1] - MM)])
-    return [pane, rim, pad, pad.mirrored(1)], outer
+    end = np.array([path[-1, 0], path[-1, 1] - MM, top[-1] - MM])
+    return [pane, rim, pad, pad.mirrored(1)], end
 
 
 def _flat_section(thickness: float, height: float) -> Array:
@@ -339,6 +359,10 @@ def _lean(temple: list[Solid], across: float) -> float:
     return high
 
 
+def _height(solids: list[Solid]) -> float:
+    return float(np.ptp(np.concatenate([solid.vertices[:, 2] for solid in solids])))
+
+
 def _hinge_depth(s: _Shape, face: list[Solid], temple: list[Solid], lean: float) -> float:
     """The x of the hinges' axes: behind all that either folded temple passes."""
     deepest = max(float(solid.vertices[:, 0].max()) for solid in face)
@@ -354,12 +378,13 @@ def _temple_section(s: _Shape, scale: float = 1.0) -> Array:
     return _flat_section(s.temple[0], s.temple[1] * scale)
 
 
-def _outer_point(s: _Shape) -> Array:
-    """Where the right end piece starts, on the rim or, without one, a little inside the lens."""
+def _outer_point(s: _Shape, z: float) -> Array:
+    """Where the right end piece starts at a height: on the rim or, without one, a little inside
+    the lens."""
     outer = s.lens[s.lens[:, 0] > 0.0]
     order = np.argsort(outer[:, 1], kind="stable")
-    y = float(np.interp(s.hinge_z, outer[order, 1], outer[order, 0]))
-    return s.place(np.array([y - (4 * MM if s.style == "rimless" else 0.0), s.hinge_z]))
+    y = float(np.interp(z, outer[order, 1], outer[order, 0]))
+    return s.place(np.array([y - (4 * MM if s.style == "rimless" else 0.0), z]))
 
 
 def _end_piece(s: _Shape, start: Array, hinge: Array) -> Solid:
@@ -392,16 +417,22 @@ def _knuckles(s: _Shape, *, of_temple: bool) -> list[Solid]:
     return solids
 
 
-def _temple(rng: np.random.Generator, s: _Shape, across: float) -> list[Solid]:
-    """The right temple, its hinge at the origin: back along +x, then bent down behind the ear,
-    sometimes with a sleeve. `across` is from the middle of the face to the hinge."""
+def _temple(rng: np.random.Generator, s: _Shape, across: float, *, level: bool) -> list[Solid]:
+    """The right temple, its hinge at the origin: back along +x, then bent down behind the ear
+    (hardly, where `level`), sometimes with a sleeve. `across` is from the middle of the face to
+    the hinge."""
     start = _clear(s)
     straight, tip = rng.uniform(92, 112) * MM, rng.uniform(26, 45) * MM
     bend = np.deg2rad(rng.choice([rng.uniform(8, 18), rng.uniform(28, 48), rng.uniform(60, 120)]))
     radius = rng.uniform(8, 16) * MM
     tip = min(tip, 12 * MM) if bend > np.deg2rad(60) else tip
+    bowed, waist, end = rng.uniform(0.0, 3.0) * MM, rng.uniform(0.55, 1.0), rng.uniform(0.7, 1.3)
+    # Bent tighter than by half the bar's height, its inner side would fold over itself.
+    radius = max(radius, 0.51 * max(waist, end) * s.temple[1])
     # The lower the tip, the more the hinges must lean for the temples to pass each other.
     lowest = max(4 * MM, min(20 * MM, 0.4 * across - 1.3 * s.temple[1]))
+    if level:
+        radius, lowest = 100 * MM, 1.5 * MM
     while radius * (1 - cos(bend)) + tip * sin(bend) > lowest:
         bend *= 0.95
     way = np.array([cos(bend), -sin(bend)])
@@ -416,10 +447,9 @@ def _temple(rng: np.random.Generator, s: _Shape, across: float) -> list[Solid]:
     along = np.concatenate([[0], np.cumsum(norm(np.diff(flat, axis=0)))])
     along /= along[-1]
     # Bowed a little outwards in the middle and back inwards at the tip, as heads are.
-    bow = rng.uniform(0.0, 3.0) * MM * sin(np.pi * along) - s.hug * along * along * along
+    bow = bowed * sin(np.pi * along) - s.hug * along * along * along
     path = np.stack([flat[:, 0], bow, flat[:, 1]], axis=1)
-    waist, end = rng.uniform(0.55, 1.0), rng.uniform(0.7, 1.3)
-    scale = np.interp(along, [0.0, 0.5, 1.0], [1.0, waist, max(end, 0.6)])
+    scale = np.interp(along, [0.0, 0.5, 1.0], [1.0, waist, end])
     floor = 2.2 * s.wire / s.temple[1]
     sections = np.stack([_temple_section(s, max(f, floor)) for f in scale])
     solids = [sweep(path, sections)]

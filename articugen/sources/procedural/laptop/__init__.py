@@ -15,7 +15,7 @@ at most, and the base ends before the axis.
 import numpy as np
 
 from articugen.geometry import Array, transform
-from articugen.portable import cos, sin
+from articugen.portable import cos, norm, sin
 from articugen.sources.procedural.kit import MM, RANGE
 from articugen.sources.procedural.kit.model import Model, ModelJoint, ModelLink
 from articugen.sources.procedural.kit.outlines import (
@@ -235,9 +235,14 @@ def _lid(rng: np.random.Generator, s: LaptopShape) -> list[Solid]:
     middle = (low + high) / 2
     size = high - low
     corner = rng.choice([0.2, 4.0]) * MM
-    opening = rounded_rectangle(size[0], size[1], corner, middle, segments=2)
     outer = s.lid_outline(s.lid_inset)
-    bezel = ring(*matched(outer, opening, middle), under, face)
+    while True:  # Where the bezel is narrow, a round lid's corner would cut off a sharp screen's.
+        opening = rounded_rectangle(size[0], size[1], corner, middle, segments=2)
+        around, within = matched(outer, opening, middle)
+        if np.all(norm(around - middle) > norm(within - middle) + 0.1 * MM):
+            break
+        corner += MM
+    bezel = ring(around, within, under, face)
     b = s.lid_bevel
     layers = [(0.0, face), (0.0, back - b), (b, back)]
     if rng.random() < 0.5:  # A softer back.

@@ -1,0 +1,112 @@
+"""Whether bundled objects are sound: python -m tests.benchmarks.objects [--quick]
+
+Makes objects of each category of `procedural` and `procedural_varied` (`procedural_messy` has the
+same solids, written otherwise), writes them, reads them back and looks at them closed, open and in
+between. Counts those that fail or have a solid that is not closed, those whose parts are in one
+another anywhere (`crossings`: nothing is sampled), and those that, closed, do not stand on the
+floor. Exit status 1 if there is any. --first and --category take it in pieces.
+"""
+
+import argparse
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from functools import partial
+from multiprocessing import Pool
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from articugen.articulation import resolve
+from articugen.geometry import apply
+from articugen.recipe import load_recipe
+from articugen.seeding import generator
+from articugen.sources import registry
+from articugen.sources.procedural import build_model
+from articugen.sources.procedural.kit.writer import URDF_NAME, write_model
+from articugen.sources.procedural.truth import load_truth
+from articugen.sources.urdf import load_urdf
+from tests.procedural_truth import assert_sound, crossings, link_frames, object_id
+
+SOURCES = ("procedural", "procedural_varied")
+ON_THE_FLOOR = 1e-9
+"""Metres."""
+
+KINDS = ("fails", "collides", "off the floor")
+
+Fault = tuple[str, str]
+"""One of KINDS, and a sentence."""
+
+
+def faults(source: str, category: str, index: int) -> list[Fault]:
+    """What is wrong with one object."""
+    name = object_id(category, index)
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            return list(_faults(source, category, name, Path(folder)))
+        except Exception as error:  # whatever it is, the others are to be counted too
+            return [("fails", f"{source} {name}: {type(error).__name__}: {error}")]
+
+
+def _faults(source: str, category: str, name: str, folder: Path) -> Iterator[Fault]:
+    model = build_model(category, name, varied=source == "procedural_varied")
+    assert_sound(model)
+    write_model(model, folder, object_id=name, category=category)
+    obj = load_urdf(folder / URDF_NAME, object_id=name, category=category)
+    truth = load_truth(folder)
+    obj = resolve(obj, load_recipe(None, category, source).articulation, clip=False)
+    upper = np.array([joint.upper for joint in obj.moving_joints])
+    between = generator(0, name, "between").uniform(0.0, upper)
+    for q in (0.0 * upper, upper, between):
+        for (a, b), deep in crossings(obj, truth, q).items():
+            yield "collides", f"{source} {name} at {q}: {a} is in {b}, {deep:.1e} m"
+    T = link_frames(obj, 0.0 * upper)
+    lowest = min(
+        apply(T[k.name], k.mesh.vertices)[:, 2].min() for k in obj.links if len(k.mesh.vertices)
+    )
+    if abs(lowest) > ON_THE_FLOOR:
+        yield "off the floor", f"{source} {name}: its lowest point is {lowest:.1e} m high"
+
+
+def categories(source: str) -> list[str]:
+    """Those that a source offers."""
+    (info,) = (info for info in registry.source_names() if info.name == source)
+    return [category.name for category in info.categories]
+
+
+def main() -> int:
+    """Print each fault and a table of how many there are; 1 if there is any."""
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.objects")
+    parser.add_argument("--objects", type=int, default=3000, help="so many of each category")
+    parser.add_argument("--first", type=int, default=0, help="from this number on")
+    parser.add_argument("--quick", action="store_true", help="20 of each")
+    parser.add_argument("--source", action="append", help=f"one of {', '.join(SOURCES)}, not all")
+    parser.add_argument("--category", action="append", help="this one, not all")
+    parser.add_argument("--jobs", type=int, help="processes; by default one a core")
+    asked = parser.parse_args()
+    count = 20 if asked.quick else asked.objects
+    console, table = Console(), Table("source", "category", "objects", *KINDS)
+    total = 0
+    with Pool(asked.jobs) as pool:
+        for source in asked.source or SOURCES:
+            for category in asked.category or categories(source):
+                look = partial(faults, source, category)
+                found = pool.imap(look, range(asked.first, asked.first + count), chunksize=8)
+                bar = track(found, f"{source} {category}", count, console=console)
+                number: Counter[str] = Counter()
+                for one in bar:
+                    number.update({kind for kind, _ in one})
+                    for _, sentence in one:
+                        console.print(sentence, markup=False, soft_wrap=True)
+                table.add_row(source, category, str(count), *(str(number[kind]) for kind in KINDS))
+                total += number.total()
+    console.print(table)
+    return min(total, 1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
