@@ -5,7 +5,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from chaos.commands import commands
+from chaos.commands import TRAINING, commands
 from chaos.disk import Disk, failing_disk
 from chaos.failures import FAULTS, Failures
 from chaos.kills import Kills, Strike
@@ -29,6 +29,15 @@ def failures(folder: Path, disk: Disk) -> Callable[[str], Failures]:
     work = folder / "work"
     all_commands = commands(folder / "inputs", work, jobs=0)
     return cache(lambda name: Failures(all_commands[name], disk, work))
+
+
+def test_the_recipe_of_the_training_that_is_struck_makes_sense(tmp_path: Path) -> None:
+    """It extends one that changes; trainings are too slow to be struck here."""
+    pytest.importorskip("torch")
+    from articugen.learning.method import load_recipe  # noqa: PLC0415
+
+    (tmp_path / "train.yaml").write_text(TRAINING)
+    assert load_recipe(str(tmp_path / "train.yaml")).name == "train"
 
 
 @pytest.mark.parametrize("name", ["generate", "export", "fetch"])

@@ -16,13 +16,17 @@ import h5py
 import numpy as np
 import pytest
 from instances import SMALL, changed, edited, hinged_box
+from PIL import Image
 from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 from test_manifest import STATES, TIMINGS, attributes, key, keys, make, manifest_of, run
 from typer.testing import CliRunner
 
+import articugen as ag
 from articugen.cli import app, saying
+from articugen.errors import CorruptShard
+from articugen.inspection import layout
 from articugen.store.files import partial_name
 from articugen.store.journal import Journal
 from articugen.store.manifest import MANIFEST_NAME, Manifest, Outcome, Rejection
@@ -132,6 +136,51 @@ def test_what_a_file_says_moves_no_cursor(folder):
         output = re.sub(r"\x1b\[[0-9;]*m", "", done.output)
         assert output.replace("\n", "").isprintable(), ascii(output)
         assert command in ("merge", "clean") or "\\x1b]0;owned" in "".join(output.split())
+
+
+@pytest.mark.parametrize(
+    ("where", "value"),
+    [
+        (("timings", "seconds"), 1e300),
+        (("objects", 0, "instances"), 10**30),
+        (("objects", 0, "instances"), 10**9),
+        (("source",), "/etc"),
+        (("source",), "a\0b"),
+        (("category",), "../../x"),
+        (("recipe",), "[" * 50_000),
+        (("objects", 0, "key", "object_id"), "../../x"),
+        (("machine", "cores"), 10**30),
+    ],
+)
+def test_whatever_a_manifest_says_ends_in_a_report(folder, where, value):
+    """With a right digest. Opening it takes no memory for instances that it only claims."""
+
+    def edit(data):
+        reduce(getitem, where[:-1], data)[where[-1]] = value
+        if where[-1] == "instances":
+            data["shards"][0]["instances"] = value
+        data["recipe_sha256"] = hashlib.sha256(data["recipe"].encode()).hexdigest()
+        if where[-1] == "seconds":
+            data["timings"]["instances_per_second"] = value
+
+    with_manifest(folder, edit)
+    before = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
+    for more in ([], ["--repair"], ["--replay", "1"]):
+        done = CliRunner().invoke(app, ["verify", str(folder), "-j", "1", *more])
+        assert isinstance(done.exception, SystemExit | None), done.exception
+    if where[-1] == "instances":
+        with pytest.raises(CorruptShard, match="65536"):
+            ag.open(folder)
+    assert {path.name: path.stat().st_mtime_ns for path in folder.iterdir()} == before
+
+
+def test_a_picture_takes_the_place_of_a_link(folder):
+    """Data sets come with pictures, and the command that is suggested draws over them."""
+    (outside := folder.parent / "outside").write_text("precious")
+    (folder / "sheet.png").symlink_to(outside)
+    layout.save(Image.new("RGB", (4, 4)), folder / "sheet.png")
+    assert outside.read_text() == "precious"
+    assert (folder / "sheet.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("terminal", [True, False])

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from PIL import Image, ImageDraw, ImageFont
 
-from articugen.errors import ArticugenError
 from articugen.inspection.shading import PAPER, Picture
+from articugen.store.files import written_atomically
 
 INK, GREY = "#333333", "#8a8a8a"
 
@@ -57,15 +57,13 @@ def in_columns(sheets: Sequence[Picture], columns: int) -> Picture:
 
 
 def save(picture: Picture, path: Path) -> None:
-    """Write a PNG.
+    """Write a PNG, in place of what is called so: a link to elsewhere, say.
 
     Raises:
-        ArticugenError: `path` cannot be written.
+        MachineFault: `path` cannot be written.
     """
-    try:
-        picture.save(path, "PNG", compress_level=6)
-    except OSError as error:
-        raise ArticugenError(f"{path}: cannot be written: {error.strerror}") from None
+    with written_atomically(path) as file:
+        picture.save(file, "PNG", compress_level=6)
 
 
 def _lines(caption: Caption) -> list[Caption]:

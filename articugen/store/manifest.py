@@ -39,6 +39,9 @@ MOST_OBJECTS = 2_000_000
 """Of a data set: its manifest has 770 bytes for each, more where there are notes, and is read into
 memory as a whole."""
 
+MOST_INSTANCES = 65_536
+"""Of an object, as many as a recipe can ask for: a data set that is open has 8 bytes for each."""
+
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 ShardName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.h5$", max_length=200)]
 
@@ -138,7 +141,7 @@ class ObjectEntry(_Entry):
     key: Key
     input_sha256: Sha256
     shard: str
-    instances: int = Field(gt=0)
+    instances: int = Field(gt=0, le=MOST_INSTANCES)
     content_sha256: Sha256
     notes: tuple[str, ...] = ()
     seconds: float = Field(0.0, ge=0.0)
