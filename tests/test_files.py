@@ -19,6 +19,7 @@ from articugen.store.files import (
     make_folder,
     partial_name,
     read_regular,
+    room_at,
     whole_name,
     within,
     write_atomically,
@@ -179,3 +180,10 @@ def test_where_nothing_can_be_written_no_work_is_begun(tmp_path, monkeypatch):
     before = sorted(tmp_path.iterdir())
     check_place(tmp_path / "a.png")
     assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no such file system")
+def test_room_is_told_of_folders_to_come_and_not_of_disks_that_do_not_know(tmp_path):
+    assert room_at(tmp_path / "not" / "yet") > 0
+    with pytest.raises(OSError, match="not implemented"):
+        room_at(Path("/proc"))

@@ -235,7 +235,10 @@ def room_at(path: Path) -> int:
         OSError: nobody can tell.
     """
     path = path.absolute()
-    return shutil.disk_usage(next(p for p in (path, *path.parents) if p.exists())).free
+    disk = shutil.disk_usage(next(p for p in (path, *path.parents) if p.exists()))
+    if not disk.total:  # as file systems say that do not know
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+    return disk.free
 
 
 def megabytes(count: float) -> str:
