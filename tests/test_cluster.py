@@ -30,7 +30,7 @@ def address() -> Iterator[str]:
     with (
         dask.config.set({"distributed.scheduler.worker-ttl": "2s"}),
         distributed.LocalCluster(
-            n_workers=0, processes=True, host="127.0.0.1", dashboard_address=None
+            n_workers=0, processes=True, host="127.0.0.1", dashboard_address="127.0.0.1:0"
         ) as local,
     ):
         yield local.scheduler_address
