@@ -17,6 +17,7 @@ STAGES = {
     "rendering": 1,  # whatever the backend
     "fusion": 1,
     "sampling": 1,
+    "sharp": 2,  # of recipes that ask for sharp points alone
     "instance": 1,  # how the stages are put together: frames, counts, what is drawn from what
     "vocabulary": 1,  # geometry, portable, records, seeding: what all of them compute with
 }
@@ -43,11 +44,14 @@ def model_version(category: str) -> int | str:
     return f"draft {hashlib.sha256(code).hexdigest()[:12]}"
 
 
-def declared(models: str | None = None) -> str:
+def declared(models: str | None, recipe: str) -> str:
     """All numbers that decide an object's data, as text.
 
     Args:
         models: the category of which it is a bundled model; None for any other object.
+        recipe: its text, which names what it asks for besides and nothing else of that.
     """
-    numbers = STAGES | ({f"{models} models": model_version(models)} if models else {})
+    own = {f"{models} models": model_version(models)} if models else {}
+    asks = '"sharp_points":' in recipe
+    numbers = {n: v for n, v in (STAGES | own).items() if asks or n != "sharp"}
     return ", ".join(f"{name} {number}" for name, number in numbers.items())

@@ -597,7 +597,7 @@ def plan_for(job: Job, journal: Holdings, refs: Sequence[ObjectRef]) -> Plan:
     """What is to be done for these objects of a job, by what its folder holds already."""
     limit = limit_of(job.recipe)
     keys, known = [], dict[Key, Outcome]()
-    generator = generator_of(refs[0]) if refs else ""
+    generator = generator_of(refs[0], job.recipe.text()) if refs else ""
     for ref, read in zip(refs, _read(job, refs, limit), strict=True):
         key = _key(job, ref, read.value or "unreadable", generator)
         keys.append(key)
@@ -685,9 +685,10 @@ def _source_digest(recipe: Recipe, ref: ObjectRef) -> str:
         return printable(f"unreadable: {verdict}")
 
 
-def generator_of(ref: ObjectRef) -> str:
-    """What of our code decides the data of an object: see `content`."""
-    return content.declared(ref.category if registry.is_procedural(ref.source) else None)
+def generator_of(ref: ObjectRef, recipe: str) -> str:
+    """What of our code decides the data of an object by a recipe of this text: see `content`."""
+    models = ref.category if registry.is_procedural(ref.source) else None
+    return content.declared(models, recipe)
 
 
 def _attributes(job: Job, task: Task) -> dict[str, str | int]:

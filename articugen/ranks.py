@@ -132,7 +132,7 @@ def merge(
         refs = objects_of(job)
         _check_listing(journal, names_of(refs))
         outcomes, missing = list[Outcome](), dict[int, str]()
-        same = (job.recipe.for_one_object().sha256(), generator_of(refs[0]))
+        same = (job.recipe.for_one_object().sha256(), generator_of(refs[0], job.recipe.text()))
         with ThreadPoolExecutor(max(1, jobs)) as pool:
             looks = pool.map(lambda ref: _why(journal, ref, job.seed, *same), refs)
             for place, (ref, why) in enumerate(zip(refs, looks, strict=True)):
@@ -230,7 +230,7 @@ def common_plan(job: Job, refs: Sequence[ObjectRef], command: str) -> CommonPlan
         joints=job.joints,
         objects=len(refs),
         listing=listing_of(names_of(refs)),
-        generator=generator_of(refs[0]),
+        generator=generator_of(refs[0], job.recipe.text()),
         command=command or "articugen generate ...",
     )
 

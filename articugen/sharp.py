@@ -20,8 +20,11 @@ OFFSET = 2e-4
 faces, is seen free."""
 
 _ROUNDS = 8
-_MOST_AT_AN_EDGE = 8
-"""Faces, of which each two are compared; of more, those that follow one another."""
+_STEPS = range(1, 8)
+"""From one face at an edge to those that it is compared with, where they are wound in no order."""
+
+_SAME = 1e6
+"""Faces whose direction from an edge differs by less than one part in this coincide."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +50,9 @@ def sharp_edges(mesh: LabelledMesh, degrees: float) -> SharpEdges:
     """The edges at which two faces of one part turn by `degrees` or more.
 
     Vertices in one place are one vertex: soups have an own corner for each face. Of more than two
-    faces at an edge the two that turn most count; an edge of one face alone is none.
+    faces at an edge those two count that look at each other across the space before them, as one
+    goes around the edge, and of several such pairs the one that turns most; what lies in the solid
+    or between touching solids does not. An edge of one face alone is none.
     """
     corners = mesh.vertices[mesh.faces]
     across = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -62,30 +67,57 @@ def sharp_edges(mesh: LabelledMesh, degrees: float) -> SharpEdges:
     sides, face = sides[order], face[order]
     same_as_before = (sides[1:] == sides[:-1]).all(axis=1) & (part[face[1:]] == part[face[:-1]])
     edge = np.concatenate([[0], np.cumsum(~same_as_before)]) if len(face) else np.zeros(0, int)
-    best, pair = _widest(edge, normals[face])
+    place = np.zeros((welded.max(initial=-1) + 1, 3))
+    place[welded] = mesh.vertices
+    apex = faces[face].sum(axis=1) - sides.sum(axis=1)
+    pairs = _facing(edge, normals[face], place[sides], place[apex])
+    best, pair = _widest(edge, normals[face], pairs)
     found = np.flatnonzero(best <= cos(np.radians(degrees)) + 1e-9)
     one, other = face[pair[found, 0]], face[pair[found, 1]]
     middle = normals[one] + normals[other]
     size = norm(middle)
     folded = size < 1e-6  # back to back: the rim of a plate without thickness
     middle = np.where(folded[:, None], normals[one], middle / np.maximum(size, 1e-6)[:, None])
-    place = np.zeros((welded.max(initial=-1) + 1, 3))
-    place[welded] = mesh.vertices
     return SharpEdges(place[sides[pair[found, 0]]], middle, part[one])
 
 
-def _widest(edge: NDArray[np.intp], normals: Floats) -> tuple[Floats, NDArray[np.intp]]:
-    """For each edge of several faces the least cosine between their normals, and the rows of the
-    two; the rows (m,) of one edge follow one another."""
-    rows = [np.flatnonzero(edge[step:] == edge[:-step]) for step in range(1, _MOST_AT_AN_EDGE)]
-    one = np.concatenate(rows)
-    other = np.concatenate([row + step for step, row in enumerate(rows, 1)])
+def _facing(
+    edge: NDArray[np.intp], normals: Floats, ends: Floats, apex: Floats
+) -> NDArray[np.intp]:
+    """(m, 2) the rows of faces between which there is space before both, in the order around their
+    edge; of edges where no two are wound so, each two. The rows (n,) of an edge follow one another;
+    `ends` (n, 2, 3) and `apex` (n, 3) are the corners of their faces."""
+    first = np.searchsorted(edge, edge)
+    along, out = ends[:, 1] - ends[:, 0], apex - ends[:, 0]
+    across = cross(normals[first], along)  # in the plane of the edge's first face
+    x, y = dot(out, across), dot(out, normals[first]) * norm(along)
+    size = np.maximum(np.abs(x) + np.abs(y), np.finfo(float).tiny)
+    quarters = np.where(y < 0.0, 3.0 + x / size, 1.0 - x / size)  # rises with the angle, to 4
+    angle = np.round(quarters * _SAME) % (4.0 * _SAME)
+    ahead = dot(normals, cross(along, out)) > 0.0  # whether it looks on around the edge, or back
+    order = np.lexsort((ahead, angle, edge))  # of two that coincide, the space between is none
+    last = np.append(edge[1:] != edge[:-1], True)[: len(edge)]
+    after = order[np.where(last, first, np.arange(len(edge)) + 1)]
+    facing = ahead[order] & ~ahead[after]
+    pairs = np.sort(np.stack([order, after], axis=1)[facing], axis=1)
+    alike = ~np.isin(edge, edge[pairs[:, 0]])
+    rows = [np.flatnonzero(alike[step:] & (edge[step:] == edge[:-step])) for step in _STEPS]
+    return np.concatenate(
+        [pairs, *(np.stack([r, r + k], axis=1) for r, k in zip(rows, _STEPS, strict=True))]
+    )
+
+
+def _widest(
+    edge: NDArray[np.intp], normals: Floats, pairs: NDArray[np.intp]
+) -> tuple[Floats, NDArray[np.intp]]:
+    """For each edge the least cosine between the normals of its pairs of rows, and that pair."""
+    one, other = pairs.T
     cosine = dot(normals[one], normals[other])
     order = np.lexsort((cosine, edge[one]))
     first = np.ones(len(order), np.bool_)
     first[1:] = edge[one[order[1:]]] != edge[one[order[:-1]]]
     chosen = order[first]
-    return cosine[chosen], np.stack([one[chosen], other[chosen]], axis=1)
+    return cosine[chosen], pairs[chosen]
 
 
 def sharp_points(

@@ -1,5 +1,6 @@
 """What only some recipes ask for: distances, sharp edges, images, collisions."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.spatial import cKDTree
 import articugen as ag
 from articugen import fusion
 from articugen.errors import RejectedInstance
-from articugen.geometry import invert_rigid, transform
+from articugen.geometry import invert_rigid, rotation_about, transform
 from articugen.records import FREE, dequantize
 from articugen.rendering.images import images
 from articugen.rendering.views import plain_pinhole_views
@@ -182,7 +183,39 @@ def test_edges_that_no_view_sees_are_not_drawn():
     np.testing.assert_array_equal(none.points, np.full((4, 3), 0.2))
 
 
-def test_of_many_faces_at_an_edge_the_two_that_turn_most_count():
+@given(st.lists(st.integers(1, 90), min_size=4, max_size=8).filter(lambda w: len(w) % 2 == 0))
+def test_of_many_faces_at_an_edge_those_count_that_the_space_lies_between(widths):
+    """Wedges of any number and width around one edge, space between them: in closed form."""
+    turns = np.cumsum([0, *widths]) * 2.0 * np.pi / sum(widths)
+    turn = rotation_about((0.36, 0.48, 0.8), 2.0)
+    corners, faces = [(0.0, 0.0, -0.2), (0.0, 0.0, 0.3)], []
+    for k, angle in enumerate(turns[:-1]):
+        corners.append((0.4 * np.cos(angle), 0.4 * np.sin(angle), 0.01 * k))
+        faces.append((0, 1, k + 2) if k % 2 else (1, 0, k + 2))  # wedges from even to odd angles
+    edges = sharp_edges(
+        labelled(trimesh.Trimesh(np.array(corners) @ turn.T, faces, process=False)), 1
+    )
+    spaces = [(abs(np.pi - (b - a)), (a + b) / 2) for a, b in pairwise(turns)][1::2]
+    widest = max(spaces)[0]
+    if widest < np.radians(1.0) - 1e-6:
+        assert len(edges.part) == 0
+        return
+    (normal,) = edges.normals @ turn
+    middles = [(np.cos(m), np.sin(m), 0.0) for turned, m in spaces if turned > widest - 1e-9]
+    assert min(np.abs(normal - middle).max() for middle in middles) < 1e-9
+
+
+def test_where_solids_touch_no_edge_is_sharp_that_is_flush_outside():
+    lower, upper = box((0.4, 0.4, 0.2)), box((0.4, 0.4, 0.3))
+    upper.apply_translation((0.0, 0.0, 0.25))
+    edges = sharp_edges(labelled(trimesh.util.concatenate([lower, upper])), 30.0)
+    assert len(edges.part) == 2 * 12 - 2 * 4
+    inside = trimesh.Trimesh([(-0.2, 0.2, 0.1), (0.2, 0.2, 0.1), (0, 0, 0)], [(0, 1, 2)])
+    one = sharp_edges(labelled(trimesh.util.concatenate([lower, inside])), 30.0)
+    np.testing.assert_allclose(np.abs(one.normals).sum(axis=1), np.sqrt(2.0), atol=1e-12)
+
+
+def test_faces_that_are_wound_in_no_order_still_have_edges():
     assert len(sharp_edges(labelled(two_sided(box((0.5, 0.5, 0.5)))), 30.0).part) >= 12
     open_sheet = trimesh.Trimesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)], process=False)
     assert len(sharp_edges(labelled(open_sheet), 30.0).part) == 0

@@ -395,4 +395,4 @@ def test_a_checkpoint_is_read_without_torch_s_compiler(recipe: str) -> None:
 
 
 def test_every_stage_declares_a_version_of_what_it_makes() -> None:
-    assert DECLARED.keys() == STAGES | {"instance", "vocabulary"}
+    assert DECLARED.keys() == STAGES | {"instance", "sharp", "vocabulary"}

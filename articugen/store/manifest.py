@@ -103,7 +103,8 @@ class Key(_Entry):
             return f"the seed was {made.seed}, is {self.seed}"
         if made.generator != self.generator:
             was, now = set(made.generator.split(", ")), set(self.generator.split(", "))
-            numbers = (", ".join(sorted(one - other)) for one, other in ((was, now), (now, was)))
+            both = ((was, now), (now, was))
+            numbers = (", ".join(sorted(one - other)) or "without" for one, other in both)
             return "the code makes other data: it was {}, is {}".format(*numbers)
         return None
 

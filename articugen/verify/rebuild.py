@@ -278,7 +278,8 @@ def _agrees(outcome: Outcome, witness: _Witness | None) -> bool:
         return key.ref == made.input_sha256
     try:
         ref = registry.find(source, category, key.object_id)
-        return generator_of(ref) != key.generator or registry.digest(ref) == made.input_sha256
+        code = generator_of(ref, str(witness.about["recipe"]))
+        return code != key.generator or registry.digest(ref) == made.input_sha256
     except ArticugenError:  # nothing contradicts it
         return True
 
@@ -292,10 +293,11 @@ def _proven(folder: Path, witness: _Witness) -> Outcome:
     about, object_id = witness.about, witness.object_id
     source, category = str(about["source"]), str(about["category"])
     ref = registry.find(source, category, object_id)
-    if generator_of(ref) != about["generator"]:
+    code = generator_of(ref, str(about["recipe"]))
+    if code != about["generator"]:
         raise ArticugenError(
             f"{object_id} was made by other code ({about['generator']}, this is "
-            f"{generator_of(ref)}); repair it there, or fetch manifest.json again"
+            f"{code}); repair it there, or fetch manifest.json again"
         )
     recipe = Recipe.model_validate_json(str(about["recipe"]))
     prepared = prepare(resolved(ref, recipe), recipe, int(about["seed"]))

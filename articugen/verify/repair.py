@@ -150,7 +150,7 @@ def _task(manifest: Manifest, shard: str) -> Task:
     made = registry.is_procedural(source)
     now = {
         "ref": f"{source}/{object_id}" if made else registry.digest(ref),
-        "generator": generator_of(ref),
+        "generator": generator_of(ref, manifest.recipe),
         "recipe_sha256": _recipe(manifest).for_one_object().sha256(),
     }
     changed = entry.key.model_copy(update=now).difference(entry.key)

@@ -47,7 +47,7 @@ def source_again(
             f"no object {object_id!r} in this data set; articugen inspect names some"
         )
     ref = registry.find(manifest.source, manifest.category, object_id)
-    same_code = entry.key.model_copy(update={"generator": generator_of(ref)})
+    same_code = entry.key.model_copy(update={"generator": generator_of(ref, manifest.recipe)})
     changed = same_code.difference(entry.key)
     if changed:
         raise ArticugenError(f"{object_id}: {changed}; only such a version can make it again")

@@ -68,7 +68,10 @@ def job(folder: Path, objects: int) -> Job:
 
 def outcomes(job: Job, refs: Sequence[ObjectRef]) -> Iterator[Outcome]:
     """As if all had been made."""
-    recipe_sha256, generator = job.recipe.for_one_object().sha256(), generator_of(refs[0])
+    recipe_sha256, generator = (
+        job.recipe.for_one_object().sha256(),
+        generator_of(refs[0], job.recipe.text()),
+    )
     for (split, object_id), shard in shard_names(names_of(refs)).items():
         key = Key(
             split=split, object_id=object_id, ref=f"procedural/{object_id}", seed=job.seed,

@@ -77,7 +77,7 @@ def _written(instances: list[Instance], model: Model, folder: Path) -> tuple[flo
     """Seconds an instance, on the clock and of all cores."""
     ref = model.ref
     job = pipeline.Job(ref.source, ref.category, model.recipe, 0, folder, 1)
-    key = pipeline._key(job, ref, "", pipeline.generator_of(ref))
+    key = pipeline._key(job, ref, "", pipeline.generator_of(ref, job.recipe.text()))
     attributes = pipeline._attributes(job, pipeline.Task(ref, key, "bench.h5", "measured"))
     _, wall, cpu = timed(lambda: write_shard(folder / "bench.h5", instances, attributes))
     return wall / len(instances), cpu / len(instances)
