@@ -52,7 +52,7 @@ def test_an_export_is_whole_and_says_what_it_is(boxes, tmp_path):
     done = ag.export(
         boxes, "ply", tmp_path / "out", on_item=lambda n, of, item: told.append((n, of, item.key))
     )
-    assert told[0] == (1, 12, "test/box-2_0000")
+    assert told[0] == (1, 12, "train/box-0_0000")
     assert told[-1][:2] == (12, 12)
     report = json.loads((tmp_path / "out" / REPORT_NAME).read_text())
     files = files_in(tmp_path / "out")
@@ -88,14 +88,14 @@ def test_a_killed_export_goes_on_to_the_same_bytes(boxes, tmp_path):
     assert ended.returncode == -signal.SIGKILL
     assert len(list(cut.rglob("*.ply"))) == 5
     # what a kill in the middle of a write leaves: half a file, half a line, a file that was lost
-    (cut / "test" / ".box-2_0001.ply.0123abcd.partial").write_bytes(b"ply")
+    (cut / "train" / ".box-0_0001.ply.0123abcd.partial").write_bytes(b"ply")
     with (cut / JOURNAL_NAME).open("ab") as journal:
-        journal.write(b'{"item": "test/bo')
-    (cut / "test" / "box-2_0000.ply").write_bytes(b"cut")
-    kept = (cut / "test" / "box-2_0002.ply").stat().st_mtime_ns
+        journal.write(b'{"item": "train/bo')
+    (cut / "train" / "box-0_0000.ply").write_bytes(b"cut")
+    kept = (cut / "train" / "box-0_0002.ply").stat().st_mtime_ns
     ag.export(boxes, "ply", cut)
     assert files_in(cut) == files_in(whole)
-    assert (cut / "test" / "box-2_0002.ply").stat().st_mtime_ns == kept
+    assert (cut / "train" / "box-0_0002.ply").stat().st_mtime_ns == kept
 
 
 def test_what_an_export_leaves_that_is_cut_short_after_its_report_goes_with_the_next(
@@ -222,7 +222,7 @@ def test_what_a_format_does_not_take_is_refused(boxes, tmp_path):
 
 
 def test_what_a_format_cannot_hold_is_left_out_and_said(boxes, tmp_path):
-    with pytest.raises(InvalidArgument, match=r"imnet can hold nothing of .*: box-2: 1024 uniform"):
+    with pytest.raises(InvalidArgument, match=r"imnet can hold nothing of .*: box-0: 1024 uniform"):
         ag.export(boxes, "imnet", tmp_path / "imnet")
     rows = ag.open(boxes)
     without = [i for i, row in enumerate(rows) if row.object_id != "box-0" or row.state_index]
@@ -296,7 +296,7 @@ def alike() -> tuple[str, str]:
 def test_instances_that_would_be_called_alike_are_refused(boxes, tmp_path):
     out = tmp_path / "out"
     both = of_names(tmp_path / "both", ("test", "a"), ("train", "a"))
-    with pytest.raises(InvalidArgument, match=r"'a' \(train\) and 'a' \(test\) would be called"):
+    with pytest.raises(InvalidArgument, match=r"'a' \(test\) and 'a' \(train\) would be called"):
         ag.export(both, "onet", out)
     one, other = alike()
     same = of_names(tmp_path / "same", ("train", one), ("train", other))

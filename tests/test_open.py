@@ -35,8 +35,8 @@ def data(folder: Path) -> ag.DataSet:
 
 
 def all_instances(folder: Path):
-    """Every instance as the checked reader gives it, in the order of the shards' names."""
-    for path in sorted(folder.glob("*.h5")):
+    """Every instance as the checked reader gives it, in the order of a data set."""
+    for path in sorted(folder.glob("*.h5"), key=lambda p: (p.name[:5] != "train", p.name)):
         with open_shard(path) as shard:
             yield from (shard.instance(row) for row in range(len(shard)))
 
@@ -82,7 +82,7 @@ def test_a_row_is_in_units(data):
     with pytest.raises(KeyError, match="there are: 8, 16, 32"):
         row.grids[64]
     assert not row.coverage
-    assert (row.split, row.category) == ("test", "box")
+    assert (row.split, row.category, data[-1].split) == ("train", "box", "test")
     metres = row.to_metres(row.surface.points)
     assert np.ptp(metres, axis=0).max() < row.scale
     np.testing.assert_allclose((metres - row.center) / row.scale, row.surface.points, atol=1e-7)
@@ -132,15 +132,15 @@ def test_flow_is_what_the_parts_motions_say(data):
     assert not flow[one.surface.part == 0].any()
     assert np.abs(flow[one.surface.part == 1]).max() > 0.01
     assert np.abs(one.flow_to(one)).max() < 1e-7
-    with pytest.raises(InvalidArgument, match="box-4 does not flow to box-5"):
+    with pytest.raises(InvalidArgument, match="box-0 does not flow to box-1"):
         one.flow_to(data[5])
 
 
 def test_slices_splits_and_objects(data):
-    assert data.splits == {"test": 8, "train": 16}
-    assert data.objects == ("box-4", "box-5", "box-0", "box-1", "box-2", "box-3")
+    assert list(data.splits.items()) == [("train", 16), ("test", 8)]
+    assert data.objects == ("box-0", "box-1", "box-2", "box-3", "box-4", "box-5")
     train = data.split("train")
-    assert (len(train), train.objects) == (16, data.objects[2:])
+    assert (len(train), train.objects) == (16, data.objects[:4])
     assert [row.object_id for row in train[::5]] == ["box-0", "box-1", "box-2", "box-3"]
     assert train[-1].state_index == 3
     assert [r.state_index for r in data[[5, 0, 5]]] == [1, 0, 1]
@@ -157,7 +157,7 @@ def test_slices_splits_and_objects(data):
         (lambda: data.batch([]), "a batch of no instances"),
         (lambda: data.batch(1, ["surface_point"]), "did you mean 'surface_points'"),
         (lambda: data.batch(1, POINTS, points=2049), "2049 points of surface_points, which has 20"),
-        (lambda: data[0].stored("normals"), "box-4: no field 'normals'"),
+        (lambda: data[0].stored("normals"), "box-0: no field 'normals'"),
         (lambda: os.fspath(train), "these are 16 of 24 instances; give the whole data set"),
         (lambda: data[[]].category, "these are no instances"),
     ):
@@ -178,7 +178,7 @@ def test_a_shard_alone_and_a_folder_without_a_manifest(folder, tmp_path):
     assert shard.recipe == SMALL
     for path in folder.glob("t*-0000[04].h5"):
         shutil.copy(path, tmp_path)
-    assert ag.open(tmp_path).objects == ("box-4", "box-0")
+    assert ag.open(tmp_path).objects == ("box-0", "box-4")
     for path, sentence in (
         (tmp_path / "none", "there is no such shard or folder"),
         (folder.parent, "holds no shard; open one of: box"),
@@ -211,6 +211,10 @@ def test_a_seed_draws_the_same_batch_and_no_instance_twice(data):
     assert len(set(names[0])) == 16
     generator = np.random.default_rng(0)
     same = data.batch(16, ["object_id", "state_index"], rng=generator)
+    assert list(zip(*(same[k] for k in same), strict=True)) == names[0]
+    files = list(range(16, 24)) + list(range(16))  # a seed counts them as the files are sorted
+    by_hand = [files[n] for n in np.random.default_rng(0).choice(24, 16, replace=False)]
+    same = data.batch(by_hand, ["object_id", "state_index"])
     assert list(zip(*(same[k] for k in same), strict=True)) == names[0]
 
 
@@ -286,7 +290,7 @@ def test_damage_and_other_files_are_noticed(folder, tmp_path):
     content[place + 100] ^= 1
     path.write_bytes(content)
     assert data[1].surface.points.shape == (2048, 3)
-    with pytest.raises(CorruptShard, match=r"test-00004.h5: damaged \(its checksum is wrong\)"):
+    with pytest.raises(CorruptShard, match=r"train-00000.h5: damaged \(its checksum is wrong\)"):
         _ = data[2].surface.points
     path.unlink()
     assert data[1].surface.points.shape == (2048, 3)  # the file that is open stays
@@ -331,13 +335,13 @@ def test_short_reprs_and_pictures(data, monkeypatch):
     monkeypatch.setattr("articugen.notebook.OBJECTS", 1)
     monkeypatch.setattr("articugen.notebook.STATES", 1)
     assert repr(data) == (
-        f"DataSet({data.path}: box, 24 instances (8 test, 16 train) of 6 objects\n"
+        f"DataSet({data.path}: box, 24 instances (16 train, 8 test) of 6 objects\n"
         "  points: surface 2048, uniform 1024, near 2048, partial 2 x 256, grids 8, 16, 32)"
     )
     lines = repr(data[1]).splitlines()
-    assert lines[0] == "Row(box-4 [1], test)"
+    assert lines[0] == "Row(box-0 [1], train)"
     assert "(2048, 3) in [-0.4" in lines[3]
-    for shown, words in ((data, "24 instances"), (data[1], "box-4 [1]")):
+    for shown, words in ((data, "24 instances"), (data[1], "box-0 [1]")):
         page = shown._repr_html_()
         assert '<img src="data:image/png;base64,' in page
         assert words in page

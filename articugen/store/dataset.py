@@ -52,7 +52,7 @@ def open(path: str | Path) -> "DataSet":
     """
     if is_url(path):
         shelf = _remote_shelf(Remote(str(path)))
-        return DataSet(shelf, _where(shelf))
+        return _whole(shelf)
     path = Path(path)
     if path.is_file():
         shelf = _Shelf(path, (_entry_of(path),), None)
@@ -61,7 +61,7 @@ def open(path: str | Path) -> "DataSet":
         shelf = _Shelf(path, tuple(_entries(path, manifest)), manifest)
     else:
         shelf = _Shelf(path, tuple(map(_entry_of, _shards_in(path))), None)
-    return DataSet(shelf, _where(shelf))
+    return _whole(shelf)
 
 
 def _where(shelf: "_Shelf") -> NDArray[np.int32]:
@@ -72,6 +72,14 @@ def _where(shelf: "_Shelf") -> NDArray[np.int32]:
     where[:, 1] = np.arange(len(where), dtype=np.int32)
     where[:, 1] -= np.repeat((counts.cumsum() - counts).astype(np.int32), counts)
     return where
+
+
+def _whole(shelf: "_Shelf") -> "DataSet":
+    """All instances, those for training first; drawn from in the order of the files, test objects
+    first, so that a seed draws what it always did."""
+    where = _where(shelf)
+    last = np.array([entry.split != "train" for entry in shelf.entries], bool)[where[:, 0]]
+    return DataSet(shelf, where[np.argsort(last, kind="stable")], where)
 
 
 def _remote_shelf(folder: Remote) -> "_Shelf":
@@ -93,15 +101,19 @@ def _remote_shelf(folder: Remote) -> "_Shelf":
 class DataSet(Sequence[Row]):
     """Instances of a data set, or some of them: `data[7]` is a `Row`, `data[10:20]` a `DataSet`.
 
-    They are in the order of the shards' names: test objects before training ones.
+    Those for training come first, otherwise they are in the order of the shards' names.
     """
 
     draw: ClassVar[Callable[["DataSet"], str] | None] = None
     """Makes HTML of it for a notebook; `articugen.notebook`, which may draw, puts it here."""
 
-    def __init__(self, shelf: "_Shelf", where: NDArray[np.int32]) -> None:
-        """Made by `open`; `where` (n, 2) holds the shard and the row of each instance."""
+    def __init__(
+        self, shelf: "_Shelf", where: NDArray[np.int32], drawn: NDArray[np.int32] | None = None
+    ) -> None:
+        """Made by `open`; `where` (n, 2) holds the shard and the row of each instance, `drawn` the
+        same in the order in which random numbers count them, where that is another."""
         self._shelf, self._where = shelf, where
+        self._counted = where if drawn is None else drawn
 
     @property
     def path(self) -> Any:
@@ -115,11 +127,17 @@ class DataSet(Sequence[Row]):
 
     @cached_property
     def shards(self) -> tuple[Any, ...]:
-        """The files that hold these instances."""
-        return tuple(self._shelf.entries[i].path for i in np.unique(self._where[:, 0]))
+        """The files that hold these instances, in their order."""
+        shards, first = np.unique(self._where[:, 0], return_index=True)
+        return tuple(self._shelf.entries[shard].path for shard in shards[np.argsort(first)])
 
     @cached_property
     def category(self) -> str:
+        """What its objects are, "laptop" say, by its first instance.
+
+        Raises:
+            InvalidArgument: it holds no instance.
+        """
         return str(self._attributes()["category"])
 
     @cached_property
@@ -330,7 +348,7 @@ class DataSet(Sequence[Row]):
                     f"{self.path}: a batch of {which} different instances out of {len(self)}; ask "
                     "for fewer, or give their numbers"
                 )
-            which = rng.choice(len(self), int(which), replace=False)
+            return self._counted[rng.choice(len(self), int(which), replace=False)]
         where = self[np.asarray(which)]._where
         if not len(where):
             raise InvalidArgument(f"{self.path}: a batch of no instances; ask for one at least")
