@@ -46,6 +46,10 @@ MOST_PARTS = 254
 MOST_DRAWS = 100
 """Of a joint state, for one in which parts are not in one another."""
 
+SMALL, SLIT = 0.25, 0.02**2
+"""An object shorter than that share of its frame, and slits of more than that area, unit frame, are
+worth a note."""
+
 FEWEST_SURFACE_POINTS = 1024
 """Drawn even where fewer are stored: near points are drawn around them."""
 
@@ -181,6 +185,8 @@ def _prepared(
     mesh = LabelledMesh.joined([part.mesh for part in parts])
     if not len(mesh.faces):
         raise RejectedInstance("the object has no faces: those of its links have no area")
+    notes = (*_small_note(obj, states, world, unit), *_slit_note(obj, parts, recipe))
+    obj = replace(obj, notes=(*obj.notes, *notes))
     further = [articulation.forward_kinematics(obj, state) for state in reach]
     motions = np.stack([articulation.part_motions(p, posed[0]) for p in (*posed, *further)])
     swept = swept_box(mesh, unit.rigid_to_unit(motions))
@@ -210,6 +216,43 @@ def _prepared(
         own=own,
         grids={r: _grid(r, own, recipe) for r in recipe.sampling.grids},
         extras=_extras(mesh, seen, bvh, sampled, recipe, rng),
+    )
+
+
+def _small_note(
+    obj: ResolvedObject, states: Sequence[JointState], world: LabelledMesh, unit: Normalization
+) -> tuple[str, ...]:
+    """On an object that is small in its frame: which joint takes it farthest through that."""
+    size = float(np.ptp(bounds(world.vertices), axis=0).max() / unit.scale)
+    if size >= SMALL:
+        return ()
+    sweeps = []
+    for j, joint in enumerate(obj.moving_joints):
+        alone = [JointState(np.where(np.arange(len(s.q)) == j, s.q, 0.0)) for s in states]
+        posed = [articulation.forward_kinematics(obj, state) for state in alone]
+        motions = np.stack([articulation.part_motions(p, posed[0]) for p in posed])
+        sweeps.append((np.ptp(swept_box(world, motions), axis=0).max(), joint))
+    farthest = max(sweeps, key=lambda sweep: sweep[0])[1]
+    span = f"{farthest.lower:g} to {farthest.upper:g}"
+    return (
+        f"{size:.2g} of the unit frame long in its canonical pose, since joint {farthest.name!r} "
+        f"({farthest.kind}, {span}) takes it through the rest; narrow it with articulation in the "
+        "recipe",
+    )
+
+
+def _slit_note(
+    obj: ResolvedObject, parts: Sequence[fusion.SolidPart], recipe: Recipe
+) -> tuple[str, ...]:
+    """On slits that are no more since sheets have a thickness."""
+    _, names, _ = _names(obj)
+    narrow = [name for name, part in zip(names, parts, strict=True) if part.slit > SLIT]
+    if not narrow:
+        return ()
+    thick = recipe.fusion.sheet_thickness
+    return (
+        f"slits narrower than fusion.sheet_thickness ({thick:.2g}) are closed or narrowed, since "
+        f"sheets become that thick: {', '.join(narrow)}",
     )
 
 

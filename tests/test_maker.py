@@ -257,3 +257,35 @@ def test_any_model_that_a_source_reads(folder, tmp_path, monkeypatch):
     ):
         with pytest.raises(error, match=sentence):
             wrong()
+
+
+def test_the_joint_that_makes_an_object_small_in_its_frame_has_a_note(folder, maker, tmp_path):
+    assert maker.prepared.obj.notes == ()
+    far = tmp_path / "far.urdf"
+    far.write_text(CABINET.replace('upper="0.2"', 'upper="6"'))
+    stretched = ag.Maker(ag.load(far, category="cabinet"), RIGID, seed=3)
+    (note,) = stretched.prepared.obj.notes
+    size = 0.5 / stretched.prepared.unit.scale
+    assert size < 0.25
+    assert note.startswith(f"{size:.2g} of the unit frame long in its canonical pose, since joint")
+    assert "joint 'slide' (prismatic, 0 to 6)" in note
+    stored = ag.generate("cabinet", far, tmp_path / "out", RIGID, seed=3, jobs=0)
+    assert [entry.notes for entry in stored.manifest.objects] == [(note,)]
+
+
+@pytest.mark.parametrize(("gap", "closes"), [(0.004, True), (0.03, False)])
+def test_a_slit_that_sheets_close_has_a_note(tmp_path, gap, closes):
+    """Above a plate runs a strip so narrow that views look into the slit between them."""
+    corners = [(x, y, 0.0) for x, y in ((-0.5, -0.4), (0.5, -0.4), (0.5, 0.4), (-0.5, 0.4))]
+    corners += [(x, y / 80, gap) for x, y, _ in corners]
+    lines = ["v {} {} {}".format(*corner) for corner in corners] + ["f 1 2 3 4", "f 5 6 7 8"]
+    (tmp_path / "plates.obj").write_text("\n".join(lines))
+    text = CABINET.replace('<box size="0.3 0.4 0.02"/>', '<mesh filename="plates.obj"/>')
+    (tmp_path / "plates.urdf").write_text(text)
+    recipe = RIGID | {"views": {"count": 60, "resolution": 256}}
+    maker = ag.Maker(ag.load(tmp_path / "plates.urdf"), recipe)
+    notes = [note for note in maker.prepared.obj.notes if note.startswith("slits narrower than")]
+    assert [note.rpartition(": ")[2] for note in notes] == (["tray"] if closes else [])
+    middle = np.array([[0.0, 0.0, 0.2 + gap / 2]])  # where joint `slide` has the tray
+    inst = maker[0]
+    assert (inst.labels((middle - inst.center) / inst.scale) == 4).all() == closes

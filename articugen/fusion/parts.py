@@ -36,6 +36,8 @@ class SolidPart:
         tree, box: of its faces, and what holds them, (2, 3).
         pieces: the closed ones; None where the recipe's rule takes the views' word alone.
         judged_by: the field that told so; None where sheets have become slabs, which it knows not.
+        slit: the area before sheets of what was seen open and lost width, or is no more, as they
+            became slabs: it was narrower than those are thick.
     """
 
     mesh: LabelledMesh
@@ -45,6 +47,7 @@ class SolidPart:
     box: Floats
     pieces: ClosedPieces | None
     judged_by: FusedField | None
+    slit: float = 0.0
 
 
 def solid_part(soup: LabelledMesh, settings: Fusion, render: Render) -> SolidPart:
@@ -67,11 +70,12 @@ def solid_part(soup: LabelledMesh, settings: Fusion, render: Render) -> SolidPar
     mesh, seen = solidify.solidified(soup, where, free, shown, thickness, closed)
     if np.array_equal(mesh.faces, soup.faces):
         return SolidPart(mesh, seen, closed, field.bvh, box, pieces, field)
+    slit = _slit(soup, where, free.all(axis=0) & ~closed[where.face], thickness, field.bvh)
     tree, piece = tree_of(mesh.vertices[mesh.faces]), solidify.closed_piece(mesh)
     pieces, closed = _closed_pieces(mesh, piece, settings, tree), piece >= 0
     if len(mesh.faces) == len(soup.faces):
         return SolidPart(mesh, seen, closed, tree, box, pieces, field)
-    return SolidPart(mesh, seen, closed, tree, _box(mesh), pieces, None)
+    return SolidPart(mesh, seen, closed, tree, _box(mesh), pieces, None, slit)
 
 
 def seen_alone(part: SolidPart, settings: Fusion, render: Render) -> OwnSolid:
@@ -112,6 +116,26 @@ def _deep(mesh: LabelledMesh, where: solidify.Probes, tree: Bvh) -> NDArray[np.b
     way = 0.99 * 0.5 * norm(where.points[0] - where.points[1]).max(initial=0.0)
     inner = where.points[1].astype(np.float32)
     return ~way_meets(inner, outwards.astype(np.float32), np.float32(way), tree)
+
+
+def _slit(
+    mesh: LabelledMesh,
+    where: solidify.Probes,
+    sheet: NDArray[np.bool_],
+    thickness: float,
+    tree: Bvh,
+) -> float:
+    """What `SolidPart.slit` holds: of those probes that are of a `sheet`, seen free on both sides,
+    the area of which another face lies before them, nearer than `thickness`."""
+    asked = np.flatnonzero(sheet)
+    normals = solidify.face_normals(mesh.vertices, mesh.faces)[where.face[asked]]
+    reach = np.float32(thickness - 0.5 * norm(where.points[0] - where.points[1]).max(initial=0.0))
+    narrow = np.zeros(len(asked), np.bool_)
+    for points, way in ((where.points[0], normals), (where.points[1], -normals)):
+        narrow |= way_meets(points[asked].astype(np.float32), way.astype(np.float32), reach, tree)
+    face = where.face[asked[narrow]]
+    count = np.bincount(where.face, minlength=len(mesh.faces))
+    return float((solidify.face_areas(mesh.vertices, mesh.faces)[face] / count[face]).sum())
 
 
 def _box(mesh: LabelledMesh) -> Floats:

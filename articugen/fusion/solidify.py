@@ -78,7 +78,7 @@ def without_repeats(mesh: LabelledMesh) -> LabelledMesh:
     key = _key(*corners.T, mesh.part_of_face.astype(np.int64))
     first = np.sort(np.unique(key[solid], return_index=True)[1])
     keep = np.flatnonzero(solid)[first]
-    areas = _areas(mesh.vertices, mesh.faces[keep])
+    areas = face_areas(mesh.vertices, mesh.faces[keep])
     keep = keep[areas > 1e-12]
     return LabelledMesh(mesh.vertices, mesh.faces[keep], mesh.part_of_face[keep])
 
@@ -91,7 +91,7 @@ def probes(mesh: LabelledMesh, distance: float, *, together: bool = False) -> Pr
     One point for each 0.02 x 0.02 of area, 1 to 16 a face, spread by the R2 sequence (Roberts
     2018); the first is the centroid.
     """
-    areas = _areas(mesh.vertices, mesh.faces)
+    areas = face_areas(mesh.vertices, mesh.faces)
     counts = np.clip(np.ceil(areas / SAMPLE_AREA), 1, MOST_SAMPLES).astype(np.intp)
     normals = face_normals(mesh.vertices, mesh.faces)
     speaker = np.arange(len(counts))
@@ -400,7 +400,7 @@ def face_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDA
     return normals / np.maximum(norm(normals), 1e-30)[:, None]
 
 
-def _areas(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+def face_areas(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
     return 0.5 * norm(_crosses(vertices[faces]))
 
 
