@@ -135,6 +135,11 @@ def _cloud(pose: Pose) -> Floats:
     if isinstance(pose, str | os.PathLike):
         name, pose = str(pose), numbers_of_file(Path(pose))
     array = np.asarray(pose)
+    if array.dtype.kind not in "biuf":
+        raise InvalidArgument(
+            f"a {type(pose).__name__} is no pose; give clouds (n, 3), grids or files of them, of "
+            "rows [row.surface.points for row in rows] and as normals their row.surface.normals"
+        )
     if array.ndim != 3:
         return array
     filled = np.pad(array > 0, 1)

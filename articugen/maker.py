@@ -39,6 +39,9 @@ from articugen.swept import swept_box
 ANY_CATEGORY = "object"
 """Of a model that does not tell what it is."""
 
+MOST_VOXELS = 1024
+"""Along an edge of what a mesh is made from: the field of more takes 8 GiB and up."""
+
 _TIE = 1e-9
 
 _SAME = 1e-12
@@ -78,7 +81,7 @@ class Model:
         faces = sum(len(link.mesh.faces) for link in self.obj.links)
         links = f"{len(self.obj.links)} links, {faces:,} faces"
         head = f"Model({self.object_id}, {self.category}: {links}"
-        return "\n".join([head, *(f"  {_said(joint)}" for joint in self.joints)]) + ")"
+        return "\n".join([head, *(f"  {joint!r}" for joint in self.joints)]) + ")"
 
 
 def load(source: str | Path, object_id: str | None = None, *, category: str | None = None) -> Model:
@@ -159,7 +162,8 @@ class MadeMesh(Mesh):
 class Made(Row):
     """An instance that can be asked about any point: a `Row` with its field.
 
-    Its samples (`surface`, `uniform`, `grids` and so on) are made when the first is asked for.
+    Its samples (`surface`, `uniform`, `grids` and so on) are made when the first is asked for. At a
+    state of one's own, its `state_index` is the number of the recipe's states: no index of them.
     """
 
     def __init__(self, prepared: Prepared, index: int) -> None:
@@ -186,6 +190,10 @@ class Made(Row):
         states = self.state.values()
         pairs = zip(super().joints, states, strict=True)
         return tuple(replace(joint, state=state) for joint, state in pairs)
+
+    def _which(self) -> str:
+        known = self._index <= self._prepared.recipe.articulation.states
+        return super()._which() if known else "at a state of its own"
 
     @cached_property
     def instance(self) -> Instance:
@@ -218,8 +226,14 @@ class Made(Row):
         voxels.
 
         Raises:
+            InvalidArgument: that is no number from 8 to 1,024.
             RejectedInstance: all of it lies between the voxels' centres.
         """
+        if not isinstance(resolution, int | np.integer) or not 8 <= resolution <= MOST_VOXELS:
+            raise InvalidArgument(
+                f"a mesh of {resolution!r} voxels along an edge; give a number from 8 to "
+                f"{MOST_VOXELS:,}"
+            )
         mesh = extract_mesh(self._posed[1].whole, resolution)
         return MadeMesh(mesh.vertices, mesh.faces)
 
@@ -309,6 +323,11 @@ class Maker(Sequence[Made]):
             InvalidArgument: no such joint, another value than a joint that follows has there, a
                 value outside its range; or the object would stick out of the unit frame.
         """
+        if not isinstance(state, Mapping | None):
+            raise InvalidArgument(
+                f"{self.obj.object_id}: {state!r} names no joint; give values by name, as in "
+                f"at({self.joints[0].name}=0.1)"
+            )
         values = {**(state or {}), **joints}
         for name, value in values.items():
             self._check(name, value)
@@ -342,9 +361,14 @@ class Maker(Sequence[Made]):
                 f"{self.obj.object_id}: no joint {name!r} moves{nearest(name, list(known))}; "
                 f"those that do: {', '.join(known)}"
             )
+        unit = "m" if joint.kind == JointKind.PRISMATIC else "rad"
+        if np.ndim(value) or np.asarray(value).dtype.kind not in "iuf":
+            raise InvalidArgument(
+                f"{self.obj.object_id}: joint {name!r} at {value!r} is no number; give one, {unit} "
+                "from the canonical pose"
+            )
         lower, upper = min(joint.lower, 0.0), max(joint.upper, 0.0)
         if not lower - _TIE <= value <= upper + _TIE:
-            unit = "m" if joint.kind == JointKind.PRISMATIC else "rad"
             raise InvalidArgument(
                 f"{self.obj.object_id}: joint {name!r} at {value:g} {unit} is outside its range, "
                 f"{lower:g} to {upper:g}; choose one in it, or widen articulation in the recipe"
@@ -392,7 +416,7 @@ class Maker(Sequence[Made]):
 
     def __repr__(self) -> str:
         head = f"Maker({self.obj.object_id}, {self.obj.category}, recipe {self.recipe.name}, seed"
-        return "\n".join([f"{head} {self.seed}", *(f"  {_said(j)}" for j in self.joints)]) + ")"
+        return "\n".join([f"{head} {self.seed}", *(f"  {j!r}" for j in self.joints)]) + ")"
 
 
 def _box(p: Prepared, states: Iterable[JointState]) -> Floats:
@@ -409,9 +433,3 @@ def _holds(box: Floats, other: Floats) -> bool:
 def _values(obj: ArticulatedObject, state: JointState) -> str:
     pairs = zip(obj.moving_joints, state.q.tolist(), strict=True)
     return ", ".join(f"{joint.name}={q:g}" for joint, q in pairs)
-
-
-def _said(joint: Joint) -> str:
-    unit = "m" if joint.kind == JointKind.PRISMATIC else "rad"
-    follows = f", follows {joint.mimic.joint}" if joint.mimic else ""
-    return f"{joint.name}: {joint.kind}, {joint.lower:.3g} to {joint.upper:.3g} {unit}{follows}"

@@ -127,6 +127,12 @@ class Joint:
         if self.kind != JointKind.FIXED and abs(np.linalg.norm(self.axis) - 1.0) > 1e-9:
             raise ValueError(f"joint {self.name}: axis {self.axis} is not of unit length")
 
+    def __repr__(self) -> str:
+        unit = "m" if self.kind == JointKind.PRISMATIC else "rad"
+        reach = f"{self.lower:.3g} to {self.upper:.3g} {unit}"
+        follows = f", follows {self.mimic.joint!r}" if self.mimic else ""
+        return f"Joint({self.name!r}, {self.kind}, {reach}{follows})"
+
 
 @dataclass(frozen=True, eq=False)
 class Link:

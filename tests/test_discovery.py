@@ -19,6 +19,7 @@ from articugen.errors import InvalidArgument
 from articugen.found_joints import Judged, ObjectJoints, axes_apart, discover_all
 from articugen.geometry import apply, rotation_about, transform
 from articugen.records import Floats, JointKind
+from articugen.store.rows import Row
 from tests.shapes import box
 
 Motion = Callable[[float], Floats]
@@ -302,6 +303,9 @@ def test_what_cannot_be_searched_is_said() -> None:
         discover(clouds[:1])
     with pytest.raises(InvalidArgument, match="nothing moves"):
         discover([clouds[0], clouds[0]])
+    row = Row(lambda _: [], [])
+    with pytest.raises(InvalidArgument, match=r"a Row is no pose; .* \[row.surface.points for row"):
+        ag.discover([row, row])  # pyright: ignore[reportArgumentType]
     with pytest.raises(InvalidArgument, match="pose 1 has next to nothing where pose 0"):
         discover([clouds[0], clouds[1] + 5.0])
     with pytest.raises(InvalidArgument, match="pose 1: numbers of shape"):

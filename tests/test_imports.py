@@ -17,8 +17,8 @@ from articugen.content import STAGES as DECLARED
 PACKAGE = Path(articugen.__file__).parent
 
 VOCABULARY = {
-    "bundled", "colours", "content", "errors", "geometry", "jit", "memory", "plugins", "portable",
-    "recipe", "recipe_files", "records",
+    "bundled", "calling", "colours", "content", "errors", "geometry", "jit", "memory", "plugins",
+    "portable", "recipe", "recipe_files", "records",
     "seeding", "store.files", "store.schema",
 }  # fmt: skip
 """What everybody speaks; the two of the store are what recipes are checked against and read by."""
@@ -45,6 +45,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "memory": set(),
     "mesh_file": {"errors", "records"},
     "bundled": set(),
+    "calling": set(),
     "colours": set(),
     "plugins": {"errors"},
     "ply": set(),
@@ -114,7 +115,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "store.bucket_journal": {"errors", "store.bucket", "store.journal", "store.manifest"}
     | {"store.rank_journal"},
     # what reads it
-    "verify": {"verify.check"},
+    "verify": {"calling"},
     "verify.bounds": set(),
     "verify.exact": VOCABULARY | {"verify.bounds"},
     "verify.nearest": {"jit"},

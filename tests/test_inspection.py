@@ -15,7 +15,7 @@ from PIL import Image
 from rich.console import Console
 
 from articugen.colours import COLOURS, colour_of
-from articugen.errors import ArticugenError, CorruptShard
+from articugen.errors import ArticugenError, InvalidArgument
 from articugen.geometry import fibonacci_sphere, invert_rigid, rotation_about, transform
 from articugen.inspection.camera import framed
 from articugen.inspection.cells import cells_of, near
@@ -386,9 +386,9 @@ def test_a_folder_stands_for_its_shards(tmp_path: Path) -> None:
     path = shard(tmp_path)
     assert shards_of(tmp_path) == [path] == shards_of(path)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(CorruptShard, match="holds no shard"):
+    with pytest.raises(InvalidArgument, match="holds no shard"):
         shards_of(tmp_path / "empty")
-    with pytest.raises(CorruptShard, match="no such shard or folder"):
+    with pytest.raises(InvalidArgument, match="no such shard or folder; correct its path"):
         shards_of(tmp_path / "lost.h5")
 
 

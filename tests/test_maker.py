@@ -170,6 +170,10 @@ def test_the_states_of_a_row_are_what_at_takes(cabinet, digits, index, share):
         ({"door": 1.6}, r"joint 'door' at 1.6 rad is outside its range, 0 to 1.57"),
         ({"slide": -0.01}, r"joint 'slide' at -0.01 m is outside its range, 0 to 0.2"),
         ({"door": np.nan}, "outside its range"),
+        ({"door": "0.5"}, "joint 'door' at '0.5' is no number; give one, rad from the canonical"),
+        ({"slide": None}, "joint 'slide' at None is no number; give one, m from the canonical"),
+        ({"slide": [0.1]}, "is no number"),
+        (0.5, r"0.5 names no joint; give values by name, as in at\(door=0.1\)"),
         ({"lock": 0.1}, "joint 'lock' follows 'door', which puts it at 0; give that alone"),
         ({"door": 1.0, "lock": np.nan}, "outside its range"),
     ],
@@ -238,8 +242,8 @@ def test_any_model_that_a_source_reads(folder, tmp_path, monkeypatch):
     model = ag.load(folder)
     assert (model.object_id, model.category) == ("cabinet", "object")
     assert [joint.name for joint in model.joints] == ["door", "lock", "slide"]
-    assert "slide: prismatic, 0 to 0.2 m" in repr(model)
-    assert "follows door" in repr(ag.Maker(model, TINY))
+    assert "Joint('slide', prismatic, 0 to 0.2 m)" in repr(model)
+    assert "follows 'door'" in repr(ag.Maker(model, TINY))
     (tmp_path / "12").mkdir()
     (tmp_path / "12" / "mobility.urdf").write_text(CABINET)
     (tmp_path / "12" / "meta.json").write_text('{"model_cat": "StorageFurniture"}')
@@ -289,3 +293,19 @@ def test_a_slit_that_sheets_close_has_a_note(tmp_path, gap, closes):
     middle = np.array([[0.0, 0.0, 0.2 + gap / 2]])  # where joint `slide` has the tray
     inst = maker[0]
     assert (inst.labels((middle - inst.center) / inst.scale) == 4).all() == closes
+
+
+def test_what_is_printed_is_short_and_of_one_unit(maker, inst):
+    assert repr(maker.joints[:2]) == (
+        "(Joint('door', revolute, 0 to 1.57 rad), "
+        "Joint('lock', revolute, 0 to 0.785 rad, follows 'door'))"
+    )
+    assert repr(inst.joints[0]) == "Joint('door', revolute, 1.2 of 0 to 1.57 rad)"
+    assert repr(inst).startswith("Made(cabinet at a state of its own)\n")
+    assert repr(maker[1]).startswith("Made(cabinet [1])\n")
+
+
+@pytest.mark.parametrize("resolution", [5000, 7, -1, "64", 64.0, None])
+def test_a_mesh_has_a_number_of_voxels_that_memory_holds(inst, resolution):
+    with pytest.raises(InvalidArgument, match="give a number from 8 to 1,024"):
+        inst.mesh(resolution)

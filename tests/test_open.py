@@ -1,5 +1,6 @@
 """Data sets as people read them: rows, slices, batches, loaders."""
 
+import inspect
 import os
 import pickle
 import shutil
@@ -18,7 +19,7 @@ from articugen.errors import CorruptShard, InvalidArgument, MissingExtra
 from articugen.geometry import apply, invert_rigid
 from articugen.records import dequantize
 from articugen.store import dataset as data_sets
-from articugen.store.rows import in_units
+from articugen.store.rows import Row, in_units
 from articugen.store.shards import open_shard, write_shard
 
 POINTS = ("surface_points", "surface_normals", "surface_part")
@@ -121,6 +122,42 @@ def test_a_row_reads_a_field_when_it_is_asked_for_and_once(data, monkeypatch):
     assert set(asked[1:]) == {"scale", *(f"joint_{name}" for name in names)}
 
 
+def test_what_is_not_stored_is_said_with_the_recipes_key(data):
+    row = data[0]
+    for read, sentence in (
+        (
+            lambda: row.images.depth,
+            "box-0: image_depth is not stored; ask for it with images.views",
+        ),
+        (lambda: row.sharp.points, "sharp_points is not stored; ask for it with sampling.sharp_p"),
+        (lambda: row.near.distance, "near_distance is not .* with sampling.signed_distance in the"),
+        (lambda: row.collision_depth, "with articulation.collision in the recipe, and make the"),
+        (lambda: row.stored("occupancy_64"), "occupancy_64 .* ask for it with sampling.grids"),
+        (lambda: row.stored("normals"), "no field 'normals' is stored; there are: center, "),
+    ):
+        with pytest.raises(InvalidArgument, match=sentence):
+            read()
+    some = Row(lambda names: [["box"] for _ in names], ["object_id", "image_intrinsics"])
+    with pytest.raises(InvalidArgument, match=r"image_depth is not .* with images.fields in the"):
+        _ = some.images.depth
+
+
+def test_hover_texts_give_shapes_units_and_frames():
+    for text, words in (
+        (Row.surface.__doc__, ("(S, 3)", "unit frame", "unit length")),
+        (Row.uniform.__doc__, ("(U, 3)", "unit frame", "255 enclosed")),
+        (Row.partial.__doc__, ("(C, M, 3)", "unit frame", "pixels")),
+        (Row.center.__doc__, ("(3,)", "metres")),
+        (ag.DataSet.category.__doc__, ("laptop",)),
+        (ag.export.__doc__, ("resolution", "from_grids", "on_item")),
+        (ag.verify.__doc__, ("replay", "drop_user", "findings")),
+    ):
+        for word in words:
+            assert word in (text or ""), (word, text)
+    assert {"split", "occupancy"} < set(inspect.signature(ag.export).parameters)
+    assert "repair" in inspect.signature(ag.verify).parameters
+
+
 def test_flow_is_what_the_parts_motions_say(data):
     one, other = data[1], data[3]
     flow = one.flow_to(other)
@@ -180,10 +217,10 @@ def test_a_shard_alone_and_a_folder_without_a_manifest(folder, tmp_path):
         shutil.copy(path, tmp_path)
     assert ag.open(tmp_path).objects == ("box-0", "box-4")
     for path, sentence in (
-        (tmp_path / "none", "there is no such shard or folder"),
+        (tmp_path / "none", "there is no such shard or folder; correct its path"),
         (folder.parent, "holds no shard; open one of: box"),
     ):
-        with pytest.raises(CorruptShard, match=sentence):
+        with pytest.raises(InvalidArgument, match=sentence):
             ag.open(path)
 
 
@@ -340,6 +377,16 @@ def test_short_reprs_and_pictures(data, monkeypatch):
     )
     lines = repr(data[1]).splitlines()
     assert lines[0] == "Row(box-0 [1], train)"
+    assert "prismatic, " in repr(data[1].joints[1])
+    manifest = data.manifest
+    assert (
+        repr(manifest)
+        == str(manifest)
+        == (
+            "Manifest(box from tests: 6 objects, 24 instances; content "
+            f"{manifest.content_sha256[:16]})"
+        )
+    )
     assert "(2048, 3) in [-0.4" in lines[3]
     for shown, words in ((data, "24 instances"), (data[1], "box-0 [1]")):
         page = shown._repr_html_()

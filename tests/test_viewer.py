@@ -19,6 +19,7 @@ import articugen as ag
 from articugen.errors import (
     ArticugenError,
     CorruptShard,
+    InvalidArgument,
     InvalidSource,
     NotOfCategory,
     installing,
@@ -345,7 +346,7 @@ def test_what_cannot_be_shown_is_said_in_a_sentence(folder: Path, tmp_path: Path
     for name in ("broken.h5", "cut.h5"):
         with pytest.raises(CorruptShard, match=name):
             what_to_show(str(tmp_path / name))
-    with pytest.raises(CorruptShard, match="open one of: cabinet"):
+    with pytest.raises(InvalidArgument, match="open one of: cabinet"):
         what_to_show(str(folder / "data"))
     with pytest.raises(NotOfCategory, match=r"^stuck: no joint moves"):
         source_of(str(tmp_path / "stuck.urdf")).shown("stuck")

@@ -12,7 +12,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from articugen.errors import CorruptShard
+from articugen.errors import InvalidArgument
 from articugen.inspection.tables import DIM, quiet_table, size
 from articugen.records import ENCLOSED, STORED_KINDS, JointKind
 from articugen.store import schema
@@ -29,15 +29,15 @@ def shards_of(path: Path) -> list[Path]:
     """The shards that `path`, a shard or the folder of a data set, stands for.
 
     Raises:
-        CorruptShard: there is none.
+        InvalidArgument: there is none.
     """
     if path.is_dir():
         shards = sorted(path.glob("*.h5"))
         if not shards:
-            raise CorruptShard(f"{path}: holds no shard; make one with: articugen generate")
+            raise InvalidArgument(f"{path}: holds no shard; make one with: articugen generate")
         return shards
     if not path.exists():
-        raise CorruptShard(f"{path}: there is no such shard or folder")
+        raise InvalidArgument(f"{path}: there is no such shard or folder; correct its path")
     return [path]
 
 

@@ -47,7 +47,8 @@ def open(path: str | Path) -> "DataSet":
     reads: what is asked for comes over, and no more.
 
     Raises:
-        CorruptShard: there is none, or it is damaged.
+        InvalidArgument: there is none.
+        CorruptShard: it is damaged.
         MachineFault: an object store does not answer.
     """
     if is_url(path):
@@ -506,15 +507,15 @@ def _entry_of(path: Path | Remote) -> _Entry:
 def _shards_in(folder: Path) -> list[Path]:
     """
     Raises:
-        CorruptShard: there is none.
+        InvalidArgument: there is none.
     """
     if not folder.is_dir():
-        raise CorruptShard(f"{folder}: there is no such shard or folder; make it with generate")
+        raise InvalidArgument(f"{folder}: there is no such shard or folder; correct its path")
     shards = sorted(folder.glob("*.h5"))
     if not shards:
         inside = sorted(path.parent.name for path in folder.glob(f"*/{MANIFEST_NAME}"))
         cure = f"open one of: {', '.join(inside)}" if inside else "make one with generate"
-        raise CorruptShard(f"{folder}: holds no shard; {cure}")
+        raise InvalidArgument(f"{folder}: holds no shard; {cure}")
     return shards
 
 

@@ -312,6 +312,17 @@ class Manifest(_Record):
     timings: Timings
     manifest_sha256: Sha256
 
+    def __repr__(self) -> str:
+        made = f"{len(self.objects):,} objects, {sum(s.instances for s in self.shards):,} instances"
+        lists = {"rejected": self.rejected, "skipped": self.skipped, "failed": self.failed}
+        out = "".join(f", {len(some):,} {name}" for name, some in lists.items() if some)
+        return printable(
+            f"Manifest({self.category} from {self.source}: {made}{out}; "
+            f"content {self.content_sha256[:16]})"
+        )
+
+    __str__ = __repr__
+
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> "Manifest":
         if hashlib.sha256(self.recipe.encode()).hexdigest() != self.recipe_sha256:

@@ -22,6 +22,17 @@ Floats = NDArray[np.float64]
 Labels = NDArray[np.uint8]
 
 _NORMALS = "1/127"
+_WANTED_BY = {
+    "image": "images.views",
+    "sharp": "sampling.sharp_points",
+    "coverage": "sampling.coverage",
+    "occupancy": "sampling.grids",
+    "collision": "articulation.collision",
+    "uniform": "sampling.signed_distance",
+    "near": "sampling.signed_distance",
+}
+"""The recipe's key that brings fields which not all data have, by how their names begin."""
+
 _UNITS = {"1/65535": (1 / 65535, -0.5), _NORMALS: (1 / 127, 0.0), "1/255": (1 / 255, 0.0)}
 """For numbers that are stored whole, by the schema's unit: x = stored * step + first."""
 
@@ -264,13 +275,18 @@ class Row:
             CorruptShard: the bytes fail their checksum.
         """
         if name not in self.fields:
-            raise InvalidArgument(
-                f"{self.object_id}: no field {name!r} is stored; there are: "
-                f"{', '.join(self.fields)}"
-            )
+            raise InvalidArgument(f"{self.object_id}: {self._why_not(name)}")
         if name not in self._known:
             self._learn([name])
         return self._known[name]
+
+    def _why_not(self, name: str) -> str:
+        group = name.partition("_")[0]
+        if schema.field_of(name) is None or group not in _WANTED_BY:
+            return f"no field {name!r} is stored; there are: {', '.join(self.fields)}"
+        some = group == "image" and "image_intrinsics" in self.fields
+        key = "images.fields" if some else _WANTED_BY[group]
+        return f"{name} is not stored; ask for it with {key} in the recipe, and make the data again"
 
     def _learn(self, names: Sequence[str]) -> None:
         left = [name for name in names if name in self.fields and name not in self._known]
@@ -289,7 +305,7 @@ class Row:
 
     @property
     def center(self) -> Floats:
-        """(3,) metres: x_world = x_unit * scale + center."""
+        """(3,) float64, metres: x_world = x_unit * scale + center."""
         return self._one("center")
 
     @property
@@ -307,30 +323,36 @@ class Row:
 
     @cached_property
     def surface(self) -> RowSurface:
+        """Points uniform by area over the visible surface: `points` (S, 3) float32, unit frame,
+        their outward `normals` (S, 3) of unit length, the `part` (S,) of each."""
         return RowSurface(self, "surface")
 
     @cached_property
     def uniform(self) -> RowQueries:
-        """Points uniform in the unit cube, with labels."""
+        """Points uniform in the unit cube: `points` (U, 3) float32, unit frame; the `label` (U,) of
+        each, 0 free, k + 1 material of part k, 255 enclosed."""
         return RowQueries(self, "uniform")
 
     @cached_property
     def near(self) -> RowQueries:
-        """Points near the surface, with labels."""
+        """The same near the surface, (K, 3)."""
         return RowQueries(self, "near")
 
     @cached_property
     def partial(self) -> RowPartial:
+        """What C depth cameras see: `points` (C, M, 3) float32, unit frame, the `part` (C, M) of
+        each; `T_camera_world` (C, 4, 4) from the unit frame, `intrinsics` (C, 4) in pixels."""
         return RowPartial(self, "partial")
 
     @cached_property
     def sharp(self) -> RowSurface:
-        """Points on sharp edges, where the recipe asks for them."""
+        """Points on sharp edges, as `surface`, where the recipe asks for sampling.sharp_points."""
         return RowSurface(self, "sharp")
 
     @cached_property
     def images(self) -> RowImages:
-        """Where the recipe asks for them."""
+        """What V cameras see, (V, H, H) each: `depth`, `part`, `normal`, `rgba`; where the recipe
+        asks for images.views."""
         return RowImages(self)
 
     @property
@@ -405,9 +427,12 @@ class Row:
             flow[mine] = apply(T_other, apply(T_own, points[mine])) - points[mine]
         return flow.astype(np.float32)
 
+    def _which(self) -> str:
+        return f"[{self.state_index}]"
+
     def __repr__(self) -> str:
         split = f", {self.split}" if self.split else ""
-        head = f"{type(self).__name__}({self.object_id} [{self.state_index}]{split})"
+        head = f"{type(self).__name__}({self.object_id} {self._which()}{split})"
         clouds = [g for g in (self.surface, self.uniform, self.near) if len(g)]
         lines = [f"  {group.stem:8} {_span(group.points)}" for group in clouds]
         return "\n".join([head, *(f"  {joint!r}" for joint in self.joints), *lines])

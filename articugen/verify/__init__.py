@@ -3,16 +3,6 @@
 `articugen.verify` is this package and, whatever was imported first, a function too: `check.check`.
 """
 
-import sys
-from types import ModuleType
-from typing import Any
+from articugen.calling import called_as
 
-
-class _Callable(ModuleType):
-    def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        from articugen.verify.check import check  # noqa: PLC0415 - numba takes a second
-
-        return check(*args, **kwargs)
-
-
-sys.modules[__name__].__class__ = _Callable
+called_as(__name__, "check", "check")
