@@ -141,7 +141,7 @@ def test_both_truths_and_both_budgets_are_told():
     assert "| peer | 0.5000 / 0.9000 |" in tables.by_category(report, messy=True).markdown()
 
 
-def test_the_readme_gets_its_table_from_one_run(tmp_path):
+def test_the_short_table_is_of_one_run():
     body = glance.markdown(_report())
     assert "`c` at commit abc, today, M;" in body
     assert "| peer | 2 | 6 | 0.5000 / 0.5000 | 0.5000 / 0.5000 | 1.0000 / 0.8000 |" in body
@@ -155,18 +155,18 @@ def test_reports_are_published_with_their_pictures(tmp_path):
     root, folder = tmp_path / "root", tmp_path / "out"
     (root / "docs" / "images").mkdir(parents=True)
     folder.mkdir()
-    page = "<!-- benchmark -->\nold\n<!-- end of benchmark -->\n"
-    accuracy = "<!-- accuracy -->\nkept\n<!-- end of accuracy -->\n"
-    (root / "docs" / "performance.md").write_text(page + accuracy)
-    (root / "README.md").write_text(page)
+    marks = {"glance": "old", "benchmark": "old", "accuracy": "kept"}
+    page = "".join(f"<!-- {m} -->\n{body}\n<!-- end of {m} -->\n" for m, body in marks.items())
+    (root / "docs" / "performance.md").write_text(page)
     (folder / "report.md").write_text("## Benchmark\n\n![x](methods.png)\n")
-    (folder / "readme.md").write_text(glance.markdown(_report()))
+    (folder / "glance.md").write_text(glance.markdown(_report()))
     (folder / "methods.png").write_bytes(b"png")
     publish.main(folder, root)
     performance = (root / "docs" / "performance.md").read_text()
     assert "![x](images/methods.png)" in performance
     assert "kept" in performance
-    assert "](docs/images/methods.png)" in (root / "README.md").read_text()
+    assert "old" not in performance
+    assert "`c` at commit abc, today, M;" in performance
     assert (root / "docs" / "images" / "methods.png").read_bytes() == b"png"
 
 
@@ -174,7 +174,7 @@ def test_reports_are_published_with_their_pictures(tmp_path):
 def test_figures_of_code_that_no_commit_has_are_not_published(tmp_path, commit):
     report = _report()
     report["about"]["commit"] = commit
-    (tmp_path / "readme.md").write_text(glance.markdown(report))
+    (tmp_path / "glance.md").write_text(glance.markdown(report))
     with pytest.raises(SystemExit, match="commit first, and measure again"):
         publish.main(tmp_path, tmp_path)
 

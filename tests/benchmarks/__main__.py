@@ -2,7 +2,7 @@
 
 python -m tests.benchmarks [--quick] [--objects 2] [--states 3] [--runs 3] [--out benchmarks_out]
 
-Prints tables and saves report.json, report.md, readme.md, methods.png and scaling.png in the folder
+Prints tables and saves report.json, report.md, glance.md, methods.png and scaling.png in the folder
 --out. Bundled objects are written to a temporary folder. With ARTICUGEN_REAL_MODELS, a real model
 of each category there is measured too.
 """
@@ -38,12 +38,12 @@ def main() -> None:
     glance.draw(report, options.out / "methods.png")
     (options.out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
     (options.out / "report.md").write_text(tables.markdown(report))
-    (options.out / "readme.md").write_text(glance.markdown(report))
+    (options.out / "glance.md").write_text(glance.markdown(report))
     wide = Console(width=max(console.width, 200))
     for table in tables.all_tables(report):
         table.print(wide)
     console.print(missing_picture or f"drawn: {options.out}/methods.png, scaling.png")
-    console.print(f"saved: {options.out}/report.json, report.md, readme.md")
+    console.print(f"saved: {options.out}/report.json, report.md, glance.md")
 
 
 def _measured(options: Options, folder: Path, console: Console) -> Row:

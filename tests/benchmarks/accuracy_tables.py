@@ -6,7 +6,7 @@ from tests.benchmarks.exactness import MATERIAL, Row, total
 
 
 def occupancy(report: Row) -> Table:
-    """The table of the README: IoU by category, clean and messy."""
+    """Make the first table: IoU by category, clean and messy."""
     rows = report["objects"]
     categories = list(dict.fromkeys(row["category"] for row in rows))
     figures = {

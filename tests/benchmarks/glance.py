@@ -1,4 +1,4 @@
-"""Where each method stands, at a glance: a short table for the README, and a picture."""
+"""Where each method stands, at a glance: a short table, and a picture."""
 
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ VARIANTS = {
 
 
 def markdown(report: Row) -> str:
-    """The table of the README, with the run that all of it is from."""
+    """Write the short table, with the run that all of it is from."""
     about = report["about"]
     labels = f"{report['labels']:,} labels"
     columns = (
@@ -55,7 +55,7 @@ def markdown(report: Row) -> str:
     lines = [
         "Beside what one would use instead, on the same meshes in one run: "
         f"`{about['command']}` at commit {about['commit']}, {about['date']}, {about['machine']}; "
-        "versions and what each column means in [docs/performance.md](docs/performance.md).",
+        "versions are with the long tables below.",
         "",
         table.strip(),
         "",
@@ -63,9 +63,7 @@ def markdown(report: Row) -> str:
         "nothing else; then with that many query points and no grids. IoU at uniform points / near "
         "the surface, with the solids alone and with those and the space that no view sees. "
         "Sheet: the thickness of one without any, in voxels of 1/256; ours means 1.5. More forms "
-        "of these methods are in the picture and in docs/performance.md.",
-        "",
-        "![Error against core seconds, a dot a method](methods.png)",
+        "of these methods are in the long tables.",
         "",
     ]
     return "\n".join(lines)

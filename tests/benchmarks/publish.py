@@ -1,9 +1,8 @@
 """Copy the newest reports into the documentation: python -m tests.benchmarks.publish [folder]
 
 What stands between `<!-- name -->` and `<!-- end of name -->` is replaced by the folder's report,
-its headings one level down: both reports in docs/performance.md, the short table in README.md, for
-each that is there; pictures go to docs/images. Figures of code that no commit has are refused:
-nobody could measure them again.
+its headings one level down, for each report that is there, all in docs/performance.md; pictures go
+to docs/images. Figures of code that no commit has are refused: nobody could measure them again.
 """
 
 import re
@@ -12,10 +11,8 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PAGES = {
-    "docs/performance.md": {"benchmark": "report.md", "accuracy": "accuracy.md"},
-    "README.md": {"benchmark": "readme.md"},
-}
+PAGE = Path("docs") / "performance.md"
+REPORTS = {"glance": "glance.md", "benchmark": "report.md", "accuracy": "accuracy.md"}
 PICTURES = ("scaling.png", "methods.png")
 
 CHANGED = re.compile(r"commit (\S+-dirty|\S+\+changes|unknown)")
@@ -27,25 +24,18 @@ def main(folder: Path = Path("benchmarks_out"), root: Path = ROOT) -> None:
     Raises:
         SystemExit: a report is of code that no commit has; nothing is written.
     """
-    names = {name for reports in PAGES.values() for name in reports.values()}
-    for report in sorted(folder / name for name in names):
+    for report in sorted(folder / name for name in REPORTS.values()):
         if report.is_file() and (changed := CHANGED.search(report.read_text())):
             raise SystemExit(f"{report}: measured at {changed[0]}; commit first, and measure again")
-    images = root / "docs" / "images"
-    for name, reports in PAGES.items():
-        page = root / name
-        text = page.read_text()
-        for mark, report in reports.items():
-            if (folder / report).is_file():
-                text = replaced(text, mark, (folder / report).read_text())
-        page.write_text(text.replace("](methods.png)", f"]({_from(page, images)}/methods.png)"))
+    page, images = root / PAGE, root / PAGE.parent / "images"
+    text = page.read_text()
+    for mark, report in REPORTS.items():
+        if (folder / report).is_file():
+            text = replaced(text, mark, (folder / report).read_text())
+    page.write_text(text.replace("](methods.png)", "](images/methods.png)"))
     for picture in PICTURES:
         if (folder / picture).is_file():
             shutil.copyfile(folder / picture, images / picture)
-
-
-def _from(page: Path, folder: Path) -> str:
-    return folder.relative_to(page.parent).as_posix()
 
 
 def replaced(text: str, name: str, report: str) -> str:
