@@ -133,7 +133,7 @@ def test_pages_fetch_nothing_from_elsewhere(site: Path) -> None:
 
 def test_the_home_page_is_the_readme_and_its_links_lead_somewhere(site: Path) -> None:
     home = (site / "index.html").read_text(encoding="utf-8")
-    for word in ("Where models come from", 'href="format.html"', 'src="images/contact_sheet.png"',
+    for word in ("Your own models", 'href="format.html"', 'src="images/five.png"',
                  'href="models/partnet_mobility.html"', 'href="LICENSE.txt"',
                  'href="gallery/index.html">The gallery</a>'):  # fmt: skip
         assert word in home
