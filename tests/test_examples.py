@@ -1,4 +1,4 @@
-"""examples/, the README and pages of docs/, run as anybody runs them: in a new folder, as written."""
+"""examples/, the README and pages of docs/, run as anybody runs them: in a new folder."""
 
 import importlib.util
 import io
