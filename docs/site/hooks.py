@@ -33,6 +33,7 @@ PAGES = {
     "CONTRIBUTING.md": "contributing.md",
     "LICENSE": "LICENSE.txt",
     "examples/README.md": "examples/index.md",
+    "examples/models/cabinet.urdf": "examples/models/cabinet.urdf",
     "urdf_sources/README.md": "models/index.md",
     **{f"urdf_sources/{name}/README.md": f"models/{name}.md" for name in _SOURCES},
 }
