@@ -184,7 +184,7 @@ $(testing): $(generator)
 	@echo "Installing the test tools ..."
 	@$(pinned) --editable '.[test]'
 	@echo "Compiling the kernels ..."
-	@$(VENV)/bin/python -c 'from articugen.compiling import compile_all; compile_all()'
+	@$(VENV)/bin/python -c 'from articugen.core.compiling import compile_all; compile_all()'
 	@touch $@
 
 $(learner): $(generator)

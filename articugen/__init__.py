@@ -17,15 +17,15 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from articugen.api import generate
-    from articugen.errors import ArticugenError
+    from articugen.core.errors import ArticugenError
+    from articugen.core.recipe import Recipe
+    from articugen.discovery.objects import discover
     from articugen.export.run import export
-    from articugen.fetching.door import fetch
-    from articugen.found_joints import discover
+    from articugen.inspection.notebook import DataSet, Row, open
+    from articugen.instance.maker import Made, Maker, Model, load
     from articugen.learning.commands import evaluate, train
-    from articugen.maker import Made, Maker, Model, load
-    from articugen.notebook import DataSet, Row, open
-    from articugen.recipe import Recipe
+    from articugen.pipeline.door import generate
+    from articugen.sources.fetch.door import fetch
     from articugen.verify.check import check as verify
 
 _HOME = {
@@ -75,7 +75,7 @@ if find_spec("torch") is None:  # then `import *` and the like do without
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from articugen.errors import MissingExtra  # noqa: PLC0415 - as everything else
+    from articugen.core.errors import MissingExtra  # noqa: PLC0415 - as everything else
 
     try:
         home = import_module(f"{__name__}.{_HOME[name]}" if _HOME[name] else f"{__name__}.{name}")

@@ -7,24 +7,24 @@ the real work finds every kernel compiled, for just the types that it hands over
 
 import numpy as np
 
+from articugen.core.geometry import look_along
+from articugen.core.recipe import Fusion
+from articugen.core.records import DepthMaps, LabelledMesh, Views
 from articugen.fusion import FusedField, kernels, solidify
-from articugen.fusion.bvh import Bvh, build
 from articugen.fusion.reachable import Flood, flood, touched
 from articugen.fusion.thin import NOTHING, way_meets
 from articugen.fusion.winding import closed_pieces, surely_inside
-from articugen.geometry import look_along
-from articugen.inspection.camera import framed
-from articugen.inspection.light import SurfaceCloud, occlusion_in_detail
-from articugen.inspection.surfels import OrientedPoints, draw, surfels
-from articugen.learning.ppd import sine_kernels
-from articugen.learning.ppd.greatest import greatest
-from articugen.learning.ppd.patches import patches
-from articugen.recipe import Fusion
-from articugen.records import DepthMaps, LabelledMesh, Views
+from articugen.inspection.report.skin import skin
+from articugen.instance.swept import swept_box
+from articugen.learning.ppd.cpu import sine_kernels
+from articugen.learning.ppd.cpu.greatest import greatest
+from articugen.learning.ppd.cpu.patches import patches
+from articugen.meshes.bvh import Bvh, build
+from articugen.meshes.obj_kernel import read_plain
+from articugen.pictures.camera import framed
+from articugen.pictures.light import SurfaceCloud, occlusion_in_detail
+from articugen.pictures.surfels import OrientedPoints, draw, surfels
 from articugen.rendering import rasterizer
-from articugen.report.skin import skin
-from articugen.sources.obj_kernel import read_plain
-from articugen.swept import swept_box
 
 _POINT = np.zeros((1, 3))
 _BOX = np.array([[-0.1, -0.1, -0.1], [0.1, 0.1, 0.1]])

@@ -1,7 +1,7 @@
 """Golden digests: what our code makes of a tiny set, and of the shapes of bundled models.
 
 `python -m tests.golden` says what differs from tests/data/golden.json; `--write` renews that file,
-but only where a number of `articugen/content.py` was raised for what changed.
+but only where a number of `articugen/core/content.py` was raised for what changed.
 """
 
 import argparse
@@ -16,12 +16,13 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from articugen import api, content
-from articugen.pipeline import Job
-from articugen.recipe import load_recipe
-from articugen.recipe_files import with_settings
-from articugen.sources import procedural
-from articugen.sources.procedural.cache import SEAL_NAME
+from articugen import procedural
+from articugen.core import content
+from articugen.core.recipe import load_recipe
+from articugen.core.yaml_files import with_settings
+from articugen.pipeline import door
+from articugen.pipeline.run import Job
+from articugen.procedural.cache import SEAL_NAME
 from articugen.store.manifest import library_versions
 
 GOLDEN = Path(__file__).with_name("data") / "golden.json"
@@ -109,7 +110,7 @@ def data(name: str, folder: Path) -> str:
         source = str(folder / "cabinet.urdf")
     recipe = with_settings(load_recipe(folder / "tiny.yaml", category), SETS[name])
     job = Job(source, category, recipe.with_counts(objects=1), seed=0, out=folder / "out", jobs=0)
-    return api.make(job).content_sha256
+    return door.make(job).content_sha256
 
 
 def shapes(category: str, folder: Path) -> str:
@@ -153,13 +154,13 @@ def undeclared(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
         return [n for n, digest in new[table].items() if old[table].get(n, digest) != digest]
 
     sentences = [
-        f"the shapes of {name} changed: raise MODELS[{name!r}] in articugen/content.py"
+        f"the shapes of {name} changed: raise MODELS[{name!r}] in articugen/core/content.py"
         for name in changed("shapes")
         if not raised("models", name)
     ]
     return sentences + [
         f"the data of {name} changed: raise the number of the stage that makes them otherwise, in "
-        "STAGES of articugen/content.py"
+        "STAGES of articugen/core/content.py"
         for name in changed("data")
         if not raised("stages", *new["stages"]) and not raised("models", name.partition(",")[0])
     ]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.geometry import (
+from articugen.core.geometry import (
     apply,
     fibonacci_sphere,
     invert_rigid,
@@ -20,9 +20,9 @@ from articugen.geometry import (
     transform,
     voxel_centres,
 )
-from articugen.recipe import Articulation, Recipe, Sampling
-from articugen.records import Floats, Instance, Normalization, quantize
-from articugen.seeding import generator
+from articugen.core.recipe import Articulation, Recipe, Sampling
+from articugen.core.records import Floats, Instance, Normalization, quantize
+from articugen.core.seeding import generator
 
 LOWER = np.array([[0.0, -0.3, 0.0], [0.0, -0.3, 0.085], [0.1, -0.06, 0.145]])
 UPPER = np.array([[0.6, 0.3, 0.08], [0.6, 0.3, 0.145], [0.2, 0.06, 0.2]])

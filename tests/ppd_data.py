@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from instances import SMALL, hinged_box
 
-from articugen.recipe import Recipe
+from articugen.core.recipe import Recipe
 from articugen.store.manifest import Key, Manifest, Outcome, Timings
 from articugen.store.shards import write_shard
 

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.articulation import forward_kinematics
-from articugen.geometry import apply
-from articugen.records import ArticulatedObject, Floats, JointState
-from articugen.sources.procedural import write_object
-from articugen.sources.procedural.kit.model import Model
-from articugen.sources.procedural.kit.solids import Solid
-from articugen.sources.procedural.truth import Truth, load_truth
+from articugen.core.geometry import apply
+from articugen.core.records import ArticulatedObject, Floats, JointState
+from articugen.instance.articulation import forward_kinematics
+from articugen.procedural import write_object
+from articugen.procedural.kit.model import Model
+from articugen.procedural.kit.solids import Solid
+from articugen.procedural.truth import Truth, load_truth
 from articugen.sources.urdf import load_urdf
 
 CONTACT = 1e-9

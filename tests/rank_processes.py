@@ -13,9 +13,9 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from articugen import api, ranks
+from articugen.pipeline import door, ranks
+from articugen.pipeline.rank_journal import RankJournal, Share
 from articugen.store import shards
-from articugen.store.rank_journal import RankJournal, Share
 from tests.test_pipeline import TINY, job
 
 
@@ -35,7 +35,7 @@ def be(share: Share, out: Path, objects: int, moment: str) -> None:
 if __name__ == "__main__":
     out, objects = Path(sys.argv[1]), int(sys.argv[2])
     with TemporaryDirectory() as folder:  # what is loaded before the fork is loaded once
-        api.make(job(Path(folder), recipe=TINY.with_counts(objects=1, states=0)))
+        door.make(job(Path(folder), recipe=TINY.with_counts(objects=1, states=0)))
     for words in sys.argv[3:]:
         of, _, killed = words.partition(":")
         moments = dict(word.split("=") for word in killed.split(",") if word)

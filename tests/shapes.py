@@ -8,8 +8,8 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from articugen.recipe import ViewSettings
-from articugen.records import DepthMaps, LabelledMesh, Views
+from articugen.core.recipe import ViewSettings
+from articugen.core.records import DepthMaps, LabelledMesh, Views
 from articugen.rendering.views import fusion_views
 
 Floats = NDArray[np.float64]

@@ -12,8 +12,8 @@ from ppd_data import write_boxes
 from test_maker import CABINET, TINY
 
 import articugen as ag
-from articugen.errors import ArticugenError, InvalidArgument
-from articugen.recipe import Sampling
+from articugen.core.errors import ArticugenError, InvalidArgument
+from articugen.core.recipe import Sampling
 
 README = Path(__file__).parents[1] / "README.md"
 FORMAT = README.parent / "docs" / "format.md"

@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from articugen.errors import InvalidSource, MachineFault
-from articugen.fetching import archives
-from articugen.fetching.models import Unpacked, unpack
+from articugen.core.errors import InvalidSource, MachineFault
+from articugen.sources.fetch import archives
+from articugen.sources.fetch.models import Unpacked, unpack
 from tests.published import model_files, zipped
 from tests.trouble import small_disk
 

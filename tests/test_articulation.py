@@ -13,17 +13,25 @@ from hypothesis import strategies as st
 from lxml import etree
 from real_models import REAL_MODELS, needs_real_models
 
-from articugen.articulation import (
+from articugen.core.errors import InvalidSource, NotOfCategory, RejectedInstance
+from articugen.core.geometry import apply, rotation_about, rotation_from_rpy, transform
+from articugen.core.recipe import Articulation
+from articugen.core.records import (
+    ArticulatedObject,
+    Joint,
+    JointKind,
+    JointState,
+    Link,
+    Mesh,
+    Mimic,
+)
+from articugen.instance.articulation import (
     canonical_state,
     forward_kinematics,
     part_motions,
     resolve,
     sample_joint_state,
 )
-from articugen.errors import InvalidSource, NotOfCategory, RejectedInstance
-from articugen.geometry import apply, rotation_about, rotation_from_rpy, transform
-from articugen.recipe import Articulation
-from articugen.records import ArticulatedObject, Joint, JointKind, JointState, Link, Mesh, Mimic
 from articugen.sources.urdf import load_urdf
 
 NO_MESH = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))

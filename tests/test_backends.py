@@ -8,11 +8,17 @@ import pytest
 import trimesh
 from real_models import REAL_MODELS, needs_real_models
 
-from articugen.errors import MissingDriver, MissingExtra
-from articugen.geometry import apply, fibonacci_sphere, invert_rigid, look_along, rotation_from_rpy
-from articugen.records import LabelledMesh, Views
+from articugen.core.backends import BACKENDS
+from articugen.core.errors import MissingDriver, MissingExtra
+from articugen.core.geometry import (
+    apply,
+    fibonacci_sphere,
+    invert_rigid,
+    look_along,
+    rotation_from_rpy,
+)
+from articugen.core.records import LabelledMesh, Views
 from articugen.rendering import render
-from articugen.rendering.backends import BACKENDS
 from articugen.rendering.foreign import import_library
 
 TOLERANCE = {"rasterizer": 5e-7, "embree": 2e-6, "opengl": 1e-5, "sapien": 1e-5}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from articugen.geometry import fibonacci_sphere
+from articugen.core.geometry import fibonacci_sphere
 from tests.benchmarks import cases, glance, labs, publish, tables
 from tests.benchmarks.cases import GENERIC, VOXEL
 from tests.benchmarks.rows import Results

@@ -15,23 +15,23 @@ from test_pipeline import TINY, contents, job, made, own_models  # noqa: F401
 from typer.testing import CliRunner
 
 import articugen as ag
-from articugen import bucket_runs
 from articugen.cli import app
-from articugen.errors import (
+from articugen.core.errors import (
     ArticugenError,
     CorruptShard,
     InvalidArgument,
     MachineFault,
     MissingExtra,
 )
-from articugen.pipeline import Job, ObjectReport
+from articugen.pipeline import bucket_runs
+from articugen.pipeline.bucket_journal import ObjectClaims
+from articugen.pipeline.rank_journal import Share
+from articugen.pipeline.run import Job, ObjectReport
 from articugen.store import bucket as bucket_module
 from articugen.store import manifest_pages, remote
 from articugen.store.bucket import Bucket
-from articugen.store.bucket_journal import ObjectClaims
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.manifest_pages import is_page_name
-from articugen.store.rank_journal import Share
 
 obstore = pytest.importorskip("obstore", reason="obstore is not installed")
 pytest.importorskip("obstore.store")

@@ -1,8 +1,8 @@
 import numpy as np
 from numba import njit
 
-from articugen.fusion.bvh import build, meets
-from articugen.geometry import invert_rigid, rotation_about, transform
+from articugen.core.geometry import invert_rigid, rotation_about, transform
+from articugen.meshes.bvh import build, meets
 from tests.shapes import Convex, box, labelled, rotated
 
 

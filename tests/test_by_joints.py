@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from articugen.cli import app
-from articugen.errors import InvalidSource
+from articugen.core.errors import InvalidSource
 from articugen.sources.registry import load, object_refs
 
 MODELS = {

@@ -10,17 +10,21 @@ import pytest
 from instances import SMALL, hinged_box
 from ppd_data import write_boxes
 
-from articugen.errors import UnfitData
-from articugen.records import is_material
+from articugen.core.errors import UnfitData
+from articugen.core.records import is_material
 from articugen.store.shards import Shard, open_shard, write_shard
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from articugen.learning import cells  # noqa: E402
-from articugen.learning.cells import LabelledCells, voxel_centres  # noqa: E402
 from articugen.learning.commands import hints  # noqa: E402
-from articugen.learning.dataset import BatchSpec, load_split  # noqa: E402
-from articugen.learning.fitness import apart, check_fixed_part, lying_otherwise  # noqa: E402
+from articugen.learning.data import cells  # noqa: E402
+from articugen.learning.data.cells import LabelledCells, voxel_centres  # noqa: E402
+from articugen.learning.data.fitness import (  # noqa: E402
+    apart,
+    check_fixed_part,
+    lying_otherwise,
+)
+from articugen.learning.data.split import BatchSpec, load_split  # noqa: E402
 
 ASK = BatchSpec(
     surface_points=100, grid_points=40, near_points=30, band_points=60, varying_points=50

@@ -10,10 +10,10 @@ from trouble import held_by_another_run
 from typer.testing import CliRunner
 
 from articugen.cli import app
-from articugen.errors import ArticugenError, CorruptShard
-from articugen.store.cleaning import clean
-from articugen.store.files import partial_name
-from articugen.store.journal import JOURNAL_NAME, data_sets
+from articugen.core.errors import ArticugenError, CorruptShard
+from articugen.core.files import partial_name
+from articugen.pipeline.clean import clean
+from articugen.pipeline.journal import JOURNAL_NAME, data_sets
 from articugen.store.manifest import MANIFEST_NAME
 from articugen.verify.dataset import verify
 

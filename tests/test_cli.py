@@ -11,9 +11,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from articugen import __version__, articulation
+from articugen import __version__
 from articugen.cli import app, saying
-from articugen.errors import NotOfCategory
+from articugen.core.errors import NotOfCategory
+from articugen.instance import articulation
 from articugen.store.shards import open_shard
 
 TINY = """
@@ -335,7 +336,7 @@ def test_inspect_prints_the_schema_and_draws(made: Path, tmp_path: Path) -> None
 
 INTERRUPTED = """
 import os, signal
-from articugen import pipeline
+from articugen.pipeline import run as pipeline
 from articugen.cli import main
 make, begun = pipeline.make_object, []
 def make_object(*given, **more):

@@ -9,9 +9,9 @@ import pytest
 import trimesh
 from ppd_data import write_boxes
 
-from articugen.errors import CorruptShard, InvalidSource
-from articugen.learning.clouds import LONGEST_EDGE, MOST_BYTES, cloud_of_file, cloud_of_shard
-from articugen.records import dequantize
+from articugen.core.errors import CorruptShard, InvalidSource
+from articugen.core.records import dequantize
+from articugen.meshes.points import LONGEST_EDGE, MOST_BYTES, cloud_of_file, cloud_of_shard
 from articugen.store.shards import open_shard
 
 

@@ -12,10 +12,11 @@ from pathlib import Path
 import pytest
 from test_pipeline import TINY, contents, job, made, own_models  # noqa: F401
 
-from articugen import api, cluster
-from articugen.errors import ArticugenError, MachineFault, MissingExtra
-from articugen.pipeline import Job, ObjectReport
-from articugen.store.journal import JOURNAL_NAME
+from articugen.core.errors import ArticugenError, MachineFault, MissingExtra
+from articugen.pipeline import door
+from articugen.pipeline.executors import dask as cluster
+from articugen.pipeline.journal import JOURNAL_NAME
+from articugen.pipeline.run import Job, ObjectReport
 from articugen.store.manifest import code_version
 
 dask = pytest.importorskip("dask", reason="dask is not installed")
@@ -76,7 +77,7 @@ def test_one_worker_is_killed_and_one_is_cut_off(address: str, tmp_path: Path) -
                 workers[0].kill()
                 workers[1].send_signal(signal.SIGSTOP)  # its connections stay, and say nothing
 
-        manifest = api.make(on(address, out), replace=True, on_object=on_object)
+        manifest = door.make(on(address, out), replace=True, on_object=on_object)
         assert manifest.timings.workers == 1
         nothing = {"function": str, "limit": cluster.Limit(), "ready": str, "name": str}
         for code, sees, sentence in (

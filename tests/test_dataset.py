@@ -6,21 +6,15 @@ import numpy as np
 import pytest
 from ppd_data import write_boxes
 
-from articugen.errors import CorruptShard
-from articugen.records import dequantize
-from articugen.store import schema
+from articugen.core import schema
+from articugen.core.errors import CorruptShard
+from articugen.core.records import dequantize
 from articugen.store.shards import open_shard, write_shard
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from articugen import geometry  # noqa: E402
-from articugen.learning.dataset import (  # noqa: E402
-    BatchSpec,
-    _places,
-    load_split,
-    unpacked,
-    voxel_centres,
-)
+from articugen.core import geometry  # noqa: E402
+from articugen.learning.data.split import BatchSpec, _places, load_split, unpacked, voxel_centres
 
 ASK = BatchSpec(
     surface_points=300, grid_points=200, uniform_points=100, near_points=50, joints=(3, 4)

@@ -14,11 +14,11 @@ from typer.testing import CliRunner
 import articugen as ag
 from articugen.cli import app
 from articugen.cli.discover import _summary, _table
+from articugen.core.errors import InvalidArgument
+from articugen.core.geometry import apply, rotation_about, transform
+from articugen.core.records import Floats, JointKind
 from articugen.discovery import KINDS, Discovery, FoundJoint, discover
-from articugen.errors import InvalidArgument
-from articugen.found_joints import Judged, ObjectJoints, axes_apart, discover_all
-from articugen.geometry import apply, rotation_about, transform
-from articugen.records import Floats, JointKind
+from articugen.discovery.objects import Judged, ObjectJoints, axes_apart, discover_all
 from articugen.store.rows import Row
 from tests.shapes import box
 

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from articugen.core.records import Floats
 from articugen.discovery import kernels
 from articugen.discovery.clouds import Cells, Surface
 from articugen.discovery.fitting import _DAMPED, fitted
 from articugen.discovery.gauss_newton import LEVEL, LONGEST
 from articugen.discovery.search import Candidate, motions, plane_across
-from articugen.records import Floats
 
 NEAR, REACH = 0.02, 0.04
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from articugen.estimate import STARTUP, instance_bytes, object_seconds, run_seconds
-from articugen.recipe import Articulation, Recipe, Sampling, ViewSettings
+from articugen.core.recipe import Articulation, Recipe, Sampling, ViewSettings
+from articugen.pipeline.estimate import STARTUP, instance_bytes, object_seconds, run_seconds
 from articugen.store.manifest import Key, ObjectEntry
 
 PAPER = Recipe(name="paper")

@@ -9,8 +9,8 @@ import pytest
 from instances import SMALL, hinged_box
 from ppd_data import write_boxes
 
-from articugen.errors import UnfitData
-from articugen.geometry import transform
+from articugen.core.errors import UnfitData
+from articugen.core.geometry import transform
 from articugen.learning.evaluation import evaluate as evaluation_module
 from articugen.learning.evaluation.evaluate import Protocol, evaluate, label_votes, objects_of
 from articugen.learning.evaluation.reconstruction import PartJoints, truth

@@ -20,7 +20,7 @@ from typer.main import get_command
 
 import articugen as ag
 from articugen.cli import app
-from articugen.recipe import load_recipe
+from articugen.core.recipe import load_recipe
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 LITTLE = """\

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 import articugen as ag
 from articugen.cli import app
-from articugen.errors import ArticugenError, InvalidArgument, MissingExtra
+from articugen.core.errors import ArticugenError, InvalidArgument, MissingExtra
 from articugen.export.formats import NAMES, format_named
 from articugen.export.items import file_name
 from articugen.export.joints import unique

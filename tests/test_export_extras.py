@@ -14,8 +14,8 @@ from test_extras import ASKING, SLIDE
 from test_html_report import shard
 
 import articugen as ag
-from articugen.errors import InvalidArgument
-from articugen.geometry import transform
+from articugen.core.errors import InvalidArgument
+from articugen.core.geometry import transform
 
 
 @pytest.fixture(scope="module")

@@ -18,9 +18,7 @@ from scipy.spatial import KDTree
 from test_html_report import shard
 
 import articugen as ag
-from articugen.export.formats import Options
-from articugen.export.parts import PartMeshes, part_boxes
-from articugen.geometry import (
+from articugen.core.geometry import (
     apply,
     bounds,
     box_corners,
@@ -28,7 +26,9 @@ from articugen.geometry import (
     rotation_about,
     transform,
 )
-from articugen.records import is_material
+from articugen.core.records import is_material
+from articugen.export.formats import Options
+from articugen.export.parts import PartMeshes, part_boxes
 
 boxes, rows, exported, laptops = exports.boxes, exports.rows, exports.exported, exports.laptops
 

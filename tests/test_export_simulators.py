@@ -13,9 +13,9 @@ from instances import HINGE, HINGE_AXIS, LOWER, SLIDE_AXIS, UPPER, hinged_box
 from test_html_report import named, shard
 
 import articugen as ag
+from articugen.core.geometry import apply, invert_rigid, rotation_about, transform
+from articugen.core.records import is_material
 from articugen.export.joints import metric_joints
-from articugen.geometry import apply, invert_rigid, rotation_about, transform
-from articugen.records import is_material
 
 boxes, rows, exported, laptops = exports.boxes, exports.rows, exports.exported, exports.laptops
 

@@ -12,7 +12,7 @@ from test_html_report import named, shard
 from trouble import small_disk
 
 import articugen as ag
-from articugen.errors import MachineFault
+from articugen.core.errors import MachineFault
 
 boxes, rows, exported, laptops = exports.boxes, exports.rows, exports.exported, exports.laptops
 

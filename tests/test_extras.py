@@ -13,13 +13,13 @@ from scipy.spatial import cKDTree
 
 import articugen as ag
 from articugen import fusion
-from articugen.errors import RejectedInstance
-from articugen.geometry import invert_rigid, rotation_about, transform
-from articugen.records import FREE, dequantize
+from articugen.core.errors import RejectedInstance
+from articugen.core.geometry import invert_rigid, rotation_about, transform
+from articugen.core.records import FREE, dequantize
+from articugen.instance.sampling import SurfacePoints
+from articugen.instance.sharp import sharp_edges, sharp_points
 from articugen.rendering.images import images
 from articugen.rendering.views import plain_pinhole_views
-from articugen.sampling import SurfacePoints
-from articugen.sharp import sharp_edges, sharp_points
 from articugen.verify import extras, invariants
 from tests.shapes import box, labelled, two_sided
 

@@ -20,12 +20,12 @@ from typer.testing import CliRunner
 
 import articugen as ag
 from articugen.cli import app
-from articugen.errors import AccessRefused, InvalidArgument, MachineFault, NotFetched
-from articugen.fetching import partnet_mobility, web
-from articugen.fetching.hub import Published
-from articugen.fetching.partnet_mobility import fetch_partnet_mobility
-from articugen.fetching.target import RECEIPT_NAME
-from articugen.fetching.web import RemoteFile, Server
+from articugen.core.errors import AccessRefused, InvalidArgument, MachineFault, NotFetched
+from articugen.sources.fetch import partnet_mobility, web
+from articugen.sources.fetch.hub import Published
+from articugen.sources.fetch.partnet_mobility import fetch_partnet_mobility
+from articugen.sources.fetch.target import RECEIPT_NAME
+from articugen.sources.fetch.web import RemoteFile, Server
 from articugen.sources.registry import object_refs
 from tests.published import TOKEN, Publisher, model_files, serving, zipped
 from tests.trouble import small_disk

@@ -12,9 +12,9 @@ pytest.importorskip("matplotlib", reason="figures need matplotlib")
 
 from PIL import Image
 
-from articugen.colours import COLOURS
-from articugen.geometry import apply
-from articugen.inspection.layout import CAPTION, MARGIN, TILE, in_columns
+from articugen.core.colours import COLOURS
+from articugen.core.geometry import apply
+from articugen.core.records import Instance, Normalization, dequantize
 from articugen.learning.evaluation.evaluate import objects_of
 from articugen.learning.evaluation.figures import plots
 from articugen.learning.evaluation.figures.colours import UNNAMED, part_colours
@@ -33,7 +33,7 @@ from articugen.learning.evaluation.results import (
     JointLine,
     JointState,
 )
-from articugen.records import Instance, Normalization, dequantize
+from articugen.pictures.layout import CAPTION, MARGIN, TILE, in_columns
 
 NAMES = Names([0, 1, 2], [0, 1, 2])
 FROM_ABOVE = float(np.radians(35.0))

@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 from test_cli import run
 
-from articugen.errors import InvalidArgument, InvalidSource, MachineFault
-from articugen.inspection.contact_sheet import contact_sheet
-from articugen.report.page import write_report
-from articugen.store import files
-from articugen.store.files import (
+from articugen.core import files
+from articugen.core.errors import InvalidArgument, InvalidSource, MachineFault
+from articugen.core.files import (
     UnfitFile,
     check_place,
     make_folder,
@@ -24,6 +22,8 @@ from articugen.store.files import (
     within,
     write_atomically,
 )
+from articugen.inspection.report.page import write_report
+from articugen.pictures.contact_sheet import contact_sheet
 from articugen.verify.replay import write_mesh
 
 
@@ -155,9 +155,9 @@ def test_where_nothing_can_be_written_no_work_is_begun(tmp_path, monkeypatch):
     def work(*_, **__):
         raise AssertionError("worked first")
 
-    for name in ("articugen.report.page.facts", "articugen.verify.replay.prepared_again",
-                 "articugen.inspection.contact_sheet.chosen_of",
-                 "articugen.found_joints.discover"):  # fmt: skip
+    for name in ("articugen.inspection.report.page.facts", "articugen.verify.replay.prepared_again",
+                 "articugen.pictures.contact_sheet.chosen_of",
+                 "articugen.discovery.objects.discover"):  # fmt: skip
         monkeypatch.setattr(name, work)
     (tmp_path / "a.html").mkdir()
     clouds = [tmp_path / "a.npy", tmp_path / "b.npy"]

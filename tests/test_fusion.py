@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from articugen.core.geometry import rotation_about, transform, voxel_centres
+from articugen.core.recipe import Fusion
+from articugen.core.records import DepthMaps, Views
 from articugen.fusion.field import FusedField, fuse
-from articugen.geometry import rotation_about, transform, voxel_centres
-from articugen.recipe import Fusion
-from articugen.records import DepthMaps, Views
 from articugen.rendering.rasterizer import render
 from tests.shapes import (
     Convex,

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from articugen.errors import CorruptShard
+from articugen.core.errors import CorruptShard
 from articugen.store.shards import open_shard
 from tests.fuzz import mending
 from tests.fuzz import sandbox as sandboxes

@@ -48,7 +48,7 @@ run("mesh", "laptop", "laptop_0000", "--output", "field.glb", "--resolution", 32
 
 MESHES = """
 from pathlib import Path
-from articugen.sources.meshes import read_mesh
+from articugen.meshes.read import read_mesh
 for path in map(Path, ("box.dae", "box.glb")):
     assert len(read_mesh(path).faces) == 12
 """

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from articugen import geometry as g
+from articugen.core import geometry as g
 
 lengths = st.floats(-10, 10)
 angles = st.floats(-7, 7)

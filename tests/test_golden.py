@@ -7,9 +7,10 @@ import sys
 
 import pytest
 
-from articugen import content, instance
-from articugen.seeding import generator
-from articugen.sources import procedural
+from articugen import procedural
+from articugen.core import content
+from articugen.core.seeding import generator
+from articugen.instance import make
 from tests import golden
 
 pytestmark = pytest.mark.skipif(
@@ -37,7 +38,9 @@ def test_what_our_code_makes_is_written_down(new):
 
 
 def test_all_that_may_be_declared_is_guarded():
-    told = "give each category a number in MODELS of articugen/content.py, then renew the digests"
+    told = (
+        "give each category a number in MODELS of articugen/core/content.py, then renew the digests"
+    )
     assert set(content.MODELS) == set(procedural.CATEGORIES) == set(golden.read()["shapes"]), told
     assert set(golden.SETS) == set(golden.read()["data"])
 
@@ -45,7 +48,7 @@ def test_all_that_may_be_declared_is_guarded():
 def test_a_changed_number_in_a_stage_shows(tmp_path, monkeypatch):
     old = golden.read()
     assert golden.data("boxes", tmp_path / "same") == old["data"]["boxes"]
-    monkeypatch.setattr(instance, "FEWEST_SURFACE_POINTS", instance.FEWEST_SURFACE_POINTS + 1)
+    monkeypatch.setattr(make, "FEWEST_SURFACE_POINTS", make.FEWEST_SURFACE_POINTS + 1)
     other = with_changes(old, data={"boxes": golden.data("boxes", tmp_path / "other")})
     (sentence,) = golden.undeclared(old, other)
     assert sentence.startswith("the data of boxes changed: raise the number of the stage")
@@ -67,7 +70,8 @@ def test_changed_shapes_show(tmp_path, monkeypatch):
     changed = {"drawer": golden.shapes("drawer", tmp_path)}
     (sentence,) = golden.undeclared(old, with_changes(old, shapes=changed))
     assert (
-        sentence == "the shapes of drawer changed: raise MODELS['drawer'] in articugen/content.py"
+        sentence
+        == "the shapes of drawer changed: raise MODELS['drawer'] in articugen/core/content.py"
     )
     both = with_changes(old, shapes=changed, data={"drawer": "other"})
     assert len(golden.undeclared(old, both)) == 2

@@ -19,16 +19,16 @@ from instances import SMALL, edited, hinged_box
 from PIL import Image
 from test_cli import TINY, run
 
-from articugen.errors import MachineFault
-from articugen.geometry import apply, rotation_about
-from articugen.inspection.surfels import OrientedPoints
-from articugen.records import Instance, dequantize
-from articugen.report.alike import nearest_pairs, outliers
-from articugen.report.facts import CLOUD, ObjectFacts, PartSize, facts
-from articugen.report.markup import el, text
-from articugen.report.page import write_report
-from articugen.report.skin import skin
-from articugen.report.truth import measured
+from articugen.core.errors import MachineFault
+from articugen.core.geometry import apply, rotation_about
+from articugen.core.records import Instance, dequantize
+from articugen.inspection.report.alike import nearest_pairs, outliers
+from articugen.inspection.report.facts import CLOUD, ObjectFacts, PartSize, facts
+from articugen.inspection.report.markup import el, text
+from articugen.inspection.report.page import write_report
+from articugen.inspection.report.skin import skin
+from articugen.inspection.report.truth import measured
+from articugen.pictures.surfels import OrientedPoints
 from articugen.store.manifest import Manifest
 from articugen.store.shards import open_shard, write_shard
 

@@ -12,7 +12,7 @@ from python_process import printed
 
 import articugen
 from articugen import fusion
-from articugen.content import STAGES as DECLARED
+from articugen.core.content import STAGES as DECLARED
 
 PACKAGE = Path(articugen.__file__).parent
 

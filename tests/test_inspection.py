@@ -14,20 +14,20 @@ from numba import njit
 from PIL import Image
 from rich.console import Console
 
-from articugen.colours import COLOURS, colour_of
-from articugen.errors import ArticugenError, InvalidArgument
-from articugen.geometry import fibonacci_sphere, invert_rigid, rotation_about, transform
-from articugen.inspection.camera import framed
-from articugen.inspection.cells import cells_of, near
-from articugen.inspection.contact_sheet import contact_sheet
-from articugen.inspection.layout import CAPTION, MARGIN, TILE, Row, sheet
-from articugen.inspection.light import SurfaceCloud, occlusion, occlusion_in_detail
-from articugen.inspection.shading import PAPER
+from articugen.core.colours import COLOURS, colour_of
+from articugen.core.errors import ArticugenError, InvalidArgument
+from articugen.core.geometry import fibonacci_sphere, invert_rigid, rotation_about, transform
+from articugen.core.recipe import Recipe
+from articugen.core.records import Instance
+from articugen.core.tables import duration, size
 from articugen.inspection.summary import histogram, shards_of, summary
-from articugen.inspection.surfels import OrientedPoints, draw, surfels
-from articugen.inspection.tables import duration, size
-from articugen.recipe import Recipe
-from articugen.records import Instance
+from articugen.pictures.camera import framed
+from articugen.pictures.cells import cells_of, near
+from articugen.pictures.contact_sheet import contact_sheet
+from articugen.pictures.layout import CAPTION, MARGIN, TILE, Row, sheet
+from articugen.pictures.light import SurfaceCloud, occlusion, occlusion_in_detail
+from articugen.pictures.shading import PAPER
+from articugen.pictures.surfels import OrientedPoints, draw, surfels
 from articugen.store.shards import write_shard
 
 

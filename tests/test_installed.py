@@ -54,7 +54,7 @@ def test_an_installed_package_finds_its_sources_and_plans(installed: Path, tmp_p
 
 
 def test_models_of_an_installed_package_go_to_the_cache(installed: Path, tmp_path: Path) -> None:
-    code = "from articugen.bundled import model_folder; print(model_folder('procedural'))"
+    code = "from articugen.core.bundled import model_folder; print(model_folder('procedural'))"
     own = {"PYTHONPATH": str(installed), "XDG_CACHE_HOME": str(tmp_path), "HOME": str(tmp_path)}
     told = subprocess.check_output(
         [sys.executable, "-c", code], cwd=tmp_path, env={**os.environ, **own}, text=True

@@ -15,12 +15,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from articugen import articulation
-from articugen.fusion.field import OwnSolid, PosedSolids
-from articugen.geometry import apply, bounds, invert_rigid, rotation_about, transform, voxel_centres
-from articugen.instance import Prepared, make_instance, pose, prepare
-from articugen.recipe import Recipe, Sampling, load_recipe
-from articugen.records import (
+from articugen.core.backends import BACKENDS, Backend
+from articugen.core.geometry import (
+    apply,
+    bounds,
+    invert_rigid,
+    rotation_about,
+    transform,
+    voxel_centres,
+)
+from articugen.core.recipe import Recipe, Sampling, load_recipe
+from articugen.core.records import (
     ENCLOSED,
     ArticulatedObject,
     DepthMaps,
@@ -33,11 +38,13 @@ from articugen.records import (
     dequantize,
     is_material,
 )
+from articugen.fusion.field import OwnSolid, PosedSolids
+from articugen.instance import articulation
+from articugen.instance.make import Prepared, make_instance, pose, prepare
+from articugen.procedural import CATEGORIES
+from articugen.procedural.truth import Truth, load_truth
 from articugen.rendering import rasterizer
-from articugen.rendering.backends import BACKENDS, Backend
 from articugen.sources import registry
-from articugen.sources.procedural import CATEGORIES
-from articugen.sources.procedural.truth import Truth, load_truth
 from tests.procedural_truth import heights, object_id, written
 from tests.shapes import iou, towards_cameras
 

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from instances import RICH, SMALL, changed, edited, hinged_box
 from test_manifest import STATES
 
-from articugen.geometry import voxel_centres
-from articugen.recipe import Recipe, Sampling
-from articugen.records import Instance, dequantize, quantize
+from articugen.core.geometry import voxel_centres
+from articugen.core.near import any_within, by_cell, nearest_within
+from articugen.core.recipe import Recipe, Sampling
+from articugen.core.records import Instance, dequantize, quantize
 from articugen.verify import bounds, exact, invariants, sampled
-from articugen.verify.nearest import any_within, by_cell, nearest_within
 from tests.benchmarks.soundness import made_sets
 
 ROWS = hinged_box()

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from articugen.errors import RejectedInstance
+from articugen.core.errors import RejectedInstance
+from articugen.core.recipe import Fusion
 from articugen.fusion.field import fuse
 from articugen.fusion.isosurface import extract_mesh
-from articugen.recipe import Fusion
 from articugen.rendering.rasterizer import render
 from tests.shapes import box, labelled, rotated, views_of
 

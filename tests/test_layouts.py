@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from articugen.errors import InvalidSource
-from articugen.records import JointKind
+from articugen.core.errors import InvalidSource
+from articugen.core.records import JointKind
 from articugen.sources.registry import categories, load, object_refs
 
 URDF = """<robot name="m">

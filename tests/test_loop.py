@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from ppd_data import write_boxes
 
-from articugen.errors import InvalidCheckpoint, InvalidRecipe, TrainingDiverged
+from articugen.core.errors import InvalidCheckpoint, InvalidRecipe, TrainingDiverged
+from articugen.core.yaml_files import known
 from articugen.learning.method import load_recipe
 from articugen.learning.ppd.settings import (
     LossSettings,
@@ -19,18 +20,23 @@ from articugen.learning.ppd.settings import (
     PPDStage,
 )
 from articugen.learning.recipe import DataSettings
-from articugen.recipe_files import known
 from articugen.store.shards import open_shard, write_shard
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from articugen.learning import dataset  # noqa: E402
-from articugen.learning.dataset import BatchSpec, load_split  # noqa: E402
+from articugen.learning.data import split  # noqa: E402
+from articugen.learning.data.split import BatchSpec, load_split  # noqa: E402
 from articugen.learning.loop import batch_rows, split_objects, train  # noqa: E402
 from articugen.learning.ppd import losses, objective  # noqa: E402
 from articugen.learning.ppd.discriminator import Discriminator  # noqa: E402
 from articugen.learning.ppd.model import PPD  # noqa: E402
-from articugen.learning.runs import BEST, LATEST, METRICS, RunFolder, read_checkpoint  # noqa: E402
+from articugen.learning.run_folder import (  # noqa: E402
+    BEST,
+    LATEST,
+    METRICS,
+    RunFolder,
+    read_checkpoint,
+)
 from articugen.learning.tensors import digest  # noqa: E402
 
 torch.set_num_threads(1)
@@ -337,7 +343,7 @@ def test_the_curve_is_the_one_that_was_committed(tmp_path, monkeypatch):
     """Of the paper's recipe, both stages, in steps so small that it is the same on any processor:
     in larger ones Adam makes much of how sums are rounded. Points are drawn as they are where many
     are wanted, as the paper's recipe does."""
-    monkeypatch.setattr(dataset, "FEW", 10**9)
+    monkeypatch.setattr(split, "FEW", 10**9)
     data = write_boxes(tmp_path / "data", train=4, test=1, states=2)
     plan = {"batch": 4, "learning_rate": 1e-6, "final_learning_rate": 1e-7, "log_every": 1}
     plan |= {"validate_every": 4, "save_every": 100}

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import articugen as ag
-from articugen.errors import ArticugenError, InvalidArgument, InvalidRecipe, InvalidSource
-from articugen.geometry import rotation_about, transform
-from articugen.records import FREE, JointKind, Mesh
+from articugen.core.errors import ArticugenError, InvalidArgument, InvalidRecipe, InvalidSource
+from articugen.core.geometry import rotation_about, transform
+from articugen.core.records import FREE, JointKind, Mesh
 from articugen.store.shards import open_shard
 
 CABINET = """<robot name="cabinet">

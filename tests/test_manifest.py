@@ -10,9 +10,9 @@ import pytest
 from instances import SMALL, hinged_box
 from trouble import held_by_another_run, unfit
 
-from articugen.errors import ArticugenError, CorruptShard, MachineFault
-from articugen.store.files import partial_name, sha256_of
-from articugen.store.journal import JOURNAL_NAME, Journal
+from articugen.core.errors import ArticugenError, CorruptShard, MachineFault
+from articugen.core.files import partial_name, sha256_of
+from articugen.pipeline.journal import JOURNAL_NAME, Journal
 from articugen.store.manifest import (
     MANIFEST_NAME,
     MOST_BYTES,

@@ -17,10 +17,11 @@ from test_ranks import rank
 from trouble import unfit
 
 import articugen as ag
-from articugen import ranks
-from articugen.errors import CorruptShard, MachineFault
-from articugen.store import files, journal, manifest, manifest_pages
-from articugen.store.cleaning import clean
+from articugen.core import files
+from articugen.core.errors import CorruptShard, MachineFault
+from articugen.pipeline import journal, ranks
+from articugen.pipeline.clean import clean
+from articugen.store import manifest, manifest_pages
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.manifest_pages import MOST_BYTES, is_page_name
 from articugen.verify.dataset import verify

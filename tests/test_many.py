@@ -7,19 +7,24 @@ from pathlib import Path
 import pytest
 from ppd_data import write_boxes
 
-from articugen.errors import InvalidRecipe
+from articugen.core.errors import InvalidRecipe
 from articugen.learning.method import find_method, load_recipe
 from articugen.learning.ppd.settings import ModelSettings, PPDRecipe
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from articugen.learning.dataset import load_split  # noqa: E402
+from articugen.learning.data.split import load_split  # noqa: E402
 from articugen.learning.loop import train  # noqa: E402
 from articugen.learning.ppd.learner import PPDLearner  # noqa: E402
 from articugen.learning.ppd.many import Many  # noqa: E402
-from articugen.learning.ppd.targets import Targets  # noqa: E402
+from articugen.learning.ppd.warm.targets import Targets  # noqa: E402
 from articugen.learning.race import can_run_at_once, race  # noqa: E402
-from articugen.learning.runs import LATEST, METRICS, RunFolder, read_checkpoint  # noqa: E402
+from articugen.learning.run_folder import (  # noqa: E402
+    LATEST,
+    METRICS,
+    RunFolder,
+    read_checkpoint,
+)
 from articugen.learning.tensors import check_like, digest  # noqa: E402
 from articugen.learning.together import train_together  # noqa: E402
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from articugen.marching_cubes import zero_level
-from articugen.records import Mesh
+from articugen.core.records import Mesh
+from articugen.meshes.marching_cubes import zero_level
 
 
 def sphere(resolution, radius=0.3, centre=(0.0, 0.0, 0.0)):

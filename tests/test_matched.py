@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from instances import changed, hinged_box
 
-from articugen.geometry import apply, rotation_about, transform
+from articugen.core.geometry import apply, rotation_about, transform
+from articugen.core.records import dequantize
 from articugen.learning.evaluation import metrics
 from articugen.learning.evaluation.matched import Matching, joint_errors, matching, pose_errors
 from articugen.learning.evaluation.metrics import NO_LABEL
 from articugen.learning.evaluation.reconstruction import truth
-from articugen.records import dequantize
 
 EACH = Matching(np.arange(3), np.ones(3))
 """Every true part with its own number."""

@@ -12,10 +12,11 @@ import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from articugen.errors import InvalidSource
-from articugen.records import Mesh
-from articugen.sources import mesh_formats, meshes
-from articugen.sources.meshes import (
+from articugen.core.errors import InvalidSource
+from articugen.core.records import Mesh
+from articugen.meshes import read, scenes
+from articugen.meshes.model_files import ModelFiles
+from articugen.meshes.read import (
     PRIMITIVE_FACES,
     EmptyMesh,
     box,
@@ -26,7 +27,6 @@ from articugen.sources.meshes import (
     scaled,
     sphere,
 )
-from articugen.sources.model_files import ModelFiles
 
 SQUARE_OBJ = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 
@@ -168,9 +168,9 @@ def test_the_compiled_obj_reader_says_what_the_loop_over_lines_says(edits):
     found = []
     for shortest in (0, 10**9):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(meshes, "_LONG_OBJ", shortest)
+            patch.setattr(read, "_LONG_OBJ", shortest)
             try:
-                vertices, faces = meshes._read_obj(bytes(text), Path("m.obj"), None)  # type: ignore[arg-type]
+                vertices, faces = read._read_obj(bytes(text), Path("m.obj"), None)  # type: ignore[arg-type]
                 found.append((vertices.tobytes(), vertices.shape, faces.tolist()))
             except InvalidSource as error:
                 found.append(str(error))
@@ -184,8 +184,8 @@ def test_coordinates_of_long_objs_are_the_nearest_doubles():
     for form in forms:
         lines = [form % tuple(row) for row in numbers.tolist()]
         text = "".join(f"v {line}\n" for line in lines).encode()
-        assert len(text) > meshes._LONG_OBJ
-        vertices, _ = meshes._read_obj(text, Path("m.obj"), None)  # type: ignore[arg-type]
+        assert len(text) > read._LONG_OBJ
+        vertices, _ = read._read_obj(text, Path("m.obj"), None)  # type: ignore[arg-type]
         assert vertices.tolist() == [[float(word) for word in line.split()] for line in lines]
 
 
@@ -223,7 +223,7 @@ def test_every_format_gives_the_same_box(tmp_path, suffix):
         write(path, source.export(file_type=kind))
     files, hashed = ModelFiles(tmp_path), ModelFiles(tmp_path)
     np.testing.assert_allclose(triangles(read_mesh(path, files)), triangles(wanted), atol=1e-6)
-    with meshes.hashed_only():
+    with read.hashed_only():
         read_mesh(path, hashed)
     assert hashed.sha256() == files.sha256()  # of all files that count, a glTF's buffers too
 
@@ -445,8 +445,8 @@ def test_a_damaged_file_is_read_or_refused_and_nothing_else(tmp_path, suffix):
 
 
 def test_too_many_triangles_are_refused_before_any_is_made(tmp_path, monkeypatch):
-    monkeypatch.setattr(mesh_formats, "MAX_FACES", 10)
-    monkeypatch.setattr(meshes, "MAX_FACES", 10)
+    monkeypatch.setattr(scenes, "MAX_FACES", 10)
+    monkeypatch.setattr(read, "MAX_FACES", 10)
     for suffix in ("obj", "stl", "ply", "dae", "glb"):
         path = write(tmp_path / f"m.{suffix}", trimesh.creation.box().export(file_type=suffix))
         with pytest.raises(InvalidSource, match=r"more than 10 triangles .*; simplify it"):

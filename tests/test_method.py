@@ -7,16 +7,16 @@ import pytest
 from ppd_data import write_boxes
 from typer.testing import CliRunner
 
-from articugen import plugins
 from articugen.cli import app
-from articugen.errors import ArticugenError, BrokenPlugin, InvalidCheckpoint, InvalidRecipe
+from articugen.core import plugins
+from articugen.core.errors import ArticugenError, BrokenPlugin, InvalidCheckpoint, InvalidRecipe
 from articugen.learning.method import find_method, load_recipe, method_names
 
 torch = pytest.importorskip("torch", reason="learning needs torch")
 
 from articugen.learning import commands  # noqa: E402
 from articugen.learning.evaluation.results import read_evaluation  # noqa: E402
-from articugen.learning.runs import BEST, LATEST, read_checkpoint  # noqa: E402
+from articugen.learning.run_folder import BEST, LATEST, read_checkpoint  # noqa: E402
 from articugen.learning.tensors import digest  # noqa: E402
 
 torch.set_num_threads(1)

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from articugen.geometry import rotation_about, transform
+from articugen.core.geometry import rotation_about, transform
 from articugen.learning.evaluation import metrics
-from articugen.learning.evaluation.surfaces import distance, sample
+from articugen.meshes.distances import distance, sample
 
 
 def test_nothing_is_infinitely_far():

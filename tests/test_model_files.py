@@ -6,10 +6,11 @@ import os
 import pytest
 from test_meshes import SQUARE_OBJ, write
 
-from articugen.errors import InvalidSource, MachineFault
-from articugen.sources import model_files, registry
-from articugen.sources.meshes import read_mesh
-from articugen.sources.model_files import ModelFiles
+from articugen.core.errors import InvalidSource, MachineFault
+from articugen.meshes import model_files
+from articugen.meshes.model_files import ModelFiles
+from articugen.meshes.read import read_mesh
+from articugen.sources import registry
 
 
 @pytest.fixture

@@ -15,9 +15,9 @@ from instances import SMALL, hinged_box
 from ppd_data import write_boxes
 
 import articugen as ag
-from articugen.errors import CorruptShard, InvalidArgument, MissingExtra
-from articugen.geometry import apply, invert_rigid
-from articugen.records import dequantize
+from articugen.core.errors import CorruptShard, InvalidArgument, MissingExtra
+from articugen.core.geometry import apply, invert_rigid
+from articugen.core.records import dequantize
 from articugen.store import dataset as data_sets
 from articugen.store.rows import Row, in_units
 from articugen.store.shards import open_shard, write_shard
@@ -369,8 +369,8 @@ def test_few_files_are_open_and_threads_share_them(folder, monkeypatch):
 
 
 def test_short_reprs_and_pictures(data, monkeypatch):
-    monkeypatch.setattr("articugen.notebook.OBJECTS", 1)
-    monkeypatch.setattr("articugen.notebook.STATES", 1)
+    monkeypatch.setattr("articugen.inspection.notebook.OBJECTS", 1)
+    monkeypatch.setattr("articugen.inspection.notebook.STATES", 1)
     assert repr(data) == (
         f"DataSet({data.path}: box, 24 instances (16 train, 8 test) of 6 objects\n"
         "  points: surface 2048, uniform 1024, near 2048, partial 2 x 256, grids 8, 16, 32)"

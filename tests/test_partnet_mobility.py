@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from real_models import REAL_MODELS, needs_real_models
 
-from articugen.articulation import (
-    _part_boxes,  # pyright: ignore[reportPrivateUsage]
+from articugen.core.errors import InvalidSource, NotOfCategory
+from articugen.core.geometry import apply, bounds
+from articugen.core.recipe import Articulation, load_recipe
+from articugen.core.records import JointKind, JointState
+from articugen.instance.articulation import (
+    _part_boxes,
     canonical_state,
     forward_kinematics,
     resolve,
 )
-from articugen.errors import InvalidSource, NotOfCategory
-from articugen.geometry import apply, bounds
-from articugen.recipe import Articulation, load_recipe
-from articugen.records import JointKind, JointState
 from articugen.sources.categories import own_name
 from articugen.sources.partnet_mobility import load
 from articugen.sources.refs import CategorySettings, ObjectRef

@@ -18,21 +18,24 @@ from test_workers import alive, children
 from trouble import obeying_permissions, small_disk
 
 import articugen
-from articugen import api, articulation, content
-from articugen.errors import (
+from articugen.core import content
+from articugen.core.errors import (
     ArticugenError,
     InvalidRecipe,
     InvalidSource,
     MachineFault,
     NotOfCategory,
 )
-from articugen.instance import make_instance, prepare
-from articugen.pipeline import Job, ObjectReport, Plan, started
-from articugen.recipe import Articulation, Recipe, Sampling, ViewSettings, load_recipe
-from articugen.sources import meshes, registry
+from articugen.core.recipe import Articulation, Recipe, Sampling, ViewSettings, load_recipe
+from articugen.instance import articulation
+from articugen.instance.make import make_instance, prepare
+from articugen.meshes import read as meshes
+from articugen.pipeline import door
+from articugen.pipeline.journal import JOURNAL_NAME, is_temporary
+from articugen.pipeline.run import Job, ObjectReport, Plan, started
+from articugen.sources import registry
 from articugen.store import croissant
 from articugen.store import manifest as manifest_module
-from articugen.store.journal import JOURNAL_NAME, is_temporary
 from articugen.store.manifest import (
     MANIFEST_NAME,
     Manifest,
@@ -89,7 +92,7 @@ def job(out: Path, **changes: object) -> Job:
 
 def made(job: Job) -> tuple[Manifest, list[ObjectReport]]:
     reports: list[ObjectReport] = []
-    return api.make(job, replace=True, on_object=reports.append), reports
+    return door.make(job, replace=True, on_object=reports.append), reports
 
 
 def planned(job: Job) -> Plan:
@@ -179,9 +182,9 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(
     code = f"""
 import os, signal
 from pathlib import Path
-from articugen import api
+from articugen.pipeline import door as api
 from articugen.pipeline import Job
-from articugen.recipe import Recipe
+from articugen.core.recipe import Recipe
 # A shell that runs the tests in the background has its children ignore Ctrl-C.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 recipe = Recipe.model_validate_json({TINY.text()!r})
@@ -283,7 +286,7 @@ def test_a_changed_recipe_or_seed_is_why_all_are_made_again(mine: Path) -> None:
 PLANNED = """
 from pathlib import Path
 from articugen.pipeline import Job, started
-from articugen.recipe import Recipe
+from articugen.core.recipe import Recipe
 from articugen.store.manifest import code_version
 recipe = Recipe.model_validate_json({recipe!r})
 with started(Job("procedural", "eyeglasses", recipe, 0, Path({out!r}), 0)) as run:
@@ -501,7 +504,7 @@ def test_a_disk_that_is_locked_meanwhile_stops_the_run_and_rejects_nothing(
 
     with small_disk(tmp_path / "disk", "20m") as disk:
         with pytest.raises(MachineFault, match=r"not written: the folder cannot be written to"):
-            api.make(job(disk / "out"), on_object=lambda _: remount("ro"))
+            door.make(job(disk / "out"), on_object=lambda _: remount("ro"))
         remount("rw")
         assert len(planned(job(disk / "out")).tasks) == 3
         assert made(job(disk / "out"))[0].rejected == ()
@@ -626,7 +629,7 @@ def test_files_that_vanish_meanwhile_are_no_objects_fault(boxes: Path, tmp_path:
             boxes.rename(away)
 
     with pytest.raises(ArticugenError, match=r"3 of 4 objects failed .*, or are gone, since"):
-        api.make(ours, on_object=pull_out)
+        door.make(ours, on_object=pull_out)
     manifest = Manifest.read(ours.out)
     assert (len(manifest.objects), len(manifest.failed), manifest.rejected) == (1, 3, ())
     away.rename(boxes)
@@ -646,7 +649,7 @@ def test_what_changes_meanwhile_is_not_taken_for_what_was_planned(
         (boxes / "box2.urdf").write_text("<robot")
 
     with pytest.raises(ArticugenError, match="failed through no fault of theirs"):
-        api.make(ours, on_object=change)
+        door.make(ours, on_object=change)
     failed = {each.key.object_id for each in Manifest.read(ours.out).failed}
     assert failed <= {"box1", "box2"}
     assert failed
@@ -671,9 +674,9 @@ def test_an_array_over_the_recipes_memory_is_the_objects_fault(
 FULL = """
 import resource, sys
 from pathlib import Path
-from articugen import api
+from articugen.pipeline import door as api
 from articugen.pipeline import Job
-from articugen.recipe import Recipe
+from articugen.core.recipe import Recipe
 {before}
 recipe = Recipe.model_validate_json({recipe!r})
 api.make(Job("procedural", "eyeglasses", recipe, 0, Path({out!r}), {jobs}))
@@ -705,7 +708,7 @@ def test_too_small_a_limit_of_files_stops_the_run_and_rejects_nothing(
     small = "resource.setrlimit(resource.RLIMIT_FSIZE, (20_000,) * 2)"
     for _ in range(2):  # models over 20 kB cannot be written
         said = made_under(small, out, 1, ARTICUGEN_SOURCES=str(models))
-        assert "articugen.errors.MachineFault: " in said
+        assert "articugen.core.errors.MachineFault: " in said
         assert "File too large" in said or "files may not grow so large" in said
         assert "finished objects are kept, the same command goes on after them" in said
     assert made_under("", out, 1, ARTICUGEN_SOURCES=str(models)) == ""
@@ -891,6 +894,6 @@ def test_the_workers_of_a_killed_run_are_gone_before_the_next_begins(
         if report.shard:
             inodes[report.shard] = (out / report.shard).stat().st_ino
 
-    api.make(job(out), on_object=unchanged)  # at once: its lock waits for the last of them
+    door.make(job(out), on_object=unchanged)  # at once: its lock waits for the last of them
     assert inodes == {p.name: p.stat().st_ino for p in out.glob("*.h5")}  # nobody overwrote one
     assert contents(out) == contents(whole)

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from articugen import plugins
-from articugen.errors import BrokenPlugin, InvalidSource
-from articugen.recipe import ViewSettings
-from articugen.records import LabelledMesh
+from articugen.core import plugins
+from articugen.core.errors import BrokenPlugin, InvalidSource
+from articugen.core.recipe import ViewSettings
+from articugen.core.records import LabelledMesh
 from articugen.rendering import render
 from articugen.rendering.views import fusion_views
 from articugen.sources import readers, registry
@@ -31,11 +31,11 @@ CHESTS = '''
 
 import numpy as np
 
-from articugen.geometry import transform
-from articugen.records import ArticulatedObject, Joint, JointKind, Link, Mesh
+from articugen.core.geometry import transform
+from articugen.core.records import ArticulatedObject, Joint, JointKind, Link, Mesh
 from articugen.sources.folders import visible
-from articugen.sources.meshes import box
-from articugen.sources.model_files import ModelFiles
+from articugen.meshes.read import box
+from articugen.meshes.model_files import ModelFiles
 from articugen.sources.refs import Found
 
 
@@ -227,7 +227,7 @@ def test_ours_say_what_they_are() -> None:
 def test_a_package_adds_a_renderer(install: Install) -> None:
     code = (
         "from articugen.rendering import rasterizer\n"
-        "from articugen.rendering.backends import Backend\n"
+        "from articugen.core.backends import Backend\n"
         "def render(mesh, views): return rasterizer.render(mesh, views)\n"
         "TABLE = Backend('fancy', tells_faces=True)\n"
     )

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from articugen import portable
+from articugen.core import portable
 
 LAST_PLACE = 2.3e-16
 

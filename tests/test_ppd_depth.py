@@ -6,7 +6,7 @@ import shutil
 import pytest
 from ppd_data import write_boxes
 
-from articugen.errors import InvalidCheckpoint, UnfitData
+from articugen.core.errors import InvalidCheckpoint, UnfitData
 from articugen.learning.ppd.settings import (
     DepthSettings,
     LossSettings,
@@ -20,19 +20,13 @@ torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from instances import hinged_box  # noqa: E402
 
-from articugen.learning.clouds import seen_by_a_camera  # noqa: E402
-from articugen.learning.dataset import BatchSpec, load_split, unpacked  # noqa: E402
+from articugen.core.records import dequantize  # noqa: E402
+from articugen.learning.data.split import BatchSpec, load_split, unpacked  # noqa: E402
 from articugen.learning.loop import train, train_depth  # noqa: E402
 from articugen.learning.ppd.depth import latents  # noqa: E402
-from articugen.learning.runs import (  # noqa: E402
-    DEPTH,
-    LATEST,
-    RunFolder,
-    depth_learner,
-    read_checkpoint,
-)
+from articugen.learning.run_folder import DEPTH, LATEST, RunFolder, depth_learner, read_checkpoint
 from articugen.learning.tensors import digest  # noqa: E402
-from articugen.records import dequantize  # noqa: E402
+from articugen.meshes.points import seen_by_a_camera  # noqa: E402
 
 torch.set_num_threads(1)
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from articugen.errors import TrainingDiverged
+from articugen.core.errors import TrainingDiverged
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 

@@ -14,7 +14,7 @@ torch = pytest.importorskip("torch", reason="PPD needs torch")
 from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
 from torch.utils._pytree import tree_leaves  # noqa: E402
 
-from articugen.learning.dataset import load_split  # noqa: E402
+from articugen.learning.data.split import load_split  # noqa: E402
 from articugen.learning.ppd.learner import PPDLearner  # noqa: E402
 from articugen.learning.recipe import DataSettings  # noqa: E402
 

@@ -8,7 +8,8 @@ import pytest
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen import rehearsal  # noqa: E402
-from articugen.learning.ppd import fused, greatest, shape, sine_kernels  # noqa: E402
+from articugen.learning.ppd import shape  # noqa: E402
+from articugen.learning.ppd.cpu import fused, greatest, sine_kernels  # noqa: E402
 from articugen.learning.ppd.model import PPD  # noqa: E402
 from articugen.learning.ppd.settings import ModelSettings  # noqa: E402
 

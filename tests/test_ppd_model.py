@@ -8,12 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from articugen.geometry import rotation_about
+from articugen.core.geometry import rotation_about
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen.learning.method import load_recipe  # noqa: E402
-from articugen.learning.ppd.batches import argmax_of_points, distinct  # noqa: E402
+from articugen.learning.ppd.cpu.batches import argmax_of_points, distinct  # noqa: E402
+from articugen.learning.ppd.cpu.patches import patches  # noqa: E402
 from articugen.learning.ppd.discriminator import Discriminator  # noqa: E402
 from articugen.learning.ppd.encoders import (  # noqa: E402
     Encoder,
@@ -24,7 +25,6 @@ from articugen.learning.ppd.encoders import (  # noqa: E402
 )
 from articugen.learning.ppd.kinematics import inverse_motion, joint_frames, rotation_from_z  # noqa: E402
 from articugen.learning.ppd.model import PPD, rest_states  # noqa: E402
-from articugen.learning.ppd.patches import patches  # noqa: E402
 from articugen.learning.ppd.settings import ModelSettings  # noqa: E402
 from articugen.learning.ppd.shape import (  # noqa: E402
     PLAIN_SIZE,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from ppd_data import write_boxes
 
-from articugen.errors import UnfitData
+from articugen.core.errors import UnfitData
 
 pytest.importorskip("torch", reason="PPD needs torch")
 

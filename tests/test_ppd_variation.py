@@ -6,9 +6,11 @@ from ppd_data import write_boxes
 
 torch = pytest.importorskip("torch")
 
+from articugen.core.errors import InvalidRecipe  # noqa: E402
+from articugen.core.records import JointKind  # noqa: E402
+from articugen.core.yaml_files import with_settings  # noqa: E402
 from articugen.discovery import Discovery, FoundJoint  # noqa: E402
-from articugen.errors import InvalidRecipe  # noqa: E402
-from articugen.learning.dataset import BatchSpec, load_split, unpacked  # noqa: E402
+from articugen.learning.data.split import BatchSpec, load_split, unpacked  # noqa: E402
 from articugen.learning.method import load_recipe  # noqa: E402
 from articugen.learning.ppd import learner as learner_module  # noqa: E402
 from articugen.learning.ppd.kinematics import inverse_motion, rotation_from_z  # noqa: E402
@@ -19,10 +21,13 @@ from articugen.learning.ppd.settings import (  # noqa: E402
     PPDRecipe,
     VarySettings,
 )
-from articugen.learning.ppd.targets import targets  # noqa: E402
-from articugen.learning.ppd.variation import CHANCES, Variation, Warp, is_mirrored  # noqa: E402
-from articugen.recipe_files import with_settings  # noqa: E402
-from articugen.records import JointKind  # noqa: E402
+from articugen.learning.ppd.warm.targets import targets  # noqa: E402
+from articugen.learning.ppd.warm.variation import (  # noqa: E402
+    CHANCES,
+    Variation,
+    Warp,
+    is_mirrored,
+)
 
 MODEL = ModelSettings(part_boxes=True)
 R = len(MODEL.revolute)

@@ -10,12 +10,16 @@ torch = pytest.importorskip("torch")
 
 from test_discovery import LID, posed, slide, turn  # noqa: E402
 
+from articugen.core.errors import InvalidCheckpoint, UnfitData  # noqa: E402
+from articugen.core.records import JointKind  # noqa: E402
 from articugen.discovery import KINDS, Discovery, FoundJoint  # noqa: E402
-from articugen.errors import InvalidCheckpoint, UnfitData  # noqa: E402
-from articugen.learning.dataset import BatchSpec, load_split, unpacked  # noqa: E402
+from articugen.learning.data.split import BatchSpec, load_split, unpacked  # noqa: E402
 from articugen.learning.method import find_method, load_recipe  # noqa: E402
-from articugen.learning.ppd import found as found_module  # noqa: E402
-from articugen.learning.ppd.found import (  # noqa: E402
+from articugen.learning.ppd.model import Prediction, amount_of, rest_states  # noqa: E402
+from articugen.learning.ppd.settings import ModelSettings, WarmStart, directions_of  # noqa: E402
+from articugen.learning.ppd.shape import PartBox  # noqa: E402
+from articugen.learning.ppd.warm import found as found_module  # noqa: E402
+from articugen.learning.ppd.warm.found import (
     _Asked,
     _Clouds,
     _discovered,
@@ -23,10 +27,7 @@ from articugen.learning.ppd.found import (  # noqa: E402
     discovered,
     kinds_of,
 )
-from articugen.learning.ppd.model import Prediction, amount_of, rest_states  # noqa: E402
-from articugen.learning.ppd.settings import ModelSettings, WarmStart, directions_of  # noqa: E402
-from articugen.learning.ppd.shape import PartBox  # noqa: E402
-from articugen.learning.ppd.targets import (  # noqa: E402
+from articugen.learning.ppd.warm.targets import (
     _from_closed,
     _owned,
     assigned,
@@ -34,13 +35,7 @@ from articugen.learning.ppd.targets import (  # noqa: E402
     likely,
     targets,
 )
-from articugen.learning.ppd.warm_start import (  # noqa: E402
-    LEAST_SIZE,
-    aim_terms,
-    labels_entropy,
-    parts_entropy,
-)
-from articugen.records import JointKind  # noqa: E402
+from articugen.learning.ppd.warm.terms import LEAST_SIZE, aim_terms, labels_entropy, parts_entropy
 from articugen.store.shards import open_shard  # noqa: E402
 
 MODEL = ModelSettings()

@@ -7,13 +7,13 @@ import pytest
 from instances import hinged_box
 from yourdfpy import URDF
 
-from articugen.errors import ArticugenError
-from articugen.geometry import apply
+from articugen.core.errors import ArticugenError
+from articugen.core.geometry import apply
+from articugen.core.records import Normalization
 from articugen.learning.evaluation.reconstruction import Reconstruction, truth
-from articugen.learning.evaluation.surfaces import distance
 from articugen.learning.predict import write_rig
-from articugen.marching_cubes import zero_level
-from articugen.records import Normalization
+from articugen.meshes.distances import distance
+from articugen.meshes.marching_cubes import zero_level
 
 
 def three_balls() -> Reconstruction:

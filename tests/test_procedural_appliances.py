@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from articugen.geometry import Array, apply, bounds, rotation_about, transform
-from articugen.sources.procedural import build_model, drawer, oven, washing_machine, write_object
-from articugen.sources.procedural.kit.model import Model, ModelJoint
-from articugen.sources.procedural.truth import Truth, load_truth
+from articugen.core.geometry import Array, apply, bounds, rotation_about, transform
+from articugen.procedural import build_model, drawer, oven, washing_machine, write_object
+from articugen.procedural.kit.model import Model, ModelJoint
+from articugen.procedural.truth import Truth, load_truth
 from tests.procedural_truth import crossings, written
 
 CATEGORIES = ("oven", "washing_machine", "drawer")

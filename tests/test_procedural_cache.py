@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from articugen.content import MODELS
-from articugen.errors import MachineFault
-from articugen.sources.procedural import cache, write_object
-from articugen.sources.procedural.cache import SEAL_NAME, is_sealed, stored
+from articugen.core.content import MODELS
+from articugen.core.errors import MachineFault
+from articugen.procedural import cache, write_object
+from articugen.procedural.cache import SEAL_NAME, is_sealed, stored
 
 NAME = "eyeglasses_0000"
 SMALL = {"object_id": "small_0000", "messy": False}
@@ -137,7 +137,7 @@ def test_many_writers_of_one_object_leave_one_whole_object(tmp_path: Path) -> No
 SLOW_WRITER = """
 import sys, time
 from pathlib import Path
-from articugen.sources.procedural.cache import stored
+from articugen.procedural.cache import stored
 def write(work):
     (work / "a.obj").write_text("half")
     print(flush=True)

@@ -9,13 +9,14 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from articugen.articulation import canonical_state, resolve, sample_joint_state
-from articugen.recipe import load_recipe
-from articugen.records import ArticulatedObject, Floats
-from articugen.seeding import generator
-from articugen.sources import procedural, registry
-from articugen.sources.procedural import CATEGORIES, build_model
-from articugen.sources.procedural.kit.model import Model, ModelLink
+from articugen import procedural
+from articugen.core.recipe import load_recipe
+from articugen.core.records import ArticulatedObject, Floats
+from articugen.core.seeding import generator
+from articugen.instance.articulation import canonical_state, resolve, sample_joint_state
+from articugen.procedural import CATEGORIES, build_model
+from articugen.procedural.kit.model import Model, ModelLink
+from articugen.sources import registry
 from tests.benchmarks import objects
 from tests.procedural_truth import assert_sound, crossings, object_id, written
 
@@ -103,7 +104,7 @@ def chest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     (page,) = (p for p in DOCS.glob("extending*.md") if "\n## A category" in f"\n{p.read_text()}")
     section = f"\n{page.read_text()}".partition("\n## A category")[2].partition("\n## ")[0]
     module, look, line = re.findall(r"```python.*?\n(.*?)```", section, re.DOTALL)
-    made = ModuleType("articugen.sources.procedural.chest")
+    made = ModuleType("articugen.procedural.chest")
     exec(module, made.__dict__)
     monkeypatch.setitem(sys.modules, made.__name__, made)
     monkeypatch.setitem(sys.modules, "chest", made)

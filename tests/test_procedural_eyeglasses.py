@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from articugen.geometry import apply
-from articugen.seeding import generator
-from articugen.sources.procedural import build_model
-from articugen.sources.procedural.kit.model import Model
+from articugen.core.geometry import apply
+from articugen.core.seeding import generator
+from articugen.procedural import build_model
+from articugen.procedural.kit.model import Model
 from tests.procedural_truth import assert_sound, crossings, link_frames, object_id, written
 
 IDS = [object_id("eyeglasses", k) for k in range(42)]

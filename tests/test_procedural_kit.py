@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from articugen.geometry import apply, fibonacci_sphere, rotation_about, transform
-from articugen.records import Floats
-from articugen.seeding import generator
-from articugen.sources.procedural.kit import outlines
-from articugen.sources.procedural.kit.solids import (
+from articugen.core.geometry import apply, fibonacci_sphere, rotation_about, transform
+from articugen.core.records import Floats
+from articugen.core.seeding import generator
+from articugen.procedural.kit import outlines
+from articugen.procedural.kit.solids import (
     Solid,
     along_x,
     along_y,

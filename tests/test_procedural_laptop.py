@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from articugen.geometry import apply
-from articugen.seeding import generator
-from articugen.sources.procedural import build_model
-from articugen.sources.procedural.kit.model import Model
-from articugen.sources.procedural.laptop.shape import KINDS, draw_shape
+from articugen.core.geometry import apply
+from articugen.core.seeding import generator
+from articugen.procedural import build_model
+from articugen.procedural.kit.model import Model
+from articugen.procedural.laptop.shape import KINDS, draw_shape
 from tests.procedural_truth import (
     assert_sound,
     crossings,

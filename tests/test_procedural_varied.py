@@ -8,11 +8,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from articugen.errors import InvalidSource
-from articugen.recipe import load_recipe
-from articugen.seeding import generator
+from articugen.core.errors import InvalidSource
+from articugen.core.recipe import load_recipe
+from articugen.core.seeding import generator
+from articugen.procedural import build_model, drawer
 from articugen.sources import registry
-from articugen.sources.procedural import build_model, drawer
 from tests.procedural_truth import assert_sound, crossings, object_id, random_state, written
 
 DRAWERS = [object_id("drawer", k) for k in range(60)]

@@ -9,18 +9,15 @@ import pytest
 import yourdfpy
 from numpy.typing import NDArray
 
-from articugen.errors import InvalidSource
-from articugen.geometry import apply
-from articugen.model_text import Visual, urdf_text
-from articugen.records import Floats
-from articugen.seeding import generator
-from articugen.sources.procedural import build_model, write_object
-from articugen.sources.procedural.kit import writer
-from articugen.sources.procedural.kit.model import Model, ModelJoint, ModelLink
-from articugen.sources.procedural.kit.solids import (
-    box,
-    prism,
-)
+from articugen.core.errors import InvalidSource
+from articugen.core.geometry import apply
+from articugen.core.records import Floats
+from articugen.core.seeding import generator
+from articugen.meshes.model_text import Visual, urdf_text
+from articugen.procedural import build_model, write_object
+from articugen.procedural.kit import writer
+from articugen.procedural.kit.model import Model, ModelJoint, ModelLink
+from articugen.procedural.kit.solids import box, prism
 from tests.procedural_truth import (
     L_SHAPE,
     assert_sound,

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from ppd_data import write_boxes
 
-from articugen.errors import InvalidRecipe
+from articugen.core.errors import InvalidRecipe
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
@@ -18,7 +18,7 @@ from two_processes import slopes  # noqa: E402
 from articugen.learning import processes  # noqa: E402
 from articugen.learning.loop import train  # noqa: E402
 from articugen.learning.method import load_recipe  # noqa: E402
-from articugen.learning.runs import LATEST, METRICS, read_checkpoint  # noqa: E402
+from articugen.learning.run_folder import LATEST, METRICS, read_checkpoint  # noqa: E402
 
 torch.set_num_threads(1)
 

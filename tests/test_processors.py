@@ -26,7 +26,7 @@ print(json.dumps(made))
 """
 
 COMPILE_FIRST = """
-from articugen.compiling import compile_kernels
+from articugen.core.compiling import compile_kernels
 compile_kernels("generate", jobs=2)
 """
 

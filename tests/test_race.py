@@ -5,7 +5,7 @@ import json
 import pytest
 from ppd_data import write_boxes
 
-from articugen.errors import InvalidCheckpoint, InvalidRecipe, TrainingDiverged, UnfitData
+from articugen.core.errors import InvalidCheckpoint, InvalidRecipe, TrainingDiverged, UnfitData
 from articugen.learning.ppd.settings import LossSettings, PPDRecipe, PPDSchedule, PPDStage
 from articugen.learning.recipe import DataSettings, Seeds
 
@@ -14,7 +14,7 @@ torch = pytest.importorskip("torch", reason="PPD needs torch")
 from articugen.learning import race as race_module  # noqa: E402
 from articugen.learning.loop import train  # noqa: E402
 from articugen.learning.race import RACE, best_half, race  # noqa: E402
-from articugen.learning.runs import BEST, LATEST, METRICS, read_checkpoint  # noqa: E402
+from articugen.learning.run_folder import BEST, LATEST, METRICS, read_checkpoint  # noqa: E402
 
 torch.set_num_threads(1)
 

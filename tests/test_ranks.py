@@ -13,15 +13,16 @@ from test_pipeline import BOX, TINY, contents, job, made, own_models, planned  #
 from trouble import held_by_another_run
 from typer.testing import CliRunner
 
-from articugen import pipeline, ranks
 from articugen.cli import app
-from articugen.errors import ArticugenError, CorruptShard, InvalidArgument, InvalidRecipe
+from articugen.core.errors import ArticugenError, CorruptShard, InvalidArgument, InvalidRecipe
+from articugen.core.files import partial_name
+from articugen.pipeline import ranks
+from articugen.pipeline import run as pipeline
+from articugen.pipeline.clean import clean
+from articugen.pipeline.journal import COMMON_PLAN, JOURNAL_NAME, Journal, is_journal
+from articugen.pipeline.rank_journal import Following, Share
 from articugen.sources.splits import TEST_FRACTION
-from articugen.store.cleaning import clean
-from articugen.store.files import partial_name
-from articugen.store.journal import COMMON_PLAN, JOURNAL_NAME, Journal, is_journal
 from articugen.store.manifest import MANIFEST_NAME, Manifest
-from articugen.store.rank_journal import Following, Share
 from articugen.verify.dataset import verify
 
 OBJECTS = 9

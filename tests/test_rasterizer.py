@@ -5,8 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
-from articugen.geometry import look_along
-from articugen.records import LabelledMesh, Views
+from articugen.core.geometry import look_along
+from articugen.core.records import LabelledMesh, Views
 from articugen.rendering import render
 from articugen.rendering.overlay import Overlay
 from articugen.rendering.rasterizer import render as rasterize

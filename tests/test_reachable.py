@@ -7,15 +7,15 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from articugen import articulation
-from articugen.fusion.bvh import build
+from articugen.core.geometry import apply, bounds, rotation_about, transform
+from articugen.core.recipe import Fusion, load_recipe
 from articugen.fusion.field import fuse
 from articugen.fusion.reachable import flood, walls
-from articugen.geometry import apply, bounds, rotation_about, transform
-from articugen.instance import Prepared, pose, prepare
-from articugen.recipe import Fusion, load_recipe
+from articugen.instance import articulation
+from articugen.instance.make import Prepared, pose, prepare
+from articugen.meshes.bvh import build
+from articugen.procedural.truth import Truth
 from articugen.rendering.rasterizer import render
-from articugen.sources.procedural.truth import Truth
 from tests.benchmarks.cases import Scene, link_frames
 from tests.benchmarks.open_space import INSIDE, OUTSIDE, UNDECIDED, open_space
 from tests.procedural_truth import written

@@ -15,14 +15,14 @@ import trimesh
 from real_models import REAL_MODELS, needs_real_models
 from scipy.spatial import KDTree
 
-from articugen import articulation
-from articugen.errors import ArticugenError, InvalidSource, NotOfCategory
+from articugen.core.errors import ArticugenError, InvalidSource, NotOfCategory
+from articugen.core.geometry import apply, invert_rigid
+from articugen.core.recipe import Recipe, Sampling, load_recipe
+from articugen.core.records import ArticulatedObject, Floats, Instance, dequantize
 from articugen.fusion.solidify import LONGEST_MITRE
-from articugen.geometry import apply, invert_rigid
-from articugen.instance import Prepared, make_instance, prepare
-from articugen.recipe import Recipe, Sampling, load_recipe
-from articugen.records import ArticulatedObject, Floats, Instance, dequantize
-from articugen.resolving import resolved
+from articugen.instance import articulation
+from articugen.instance.make import Prepared, make_instance, prepare
+from articugen.instance.resolving import resolved
 from articugen.sources import registry
 
 pytestmark = needs_real_models

@@ -7,12 +7,13 @@ from pathlib import Path
 import pytest
 from python_process import printed
 
-from articugen import recipe as recipe_module
-from articugen.errors import InvalidRecipe, MachineFault
+from articugen.core import recipe as recipe_module
+from articugen.core import schema
+from articugen.core.errors import InvalidRecipe, MachineFault
+from articugen.core.recipe import Recipe, Sampling, load_recipe
+from articugen.core.yaml_files import known, with_settings
 from articugen.learning.method import load_recipe as load_train_recipe
-from articugen.recipe import Recipe, Sampling, load_recipe
-from articugen.recipe_files import known, with_settings
-from articugen.store import schema, shards
+from articugen.store import shards
 
 CATEGORIES = ("drawer", "eyeglasses", "laptop", "oven", "washing_machine")
 
@@ -274,7 +275,7 @@ def test_a_disk_that_does_not_answer_is_no_fault_of_the_recipe(tmp_path, monkeyp
     def fails(*_args):
         raise OSError(errno.EIO, "Input/output error")
 
-    monkeypatch.setattr("articugen.recipe_files.read_regular", fails)
+    monkeypatch.setattr("articugen.core.yaml_files.read_regular", fails)
     with pytest.raises(MachineFault):
         load_recipe(written(tmp_path, "objects: 1"), "laptop")
 
@@ -305,7 +306,7 @@ def test_text_and_hash_depend_on_the_meaning_alone(tmp_path: Path) -> None:
 
 
 def test_another_process_hashes_the_same() -> None:
-    code = "from articugen.recipe import load_recipe; print(load_recipe('quick', 'oven').sha256())"
+    code = "from articugen.core.recipe import load_recipe; print(load_recipe('quick', 'oven').sha256())"
     assert printed("-c", code, PYTHONHASHSEED="1").strip() == load_recipe("quick", "oven").sha256()
 
 

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from articugen.geometry import apply, rotation_about, transform
-from articugen.records import (
+from articugen.core.geometry import apply, rotation_about, transform
+from articugen.core.records import (
     ArticulatedObject,
     DepthMaps,
     Instance,

@@ -14,11 +14,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from articugen.bundled import SOURCES
-from articugen.errors import InvalidSource, MachineFault
+from articugen.core.bundled import SOURCES
+from articugen.core.errors import InvalidSource, MachineFault
+from articugen.procedural import CATEGORIES
 from articugen.sources import registry, urdf_files
 from articugen.sources.folders import meta_category
-from articugen.sources.procedural import CATEGORIES
 from articugen.sources.refs import CategorySettings, ObjectRef
 from articugen.sources.registry import find, load, object_refs, source_names
 from articugen.sources.source_file import read_source_file

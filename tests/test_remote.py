@@ -12,7 +12,7 @@ from web_server import Site, site
 
 import articugen as ag
 from articugen.cli import app
-from articugen.errors import ArticugenError, InvalidArgument, MachineFault, MissingExtra
+from articugen.core.errors import ArticugenError, InvalidArgument, MachineFault, MissingExtra
 from articugen.store import bucket, remote
 
 fsspec = pytest.importorskip("fsspec", reason="fsspec is not installed")

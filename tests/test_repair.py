@@ -16,12 +16,14 @@ from trouble import held_by_another_run
 from typer.testing import CliRunner
 
 import articugen as ag
-from articugen import api, content, instance
 from articugen.cli import app
-from articugen.errors import ArticugenError, CorruptShard, InvalidArgument
-from articugen.pipeline import Job
+from articugen.core import content
+from articugen.core.errors import ArticugenError, CorruptShard, InvalidArgument
+from articugen.instance import make
+from articugen.pipeline import door
+from articugen.pipeline.journal import JOURNAL_NAME
+from articugen.pipeline.run import Job
 from articugen.store import chunks, croissant
-from articugen.store.journal import JOURNAL_NAME
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.shards import copy_user_group
 from articugen.verify.dataset import Finding, Repair, Report, verify
@@ -53,7 +55,7 @@ def boxes(tmp_path_factory):
     (root / "models" / "box3.urdf").write_text(BOX.format(size=1, lid=NO_LID))
     recipe = RECIPE.model_copy(update={"objects": None, "max_rejected_fraction": 0.5})
     made = Job(str(root / "models"), "box", recipe, seed=0, out=root / "made", jobs=0)
-    assert len(api.make(made, replace=True).rejected) == 1
+    assert len(door.make(made, replace=True).rejected) == 1
     return root
 
 
@@ -125,7 +127,7 @@ def test_other_code_or_other_numbers_replace_nothing(folder, monkeypatch):
         (other_code,) = mended(folder)
     assert "the code makes other data: it was fusion 1, is fusion 9" in other_code.done
     with monkeypatch.context() as patch:
-        patch.setattr(instance, "FEWEST_SURFACE_POINTS", instance.FEWEST_SURFACE_POINTS + 1)
+        patch.setattr(make, "FEWEST_SURFACE_POINTS", make.FEWEST_SURFACE_POINTS + 1)
         (other_numbers,) = mended(folder)
     assert "another content than the manifest records" in other_numbers.done
     assert not other_code.ok
@@ -146,14 +148,14 @@ def with_other_versions(folder: Path) -> None:
 def test_what_may_explain_other_numbers_is_said(folder, monkeypatch):
     with_other_versions(folder)
     damage(folder / SHARD)
-    monkeypatch.setattr(instance, "FEWEST_SURFACE_POINTS", instance.FEWEST_SURFACE_POINTS + 1)
+    monkeypatch.setattr(make, "FEWEST_SURFACE_POINTS", make.FEWEST_SURFACE_POINTS + 1)
     (done,) = mended(folder)
     assert "; it was made with numpy 1.0, processors abacus, here are numpy " in done.done
 
 
 def test_replay_says_what_may_explain_other_numbers(folder, monkeypatch):
     with_other_versions(folder)
-    monkeypatch.setattr(instance, "FEWEST_SURFACE_POINTS", instance.FEWEST_SURFACE_POINTS + 1)
+    monkeypatch.setattr(make, "FEWEST_SURFACE_POINTS", make.FEWEST_SURFACE_POINTS + 1)
     report = ag.verify(folder, replay=1, jobs=1)
     (found,) = (finding for finding in report.findings if finding.check == "replay")
     assert "made again, it differs in " in found.sentence
@@ -330,7 +332,7 @@ def test_shards_that_tell_too_little_are_one_sentence(folder, boxes, tmp_path):
     (twice,) = mended(folder)
     assert f"{SHARD} and train-00009.h5 both hold box" in twice.done
     other = Job(str(boxes / "models"), "box", RECIPE, 1, tmp_path / "other", 0, ids=("box0",))
-    api.make(other, replace=True)
+    door.make(other, replace=True)
     (name,) = (path.name for path in other.out.glob("*.h5"))
     shutil.copyfile(other.out / name, folder / "train-00009.h5")
     (mixed,) = mended(folder)
@@ -345,7 +347,7 @@ def test_shards_that_tell_too_little_are_one_sentence(folder, boxes, tmp_path):
 
 def test_a_manifest_of_another_run_costs_no_shard(folder, boxes, tmp_path):
     other = Job(str(boxes / "models"), "box", RECIPE, 1, tmp_path / "other", 0)
-    api.make(other, replace=True)
+    door.make(other, replace=True)
     shutil.copyfile(other.out / MANIFEST_NAME, folder / MANIFEST_NAME)
     before = contents(folder)
     (done,) = mended(folder)

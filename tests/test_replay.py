@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from articugen import api, articulation, content
-from articugen.errors import ArticugenError, InvalidSource
-from articugen.instance import make_instance, prepare
-from articugen.pipeline import Job
-from articugen.recipe import Recipe
-from articugen.records import dequantize, quantize
+from articugen.core import content
+from articugen.core.errors import ArticugenError, InvalidSource
+from articugen.core.recipe import Recipe
+from articugen.core.records import dequantize, quantize
+from articugen.instance import articulation
+from articugen.instance.make import make_instance, prepare
+from articugen.pipeline import door
+from articugen.pipeline.run import Job
 from articugen.sources import registry
 from articugen.store.manifest import Manifest
 from articugen.verify import replay as replaying
@@ -33,7 +35,7 @@ RECIPE = Recipe.model_validate(
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("oven")
-    api.make(Job("procedural", "oven", RECIPE, seed=3, out=folder, jobs=0))
+    door.make(Job("procedural", "oven", RECIPE, seed=3, out=folder, jobs=0))
     return folder
 
 

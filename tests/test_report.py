@@ -2,7 +2,7 @@
 
 import pytest
 
-from articugen.errors import InvalidCheckpoint
+from articugen.core.errors import InvalidCheckpoint
 from articugen.learning.evaluation import paper
 from articugen.learning.evaluation.report import markdown, tables
 from articugen.learning.evaluation.results import (

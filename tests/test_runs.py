@@ -15,9 +15,9 @@ from trouble import unfit
 from typer.testing import CliRunner
 
 from articugen.cli import app
-from articugen.errors import ArticugenError, InvalidCheckpoint, MachineFault
+from articugen.core.errors import ArticugenError, InvalidCheckpoint, MachineFault
+from articugen.core.files import partial_name
 from articugen.learning.evaluation.results import read_evaluation
-from articugen.store.files import partial_name
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
@@ -31,8 +31,8 @@ from articugen.learning.ppd.settings import (  # noqa: E402
     PPDStage,
 )
 from articugen.learning.recipe import DataSettings  # noqa: E402
-from articugen.learning.runs import DEPTH as DEPTH_FILES  # noqa: E402
-from articugen.learning.runs import (  # noqa: E402
+from articugen.learning.run_folder import DEPTH as DEPTH_FILES  # noqa: E402
+from articugen.learning.run_folder import (
     FORMAT,
     LATEST,
     METRICS,

@@ -6,7 +6,7 @@ import struct
 import numpy as np
 import pytest
 
-from articugen.errors import InvalidCheckpoint
+from articugen.core.errors import InvalidCheckpoint
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 

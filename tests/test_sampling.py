@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from articugen import sampling
-from articugen.errors import RejectedInstance
+from articugen.core.errors import RejectedInstance
+from articugen.core.geometry import voxel_centres
+from articugen.core.recipe import Fusion
 from articugen.fusion.field import fuse
 from articugen.fusion.reachable import touched
-from articugen.geometry import voxel_centres
-from articugen.recipe import Fusion
+from articugen.instance import sampling
 from articugen.rendering.rasterizer import render
 from articugen.rendering.views import random_pinhole_views
 from tests.shapes import box, labelled, views_of

@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from python_process import printed
 
-from articugen.seeding import generator
+from articugen.core.seeding import generator
 
 paths = st.lists(st.one_of(st.integers(0, 10**9), st.text(max_size=8)), max_size=4).map(tuple)
 
@@ -29,7 +29,7 @@ def test_a_path_is_more_than_its_text_run_together() -> None:
 
 
 def test_another_process_draws_the_same() -> None:
-    code = "from articugen.seeding import generator; print(generator(0, 'lamp', 3).random().hex())"
+    code = "from articugen.core.seeding import generator; print(generator(0, 'lamp', 3).random().hex())"
     assert printed("-c", code, PYTHONHASHSEED="1").strip() == generator(0, "lamp", 3).random().hex()
 
 

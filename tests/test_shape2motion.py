@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from real_models import REAL_MODELS, needs_real_models
 
-from articugen.articulation import canonical_state, forward_kinematics, resolve
-from articugen.errors import InvalidSource, RejectedInstance
-from articugen.geometry import apply
-from articugen.recipe import Articulation
-from articugen.records import JointState
+from articugen.core.errors import InvalidSource, RejectedInstance
+from articugen.core.geometry import apply
+from articugen.core.recipe import Articulation
+from articugen.core.records import JointState
+from articugen.instance.articulation import canonical_state, forward_kinematics, resolve
 from articugen.sources.refs import CategorySettings, ObjectRef
 from articugen.sources.shape2motion import load
 

@@ -24,10 +24,10 @@ from instances import SMALL, changed, hinged_box
 from python_process import NO_BYTECODE
 from trouble import small_disk
 
-from articugen.errors import ArticugenError, CorruptShard, MachineFault, RejectedInstance
-from articugen.records import Instance, stored_name
-from articugen.store import schema
-from articugen.store.files import whole_name
+from articugen.core import schema
+from articugen.core.errors import ArticugenError, CorruptShard, MachineFault, RejectedInstance
+from articugen.core.files import whole_name
+from articugen.core.records import Instance, stored_name
 from articugen.store.shards import content_sha256, instance_sha256, open_shard, write_shard
 from tests.fuzz.mending import lookup3
 
@@ -689,7 +689,7 @@ SCRIPT = """
 import sys
 sys.path.insert(0, {tests!r})
 from test_shards import ABOUT, ROWS
-from articugen.errors import ArticugenError
+from articugen.core.errors import ArticugenError
 from articugen.store.shards import write_shard
 from pathlib import Path
 """

@@ -14,12 +14,12 @@ from pathlib import Path
 import pytest
 from test_pipeline import TINY, job
 
-from articugen import api, sharing
-from articugen.pipeline import help_make, started
-from articugen.recipe import Articulation
+from articugen.core.processes import Crew, each
+from articugen.core.recipe import Articulation
+from articugen.pipeline import door, sharing
+from articugen.pipeline.run import help_make, started
 from articugen.store.manifest import Manifest
 from articugen.store.shards import open_shard
-from articugen.workers import Crew, each
 
 COUNT = 40
 
@@ -159,8 +159,8 @@ def test_nobody_helps_without_an_owner(tmp_path: Path) -> None:
 
 
 def test_a_shared_object_has_the_same_bytes(tmp_path: Path) -> None:
-    alone = api.make(replace(NINE, out=tmp_path / "alone"))
-    shared = api.make(replace(NINE, out=tmp_path / "shared", jobs=3))
+    alone = door.make(replace(NINE, out=tmp_path / "alone"))
+    shared = door.make(replace(NINE, out=tmp_path / "shared", jobs=3))
     (name,) = (entry.name for entry in alone.shards)
     assert (tmp_path / "alone" / name).read_bytes() == (tmp_path / "shared" / name).read_bytes()
     assert shared.content_sha256 == alone.content_sha256
@@ -176,7 +176,7 @@ print(make_object(job, task, common=common).made.content_sha256)
 
 
 def test_instances_that_a_helper_made_are_stored_as_they_are(tmp_path: Path) -> None:
-    whole = api.make(replace(NINE, out=tmp_path / "alone"))
+    whole = door.make(replace(NINE, out=tmp_path / "alone"))
     ours = replace(NINE, out=tmp_path / "ours")
     common = tmp_path / "common"
     common.mkdir()

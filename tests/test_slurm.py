@@ -16,11 +16,11 @@ from test_pipeline import PACKAGE, TINY, contents, job, made, own_models  # noqa
 from typer.testing import CliRunner
 
 import articugen as ag
-from articugen import slurm as slurm_module
 from articugen.cli import app
-from articugen.errors import ArticugenError, InvalidArgument, MachineFault, MissingExtra
-from articugen.pipeline import Job, ObjectReport
-from articugen.slurm import Array
+from articugen.core.errors import ArticugenError, InvalidArgument, MachineFault, MissingExtra
+from articugen.pipeline.executors import slurm as slurm_module
+from articugen.pipeline.executors.slurm import Array
+from articugen.pipeline.run import Job, ObjectReport
 from articugen.store.manifest import Manifest
 
 MANY = TINY.with_counts(objects=9, states=2)

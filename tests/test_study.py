@@ -8,7 +8,7 @@ from ppd_data import write_boxes
 from typer.testing import CliRunner
 
 from articugen.cli import app
-from articugen.errors import ArticugenError, InvalidSource
+from articugen.core.errors import ArticugenError, InvalidSource
 from articugen.learning.method import load_recipe
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
@@ -16,7 +16,12 @@ torch = pytest.importorskip("torch", reason="PPD needs torch")
 from articugen.learning import commands  # noqa: E402
 from articugen.learning import study as studies  # noqa: E402
 from articugen.learning.benchmark import Pace, pace, pace_table  # noqa: E402
-from articugen.learning.runs import LATEST, WEIGHTS, read_checkpoint, read_run  # noqa: E402
+from articugen.learning.run_folder import (  # noqa: E402
+    LATEST,
+    WEIGHTS,
+    read_checkpoint,
+    read_run,
+)
 from articugen.learning.study import Asked, Journal, made_quick, planned_recipe, study  # noqa: E402
 
 torch.set_num_threads(1)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from articugen.geometry import apply, rotation_about, transform
-from articugen.records import LabelledMesh
-from articugen.swept import swept_box
+from articugen.core.geometry import apply, rotation_about, transform
+from articugen.core.records import LabelledMesh
+from articugen.instance.swept import swept_box
 
 
 def naive(mesh: LabelledMesh, motions: np.ndarray) -> np.ndarray:

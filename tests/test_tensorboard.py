@@ -8,7 +8,7 @@ pytest.importorskip("tensorboard", reason="an extra")
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from articugen.learning import tensorboard
-from articugen.learning.runs import METRICS, RunFolder
+from articugen.learning.run_folder import METRICS, RunFolder
 
 
 def records(first: int, last: int, shift: float = 0.0) -> list[dict]:

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from articugen.fusion.bvh import build
+from articugen.core.recipe import Recipe
+from articugen.core.records import LabelledMesh
 from articugen.fusion.reachable import walls
 from articugen.fusion.thin import NOTHING, thin_voxels
-from articugen.instance import own_solid, solid_part
-from articugen.recipe import Recipe
-from articugen.records import LabelledMesh
+from articugen.instance.make import own_solid, solid_part
+from articugen.meshes.bvh import build
 from tests.shapes import Convex, box, labelled, rotated, towards_cameras
 
 RECIPE = Recipe(name="test")

@@ -11,9 +11,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_meshes import damaged
 
-from articugen.errors import InvalidSource
-from articugen.geometry import apply
-from articugen.records import ArticulatedObject, Floats
+from articugen.core.errors import InvalidSource
+from articugen.core.geometry import apply
+from articugen.core.records import ArticulatedObject, Floats
 from articugen.sources import urdf_check
 from articugen.sources.urdf import load_urdf
 
@@ -413,7 +413,7 @@ def test_a_urdf_that_is_a_link_out_of_its_folder_is_refused(tmp_path):
 
 def test_many_shapes_are_counted_before_any_is_made(tmp_path, monkeypatch):
     """5,000 spheres took 99 s and 4.8 GB."""
-    monkeypatch.setattr("articugen.sources.meshes.sphere", lambda radius: pytest.fail("made"))
+    monkeypatch.setattr("articugen.meshes.read.sphere", lambda radius: pytest.fail("made"))
     sphere = '<visual><geometry><sphere radius="1"/></geometry></visual>'
     with pytest.raises(InvalidSource, match=r"more than 1,000,000 triangles .*use fewer shapes"):
         read(tmp_path, f'<link name="a">{sphere * 300}</link>')

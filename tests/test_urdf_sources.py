@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from articugen.bundled import SOURCES
-from articugen.recipe import load_recipe
-from articugen.sources import procedural
+from articugen import procedural
+from articugen.core.bundled import SOURCES
+from articugen.core.recipe import load_recipe
 from articugen.sources.registry import source_names
 from articugen.sources.source_file import read_source_file
 

@@ -7,9 +7,9 @@ import pytest
 import trimesh
 from usd_models import artvip, at, body, joint, text
 
-from articugen.errors import InvalidSource
-from articugen.geometry import apply, rotation_about, transform
-from articugen.records import Joint, JointKind
+from articugen.core.errors import InvalidSource
+from articugen.core.geometry import apply, rotation_about, transform
+from articugen.core.records import Joint, JointKind
 from articugen.sources import registry
 from articugen.sources.usd import apart, model
 

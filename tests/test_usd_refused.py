@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from usd_models import LINK, artvip, at, body, joint, text
 
-from articugen.errors import InvalidSource, installing
+from articugen.core.errors import InvalidSource, installing
 from articugen.sources import registry
 from articugen.sources.usd import apart, layers, model
 

@@ -11,11 +11,11 @@ from typer.testing import CliRunner
 from usd_models import artvip
 
 import articugen as ag
-from articugen import articulation
 from articugen.cli import app
+from articugen.core.geometry import apply
+from articugen.core.records import ArticulatedObject, JointKind, JointState
 from articugen.export.joints import metric_joints, part_names
-from articugen.geometry import apply
-from articugen.records import ArticulatedObject, JointKind, JointState
+from articugen.instance import articulation
 from articugen.sources import registry
 
 pytest.importorskip("pxr", reason="pip install 'articugen[usd]'")

@@ -25,12 +25,12 @@ from typer.testing import CliRunner
 
 import articugen as ag
 from articugen.cli import app, saying
-from articugen.errors import CorruptShard
-from articugen.inspection import layout
-from articugen.store.files import partial_name
-from articugen.store.journal import Journal
+from articugen.core.errors import CorruptShard
+from articugen.core.files import partial_name
+from articugen.core.schema import CHECKED_ATTRIBUTES
+from articugen.pictures import layout
+from articugen.pipeline.journal import Journal
 from articugen.store.manifest import MANIFEST_NAME, Manifest, Outcome, Rejection
-from articugen.store.schema import CHECKED_ATTRIBUTES
 from articugen.store.shards import write_shard
 from articugen.verify import dataset as verification
 from articugen.verify.dataset import Report, verify

@@ -16,7 +16,7 @@ from test_html_report import HOSTILE, STATES, named, shard
 from test_maker import CABINET, TINY
 
 import articugen as ag
-from articugen.errors import (
+from articugen.core.errors import (
     ArticugenError,
     CorruptShard,
     InvalidArgument,
@@ -24,18 +24,18 @@ from articugen.errors import (
     NotOfCategory,
     installing,
 )
-from articugen.geometry import apply, look_along, rotation_about
-from articugen.inspection.portrait import swept
-from articugen.records import ENCLOSED, FREE, Instance, JointKind, dequantize
+from articugen.core.geometry import apply, look_along, rotation_about
+from articugen.core.records import ENCLOSED, FREE, Instance, JointKind, dequantize
+from articugen.inspection.viewer import layers, words
+from articugen.inspection.viewer.layers import Lines, Points, Solid
+from articugen.inspection.viewer.serve import served, what_to_show
+from articugen.inspection.viewer.shown import Joint, Shown
+from articugen.inspection.viewer.sources import source_of
+from articugen.inspection.viewer.stage import FIELD_OF_VIEW, FILL, eye_of
+from articugen.inspection.viewer.wish import MESHES
+from articugen.inspection.viewer.words import Scale
+from articugen.pictures.portrait import swept
 from articugen.store.shards import open_shard
-from articugen.viewer import layers, words
-from articugen.viewer.layers import Lines, Points, Solid
-from articugen.viewer.serve import served, what_to_show
-from articugen.viewer.shown import Joint, Shown
-from articugen.viewer.sources import source_of
-from articugen.viewer.stage import FIELD_OF_VIEW, FILL, eye_of
-from articugen.viewer.wish import MESHES
-from articugen.viewer.words import Scale
 
 STUCK = """<robot name="stuck">
   <link name="body"><visual><geometry><box size="1 1 1"/></geometry></visual></link>

@@ -9,9 +9,9 @@ import pytest
 from instances import SMALL, hinged_box
 from test_html_report import shard
 
-from articugen.errors import ArticugenError
-from articugen.viewer.serve import Served, served
-from articugen.viewer.sources import source_of
+from articugen.core.errors import ArticugenError
+from articugen.inspection.viewer.serve import Served, served
+from articugen.inspection.viewer.sources import source_of
 
 pytest.importorskip("viser", reason="viser is not installed; make viewer installs it")
 

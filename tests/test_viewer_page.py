@@ -20,11 +20,11 @@ from test_html_report import HOSTILE, STATES, named, shard
 from test_maker import CABINET, TINY
 
 import articugen as ag
-from articugen.geometry import rotation_about
-from articugen.viewer import layers
-from articugen.viewer.serve import Served, served
-from articugen.viewer.sources import source_of
-from articugen.viewer.wish import AT_FIRST, LAYERS, PREDICTION
+from articugen.core.geometry import rotation_about
+from articugen.inspection.viewer import layers
+from articugen.inspection.viewer.serve import Served, served
+from articugen.inspection.viewer.sources import source_of
+from articugen.inspection.viewer.wish import AT_FIRST, LAYERS, PREDICTION
 
 WINDOW = {"width": 900, "height": 600}
 

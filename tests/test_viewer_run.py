@@ -18,14 +18,14 @@ pytest.importorskip("viser", reason="viser is not installed; make viewer install
 import torch
 from test_figures import solid_truth
 
-from articugen.colours import colour_of
-from articugen.errors import ArticugenError, InvalidSource
-from articugen.records import Floats, dequantize
-from articugen.viewer import layers, prediction
-from articugen.viewer.layers import Lines, Points, Solid
-from articugen.viewer.prediction import Predictor
-from articugen.viewer.serve import Served, served, what_to_show
-from articugen.viewer.wish import PREDICTION
+from articugen.core.colours import colour_of
+from articugen.core.errors import ArticugenError, InvalidSource
+from articugen.core.records import Floats, dequantize
+from articugen.inspection.viewer import layers, prediction
+from articugen.inspection.viewer.layers import Lines, Points, Solid
+from articugen.inspection.viewer.prediction import Predictor
+from articugen.inspection.viewer.serve import Served, served, what_to_show
+from articugen.inspection.viewer.wish import PREDICTION
 
 torch.set_num_threads(1)
 

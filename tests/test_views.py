@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from articugen.geometry import apply, box_corners, fibonacci_sphere
-from articugen.recipe import ViewSettings
+from articugen.core.geometry import apply, box_corners, fibonacci_sphere
+from articugen.core.recipe import ViewSettings
 from articugen.rendering.views import MARGIN, fusion_views, random_pinhole_views, spread_order
 
 BOX = np.array([[-0.45, -0.2, -0.3], [0.45, 0.3, 0.1]])

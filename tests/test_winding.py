@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from articugen.core.records import LabelledMesh
 from articugen.fusion import solidify
-from articugen.fusion.bvh import tree_of
 from articugen.fusion.winding import ClosedPieces, closed_pieces, surely_inside
-from articugen.records import LabelledMesh
+from articugen.meshes.bvh import tree_of
 from tests.shapes import Convex, box, labelled, rotated
 
 

@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
-from articugen import workers as module
-from articugen.errors import MachineFault, MissingExtra
-from articugen.workers import Crew, Ended, Limit, each, in_order, report, resident_bytes
+from articugen.core import processes as module
+from articugen.core.errors import MachineFault, MissingExtra
+from articugen.core.processes import Crew, Ended, Limit, each, in_order, report, resident_bytes
 
 Task = tuple[str, Any]
 """What to do, and with what: see `do`."""
@@ -181,7 +181,7 @@ import sys
 sys.path[:] = {path!r}
 from functools import partial
 from pathlib import Path
-from articugen import workers
+from articugen.core import processes as workers
 from test_workers import do
 workers.LONGEST_LOOK = 0.3
 begun, limit = partial(Path.touch, Path({begun!r})), workers.Limit(seconds=1.6)
@@ -210,7 +210,7 @@ def test_no_task_is_over_its_time_because_all_was_stopped_for_a_while(tmp_path: 
 FEW_FILES = """
 import os, resource, sys
 sys.path[:] = {path!r}
-from articugen.workers import each
+from articugen.core.processes import each
 from test_workers import do
 resource.setrlimit(resource.RLIMIT_NOFILE, (len(os.listdir("/dev/fd")) + {spare},) * 2)
 told = each(do, [("say", n) for n in range(6)], workers=6)
@@ -233,7 +233,7 @@ def test_too_few_open_files_mean_fewer_workers_or_one_sentence() -> None:
 ORPHANS = """
 import sys
 sys.path[:] = {path!r}
-from articugen.workers import each
+from articugen.core.processes import each
 from test_workers import do, forget_the_signal
 list(each(do, [{task}] * 2, workers=2, ready={ready}))
 """

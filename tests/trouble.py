@@ -14,7 +14,7 @@ import pytest
 _HOLD = """
 import sys, time
 from pathlib import Path
-from articugen.store.journal import Journal
+from articugen.pipeline.journal import Journal
 journal = Journal(Path(sys.argv[1]))
 print("held", flush=True)
 time.sleep(60)

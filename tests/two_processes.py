@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from articugen.learning import processes
-from articugen.learning.dataset import load_split
+from articugen.learning.data.split import load_split
 from articugen.learning.loop import train
 from articugen.learning.method import load_recipe
 from articugen.learning.ppd.learner import PPDLearner

@@ -1,6 +1,6 @@
 """The command line: `data` makes and looks at data sets, `learn` trains; each command calls one
 function."""
 
-from articugen.cli.data import app, main
+from articugen.cli.generate import app, main
 
 __all__ = ["app", "main"]

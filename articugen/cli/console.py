@@ -13,10 +13,10 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, Task, TextColumn, 
 from rich.table import Table
 from rich.text import Text
 
-from articugen.inspection.tables import counted, duration, facts, size
-from articugen.pipeline import Job, ObjectReport, Plan
+from articugen.core.files import room_at
+from articugen.core.tables import counted, duration, facts, size
+from articugen.pipeline.run import Job, ObjectReport, Plan
 from articugen.sources.registry import SourceInfo
-from articugen.store.files import room_at
 from articugen.store.manifest import MANIFEST_NAME, Manifest, Outcome
 
 

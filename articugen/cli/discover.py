@@ -16,9 +16,9 @@ from articugen.cli.saying import said, stderr, stdout
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from articugen.core.records import Floats
     from articugen.discovery import Discovery
-    from articugen.found_joints import ObjectJoints
-    from articugen.records import Floats
+    from articugen.discovery.objects import ObjectJoints
 
 
 def register(app: typer.Typer) -> None:
@@ -52,8 +52,8 @@ def discover(
 ) -> None:
     """Find the joints of objects from several poses of each, without labels."""
     with said("interrupted"):
-        from articugen import found_joints
-        from articugen.store.files import check_place, write_atomically
+        from articugen.core.files import check_place, write_atomically
+        from articugen.discovery import objects as found_joints
 
         found_joints.check_poses(paths)
         if output is not None:
@@ -76,7 +76,7 @@ def discover(
 def _of_data_set(path: Path, poses: int | None, joints: Sequence[str]) -> "list[ObjectJoints]":
     from rich.progress import track
 
-    from articugen import found_joints
+    from articugen.discovery import objects as found_joints
 
     objects: list[ObjectJoints] = []
 
@@ -108,8 +108,8 @@ def _print(name: str, found: "Discovery") -> None:
 def _table(found: "Discovery") -> "Table":
     import numpy as np
 
-    from articugen.inspection.tables import quiet_table
-    from articugen.records import JointKind
+    from articugen.core.records import JointKind
+    from articugen.core.tables import quiet_table
 
     def vector(v: "Floats", digits: int) -> str:
         return " ".join(f"{x:.{digits}f}" for x in np.round(v, digits) + 0.0)
@@ -129,8 +129,8 @@ def _table(found: "Discovery") -> "Table":
 
 
 def _summary(objects: "Sequence[ObjectJoints]") -> str:
-    from articugen.found_joints import AXIS, PIVOT, mean_error, share
-    from articugen.inspection.tables import counted
+    from articugen.core.tables import counted
+    from articugen.discovery.objects import AXIS, PIVOT, mean_error, share
 
     turned, slid = mean_error(objects, "turned"), mean_error(objects, "slid")
     errors = [f"{turned * 57.29578:.2f} degrees"] if turned is not None else []

@@ -96,8 +96,8 @@ def export(
 
 def _list_formats(data: Path | None, to: str | None, out: Path | None) -> None:
     """Say what is missing, or which formats there are where nothing is named; and leave."""
+    from articugen.core.tables import quiet_table
     from articugen.export.formats import NAMES, format_named
-    from articugen.inspection.tables import quiet_table
 
     if to is not None:
         format_named(to)  # or says what there is
@@ -114,7 +114,7 @@ def _list_formats(data: Path | None, to: str | None, out: Path | None) -> None:
 
 
 def _print(done: "Exported") -> None:
-    from articugen.inspection.tables import size
+    from articugen.core.tables import size
 
     for sentence in done.left_out:
         stdout.print(f"[yellow]left out[/] {escape(sentence)}", soft_wrap=True)

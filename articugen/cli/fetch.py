@@ -1,4 +1,4 @@
-"""The command `fetch`: it calls `articugen.fetching`, shows the terms and lists what came."""
+"""The command `fetch`: it calls `articugen.sources.fetch`, shows the terms and lists what came."""
 
 # Everything heavy is imported where it is used: --help should not wait for yourdfpy.
 # ruff: noqa: PLC0415
@@ -10,10 +10,10 @@ from rich.markup import escape
 
 from articugen.cli.listed import listed
 from articugen.cli.saying import REJECTED, command, counting_bar, said, stderr, stdout
-from articugen.errors import printable
+from articugen.core.errors import printable
 
 if TYPE_CHECKING:
-    from articugen.fetching.outcome import Fetched
+    from articugen.sources.fetch.outcome import Fetched
 
 
 def register(app: typer.Typer) -> None:
@@ -68,8 +68,8 @@ def fetch_models(
 ) -> None:
     """Get models of others, check them and list them; called again it goes on."""
     with said("interrupted; the same command goes on"):
-        from articugen.fetching.door import fetch
-        from articugen.fetching.terms import terms_of
+        from articugen.sources.fetch.door import fetch
+        from articugen.sources.fetch.terms import terms_of
 
         terms = terms_of(source)
         stdout.print(
@@ -93,7 +93,7 @@ def fetch_models(
 
 
 def _print(done: "Fetched") -> None:
-    from articugen.fetching.target import LIST_NAME
+    from articugen.sources.fetch.target import LIST_NAME
 
     for name, why in done.refused.items():
         stdout.print(f"[yellow]refused[/] {_line(name, why)}", soft_wrap=True)

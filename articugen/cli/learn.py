@@ -1,6 +1,6 @@
 """The commands of learning: each calls one function of `learning.commands` and prints what it says.
 
-articugen/cli/data.py registers them.
+articugen/cli/generate.py registers them.
 """
 
 # Everything heavy is imported where it is used: --help should not wait for torch.
@@ -101,13 +101,13 @@ def train(
     """Train a method on a data set, or go on with a run."""
     run_folder = resume or f"{runs / category}/<the newest number>"
     with said(f"interrupted; what was last saved is kept, go on with --resume {run_folder}"):
-        from articugen.recipe import check_category
+        from articugen.core.recipe import check_category
 
         check_category(category)
         with loading():
-            from articugen.compiling import compile_kernels
+            from articugen.core.compiling import compile_kernels
             from articugen.learning import commands, processes
-            from articugen.pipeline import default_jobs
+            from articugen.pipeline.run import default_jobs
 
         if processes.is_first():
             for hint in commands.hints(data):
@@ -267,19 +267,19 @@ def study(
 ) -> None:
     """Measure a device, race seeds, train, evaluate: all categories, one folder. Resumable."""
     with said("interrupted; the same command goes on where it stood"):
-        from articugen import api
-        from articugen import recipe as recipes
+        from articugen.core import recipe as recipes
+        from articugen.core.yaml_files import with_settings
         from articugen.learning import study as studies
         from articugen.learning.method import load_recipe
-        from articugen.recipe_files import with_settings
+        from articugen.pipeline import door
         from articugen.sources import registry
 
         def make_data(category: str, folder: Path) -> None:
             if quick:
-                api.generate(category, out=folder.parent, recipe="quick", objects=6, states=4)
+                door.generate(category, out=folder.parent, recipe="quick", objects=6, states=4)
             else:
                 own = recipes.load_recipe(None, category, "procedural").articulation.states
-                api.generate(category, out=folder.parent, states=min(own, 40))
+                door.generate(category, out=folder.parent, states=min(own, 40))
 
         asked = studies.Asked(
             categories=registry.categories("procedural", [categories]),

@@ -13,7 +13,7 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.markup import escape
 from rich.segment import Segment
 
-from articugen.errors import ArticugenError, printable, spelt_out
+from articugen.core.errors import ArticugenError, printable, spelt_out
 
 FAILED, REJECTED = 1, 3
 STOPPED: dict[int, int] = {signal.SIGINT: 130, signal.SIGTERM: 143}

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from articugen.cli.saying import KEPT, REJECTED, command, counting_bar, said, stderr, stdout
-from articugen.errors import ArticugenError, InvalidArgument
+from articugen.core.errors import ArticugenError, InvalidArgument
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from articugen.pipeline import Job
+    from articugen.pipeline.rank_journal import Share
+    from articugen.pipeline.run import Job
     from articugen.store.manifest import Manifest, Outcome
-    from articugen.store.rank_journal import Share
 
 
 def register(app: typer.Typer) -> None:
@@ -35,7 +35,7 @@ def share_of(text: str | None) -> "Share | None":
     """
     if text is None:
         return None
-    from articugen.store.rank_journal import Share
+    from articugen.pipeline.rank_journal import Share
 
     return Share.of_text(text)
 
@@ -43,8 +43,8 @@ def share_of(text: str | None) -> "Share | None":
 def made_share(job: "Job", *, dry_run: bool, share: "Share") -> int:
     """Make a share of one data set and tell of it; the exit status."""
     with said(KEPT):
-        from articugen import ranks
         from articugen.cli import console
+        from articugen.pipeline import ranks
 
         with ranks.started(job, share, command=_whole_command(sys.argv)) as rank:
             mine = len(rank.plan.keys)
@@ -60,8 +60,8 @@ def made_share(job: "Job", *, dry_run: bool, share: "Share") -> int:
 def made_in_bucket(job: "Job", *, dry_run: bool, share: "Share | None") -> int:
     """Make one data set, or a share of it, in an object store; the exit status."""
     with said(KEPT):
-        from articugen import bucket_runs
         from articugen.cli import console
+        from articugen.pipeline import bucket_runs
 
         with bucket_runs.started(job, share, command=_whole_command(sys.argv)) as run:
             if dry_run:
@@ -77,8 +77,8 @@ def made_in_bucket(job: "Job", *, dry_run: bool, share: "Share | None") -> int:
 def made_by_array(job: "Job", *, dry_run: bool, share: "Share | None") -> int:
     """Make one data set by an array of SLURM and tell of it; the exit status."""
     with said(KEPT):
-        from articugen import slurm
         from articugen.cli import console
+        from articugen.pipeline.executors import slurm
 
         if share:
             raise InvalidArgument("--scheduler slurm shares out the objects by itself: no --shard")
@@ -153,9 +153,9 @@ def merge(
     """Check what `generate --shard` has made, and write the manifest."""
     status = 0
     with said():
-        from articugen import ranks
-        from articugen.pipeline import default_jobs
-        from articugen.store.journal import data_sets
+        from articugen.pipeline import ranks
+        from articugen.pipeline.journal import data_sets
+        from articugen.pipeline.run import default_jobs
 
         for folder in data_sets(path, follow=False):
             with counting_bar() as told:

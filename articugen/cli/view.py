@@ -1,4 +1,4 @@
-"""The command `view`: it serves what `articugen.viewer` shows, until it is stopped."""
+"""The command `view`: it serves what `articugen.inspection.viewer` shows, until it is stopped."""
 
 # Everything heavy is imported where it is used: --help should not wait for numba.
 # ruff: noqa: PLC0415
@@ -65,9 +65,9 @@ def view(
         import time
         import webbrowser
 
-        from articugen.compiling import compile_kernels
-        from articugen.pipeline import default_jobs
-        from articugen.viewer.serve import served, what_to_show
+        from articugen.core.compiling import compile_kernels
+        from articugen.inspection.viewer.serve import served, what_to_show
+        from articugen.pipeline.run import default_jobs
 
         for command in ("generate", "inspect"):
             compile_kernels(command, jobs=default_jobs(), notice=stderr.print)

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.errors import InvalidArgument
+from articugen.core.records import Floats, Normalization
 from articugen.discovery import kernels
-from articugen.errors import InvalidArgument
-from articugen.records import Floats, Normalization
 
 MOST_POINTS = 8192
 """Points of a pose that are searched; more are thinned to so many."""

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.records import Floats
 from articugen.discovery import gauss_newton
 from articugen.discovery.clouds import Cells, Surface
 from articugen.discovery.search import Candidate, motions
-from articugen.records import Floats
 
 _DAMPED = {True: 1e-4, False: 2e-2}
 """What slides is often flat, and says little of where across it goes: it is damped the more."""

@@ -8,8 +8,8 @@ c + R o. Turned back into the frame of pose 0, a tilt of the axis about w moves 
 
 import numpy as np
 
+from articugen.core.jit import helper, kernel
 from articugen.discovery.kernels import is_void, moved, nearest
-from articugen.jit import helper, kernel
 
 SHARED = 4
 """Unknowns that all poses share: two tilts of the axis (of a slide: towards both vectors across

@@ -7,7 +7,7 @@ pose's sorted by the cell they are in, cells CELLS an edge; those of cell c of p
 
 import numpy as np
 
-from articugen.jit import helper, kernel
+from articugen.core.jit import helper, kernel
 
 CELLS = 32
 """Cells along an edge."""

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.geometry import invert_rigid
+from articugen.core.records import Floats
 from articugen.discovery import kernels
 from articugen.discovery.clouds import Cells, Surface
-from articugen.geometry import invert_rigid
-from articugen.records import Floats
 
 ASKED, ASKING, POINTS = 21, 41, 400
 """So many poses are asked, about points of so many poses, at most so many of each."""

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.geometry import cross, fibonacci_sphere
+from articugen.core.records import Floats
 from articugen.discovery import kernels
 from articugen.discovery.clouds import Change
-from articugen.geometry import cross, fibonacci_sphere
-from articugen.records import Floats
 
 ANGLES = 96
 """Steps of a full turn."""

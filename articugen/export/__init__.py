@@ -3,6 +3,6 @@
 `articugen.export` is this package and, whatever was imported first, a function too: `run.export`.
 """
 
-from articugen.calling import called_as
+from articugen.core.calling import called_as
 
 called_as(__name__, "run", "export")

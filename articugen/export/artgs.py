@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from articugen.core.geometry import invert_rigid
 from articugen.export.formats import Format, Item, LeftOut
 from articugen.export.items import canonical, file_name, of_objects
 from articugen.export.target import Target
-from articugen.geometry import invert_rigid
 from articugen.store.rows import Row
 
 _TEST = 8

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from articugen.errors import MissingExtra
+from articugen.core.errors import MissingExtra
+from articugen.core.records import Floats, Mesh
 from articugen.export.formats import Item
 from articugen.export.inertia import Inertia, inertia
 from articugen.export.items import canonical
 from articugen.export.joints import MetricJoint, metric_joints, part_names
 from articugen.export.parts import in_metres
-from articugen.export.simpler import simpler
 from articugen.export.target import Target
-from articugen.records import Floats, Mesh
+from articugen.meshes.simpler import simpler
 
 DENSITY = 500.0
 """kg/m^3, of wood. Models do not tell theirs; mass and inertia follow from it and the volume."""

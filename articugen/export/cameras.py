@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.geometry import apply
+from articugen.core.geometry import apply
 from articugen.store.rows import Row
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.colours import colour_of
-from articugen.inspection.shading import linear
+from articugen.core.colours import colour_of
+from articugen.pictures.shading import linear
 
 
 def of_parts(part: NDArray[np.integer]) -> NDArray[np.uint8]:

@@ -2,9 +2,10 @@
 
 from typing import Any
 
+from articugen.core import schema
 from articugen.export.formats import format_named
 from articugen.export.target import Target
-from articugen.store import croissant, schema
+from articugen.store import croissant
 from articugen.store.dataset import DataSet
 
 

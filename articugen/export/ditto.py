@@ -9,12 +9,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.errors import InvalidArgument
+from articugen.core.errors import InvalidArgument
+from articugen.core.geometry import apply, invert_rigid
 from articugen.export.formats import Format, Item, LeftOut
 from articugen.export.items import file_name, of_objects
 from articugen.export.labels import need
 from articugen.export.target import Target
-from articugen.geometry import apply, invert_rigid
 from articugen.store.rows import Row
 
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Literal
 
-from articugen.errors import ArticugenError, InvalidArgument
-from articugen.recipe_files import nearest
+from articugen.core.errors import ArticugenError, InvalidArgument
+from articugen.core.yaml_files import nearest
 from articugen.store.dataset import DataSet
 
 if TYPE_CHECKING:

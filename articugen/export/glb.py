@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.records import Floats, Mesh
 from articugen.export.colours import linear_of_part
 from articugen.export.formats import Format, Item
 from articugen.export.items import canonical, of_objects
 from articugen.export.joints import MetricJoint, metric_joints
 from articugen.export.parts import in_metres
 from articugen.export.target import Target
-from articugen.records import Floats, Mesh
 
 _SECONDS = 2.0
 """From one end of a joint's range to the other."""

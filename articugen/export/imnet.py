@@ -11,13 +11,13 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.geometry import voxel_centres
+from articugen.core.seeding import generator
 from articugen.export.formats import Format, Item
 from articugen.export.hdf5 import stack
 from articugen.export.items import file_name, instance_name, of_splits
 from articugen.export.labels import grid, inside, need
 from articugen.export.target import Target
-from articugen.geometry import voxel_centres
-from articugen.seeding import generator
 from articugen.store.rows import Row
 
 _COARSE, _FINE = 16, 64

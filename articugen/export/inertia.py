@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import trimesh
 
-from articugen.records import Floats, Mesh
+from articugen.core.records import Floats, Mesh
 
 
 @dataclass(frozen=True, eq=False)

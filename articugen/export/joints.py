@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from articugen.records import Floats
+from articugen.core.records import Floats
 from articugen.store.rows import Row
 
 

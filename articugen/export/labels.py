@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.records import ENCLOSED, FREE, is_material
 from articugen.export.formats import LeftOut, Options
-from articugen.records import ENCLOSED, FREE, is_material
 from articugen.store.rows import Row
 
 

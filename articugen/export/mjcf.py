@@ -6,13 +6,13 @@ and a drawer would stick in the hull of its cabinet. Parts that share a joint ne
 
 from xml.etree import ElementTree as ET
 
+from articugen.core.records import Mesh
 from articugen.export.assembly import DENSITY, bodies, damping, from_the_root, numbers
 from articugen.export.formats import Format, Item
 from articugen.export.items import of_objects
 from articugen.export.joints import MetricJoint, unique
 from articugen.export.target import Target
-from articugen.model_text import obj_text
-from articugen.records import Mesh
+from articugen.meshes.model_text import obj_text
 
 _WORLD = "world"
 """MuJoCo's own body, whose name many URDFs give to their first link."""

@@ -10,6 +10,8 @@ import pickle
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.geometry import apply, bounds, box_corners, invert_rigid
+from articugen.core.records import Floats
 from articugen.export.cameras import camera_count, seen
 from articugen.export.formats import Format, Item
 from articugen.export.hdf5 import packed
@@ -17,9 +19,7 @@ from articugen.export.items import canonical, file_name, of_objects
 from articugen.export.labels import need
 from articugen.export.parts import part_boxes
 from articugen.export.target import Target
-from articugen.geometry import apply, bounds, box_corners, invert_rigid
-from articugen.model_text import Joint, Visual, obj_text, urdf_text
-from articugen.records import Floats
+from articugen.meshes.model_text import Joint, Visual, obj_text, urdf_text
 from articugen.store.dataset import DataSet
 from articugen.store.rows import Row
 

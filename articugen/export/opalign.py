@@ -9,14 +9,14 @@ import io
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.geometry import apply
+from articugen.core.records import Floats
 from articugen.export.cameras import camera_count, seen
 from articugen.export.formats import Format, Item
 from articugen.export.items import file_name, of_objects
 from articugen.export.labels import need
 from articugen.export.parts import part_boxes
 from articugen.export.target import Target
-from articugen.geometry import apply
-from articugen.records import Floats
 from articugen.store.rows import Row
 
 _GREY = 0.5

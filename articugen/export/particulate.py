@@ -9,12 +9,12 @@ edges follow those of the surface; where shards hold none, its loader draws all 
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.geometry import apply, bounds, invert_rigid
+from articugen.core.records import Floats
+from articugen.core.seeding import generator
 from articugen.export.formats import Format, Item
 from articugen.export.items import canonical, file_name, of_objects
 from articugen.export.target import Target
-from articugen.geometry import apply, bounds, invert_rigid
-from articugen.records import Floats
-from articugen.seeding import generator
 from articugen.store.dataset import DataSet
 from articugen.store.rows import Row
 

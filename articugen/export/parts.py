@@ -7,13 +7,13 @@ its model as `verify --replay` does; or, where that cannot be, from the finest g
 
 import numpy as np
 
-from articugen.errors import ArticugenError, RejectedInstance
+from articugen.core.errors import ArticugenError, RejectedInstance
+from articugen.core.geometry import apply, bounds, invert_rigid
+from articugen.core.records import Floats, Mesh
 from articugen.export.formats import LeftOut, Options
 from articugen.export.items import canonical
-from articugen.export.simpler import simpler
-from articugen.geometry import apply, bounds, invert_rigid
-from articugen.marching_cubes import zero_level
-from articugen.records import Floats, Mesh
+from articugen.meshes.marching_cubes import zero_level
+from articugen.meshes.simpler import simpler
 from articugen.store.dataset import DataSet
 from articugen.store.rows import Row
 

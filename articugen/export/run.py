@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from articugen.errors import InvalidArgument, MissingExtra
+from articugen.core.errors import InvalidArgument, MissingExtra
+from articugen.core.files import sha256_of
 from articugen.export import croissant
 from articugen.export.formats import Item, LeftOut, format_named, options_for
 from articugen.export.items import file_name, instance_name
@@ -15,7 +16,6 @@ from articugen.export.parts import PartMeshes
 from articugen.export.target import Target
 from articugen.store.dataset import DataSet
 from articugen.store.dataset import open as open_data_set
-from articugen.store.files import sha256_of
 
 Folder = str | os.PathLike[str]
 

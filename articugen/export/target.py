@@ -14,10 +14,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import ArrayLike
 
-from articugen.errors import ArticugenError, MachineFault
-from articugen.export.formats import Options
-from articugen.export.parts import PartMeshes
-from articugen.store.files import (
+from articugen.core.errors import ArticugenError, MachineFault
+from articugen.core.files import (
     UnfitFile,
     cannot_write,
     make_folder,
@@ -28,6 +26,8 @@ from articugen.store.files import (
     write_atomically,
     written_atomically,
 )
+from articugen.export.formats import Options
+from articugen.export.parts import PartMeshes
 
 JOURNAL_NAME = ".articugen-export.jsonl"
 REPORT_NAME = "export.json"

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from articugen.core.records import Floats, Mesh
 from articugen.export.assembly import Body, bodies, damping
 from articugen.export.colours import linear_of_part
 from articugen.export.formats import Format, Item
 from articugen.export.items import of_objects
 from articugen.export.joints import unique
 from articugen.export.target import Target
-from articugen.records import Floats, Mesh
 
 
 def _pxr(*names: str) -> list[Any]:

@@ -5,12 +5,12 @@
 `isosurface` draws its zero level.
 """
 
-from articugen.fusion.bvh import Bvh, build
 from articugen.fusion.collision import Colliding, too_deep
 from articugen.fusion.distance import distances
 from articugen.fusion.field import FusedField, OwnSolid, PosedFields, PosedSolids, fuse, pixel_width
 from articugen.fusion.parts import SolidPart, joined_bvh, seen_alone, seen_by, solid_part
 from articugen.fusion.reachable import touched
+from articugen.meshes.bvh import Bvh, build
 
 __all__ = [
     "Bvh",

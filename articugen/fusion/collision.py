@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from articugen.fusion.bvh import Bvh
+from articugen.core.geometry import apply, points_on_triangles
+from articugen.core.records import Floats, LabelledMesh
 from articugen.fusion.distance import distances
 from articugen.fusion.field import PosedSolids
-from articugen.geometry import apply, points_on_triangles
-from articugen.records import Floats, LabelledMesh
+from articugen.meshes.bvh import Bvh
 
 POINTS = 2048
 """On each part, besides its vertices, of which so many at most are asked."""

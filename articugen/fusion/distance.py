@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.fusion.bvh import Bvh
-from articugen.geometry import invert_rigid
-from articugen.jit import helper, kernel
+from articugen.core.geometry import invert_rigid
+from articugen.core.jit import helper, kernel
+from articugen.meshes.bvh import Bvh
 
 
 def distances(

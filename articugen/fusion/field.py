@@ -26,14 +26,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.geometry import apply, invert_rigid
+from articugen.core.recipe import Fusion
+from articugen.core.records import ENCLOSED, FREE, DepthMaps, LabelledMesh, Views
 from articugen.fusion import kernels
-from articugen.fusion.bvh import Bvh, tree_of, triangle_table
 from articugen.fusion.reachable import Flood, flood, walls
 from articugen.fusion.thin import NOTHING, ThinVoxels
 from articugen.fusion.winding import ClosedPieces, surely_inside
-from articugen.geometry import apply, invert_rigid
-from articugen.recipe import Fusion
-from articugen.records import ENCLOSED, FREE, DepthMaps, LabelledMesh, Views
+from articugen.meshes.bvh import Bvh, tree_of, triangle_table
 
 _NO_DEPTH = np.zeros((1, 0, 0), np.float32)
 _NO_FACES = np.zeros((1, 0, 0), np.int32)

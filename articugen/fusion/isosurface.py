@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.errors import RejectedInstance
+from articugen.core.errors import RejectedInstance
+from articugen.core.records import Floats, Mesh
 from articugen.fusion.field import FusedField, PosedSolids
-from articugen.marching_cubes import zero_level
-from articugen.records import Floats, Mesh
+from articugen.meshes.marching_cubes import zero_level
 
 _AT_A_TIME = 1 << 20
 """Voxels whose sign is asked at a time."""

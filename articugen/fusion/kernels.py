@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from articugen.fusion.bvh import behind, in_front, line_meets, meets
-from articugen.jit import helper, inlined, kernel
+from articugen.core.jit import helper, inlined, kernel
+from articugen.meshes.bvh import behind, in_front, line_meets, meets
 
 UNSEEN = np.float32(1e9)
 """Signed distance where a view sees nothing behind the point."""

@@ -11,15 +11,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.geometry import bounds
+from articugen.core.portable import norm
+from articugen.core.recipe import Fusion
+from articugen.core.records import DepthMaps, Floats, LabelledMesh
 from articugen.fusion import solidify
-from articugen.fusion.bvh import Bvh, joined, tree_of
 from articugen.fusion.field import FusedField, OwnSolid, flooded, fuse, pixel_width
 from articugen.fusion.thin import thin_voxels, way_meets
 from articugen.fusion.winding import ClosedPieces, closed_pieces
-from articugen.geometry import bounds
-from articugen.portable import norm
-from articugen.recipe import Fusion
-from articugen.records import DepthMaps, Floats, LabelledMesh
+from articugen.meshes.bvh import Bvh, joined, tree_of
 
 Render = Callable[[LabelledMesh, Floats], DepthMaps]
 """Renders a mesh alone from all around, given also the box (2, 3) that it fills."""

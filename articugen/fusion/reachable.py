@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.fusion.bvh import Bvh, meets
-from articugen.geometry import bounds, invert_rigid
-from articugen.jit import helper, kernel
-from articugen.records import LabelledMesh
+from articugen.core.geometry import bounds, invert_rigid
+from articugen.core.jit import helper, kernel
+from articugen.core.records import LabelledMesh
+from articugen.meshes.bvh import Bvh, meets
 
 _WALL, _DRY, _WET = 1, 0, 2
 

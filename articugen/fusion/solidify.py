@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.geometry import cross
-from articugen.jit import helper, kernel
-from articugen.portable import arctan2, dot, norm
-from articugen.records import DepthMaps, LabelledMesh
+from articugen.core.geometry import cross
+from articugen.core.jit import helper, kernel
+from articugen.core.portable import arctan2, dot, norm
+from articugen.core.records import DepthMaps, LabelledMesh
 
 SAMPLE_AREA = 0.02**2
 MOST_SAMPLES = 16

@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.fusion.bvh import Bvh, meets
+from articugen.core.geometry import bounds
+from articugen.core.jit import kernel
+from articugen.core.records import LabelledMesh
 from articugen.fusion.reachable import mark
 from articugen.fusion.solidify import face_normals, probes
-from articugen.geometry import bounds
-from articugen.jit import kernel
-from articugen.records import LabelledMesh
+from articugen.meshes.bvh import Bvh, meets
 
 _BENEATH = 1e-4
 """How deep behind a face the search for its other side begins, unit frame; but no deeper than an

@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.fusion.bvh import Bvh, _enters, _inverse, ordered, tree_of
+from articugen.core.jit import helper, inlined, kernel
+from articugen.core.records import LabelledMesh
 from articugen.fusion.solidify import face_normals
-from articugen.jit import helper, inlined, kernel
-from articugen.records import LabelledMesh
+from articugen.meshes.bvh import Bvh, _enters, _inverse, ordered, tree_of
 
 _AHEAD, _ASIDE = 0.9837, (0.1371, 0.0913, 0.1159)
 """A ray goes along one axis, the one that leaves the pieces' box soonest before the next two, and

@@ -12,10 +12,10 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from articugen.errors import InvalidArgument
-from articugen.inspection.tables import DIM, quiet_table, size
-from articugen.records import ENCLOSED, STORED_KINDS, JointKind
-from articugen.store import schema
+from articugen.core import schema
+from articugen.core.errors import InvalidArgument
+from articugen.core.records import ENCLOSED, STORED_KINDS, JointKind
+from articugen.core.tables import DIM, quiet_table, size
 from articugen.store.shards import Shard, open_shard
 
 LOOKED_AT = 256

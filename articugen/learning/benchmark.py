@@ -8,7 +8,7 @@ from pathlib import Path
 
 import torch
 
-from articugen.errors import ArticugenError
+from articugen.core.errors import ArticugenError
 from articugen.learning.loop import batch_rows, draw, split_for
 from articugen.learning.method import find_method
 from articugen.learning.recipe import TrainRecipe

@@ -7,15 +7,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from articugen.errors import ArticugenError, InvalidCheckpoint, MissingExtra
+from articugen.core.errors import ArticugenError, InvalidCheckpoint, MissingExtra
 
 try:
     import torch
 except ImportError:
     raise MissingExtra("torch", "ppd") from None
 
+from articugen.core.files import write_atomically
+from articugen.core.records import Floats, Instance, JointKind, dequantize
+from articugen.core.yaml_files import with_settings
 from articugen.learning import loop, processes, tensorboard
-from articugen.learning.clouds import Cloud, cloud_of_file, cloud_of_shard, seen_by_a_camera
+from articugen.learning.data.fitness import lying_otherwise
 from articugen.learning.evaluation.evaluate import Protocol, Reconstruct, check_splits
 from articugen.learning.evaluation.evaluate import evaluate as evaluate_as_paper
 from articugen.learning.evaluation.reconstruction import Reconstruction
@@ -27,16 +30,13 @@ from articugen.learning.evaluation.results import (
     RunEvaluation,
     read_evaluation,
 )
-from articugen.learning.fitness import lying_otherwise
 from articugen.learning.loop import Tell
 from articugen.learning.method import Yardstick, find_method, load_recipe
 from articugen.learning.predict import write_rig
 from articugen.learning.race import race
 from articugen.learning.recipe import TrainRecipe
-from articugen.learning.runs import DEPTH, RunFolder, depth_learner, read_run
-from articugen.recipe_files import with_settings
-from articugen.records import Floats, Instance, JointKind, dequantize
-from articugen.store.files import write_atomically
+from articugen.learning.run_folder import DEPTH, RunFolder, depth_learner, read_run
+from articugen.meshes.points import Cloud, cloud_of_file, cloud_of_shard, seen_by_a_camera
 from articugen.store.manifest import Manifest
 
 FolderLike = str | os.PathLike[str]

@@ -18,12 +18,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from articugen.errors import InvalidCheckpoint
+from articugen.core.errors import InvalidCheckpoint
+from articugen.core.memory import given_back
+from articugen.core.seeding import generator as seeded
 from articugen.learning import processes
-from articugen.learning.dataset import Folders, PackedSplit, folders_of, load_split
+from articugen.learning.data.split import Folders, PackedSplit, folders_of, load_split
 from articugen.learning.method import Learner, find_method
 from articugen.learning.recipe import Schedule, TrainRecipe
-from articugen.learning.runs import (
+from articugen.learning.run_folder import (
     DEPTH,
     LATEST,
     MAIN,
@@ -35,8 +37,6 @@ from articugen.learning.runs import (
     read_depth_checkpoint,
 )
 from articugen.learning.tensors import digest
-from articugen.memory import given_back
-from articugen.seeding import generator as seeded
 from articugen.store.manifest import Manifest
 
 

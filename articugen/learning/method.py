@@ -14,19 +14,19 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from articugen.errors import ArticugenError, InvalidRecipe
+from articugen.core.errors import ArticugenError, InvalidRecipe
+from articugen.core.plugins import Group
+from articugen.core.yaml_files import find, nearest, resolved, resolved_mapping, validated
 from articugen.learning.recipe import TrainRecipe
-from articugen.plugins import Group
-from articugen.recipe_files import find, nearest, resolved, resolved_mapping, validated
 
 if TYPE_CHECKING:
     import torch
 
-    from articugen.learning.dataset import Batch, BatchSpec, PackedSplit
+    from articugen.core.records import Floats
+    from articugen.learning.data.split import Batch, BatchSpec, PackedSplit
     from articugen.learning.evaluation.figures.draw import Drawable
     from articugen.learning.evaluation.reconstruction import Reconstruction
     from articugen.learning.evaluation.results import Evaluation
-    from articugen.records import Floats
 
 METHODS = {"ppd": "articugen.learning.ppd.method:PPD_METHOD"}
 """Ours by name; those of other packages are found by their entry points."""

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from articugen.colours import colour_of
-from articugen.errors import ArticugenError
-from articugen.learning.clouds import UNIT
+from articugen.core.colours import colour_of
+from articugen.core.errors import ArticugenError
+from articugen.core.files import write_atomically
+from articugen.core.records import Floats, JointKind, Normalization
 from articugen.learning.evaluation.reconstruction import PartJoints, Reconstruction
-from articugen.model_text import Joint, Visual, obj_text, urdf_text
-from articugen.records import Floats, JointKind, Normalization
-from articugen.store.files import write_atomically
+from articugen.meshes.model_text import Joint, Visual, obj_text, urdf_text
+from articugen.meshes.points import UNIT
 
 
 def write_rig(

@@ -13,7 +13,7 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from articugen.errors import ArticugenError, InvalidRecipe
+from articugen.core.errors import ArticugenError, InvalidRecipe
 
 
 @contextmanager

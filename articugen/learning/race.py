@@ -18,8 +18,11 @@ from typing import Any
 
 import torch
 
-from articugen.errors import InvalidCheckpoint, TrainingDiverged
-from articugen.learning.dataset import Folders
+from articugen.core.errors import InvalidCheckpoint, TrainingDiverged
+from articugen.core.files import write_atomically
+from articugen.core.memory import given_back
+from articugen.core.processes import Crew, report
+from articugen.learning.data.split import Folders
 from articugen.learning.loop import (
     SEEDS,
     SHARDS,
@@ -33,11 +36,8 @@ from articugen.learning.loop import (
 )
 from articugen.learning.method import find_method
 from articugen.learning.recipe import TrainRecipe
-from articugen.learning.runs import BEST, LATEST, METRICS, RunFolder, read_checkpoint
+from articugen.learning.run_folder import BEST, LATEST, METRICS, RunFolder, read_checkpoint
 from articugen.learning.together import train_together
-from articugen.memory import given_back
-from articugen.store.files import write_atomically
-from articugen.workers import Crew, report
 
 RACE = "race.json"
 

@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeVar
 import yaml
 from pydantic import Field, model_validator
 
-from articugen.recipe_files import Section, validated
+from articugen.core.yaml_files import Section, validated
 
 Recipe = TypeVar("Recipe", bound="TrainRecipe")
 

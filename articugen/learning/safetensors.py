@@ -16,8 +16,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from articugen.errors import InvalidCheckpoint
-from articugen.store.files import UnfitFile, read_regular, write_atomically
+from articugen.core.errors import InvalidCheckpoint
+from articugen.core.files import UnfitFile, read_regular, write_atomically
 
 MOST_BYTES = 1 << 31
 """That such a file may have."""

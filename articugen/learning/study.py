@@ -18,16 +18,17 @@ from typing import Any
 import numpy as np
 import torch
 
-from articugen import __version__, workers
-from articugen.errors import ArticugenError, InvalidCheckpoint, MachineFault
+from articugen import __version__
+from articugen.core import processes
+from articugen.core.errors import ArticugenError, InvalidCheckpoint, MachineFault
+from articugen.core.files import make_folder, write_atomically
+from articugen.core.yaml_files import validated
 from articugen.learning import commands
 from articugen.learning.benchmark import Pace, pace, pace_table
 from articugen.learning.method import load_recipe
 from articugen.learning.race import RACE, race
 from articugen.learning.recipe import TrainRecipe
-from articugen.learning.runs import LATEST, METRICS, WEIGHTS, RunFolder, read_checkpoint
-from articugen.recipe_files import validated
-from articugen.store.files import make_folder, write_atomically
+from articugen.learning.run_folder import LATEST, METRICS, WEIGHTS, RunFolder, read_checkpoint
 from articugen.store.manifest import Manifest, this_commit, this_machine
 
 STUDY, TABLES, CURVES = "study.json", "tables.md", "curves.jsonl"
@@ -403,7 +404,7 @@ def _evaluate(asked: Asked, journal: Journal, out: Path, say: Say) -> None:
     say(f"{', '.join(todo)} ...")
     began = time.monotonic()
     at_a_time = 0 if asked.quick else len(todo)
-    sentences = workers.in_order(_Judged.judge, list(todo.values()), workers=at_a_time)
+    sentences = processes.in_order(_Judged.judge, list(todo.values()), workers=at_a_time)
     for name, sentence in zip(todo, sentences, strict=True):
         journal.ended(name, time.monotonic() - began, sentence)
 

@@ -13,8 +13,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from articugen.errors import MachineFault, installing
-from articugen.store.files import cannot_write, make_folder
+from articugen.core.errors import MachineFault, installing
+from articugen.core.files import cannot_write, make_folder
 
 MISSING = (
     "tensorboard is not installed, so metrics go to metrics.jsonl alone; "

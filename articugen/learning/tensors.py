@@ -18,8 +18,8 @@ import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
-from articugen.errors import InvalidCheckpoint
-from articugen.store.files import UnfitFile, read_regular, write_atomically
+from articugen.core.errors import InvalidCheckpoint
+from articugen.core.files import UnfitFile, read_regular, write_atomically
 
 MOST_BYTES = 1 << 31
 """That such a file may have; a checkpoint of PPD has 10 MB."""

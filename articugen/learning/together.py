@@ -13,8 +13,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from articugen.errors import InvalidRecipe
-from articugen.learning.dataset import Folders
+from articugen.core.errors import InvalidRecipe
+from articugen.learning.data.split import Folders
 from articugen.learning.loop import (
     Course,
     Due,
@@ -27,7 +27,7 @@ from articugen.learning.loop import (
 )
 from articugen.learning.method import Team, find_method
 from articugen.learning.recipe import TrainRecipe
-from articugen.learning.runs import LATEST
+from articugen.learning.run_folder import LATEST
 
 
 def train_together(

@@ -4,8 +4,8 @@
 and `sapien` wrap well-known renderers, for those who want to compare.
 """
 
-from articugen.records import DepthMaps, LabelledMesh, Views
-from articugen.rendering.backends import backend_named
+from articugen.core.backends import backend_named
+from articugen.core.records import DepthMaps, LabelledMesh, Views
 
 
 def render(mesh: LabelledMesh, views: Views, *, backend: str = "rasterizer") -> DepthMaps:

@@ -6,8 +6,8 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.errors import MissingDriver, MissingExtra
-from articugen.records import Floats, LabelledMesh, Views
+from articugen.core.errors import MissingDriver, MissingExtra
+from articugen.core.records import Floats, LabelledMesh, Views
 
 MARGIN = 1e-3
 """Room (unit frame) between the mesh and the planes that bound it: none of it is cut off."""

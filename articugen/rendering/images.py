@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.colours import colour_of
-from articugen.geometry import cross
-from articugen.portable import dot, norm, power, turned
-from articugen.records import Floats, LabelledMesh, Views
+from articugen.core.colours import colour_of
+from articugen.core.geometry import cross
+from articugen.core.portable import dot, norm, power, turned
+from articugen.core.records import Floats, LabelledMesh, Views
 from articugen.rendering import rasterizer
 
 _GAMMA = 2.2

@@ -7,7 +7,7 @@ kept: with the faces' planes they say the depth more exactly than a depth map.
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.records import DepthMaps, LabelledMesh
+from articugen.core.records import DepthMaps, LabelledMesh
 from articugen.rendering.rasterizer import Below, draw
 
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.geometry import apply
-from articugen.jit import helper, inlined, kernel
-from articugen.records import DepthMaps, LabelledMesh, Views
+from articugen.core.geometry import apply
+from articugen.core.jit import helper, inlined, kernel
+from articugen.core.records import DepthMaps, LabelledMesh, Views
 
 SUBPIXEL_BITS = 12
 SUBPIXELS = 1 << SUBPIXEL_BITS

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from articugen.geometry import invert_rigid
-from articugen.records import DepthMaps, LabelledMesh, Views
+from articugen.core.geometry import invert_rigid
+from articugen.core.records import DepthMaps, LabelledMesh, Views
 from articugen.rendering.foreign import depth_ranges, import_library, missing_driver, unseen
 
 SYSTEM_PACKAGES = "-t bookworm-backports mesa-vulkan-drivers libx11-6"

@@ -5,10 +5,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.geometry import box_corners, fibonacci_sphere, look_along
-from articugen.portable import cos, dot, norm, sin, turned
-from articugen.recipe import ViewSettings
-from articugen.records import Views
+from articugen.core.geometry import box_corners, fibonacci_sphere, look_along
+from articugen.core.portable import cos, dot, norm, sin, turned
+from articugen.core.recipe import ViewSettings
+from articugen.core.records import Views
 
 MARGIN = 2.0
 """Pixels between the object and the image's border: what projects outside is seen free."""

@@ -8,7 +8,7 @@ and the keys of the JSON are not published.
 from os.path import isfile
 from pathlib import Path
 
-from articugen.records import ArticulatedObject
+from articugen.core.records import ArticulatedObject
 from articugen.sources.folders import visible
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.urdf import load_urdf

@@ -8,8 +8,8 @@ from dataclasses import replace
 from os.path import isdir, isfile
 from pathlib import Path
 
-from articugen.errors import InvalidSource
-from articugen.records import ArticulatedObject
+from articugen.core.errors import InvalidSource
+from articugen.core.records import ArticulatedObject
 from articugen.sources.folders import ending_in, visible
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.urdf import load_urdf

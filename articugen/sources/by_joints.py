@@ -2,9 +2,9 @@
 
 from collections.abc import Collection, Iterable
 
-from articugen.errors import InvalidSource
-from articugen.recipe_files import nearest
-from articugen.records import JointKind
+from articugen.core.errors import InvalidSource
+from articugen.core.records import JointKind
+from articugen.core.yaml_files import nearest
 from articugen.sources import readers
 from articugen.sources.refs import CategorySettings, ObjectRef
 
@@ -46,7 +46,7 @@ def of_joints(refs: list[ObjectRef], joints: Collection[str], category: str) -> 
 
 
 def _fits(ref: ObjectRef, wanted: frozenset[str]) -> bool:
-    from articugen.sources.meshes import unread  # noqa: PLC0415 - slow to import
+    from articugen.meshes.read import unread  # noqa: PLC0415 - slow to import
 
     try:
         with unread():

@@ -5,8 +5,8 @@ Names match whatever their case and whether words are joined by _, -, a space or
 
 from collections.abc import Collection, Iterable
 
-from articugen.errors import InvalidSource
-from articugen.recipe_files import nearest
+from articugen.core.errors import InvalidSource
+from articugen.core.yaml_files import nearest
 from articugen.sources.refs import Found
 from articugen.sources.source_file import SourceFile
 

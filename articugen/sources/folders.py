@@ -5,8 +5,8 @@ import os
 from os.path import isdir
 from pathlib import Path
 
-from articugen.errors import InvalidSource
-from articugen.sources.model_files import MAX_TEXT_BYTES, ModelFiles, unreadable
+from articugen.core.errors import InvalidSource
+from articugen.meshes.model_files import MAX_TEXT_BYTES, ModelFiles, unreadable
 
 
 def visible(base: Path) -> list[Path]:

@@ -4,8 +4,8 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from articugen.bundled import SOURCES, model_folder
-from articugen.errors import InvalidSource
+from articugen.core.bundled import SOURCES, model_folder
+from articugen.core.errors import InvalidSource
 from articugen.sources.categories import own_name, unknown
 from articugen.sources.source_file import SourceFile, read_source_file
 

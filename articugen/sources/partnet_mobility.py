@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from articugen.errors import InvalidSource
-from articugen.portable import dot, norm
-from articugen.records import ArticulatedObject, Joint, JointKind
+from articugen.core.errors import InvalidSource
+from articugen.core.portable import dot, norm
+from articugen.core.records import ArticulatedObject, Joint, JointKind
+from articugen.meshes.model_files import MAX_TEXT_BYTES, ModelFiles, quoted
 from articugen.sources.folders import meta_category, visible
-from articugen.sources.model_files import MAX_TEXT_BYTES, ModelFiles, quoted
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.urdf import load_urdf
 from articugen.sources.urdf_check import MAX_NUMBER

@@ -6,8 +6,8 @@ from functools import cache
 from os.path import exists
 from pathlib import Path
 
-from articugen.errors import InvalidSource, printable
-from articugen.recipe import load_recipe
+from articugen.core.errors import InvalidSource, printable
+from articugen.core.recipe import load_recipe
 from articugen.sources import readers
 from articugen.sources.categories import of_category, own_name, plain, unknown, words
 from articugen.sources.discovery import any_models, called, distinct, mixed_models, sorted_models

@@ -12,19 +12,19 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from articugen import plugins
-from articugen.errors import ArticugenError, InvalidSource, machine_fault, printable
-from articugen.recipe_files import nearest
-from articugen.records import ArticulatedObject
+from articugen.core import plugins
+from articugen.core.errors import ArticugenError, InvalidSource, machine_fault, printable
+from articugen.core.records import ArticulatedObject
+from articugen.core.yaml_files import nearest
+from articugen.meshes.model_files import MAX_NAME_BYTES
 from articugen.sources import (
     annotated_urdf,
     artiverse,
     partnet_mobility,
+    procedural,
     shape2motion,
     urdf_files,
 )
-from articugen.sources.model_files import MAX_NAME_BYTES
-from articugen.sources.procedural import reader as procedural
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.usd import reader as usd
 

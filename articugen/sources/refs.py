@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, NonNegativeInt, field_validator, model_validator
 
-from articugen.geometry import Array, rotation_about, transform
-from articugen.recipe_files import Section
+from articugen.core.geometry import Array, rotation_about, transform
+from articugen.core.yaml_files import Section
 
 Share = Annotated[NonNegativeInt, Field(le=1_000_000)] | tuple[str, ...] | None
 

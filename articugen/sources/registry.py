@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-from articugen.errors import InvalidSource, printable
-from articugen.recipe_files import nearest
-from articugen.records import ArticulatedObject
+from articugen.core.errors import InvalidSource, printable
+from articugen.core.records import ArticulatedObject
+from articugen.core.yaml_files import nearest
 from articugen.sources import pool, readers
 from articugen.sources.by_joints import of_joints
 from articugen.sources.categories import kinds_there, own_name
@@ -251,7 +251,7 @@ def digest(ref: ObjectRef) -> str:
     Raises:
         InvalidSource, BrokenPlugin, MachineFault, MemoryError: as `load`.
     """
-    from articugen.sources.meshes import hashed_only  # noqa: PLC0415 - slow to import
+    from articugen.meshes.read import hashed_only  # noqa: PLC0415 - slow to import
 
     with hashed_only():
         return load(ref).sha256

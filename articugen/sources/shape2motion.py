@@ -15,14 +15,14 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from articugen.errors import InvalidSource
-from articugen.geometry import transform
-from articugen.portable import norm
-from articugen.records import ArticulatedObject, Floats, Joint, JointKind, Link, Mesh
+from articugen.core.errors import InvalidSource
+from articugen.core.geometry import transform
+from articugen.core.portable import norm
+from articugen.core.records import ArticulatedObject, Floats, Joint, JointKind, Link, Mesh
+from articugen.meshes.model_files import MAX_NAME_BYTES, MAX_TEXT_BYTES, ModelFiles, quoted
+from articugen.meshes.read import read_mesh
+from articugen.meshes.scenes import check_size
 from articugen.sources.folders import ending_in, meta_category, visible
-from articugen.sources.mesh_formats import check_size
-from articugen.sources.meshes import read_mesh
-from articugen.sources.model_files import MAX_NAME_BYTES, MAX_TEXT_BYTES, ModelFiles, quoted
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.urdf import load_urdf
 from articugen.sources.urdf_check import MAX_LINKS, MAX_NUMBER

@@ -6,8 +6,8 @@ from typing import Any
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from articugen.errors import InvalidSource
-from articugen.recipe_files import Section, nearest, parsed_yaml, yaml_bytes
+from articugen.core.errors import InvalidSource
+from articugen.core.yaml_files import Section, nearest, parsed_yaml, yaml_bytes
 from articugen.sources.readers import Maker, check_name, names, reader
 from articugen.sources.refs import CategorySettings
 

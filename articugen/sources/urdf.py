@@ -15,17 +15,17 @@ from typing import Any
 import numpy as np
 from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
-from articugen.errors import InvalidSource
-from articugen.geometry import apply, rotation_from_rpy, transform
-from articugen.portable import norm
-from articugen.records import ArticulatedObject, Floats, Joint, JointKind, Link, Mesh, Mimic
-from articugen.sources import meshes
-from articugen.sources.model_files import MAX_TEXT_BYTES, ModelFiles, quoted
+from articugen.core.errors import InvalidSource
+from articugen.core.geometry import apply, rotation_from_rpy, transform
+from articugen.core.portable import norm
+from articugen.core.records import ArticulatedObject, Floats, Joint, JointKind, Link, Mesh, Mimic
+from articugen.meshes import read
+from articugen.meshes.model_files import MAX_TEXT_BYTES, ModelFiles, quoted
+from articugen.meshes.xml_strict import tostring
 from articugen.sources.urdf_check import MAX_NUMBER, checked_robot
-from articugen.sources.xml_strict import tostring
 
-MAX_OBJECT_FACES = meshes.MAX_FACES
-MAX_OBJECT_VERTICES = meshes.MAX_VERTICES
+MAX_OBJECT_FACES = read.MAX_FACES
+MAX_OBJECT_VERTICES = read.MAX_VERTICES
 """Of all visuals of an object: a small URDF can name one large mesh many times."""
 
 
@@ -203,7 +203,7 @@ class _Visuals:
         self._faces = self._vertices = 0
         self._cache: dict[Path, Mesh] = {}
         tags = [shape.tag for of_link in shapes.values() for shape, _ in of_link]
-        self._check_size(sum(meshes.PRIMITIVE_FACES.get(tag, 0) for tag in tags), 0)
+        self._check_size(sum(read.PRIMITIVE_FACES.get(tag, 0) for tag in tags), 0)
 
     def mesh(self, link: Any) -> Mesh:
         """All visuals of a link as one mesh in the link's frame, in the order of the file."""
@@ -242,29 +242,29 @@ class _Visuals:
             return [float(word) for word in element.get(attribute).split()]
 
         if element.tag == "box":
-            return meshes.box(numbers("size"))
+            return read.box(numbers("size"))
         if element.tag == "sphere":
-            return meshes.sphere(numbers("radius")[0])
+            return read.sphere(numbers("radius")[0])
         if element.tag in ("cylinder", "capsule"):
-            make = meshes.cylinder if element.tag == "cylinder" else meshes.capsule
+            make = read.cylinder if element.tag == "cylinder" else read.capsule
             return make(numbers("radius")[0], numbers("length")[0])
         mesh = self._file(element.get("filename"), by)
         if mesh is None or element.get("scale") is None:
             return mesh
-        return meshes.scaled(mesh, np.broadcast_to(numbers("scale"), 3))
+        return read.scaled(mesh, np.broadcast_to(numbers("scale"), 3))
 
     def _file(self, name: str, by: str) -> Mesh | None:
         try:
             found = self.files.find(name, by)
             if found is not None:
                 if found not in self._cache:
-                    self._cache[found] = meshes.read_mesh(found, self.files)
+                    self._cache[found] = read.read_mesh(found, self.files)
                 return self._cache[found]
             problem = InvalidSource(
                 f"{by}: mesh {quoted(name)} does not exist; put the file there or remove the "
                 "<visual>"
             )
-        except meshes.EmptyMesh as empty:
+        except read.EmptyMesh as empty:
             problem = empty
         if not fnmatchcase(PurePosixPath(name).name, self.missing_ok):
             raise problem

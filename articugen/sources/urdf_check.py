@@ -9,10 +9,10 @@ import math
 from pathlib import Path
 from typing import Any
 
-from articugen.errors import InvalidSource
-from articugen.records import JointKind
-from articugen.sources.model_files import MAX_NAME_BYTES, quoted
-from articugen.sources.xml_strict import drop_default_namespaces, parse_xml
+from articugen.core.errors import InvalidSource
+from articugen.core.records import JointKind
+from articugen.meshes.model_files import MAX_NAME_BYTES, quoted
+from articugen.meshes.xml_strict import drop_default_namespaces, parse_xml
 
 MAX_LINKS = 2_000
 MAX_VISUALS = 5_000

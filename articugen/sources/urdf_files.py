@@ -3,7 +3,7 @@
 from os.path import isdir, isfile
 from pathlib import Path
 
-from articugen.records import ArticulatedObject
+from articugen.core.records import ArticulatedObject
 from articugen.sources.folders import visible
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.urdf import load_urdf

@@ -14,7 +14,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from articugen.errors import ArticugenError, InvalidArgument, MachineFault, MissingExtra
+from articugen.core.errors import ArticugenError, InvalidArgument, MachineFault, MissingExtra
 
 R = TypeVar("R")
 

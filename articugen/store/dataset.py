@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from articugen.errors import CorruptShard, InvalidArgument, machine_fault
-from articugen.recipe import Recipe
-from articugen.recipe_files import nearest
-from articugen.store import schema
+from articugen.core import schema
+from articugen.core.errors import CorruptShard, InvalidArgument, machine_fault
+from articugen.core.recipe import Recipe
+from articugen.core.yaml_files import nearest
 from articugen.store.bucket import Remote, is_url
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.remote import RangeFile, folder_at
@@ -106,7 +106,7 @@ class DataSet(Sequence[Row]):
     """
 
     draw: ClassVar[Callable[["DataSet"], str] | None] = None
-    """Makes HTML of it for a notebook; `articugen.notebook`, which may draw, puts it here."""
+    """Makes HTML of it for a notebook; `articugen.inspection.notebook`, which may draw, puts it here."""
 
     def __init__(
         self, shelf: "_Shelf", where: NDArray[np.int32], drawn: NDArray[np.int32] | None = None

@@ -20,17 +20,11 @@ from typing import Annotated, Any, ClassVar
 from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError, model_validator
 
 from articugen import __version__
-from articugen.errors import CorruptShard, MachineFault, printable
+from articugen.core.errors import CorruptShard, MachineFault, printable
+from articugen.core.files import UnfitFile, cannot_write, read_regular, sha256_of, write_atomically
+from articugen.core.schema import SCHEMA_VERSION, SPLIT
 from articugen.store.bucket import Files, Remote
-from articugen.store.files import (
-    UnfitFile,
-    cannot_write,
-    read_regular,
-    sha256_of,
-    write_atomically,
-)
 from articugen.store.manifest_pages import MOST_BYTES, Head, Page, slices, stale_pages
-from articugen.store.schema import SCHEMA_VERSION, SPLIT
 from articugen.store.shards import ShardRecord, content_sha256
 
 MANIFEST_NAME = "manifest.json"

@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError, model_validator
 
-from articugen.store.files import UnfitFile, is_plain_file, read_regular
+from articugen.core.files import UnfitFile, is_plain_file, read_regular
 
 T = TypeVar("T")
 Data = bytes

@@ -6,7 +6,7 @@ import io
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from articugen.errors import ArticugenError, InvalidArgument, MachineFault, MissingExtra
+from articugen.core.errors import ArticugenError, InvalidArgument, MachineFault, MissingExtra
 from articugen.store.bucket import READ_SCHEMES, SCHEMES, Answer, Bucket, Remote, scheme_of, tried
 
 BLOCK = 1 << 16

@@ -12,10 +12,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.errors import InvalidArgument
-from articugen.geometry import apply, invert_rigid
-from articugen.records import JointKind
-from articugen.store import schema
+from articugen.core import schema
+from articugen.core.errors import InvalidArgument
+from articugen.core.geometry import apply, invert_rigid
+from articugen.core.records import JointKind
 
 Float32 = NDArray[np.float32]
 Floats = NDArray[np.float64]
@@ -248,7 +248,7 @@ class Row:
     """
 
     draw: ClassVar[Callable[["Row"], str] | None] = None
-    """Makes HTML of a row for a notebook; `articugen.notebook`, which may draw, puts it here."""
+    """Makes HTML of a row for a notebook; `articugen.inspection.notebook`, which may draw, puts it here."""
 
     def __init__(
         self,

@@ -24,19 +24,14 @@ import h5py.h5o
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.errors import ArticugenError, CorruptShard
-from articugen.records import Instance
-from articugen.store import chunks, schema
+from articugen.core import schema
+from articugen.core.errors import ArticugenError, CorruptShard
+from articugen.core.files import UnfitFile, check_regular, sha256_of, sync, written_atomically
+from articugen.core.records import Instance
+from articugen.core.schema import Field
+from articugen.store import chunks
 from articugen.store.bucket import Remote
-from articugen.store.files import (
-    UnfitFile,
-    check_regular,
-    sha256_of,
-    sync,
-    written_atomically,
-)
 from articugen.store.remote import RangeFile
-from articugen.store.schema import Field
 
 _GZIP, _FLETCHER32 = 1, 3
 _MAX_ATTRIBUTES = 64

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.errors import MissingExtra
+from articugen.core.errors import MissingExtra
 
 try:
     import torch

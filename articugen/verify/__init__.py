@@ -3,6 +3,6 @@
 `articugen.verify` is this package and, whatever was imported first, a function too: `check.check`.
 """
 
-from articugen.calling import called_as
+from articugen.core.calling import called_as
 
 called_as(__name__, "check", "check")

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from articugen.errors import InvalidArgument
-from articugen.pipeline import default_jobs
+from articugen.core.errors import InvalidArgument
+from articugen.pipeline.run import default_jobs
 from articugen.verify.dataset import Repair, Report, verify
 
 

@@ -21,12 +21,12 @@ from typing import Any
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
-from articugen import workers
-from articugen.errors import CorruptShard, spelt_out
-from articugen.recipe import Recipe
+from articugen.core import processes
+from articugen.core.errors import CorruptShard, spelt_out
+from articugen.core.files import read_regular
+from articugen.core.recipe import Recipe
+from articugen.pipeline.journal import COMMON_PLAN, is_journal, is_temporary
 from articugen.store import croissant
-from articugen.store.files import read_regular
-from articugen.store.journal import COMMON_PLAN, is_journal, is_temporary
 from articugen.store.manifest import (
     MANIFEST_NAME,
     Manifest,
@@ -141,7 +141,7 @@ def verify(folder: Path, *, jobs: int = 1, on_shard: Callable[[str], None] | Non
     contents: dict[str, list[ObjectEntry]] = {}
     for entry in manifest.objects:
         contents.setdefault(entry.shard, []).append(entry)
-    looked = workers.in_order(
+    looked = processes.in_order(
         look,
         [(shard, contents[shard.name]) for shard in manifest.shards],
         workers=min(jobs, len(manifest.shards)) if jobs > 1 else 0,

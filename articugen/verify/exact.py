@@ -4,9 +4,9 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from articugen.geometry import apply, bounds, rotation_about, transform
-from articugen.recipe import Recipe
-from articugen.records import (
+from articugen.core.geometry import apply, bounds, rotation_about, transform
+from articugen.core.recipe import Recipe
+from articugen.core.records import (
     ENCLOSED,
     STORED_KINDS,
     Floats,

@@ -4,12 +4,12 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from articugen.geometry import apply
-from articugen.recipe import Recipe
-from articugen.records import Floats, Instance, dequantize
-from articugen.store import schema
+from articugen.core import schema
+from articugen.core.geometry import apply
+from articugen.core.near import by_cell, nearest_within
+from articugen.core.recipe import Recipe
+from articugen.core.records import Floats, Instance, dequantize
 from articugen.verify.bounds import TOLERANCES
-from articugen.verify.nearest import by_cell, nearest_within
 
 _LOOKED_AT = 500
 """Query points whose distance is compared with that to each surface point."""

@@ -10,8 +10,8 @@ few samples never are. All thresholds and their margins are in `bounds.py`.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from articugen.recipe import Recipe
-from articugen.records import Instance
+from articugen.core.recipe import Recipe
+from articugen.core.records import Instance
 from articugen.verify import extras
 from articugen.verify.exact import GEOMETRY_CHECKS, OBJECT_CHECKS, VALUE_CHECKS, InstanceCheck
 from articugen.verify.sampled import SHARE_CHECKS, Samples, Share, flow_shares

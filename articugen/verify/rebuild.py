@@ -16,16 +16,16 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from articugen import workers
-from articugen.errors import ArticugenError, CorruptShard
-from articugen.instance import prepare
-from articugen.pipeline import generator_of
-from articugen.recipe import Recipe
-from articugen.resolving import resolved
+from articugen.core import processes
+from articugen.core.errors import ArticugenError, CorruptShard
+from articugen.core.files import read_regular, sha256_of, write_atomically
+from articugen.core.recipe import Recipe
+from articugen.instance.make import prepare
+from articugen.instance.resolving import resolved
+from articugen.pipeline.journal import is_journal, lock_folder
+from articugen.pipeline.run import generator_of
 from articugen.sources import registry
 from articugen.store import croissant
-from articugen.store.files import read_regular, sha256_of, write_atomically
-from articugen.store.journal import is_journal, lock_folder
 from articugen.store.manifest import (
     LISTS,
     MANIFEST_NAME,
@@ -87,13 +87,13 @@ def _object_of(witness: _Witness) -> str:
 def _rebuilt(folder: Path, jobs: int) -> str:
     names = sorted(n for n in os.listdir(folder) if is_shard_name(n) and (folder / n).is_file())
     wide = min(jobs, len(names)) if jobs > 1 else 0
-    looked = workers.in_order(partial(_witness, folder), names, workers=wide)
+    looked = processes.in_order(partial(_witness, folder), names, workers=wide)
     whole = {name: witness for name, witness in zip(names, looked, strict=True) if witness}
     about = _common(whole)
     told = _Told.of(folder, about)
     outcomes = {name: o for name, o in told.outcomes.items() if _agrees(o, whole.get(name))}
     alone = [witness for name, witness in whole.items() if name not in outcomes]
-    proven = workers.in_order(partial(_proven, folder), alone, workers=wide, name=_object_of)
+    proven = processes.in_order(partial(_proven, folder), alone, workers=wide, name=_object_of)
     outcomes |= {outcome.shard.name: outcome for outcome in proven if outcome.shard}
     _check_distinct(outcomes)
     manifest = Manifest.of(

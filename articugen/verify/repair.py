@@ -13,13 +13,13 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from articugen.errors import ArticugenError, CorruptShard, RejectedInstance
-from articugen.pipeline import Job, Plan, Run, Task, generator_of
-from articugen.recipe import Recipe
+from articugen.core.errors import ArticugenError, CorruptShard, RejectedInstance
+from articugen.core.files import write_atomically
+from articugen.core.recipe import Recipe
+from articugen.pipeline.journal import Journal
+from articugen.pipeline.run import Job, Plan, Run, Task, generator_of
 from articugen.sources import registry
 from articugen.store import croissant
-from articugen.store.files import write_atomically
-from articugen.store.journal import Journal
 from articugen.store.manifest import MANIFEST_NAME, Manifest, ObjectEntry, Outcome, ShardEntry
 from articugen.store.shards import ShardRecord, content_sha256, copy_user_group, open_shard
 from articugen.verify.dataset import MENDED, Finding, Repair, Report, text_findings, verify

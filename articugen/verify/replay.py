@@ -6,18 +6,18 @@ from pathlib import Path
 
 import numpy as np
 
-from articugen import articulation
-from articugen.errors import ArticugenError, InvalidSource, RejectedInstance
+from articugen.core.errors import ArticugenError, InvalidSource, RejectedInstance
+from articugen.core.files import check_place
+from articugen.core.recipe import Recipe
+from articugen.core.records import ArticulatedObject, Instance, Mesh, dequantize
+from articugen.core.seeding import generator
 from articugen.fusion import PosedSolids, pixel_width
 from articugen.fusion.isosurface import extract_mesh
-from articugen.instance import Prepared, make_instance, pose, prepare
-from articugen.mesh_file import check_format, export
-from articugen.pipeline import generator_of
-from articugen.recipe import Recipe
-from articugen.records import ArticulatedObject, Instance, Mesh, dequantize
-from articugen.seeding import generator
+from articugen.instance import articulation
+from articugen.instance.make import Prepared, make_instance, pose, prepare
+from articugen.meshes.mesh_file import check_format, export
+from articugen.pipeline.run import generator_of
 from articugen.sources import registry
-from articugen.store.files import check_place
 from articugen.store.manifest import Manifest, ObjectEntry, library_versions, this_machine
 from articugen.store.shards import open_shard
 from articugen.verify.bounds import BEHIND, IN_FRONT, on_level

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.geometry import apply, invert_rigid, voxel_centres
-from articugen.jit import kernel
-from articugen.recipe import Recipe
-from articugen.records import FREE, Floats, Instance, dequantize, is_material
+from articugen.core.geometry import apply, invert_rigid, voxel_centres
+from articugen.core.jit import kernel
+from articugen.core.near import Sorted, any_within, by_cell, nearest_within
+from articugen.core.recipe import Recipe
+from articugen.core.records import FREE, Floats, Instance, dequantize, is_material
 from articugen.verify.bounds import (
     ANY_SURFACE,
     BOUNDS,
@@ -23,7 +24,6 @@ from articugen.verify.bounds import (
     SAME_SURFACE,
     STEEPEST,
 )
-from articugen.verify.nearest import Sorted, any_within, by_cell, nearest_within
 
 
 @dataclass(frozen=True)

@@ -45,8 +45,8 @@ hide: [navigation, toc]
 def make(folder: Path, recipe: str, jobs: int | None = None) -> None:
     """Make what is missing of the gallery in `folder`, with so many workers, None for all cores."""
     import articugen as ag
-    from articugen.inspection.contact_sheet import contact_sheet
-    from articugen.report.page import write_report
+    from articugen.inspection.report.page import write_report
+    from articugen.pictures.contact_sheet import contact_sheet
 
     for number, category in enumerate(CATEGORIES, 1):
         print(f"gallery: {category}, {number} of {len(CATEGORIES)} ...", flush=True)

@@ -21,11 +21,11 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from articugen import instance
-from articugen.instance import Prepared
-from articugen.recipe import Recipe
-from articugen.records import dequantize
-from articugen.sources.procedural import CATEGORIES
+from articugen.core.recipe import Recipe
+from articugen.core.records import dequantize
+from articugen.instance import make
+from articugen.instance.make import Prepared
+from articugen.procedural import CATEGORIES
 from tests.benchmarks import accuracy_tables, cases, exactness, forms
 from tests.benchmarks.about import about
 from tests.benchmarks.exactness import Row, counts
@@ -161,7 +161,7 @@ def _rigid(category: str, index: int, size: Size) -> list[Row]:
     for state in range(1, size.states + 1):
         made = cases.sampled(prepared["rigid"], state, size.points)
         scene = cases.scene(model, prepared["rigid"], state)
-        fields = instance.pose(prepared["rigid"], state)[1]
+        fields = make.pose(prepared["rigid"], state)[1]
         row: Row = {"category": category, "name": model.name, "state": state}
         rows.append(row | exactness.material(made, scene, fields) | _seconds(prepared, state))
     return rows
@@ -173,7 +173,7 @@ def _prepared(model: cases.Model, recipe: Recipe, rules: Sequence[str]) -> dict[
         rule: recipe.model_copy(update={"fusion": recipe.fusion.model_copy(update={"rule": rule})})
         for rule in rules
     }
-    return {rule: instance.prepare(model.obj, r, SEED) for rule, r in by_rule.items()}
+    return {rule: make.prepare(model.obj, r, SEED) for rule, r in by_rule.items()}
 
 
 def _seconds(prepared: dict[str, Prepared], state: int) -> dict[str, float]:
@@ -181,7 +181,7 @@ def _seconds(prepared: dict[str, Prepared], state: int) -> dict[str, float]:
     seconds: dict[str, list[float]] = {rule: [] for rule in prepared}
     for _ in range(TIMED):
         for rule, p in prepared.items():
-            seconds[rule].append(_cpu(partial(instance.make_instance, p, state)))
+            seconds[rule].append(_cpu(partial(make.make_instance, p, state)))
     return {rule: statistics.median(spent) for rule, spent in seconds.items()}
 
 

@@ -17,12 +17,12 @@ import trimesh
 from rich.console import Console
 from rich.table import Table
 
-from articugen.errors import MissingDriver, MissingExtra
-from articugen.geometry import bounds
-from articugen.recipe import ViewSettings
-from articugen.records import LabelledMesh, Views
+from articugen.core.backends import BACKENDS
+from articugen.core.errors import MissingDriver, MissingExtra
+from articugen.core.geometry import bounds
+from articugen.core.recipe import ViewSettings
+from articugen.core.records import LabelledMesh, Views
 from articugen.rendering import render
-from articugen.rendering.backends import BACKENDS
 from articugen.rendering.views import fusion_views
 
 SIZES = (128, 256, 640)

@@ -12,9 +12,7 @@ import trimesh
 from numba import njit
 from numpy.typing import NDArray
 
-from articugen import articulation, instance
-from articugen.fusion import reachable
-from articugen.geometry import (
+from articugen.core.geometry import (
     apply,
     fibonacci_sphere,
     invert_rigid,
@@ -22,9 +20,8 @@ from articugen.geometry import (
     transform,
     voxel_centres,
 )
-from articugen.instance import Prepared
-from articugen.recipe import Recipe, load_recipe
-from articugen.records import (
+from articugen.core.recipe import Recipe, load_recipe
+from articugen.core.records import (
     ArticulatedObject,
     Floats,
     Instance,
@@ -32,9 +29,12 @@ from articugen.records import (
     Views,
     dequantize,
 )
-from articugen.resolving import resolved
+from articugen.fusion import reachable
+from articugen.instance import articulation, make
+from articugen.instance.make import Prepared
+from articugen.instance.resolving import resolved
+from articugen.procedural.truth import Truth, _meets_box, _meets_cell, load_truth
 from articugen.sources import registry
-from articugen.sources.procedural.truth import Truth, _meets_box, _meets_cell, load_truth
 from articugen.sources.refs import ObjectRef
 
 Bools = NDArray[np.bool_]
@@ -212,7 +212,7 @@ def sampled(prepared: Prepared, state: int, count: int) -> Instance:
     many |= dict.fromkeys(("surface_points", "uniform_points", "near_points"), count)
     sampling = prepared.recipe.sampling.model_copy(update=many)
     recipe = prepared.recipe.model_copy(update={"sampling": sampling})
-    return instance.make_instance(replace(prepared, recipe=recipe, grids={}), state)
+    return make.make_instance(replace(prepared, recipe=recipe, grids={}), state)
 
 
 def link_frames(prepared: Prepared, state: int) -> dict[str, Floats]:

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numba import config, njit, prange
 
-from articugen.geometry import bounds, fibonacci_sphere, look_along
-from articugen.records import Floats, LabelledMesh, Views
+from articugen.core.geometry import bounds, fibonacci_sphere, look_along
+from articugen.core.records import Floats, LabelledMesh, Views
 from articugen.rendering import rasterizer
 from tests.benchmarks.cases import Inside
 

@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen import fusion, instance
-from articugen.geometry import voxel_centres
-from articugen.recipe import Recipe
-from articugen.records import Floats, Instance, Views, dequantize, is_material
+from articugen import fusion
+from articugen.core.geometry import voxel_centres
+from articugen.core.recipe import Recipe
+from articugen.core.records import Floats, Instance, Views, dequantize, is_material
+from articugen.instance import make
 from tests.benchmarks import cases
 from tests.benchmarks.cases import VOXEL, Bools, Model, Scene
 
@@ -26,12 +27,12 @@ BEHIND = 1e-4
 
 def object_rows(model: Model, recipe: Recipe, states: int, points: int, seed: int) -> list[Row]:
     """A row of counts for each random state of an object; `total` adds them up."""
-    prepared = instance.prepare(model.obj, recipe.with_counts(states=states), seed)
+    prepared = make.prepare(model.obj, recipe.with_counts(states=states), seed)
     rows = []
     for state in range(1, states + 1):
         made = cases.sampled(prepared, state, points)
         exact = cases.scene(model, prepared, state)
-        fields = instance.pose(prepared, state)[1]
+        fields = make.pose(prepared, state)[1]
         rows.append(
             {"category": model.ref.category, "messy": model.messy, "name": model.name,
              "state": state}

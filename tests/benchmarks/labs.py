@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.geometry import bounds
-from articugen.records import Floats, LabelledMesh
+from articugen.core.geometry import bounds
+from articugen.core.records import Floats, LabelledMesh
 from tests.benchmarks.cases import Bools, Inside
 
 OCTANTS = np.stack(np.meshgrid((0, 1), (0, 1), (0, 1), indexing="ij"), axis=-1).reshape(8, 3)

@@ -18,13 +18,15 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
-from articugen import pipeline, ranks
-from articugen.pipeline import Job, generator_of, objects_of
-from articugen.ranks import common_plan, names_of
-from articugen.recipe import load_recipe
+from articugen.core.recipe import load_recipe
+from articugen.pipeline import ranks
+from articugen.pipeline import run as pipeline
+from articugen.pipeline.journal import COMMON_PLAN, JOURNAL_NAME, Journal
+from articugen.pipeline.rank_journal import Share, shard_names
+from articugen.pipeline.ranks import common_plan, names_of
+from articugen.pipeline.run import Job, generator_of, objects_of
 from articugen.sources.refs import ObjectRef
 from articugen.store.dataset import open as open_data_set
-from articugen.store.journal import COMMON_PLAN, JOURNAL_NAME, Journal
 from articugen.store.manifest import (
     Claims,
     Key,
@@ -34,7 +36,6 @@ from articugen.store.manifest import (
     ShardEntry,
     Timings,
 )
-from articugen.store.rank_journal import Share, shard_names
 
 RANKS = 1000
 CONTENT = b"a shard" * 100

@@ -28,13 +28,13 @@ def main(kind: str, *arguments: str) -> None:
 
 
 def _ours(setting: str, category: str, index: str, states: str) -> None:
-    from articugen import instance  # noqa: PLC0415 - only what the method needs
+    from articugen.instance import make  # noqa: PLC0415 - only what the method needs
     from tests.benchmarks import cases, ours  # noqa: PLC0415
 
     model = cases.bundled(category, int(index), messy=False)
     recipe = ours.at(model.recipe, ours.SETTINGS[setting])
-    prepared = instance.prepare(model.obj, recipe, 0)
-    _ = [instance.make_instance(prepared, state) for state in range(1, int(states) + 1)]
+    prepared = make.prepare(model.obj, recipe, 0)
+    _ = [make.make_instance(prepared, state) for state in range(1, int(states) + 1)]
 
 
 def _peer(number: str, mesh_path: str, quick: str) -> None:

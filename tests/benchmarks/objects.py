@@ -21,14 +21,14 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from articugen.articulation import resolve
-from articugen.geometry import apply
-from articugen.recipe import load_recipe
-from articugen.seeding import generator
+from articugen.core.geometry import apply
+from articugen.core.recipe import load_recipe
+from articugen.core.seeding import generator
+from articugen.instance.articulation import resolve
+from articugen.procedural import build_model
+from articugen.procedural.kit.writer import URDF_NAME, write_model
+from articugen.procedural.truth import load_truth
 from articugen.sources import registry
-from articugen.sources.procedural import build_model
-from articugen.sources.procedural.kit.writer import URDF_NAME, write_model
-from articugen.sources.procedural.truth import load_truth
 from articugen.sources.urdf import load_urdf
 from tests.procedural_truth import assert_sound, crossings, link_frames, object_id
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from articugen.records import LabelledMesh
+from articugen.core.records import LabelledMesh
 
 SIGNS = {
     "projection normal": "ProjectionNormal",

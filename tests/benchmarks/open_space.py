@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from articugen.records import Floats, Views
+from articugen.core.records import Floats, Views
 from tests.benchmarks.cases import Bools, Scene
 
 INSIDE, OUTSIDE, UNDECIDED = 0, 1, 2

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from articugen.sources.procedural import CATEGORIES
+from articugen.procedural import CATEGORIES
 from tests.benchmarks.dense import Dense
 from tests.benchmarks.measure import Extent
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import yaml
 
-from articugen import instance
-from articugen.recipe import Recipe
-from articugen.records import LabelledMesh
+from articugen.core.recipe import Recipe
+from articugen.core.records import LabelledMesh
+from articugen.instance import make
 from tests.benchmarks.cases import Inside
 
 SETTINGS = {"ours": None, "ours, fast": 128, "ours, fine": 512}
@@ -24,7 +24,7 @@ STAGES = {
     "_surface": "surface",
     "_partial_fields": "partial",
 }
-"""The functions of articugen.instance that are timed, and as what. None calls another."""
+"""The functions of articugen.instance.make that are timed, and as what. None calls another."""
 
 
 def at(recipe: Recipe, resolution: int | None) -> Recipe:
@@ -44,7 +44,7 @@ def with_queries(recipe: Recipe, count: int) -> Recipe:
 def stages() -> Iterator[dict[str, float]]:
     """Seconds spent in each stage while the context lasts."""
     spent = dict.fromkeys(STAGES.values(), 0.0)
-    original = {name: getattr(instance, name) for name in STAGES}
+    original = {name: getattr(make, name) for name in STAGES}
 
     def timed(function, stage: str):
         def call(*args, **kwargs):
@@ -56,17 +56,17 @@ def stages() -> Iterator[dict[str, float]]:
         return call
 
     for name, stage in STAGES.items():
-        setattr(instance, name, timed(original[name], stage))
+        setattr(make, name, timed(original[name], stage))
     try:
         yield spent
     finally:
         for name, function in original.items():
-            setattr(instance, name, function)
+            setattr(make, name, function)
 
 
 def alone(mesh: LabelledMesh, recipe: Recipe) -> Inside:
     """Our field of a mesh by itself, sheets thickened."""
-    field = instance.own_solid(instance.solid_part(mesh, recipe), recipe).field
+    field = make.own_solid(make.solid_part(mesh, recipe), recipe).field
     return lambda points: ~field.is_free(points)
 
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from articugen.core.geometry import invert_rigid
+from articugen.core.records import FREE, Floats, Instance, dequantize
 from articugen.discovery import assign_material, discover
-from articugen.geometry import invert_rigid
-from articugen.records import FREE, Floats, Instance, dequantize
 from articugen.store.manifest import Manifest
 from articugen.store.shards import open_shard
 

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from articugen.errors import MissingDriver, MissingExtra
+from articugen.core.errors import MissingDriver, MissingExtra
+from articugen.core.geometry import bounds
+from articugen.core.recipe import ViewSettings
+from articugen.core.records import Floats, LabelledMesh, Views
 from articugen.fusion.solidify import without_repeats
-from articugen.geometry import bounds
-from articugen.recipe import ViewSettings
-from articugen.records import Floats, LabelledMesh, Views
 from articugen.rendering import render
 from articugen.rendering.views import fusion_views
 from tests.benchmarks import labs, offset

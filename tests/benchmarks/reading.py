@@ -20,7 +20,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from articugen.recipe import Sampling
+from articugen.core.recipe import Sampling
 from articugen.store.dataset import open as open_data_set
 from articugen.store.shards import Shard, open_shard, write_shard
 from tests.instances import SMALL, hinged_box

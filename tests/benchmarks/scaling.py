@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from articugen import instance, pipeline
-from articugen.recipe import Recipe
-from articugen.records import ArticulatedObject, Mesh
+from articugen.core.recipe import Recipe
+from articugen.core.records import ArticulatedObject, Mesh
+from articugen.instance import make
+from articugen.pipeline import run
 from tests.benchmarks import ours
 from tests.benchmarks.cases import Model
 
@@ -39,11 +40,11 @@ def curves(model: Model, *, quick: bool, say: Callable[[str], None]) -> dict[str
 
 
 def _rate(obj: ArticulatedObject, recipe: Recipe) -> float:
-    prepared = instance.prepare(obj, recipe, 0)
+    prepared = make.prepare(obj, recipe, 0)
     seconds = []
     for state in (1, 2, 3):
         start = time.perf_counter()
-        instance.make_instance(prepared, state)
+        make.make_instance(prepared, state)
         seconds.append(time.perf_counter() - start)
     return 1.0 / float(np.median(seconds))
 
@@ -141,4 +142,4 @@ def _short(number: float) -> str:
 
 def worker_counts() -> tuple[int, ...]:
     """1, 2, 4, ... up to the cores that this process may use; 2 at least."""
-    return tuple(n for n in (1, 2, 4, 8, 16, 32, 64) if n <= max(2, pipeline.default_jobs()))
+    return tuple(n for n in (1, 2, 4, 8, 16, 32, 64) if n <= max(2, run.default_jobs()))

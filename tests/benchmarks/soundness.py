@@ -21,11 +21,11 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from articugen.errors import InvalidSource, NotOfCategory
-from articugen.instance import Prepared, make_instance, prepare
-from articugen.recipe import Recipe, load_recipe
-from articugen.records import Instance
-from articugen.resolving import resolved
+from articugen.core.errors import InvalidSource, NotOfCategory
+from articugen.core.recipe import Recipe, load_recipe
+from articugen.core.records import Instance
+from articugen.instance.make import Prepared, make_instance, prepare
+from articugen.instance.resolving import resolved
 from articugen.sources import registry
 from articugen.verify import invariants, replay
 from articugen.verify.bounds import TOLERANCES, Tolerance

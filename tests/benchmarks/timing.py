@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from articugen import instance, pipeline
-from articugen.instance import Prepared
-from articugen.records import Floats, Instance, dequantize
+from articugen.core.records import Floats, Instance, dequantize
+from articugen.instance import make
+from articugen.instance.make import Prepared
+from articugen.pipeline import run as pipeline
 from articugen.store.shards import write_shard
 from tests.benchmarks import ours, rows
 from tests.benchmarks.cases import Case, Model
@@ -27,11 +28,11 @@ def time_ours(
     """Everything that `articugen generate` does for an instance. What is done once an object is
     shared out among all the instances that its recipe asks for."""
     recipe = ours.at(model.recipe, ours.SETTINGS[method])
-    prepared, once, once_cpu = timed(lambda: instance.prepare(model.obj, recipe, 0))
+    prepared, once, once_cpu = timed(lambda: make.prepare(model.obj, recipe, 0))
     made, measured = [], []
     for state in states:
         with ours.stages() as spent:
-            single, seconds, cpu = timed(lambda s=state: instance.make_instance(prepared, s))
+            single, seconds, cpu = timed(lambda s=state: make.make_instance(prepared, s))
         made.append(single)
         measured.append((state, seconds, cpu, dict(spent)))
     # A file costs something, however few it holds.
@@ -62,7 +63,7 @@ def time_many(
     """
     recipe = ours.with_queries(prepared.recipe, labels)
     asked = replace(prepared, recipe=recipe, grids={})
-    one, seconds, cpu = timed(lambda: instance.make_instance(asked, made.state))
+    one, seconds, cpu = timed(lambda: make.make_instance(asked, made.state))
     write, write_cpu = _written([one, one], made.model, folder)
     count, last = len(prepared.states), results.timings[-1]
     results.many.append(

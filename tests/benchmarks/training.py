@@ -27,7 +27,7 @@ from unittest.mock import patch
 import torch
 
 from articugen.learning import loop
-from articugen.learning.dataset import PackedSplit
+from articugen.learning.data.split import PackedSplit
 from articugen.learning.method import load_recipe
 from articugen.learning.ppd import objective
 from articugen.learning.ppd.descent import Descent

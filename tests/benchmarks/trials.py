@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
-from articugen.geometry import transform
-from articugen.records import Floats, LabelledMesh
+from articugen.core.geometry import transform
+from articugen.core.records import Floats, LabelledMesh
 from tests.benchmarks.cases import GENERIC, iou, soup
 from tests.benchmarks.scores import TRUTHS
 from tests.shapes import Convex, box, two_sided

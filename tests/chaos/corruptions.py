@@ -18,12 +18,12 @@ from typing import Any
 import h5py
 import numpy as np
 
-from articugen import api
-from articugen.pipeline import Job
-from articugen.recipe import Recipe
+from articugen.core.recipe import Recipe
+from articugen.core.schema import CHECKED_ATTRIBUTES
+from articugen.pipeline import door
+from articugen.pipeline.run import Job
 from articugen.store import croissant
 from articugen.store.manifest import MANIFEST_NAME, Manifest
-from articugen.store.schema import CHECKED_ATTRIBUTES
 from articugen.verify.dataset import Report, verify
 from articugen.verify.repair import Asked, repair
 from tests.golden import own_models
@@ -269,7 +269,7 @@ def trials(work: Path, count: int, *, repaired: int) -> Iterator[Trial]:
 
 
 def _made(folder: Path, seed: int) -> Path:
-    api.make(Job("procedural", "eyeglasses", RECIPE, seed, folder, 0))
+    door.make(Job("procedural", "eyeglasses", RECIPE, seed, folder, 0))
     return folder
 
 

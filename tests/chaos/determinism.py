@@ -27,7 +27,7 @@ Row = tuple[str, int, int]
 MAKE = """
 import json, os, signal, sys
 from pathlib import Path
-from articugen import api
+from articugen.pipeline import door as api
 from articugen.pipeline import Job
 from tests.chaos.corruptions import RECIPE
 from tests.golden import own_models

@@ -26,7 +26,7 @@ _INSTRUMENTED = (
     *("articugen", "collada", "trimesh.exchange", "yourdfpy", "yaml", "numpy.lib"),
     *("torch._weights_only_unpickler", "tarfile", "zipfile", "json"),
 )
-_NOT_INSTRUMENTED = ["articugen.jit", "articugen.sources.obj_kernel", "articugen.portable"]
+_NOT_INSTRUMENTED = ["articugen.core.jit", "articugen.meshes.obj_kernel", "articugen.core.portable"]
 """numba compiles these, and knows nothing of what atheris puts in."""
 
 

@@ -13,7 +13,7 @@ from unittest import mock
 
 import numpy as np
 
-from articugen.bundled import RECIPES, SOURCES
+from articugen.core.bundled import RECIPES, SOURCES
 from tests.published import model_files, zipped
 
 TESTS = Path(__file__).resolve().parents[1]
@@ -29,7 +29,7 @@ def objs() -> Iterable[bytes]:
 
 def recipes() -> Iterable[bytes]:
     """Of data, and one that says most of what can be said."""
-    from articugen.recipe import load_recipe
+    from articugen.core.recipe import load_recipe
 
     yield from _texts(RECIPES, learner=False)
     yield json.dumps(json.loads(load_recipe("quick", "laptop").text()), indent=1).encode()
@@ -40,7 +40,7 @@ def training_recipes() -> Iterable[bytes]:
 
 
 def _texts(folder: Path, *, learner: bool) -> Iterable[bytes]:
-    from articugen.recipe_files import known
+    from articugen.core.yaml_files import known
 
     for name in known(learner=learner):
         yield (folder / f"{name}.yaml").read_bytes()
@@ -105,7 +105,7 @@ def manifests() -> Iterable[bytes]:
 
 
 def _manifest_of(outcomes: list[Any]) -> Any:
-    from articugen.recipe import load_recipe
+    from articugen.core.recipe import load_recipe
     from articugen.store.manifest import Manifest, Timings
 
     return Manifest.of(
@@ -146,7 +146,7 @@ def checkpoint_data() -> dict[str, Any]:
 
 
 def _checkpoint_format() -> str:
-    from articugen.learning.runs import FORMAT
+    from articugen.learning.run_folder import FORMAT
 
     return FORMAT
 
@@ -169,7 +169,7 @@ def pickles() -> Iterable[bytes]:
 
 def weights() -> Iterable[bytes]:
     from articugen.learning.method import load_recipe
-    from articugen.learning.runs import WEIGHTS_FORMAT
+    from articugen.learning.run_folder import WEIGHTS_FORMAT
 
     about = {
         "category": "box",

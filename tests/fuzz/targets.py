@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from articugen.errors import CorruptShard, InvalidCheckpoint, InvalidRecipe, InvalidSource
+from articugen.core.errors import CorruptShard, InvalidCheckpoint, InvalidRecipe, InvalidSource
 from tests.fuzz import making, mending
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "fuzz"
@@ -76,7 +76,7 @@ def _read_urdf(path: Path) -> object:
 
 
 def _read_mesh(path: Path) -> object:
-    from articugen.sources.meshes import read_mesh
+    from articugen.meshes.read import read_mesh
 
     return read_mesh(path)
 
@@ -140,7 +140,7 @@ def _partnet_around(folder: Path) -> None:
 
 
 def _read_recipe(path: Path) -> object:
-    from articugen.recipe import load_recipe
+    from articugen.core.recipe import load_recipe
 
     recipe = load_recipe(path, "laptop")
     return recipe.text(), recipe.sha256(), recipe.instance_bytes()
@@ -229,7 +229,7 @@ def _read_manifest(path: Path) -> object:
 
 
 def _read_journal(path: Path) -> object:
-    from articugen.store.journal import Journal
+    from articugen.pipeline.journal import Journal
 
     with Journal(path.parent) as journal:
         return journal
@@ -239,13 +239,13 @@ def _read_journal(path: Path) -> object:
 
 
 def _read_checkpoint(path: Path) -> object:
-    from articugen.learning.runs import read_checkpoint
+    from articugen.learning.run_folder import read_checkpoint
 
     return read_checkpoint(path)
 
 
 def _read_weights(path: Path) -> object:
-    from articugen.learning.runs import read_run
+    from articugen.learning.run_folder import read_run
     from articugen.learning.safetensors import read_safetensors
 
     read_safetensors(path)
@@ -253,13 +253,13 @@ def _read_weights(path: Path) -> object:
 
 
 def _read_run_json(path: Path) -> object:
-    from articugen.learning.runs import RunFolder
+    from articugen.learning.run_folder import RunFolder
 
     return RunFolder(path.parent).about()
 
 
 def _read_metrics(path: Path) -> object:
-    from articugen.learning.runs import RunFolder
+    from articugen.learning.run_folder import RunFolder
 
     return RunFolder(path.parent).metrics()
 
@@ -271,8 +271,8 @@ def _read_evaluation(path: Path) -> object:
 
 
 def _read_cloud(path: Path) -> object:
-    from articugen.found_joints import discover
-    from articugen.learning.clouds import cloud_of_file, numbers_of_file
+    from articugen.discovery.objects import discover
+    from articugen.meshes.points import cloud_of_file, numbers_of_file
 
     del discover
     numbers_of_file(path)
@@ -287,7 +287,7 @@ def _into(folder: Path) -> None:
 
 
 def _unpack(path: Path) -> object:
-    from articugen.fetching.models import unpack
+    from articugen.sources.fetch.models import unpack
 
     return unpack(path, path.parent / "into", lambda _: True, lambda _model, _folder: None)
 

@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.errors import UnfitData
+from articugen.core.errors import UnfitData
+from articugen.core.records import Floats, Instance, JointKind, dequantize, is_material
+from articugen.core.seeding import generator
 from articugen.learning.evaluation import metrics
 from articugen.learning.evaluation.matched import Matching, joint_errors, matching, pose_errors
 from articugen.learning.evaluation.metrics import DIAGONAL, NO_LABEL, Ints
@@ -26,10 +28,8 @@ from articugen.learning.evaluation.results import (
     Kind,
     LeftOut,
 )
-from articugen.learning.evaluation.surfaces import distance, sample
-from articugen.marching_cubes import zero_level
-from articugen.records import Floats, Instance, JointKind, dequantize, is_material
-from articugen.seeding import generator
+from articugen.meshes.distances import distance, sample
+from articugen.meshes.marching_cubes import zero_level
 from articugen.store.manifest import Manifest
 from articugen.store.shards import open_shard
 

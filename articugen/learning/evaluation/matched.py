@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from articugen.geometry import apply
+from articugen.core.geometry import apply
+from articugen.core.records import Floats, Instance, JointKind, dequantize
 from articugen.learning.evaluation import metrics
 from articugen.learning.evaluation.metrics import DIAGONAL, NO_LABEL, Ints
 from articugen.learning.evaluation.reconstruction import Reconstruction
-from articugen.records import Floats, Instance, JointKind, dequantize
 
 RIGHT_ANGLE = 90.0
 

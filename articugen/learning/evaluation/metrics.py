@@ -6,8 +6,8 @@ K ground-truth parts (0 is the fixed one), P predicted parts. Lengths are in the
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.geometry import apply
-from articugen.learning.evaluation.surfaces import distance
+from articugen.core.geometry import apply
+from articugen.meshes.distances import distance
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

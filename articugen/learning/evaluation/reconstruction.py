@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.geometry import invert_rigid, rotation_about, transform
-from articugen.records import Floats, Instance, JointKind, dequantize
+from articugen.core.geometry import invert_rigid, rotation_about, transform
+from articugen.core.records import Floats, Instance, JointKind, dequantize
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from articugen.errors import InvalidCheckpoint
-from articugen.store.files import UnfitFile, read_regular, write_atomically
+from articugen.core.errors import InvalidCheckpoint
+from articugen.core.files import UnfitFile, read_regular, write_atomically
 
 FILE = "evaluation.json"
 MOST_BYTES = 1 << 28

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from articugen.errors import TrainingDiverged
+from articugen.core.errors import TrainingDiverged
 from articugen.learning import processes
 from articugen.learning.method import Terms
 from articugen.learning.optimisers import optimiser_of

@@ -7,12 +7,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from articugen.core.records import Floats, JointKind
 from articugen.learning.evaluation.figures.draw import Between, Drawable, Opening
 from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.ppd.learner import Predictor
 from articugen.learning.ppd.model import PPD, Prediction
 from articugen.learning.ppd.reconstruct import logits_at, reconstruction_of
-from articugen.records import Floats, JointKind
 
 TITLES = {
     "rec": "$L_{rec}$",

@@ -6,14 +6,14 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import leaky_relu
 
-from articugen.learning.ppd.batches import (
+from articugen.learning.ppd.cpu.batches import (
     argmax_of_points,
     distinct,
     gather_points,
     one_by_one,
     spares,
 )
-from articugen.learning.ppd.patches import patches
+from articugen.learning.ppd.cpu.patches import patches
 from articugen.learning.ppd.settings import ModelSettings
 
 POSE, SHAPE, TEMPLATE, COMMON = 128, 256, 64, 64

@@ -12,20 +12,21 @@ import torch
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
-from articugen.learning.dataset import Batch, BatchSpec, PackedSplit, unpacked, voxel_centres
+from articugen.core.records import Floats
+from articugen.learning.data.split import Batch, BatchSpec, PackedSplit, unpacked, voxel_centres
 from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.method import Learner, Terms
-from articugen.learning.ppd import objective, warm_start
+from articugen.learning.ppd import objective
 from articugen.learning.ppd.descent import Descent
 from articugen.learning.ppd.discriminator import Discriminator
-from articugen.learning.ppd.found import discovered
 from articugen.learning.ppd.model import PPD, Prediction
 from articugen.learning.ppd.reconstruct import Meshes, reconstruction_of
 from articugen.learning.ppd.settings import PPDRecipe, directions_of
-from articugen.learning.ppd.targets import is_one_sided, likely, targets
-from articugen.learning.ppd.variation import CHANCES, Variation, is_mirrored
+from articugen.learning.ppd.warm import terms as warm_start
+from articugen.learning.ppd.warm.found import discovered
+from articugen.learning.ppd.warm.targets import is_one_sided, likely, targets
+from articugen.learning.ppd.warm.variation import CHANCES, Variation, is_mirrored
 from articugen.learning.tensors import made
-from articugen.records import Floats
 
 if TYPE_CHECKING:
     from articugen.learning.evaluation.figures.draw import Drawable

@@ -18,11 +18,11 @@ import torch
 from torch import Tensor, nn
 from torch.func import functional_call, vmap
 
-from articugen.learning.dataset import Batch, PackedSplit
+from articugen.learning.data.split import Batch, PackedSplit
 from articugen.learning.method import Team, Terms
 from articugen.learning.optimisers import Optimiser, optimiser_of
 from articugen.learning.ppd import objective
-from articugen.learning.ppd.batches import whole_batches
+from articugen.learning.ppd.cpu.batches import whole_batches
 from articugen.learning.ppd.learner import PPDLearner
 from articugen.learning.ppd.model import PPD
 from articugen.learning.ppd.settings import PPDRecipe

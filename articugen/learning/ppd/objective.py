@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 from articugen.learning import processes
-from articugen.learning.dataset import Batch
+from articugen.learning.data.split import Batch
 from articugen.learning.method import Terms
 from articugen.learning.ppd import losses
-from articugen.learning.ppd.batches import gather_points
+from articugen.learning.ppd.cpu.batches import gather_points
 from articugen.learning.ppd.discriminator import Discriminator
 from articugen.learning.ppd.model import PPD, Pose, Prediction
 from articugen.learning.ppd.settings import LossSettings

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.func import functional_call
 
-from articugen.geometry import invert_rigid
-from articugen.learning.dataset import voxel_centres
+from articugen.core.geometry import invert_rigid
+from articugen.core.records import Floats, JointKind
+from articugen.learning.data.split import voxel_centres
 from articugen.learning.evaluation.reconstruction import PartJoints, Reconstruction
 from articugen.learning.ppd.kinematics import InverseMotion
 from articugen.learning.ppd.model import PPD, Prediction
 from articugen.learning.ppd.shape import PartBox, ShapeCode, ShapeDecoder
-from articugen.marching_cubes import zero_level
-from articugen.records import Floats, JointKind
+from articugen.meshes.marching_cubes import zero_level
 
 Meshes = Callable[[Floats], tuple[list[Floats], Floats]]
 """From the parts' logits (P, R, R, R) to the triangles of each part, and those of the whole."""

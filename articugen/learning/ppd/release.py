@@ -14,6 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from articugen.core.records import Floats, Instance
+from articugen.core.seeding import generator
 from articugen.learning.evaluation import metrics
 from articugen.learning.evaluation.evaluate import (
     Protocol,
@@ -29,11 +31,9 @@ from articugen.learning.evaluation.evaluate import (
 from articugen.learning.evaluation.metrics import NO_LABEL
 from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.evaluation.results import Evaluation, LeftOut
-from articugen.learning.evaluation.surfaces import sample
 from articugen.learning.ppd.learner import Predictor
-from articugen.marching_cubes import zero_level
-from articugen.records import Floats, Instance
-from articugen.seeding import generator
+from articugen.meshes.distances import sample
+from articugen.meshes.marching_cubes import zero_level
 
 RESOLUTION = 64
 WHOLE = Protocol()

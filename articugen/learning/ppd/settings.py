@@ -9,10 +9,10 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, PositiveInt, model_validator
 
+from articugen.core.records import Floats, JointKind
+from articugen.core.yaml_files import Section
 from articugen.learning.evaluation.paper import COMPLETE
 from articugen.learning.recipe import Schedule, Seeds, Stage, TrainRecipe
-from articugen.recipe_files import Section
-from articugen.records import Floats, JointKind
 
 Direction = tuple[float, float, float]
 

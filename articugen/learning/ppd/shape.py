@@ -7,9 +7,9 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
-from articugen.learning.ppd.batches import one_by_one, spares
+from articugen.learning.ppd.cpu.batches import one_by_one, spares
+from articugen.learning.ppd.cpu.fused import can_fuse, sine_parts
 from articugen.learning.ppd.encoders import SHAPE, TEMPLATE
-from articugen.learning.ppd.fused import can_fuse, sine_parts
 from articugen.learning.ppd.kinematics import InverseMotion
 from articugen.learning.ppd.settings import ModelSettings
 

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from articugen.errors import InvalidSource, MachineFault, installing, printable
-from articugen.records import Joint, JointKind, Mesh
+from articugen.core.errors import InvalidSource, MachineFault, installing, printable
+from articugen.core.records import Joint, JointKind, Mesh
 from articugen.sources.usd import openusd
 from articugen.sources.usd.model import Model
 

@@ -9,8 +9,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from articugen.errors import InvalidSource, MachineFault, machine_fault, printable
-from articugen.workers import die_with
+from articugen.core.errors import InvalidSource, MachineFault, machine_fault, printable
+from articugen.core.processes import die_with
 
 
 def main() -> None:

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from articugen.errors import InvalidSource
-from articugen.sources.model_files import MAX_MODEL_BYTES, ModelFiles, quoted
+from articugen.core.errors import InvalidSource
+from articugen.meshes.model_files import MAX_MODEL_BYTES, ModelFiles, quoted
 from articugen.sources.usd.openusd import pxr
 
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from articugen.errors import InvalidSource
-from articugen.geometry import Array
-from articugen.records import Joint, Mesh
-from articugen.sources.model_files import MAX_NAME_BYTES, ModelFiles, quoted
+from articugen.core.errors import InvalidSource
+from articugen.core.geometry import Array
+from articugen.core.records import Joint, Mesh
+from articugen.meshes.model_files import MAX_NAME_BYTES, ModelFiles, quoted
 from articugen.sources.urdf_check import MAX_LINKS, MAX_NUMBER
 from articugen.sources.usd.layers import Layers, plainly
 from articugen.sources.usd.openusd import pxr

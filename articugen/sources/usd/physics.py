@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from articugen.errors import InvalidSource
-from articugen.geometry import Array, transform
-from articugen.portable import product, turned
-from articugen.records import JointKind
-from articugen.sources.model_files import quoted
+from articugen.core.errors import InvalidSource
+from articugen.core.geometry import Array, transform
+from articugen.core.portable import product, turned
+from articugen.core.records import JointKind
+from articugen.meshes.model_files import quoted
 from articugen.sources.usd.openusd import pxr
 from articugen.sources.usd.transforms import (
     Places,

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from articugen.errors import InvalidSource
-from articugen.records import ArticulatedObject, Link
-from articugen.sources import meshes
+from articugen.core.errors import InvalidSource
+from articugen.core.records import ArticulatedObject, Link
+from articugen.meshes import read
 from articugen.sources.folders import visible
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.usd.apart import digest_apart, read_apart
@@ -76,12 +76,12 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
             "layers into resource/"
         )
     root = ref.root or path.parent
-    if meshes.only_hashed():
-        links, joints, notes = ((Link("world", meshes.STAND_IN),), (), ())
+    if read.only_hashed():
+        links, joints, notes = ((Link("world", read.STAND_IN),), (), ())
         sha256 = digest_apart(path, root)
     else:
-        made = read_apart(path, root, with_meshes=meshes.of_interest())
-        links = tuple(Link(n, meshes.STAND_IN if m is None else m) for n, m in made.links)
+        made = read_apart(path, root, with_meshes=read.of_interest())
+        links = tuple(Link(n, read.STAND_IN if m is None else m) for n, m in made.links)
         joints, notes, sha256 = made.joints, made.notes, made.sha256
     return ArticulatedObject(
         object_id=ref.object_id,

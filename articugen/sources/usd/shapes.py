@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from articugen.errors import InvalidSource
-from articugen.geometry import apply, cross
-from articugen.portable import dot
-from articugen.records import Mesh
-from articugen.sources import meshes
-from articugen.sources.mesh_formats import check_size
+from articugen.core.errors import InvalidSource
+from articugen.core.geometry import apply, cross
+from articugen.core.portable import dot
+from articugen.core.records import Mesh
+from articugen.meshes import read
+from articugen.meshes.scenes import check_size
 from articugen.sources.usd.openusd import pxr
 from articugen.sources.usd.transforms import Places, numbers, value_of
 
@@ -71,8 +71,8 @@ class Shapes:
             raise InvalidSource(f"{self._path}: shows more than {MAX_SHAPES:,} shapes; merge some")
         own = _MAKERS[str(prim.GetTypeName())](prim, by)
         try:
-            mesh = meshes.checked(own.vertices, own.faces, Path(by))
-        except meshes.EmptyMesh:
+            mesh = read.checked(own.vertices, own.faces, Path(by))
+        except read.EmptyMesh:
             raise InvalidSource(f"{by}: has no triangle; remove it, or export it again") from None
         self._faces += len(mesh.faces)
         self._vertices += len(mesh.vertices)
@@ -100,7 +100,7 @@ def _mesh(prim: Any, by: str) -> Mesh:
     corners, counts = _without_holes(
         _array(mesh.GetHoleIndicesAttr(), np.int64, by), corners, counts
     )
-    faces = meshes.fans(corners, counts)
+    faces = read.fans(corners, counts)
     if faces.size and not 0 <= faces.min() <= faces.max() < len(points):
         raise InvalidSource(f"{by}: a face names a point that is not there; export it again")
     if value_of(mesh.GetOrientationAttr(), by) == UsdGeom.Tokens.leftHanded:
@@ -136,11 +136,11 @@ def _about_axis(mesh: Mesh, prim: Any, by: str) -> Mesh:
 
 
 def _cube(prim: Any, by: str) -> Mesh:
-    return meshes.box([_size(prim, "size", by)] * 3)
+    return read.box([_size(prim, "size", by)] * 3)
 
 
 def _sphere(prim: Any, by: str) -> Mesh:
-    return meshes.sphere(_size(prim, "radius", by))
+    return read.sphere(_size(prim, "radius", by))
 
 
 def _lathed(make: Callable[[float, float], Mesh]) -> Callable[[Any, str], Mesh]:
@@ -154,7 +154,7 @@ _MAKERS: Mapping[str, Callable[[Any, str], Mesh]] = {
     "Mesh": _mesh,
     "Cube": _cube,
     "Sphere": _sphere,
-    "Cylinder": _lathed(meshes.cylinder),
-    "Capsule": _lathed(meshes.capsule),
-    "Cone": _lathed(meshes.cone),
+    "Cylinder": _lathed(read.cylinder),
+    "Capsule": _lathed(read.capsule),
+    "Cone": _lathed(read.cone),
 }

@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from articugen.errors import InvalidSource
-from articugen.geometry import Array, cross, rotation_about
-from articugen.portable import dot, norm, product, turned
-from articugen.sources.model_files import quoted
+from articugen.core.errors import InvalidSource
+from articugen.core.geometry import Array, cross, rotation_about
+from articugen.core.portable import dot, norm, product, turned
+from articugen.meshes.model_files import quoted
 from articugen.sources.usd.openusd import pxr
 
 MAX_NUMBER = 1e9

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from articugen.errors import InvalidSource
-from articugen.geometry import Array, rotation_about, transform
-from articugen.portable import arctan2, dot, norm, product, turned
-from articugen.records import Joint, JointKind
+from articugen.core.errors import InvalidSource
+from articugen.core.geometry import Array, rotation_about, transform
+from articugen.core.portable import arctan2, dot, norm, product, turned
+from articugen.core.records import Joint, JointKind
 from articugen.sources.usd.physics import WORLD, PhysicsJoint
 
 _MAX_GAP = 0.01

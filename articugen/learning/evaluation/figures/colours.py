@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from articugen.colours import colour_of
+from articugen.core.colours import colour_of
 
 UNNAMED = "#5f5f5f"
 """Of a predicted part that no true part has voted for."""

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from articugen.colours import COLOURS
-from articugen.inspection.layout import in_columns, save
-from articugen.inspection.portrait import best_azimuth
+from articugen.core.colours import COLOURS
+from articugen.core.records import Floats, Instance, JointKind, dequantize
 from articugen.learning.evaluation.evaluate import objects_of, tested
 from articugen.learning.evaluation.figures import plots
 from articugen.learning.evaluation.figures.shapes import (
@@ -21,7 +20,8 @@ from articugen.learning.evaluation.figures.shapes import (
 )
 from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.evaluation.results import Evaluation
-from articugen.records import Floats, Instance, JointKind, dequantize
+from articugen.pictures.layout import in_columns, save
+from articugen.pictures.portrait import best_azimuth
 
 OBJECTS = 3
 INSTANCES = 16

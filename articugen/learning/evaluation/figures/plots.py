@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.errors import ArticugenError, MissingExtra
+from articugen.core.errors import ArticugenError, MissingExtra
+from articugen.core.records import Floats
 from articugen.learning.evaluation.results import Evaluation, JointError, JointLine, JointState
-from articugen.records import Floats
 
 try:
     from matplotlib.axes import Axes

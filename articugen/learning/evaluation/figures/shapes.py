@@ -5,19 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from articugen.colours import colour_of
-from articugen.inspection.layout import Caption, Row, sheet
-from articugen.inspection.portrait import (
-    pooled,
-    portrait,
-    solid_portrait,
-    tile_camera,
-)
-from articugen.inspection.shading import Picture
-from articugen.inspection.solids import ColouredMesh, arrow
+from articugen.core.colours import colour_of
+from articugen.core.records import Floats, Instance, JointKind, dequantize
 from articugen.learning.evaluation.figures.colours import part_colours, shaded
 from articugen.learning.evaluation.reconstruction import Reconstruction
-from articugen.records import Floats, Instance, JointKind, dequantize
+from articugen.pictures.layout import Caption, Row, sheet
+from articugen.pictures.portrait import pooled, portrait, solid_portrait, tile_camera
+from articugen.pictures.shading import Picture
+from articugen.pictures.solids import ColouredMesh, arrow
 
 Reconstruct = Callable[[Instance], Reconstruction]
 

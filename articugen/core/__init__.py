@@ -1,0 +1,1 @@
+"""What every room speaks: errors, arithmetic, records, the schema, recipes, files, processes."""

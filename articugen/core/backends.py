@@ -1,0 +1,164 @@
+"""The renderers: one table, and what the stages ask of each by what it can do, never by name.
+
+A renderer is a file with `render(mesh, views) -> DepthMaps` and one line of BACKENDS; or a file in
+another package, whose line is an entry point of the group `articugen.backends`: see
+docs/extending.md.
+"""
+
+import importlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.core import plugins
+from articugen.core.errors import BrokenPlugin
+from articugen.core.records import DepthMaps, LabelledMesh, Views
+from articugen.core.yaml_files import nearest
+
+
+class Overlay(Protocol):
+    """Keeps the maps of what never moves and draws over them what does, again and again."""
+
+    def draw(self, mesh: LabelledMesh, *, closed: NDArray[np.bool_], first_face: int) -> DepthMaps:
+        """The faces seen, which hold until the next call; face f of `mesh` is `first_face + f`."""
+        ...
+
+
+HINTS = ("closed", "keep_depth")
+"""What a module's `render` may take besides; see `Backend.render`."""
+
+
+@dataclass(frozen=True)
+class Backend:
+    """A renderer.
+
+    Attributes:
+        module: has `render(mesh, views) -> DepthMaps`; imported when it is first used.
+        needs: what must be installed for it, in words; "" where articugen brings it along.
+        tells_faces: whether its maps say which face each pixel sees.
+        takes: which of the keywords of `Backend.render` the module's own takes as well.
+        overlay: a module with a class `Overlay(static)`, see above; "" where it has none, and
+            everything is drawn anew for each instance.
+    """
+
+    module: str
+    needs: str = ""
+    tells_faces: bool = False
+    takes: tuple[str, ...] = ()
+    overlay: str = ""
+
+    def render(
+        self,
+        mesh: LabelledMesh,
+        views: Views,
+        *,
+        closed: NDArray[np.bool_] | None = None,
+        keep_depth: bool = True,
+    ) -> DepthMaps:
+        """What each of `views` sees of `mesh`.
+
+        Args:
+            mesh: unit frame.
+            closed: (F,) which faces bound closed solids, outwards: their backs cannot be seen.
+            keep_depth: False where the faces alone will do; the depth may then be None.
+
+        Raises:
+            MissingExtra, MissingDriver: what it needs is not there.
+            BrokenPlugin: there is no such module or function, or it gives no faces after all.
+            ValueError: a part of the mesh does not lie in front of a pinhole camera.
+        """
+        offered = {"closed": closed, "keep_depth": keep_depth}
+        maps = self._module().render(mesh, views, **{k: offered[k] for k in self.takes})
+        if self.tells_faces and maps.face is None:
+            raise BrokenPlugin(
+                f"renderer {self.module}: gives no faces though its line in the table says "
+                "tells_faces=True; give them, or leave that out"
+            )
+        return maps
+
+    def render_parts(
+        self, mesh: LabelledMesh, views: Views, *, closed: NDArray[np.bool_] | None = None
+    ) -> DepthMaps:
+        """As `render`, with faces in any case: of a backend that does not tell them each part is
+        drawn alone, and its first face stands for all of the part where that is the nearest."""
+        if self.tells_faces:
+            return self.render(mesh, views, closed=closed)
+        depth = np.full((len(views), views.height, views.width), np.inf, np.float32)
+        face = np.full(depth.shape, -1, np.int32)
+        for part in np.unique(mesh.part_of_face).tolist():
+            own = self.render(mesh.part(part), views).depth
+            assert own is not None
+            nearer = own < depth
+            depth[nearer] = own[nearer]
+            face[nearer] = np.argmax(mesh.part_of_face == part)
+        return DepthMaps(depth, face, views)
+
+    def overlay_on(self, static: DepthMaps) -> Overlay | None:
+        """What draws over the maps of part 0; None where the backend has no such thing."""
+        return importlib.import_module(self.overlay).Overlay(static) if self.overlay else None
+
+    def __post_init__(self) -> None:
+        if unknown := set(self.takes) - set(HINTS):
+            raise ValueError(f"takes={self.takes}: there is no {unknown}, only {HINTS}")
+
+    def _module(self) -> ModuleType:
+        try:
+            module = importlib.import_module(self.module)
+        except ModuleNotFoundError as error:
+            if error.name != self.module:
+                raise
+            raise BrokenPlugin(
+                f"renderer {self.module}: there is no such module; correct its line in the table"
+            ) from None
+        if not hasattr(module, "render"):
+            raise BrokenPlugin(f"renderer {self.module}: has no function render; add one")
+        return module
+
+
+BACKENDS: dict[str, Backend] = {
+    "rasterizer": Backend(
+        "articugen.rendering.rasterizer",
+        tells_faces=True,
+        takes=("closed", "keep_depth"),
+        overlay="articugen.rendering.overlay",
+    ),
+    "embree": Backend("articugen.rendering.embree", needs="open3d", tells_faces=True),
+    "opengl": Backend("articugen.rendering.opengl", needs="pyrender and EGL or OSMesa"),
+    "sapien": Backend("articugen.rendering.sapien", needs="sapien and a Vulkan driver"),
+}
+"""By the name that recipes give (`views.backend`); the first one is the default."""
+
+_OTHERS = plugins.Group("articugen.backends", ("render", "render_parts", "overlay_on"))
+
+
+def names() -> Sequence[str]:
+    """Of all backends, ours and other packages'."""
+    return (*BACKENDS, *_OTHERS.names(tuple(BACKENDS)))
+
+
+def check_name(name: str) -> None:
+    """
+    Raises:
+        ValueError: there is no backend of that name.
+    """
+    if name not in BACKENDS and name not in names():
+        hint = nearest(name, list(names()))
+        there = [f"{n} (needs {b.needs})" if b.needs else n for n, b in BACKENDS.items()]
+        raise ValueError(
+            f"no backend {name!r}{hint}; there are: {', '.join((*there, *names()[len(there) :]))}"
+        )
+
+
+def backend_named(name: str) -> Backend:
+    """The backend of that name, ours or another package's.
+
+    Raises:
+        ValueError: there is none.
+        BrokenPlugin: the other package's cannot be used.
+    """
+    check_name(name)
+    return BACKENDS[name] if name in BACKENDS else _OTHERS.load(name)

@@ -1,0 +1,277 @@
+"""Files that are either whole under their final name or not there at all."""
+
+import errno
+import hashlib
+import os
+import re
+import secrets
+import shutil
+import stat
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+from articugen.core.errors import MachineFault
+
+_CURES = {
+    errno.ENOSPC: "the disk is full{room}; free some space or choose another output folder",
+    errno.EDQUOT: "the disk quota is used up{room}; free some space or choose another folder",
+    errno.EFBIG: "files may not grow so large here; raise the limit (ulimit -f) or choose a folder "
+    "on another file system",
+    errno.ENOENT: "its folder does not exist; make it first",
+}
+_CURES |= dict.fromkeys(
+    (errno.EEXIST, errno.ENOTDIR),
+    "a file is in the way; move it away or choose another output folder",
+)
+_CURES |= dict.fromkeys(
+    (errno.EACCES, errno.EPERM, errno.EROFS),
+    "the folder cannot be written to; change its permissions or choose another output folder",
+)
+
+
+_PARTIAL = re.compile(r"\.(?P<name>.+)\.[0-9a-f]{8}\.partial", re.DOTALL)
+
+_KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a FIFO",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFLNK: "a symbolic link",
+}
+
+
+class UnfitFile(OSError):
+    """What is there cannot be read as a file of ours: no regular file, or too large.
+
+    An OSError with a `strerror`, so that one handler makes a sentence of all that can go wrong with
+    a file, but unlike other OSErrors never a fault of the machine.
+    """
+
+
+def read_regular(path: Path, most_bytes: int, *, follow: bool = True) -> bytes:
+    """The bytes of a regular file; its kind and size are looked at before anything is read.
+
+    Args:
+        path: a name that may be hostile: of a FIFO, a device, a file of many gigabytes.
+        most_bytes: that it may have.
+        follow: whether it may be a symbolic link to such a file.
+
+    Raises:
+        UnfitFile: it is no regular file, or larger.
+        OSError: it cannot be read.
+    """
+    with open_regular(path, most_bytes, follow=follow) as file:
+        size = os.fstat(file.fileno()).st_size
+        data = file.read(size + 1)  # of a larger number room would be made at once
+        if len(data) > size:  # it has grown, or lies in /proc, where sizes are 0
+            data += file.read(most_bytes)
+    if len(data) > most_bytes:
+        raise UnfitFile(errno.EFBIG, f"more than the {most_bytes:,} bytes that it may have")
+    return data
+
+
+def open_regular(path: Path, most_bytes: int, *, follow: bool = True) -> BinaryIO:
+    """The same, for files that are better not read as a whole."""
+    try:
+        _check_regular(os.stat(path, follow_symlinks=follow), most_bytes)
+        # Whatever has taken its place meanwhile, opening it does not wait for a writer.
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | (0 if follow else os.O_NOFOLLOW))
+    except ValueError:  # NUL, or a lone surrogate
+        raise UnfitFile(errno.EINVAL, "no file can have that name") from None
+    try:
+        _check_regular(os.fstat(handle), most_bytes)
+    except OSError:
+        os.close(handle)
+        raise
+    return os.fdopen(handle, "rb")
+
+
+def is_no_folder(path: Path) -> bool:
+    """Whether something is there, and no folder: links count as what they are, not where they
+    lead."""
+    return os.path.lexists(path) and (path.is_symlink() or not path.is_dir())
+
+
+def is_plain_file(path: Path) -> bool:
+    """Whether a regular file is there, no link to one."""
+    return path.is_file() and not path.is_symlink()
+
+
+def within(folder: Path, name: str) -> Path:
+    """The path of `name`, with slashes, in a folder: never outside, and through no symbolic link.
+
+    The folder itself may be one, since it is what somebody named.
+
+    Raises:
+        UnfitFile: the name is absolute, has an empty step or "..", or a step is a link.
+    """
+    steps = name.split("/")
+    if "\0" in name or not all(step.strip(".") for step in steps):
+        raise UnfitFile(errno.EINVAL, f"{name!r} is no name of a file in it")
+    path = folder
+    for step in steps:
+        path = path / step
+        if path.is_symlink():
+            raise UnfitFile(errno.ELOOP, f"{step!r} in it is a symbolic link, which nobody follows")
+    return path
+
+
+def check_regular(path: Path) -> None:
+    """See to it that a library which opens files by name will not wait for a writer.
+
+    Raises:
+        UnfitFile: it is no regular file.
+        OSError: it is not there, or the like.
+    """
+    found = os.stat(path)
+    _check_regular(found, found.st_size)
+
+
+def _check_regular(found: os.stat_result, most_bytes: int) -> None:
+    if not stat.S_ISREG(found.st_mode):
+        kind = _KINDS.get(stat.S_IFMT(found.st_mode), "a device")
+        raise UnfitFile(errno.EINVAL, f"it is {kind}, not a regular file")
+    if found.st_size > most_bytes:
+        raise UnfitFile(
+            errno.EFBIG, f"{found.st_size:,} bytes, more than the {most_bytes:,} that it may have"
+        )
+
+
+def write_atomically(
+    path: Path, data: bytes, *, check: Callable[[Path], None] | None = None
+) -> None:
+    """Write `data` so that `path` is at any moment what it was before, or all of `data`.
+
+    Raises:
+        MachineFault: the disk is full, the folder cannot be written to, or the like.
+    """
+    with written_atomically(path, check=check, size=len(data)) as file:
+        file.write(data)
+
+
+@contextmanager
+def written_atomically(
+    path: Path, *, check: Callable[[Path], None] | None = None, size: int = 0
+) -> Iterator[BinaryIO]:
+    """A file to write and read; once the block has ended without an error, `path` is all of it.
+
+    The bytes go to a temporary name in the same folder and to the disk (fsync); `check` looks at
+    that file and raises where it is not as it should be; only then it gets its name, and the folder
+    is synchronised, so that the name survives a power cut as well. Where anything fails `path` is
+    what it was, and the temporary file is gone. `size`, where it is known, is told if the disk is
+    full.
+
+    Raises:
+        MachineFault: the disk is full, the folder cannot be written to, or the like.
+    """
+    temporary = path.with_name(partial_name(path.name))
+    try:
+        try:
+            with temporary.open("x+b") as file:  # never through a link that someone put there
+                yield file
+                size = file.seek(0, os.SEEK_END)
+                file.flush()
+                os.fsync(file.fileno())
+            if check is not None:
+                check(temporary)
+            temporary.replace(path)
+            sync(path.parent)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise MachineFault(cannot_write(path, error, size)) from error
+
+
+def check_place(path: Path) -> None:
+    """See to it that a file can be written there, before there is much work for it.
+
+    Raises:
+        MachineFault: its folder is not there or cannot be written to, or a folder is in its place.
+    """
+    temporary = path.with_name(partial_name(path.name))
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "a folder has that name")
+        temporary.open("xb").close()
+        temporary.unlink()
+    except OSError as error:
+        raise MachineFault(cannot_write(path, error)) from error
+
+
+def partial_name(name: str) -> str:
+    """What a file is called until it is whole: `.<name>.<8 random hex digits>.partial`.
+
+    Each write has a name of its own, so that two writers, a run and what a killed one left behind,
+    never write into the same file.
+    """
+    return f".{name}.{secrets.token_hex(4)}.partial"
+
+
+def whole_name(name: str) -> str | None:
+    """What a file that is called `name` would be called once it is whole; None where it is."""
+    match = _PARTIAL.fullmatch(name)
+    return match["name"] if match else None
+
+
+def cannot_write(path: Path, error: OSError, size: int = 0) -> str:
+    """One sentence on why `path` (of `size` bytes) could not be written, with the cure."""
+    cure = _CURES.get(error.errno or 0)
+    if cure is None:
+        cure = f"{error.strerror or error}; choose another output folder"
+    elif "{room}" in cure:
+        words = [f"{megabytes(size)} are needed"] if size else []
+        with suppress(OSError):
+            words.append(f"{megabytes(room_at(path))} are free")
+        cure = cure.format(room=f" ({', '.join(words)})" if words else "")
+    return f"{path}: not written: {cure}"
+
+
+def room_at(path: Path) -> int:
+    """The bytes that are free where a path is, or will be.
+
+    Raises:
+        OSError: nobody can tell.
+    """
+    path = path.absolute()
+    disk = shutil.disk_usage(next(p for p in (path, *path.parents) if p.exists()))
+    if not disk.total:  # as file systems say that do not know
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+    return disk.free
+
+
+def megabytes(count: float) -> str:
+    """Bytes as sentences have them."""
+    return f"{count / 1e6:,.{0 if count >= 1e7 else 1}f} MB"
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder, and what is missing above it, as durable as what will be in it.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in missing:
+        with suppress(PermissionError):  # one may write to a folder that one may not read
+            sync(path.parent)
+
+
+def sync(path: Path) -> None:
+    """Make the bytes of a file durable, or the names in a folder."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def sha256_of(path: Path) -> str:
+    """The hex digest of a regular file's bytes."""
+    digest = hashlib.sha256()
+    with open_regular(path, sys.maxsize) as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()

@@ -1,0 +1,405 @@
+"""Recipes: everything that decides what a data set holds, read from YAML.
+
+A recipe may say `extends: <name>`; `extends: category` means the category's own recipe. Unknown
+keys are refused with the nearest valid name. The hash of the resolved recipe is its identity.
+"""
+
+import hashlib
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import AfterValidator, Field, model_validator
+
+from articugen.core import backends, schema
+from articugen.core.bundled import RECIPES
+from articugen.core.errors import InvalidRecipe, printable
+from articugen.core.yaml_files import Section as _Section
+from articugen.core.yaml_files import find, resolved, resolved_mapping, validated
+
+_CATEGORY = re.compile(r"\w(?:[\w .+-]{0,98}[\w+-])?")
+
+MAX_TEXT_BYTES = 32_000
+"""Of a resolved recipe: it is kept in an attribute of each shard, which can hold 60,000."""
+MAX_INSTANCE_BYTES = 1 << 27
+"""Of an instance in memory: some are held at once."""
+MAX_PIXELS = 1 << 28
+"""Of all views together, 4 bytes each."""
+MOST_PARTS = 255
+
+_Pattern = Annotated[str, Field(min_length=1, max_length=255)]
+_Degrees = Annotated[float, Field(ge=-3600.0, le=3600.0)]
+_Metres = Annotated[float, Field(ge=-1000.0, le=1000.0)]
+
+
+class Articulation(_Section):
+    """How joint states are chosen.
+
+    Attributes:
+        states: random joint states per object, besides instance 0, the canonical pose.
+        canonical: which URDF joint value is the canonical pose (q = 0); `source` asks source.yaml.
+        revolute_degrees: the range sampled from, relative to the canonical pose; also the limits
+            of continuous joints and of joints without any.
+        prismatic_metres: the same for prismatic joints; null means up to the URDF's own limit.
+        clip_to_limits: stay inside the URDF's limits; `source` asks source.yaml: models made by
+            others do, our own procedural ones keep the range of the recipe.
+        movable: names of joints that move, as patterns with * and ?; the others are locked at the
+            canonical value and their links ride on what they hang on. [] means: ask source.yaml.
+        collision: what becomes of a state in which parts are in one another: `ignore` does not
+            look, `label` writes down how deep they are, `reject` also draws the state again.
+        collision_depth: for `reject`, how deep two parts may be in one another, or deeper than in
+            the canonical pose, as hinges often are; in the unit frame.
+    """
+
+    states: int = Field(default=100, ge=0, le=65_535)
+    canonical: Literal["source", "zero", "lower", "upper"] = "source"
+    revolute_degrees: tuple[_Degrees, _Degrees] = (0.0, 135.0)
+    prismatic_metres: tuple[_Metres, _Metres] | None = None
+    clip_to_limits: bool | Literal["source"] = "source"
+    movable: tuple[_Pattern, ...] = ()
+    collision: Literal["ignore", "label", "reject"] = "ignore"
+    collision_depth: float = Field(default=0.01, ge=0.0, le=0.5)
+
+    @model_validator(mode="after")
+    def _ranges_ascend(self) -> "Articulation":
+        for name in ("revolute_degrees", "prismatic_metres"):
+            ends = getattr(self, name)
+            if ends is not None and not ends[0] < ends[1]:
+                raise ValueError(f"{name} is a range from a lower to a higher value, not {ends}")
+        return self
+
+
+def _known_backend(name: str) -> str:
+    backends.check_name(name)
+    return name
+
+
+_Sigma = Annotated[float, Field(gt=0.0, le=0.5)]
+
+
+class ViewSettings(_Section):
+    """The views that are fused: `count` of them, spread evenly over the sphere.
+
+    Attributes:
+        backend: what renders them, and the partial clouds: see `rendering.backends.BACKENDS`.
+    """
+
+    count: int = Field(default=100, ge=4, le=10_000)
+    projection: Literal["orthographic", "pinhole"] = "orthographic"
+    resolution: int = Field(default=256, ge=16, le=4096)
+    backend: Annotated[str, AfterValidator(_known_backend)] = "rasterizer"
+
+    @model_validator(mode="after")
+    def _fit_into_memory(self) -> "ViewSettings":
+        if self.count * self.resolution**2 > MAX_PIXELS:
+            raise ValueError(
+                f"{self.count:,} views of {self.resolution} x {self.resolution} pixels have more "
+                f"than {MAX_PIXELS:,}; lower count or resolution"
+            )
+        return self
+
+
+class Fusion(_Section):
+    """How depth maps become a field; docs/conventions.md states the rules.
+
+    Attributes:
+        rule: `seen`: outside is what at least one view sees free; `reachable`: and what lies open
+            to that; `mean`: where the mean of the truncated distances is positive (Curless and
+            Levoy 1996, Occupancy Networks); `rigid`: what no part's own solid holds, the material
+            alone, the fastest.
+        opening: for `reachable`, the width of openings that count, in the unit frame: those of half
+            the width never do.
+        truncation: in the unit frame.
+        sheet_thickness: what a sheet without any thickness is given, in the unit frame.
+    """
+
+    rule: Literal["seen", "reachable", "mean", "rigid"] = "seen"
+    truncation: float = Field(default=0.01, gt=0.0, le=0.5)
+    opening: float = Field(default=1 / 48, ge=1 / 128, le=0.5)
+    sheet_thickness: float = Field(default=1.5 / 256, ge=0.0, le=0.1)
+
+
+class Sampling(_Section):
+    """How many samples an instance gets. Lengths are in the unit frame.
+
+    Attributes:
+        grids: resolutions of the grids of labels.
+        coverage: whether each grid comes with the share of every cell that is inside, which keeps
+            the thin parts that lie between the centres of a coarse grid.
+        surface_points, uniform_points, near_points: how many.
+        near_sigma: how far from the surface `near_points` are; where it is several, they take
+            turns.
+        near_sharp: which share of `near_points`, the last of them, is around `sharp_points` instead
+            of points uniform on the surface.
+        signed_distance: query points come with their signed distance from the surface, up to this;
+            0 for none.
+        sharp_points: how many on sharp edges; 0 for none.
+        sharp_degrees: an edge is sharp where its faces turn by this or more.
+        partial_views, partial_points, partial_resolution: how many depth cameras, points of each,
+            pixels along the edge of its image.
+        depth_noise: standard deviation of what they measure.
+    """
+
+    grids: tuple[int, ...] = (16, 32, 64)
+    coverage: bool = False
+    surface_points: int = Field(default=8192, ge=0, le=1_000_000)
+    uniform_points: int = Field(default=8192, ge=0, le=1_000_000)
+    near_points: int = Field(default=8192, ge=0, le=1_000_000)
+    near_sigma: _Sigma | Annotated[tuple[_Sigma, ...], Field(min_length=1, max_length=16)] = 0.01
+    near_sharp: float = Field(default=0.0, ge=0.0, le=1.0)
+    signed_distance: float = Field(default=0.0, ge=0.0, le=2.0)
+    sharp_points: int = Field(default=0, ge=0, le=1_000_000)
+    sharp_degrees: float = Field(default=30.0, gt=0.0, lt=180.0)
+    partial_views: int = Field(default=4, ge=0, le=256)
+    partial_points: int = Field(default=1024, ge=0, le=1_000_000)
+    partial_resolution: int = Field(default=192, ge=16, le=2048)
+    depth_noise: float = Field(default=0.0, ge=0.0, le=0.1)
+
+    @model_validator(mode="after")
+    def _has_what_near_points_lie_around(self) -> "Sampling":
+        if self.near_sharp and not self.sharp_points:
+            raise ValueError("near_sharp wants sharp_points to draw around; ask for some")
+        return self
+
+    @model_validator(mode="after")
+    def _grids_are_sizes(self) -> "Sampling":
+        if any(not 1 <= r <= 256 for r in self.grids) or len(set(self.grids)) != len(self.grids):
+            raise ValueError("grids are different sizes from 1 to 256")
+        return self
+
+
+class Images(_Section):
+    """Images of every instance by cameras that all instances of an object share: pinholes that
+    look at it from random places above its middle.
+
+    Attributes:
+        views: how many; 0 for none.
+        resolution: pixels along their edges.
+        fields: what of `depth`, `part`, `normal` and `rgba` is stored of each.
+    """
+
+    views: int = Field(default=0, ge=0, le=1000)
+    resolution: int = Field(default=256, ge=16, le=2048)
+    fields: tuple[Literal["depth", "part", "normal", "rgba"], ...] = (
+        *("depth", "part", "normal", "rgba"),
+    )
+
+
+_LATER = {
+    "articulation": ("collision", "collision_depth"),
+    "sampling": ("near_sharp", "signed_distance", "sharp_points", "sharp_degrees"),
+    "images": tuple(Images.model_fields),
+}
+"""Keys that ask for nothing by default and that the recipes of older data sets do not have."""
+
+
+class Recipe(_Section):
+    """One recipe, resolved. See the sections for the meaning of each key.
+
+    Attributes:
+        objects: so many of the category; null means all.
+        max_rejected_fraction: with more rejected objects than that a data set counts as failed.
+        seconds_per_object: an object that takes longer is rejected; null means ten minutes and five
+            seconds more for each instance.
+        memory_per_object_mb: so is one for which a worker comes to hold more.
+    """
+
+    name: Annotated[str, Field(min_length=1, max_length=255)]
+    articulation: Articulation = Articulation()
+    views: ViewSettings = ViewSettings()
+    fusion: Fusion = Fusion()
+    sampling: Sampling = Sampling()
+    images: Images = Images()
+    padding: float = Field(default=0.1, ge=0.0, lt=1.0)
+    objects: int | None = Field(default=None, ge=1, le=1_000_000)
+    max_rejected_fraction: float = Field(default=0.1, ge=0.0, le=1.0)
+    seconds_per_object: float | None = Field(default=None, gt=0.0, le=1e7)
+    memory_per_object_mb: float = Field(default=4096.0, ge=256.0, le=1e7)
+
+    @model_validator(mode="after")
+    def _fits_a_shard(self) -> "Recipe":
+        sizes = self.instance_bytes()
+        name, most = max(sizes.items(), key=lambda item: item[1])
+        section = "images" if name.startswith("image_") else "sampling"
+        if most > schema.MAX_CHUNK_BYTES:
+            raise ValueError(
+                f"{section}: {name} would take {most / 2**20:,.0f} MiB an instance, more than the "
+                f"{schema.MAX_CHUNK_BYTES >> 20} that a shard can hold; ask for less"
+            )
+        if sum(sizes.values()) > MAX_INSTANCE_BYTES:
+            raise ValueError(
+                f"sampling: an instance would take {sum(sizes.values()) / 2**20:,.0f} MiB, more "
+                f"than {MAX_INSTANCE_BYTES >> 20}; ask for fewer points, smaller grids or images"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _fits_an_attribute(self) -> "Recipe":
+        length = len(self.text())
+        if length > MAX_TEXT_BYTES:
+            raise ValueError(
+                f"the recipe takes {length:,} bytes when written out, more than {MAX_TEXT_BYTES:,};"
+                " use fewer or shorter patterns in articulation.movable"
+            )
+        return self
+
+    def text(self) -> str:
+        """The resolved recipe as canonical JSON; equal recipes have equal texts. Keys that came
+        after the first data sets are left out where they ask for nothing: those stay as they are.
+        """
+        told = self.model_dump(mode="json")
+        for section, keys in _LATER.items():
+            usual = type(getattr(self, section))().model_dump(mode="json")
+            for key in keys:
+                if told[section][key] == usual[key]:
+                    del told[section][key]
+        told = {name: value for name, value in told.items() if value != {}}
+        return json.dumps(told, sort_keys=True, separators=(",", ":"))
+
+    def fields(self) -> dict[str, schema.Field]:
+        """The data sets of a shard by this recipe, by name."""
+        asked = [field for field in schema.FIELDS if self._asks_for(field.stem)]
+        return {
+            f"{field.stem}_{r}" if field.is_grid else field.name: field
+            for field in asked
+            for r in (self.sampling.grids if field.is_grid else (0,))
+        }
+
+    def _asks_for(self, stem: str) -> bool:
+        group, _, what = stem.partition("_")
+        if group == "image":
+            always = what in ("T_camera_world", "intrinsics")
+            return self.images.views > 0 and (always or what in self.images.fields)
+        return {
+            "coverage": self.sampling.coverage,
+            "sharp": self.sampling.sharp_points > 0,
+            "collision": self.articulation.collision != "ignore",
+        }.get(group, what != "distance" or self.sampling.signed_distance > 0.0)
+
+    def instance_bytes(self) -> dict[str, int]:
+        """What each field of one instance takes before compression, for as many parts as a shard
+        can hold."""
+        sampling = self.sampling
+        numbers = {
+            "S": sampling.surface_points,
+            "U": sampling.uniform_points,
+            "K": sampling.near_points,
+            "C": sampling.partial_views,
+            "M": sampling.partial_points,
+            "E": sampling.sharp_points,
+            "V": self.images.views,
+            "H": self.images.resolution,
+        }
+        sizes: dict[str, int] = {}
+        for name, field in self.fields().items():
+            size = schema.MAX_TEXT if field.dtype == "S" else np.dtype(field.dtype).itemsize
+            known = numbers | ({"R": schema.resolution_of(name)} if field.is_grid else {})
+            dims = [n if isinstance(n, int) else known.get(n, MOST_PARTS) for n in field.shape[1:]]
+            sizes[name] = size * math.prod(dims)
+        return sizes
+
+    def for_one_object(self) -> "Recipe":
+        """What of the recipe decides an object's data: neither its name nor numbers and limits."""
+        fields = Recipe.model_fields
+        limits = ("seconds_per_object", "memory_per_object_mb")
+        aside = {"name": "object", "objects": None, "max_rejected_fraction": 1.0}
+        return self.model_copy(update=aside | {name: fields[name].default for name in limits})
+
+    def sha256(self) -> str:
+        return hashlib.sha256(self.text().encode()).hexdigest()
+
+    def with_counts(
+        self,
+        *,
+        objects: int | None = None,
+        states: int | None = None,
+        max_rejected: float | None = None,
+    ) -> "Recipe":
+        """This recipe with other numbers of objects and of random states, or another
+        `max_rejected_fraction`; None keeps its own.
+
+        Raises:
+            InvalidRecipe: there cannot be so many.
+        """
+        data = self.model_dump()
+        if max_rejected is not None:
+            data["max_rejected_fraction"] = max_rejected
+        if objects is not None:
+            data["objects"] = objects
+        if states is not None:
+            data["articulation"]["states"] = states
+        return validated(Recipe, data, f"recipe {self.name!r}")
+
+    def with_articulation(
+        self, *, movable: Sequence[str] = (), canonical: str | None = None
+    ) -> "Recipe":
+        """This recipe with other moving joints or another canonical pose; nothing keeps its own.
+
+        Raises:
+            InvalidRecipe: there is no such canonical pose.
+        """
+        data = self.model_dump()
+        if movable:
+            data["articulation"]["movable"] = list(movable)
+        if canonical is not None:
+            data["articulation"]["canonical"] = canonical
+        return validated(Recipe, data, f"recipe {self.name!r}")
+
+    def for_source(self, *, clips_to_limits: bool) -> "Recipe":
+        """This recipe as it is for a source: that its joints are clipped, or not, is then said."""
+        if self.articulation.clip_to_limits != "source":
+            return self
+        own = self.articulation.model_copy(update={"clip_to_limits": clips_to_limits})
+        return self.model_copy(update={"articulation": own})
+
+
+def check_category(name: str) -> None:
+    """Categories name recipes and folders: letters, digits and _, within also space, - . and +.
+
+    Raises:
+        InvalidRecipe: another name.
+    """
+    if not _CATEGORY.fullmatch(name):
+        raise InvalidRecipe(
+            f"{printable(name)!r} cannot be a category's name; use up to 100 letters, digits, _ "
+            "and, within, - or ., without any /"
+        )
+
+
+def load_recipe(
+    given: "str | Path | Mapping[str, Any] | Recipe | None", category: str, source: str = ""
+) -> Recipe:
+    """The recipe `given`: a name under recipes/, a path, the keys of such a file, a recipe, which
+    is taken as it is, or None for the category's own.
+
+    A category's own is recipes/<category>-<source>.yaml, where that source has one to itself, else
+    recipes/<category>.yaml, else recipes/default.yaml.
+
+    Raises:
+        InvalidRecipe: no such recipe, bad YAML, an unknown key or a bad value.
+    """
+    if isinstance(given, Recipe):
+        return given
+    check_category(category)
+    own = _category_recipe(category, source)
+
+    def base_of(base: str) -> Path:
+        return own if base == "category" else find(base, learner=False)
+
+    if isinstance(given, Mapping):
+        where = "the recipe that is given"
+        data = {"name": "own"} | resolved_mapping(given, base_of)
+        return validated(Recipe, data, where)
+    path = own if given is None else find(str(given), learner=False)
+    data = resolved(path, base_of)
+    return validated(Recipe, {"name": path.stem} | data, str(path))
+
+
+def _category_recipe(category: str, source: str) -> Path:
+    names = [f"{category}-{source}"] if _CATEGORY.fullmatch(source) else []  # else it is a path
+    paths = [RECIPES / f"{name}.yaml" for name in (*names, category, "default")]
+    return next((path for path in paths if path.is_file()), paths[-1])

@@ -1,0 +1,519 @@
+"""The records that travel between stages: frozen, arrays read-only, shapes checked when made.
+
+Units are metres and radians in `Mesh`, `Link`, `Joint`, `ArticulatedObject` and `PosedObject`. From
+`Normalization` on everything is in the unit frame: the object inside [-0.5, 0.5]^3.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from enum import IntEnum
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.core.geometry import apply
+from articugen.core.portable import turned
+from articugen.core.schema import FIELDS, Field, written_shape
+
+Floats = NDArray[np.float64]
+
+
+class JointKind(IntEnum):
+    """How a joint moves. The words are URDF's, the numbers those that shards store."""
+
+    FIXED = 0
+    REVOLUTE = 1
+    CONTINUOUS = 3
+    PRISMATIC = 2
+
+    @property
+    def stored(self) -> "JointKind":
+        """What a shard says of it: continuous is revolute without limits."""
+        return JointKind.REVOLUTE if self is JointKind.CONTINUOUS else self
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+    @staticmethod
+    def named(word: str) -> "JointKind":
+        """The kind that URDF calls `word`; KeyError where there is none."""
+        return JointKind[word.upper()]
+
+
+STORED_KINDS = (JointKind.REVOLUTE, JointKind.PRISMATIC)
+"""What a shard may say of a joint, all of which move."""
+
+FREE, ENCLOSED = 0, 255
+"""Labels of free space, and of what no view sees though no part's own solid holds it. The material
+of part k has label k + 1."""
+
+
+def is_material(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Where labels name the material of some part."""
+    return (label != FREE) & (label != ENCLOSED)
+
+
+MAX_NAME = 255
+"""Bytes of UTF-8 that a shard keeps of a name."""
+
+
+def _freeze(record: Any, **wanted: tuple[type, tuple[int | None, ...]]) -> None:
+    """Set each named array read-only with its dtype; raise ValueError where its shape differs."""
+    for name, (dtype, shape) in wanted.items():
+        array = np.array(getattr(record, name), dtype=dtype, order="C")
+        fits = array.ndim == len(shape) and all(
+            want is None or want == have for want, have in zip(shape, array.shape, strict=True)
+        )
+        if not fits:
+            raise ValueError(f"{type(record).__name__}.{name}: shape {array.shape}, not {shape}")
+        array.flags.writeable = False
+        object.__setattr__(record, name, array)
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A triangle soup. `vertices` (V, 3) metres, `faces` (F, 3) int32 indices into them."""
+
+    vertices: Floats
+    faces: NDArray[np.int32]
+
+    def __post_init__(self) -> None:
+        _freeze(self, vertices=(np.float64, (None, 3)), faces=(np.int32, (None, 3)))
+
+    @property
+    def triangles(self) -> Floats:
+        """(F, 3, 3) the corners of each face."""
+        return self.vertices[self.faces]
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """URDF mimic: q = multiplier * q_of(joint) + offset."""
+
+    joint: str
+    multiplier: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A joint of the kinematic tree.
+
+    Attributes:
+        name: unique in the object.
+        parent, child: link names.
+        T_parent_joint: (4, 4) the child link's frame, at q = 0, in the parent link's frame.
+        axis: (3,) unit direction in the joint's (child link's) frame.
+        lower, upper: limits of q, rad or m; -inf and inf where there is none.
+        mimic: the joint that drives this one, or None.
+    """
+
+    name: str
+    kind: JointKind
+    parent: str
+    child: str
+    T_parent_joint: Floats
+    axis: Floats
+    lower: float = 0.0
+    upper: float = 0.0
+    mimic: Mimic | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.kind, JointKind):
+            raise ValueError(f"joint {self.name}: its kind is {self.kind!r}, not a JointKind")
+        _freeze(self, T_parent_joint=(np.float64, (4, 4)), axis=(np.float64, (3,)))
+        if self.kind != JointKind.FIXED and abs(np.linalg.norm(self.axis) - 1.0) > 1e-9:
+            raise ValueError(f"joint {self.name}: axis {self.axis} is not of unit length")
+
+    def __repr__(self) -> str:
+        unit = "m" if self.kind == JointKind.PRISMATIC else "rad"
+        reach = f"{self.lower:.3g} to {self.upper:.3g} {unit}"
+        follows = f", follows {self.mimic.joint!r}" if self.mimic else ""
+        return f"Joint({self.name!r}, {self.kind}, {reach}{follows})"
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """A rigid body: `mesh` holds all its visuals, in the link's own frame. It may be empty."""
+
+    name: str
+    mesh: Mesh
+    semantic: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class ArticulatedObject:
+    """One CAD model, whatever source it came from. World frame: right-handed, z up, metres.
+
+    Attributes:
+        object_id: unique in its source and category.
+        category: for instance "laptop".
+        links: every link, the root first.
+        joints: in topological order (a joint comes after the joint its parent hangs on).
+        T_world_root: (4, 4) turns the model so that its joints point as docs/conventions.md says.
+        sha256: hex digest of the bytes of every file the object was read from.
+        source: the name of the source.
+        notes: what a user should know (skipped meshes, locked joints), one sentence each.
+        part_order: names of joints in the order in which their parts are numbered; () means that of
+            `joints`.
+    """
+
+    object_id: str
+    category: str
+    links: tuple[Link, ...]
+    joints: tuple[Joint, ...]
+    T_world_root: Floats
+    sha256: str
+    source: str = ""
+    notes: tuple[str, ...] = ()
+    part_order: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        _freeze(self, T_world_root=(np.float64, (4, 4)))
+
+    @property
+    def link_index(self) -> dict[str, int]:
+        return {link.name: i for i, link in enumerate(self.links)}
+
+    @property
+    def moving_joints(self) -> tuple[Joint, ...]:
+        """The joints that move, in part order: joint j carries part j + 1.
+
+        Revolute and continuous joints first, then prismatic ones (PPD's release orders its parts
+        so), each as `part_order` says.
+        """
+        rank = {name: k for k, name in enumerate(self.part_order)}
+        moving = [j for j in self.joints if j.kind != JointKind.FIXED]
+        return tuple(
+            sorted(
+                moving,
+                key=lambda j: (j.kind == JointKind.PRISMATIC, rank.get(j.name, len(rank))),
+            )
+        )
+
+    @property
+    def part_of_link(self) -> NDArray[np.int32]:
+        """(L,) the part that each link moves with; part 0 is the fixed one."""
+        index = self.link_index
+        part_of_moving = {joint.name: k + 1 for k, joint in enumerate(self.moving_joints)}
+        part = np.zeros(len(self.links), np.int32)
+        for joint in self.joints:
+            own = part_of_moving.get(joint.name)
+            part[index[joint.child]] = part[index[joint.parent]] if own is None else own
+        return part
+
+    @property
+    def part_count(self) -> int:
+        return len(self.moving_joints) + 1
+
+
+@dataclass(frozen=True, eq=False)
+class ResolvedObject(ArticulatedObject):
+    """An object with a recipe's choice of moving joints, of their ranges and canonical pose: what
+    `articulation.resolve` makes of one that a source gives."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointState:
+    """`q` (J,): one number per moving joint in part order, rad or m, 0 in the canonical pose.
+
+    Driven (mimic) joints have their own entry, already computed from the joint that drives them.
+    """
+
+    q: Floats
+
+    def __post_init__(self) -> None:
+        _freeze(self, q=(np.float64, (None,)))
+
+
+@dataclass(frozen=True, eq=False)
+class PosedObject:
+    """An object at one joint state, world frame, metres.
+
+    Attributes:
+        T_world_link: (L, 4, 4).
+        T_world_part: (P, 4, 4) of the first link of each part (the child of its moving joint).
+        pivots: (J, 3) a point on each moving joint's axis.
+        axes: (J, 3) unit directions.
+    """
+
+    T_world_link: Floats
+    T_world_part: Floats
+    pivots: Floats
+    axes: Floats
+
+    def __post_init__(self) -> None:
+        _freeze(
+            self,
+            T_world_link=(np.float64, (None, 4, 4)),
+            T_world_part=(np.float64, (None, 4, 4)),
+            pivots=(np.float64, (None, 3)),
+            axes=(np.float64, (None, 3)),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Normalization:
+    """The unit frame of one object: x_unit = (x_world - center) / scale; scale in metres."""
+
+    center: Floats
+    scale: float
+
+    def __post_init__(self) -> None:
+        _freeze(self, center=(np.float64, (3,)))
+
+    def to_unit(self, points: Floats) -> Floats:
+        """World points (..., 3) in metres to the unit frame."""
+        return (points - self.center) / self.scale
+
+    def to_world(self, points: Floats) -> Floats:
+        """Unit-frame points (..., 3) to metres."""
+        return points * self.scale + self.center
+
+    def rigid_to_unit(self, T_world: Floats) -> Floats:
+        """A rigid motion (..., 4, 4) of world points, as it acts on unit-frame points."""
+        T = np.array(T_world)
+        moved = turned(T[..., :3, :3], self.center)
+        T[..., :3, 3] = (T[..., :3, 3] + moved - self.center) / self.scale
+        return T
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledMesh:
+    """A posed triangle soup in the unit frame with the part of every face.
+
+    Attributes:
+        vertices: (V, 3).
+        faces: (F, 3) int32.
+        part_of_face: (F,) uint8.
+    """
+
+    vertices: Floats
+    faces: NDArray[np.int32]
+    part_of_face: NDArray[np.uint8]
+
+    def __post_init__(self) -> None:
+        _freeze(
+            self,
+            vertices=(np.float64, (None, 3)),
+            faces=(np.int32, (None, 3)),
+            part_of_face=(np.uint8, (len(self.faces),)),
+        )
+
+    @staticmethod
+    def joined(meshes: Sequence["LabelledMesh"]) -> "LabelledMesh":
+        """Several meshes as one, in order."""
+        first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+        return LabelledMesh(
+            np.concatenate([mesh.vertices for mesh in meshes]),
+            np.concatenate([m.faces + np.int32(n) for m, n in zip(meshes, first, strict=False)]),
+            np.concatenate([mesh.part_of_face for mesh in meshes]),
+        )
+
+    def part(self, part: int) -> "LabelledMesh":
+        """The faces of one part, with the vertices they use."""
+        mine = self.part_of_face == part
+        return LabelledMesh(self.vertices, self.faces[mine], self.part_of_face[mine]).compact()
+
+    def compact(self) -> "LabelledMesh":
+        """The same faces without the vertices that none of them uses."""
+        used = np.zeros(len(self.vertices), np.bool_)
+        used[self.faces] = True
+        number = np.cumsum(used, dtype=np.int32) - np.int32(1)
+        return LabelledMesh(self.vertices[used], number[self.faces], self.part_of_face)
+
+    def moved(self, T_part: Floats) -> "LabelledMesh":
+        """The mesh with each part moved by its own transform; `T_part` (P, 4, 4).
+
+        Every vertex must belong to one part only.
+        """
+        vertices = np.array(self.vertices)
+        part_of_vertex = np.zeros(len(vertices), np.intp)
+        part_of_vertex[self.faces] = self.part_of_face[:, None]
+        for part, T in enumerate(T_part):
+            mine = part_of_vertex == part
+            vertices[mine] = apply(T, vertices[mine])
+        return LabelledMesh(vertices, self.faces, self.part_of_face)
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """A set of K cameras that share one image size.
+
+    Camera axes: x right, y down, z forward. The centre of pixel (row i, column j) is at
+    (u, v) = (j + 0.5, i + 0.5). A point (x, y, z) in camera coordinates projects to
+    u = fx * x / w + cx, v = fy * y / w + cy with w = z for `pinhole` and w = 1 for `orthographic`
+    (fx, fy are then pixels per unit of length).
+
+    Attributes:
+        projection: "orthographic" or "pinhole".
+        T_camera_world: (K, 4, 4).
+        fx, fy, cx, cy: (K,) pixels.
+        width, height: pixels.
+    """
+
+    projection: Literal["orthographic", "pinhole"]
+    T_camera_world: Floats
+    fx: Floats
+    fy: Floats
+    cx: Floats
+    cy: Floats
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        count = len(self.T_camera_world)
+        _freeze(self, T_camera_world=(np.float64, (count, 4, 4)))
+        _freeze(self, **dict.fromkeys(("fx", "fy", "cx", "cy"), (np.float64, (count,))))
+        if self.projection not in ("orthographic", "pinhole"):
+            raise ValueError(f"Views.projection: {self.projection!r}")
+
+    def __len__(self) -> int:
+        return len(self.T_camera_world)
+
+
+@dataclass(frozen=True, eq=False)
+class DepthMaps:
+    """What K cameras see.
+
+    Attributes:
+        depth: (K, H, W) float32: z along the optical axis at the pixel's centre, inf where nothing
+            is seen. It is neither a ray distance nor read anywhere else in the pixel. None where
+            only the faces are kept.
+        face: (K, H, W) int32: the face seen at the pixel's centre, -1 where nothing is; None from
+            backends that cannot tell.
+        views: the cameras.
+    """
+
+    depth: NDArray[np.float32] | None
+    face: NDArray[np.int32] | None
+    views: Views
+
+    def __post_init__(self) -> None:
+        shape = (len(self.views), self.views.height, self.views.width)
+        for name, kind in (("depth", np.float32), ("face", np.int32)):
+            array = getattr(self, name)
+            if array is None:
+                continue
+            if array.shape != shape:
+                raise ValueError(f"DepthMaps.{name}: shape {array.shape}, not {shape}")
+            object.__setattr__(self, name, np.ascontiguousarray(array, kind))
+
+
+def _no_grids() -> Mapping[int, NDArray[np.uint8]]:
+    return MappingProxyType({})
+
+
+@dataclass(frozen=True, eq=False)
+class Instance:
+    """One object at one joint state: all that a row of a shard holds, in the unit frame.
+
+    Point coordinates are stored in fixed point: `quantize` and `dequantize` say how. P parts, J
+    moving joints (P = J + 1), joint j carries part j + 1. Labels: 0 free, k + 1 material of part k,
+    255 enclosed; parts: k. What a shard lacks is None. docs/format.md describes every field.
+    """
+
+    object_id: str
+    state_index: int
+    center: Floats
+    scale: float
+    joint_kind: NDArray[np.uint8]
+    joint_parent: NDArray[np.uint8]
+    joint_state: Floats
+    joint_lower: Floats
+    joint_upper: Floats
+    joint_axis: Floats
+    joint_pivot: Floats
+    part_motion: Floats
+    joint_name: tuple[str, ...] | None = None
+    part_name: tuple[str, ...] | None = None
+    part_semantic: tuple[str, ...] | None = None
+    occupancy: Mapping[int, NDArray[np.uint8]] = field(default_factory=_no_grids)
+    coverage: Mapping[int, NDArray[np.uint8]] = field(default_factory=_no_grids)
+    surface_points: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 3), np.uint16))
+    surface_normals: NDArray[np.int8] = field(default_factory=lambda: np.zeros((0, 3), np.int8))
+    surface_part: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
+    uniform_points: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 3), np.uint16))
+    uniform_label: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
+    near_points: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 3), np.uint16))
+    near_label: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
+    partial_points: NDArray[np.uint16] = field(
+        default_factory=lambda: np.zeros((0, 0, 3), np.uint16)
+    )
+    partial_part: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 0), np.uint8))
+    partial_T_camera_world: Floats = field(default_factory=lambda: np.zeros((0, 4, 4)))
+    partial_intrinsics: Floats = field(default_factory=lambda: np.zeros((0, 4)))
+    uniform_distance: NDArray[np.float32] | None = None
+    near_distance: NDArray[np.float32] | None = None
+    sharp_points: NDArray[np.uint16] | None = None
+    sharp_normals: NDArray[np.int8] | None = None
+    sharp_part: NDArray[np.uint8] | None = None
+    collision_depth: float | None = None
+    image_depth: NDArray[np.float32] | None = None
+    image_part: NDArray[np.uint8] | None = None
+    image_normal: NDArray[np.int8] | None = None
+    image_rgba: NDArray[np.uint8] | None = None
+    image_T_camera_world: Floats | None = None
+    image_intrinsics: Floats | None = None
+
+    def __post_init__(self) -> None:
+        J = len(self.joint_kind)
+        known = {"N": 1, "J": J, "P": J + 1}
+        for described in FIELDS:
+            if not described.is_grid and described.dtype != "S" and described.shape != ("N",):
+                self._freeze_as(described, known)
+        for name in GRIDS:
+            for resolution, grid in getattr(self, name).items():
+                if grid.shape != (resolution,) * 3 or grid.dtype != np.uint8:
+                    raise ValueError(f"Instance.{name}[{resolution}]: {grid.shape} {grid.dtype}")
+        for name, count in (("joint_name", J), ("part_name", J + 1), ("part_semantic", J + 1)):
+            texts = getattr(self, name)
+            if texts is not None and len(texts) != count:
+                raise ValueError(f"Instance.{name}: {len(texts)} names, not {count}")
+
+    def _freeze_as(self, described: Field, known: dict[str, int]) -> None:
+        """Set an array read-only, as the schema describes it, if it is there."""
+        given = getattr(self, described.name)
+        if given is None and described.optional:
+            return
+        array = np.array(given, described.dtype, order="C")
+        if not described.fits(described.name, (1, *array.shape), known):
+            wanted = f"{written_shape(described)} with {known}"
+            raise ValueError(f"Instance.{described.name}: shape {(1, *array.shape)}, not {wanted}")
+        array.flags.writeable = False
+        object.__setattr__(self, described.name, array)
+
+    def arrays(self) -> dict[str, Any]:
+        """Every field that it has, by its name in a shard; grids as `occupancy_<resolution>`."""
+        all_fields = {f.name: getattr(self, f.name) for f in fields(self)}
+        grids = {
+            f"{name}_{r}": grid
+            for name in GRIDS
+            for r, grid in sorted(all_fields.pop(name).items())
+        }
+        return {name: value for name, value in all_fields.items() if value is not None} | grids
+
+
+GRIDS = ("occupancy", "coverage")
+"""Those fields of `Instance` that have an array for each of several resolutions."""
+
+
+def stored_name(name: str) -> str:
+    """A name as it fits into a shard: whole characters of at most MAX_NAME bytes of UTF-8.
+
+    What UTF-8 or a text padded with zero bytes cannot hold becomes U+FFFD.
+    """
+    whole = name.encode("utf-16", "surrogatepass").decode("utf-16", "replace")
+    return whole.replace("\0", "\ufffd").encode()[:MAX_NAME].decode(errors="ignore")
+
+
+def quantize(points: NDArray[np.floating]) -> NDArray[np.uint16]:
+    """Unit-frame points, all in [-0.5, 0.5], to 16-bit fixed point: round((x + 0.5) * 65535)."""
+    return np.round(np.clip((points + 0.5) * 65535.0, 0.0, 65535.0)).astype(np.uint16)
+
+
+def dequantize(stored: NDArray[np.uint16]) -> Floats:
+    """The inverse of `quantize`: x = stored / 65535 - 0.5, exact to 7.7e-6."""
+    return stored / 65535.0 - 0.5

@@ -1,0 +1,238 @@
+"""What the command `discover` does: the joints of objects, from clouds, grids or a data set, set
+beside the truth where there is one."""
+
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen import discovery
+from articugen.core.errors import ArticugenError, InvalidArgument, InvalidSource
+from articugen.core.records import Floats, JointKind
+from articugen.discovery import KINDS, Discovery, FoundJoint
+from articugen.meshes.points import numbers_of_file
+from articugen.store.dataset import DataSet
+from articugen.store.dataset import open as open_data_set
+from articugen.store.rows import Row
+
+Pose = str | os.PathLike[str] | NDArray[Any]
+"""A cloud (n, 3) or an occupancy grid (R, R, R), or a file of one."""
+
+PIVOT, AXIS = 0.03, 5.0
+"""A joint is right within these: unit frame, degrees."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """How a data set's object agrees with what was found: of all its joints, so many.
+
+    Attributes:
+        count: as many joints were found as there are.
+        kind: they are of their kinds; `axis`: within AXIS, `pivot`: and PIVOT of the true ones.
+        states: and their mean error is within AXIS or PIVOT.
+        turned, slid: the mean error of the states of revolute (radians) and prismatic joints (unit
+            frame) of the right kind; None where there are none.
+    """
+
+    count: bool
+    kind: bool
+    axis: bool
+    pivot: bool
+    states: bool
+    turned: float | None
+    slid: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectJoints:
+    """What was found of one object: a discovery, or `why` there is none; `judged` where the truth
+    is known; `seconds` of one core."""
+
+    object_id: str
+    found: Discovery | None
+    why: str
+    judged: Judged
+    seconds: float
+
+
+def discover(
+    poses: Sequence[Pose],
+    *,
+    normals: Sequence[NDArray[Any]] | None = None,
+    joints: Sequence[str] = (),
+) -> Discovery:
+    """Find the joints of one object from several poses of it; see `articugen.discovery.discover`.
+
+    Args:
+        poses: two or more, in one frame: clouds (n, 3) or occupancy grids (R, R, R), which stand
+            for the cube [-0.5, 0.5]^3; arrays, or .ply, .npy, .npz or .xyz files.
+        normals: of the points of clouds, (n, 3) out of the material each. Few joints are missed
+            where they are given.
+        joints: kinds that the object may have, of "revolute" and "prismatic"; none named is both.
+
+    Raises:
+        InvalidArgument: nothing can be found in them, or there is no such kind.
+        InvalidSource: a file cannot be read.
+    """
+    clouds = [_cloud(pose) for pose in poses]
+    return discovery.discover(clouds, normals=normals, kinds=_kinds(joints))
+
+
+def discover_all(
+    data: str | os.PathLike[str] | DataSet,
+    *,
+    poses: int | None = None,
+    joints: Sequence[str] = (),
+    on_object: Callable[[ObjectJoints, int], None] = lambda _found, _objects: None,
+) -> list[ObjectJoints]:
+    """Find the joints of each object of a data set from its surface points and their normals, and
+    judge them.
+
+    Args:
+        data: a data set, its folder or one of its shards.
+        poses: so many of each object's instances, the first ones; None is all.
+        joints: as for `discover`.
+        on_object: called for each object, with the number of all.
+
+    Raises:
+        CorruptShard: the data cannot be read.
+        InvalidArgument: there is no such kind of joint.
+    """
+    kinds = _kinds(joints)
+    data = data if isinstance(data, DataSet) else open_data_set(Path(data))
+    all_found = []
+    for object_id in data.objects:
+        rows = list(data.of(object_id)[:poses])
+        clouds = [np.asarray(row.surface.points, np.float64) for row in rows]
+        normals = [np.asarray(row.surface.normals, np.float64) for row in rows]
+        began, why, found = time.process_time(), "", None
+        try:
+            found = discovery.discover(clouds, normals=normals, kinds=kinds)
+        except InvalidArgument as error:
+            why = str(error)
+        took = time.process_time() - began
+        judged = _judged(found, rows)
+        all_found.append(ObjectJoints(object_id, found, why, judged, took))
+        on_object(all_found[-1], len(data.objects))
+    return all_found
+
+
+def _kinds(joints: Sequence[str]) -> tuple[JointKind, ...]:
+    named = {str(kind): kind for kind in KINDS}
+    for name in joints:
+        if name not in named:
+            raise InvalidArgument(f"no joint that can be found is {name!r}: {', '.join(named)}")
+    return tuple(named[name] for name in joints) or KINDS
+
+
+def _cloud(pose: Pose) -> Floats:
+    name = "a grid"
+    if isinstance(pose, str | os.PathLike):
+        name, pose = str(pose), numbers_of_file(Path(pose))
+    array = np.asarray(pose)
+    if array.dtype.kind not in "biuf":
+        raise InvalidArgument(
+            f"a {type(pose).__name__} is no pose; give clouds (n, 3), grids or files of them, of "
+            "rows [row.surface.points for row in rows] and as normals their row.surface.normals"
+        )
+    if array.ndim != 3:
+        return array
+    filled = np.pad(array > 0, 1)
+    if not filled.any():
+        raise InvalidSource(f"{name}: no voxel of the grid is occupied")
+    inner = filled.copy()
+    for axis in range(3):
+        inner &= np.roll(filled, 1, axis) & np.roll(filled, -1, axis)
+    return (np.argwhere(filled & ~inner) - 0.5) / max(array.shape) - 0.5
+
+
+def _judged(found: Discovery | None, rows: Sequence[Row]) -> Judged:
+    """What was found beside the truth of the rows, the first of which is pose 0."""
+    truth, first = rows[0].joints, rows[0]
+    states = np.array([[joint.state_unit for joint in row.joints] for row in rows])
+    if found is None:
+        return Judged(not truth, False, False, False, False, None, None)
+    of = _matched(found, first.surface.part, len(truth))
+    kind, axis, pivot, near = True, True, True, True
+    errors: dict[str, list[float]] = {"revolute": [], "prismatic": []}
+    for j, true in enumerate(truth):
+        mine = found.joints[of[j]] if j in of else None
+        if mine is None or str(mine.kind) != true.kind:
+            kind = axis = pivot = near = False
+            continue
+        along = float(mine.axis @ true.axis)
+        axis &= bool(np.degrees(np.arccos(min(abs(along), 1.0))) <= AXIS)
+        if mine.kind == JointKind.REVOLUTE:
+            pivot &= axes_apart(mine, true.axis, true.pivot) <= PIVOT
+        off = float(np.abs(np.sign(along) * mine.states - states[:, j] + states[0, j]).mean())
+        near &= bool(off <= (np.radians(AXIS) if mine.kind == JointKind.REVOLUTE else PIVOT))
+        errors[true.kind].append(off)
+    mean = {name: float(np.mean(each)) if each else None for name, each in errors.items()}
+    count = len(found.joints) == len(truth)
+    return Judged(count, kind, axis, pivot, near, mean["revolute"], mean["prismatic"])
+
+
+def axes_apart(found: FoundJoint, axis: Floats, pivot: Floats) -> float:
+    """How far a found axis is from a true one, beside the part that it turns."""
+    there = pivot + ((found.pivot - pivot) @ axis) * axis
+    off = there - found.pivot
+    return float(np.linalg.norm(off - (off @ found.axis) * found.axis))
+
+
+def _matched(found: Discovery, part: NDArray[np.uint8], joints: int) -> Mapping[int, int]:
+    """For true joints the found one whose part has most points in common, each once."""
+    common = np.array(
+        [
+            [((part == j + 1) & (found.part == f + 1)).sum() for f in range(len(found.joints))]
+            for j in range(joints)
+        ]
+    ).reshape(joints, len(found.joints))
+    of: dict[int, int] = {}
+    while common.size and common.max() > 0:
+        j, f = np.unravel_index(int(common.argmax()), common.shape)
+        of[int(j)] = int(f)
+        common[j, :], common[:, f] = 0, 0
+    return of
+
+
+def as_json(found: Discovery | None) -> list[dict[str, Any]]:
+    """The joints as plain numbers and texts."""
+    return [
+        {
+            "kind": str(joint.kind),
+            "axis": joint.axis.tolist(),
+            "pivot": joint.pivot.tolist(),
+            "states": joint.states.tolist(),
+            "score": joint.score,
+            "points": int((found.part == j + 1).sum()),
+        }
+        for j, joint in enumerate(found.joints)
+    ] if found else []  # fmt: skip
+
+
+def share(objects: Sequence[ObjectJoints], name: str) -> float:
+    """Of the objects, the share of which all joints are right in `name` of `Judged`."""
+    return float(np.mean([getattr(each.judged, name) for each in objects])) if objects else 0.0
+
+
+def mean_error(objects: Sequence[ObjectJoints], name: str) -> float | None:
+    """The mean of `turned` or `slid` over the objects that have it."""
+    each = [getattr(o.judged, name) for o in objects if getattr(o.judged, name) is not None]
+    return float(np.mean(each)) if each else None
+
+
+def check_poses(paths: Sequence[Path]) -> None:
+    """Raises:
+    InvalidArgument: these files are neither a data set nor several poses.
+    """
+    if len(paths) == 1 and paths[0].is_file() and paths[0].suffix != ".h5":
+        raise InvalidArgument(
+            f"{paths[0]}: one pose shows no motion; give two or more, or the folder of a data set"
+        )
+    if len(paths) > 1 and any(path.is_dir() or path.suffix == ".h5" for path in paths):
+        raise ArticugenError("give one data set or shard, or two or more clouds or grids")

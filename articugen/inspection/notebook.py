@@ -1,0 +1,77 @@
+"""What a notebook shows of a data set and of a row: a picture, and what `repr` says.
+
+The store knows nothing of pictures; importing this gives them to its classes. What draws them is
+imported when the first is drawn.
+"""
+
+# ruff: noqa: PLC0415
+import base64
+import html
+import io
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from articugen.core.errors import ArticugenError
+from articugen.core.records import Instance
+from articugen.store.dataset import DataSet, open
+from articugen.store.rows import Row
+
+__all__ = ["DataSet", "Row", "open"]
+
+OBJECTS, STATES = 2, 4
+"""Of a contact sheet: a glance, drawn in seconds."""
+
+
+def of_data(data: DataSet) -> str:
+    """A small contact sheet of the objects of a data set, as HTML."""
+    from articugen.pictures.contact_sheet import contact_sheet
+
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "sheet.png"
+            contact_sheet(data.shards, path, objects=OBJECTS, states=STATES)
+            picture = path.read_bytes()
+    except ArticugenError:  # no surface points, say: nothing to draw
+        return _page(b"", repr(data))
+    return _page(picture, repr(data))
+
+
+def of_row(row: Row) -> str:
+    """The surface points of a row, coloured by part, as HTML."""
+    if len(row.surface) < 2:
+        return _page(b"", repr(row))
+    file = io.BytesIO()
+    _portrait(row).save(file, "PNG")
+    return _page(file.getvalue(), repr(row))
+
+
+def _portrait(row: Row) -> Any:
+    from articugen.pictures.portrait import AZIMUTHS, pooled, portrait, tile_camera
+
+    names = ("kind", "parent", "state", "lower", "upper", "axis", "pivot")
+    surface = {f"surface_{n}": row.stored(f"surface_{n}") for n in ("points", "normals", "part")}
+    instance = Instance(
+        object_id=row.object_id,
+        state_index=row.state_index,
+        center=row.center,
+        scale=row.scale,
+        part_motion=row.stored("part_motion"),
+        **{f"joint_{name}": row.stored(f"joint_{name}") for name in names},
+        **surface,
+    )
+    points = np.asarray(row.surface.points, np.float64)
+    camera = tile_camera(points, AZIMUTHS[0])
+    return portrait(pooled([instance]), instance, camera, float(points[:, 2].min()))
+
+
+def _page(picture: bytes, text: str) -> str:
+    image = base64.b64encode(picture).decode()
+    drawn = f'<img src="data:image/png;base64,{image}"/>' if picture else ""
+    return f"<div>{drawn}<pre>{html.escape(text)}</pre></div>"
+
+
+DataSet.draw = of_data
+Row.draw = of_row

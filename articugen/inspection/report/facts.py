@@ -1,0 +1,200 @@
+"""What a report tells of a data set, read from its shards in one go, one shard at a time."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.core.records import ENCLOSED, JointKind, dequantize, is_material
+from articugen.store.shards import Attribute, Shard, open_shard
+
+Array = NDArray[np.float64]
+
+CLOUD = 1024
+"""Points that stand for an object's shape where objects are compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointStates:
+    """A joint's states in an object's instances, in degrees or centimetres.
+
+    Attributes:
+        name: in the model's file; "" where the shard has none.
+        kind: revolute or prismatic.
+        lower, upper: the range that they are drawn from.
+        drawn: (n,) the random ones.
+    """
+
+    name: str
+    kind: JointKind
+    lower: float
+    upper: float
+    drawn: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PartSize:
+    """How large a part is.
+
+    Attributes:
+        name, semantic: in the model's file; "" where the shard has none.
+        surface: its share of the visible surface points, over all instances.
+        volume: its share of the unit cube, by the uniform points; nan without any.
+        box: (3,) centimetres, of its surface points in the canonical pose; nan where it has none.
+    """
+
+    name: str
+    semantic: str
+    surface: float
+    volume: float
+    box: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectFacts:
+    """One object of a data set.
+
+    Attributes:
+        shard: the file that holds it.
+        scale: metres that the unit frame's unit is long.
+        occupied: (n,) the share of the unit cube inside of it, of each instance; nan unless known.
+        enclosed: the same of what no view sees and no part holds, over all instances.
+        cloud, normals: (m, 3) some surface points of its canonical pose, unit frame.
+    """
+
+    object_id: str
+    split: str
+    shard: Path
+    rows: tuple[int, ...]
+    scale: float
+    joints: tuple[JointStates, ...]
+    parts: tuple[PartSize, ...]
+    occupied: Array
+    enclosed: float
+    cloud: Array
+    normals: Array
+
+    @property
+    def box(self) -> Array:
+        """(3,) centimetres in the canonical pose; nan without surface points."""
+        return _box(self.cloud, self.scale)
+
+
+@dataclass(frozen=True, eq=False)
+class Facts:
+    """A data set: its objects, what its shards say of themselves, and bytes a field takes."""
+
+    objects: tuple[ObjectFacts, ...]
+    about: Mapping[str, Attribute]
+    shards: tuple[Path, ...]
+    fields: Mapping[str, tuple[str, int]]
+
+    @property
+    def instances(self) -> int:
+        return sum(len(each.rows) for each in self.objects)
+
+    @property
+    def bytes(self) -> int:
+        return sum(path.stat().st_size for path in self.shards)
+
+
+def facts(shards: Sequence[Path]) -> Facts:
+    """Read all shards once.
+
+    Raises:
+        CorruptShard: one of them cannot be read.
+    """
+    objects: list[ObjectFacts] = []
+    fields: dict[str, tuple[str, int]] = {}
+    about: Mapping[str, Attribute] = {}
+    for path in shards:
+        with open_shard(path) as shard:
+            about = shard.attributes
+            objects += _objects(shard)
+            for name, shape in shard.fields.items():
+                before = fields.get(name, ("", 0))[1]
+                fields[name] = (_written(shape[1:]), before + shard.stored_bytes(name))
+    return Facts(tuple(objects), about, tuple(shards), fields)
+
+
+def _written(shape: tuple[int, ...]) -> str:
+    return " × ".join(map(str, shape)) or "1"
+
+
+def _objects(shard: Shard) -> Iterator[ObjectFacts]:
+    """The objects of a shard, of which each of ours has one."""
+    rows: dict[str, list[int]] = {}
+    for row, object_id in enumerate(shard.object_ids()):
+        rows.setdefault(object_id, []).append(row)
+    small = {name: shard.read(name) for name in _SMALL if name in shard.fields}
+    for object_id, mine in rows.items():
+        yield _object(shard, object_id, mine, small)
+
+
+_SMALL = ("state_index", "scale", "joint_kind", "joint_state", "joint_lower", "joint_upper")
+
+
+def _object(
+    shard: Shard, object_id: str, rows: list[int], small: Mapping[str, NDArray[Any]]
+) -> ObjectFacts:
+    rows.sort(key=lambda row: int(small["state_index"][row]))
+    first, scale = shard.instance(rows[0]), float(small["scale"][rows[0]])
+    labels = shard.batch(rows, ["uniform_label", "surface_part"])
+    inside, parts = labels["uniform_label"], labels["surface_part"]
+    points = dequantize(first.surface_points)
+    return ObjectFacts(
+        object_id=object_id,
+        split=str(shard.attributes["split"]),
+        shard=shard.path,
+        rows=tuple(rows),
+        scale=scale,
+        joints=tuple(_joints(first.joint_name, rows, scale, small)),
+        parts=tuple(
+            PartSize(
+                name=first.part_name[k] if first.part_name else "",
+                semantic=first.part_semantic[k] if first.part_semantic else "",
+                surface=_share(parts == k),
+                volume=_share(inside == k + 1),
+                box=_box(points[first.surface_part == k], scale),
+            )
+            for k in range(len(first.part_motion))
+        ),
+        occupied=_shares(is_material(inside) | (inside == ENCLOSED)),
+        enclosed=_share(inside == ENCLOSED),
+        cloud=points[:CLOUD],
+        normals=first.surface_normals[:CLOUD] / 127.0,
+    )
+
+
+def _joints(
+    names: tuple[str, ...] | None, rows: list[int], scale: float, small: Mapping[str, NDArray[Any]]
+) -> Iterator[JointStates]:
+    random = [row for row in rows if small["state_index"][row] > 0]
+    for j, number in enumerate(small["joint_kind"][rows[0]]):
+        kind = JointKind(int(number))
+        unit = np.degrees(1.0) if kind == JointKind.REVOLUTE else 100.0 * scale
+        yield JointStates(
+            name=names[j] if names else "",
+            kind=kind,
+            lower=float(small["joint_lower"][rows[0], j] * unit),
+            upper=float(small["joint_upper"][rows[0], j] * unit),
+            drawn=small["joint_state"][random, j] * unit,
+        )
+
+
+def _share(which: NDArray[np.bool_]) -> float:
+    return float(which.mean()) if which.size else float("nan")
+
+
+def _shares(which: NDArray[np.bool_]) -> Array:
+    """(n,) the share of each row."""
+    return which.mean(axis=1) if which.size else np.full(len(which), np.nan)
+
+
+def _box(points: Array, scale: float) -> Array:
+    if not len(points):
+        return np.full(3, np.nan)
+    return 100.0 * scale * np.ptp(points, axis=0)

@@ -1,0 +1,200 @@
+"""The report as HTML: one file without a request, which lets nothing in it run but its own script.
+
+Names and sentences of a data set are text wherever they stand (`markup`), and a
+Content-Security-Policy names the digests of the one style and the one script there are.
+"""
+
+import base64
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from io import BytesIO
+from pathlib import Path
+
+from articugen import __version__
+from articugen.core.errors import InvalidArgument
+from articugen.core.files import check_place, write_atomically
+from articugen.inspection.report import sections
+from articugen.inspection.report.alike import nearest_pairs, outliers
+from articugen.inspection.report.facts import Facts, facts
+from articugen.inspection.report.markup import Markup, el, join
+from articugen.inspection.report.truth import Measured, measured
+from articugen.inspection.report.turnable import Turnable, turnable
+from articugen.pictures.contact_sheet import Chosen, Portraits, portraits, some_of
+from articugen.store.manifest import MANIFEST_NAME, Manifest
+
+OBJECTS, STATES = 12, 3
+"""Of the contact sheet, unless more are asked for."""
+
+PICTURE = 168
+"""Pixels along an edge of a picture on the sheet."""
+
+POOLED = 3
+"""The points of so many instances make a picture: it is smaller than a sheet's."""
+
+PAIRS = 5
+"""The most alike pairs of objects that are listed, even where they are not near-duplicates."""
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """All that a page tells.
+
+    Attributes:
+        path: the folder, or the shard.
+        manifest: of the folder; None of a shard or an unfinished folder.
+        sheet: the pictures; none where no surface is stored.
+        turnable: the object that can be turned, likewise.
+    """
+
+    path: Path
+    facts: Facts
+    manifest: Manifest | None
+    sheet: Sequence[Portraits]
+    turnable: Turnable | None
+    measured: Measured
+
+
+def write_report(
+    path: Path,
+    shards: Sequence[Path],
+    html: Path,
+    *,
+    objects: int = OBJECTS,
+    states: int = STATES,
+) -> int:
+    """Write the report of a data set, or of one shard, as an HTML file; its size in bytes.
+
+    Args:
+        path: the folder, or the shard; `shards` those that it stands for.
+        html: the file to write.
+        objects, states: rows and columns of the contact sheet.
+
+    Raises:
+        CorruptShard: a shard or the manifest cannot be read.
+        InvalidArgument: `html` is named like something else.
+        MachineFault: `html` cannot be written.
+    """
+    if html.suffix.lower() not in (".html", ".htm"):  # it may be somebody's data
+        raise InvalidArgument(f"{html}: a report is an HTML file; give it a name ending in .html")
+    check_place(html)
+    manifest = Manifest.read(path) if (path / MANIFEST_NAME).is_file() else None
+    found = facts(shards)
+    report = Report(
+        path=path,
+        facts=found,
+        manifest=manifest,
+        sheet=portraits(
+            some_of(_drawable(found), objects), states=states, pooling=POOLED, size=PICTURE
+        ),
+        turnable=turnable(found.objects),
+        measured=measured(found.objects, manifest),
+    )
+    data = page(report).encode()
+    write_atomically(html, data)
+    return len(data)
+
+
+def _drawable(found: Facts) -> list[Chosen]:
+    """The objects with a surface; which those are is known without reading a shard again."""
+    category = str(found.about["category"])
+    return [
+        Chosen(category, each.split, each.object_id, [(each.shard, row) for row in each.rows])
+        for each in found.objects
+        if len(each.cloud) > 1
+    ]
+
+
+def page(report: Report) -> str:
+    """The report as a whole HTML document."""
+    style, script = (_asset(name) for name in ("page.css", "viewer.js"))
+    policy = (
+        f"default-src 'none'; img-src data:; style-src '{_digest(style)}'; "
+        f"script-src '{_digest(script)}'; base-uri 'none'; form-action 'none'"
+    )
+    category = str(report.facts.about["category"])
+    parts = _sections(report)
+    head = el(
+        "head",
+        el("meta", charset="utf-8"),
+        el("meta", http_equiv="Content-Security-Policy", content=policy),
+        el("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        el("meta", name="color-scheme", content="light dark"),
+        el("meta", name="generator", content=f"articugen {__version__}"),
+        el("title", f"{category}: report of a data set"),
+        el("style", Markup(style)),
+    )
+    links = [el("li", el("a", title, href=f"#{name}")) for name, title, _ in parts]
+    body = el(
+        "body",
+        el("a", "Skip to the report", href="#overview", class_="skip"),
+        sections.header(report.path, report.facts, report.manifest),
+        el("nav", el("ul", *links), aria_label="Sections"),
+        el(
+            "main",
+            *(
+                el("section", el("h2", title, id_=f"{name}-title"), inside,
+                   id_=name, aria_labelledby=f"{name}-title")
+                for name, title, inside in parts
+            ),
+        ),
+        el("footer", el("p", f"Written by articugen {__version__} from what the data set holds. "
+                             "This file is complete: it opens without a network.")),
+        _scene(report.turnable),
+        el("script", Markup(script)),
+    )  # fmt: skip
+    return "<!doctype html>\n" + el("html", head, body, lang="en") + "\n"
+
+
+def _sections(report: Report) -> list[tuple[str, str, Markup]]:
+    """(name, title, what it says) of each."""
+    found, manifest = report.facts, report.manifest
+    every = found.objects
+    pictures = {p.object_id: webp(p) for p in report.sheet}
+    turned = report.turnable
+    still = pictures.get(turned.object_id, [""])[0] if turned else ""
+    return [
+        ("overview", "Overview", sections.overview(found, manifest)),
+        ("turn", "Turn it", sections.turning(turned, every, still)),
+        ("sheet", "Contact sheet", sections.sheet(report.sheet, pictures, found)),
+        ("joints", "Joints", sections.joints(every)),
+        ("parts", "Parts", sections.parts(every)),
+        ("truth", "Truth", sections.truth(report.measured)),
+        (
+            "alike",
+            "Alike and unlike",
+            sections.alike(nearest_pairs(every, PAIRS), outliers(every), len(every)),
+        ),
+        ("objects", "Objects", sections.objects(every, manifest)),
+        ("left-out", "Left out", sections.left_out(manifest)),
+        ("recipe", "Recipe", sections.recipe(found, manifest)),
+        ("provenance", "Provenance", sections.provenance(found, manifest)),
+    ]
+
+
+def webp(drawn: Portraits) -> list[str]:
+    """The pictures as addresses that hold them."""
+    addresses = []
+    for picture in drawn.pictures:
+        file = BytesIO()
+        picture.save(file, "WEBP", quality=82, method=4)
+        addresses.append(f"data:image/webp;base64,{base64.b64encode(file.getvalue()).decode()}")
+    return addresses
+
+
+def _scene(shown: Turnable | None) -> Markup:
+    """What the script reads: data, not code; no `<` in it can end the element."""
+    if shown is None:
+        return join()
+    data = json.dumps(shown.scene, separators=(",", ":")).replace("<", "\\u003c")
+    return el("script", Markup(data), type="application/json", id_="scene")
+
+
+def _asset(name: str) -> str:
+    return (files("articugen.inspection.report") / name).read_text(encoding="utf-8")
+
+
+def _digest(text: str) -> str:
+    return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"

@@ -1,0 +1,522 @@
+"""What stands in each section of a report."""
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from articugen.core.colours import colour_of
+from articugen.core.records import JointKind
+from articugen.core.tables import duration, size
+from articugen.inspection.report.alike import FEWEST, SAME, UNLIKE, Outlier, Pair
+from articugen.inspection.report.charts import dot, histogram, share_bar
+from articugen.inspection.report.facts import Facts, JointStates, ObjectFacts, PartSize
+from articugen.inspection.report.markup import SPACE, Markup, el, join
+from articugen.inspection.report.truth import Measured
+from articugen.inspection.report.turnable import Turnable
+from articugen.pictures.contact_sheet import Portraits
+from articugen.pictures.portrait import AJAR
+from articugen.store.manifest import Manifest, Rejection
+
+MOST_JOINTS = 24
+"""Joints of one number whose histograms are drawn."""
+
+MOST_ROWS = 1000
+"""Of a table; a page of more helps nobody."""
+
+
+def header(path: Path, found: Facts, manifest: Manifest | None) -> Markup:
+    """The title, and what the page is about in a sentence."""
+    where = f" of {path.name}" if path.suffix == ".h5" else ""
+    if manifest:
+        where = f" from {_source(manifest)}"
+    said = f"{_count(len(found.objects), 'object')} in {_count(found.instances, 'joint state')}"
+    return el(
+        "header",
+        el("h1", str(found.about["category"])),
+        el("p", said + where, class_="lead"),
+    )
+
+
+def overview(found: Facts, manifest: Manifest | None) -> Markup:
+    splits = Counter(each.split for each in found.objects)
+    per_split = ", ".join(f"{n:,} {split}" for split, n in sorted(splits.items(), reverse=True))
+    joints = sorted({len(each.joints) for each in found.objects})
+    moving = str(joints[0]) if len(joints) == 1 else f"{joints[0]} to {joints[-1]}"
+    occupied = np.concatenate([each.occupied for each in found.objects])
+    known = occupied[np.isfinite(occupied)]
+    tiles = [
+        ("Objects", f"{len(found.objects):,}", per_split),
+        (
+            "Instances",
+            f"{found.instances:,}",
+            f"{found.instances / len(found.objects):.0f} an object",
+        ),
+        ("Moving joints", moving, "an object"),
+        ("Size", size(found.bytes), f"{size(found.bytes / found.instances)} an instance"),
+    ]
+    if len(known):
+        spread = f"{_percent(known.min())} to {_percent(known.max())}"
+        tiles.append(("Occupied", _percent(float(known.mean())), f"of the unit cube; {spread}"))
+    if manifest:
+        out = len(manifest.rejected) + len(manifest.failed)
+        tiles.append(("Left out", f"{out:,}", f"{len(manifest.skipped):,} skipped"))
+    warning = (
+        el("p", manifest.shortfall, class_="warn") if manifest and manifest.shortfall else None
+    )
+    return join(
+        el("dl", *(el("div", el("dt", name), el("dd", value, el("small", more)))
+                   for name, value, more in tiles), class_="facts"),
+        warning,
+    )  # fmt: skip
+
+
+def turning(shown: Turnable | None, objects: Sequence[ObjectFacts], still: str) -> Markup:
+    if shown is None:
+        return el("p", "No surface points are stored, so there is nothing to turn.", class_="hint")
+    facts = next(o for o in objects if (o.object_id, o.split) == (shown.object_id, shown.split))
+    label = (
+        f"{shown.object_id} in three dimensions. Drag or use the arrow keys to turn it, plus and "
+        "minus to come closer; the sliders beside move its joints."
+    )
+    stage = el(
+        "div",
+        el("canvas", tabindex="0", role="img", aria_label=label),
+        el("img", src=still, alt=f"{shown.object_id} in its canonical pose") if still else None,
+        class_="stage",
+    )
+    controls = el(
+        "div",
+        el("h3", shown.object_id, SPACE, el("small", shown.split, class_="hint")),
+        el(
+            "div",
+            el("button", "Reset", type="button", id_="view-reset"),
+            el("button", "Move all", type="button", id_="view-play", aria_pressed="false"),
+            class_="buttons",
+        ),
+        *(_slider(joint, j) for j, joint in enumerate(facts.joints)),
+        el("label", el("input", type="checkbox", id_="axes", checked=True), "Axes and pivots",
+           class_="check"),
+        el("p", "Drag to turn; arrow keys, + and − work too. Click the picture, then scroll to "
+                "zoom.", class_="hint"),
+        el("p", id_="viewer-said", class_="hint", role="status"),
+        el("noscript", "Turning needs JavaScript; all else on this page does without."),
+        class_="controls",
+    )  # fmt: skip
+    return join(
+        el("p", "The surface of each part, from its stored points alone; parts move rigidly about "
+                "the stored axes and pivots.", class_="hint"),
+        el("div", stage, controls, class_="card", id_="viewer"),
+    )  # fmt: skip
+
+
+def _slider(joint: JointStates, j: int) -> Markup:
+    """From the canonical pose, or the least state, to the greatest; a little open at first."""
+    unit = _unit(joint)
+    low, high = min(joint.lower, 0.0), max(joint.upper, 0.0)
+    name = joint.name or f"joint {j}"
+    start = AJAR * max(low, high, key=abs)
+    return el(
+        "div",
+        el("label", dot(colour_of(j + 1)), name, el("output", f"{start:.0f}{unit}"),
+           for_=f"joint-{j}"),
+        el("input", type="range", id_=f"joint-{j}", min=f"{low:.4f}", max=f"{high:.4f}",
+           step="any", value=f"{start:.4f}", data_unit=unit.strip()),
+        el("p", f"{joint.kind}, {_range(joint.lower, joint.upper, unit)}", class_="hint"),
+        class_="joint",
+    )  # fmt: skip
+
+
+def sheet(
+    drawn: Sequence[Portraits], pictures: Mapping[str, Sequence[str]], found: Facts
+) -> Markup:
+    if not drawn:
+        return el("p", "No surface points are stored, so there is nothing to draw.", class_="hint")
+    count, total = len(drawn), len(found.objects)
+    which = f"{count} of {total:,} objects, chosen evenly" if count < total else "All objects"
+    hint = f"{which}: the canonical pose first, then random states, the farthest last."
+    cards = [_card(each, pictures[each.object_id]) for each in drawn]
+    return join(el("p", hint, class_="hint"), el("div", *cards, class_="sheet"))
+
+
+def _card(each: Portraits, pictures: Sequence[str]) -> Markup:
+    figures = []
+    for picture, caption in zip(pictures, each.captions, strict=True):
+        states = [el("span", dot(colour), SPACE, state) for state, colour in caption]
+        alt = f"{each.object_id}, joints at {', '.join(state for state, _ in caption)}"
+        image = el("img", src=picture, alt=alt, width="168", height="168")
+        figures.append(el("figure", image, el("figcaption", *states)))
+    title = el("h3", each.object_id, el("span", each.split))
+    return el("article", title, el("div", *figures, class_="tiles"), class_="card object")
+
+
+def joints(objects: Sequence[ObjectFacts]) -> Markup:
+    """A histogram for each number of a joint, and kind."""
+    groups: dict[tuple[int, JointKind], list[JointStates]] = {}
+    for each in objects:
+        for j, joint in enumerate(each.joints):
+            groups.setdefault((j, joint.kind), []).append(joint)
+    cards = [_states(j, kind, same) for (j, kind), same in sorted(groups.items())[:MOST_JOINTS]]
+    more = len(groups) - len(cards)
+    return join(
+        el("p", "Where the random states lie between the least and the greatest that their object "
+                "allows. The dashed line is what an even spread has.", class_="hint"),
+        el("div", *cards, class_="grid"),
+        el("p", f"{more:,} more joints are not drawn.", class_="hint") if more > 0 else None,
+    )  # fmt: skip
+
+
+def _states(j: int, kind: JointKind, same: Sequence[JointStates]) -> Markup:
+    unit = _unit(same[0])
+    shares = np.concatenate(
+        [(s.drawn - s.lower) / max(s.upper - s.lower, 1e-12) for s in same] or [np.zeros(0)]
+    )
+    ends = tuple(_spread([getattr(s, end) for s in same], unit) for end in ("lower", "upper"))
+    names = Counter(s.name for s in same if s.name)
+    title = f"{_common(names) or f'joint {j}'}"
+    beyond = int(np.sum((shares < -1e-6) | (shares > 1 + 1e-6)))
+    said = f"{len(shares):,} random states of {_count(len(same), 'object')}"
+    chart = histogram(
+        shares, 0.0, 1.0, (ends[0], ends[1]), colour=colour_of(j + 1), even=True,
+        title=f"{title}: {said}, from {ends[0]} to {ends[1]}",
+    )  # fmt: skip
+    return el(
+        "div",
+        el("h3", dot(colour_of(j + 1)), SPACE, title),
+        el("p", f"joint {j}, {kind}; {said}", class_="hint"),
+        chart,
+        el("p", f"{beyond:,} states lie outside of their range", class_="warn") if beyond else None,
+        class_="card",
+    )
+
+
+def parts(objects: Sequence[ObjectFacts]) -> Markup:
+    """How large each part is, and how much of the unit cube is inside."""
+    by_part: dict[int, list[PartSize]] = {}
+    for each in objects:
+        for k, part in enumerate(each.parts):
+            by_part.setdefault(k, []).append(part)
+    rows = [_part_row(k, same) for k, same in sorted(by_part.items())[:MOST_ROWS]]
+    shares = [
+        (float(np.nansum([p.surface for p in same])), colour_of(k))
+        for k, same in sorted(by_part.items())
+    ]
+    head = ("Part", ">Objects", ">Surface", ">of the cube", ">Box, cm (median)")
+    occupied = np.concatenate([each.occupied for each in objects])
+    occupied = occupied[np.isfinite(occupied)]
+    return el(
+        "div",
+        el(
+            "div",
+            el("h3", "Sizes"),
+            share_bar(shares, "Share of the visible surface of each part"),
+            _table(head, rows, "Parts and their sizes"),
+            class_="card",
+        ),
+        _occupied(occupied) if len(occupied) else None,
+        class_="pair",
+    )
+
+
+def _part_row(k: int, same: Sequence[PartSize]) -> list[object]:
+    names = Counter(p.semantic or p.name for p in same if p.semantic or p.name)
+    boxes = np.array([p.box for p in same])
+    boxes = boxes[np.isfinite(boxes).all(axis=1)]
+    box = " × ".join(f"{side:.1f}" for side in np.median(boxes, axis=0)) if len(boxes) else "–"
+    return [
+        el("span", dot(colour_of(k)), SPACE, k, SPACE, el("span", _common(names), class_="hint")),
+        f"{len(same):,}",
+        _mean([p.surface for p in same]),
+        _mean([p.volume for p in same]),
+        box,
+    ]
+
+
+def _occupied(shares: np.ndarray) -> Markup:
+    low, high = 100.0 * float(shares.min()), 100.0 * float(shares.max())
+    chart = histogram(
+        100.0 * shares, low, high, (f"{low:.1f} %", f"{high:.1f} %"), colour=colour_of(1),
+        title=f"Occupied share of the unit cube, {len(shares):,} instances",
+    )  # fmt: skip
+    said = (
+        f"Share of the unit cube inside of an instance, enclosed space included: "
+        f"{shares.mean():.1%} on average over {len(shares):,} instances."
+    )
+    return el("div", el("h3", "Occupied"), el("p", said, class_="hint"), chart, class_="card")
+
+
+def truth(found: Measured) -> Markup:
+    if not found.instances:
+        return el("p", f"Not measured. {found.why_not}", class_="hint")
+    lines = (
+        ("uniform", "Material, uniform points (IoU)"),
+        ("near", "Material, points near the surface (IoU)"),
+        ("part", "Points in one part that carry its label"),
+        ("surface", "Surface points with their own part right behind"),
+    )
+    rows = [
+        [title, el("b", f"{found.total(name):.4%}"), f"{found.worst(name):.4%}"]
+        for name, title in lines
+    ]
+    objects = len({each.object_id for each in found.instances})
+    said = (
+        f"Stored labels of {_count(len(found.instances), 'instance')} of "
+        f"{_count(objects, 'object')} "
+        "against the exact solids that their models were made from, brought to each pose by the "
+        "stored motions. Nothing of what made the labels is used."
+    )
+    return join(
+        el("p", said, class_="hint"),
+        el("div", _table(("", ">All together", ">Worst instance"), rows, "Agreement"),
+           class_="card narrow"),
+    )  # fmt: skip
+
+
+def alike(pairs: Sequence[Pair], unlike: Sequence[Outlier], count: int) -> Markup:
+    """Of `count` objects the pairs that are nearly the same, and those unlike the others."""
+    same = [pair for pair in pairs if pair.same]
+    rows = [
+        [f"{p.first.object_id} ({p.first.split})", f"{p.second.object_id} ({p.second.split})",
+         f"{100.0 * p.apart:.2f} %", f"{p.ratio:.1f}"]
+        for p in pairs
+    ]  # fmt: skip
+    verdict = (
+        el("p", f"{_count(len(same), 'pair')} of objects are near-duplicates.", class_="warn")
+        if same
+        else el("p", "No two objects are near-duplicates.", class_="good")
+    )
+    about = (
+        "The most alike canonical poses. Apart: the mean distance of one's points to the other's "
+        "surface, of the unit frame. Ratio: over the same between two halves of one object's "
+        f"points; below {SAME} two objects cannot be told apart."
+    )
+    far = [
+        [o.object.object_id, o.what, f"{o.value:.4g}{o.unit}", f"{o.typical:.4g}{o.unit}",
+         f"{o.score:.1f}"]
+        for o in unlike[:MOST_ROWS]
+    ]  # fmt: skip
+    return el(
+        "div",
+        el(
+            "div",
+            el("h3", "Near-duplicates"),
+            verdict if pairs else el("p", "There are no two objects to compare.", class_="hint"),
+            el("p", about, class_="hint") if pairs else None,
+            _table(("One", "Other", ">Apart", ">Ratio"), rows, "Most alike pairs")
+            if rows
+            else None,
+            class_="card",
+        ),
+        el(
+            "div",
+            el("h3", "Outliers"),
+            el(
+                "p", f"Objects more than {UNLIKE} modified z-scores from the median.", class_="hint"
+            ),
+            _table(("Object", "What", ">Value", ">Median", ">Score"), far, "Outliers")
+            if far
+            else el("p", "None.", class_="good")
+            if count >= FEWEST
+            else el("p", f"Fewer than {FEWEST} objects do not tell what is usual.", class_="hint"),
+            class_="card",
+        ),
+        class_="pair",
+    )
+
+
+def objects(every: Sequence[ObjectFacts], manifest: Manifest | None) -> Markup:
+    """A table of all objects, closed at first."""
+    entries = {(o.key.split, o.key.object_id): o for o in manifest.objects} if manifest else {}
+    rows: list[list[object]] = []
+    for each in every[:MOST_ROWS]:
+        entry = entries.get((each.split, each.object_id))
+        box = " × ".join(f"{side:.0f}" for side in each.box) if np.isfinite(each.box).all() else "–"
+        rows.append(
+            [each.object_id, each.split, f"{len(each.rows)}", f"{len(each.joints)}", box,
+             _mean([float(each.occupied.mean())]), each.shard.name,
+             el("code", entry.content_sha256[:16]) if entry else "–",
+             " ".join(entry.notes) if entry else ""]
+        )  # fmt: skip
+    head = ("Object", "Split", ">Instances", ">Joints", "Box, cm", ">Occupied", "Shard", "Content",
+            "~Notes")  # fmt: skip
+    noted = sum(bool(entry.notes) for entry in entries.values())
+    said = f"{noted:,} of {len(every):,} objects have notes from their making."
+    return join(
+        el("p", said, class_="hint") if noted else None,
+        _folded(f"All {len(every):,} objects", _table(head, rows, "Objects"), len(every)),
+    )
+
+
+def left_out(manifest: Manifest | None) -> Markup:
+    if manifest is None:
+        return el("p", "Without a manifest there is no telling what was left out.", class_="hint")
+    kinds: tuple[tuple[str, Sequence[Rejection]], ...] = (
+        ("failed", manifest.failed),
+        ("rejected", manifest.rejected),
+        ("skipped", manifest.skipped),
+    )
+    rows = [[each.key.object_id, each.key.split, word, each.reason]
+            for word, out in kinds for each in out]  # fmt: skip
+    if not rows:
+        return el("p", "Nothing: every object that was asked for became data.", class_="good")
+    counts = ", ".join(f"{len(out):,} {word}" for word, out in kinds if out)
+    table = _table(("Object", "Split", "", "~Why"), rows[:MOST_ROWS], "Objects left out")
+    return join(
+        el("p", f"{counts}.", class_="hint"),
+        el("div", table, class_="card") if len(rows) <= 12 else _folded("All", table, len(rows)),
+    )
+
+
+def recipe(found: Facts, manifest: Manifest | None) -> Markup:
+    """Every key of the recipe, those of a group under each other."""
+    text = manifest.recipe if manifest else str(found.about["recipe"])
+    try:
+        groups = json.loads(text)
+    except ValueError:
+        return el("pre", text, class_="card")
+    plain = {key: value for key, value in groups.items() if not isinstance(value, dict)}
+    nested = {key: value for key, value in groups.items() if isinstance(value, dict)}
+    cards = [
+        el("div", el("h3", title), _keys(_written(values)), class_="card")
+        for title, values in ({"recipe": plain} | nested).items()
+    ]
+    return el("div", *cards, class_="pair")
+
+
+def _written(values: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    for key, value in values.items():
+        yield key, _plain(value)
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, list):
+        return ", ".join(map(_plain, value)) or "none"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return {None: "not set", True: "yes", False: "no"}.get(value, str(value))
+
+
+def provenance(found: Facts, manifest: Manifest | None) -> Markup:
+    about = found.about
+    lines: list[tuple[str, object]] = [
+        ("Seed", about["seed"]),
+        ("Format", f"version {about['schema_version']}"),
+        ("articugen", about["articugen_version"]),
+        ("Recipe's sha256", el("code", about["recipe_sha256"])),
+    ]
+    if manifest:
+        took = manifest.timings
+        machine = ", ".join(f"{value}" for value in manifest.machine.values())
+        versions = ", ".join(f"{name} {number}" for name, number in manifest.versions.items())
+        lines = [
+            ("Source", _source(manifest)),
+            ("Licence of the models", manifest.licence),
+            *lines,
+            ("Commit", el("code", manifest.commit or "none: an installed package")),
+            ("Libraries", versions),
+            ("Machine", f"{machine} cores"),
+            ("Last run", f"{duration(took.seconds)}, {took.instances_per_second:.1f} instances/s "
+                         f"on {_count(took.workers, 'worker')}"),
+            ("Content's sha256", el("code", manifest.content_sha256)),
+            ("Manifest's sha256", el("code", manifest.manifest_sha256)),
+        ]  # fmt: skip
+    return join(
+        el("div", _keys(lines, "keys long"), class_="card"),
+        _folded("Fields and their sizes", _fields(found), 99),
+        _folded("Shards and their checksums", _shards(found, manifest), 99),
+        el("p", "articugen verify reads every byte and compares it with these.", class_="hint")
+        if manifest
+        else None,
+    )
+
+
+def _source(manifest: Manifest) -> str:
+    """Its name; of a folder the last of its path, as the page may travel."""
+    return Path(manifest.source).name
+
+
+def _fields(found: Facts) -> Markup:
+    rows = [
+        [el("code", name), shape, size(stored), size(stored / found.instances)]
+        for name, (shape, stored) in sorted(found.fields.items())
+    ]
+    rest = found.bytes - sum(stored for _, stored in found.fields.values())
+    rows.append(["index, headers", "", size(rest), ""])
+    rows.append(
+        [el("b", "all"), "", el("b", size(found.bytes)), size(found.bytes / found.instances)]
+    )
+    return _table(("Field", "Shape", ">On disk", ">An instance"), rows, "Fields")
+
+
+def _shards(found: Facts, manifest: Manifest | None) -> Markup:
+    if manifest:
+        rows = [[s.name, f"{s.instances:,}", size(s.bytes), el("code", s.sha256)]
+                for s in manifest.shards[:MOST_ROWS]]  # fmt: skip
+    else:
+        rows = [
+            [path.name, "", size(path.stat().st_size), "–"] for path in found.shards[:MOST_ROWS]
+        ]
+    return _table(("Shard", ">Instances", ">Size", "sha256"), rows, "Shards")
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[object]], name: str) -> Markup:
+    """A table that scrolls by itself where it is too wide.
+
+    Args:
+        head: titles; > before one means a column of numbers, ~ one of sentences.
+    """
+    kinds = [{">": "n", "~": "w"}.get(title[:1]) for title in head]
+    titles = [el("th", title.lstrip(">~"), scope="col", class_=kind)
+              for title, kind in zip(head, kinds, strict=True)]  # fmt: skip
+    lines = [
+        el("tr", el("th", row[0], scope="row"),
+           *(el("td", cell, class_=kind) for cell, kind in zip(row[1:], kinds[1:], strict=True)))
+        for row in rows
+    ]  # fmt: skip
+    table = el("table", el("thead", el("tr", *titles)), el("tbody", *lines))
+    return el("div", table, class_="scroll", tabindex="0", role="region", aria_label=name)
+
+
+def _folded(title: str, inside: Markup, rows: int) -> Markup:
+    said = f"; the first {MOST_ROWS:,}" if rows > MOST_ROWS else ""
+    return el("details", el("summary", title + said), inside, class_="card")
+
+
+def _keys(lines: Iterable[tuple[str, object]], kind: str = "keys") -> Markup:
+    return el("dl", *(join(el("dt", key), el("dd", value)) for key, value in lines), class_=kind)
+
+
+def _unit(joint: JointStates) -> str:
+    return "°" if joint.kind == JointKind.REVOLUTE else " cm"
+
+
+def _range(low: float, high: float, unit: str) -> str:
+    return f"{low:.1f} to {high:.1f}{unit}"
+
+
+def _spread(values: Sequence[float], unit: str) -> str:
+    """One number where all are alike, else the least and the greatest."""
+    low, high = min(values), max(values)
+    return f"{low:.1f}{unit}" if high - low < 0.05 else f"{low:.1f} … {high:.1f}{unit}"
+
+
+def _common(names: Counter[str]) -> str:
+    """The most common names, and that there are others."""
+    some = ", ".join(name for name, _ in names.most_common(2))
+    return some + (", …" if len(names) > 2 else "")
+
+
+def _mean(shares: Sequence[float]) -> str:
+    known = [share for share in shares if np.isfinite(share)]
+    return _percent(float(np.mean(known))) if known else "–"
+
+
+def _percent(share: float) -> str:
+    return f"{share:.1%}"
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number:,} {noun}" + ("" if number == 1 else "s")

@@ -1,0 +1,212 @@
+"""The surface of each part of an object as a triangle mesh, from its stored surface points alone.
+
+A grid of signed distances to the points' tangent planes goes through marching cubes, a little
+swollen, so that a plate thinner than a voxel still has voxels inside of it. Each vertex is then
+brought back to where the planes of the points around it meet (the quadric error of Ju et al. 2002,
+"Dual contouring of Hermite data"): flat faces come out flat, and edges sharp.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.core.jit import helper, kernel
+from articugen.meshes.marching_cubes import zero_level
+from articugen.pictures.cells import cells_of, near
+from articugen.pictures.surfels import OrientedPoints
+
+Array = NDArray[np.float64]
+
+SWOLLEN = 0.45
+"""Voxels by which the grid's surface lies outside the points: less than half of one, so that the
+two faces of a plate meet no later than their voxels do."""
+
+REACH = 1.5
+"""Voxels around a point within which the grid has a sign; beyond, it counts as free."""
+
+AROUND = 1.7
+"""Voxels around a vertex within which points say where it belongs."""
+
+SAME_SIDE = 0.2
+"""The least cosine between the normals of a vertex and of a point that draws it."""
+
+STIFF = 0.02
+"""How much a vertex keeps to its nearest point where planes leave it free: a share of a plane's."""
+
+MOST_SAMPLES = 150
+"""Along the longest side of a part's grid."""
+
+
+@dataclass(frozen=True, eq=False)
+class Skin:
+    """A part's surface: `vertices` (V, 3), unit frame, canonical pose; `faces` (F, 3)."""
+
+    vertices: Array
+    faces: NDArray[np.int32]
+
+
+def skin(points: OrientedPoints, voxel: float, spacing: float) -> Skin:
+    """The surface that the points (of one part, many a voxel) lie on.
+
+    Args:
+        voxel: the side of the grid's cells, unit frame; larger where a part has too many.
+        spacing: the side of the square that each point stands for.
+    """
+    low, high = points.points.min(axis=0), points.points.max(axis=0)
+    voxel = max(voxel, float((high - low).max()) / (MOST_SAMPLES - 6))
+    R = int(np.ceil((high - low).max() / voxel)) + 6
+    origin = (low + high) / 2.0 - voxel * (R - 1) / 2.0
+    cells = cells_of(points.points, voxel)
+    field = _field(points.points, points.normals, cells, origin, voxel, spacing, R)
+    mesh = zero_level(field)
+    at = origin + ((mesh.vertices + 0.5) * R - 0.5) * voxel
+    normals = _vertex_normals(at, mesh.faces)
+    held = _draw_to(at, normals, points.points, points.normals, cells, voxel)
+    return _of_faces(at, mesh.faces[held[mesh.faces].all(axis=1)])
+
+
+def _of_faces(vertices: Array, faces: NDArray[np.int32]) -> Skin:
+    """The faces, with the vertices that they use in the order of their use."""
+    used, first, number = np.unique(faces, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    place = np.empty(len(used), np.int32)
+    place[order] = np.arange(len(used), dtype=np.int32)
+    return Skin(vertices[used[order]], place[number].reshape(-1, 3))
+
+
+def _vertex_normals(vertices: Array, faces: NDArray[np.int32]) -> Array:
+    corners = vertices[faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(vertices)
+    for corner in range(3):
+        np.add.at(normals, faces[:, corner], across)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+
+
+@kernel
+def _field(points, normals, cells, origin, voxel, spacing, R):
+    """(R, R, R) voxels inside the swollen surface, above 0 inside; free far from all points.
+
+    At a sample, the mean over the points nearly as near as the nearest of how far it lies behind
+    their planes. In front of them, what leads along a plane past its last points counts as well:
+    a face does not go on beyond its edge.
+    """
+    field = np.full((R, R, R), -REACH)
+    found = np.empty(len(points), np.int64)
+    gap = 0.5 * spacing * spacing
+    for i, j, k in np.argwhere(_band(points, origin, voxel, R)):
+        x, y, z = origin[0] + i * voxel, origin[1] + j * voxel, origin[2] + k * voxel
+        count = near(cells, points, (x, y, z), REACH * voxel, found)
+        least = 1e9
+        for n in range(count):
+            p = found[n]
+            squared = (points[p, 0] - x) ** 2 + (points[p, 1] - y) ** 2 + (points[p, 2] - z) ** 2
+            least = min(least, squared)
+        ahead = weight = 0.0
+        width = 0.15 * voxel * voxel + 0.1 * least
+        for n in range(count):
+            p = found[n]
+            dx, dy, dz = x - points[p, 0], y - points[p, 1], z - points[p, 2]
+            w = np.exp((least - dx * dx - dy * dy - dz * dz) / width)
+            ahead += w * (dx * normals[p, 0] + dy * normals[p, 1] + dz * normals[p, 2])
+            weight += w
+        if count == 0:
+            continue
+        ahead /= weight
+        if ahead > 0.0:
+            ahead = np.sqrt(max(ahead * ahead, least - gap))
+        field[i, j, k] = SWOLLEN - ahead / voxel
+    return field
+
+
+@helper
+def _band(points, origin, voxel, R):
+    """(R, R, R) the samples that may have a point within reach."""
+    band = np.zeros((R, R, R), np.bool_)
+    for p in range(len(points)):
+        x = (points[p, 0] - origin[0]) / voxel
+        y = (points[p, 1] - origin[1]) / voxel
+        z = (points[p, 2] - origin[2]) / voxel
+        for i in range(int(np.ceil(x - REACH)), int(x + REACH) + 1):
+            for j in range(int(np.ceil(y - REACH)), int(y + REACH) + 1):
+                for k in range(int(np.ceil(z - REACH)), int(z + REACH) + 1):
+                    band[i, j, k] = True
+    return band
+
+
+@helper
+def _solved(a, b):
+    """x of a x = b for a symmetric (3, 3), by Cramer's rule."""
+    c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[1, 2]
+    c01 = a[0, 2] * a[1, 2] - a[0, 1] * a[2, 2]
+    c02 = a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]
+    det = a[0, 0] * c00 + a[0, 1] * c01 + a[0, 2] * c02
+    c11 = a[0, 0] * a[2, 2] - a[0, 2] * a[0, 2]
+    c12 = a[0, 1] * a[0, 2] - a[0, 0] * a[1, 2]
+    c22 = a[0, 0] * a[1, 1] - a[0, 1] * a[0, 1]
+    return (
+        (c00 * b[0] + c01 * b[1] + c02 * b[2]) / det,
+        (c01 * b[0] + c11 * b[1] + c12 * b[2]) / det,
+        (c02 * b[0] + c12 * b[1] + c22 * b[2]) / det,
+    )
+
+
+@kernel
+def _draw_to(vertices, facing, points, normals, cells, voxel):
+    """Move each vertex, in place, to where the planes around it meet; whether it has any, (V,)."""
+    found = np.empty(len(points), np.int64)
+    held = np.zeros(len(vertices), np.bool_)
+    a, b = np.empty((3, 3)), np.empty(3)
+    for v in range(len(vertices)):
+        x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
+        count = near(cells, points, (x, y, z), AROUND * voxel, found)
+        nearest, least = -1, 1e9
+        for n in range(count):
+            p = found[n]
+            alike = facing[v, 0] * normals[p, 0] + facing[v, 1] * normals[p, 1]
+            alike += facing[v, 2] * normals[p, 2]
+            squared = (points[p, 0] - x) ** 2 + (points[p, 1] - y) ** 2 + (points[p, 2] - z) ** 2
+            if alike > SAME_SIDE and squared < least:
+                nearest, least = p, squared
+        if nearest < 0:
+            continue
+        held[v] = True
+        # the foot of the vertex on the nearest plane is where it stays along what is free
+        p = nearest
+        ahead = (x - points[p, 0]) * normals[p, 0] + (y - points[p, 1]) * normals[p, 1]
+        ahead += (z - points[p, 2]) * normals[p, 2]
+        fx, fy, fz = x - ahead * normals[p, 0], y - ahead * normals[p, 1], z - ahead * normals[p, 2]
+        a[:] = 0.0
+        b[:] = 0.0
+        total = 0.0
+        for n in range(count):
+            p = found[n]
+            nx, ny, nz = normals[p, 0], normals[p, 1], normals[p, 2]
+            if facing[v, 0] * nx + facing[v, 1] * ny + facing[v, 2] * nz <= SAME_SIDE:
+                continue
+            squared = (points[p, 0] - x) ** 2 + (points[p, 1] - y) ** 2 + (points[p, 2] - z) ** 2
+            w = (1.0 - squared / (AROUND * voxel) ** 2) ** 2
+            # relative to the foot
+            d = (points[p, 0] - fx) * nx + (points[p, 1] - fy) * ny + (points[p, 2] - fz) * nz
+            a[0, 0] += w * nx * nx
+            a[0, 1] += w * nx * ny
+            a[0, 2] += w * nx * nz
+            a[1, 1] += w * ny * ny
+            a[1, 2] += w * ny * nz
+            a[2, 2] += w * nz * nz
+            b[0] += w * d * nx
+            b[1] += w * d * ny
+            b[2] += w * d * nz
+            total += w
+        stiff = STIFF * total
+        a[0, 0] += stiff
+        a[1, 1] += stiff
+        a[2, 2] += stiff
+        sx, sy, sz = _solved(a, b)
+        far = np.sqrt(sx * sx + sy * sy + sz * sz)
+        shorter = min(1.0, 1.0 * voxel / max(far, 1e-12))
+        vertices[v, 0] = fx + shorter * sx
+        vertices[v, 1] = fy + shorter * sy
+        vertices[v, 2] = fz + shorter * sz
+    return held

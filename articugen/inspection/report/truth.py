@@ -1,0 +1,191 @@
+"""How far stored labels agree with the exact solids of the bundled objects.
+
+The solids are read from `solids.json` beside an object's URDF, and moved by the stored motions of
+its parts, so that a wrong `part_motion` shows as well. No stage of the pipeline takes part but the
+one that says where links stand in the canonical pose.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.core.errors import ArticugenError
+from articugen.core.geometry import fibonacci_sphere
+from articugen.core.portable import product
+from articugen.core.recipe import Recipe
+from articugen.core.records import Instance, Normalization, ResolvedObject, dequantize, is_material
+from articugen.inspection.report.facts import ObjectFacts
+from articugen.instance import articulation
+from articugen.instance.resolving import resolved
+from articugen.procedural.truth import Truth, load_truth
+from articugen.sources import registry
+from articugen.sources.refs import ObjectRef
+from articugen.store.manifest import Manifest
+from articugen.store.shards import open_shard
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+OBJECTS, STATES = 4, 2
+"""So many objects of a data set, in so many instances each, are compared with their solids."""
+
+SIGHTS = 2000
+"""A place that no solid holds counts as sealed inside of a part where none of so many lines of
+sight leads out of that part."""
+
+BEHIND = 1e-4
+"""From a surface point to what is certainly inside, ten times the rounding of what is stored."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Counts over instances; a pair is (both, either) or (right, asked).
+
+    Attributes:
+        uniform, near: points labelled as material, and in the exact solids.
+        part: points in just one part, labelled as material, and those with that part's label.
+        surface: surface points with their own part's solid right behind them, and all.
+    """
+
+    object_id: str
+    state_index: int
+    uniform: tuple[int, int]
+    near: tuple[int, int]
+    part: tuple[int, int]
+    surface: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What was measured, or in one sentence why nothing was."""
+
+    instances: tuple[Agreement, ...]
+    why_not: str = ""
+
+    def total(self, name: str) -> float:
+        """The share of "uniform", "near", "part" or "surface", over all instances together."""
+        one, other = np.sum([getattr(each, name) for each in self.instances], axis=0)
+        return float(one / max(other, 1))
+
+    def worst(self, name: str) -> float:
+        """The least share of any instance."""
+        pairs = (getattr(each, name) for each in self.instances)
+        return min(one / max(other, 1) for one, other in pairs)
+
+
+def measured(objects: Sequence[ObjectFacts], manifest: Manifest | None) -> Measured:
+    """Some instances against the exact solids, where the data set is of bundled objects."""
+    if manifest is None:
+        return Measured((), "A shard alone does not say which files its object came from.")
+    try:
+        if not registry.is_procedural(manifest.source):
+            return Measured(
+                (), f"The models of {manifest.source} are not ours: no exact solids are known."
+            )
+        entries = {(o.key.split, o.key.object_id): o.input_sha256 for o in manifest.objects}
+        found: list[Agreement] = []
+        recipe = Recipe.model_validate_json(manifest.recipe)
+        picked = np.linspace(0, len(objects) - 1, min(OBJECTS, len(objects)))
+        for each in [objects[round(i)] for i in picked]:
+            model = _model(manifest, recipe, each.object_id)
+            if model.obj.sha256 != entries[each.split, each.object_id]:
+                return Measured(
+                    (), f"{each.object_id} is generated otherwise by this version of articugen."
+                )
+            found += _compared(model, each, recipe)
+    except (ArticugenError, ValueError) as error:
+        return Measured((), f"The models could not be made again: {error}")
+    return Measured(tuple(found))
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """An object's canonical pose: `T_world_link` (4, 4) by the names of its links."""
+
+    ref: ObjectRef
+    obj: ResolvedObject
+    T_world_link: dict[str, Array]
+
+
+def _model(manifest: Manifest, recipe: Recipe, object_id: str) -> _Model:
+    ref = registry.find(manifest.source, manifest.category, object_id)
+    obj = resolved(ref, recipe)
+    posed = articulation.forward_kinematics(obj, articulation.canonical_state(obj))
+    names = [link.name for link in obj.links]
+    return _Model(ref, obj, dict(zip(names, posed.T_world_link, strict=True)))
+
+
+def _compared(model: _Model, each: ObjectFacts, recipe: Recipe) -> list[Agreement]:
+    thickness = recipe.fusion.sheet_thickness * each.scale
+    truth = load_truth(model.ref.location, sheet_thickness=thickness)
+    parts = np.array([model.obj.part_of_link[model.obj.link_index[n]] for n in truth.links])
+    alone = [truth.of(parts == part) for part in range(len(each.parts))]
+    rows = np.linspace(0, len(each.rows) - 1, min(STATES, len(each.rows)) + 1)[1:]
+    with open_shard(each.shard) as shard:
+        instances = [shard.instance(each.rows[round(i)]) for i in rows]
+    return [_agreement(_Scene(model, alone, instance), instance) for instance in instances]
+
+
+class _Scene:
+    """The exact solids of each part, posed by what the shard says of an instance."""
+
+    def __init__(self, model: _Model, alone: Sequence[Truth], instance: Instance) -> None:
+        self.unit = Normalization(instance.center, instance.scale)
+        self.alone = alone
+        world = [self._to_world(T) for T in instance.part_motion]
+        obj = model.obj
+        self.T_world_link = {
+            name: product(world[obj.part_of_link[obj.link_index[name]]], T)
+            for name, T in model.T_world_link.items()
+        }
+
+    def _to_world(self, T_unit: Array) -> Array:
+        """A rigid motion of unit-frame points, as it acts on world points in metres."""
+        T = np.array(T_unit)
+        centre = self.unit.center
+        T[:3, 3] = self.unit.scale * T[:3, 3] + centre - T[:3, :3] @ centre
+        return T
+
+    def holds(self, points: Array) -> Bools:
+        """(n, P) whether each part's solids hold each point of the unit frame."""
+        world = np.ascontiguousarray(self.unit.to_world(points))
+        by_part = [truth.holds(world, self.T_world_link).any(axis=1) for truth in self.alone]
+        return np.stack(by_part, axis=1)
+
+    def sealed(self, points: Array) -> Bools:
+        """(n,) whether one part alone hides the point from all sides."""
+        found = np.zeros(len(points), np.bool_)
+        world, ways = self.unit.to_world(points), fibonacci_sphere(SIGHTS)
+        for truth in self.alone:
+            rest = np.flatnonzero(~found)
+            found[rest] = truth.enclosed(world[rest], ways, self.T_world_link)
+        return found
+
+
+def _agreement(scene: _Scene, made: Instance) -> Agreement:
+    pairs: dict[str, tuple[int, int]] = {}
+    right = asked = 0
+    for kind, stored, label in (
+        ("uniform", made.uniform_points, made.uniform_label),
+        ("near", made.near_points, made.near_label),
+    ):
+        points, ours = dequantize(stored), is_material(label)
+        holds = scene.holds(points)
+        exact = np.array(holds.any(axis=1))
+        exact[~exact] = scene.sealed(points[~exact])
+        pairs[kind] = (int((ours & exact).sum()), int((ours | exact).sum()))
+        one = (holds.sum(axis=1) == 1) & ours
+        asked += int(one.sum())
+        right += int(np.sum(label[one] == holds[one].argmax(axis=1) + 1))
+    normals = made.surface_normals / 127.0
+    behind = scene.holds(dequantize(made.surface_points) - BEHIND * normals)
+    own = int(behind[np.arange(len(behind)), made.surface_part].sum())
+    return Agreement(
+        made.object_id,
+        made.state_index,
+        part=(right, asked),
+        surface=(own, len(behind)),
+        **pairs,
+    )

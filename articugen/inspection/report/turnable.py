@@ -1,0 +1,134 @@
+"""One object as viewer.js turns it: the surface of each part, and the joints that move them.
+
+All of it is of the canonical pose; a state of the joints moves each part as a whole. Meshes are
+packed as differences of whole numbers, byte by byte, which gzip makes a fifth of.
+"""
+
+import base64
+import gzip
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.core.colours import colour_of
+from articugen.core.geometry import invert_rigid
+from articugen.core.records import Instance, JointKind, dequantize
+from articugen.inspection.report.facts import ObjectFacts
+from articugen.inspection.report.skin import Skin, skin
+from articugen.pictures.portrait import best_azimuth, oriented_points, swept
+from articugen.pictures.surfels import OrientedPoints
+from articugen.store.shards import open_shard
+
+Array = NDArray[np.float64]
+
+VOXEL = 1 / 112
+"""Of the unit frame: what is finer is not drawn; coarser where points are sparse."""
+
+POOLED = 20
+"""The points of so many instances make the surface, or of all that there are."""
+
+SPARSE = 1.3
+"""A voxel is no smaller than so many spacings of the points."""
+
+FEWEST = 50
+"""Points that a part needs to be drawn."""
+
+
+@dataclass(frozen=True, eq=False)
+class Turnable:
+    """Attributes:
+    object_id, split: which object.
+    canonical: its first instance.
+    scene: what viewer.js reads, ready for JSON.
+    """
+
+    object_id: str
+    split: str
+    canonical: Instance
+    scene: dict[str, Any]
+
+
+def turnable(objects: Sequence[ObjectFacts]) -> Turnable | None:
+    """The first object among those with the most joints; None where no surface is stored.
+
+    Raises:
+        CorruptShard: its shard cannot be read.
+    """
+    shown = [each for each in objects if len(each.cloud) >= FEWEST]
+    if not shown:
+        return None
+    chosen = max(shown, key=lambda each: len(each.joints))
+    with open_shard(chosen.shard) as shard:
+        picked = np.linspace(0, len(chosen.rows) - 1, min(POOLED, len(chosen.rows)))
+        instances = [shard.instance(chosen.rows[round(i)]) for i in picked]
+    return Turnable(chosen.object_id, chosen.split, instances[0], _scene(chosen, instances))
+
+
+def _scene(chosen: ObjectFacts, instances: Sequence[Instance]) -> dict[str, Any]:
+    first = instances[0]
+    clouds = [oriented_points(i).moved(invert_rigid(i.part_motion)) for i in instances]
+    posed = np.concatenate([dequantize(i.surface_points) for i in instances])
+    parts = [_skin_of(clouds, part) for part in range(len(first.part_motion))]
+    posed = np.concatenate([posed, swept(first)])
+    low, high = posed.min(axis=0), posed.max(axis=0)
+    middle = (low + high) / 2.0
+    return {
+        "middle": middle.tolist(),
+        "radius": float(np.linalg.norm(posed - middle, axis=1).max()),
+        "floor": float(low[2]),
+        "azimuth": best_azimuth([max(instances, key=_moved)]),
+        "parts": [
+            {"colour": colour_of(k), "vertices": len(p.vertices), "faces": len(p.faces)}
+            for k, p in enumerate(parts)
+        ],
+        "joints": [
+            {
+                "revolute": joint.kind == JointKind.REVOLUTE,
+                "parent": int(first.joint_parent[j]),
+                "axis": first.joint_axis[j].tolist(),
+                "pivot": first.joint_pivot[j].tolist(),
+                "unit": np.degrees(1.0) if joint.kind == JointKind.REVOLUTE else 100 * chosen.scale,
+            }
+            for j, joint in enumerate(chosen.joints)
+        ],
+        "meshes": packed(parts),
+    }
+
+
+def _moved(instance: Instance) -> float:
+    """How far its joints are from the canonical pose, each by its range."""
+    span = instance.joint_upper - instance.joint_lower
+    return float(np.sum(np.abs(instance.joint_state) / np.where(span > 0.0, span, 1.0)))
+
+
+def _skin_of(clouds: Sequence[OrientedPoints], part: int) -> Skin:
+    points, normals = (
+        np.concatenate([getattr(cloud, name)[cloud.part == part] for cloud in clouds])
+        for name in ("points", "normals")
+    )
+    if len(points) < FEWEST:
+        return Skin(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    one = OrientedPoints(points, normals, np.full(len(points), part, np.uint8))
+    spacing = one.spacing()
+    return skin(one, max(VOXEL, SPARSE * spacing), spacing)
+
+
+def packed(parts: Sequence[Skin]) -> str:
+    """The meshes in base64: of each the coordinates x, y, z of its vertices as 16-bit fixed point
+    over [-1, 1], then the numbers of its faces' corners in 32 bits."""
+    pieces: list[bytes] = []
+    for part in parts:
+        fixed = np.round((np.clip(part.vertices, -1.0, 1.0) + 1.0) * 32767.5).astype(np.uint16)
+        pieces += [_differences(column) for column in fixed.T]
+        pieces.append(_differences(part.faces.ravel().astype(np.uint32)))
+    return base64.b64encode(gzip.compress(b"".join(pieces), 9, mtime=0)).decode()
+
+
+def _differences(numbers: NDArray[Any]) -> bytes:
+    """Each less the one before it, all lowest bytes first, then all next ones."""
+    steps = np.diff(numbers, prepend=numbers.dtype.type(0))
+    little = steps.astype(numbers.dtype.newbyteorder("<"))
+    return little.view(np.uint8).reshape(-1, numbers.itemsize).T.tobytes()

@@ -1,0 +1,103 @@
+"""What stands before viser's server, which by itself answers whoever asks.
+
+A page of another site that is open in the same browser could otherwise read models and move sliders
+through a websocket, or by a name of its own that leads here (DNS rebinding).
+"""
+
+import socket
+from collections.abc import Callable
+from ipaddress import ip_address
+from typing import Any
+from urllib.parse import urlsplit
+
+from articugen.core.errors import ArticugenError
+
+LOOPBACK_NAMES = {"127.0.0.1", "localhost", "::1"}
+
+EVERYWHERE = {"", "0.0.0.0", "::"}
+"""Hosts that stand for all addresses of a machine."""
+
+DARK = b"""<script>
+window.__VISER_EMBED_CONFIG__ = {darkMode: matchMedia("(prefers-color-scheme: dark)").matches};
+</script>"""
+"""Before viser's own script, which has no setting of it: dark where the system is."""
+
+
+def guarded(host: str, start: Callable[[], Any]) -> Any:
+    """Have viser's server, that `start` starts, refuse the pages of other sites, with 403.
+
+    viser lets nobody look at requests, so this comes between it and the function that it serves
+    with.
+
+    Raises:
+        ArticugenError: it serves with another one.
+    """
+    from websockets.asyncio import server  # noqa: PLC0415 - comes with viser
+
+    plain, started = server.serve, []
+
+    def serve(*args: Any, process_request: Any, **options: Any) -> Any:
+        def answer(connection: Any, request: Any) -> Any:
+            why = refusal(host, connection.local_address[0], request.headers)
+            if why:
+                return connection.respond(403, f"{why}\n")
+            if "Accept-Encoding" in request.headers:
+                del request.headers["Accept-Encoding"]  # the page is packed already
+            response = process_request(connection, request)
+            if response is not None and response.headers["Content-Type"].startswith("text/html"):
+                response.body = response.body.replace(b"<head>", b"<head>" + DARK, 1)
+                del response.headers["Content-Length"]
+                response.headers["Content-Length"] = str(len(response.body))
+            return response
+
+        started.append(host)
+        return plain(*args, process_request=answer, **options)
+
+    server.serve = serve
+    try:
+        shown = start()
+    finally:
+        server.serve = plain
+    if not started:
+        shown.stop()
+        raise ArticugenError("viser: this version serves unguarded; install viser 1.1")
+    return shown
+
+
+def refusal(host: str, address: str, headers: Any) -> str:
+    """The sentence that says why a request is not answered; "" where it is.
+
+    Args:
+        host: where the server was told to listen.
+        address: where this request came in.
+        headers: of the request.
+    """
+    hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+    if len(hosts) != 1 or not _leads_here(hosts[0], host, address):
+        return (
+            "This host is not where the viewer listens; open the address that `articugen view` "
+            "printed, or start it with --host and this name."
+        )
+    if [origin.lower() for origin in origins] not in ([], [f"http://{hosts[0].lower()}"]):
+        return "A page of another site asks for this; open the viewer's own address."
+    return ""
+
+
+def _leads_here(asked: str, host: str, address: str) -> bool:
+    """Whether a Host header names this server. Its port may be another's, that of a tunnel."""
+    try:
+        name = urlsplit(f"//{asked}").hostname or ""
+    except ValueError:
+        return False
+    if name in LOOPBACK_NAMES | {host.lower(), address}:
+        return True
+    # nobody can have an address, unlike a name, lead elsewhere
+    return host in EVERYWHERE and (_is_address(name) or name == socket.gethostname().lower())
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ip_address(name)
+    except ValueError:
+        return False
+    return True

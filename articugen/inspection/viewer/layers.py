@@ -1,0 +1,223 @@
+"""What can be seen of an instance, as plain arrays: points, lines and surfaces, unit frame.
+
+Colours are those of the report: `colour_of` a part.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.core.colours import colour_of
+from articugen.core.geometry import apply, invert_rigid
+from articugen.core.records import ENCLOSED, FREE, Floats, Instance, JointKind, Mesh, dequantize
+from articugen.pictures.portrait import oriented_points
+
+Bytes = NDArray[np.uint8]
+
+INK, FREE_COLOUR, ENCLOSED_COLOUR = "#333333", "#7fb4e6", "#5f5f5f"
+
+NORMAL_LENGTH, NORMALS = 0.02, 2048
+"""Unit frame; so many of an instance's points get one."""
+
+AXIS_REACH, ARROW = 0.32, 0.03
+"""From the pivot to either end of an axis, and the length of its head, unit frame."""
+
+FRUSTUM = 0.2
+"""From a camera's eye to the picture that is drawn before it, unit frame."""
+
+FULL = 0.75
+"""Spacings that a surface point is wide, so that what lies behind hardly shows through."""
+
+QUERY = 0.008
+"""A query point's diameter, unit frame."""
+
+_LIGHT = np.array([0.35, -0.25, 0.9]) / np.linalg.norm([0.35, -0.25, 0.9])
+_SHADE = 0.45
+"""Of a colour, by how its surface faces the light."""
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """`points` (n, 3) with their `colours` (n, 3) uint8; `size`, unit frame, is a diameter."""
+
+    points: Floats
+    colours: Bytes
+    size: float
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """`ends` (n, 2, 3) with the `colours` (n, 2, 3) uint8 there; `width` in pixels."""
+
+    ends: Floats
+    colours: Bytes
+    width: float
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """`vertices` (V, 3), `faces` (F, 3), one `colour`; `opacity` None is opaque. `T` (4, 4)
+    is where it stands: the same one elsewhere is not sent again."""
+
+    vertices: Floats
+    faces: NDArray[np.int32]
+    colour: tuple[int, int, int]
+    opacity: float | None = None
+    T: Floats = field(default_factory=lambda: np.eye(4))
+
+
+Drawn: TypeAlias = Points | Lines | Solid
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """#rrggbb as three bytes."""
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return red, green, blue
+
+
+PART_COLOURS = np.array([rgb(colour_of(part)) for part in range(256)], np.uint8)
+LABEL_COLOURS = np.concatenate([[rgb(FREE_COLOUR)], PART_COLOURS[:254], [rgb(ENCLOSED_COLOUR)]])
+LABEL_COLOURS = LABEL_COLOURS.astype(np.uint8)
+"""(256, 3) by label: 0 free, k + 1 material of part k, 255 enclosed."""
+
+
+def surface(instance: Instance) -> list[Drawn]:
+    """The surface points in the colours of their parts, paler where they face the light."""
+    normals = instance.surface_normals / 127.0
+    light = 1.0 - _SHADE * (0.5 - 0.5 * normals @ _LIGHT)
+    colours = (PART_COLOURS[instance.surface_part] * light[:, None]).astype(np.uint8)
+    size = FULL * oriented_points(instance).spacing() if len(colours) > 1 else QUERY
+    return [Points(dequantize(instance.surface_points), colours, size)]
+
+
+def normals(instance: Instance) -> list[Drawn]:
+    """Outward normals at some of the surface points."""
+    some = slice(NORMALS)
+    start = dequantize(instance.surface_points[some])
+    end = start + NORMAL_LENGTH * instance.surface_normals[some] / 127.0
+    colours = PART_COLOURS[instance.surface_part[some]] // 2
+    return [Lines(np.stack([start, end], 1), np.stack([colours, colours], 1), 1.5)]
+
+
+def voxels(instance: Instance, resolution: int) -> list[Drawn]:
+    """The occupied voxels of a stored grid, as cubes: a solid for each label that there is."""
+    grid = instance.occupancy[resolution]
+    drawn: list[Drawn] = []
+    for label in np.unique(grid[grid != FREE]):
+        vertices, faces = _open_sides(grid, int(label))
+        opacity = 0.4 if label == ENCLOSED else None
+        drawn.append(Solid(vertices, faces, _bytes(LABEL_COLOURS[label]), opacity))
+    return drawn
+
+
+def _open_sides(grid: Bytes, label: int) -> tuple[Floats, NDArray[np.int32]]:
+    """The sides that cubes of a label have towards free voxels, as (4n, 3) corners, (2n, 3) faces
+    that look outwards."""
+    R, mine = len(grid), np.pad(grid == label, 1)
+    free, corners = np.pad(grid == FREE, 1, constant_values=True), []
+    for axis in range(3):
+        for side in (0, 1):
+            open_there = mine & np.roll(free, 1 - 2 * side, axis)
+            corners.append((np.argwhere(open_there)[:, None] - 1) + _SIDES[axis, side])
+    at = np.concatenate(corners).reshape(-1, 3) / R - 0.5
+    first = 4 * np.arange(len(at) // 4)[:, None, None]
+    both = first + np.array([[0, 1, 2], [0, 2, 3]])
+    return at, both.reshape(-1, 3).astype(np.int32)
+
+
+def _sides() -> NDArray[np.int64]:
+    """(3, 2, 4, 3) the corners of each side of the unit cube, counter-clockwise from outside."""
+    sides = np.zeros((3, 2, 4, 3), np.int64)
+    ring = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    for axis in range(3):
+        others = [(axis + 1) % 3, (axis + 2) % 3]
+        sides[axis, 0][:, others], sides[axis, 1][:, others] = ring[::-1], ring
+        sides[axis, 1, :, axis] = 1
+    return sides
+
+
+_SIDES = _sides()
+
+
+def queries(instance: Instance, *, inside: bool) -> list[Drawn]:
+    """The uniform and near query points that are inside, in their labels' colours, or outside."""
+    points = np.concatenate([instance.uniform_points, instance.near_points])
+    label = np.concatenate([instance.uniform_label, instance.near_label])
+    chosen = (label != FREE) == inside
+    return [Points(dequantize(points[chosen]), LABEL_COLOURS[label[chosen]], QUERY)]
+
+
+def partial(instance: Instance, image_size: int) -> list[Drawn]:
+    """What the depth cameras see, by part, with the frusta of the cameras.
+
+    Args:
+        image_size: pixels along the edge of their pictures.
+    """
+    points = dequantize(instance.partial_points).reshape(-1, 3)
+    colours = PART_COLOURS[instance.partial_part.reshape(-1)]
+    cameras = zip(instance.partial_T_camera_world, instance.partial_intrinsics, strict=True)
+    edges = [_frustum(T, intrinsics, image_size) for T, intrinsics in cameras]
+    ends = np.concatenate(edges) if edges else np.zeros((0, 2, 3))
+    return [Points(points, colours, 0.01), _lines(ends, INK, 2.0)]
+
+
+def _frustum(T_camera_world: Floats, intrinsics: Floats, size: int) -> Floats:
+    """(8, 2, 3) the edges of a camera's frustum, as far as the picture that is drawn."""
+    fx, fy, cx, cy = intrinsics
+    u, v = np.array([[0, 0], [size, 0], [size, size], [0, size]], np.float64).T
+    in_camera = FRUSTUM * np.stack([(u - cx) / fx, (v - cy) / fy, np.ones(4)], axis=1)
+    corners = apply(invert_rigid(T_camera_world), in_camera)
+    eye = apply(invert_rigid(T_camera_world), np.zeros(3))
+    rays = np.stack([np.broadcast_to(eye, (4, 3)), corners], axis=1)
+    return np.concatenate([rays, np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)])
+
+
+def meshes(parts: Sequence[Mesh], T_part: Floats) -> list[Drawn]:
+    """A surface for each part, canonical in `parts`, moved by its own `T_part` (P, 4, 4)."""
+    return [
+        Solid(mesh.vertices, mesh.faces, _bytes(PART_COLOURS[k]), T=T)
+        for k, (mesh, T) in enumerate(zip(parts, T_part, strict=True))
+        if len(mesh.faces)
+    ]
+
+
+def joints(instance: Instance) -> list[Drawn]:
+    """Each joint's axis as an arrow, and its pivot, in the colour of the part that it moves."""
+    return axes(
+        instance.joint_pivot,
+        instance.joint_axis,
+        PART_COLOURS[1 : 1 + len(instance.joint_kind)],
+        instance.joint_kind == JointKind.REVOLUTE,
+    )
+
+
+def axes(
+    pivots: Floats, directions: Floats, colours: Bytes, revolute: NDArray[np.bool_]
+) -> list[Drawn]:
+    """Arrows along axes (n, 3) through pivots (n, 3). Of a hinge the whole line is drawn, of a
+    slide the half that it opens along."""
+    tail = pivots - AXIS_REACH * directions * revolute[:, None]
+    tip = pivots + AXIS_REACH * directions
+    across = np.cross(directions, np.where(np.abs(directions[:, 2:]) < 0.9, [0, 0, 1], [1, 0, 0]))
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+    ends = [np.stack([tail, tip], axis=1)]
+    for sign in (1, -1):
+        ends.append(np.stack([tip, tip - ARROW * (directions - sign * 0.5 * across)], axis=1))
+    dark = (colours * 0.7).astype(np.uint8)
+    both = np.tile(dark, (3, 1))
+    return [
+        Lines(np.concatenate(ends), np.stack([both, both], axis=1), 3.0),
+        Points(pivots, dark, 0.02),
+    ]
+
+
+def _lines(ends: Floats, colour: str, width: float) -> Lines:
+    return Lines(ends, np.broadcast_to(np.array(rgb(colour), np.uint8), ends.shape), width)
+
+
+def _bytes(colour: Bytes) -> tuple[int, int, int]:
+    red, green, blue = colour.tolist()
+    return red, green, blue

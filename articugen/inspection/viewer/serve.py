@@ -1,0 +1,117 @@
+"""A server of one's own machine that shows a source."""
+
+import contextlib
+import io
+import socket
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from articugen.core.errors import ArticugenError, MissingExtra
+from articugen.inspection.viewer.guard import guarded
+from articugen.inspection.viewer.prediction import Predictor
+from articugen.inspection.viewer.session import Session
+from articugen.inspection.viewer.sources import Source, StoredObjects, is_run, source_of
+from articugen.store.dataset import open as open_data_set
+
+if TYPE_CHECKING:
+    import viser
+
+LOOPBACK = "127.0.0.1"
+PORT = 8080
+"""viser's own; the next free one where it is taken."""
+
+
+@dataclass(frozen=True)
+class Served:
+    """What is shown where: `session` at `url`."""
+
+    session: Session
+    url: str
+
+
+def what_to_show(
+    path: str,
+    *,
+    data: Path | None = None,
+    category: str | None = None,
+    recipe: str | None = None,
+    seed: int = 0,
+) -> tuple[Source, Predictor | None]:
+    """What is at a path: of a run, its test objects first, with what predicts beside them.
+
+    Args:
+        data: of a run: another data set than it was trained on.
+        category, recipe, seed: of models, see `sources.source_of`.
+
+    Raises:
+        ArticugenError: there is nothing of the kind, or it cannot be read.
+    """
+    if not is_run(path):
+        return source_of(path, category=category, recipe=recipe, seed=seed), None
+    predictor = Predictor(path)
+    folder = data or predictor.data
+    if not folder.exists():
+        raise ArticugenError(
+            f"{folder}: the data that {predictor.path} was trained on are not there; name others "
+            "with --data"
+        )
+    source = StoredObjects(open_data_set(folder), first="test")
+    predictor.check(source.category)
+    return source, predictor
+
+
+@contextlib.contextmanager
+def served(
+    source: Source,
+    predictor: Predictor | None = None,
+    *,
+    host: str = LOOPBACK,
+    port: int | None = None,
+) -> Iterator[Served]:
+    """Show a source for as long as the context lasts.
+
+    Args:
+        port: None for viser's own, or the next that is free.
+
+    Raises:
+        MissingExtra: viser is not there.
+        ArticugenError: the host or port cannot be listened on; the only object cannot be shown.
+    """
+    server = _server(host, port)
+    session = Session(server, source, predictor)
+    try:
+        if len(source.objects) == 1 and session.wait(None) and session.seen is None:
+            raise ArticugenError(session.fault)
+        name = f"[{host}]" if ":" in host else host
+        yield Served(session, f"http://{name}:{server.get_port()}")
+    finally:
+        session.end()
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
+
+
+def _server(host: str, port: int | None) -> "viser.ViserServer":
+    try:
+        import viser  # noqa: PLC0415 - optional
+    except ModuleNotFoundError as error:
+        if error.name != "viser":
+            raise
+        raise MissingExtra("viser", "view") from None
+    _check_free(host, port)
+    port = PORT if port is None else port
+    with contextlib.redirect_stdout(io.StringIO()):  # where it listens is said by the command
+        return guarded(host, lambda: viser.ViserServer(host=host, port=port, verbose=False))
+
+
+def _check_free(host: str, port: int | None) -> None:
+    """viser tries a thousand ports in turn; that one which was asked for is taken is said here."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        socket.create_server((host, port or 0), family=family).close()
+    except (OSError, OverflowError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "no such port"
+        where = host if port is None else f"{host}:{port}"
+        cure = "another --host" if port is None else "another --port, or none for the next free one"
+        raise ArticugenError(f"{where}: cannot listen there ({reason}); give {cure}") from None

@@ -1,0 +1,196 @@
+"""What can be looked at: a shard, a data set, a model or a folder of models, a trained run."""
+
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from articugen.core.errors import ArticugenError, InvalidSource, NotOfCategory
+from articugen.core.recipe import Recipe
+from articugen.core.records import Instance, JointKind
+from articugen.inspection.viewer.shown import Joint, Shown
+from articugen.instance.maker import Maker, Model, load, models
+from articugen.sources.named import source_files
+from articugen.store.dataset import DataSet
+from articugen.store.dataset import open as open_data_set
+from articugen.store.manifest import MANIFEST_NAME, Manifest
+from articugen.store.shards import Shard, open_shard
+from articugen.verify import replay
+
+
+class Source(Protocol):
+    """Objects to look at.
+
+    Attributes:
+        title: where they come from.
+        category: of all of them.
+        objects: their ids.
+    """
+
+    title: str
+    category: str
+    objects: Sequence[str]
+
+    def shown(self, object_id: str) -> Shown:
+        """One of them.
+
+        Raises:
+            ArticugenError: it cannot be read, or nothing can be made of it.
+        """
+        ...
+
+
+class StoredObjects:
+    """The objects of a data set, in the order of its shards; `first` come before the others."""
+
+    def __init__(self, data: DataSet, first: str = "") -> None:
+        self.title, self._data = str(data.path), data
+        self.category = data.category if len(data) else ""
+        splits = {name: rows[0].split for name, rows in data.by_object()}
+        self.objects: Sequence[str] = sorted(splits, key=lambda name: splits[name] != first)
+        if not self.objects:
+            raise InvalidSource(f"{data.path}: holds no instance; make some with generate")
+
+    def shown(self, object_id: str) -> Shown:
+        (path, *_) = self._data.of(object_id).shards
+        with open_shard(path) as shard:
+            rows = _rows_of(shard, object_id)
+            first = shard.instance(rows[0])
+            length = np.where(first.joint_kind == JointKind.PRISMATIC, first.scale, 1.0)
+            states = shard.read("joint_state")[rows] * length
+            split = str(shard.attributes["split"])
+
+        def read(state: int) -> Instance:
+            with open_shard(path) as shard:
+                return shard.instance(rows[state])
+
+        maker, why = None, ""
+        try:
+            maker = self._maker(path, object_id)
+        except ArticugenError as error:
+            why = str(error)
+        joints = _joints_of_maker(maker) if maker else _joints_of_instance(first)
+        return Shown(
+            object_id, joints, states, read,
+            image_size=self._recipe.sampling.partial_resolution, split=split, maker=maker, why=why,
+        )  # fmt: skip
+
+    @cached_property
+    def _recipe(self) -> Recipe:
+        return self._data.recipe
+
+    def _maker(self, shard: Path, object_id: str) -> Maker:
+        """What makes more states of an object, if its source is still what it was.
+
+        Raises:
+            ArticugenError: it is not, or nobody knows.
+        """
+        manifest = self._data.manifest or _manifest_beside(shard)
+        if manifest is None:
+            raise InvalidSource(f"{shard.parent}: has no {MANIFEST_NAME} that names the source")
+        obj, settings = replay.source_again(manifest, object_id)
+        model = Model(obj, settings.canonical, tuple(settings.movable))
+        recipe = Recipe.model_validate_json(manifest.recipe)
+        return Maker(model, recipe.for_one_object(), manifest.seed)
+
+
+def _rows_of(shard: Shard, object_id: str) -> list[int]:
+    """By state."""
+    state = shard.read("state_index")
+    rows = [row for row, name in enumerate(shard.object_ids()) if name == object_id]
+    return sorted(rows, key=lambda row: int(state[row]))
+
+
+def _manifest_beside(shard: Path) -> Manifest | None:
+    """That of the data set whose folder a shard lies in."""
+    if not (shard.parent / MANIFEST_NAME).is_file():
+        return None
+    manifest = Manifest.read(shard.parent)
+    return manifest if shard.name in {entry.name for entry in manifest.shards} else None
+
+
+def _joints_of_maker(maker: Maker) -> list[Joint]:
+    return [
+        Joint(
+            joint.name,
+            joint.kind.stored,
+            min(joint.lower, 0.0),
+            max(joint.upper, 0.0),
+            joint.mimic.joint if joint.mimic else "",
+        )
+        for joint in maker.joints
+    ]
+
+
+def _joints_of_instance(instance: Instance) -> list[Joint]:
+    names = instance.joint_name or ("",) * len(instance.joint_kind)
+    joints = []
+    for j, name in enumerate(names):
+        kind = JointKind(int(instance.joint_kind[j]))
+        length = instance.scale if kind == JointKind.PRISMATIC else 1.0
+        lower, upper = instance.joint_lower[j] * length, instance.joint_upper[j] * length
+        joints.append(Joint(name, kind, min(float(lower), 0.0), max(float(upper), 0.0)))
+    return joints
+
+
+class ModelObjects:
+    """Models as a source gives them, and what `generate` would make of them."""
+
+    def __init__(
+        self, source: str, category: str | None = None, recipe: str | None = None, seed: int = 0
+    ) -> None:
+        self.title, self._recipe, self._seed = source, recipe, seed
+        refs = models(source, category)
+        self.category = refs[0].category
+        self.objects: Sequence[str] = [ref.object_id for ref in refs]
+        self._source = source
+
+    def shown(self, object_id: str) -> Shown:
+        model = load(self._source, object_id, category=self.category)
+        try:
+            maker = Maker(model, self._recipe, self._seed)
+        except NotOfCategory as error:
+            raise NotOfCategory(f"{object_id}: {error}") from None
+        return Shown(
+            object_id,
+            _joints_of_maker(maker),
+            np.array([state.q for state in maker.prepared.states]),
+            lambda state: maker[state].instance,
+            image_size=maker.recipe.sampling.partial_resolution,
+            maker=maker,
+        )
+
+
+def source_of(
+    path: str, *, category: str | None = None, recipe: str | None = None, seed: int = 0
+) -> Source:
+    """What to show of a shard, a data set's folder, a model, a folder of them or a source's name.
+
+    Args:
+        category, recipe, seed: of models: what they are, and how instances are made.
+
+    Raises:
+        ArticugenError: there is no such thing, or it cannot be read.
+    """
+    place = Path(path)
+    if place.suffix == ".h5" or _holds_shards(place):
+        return StoredObjects(open_data_set(place))
+    if not place.exists() and path not in source_files():
+        raise InvalidSource(
+            f"{path}: there is no such shard, folder, URDF or source; correct its path"
+        )
+    return ModelObjects(path, category, recipe, seed)
+
+
+def is_run(path: str) -> bool:
+    """Whether it is the folder of a trained run, or of several."""
+    place = Path(path)
+    return (place / "run.json").is_file() or any(place.glob("*/run.json"))
+
+
+def _holds_shards(folder: Path) -> bool:
+    """Or folders that do, of which one is to be named."""
+    patterns = (MANIFEST_NAME, "*.h5", f"*/{MANIFEST_NAME}")
+    return any(found for pattern in patterns for found in folder.glob(pattern))

@@ -1,0 +1,1 @@
+"""One object at one joint state: the story and its stages."""

@@ -1,0 +1,436 @@
+"""A model at any joint state of one's own: `load` it, `Maker` it, ask what is inside.
+
+`Maker` is `instance.py` for people: what it makes of a recipe's own states is, to the byte, what
+`generate` writes for them, and what it makes of any other state lies in the same unit frame.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen import fusion
+from articugen.core.errors import InvalidArgument, InvalidSource
+from articugen.core.recipe import Recipe, load_recipe
+from articugen.core.records import (
+    ArticulatedObject,
+    Floats,
+    Instance,
+    Joint,
+    JointKind,
+    JointState,
+    LabelledMesh,
+    Mesh,
+)
+from articugen.core.seeding import generator
+from articugen.core.yaml_files import nearest
+from articugen.fusion.isosurface import extract_mesh
+from articugen.instance import articulation
+from articugen.instance.articulation import Canonical
+from articugen.instance.make import Prepared, make_instance, pose, prepare
+from articugen.instance.swept import swept_box
+from articugen.meshes.mesh_file import export
+from articugen.sources import registry
+from articugen.store.rows import Row, RowJoint
+
+ANY_CATEGORY = "object"
+"""Of a model that does not tell what it is."""
+
+MOST_VOXELS = 1024
+"""Along an edge of what a mesh is made from: the field of more takes 8 GiB and up."""
+
+_TIE = 1e-9
+
+_SAME = 1e-12
+"""Joint values that differ by no more, relatively, are one: shards hold them in another unit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A model as its source gives it.
+
+    Attributes:
+        obj: its links and joints, metres, with the limits of its URDF.
+        canonical, movable: the source's choice of canonical pose and of moving joints, see
+            `articulation.resolve`.
+        clips_to_limits: whether joints stay inside those limits where a recipe leaves it open.
+    """
+
+    obj: ArticulatedObject
+    canonical: Canonical = "zero"
+    movable: tuple[str, ...] = ()
+    clips_to_limits: bool = True
+
+    @property
+    def object_id(self) -> str:
+        return self.obj.object_id
+
+    @property
+    def category(self) -> str:
+        return self.obj.category
+
+    @property
+    def joints(self) -> tuple[Joint, ...]:
+        """Those of its file that can move."""
+        return tuple(joint for joint in self.obj.joints if joint.kind != JointKind.FIXED)
+
+    def __repr__(self) -> str:
+        faces = sum(len(link.mesh.faces) for link in self.obj.links)
+        links = f"{len(self.obj.links)} links, {faces:,} faces"
+        head = f"Model({self.object_id}, {self.category}: {links}"
+        return "\n".join([head, *(f"  {joint!r}" for joint in self.joints)]) + ")"
+
+
+def load(source: str | Path, object_id: str | None = None, *, category: str | None = None) -> Model:
+    """Read a model, from anything that `generate` takes as a source.
+
+    Args:
+        source: a URDF file, the folder of a model, a folder of models, or a source's name.
+        object_id: which of them, where there are several.
+        category: what it is, where it does not tell. It chooses the recipe, and decides random
+            numbers: to come to the data of a `generate`, name the same.
+
+    Raises:
+        InvalidSource: there is no such model, or it cannot be read; the sentence says why.
+    """
+    ref = _found(source, object_id, category)
+    own = registry.settings(ref)
+    clips = registry.clips_to_limits(ref.source)
+    return Model(registry.load(ref), own.canonical, tuple(own.movable), clips)
+
+
+def models(
+    source: str | Path, category: str | None = None, object_id: str | None = None
+) -> tuple[registry.ObjectRef, ...]:
+    """The models that a source holds, all of them or the one that is asked for.
+
+    Args:
+        source, category, object_id: as in `load`.
+
+    Raises:
+        InvalidSource: there is no such source or model.
+    """
+    ids = () if object_id is None else (object_id,)
+    source = str(source)
+    if source.lower().endswith(".urdf") and not Path(source).exists():
+        raise InvalidSource(f"{source}: there is no such file; correct its path")
+    if category is None:
+        try:
+            categories = registry.categories(source, ["all"])
+        except InvalidSource:
+            if not Path(source).exists():
+                raise
+            categories = (ANY_CATEGORY,)
+    else:
+        categories = registry.categories(source, [category])
+    return tuple(
+        ref
+        for name, (own, out_of) in registry.share_out(source, categories, ids, ()).items()
+        for ref in registry.object_refs(source, name, ids=own, exclude=out_of)
+    )
+
+
+def _found(source: str | Path, object_id: str | None, category: str | None) -> registry.ObjectRef:
+    """The one model that is meant."""
+    first, *others = models(source, category, object_id)
+    if others:
+        raise InvalidSource(
+            f"{source}: holds {1 + len(others)} models; name one, as in "
+            f"load({str(source)!r}, {first.object_id!r})"
+        )
+    return first
+
+
+class MadeMesh(Mesh):
+    """A watertight mesh in the unit frame: `vertices` (V, 3), `faces` (F, 3), outwards."""
+
+    def export(self, path: str | Path) -> None:
+        """Write it as .ply, .obj, .stl or .glb.
+
+        Raises:
+            ArticugenError: another ending, or the file cannot be written.
+        """
+        export(self, Path(path))
+
+    def __repr__(self) -> str:
+        return f"Mesh({len(self.vertices):,} vertices, {len(self.faces):,} faces)"
+
+
+class Made(Row):
+    """An instance that can be asked about any point: a `Row` with its field.
+
+    Its samples (`surface`, `uniform`, `grids` and so on) are made when the first is asked for. At a
+    state of one's own, its `state_index` is the number of the recipe's states: no index of them.
+    """
+
+    def __init__(self, prepared: Prepared, index: int) -> None:
+        """Made by a `Maker`; `index` counts the states of `prepared`."""
+        super().__init__(self._arrays, prepared.recipe.fields(), category=prepared.obj.category)
+        self._prepared, self._index = prepared, index
+        self._known |= {
+            "object_id": prepared.obj.object_id,
+            "state_index": index,
+            "center": prepared.unit.center,
+            "scale": prepared.unit.scale,
+        }
+
+    @property
+    def state(self) -> dict[str, float]:
+        """The joint values by name, rad or m from the canonical pose."""
+        q = self._prepared.states[self._index].q.tolist()
+        names = (joint.name for joint in self._prepared.obj.moving_joints)
+        return dict(zip(names, q, strict=True))
+
+    @cached_property
+    def joints(self) -> tuple[RowJoint, ...]:
+        """Joint j moves part j + 1. Their states are those that were asked for, to the bit."""
+        states = self.state.values()
+        pairs = zip(super().joints, states, strict=True)
+        return tuple(replace(joint, state=state) for joint, state in pairs)
+
+    def _which(self) -> str:
+        known = self._index <= self._prepared.recipe.articulation.states
+        return super()._which() if known else "at a state of its own"
+
+    @cached_property
+    def instance(self) -> Instance:
+        """The `records.Instance` that a shard would hold."""
+        return make_instance(self._prepared, self._index)
+
+    @cached_property
+    def _posed(self) -> tuple[LabelledMesh, fusion.PosedFields]:
+        return pose(self._prepared, self._index)
+
+    def labels(self, points: NDArray[Any]) -> NDArray[np.uint8]:
+        """(n,) at `points` (n, 3), unit frame: 0 free, k + 1 material of part k, 255 enclosed,
+        which no view sees and no part holds.
+
+        Raises:
+            InvalidArgument: they are not points, or not in the unit cube.
+        """
+        points = np.asarray(points, np.float64)
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise InvalidArgument(f"labels of points (n, 3), not of an array {points.shape}")
+        if not (np.abs(points) <= 0.5 + _TIE).all():
+            raise InvalidArgument(
+                "labels of points in the unit frame, all of whose coordinates lie in [-0.5, 0.5]; "
+                "bring metres there with (x - center) / scale"
+            )
+        return self._posed[1].labels(points)
+
+    def mesh(self, resolution: int = 128) -> MadeMesh:
+        """The surface of what is inside as a watertight mesh, unit frame, from `resolution`^3
+        voxels.
+
+        Raises:
+            InvalidArgument: that is no number from 8 to 1,024.
+            RejectedInstance: all of it lies between the voxels' centres.
+        """
+        if not isinstance(resolution, int | np.integer) or not 8 <= resolution <= MOST_VOXELS:
+            raise InvalidArgument(
+                f"a mesh of {resolution!r} voxels along an edge; give a number from 8 to "
+                f"{MOST_VOXELS:,}"
+            )
+        mesh = extract_mesh(self._posed[1].whole, resolution)
+        return MadeMesh(mesh.vertices, mesh.faces)
+
+    def _arrays(self, names: Sequence[str]) -> list[Any]:
+        arrays = self.instance.arrays()
+        return [arrays[name] for name in names]
+
+
+class Maker(Sequence[Made]):
+    """Makes instances of one object, all in one unit frame.
+
+    `maker[i]` is instance i of what `generate` makes with the same recipe, seed and category, to
+    the byte; `maker[0]` is the canonical pose.
+
+    Attributes:
+        obj: the object with the recipe's joints: they are 0 in the canonical pose.
+        recipe: how instances are made.
+        seed: the master seed.
+    """
+
+    def __init__(
+        self,
+        obj: Model | ArticulatedObject,
+        recipe: str | Path | Mapping[str, Any] | Recipe | None = None,
+        seed: int = 0,
+    ) -> None:
+        """
+        Args:
+            obj: as `load` gives it.
+            recipe: a name, a path, the keys of a recipe, or None for the category's own.
+
+        Raises:
+            InvalidRecipe: there is no such recipe, or it makes no sense.
+            NotOfCategory: nothing of the object moves.
+            RejectedInstance: nothing can be made of it.
+        """
+        model = obj if isinstance(obj, Model) else Model(obj)
+        recipe = load_recipe(recipe, model.category)
+        self.recipe = recipe.for_source(clips_to_limits=model.clips_to_limits)
+        self.seed = seed
+        self.obj = articulation.resolve(
+            model.obj,
+            self.recipe.articulation,
+            canonical=model.canonical,
+            movable=model.movable,
+        )
+
+    @property
+    def joints(self) -> tuple[Joint, ...]:
+        """Those that move, in part order: joint j moves part j + 1. `lower` and `upper` are the
+        range that states are sampled from, rad or m from the canonical pose."""
+        return self.obj.moving_joints
+
+    @cached_property
+    def prepared(self) -> Prepared:
+        """What all instances share; it takes a second or more."""
+        return prepare(self.obj, self.recipe, self.seed)
+
+    def __len__(self) -> int:
+        """The recipe's states, and the canonical one."""
+        return self.recipe.articulation.states + 1
+
+    @overload
+    def __getitem__(self, index: int) -> Made: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Made]: ...
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, slice):
+            return [self[i] for i in range(len(self))[index]]
+        at = int(index) + (len(self) if index < 0 else 0)
+        if not 0 <= at < len(self):
+            raise IndexError(f"{self.obj.object_id}: no state {index}, there are {len(self)}")
+        return Made(self.prepared, at)
+
+    def __iter__(self) -> Iterator[Made]:
+        return (self[i] for i in range(len(self)))
+
+    def at(self, state: Mapping[str, float] | None = None, /, **joints: float) -> Made:
+        """The object at a joint state.
+
+        Args:
+            state, joints: values by joint name, rad or m from the canonical pose, as
+                `row.joints[k].state` has them; joints that are not named are 0. Names that are no
+                Python names go into `state`. At a state of the recipe's it is that instance.
+
+        Raises:
+            InvalidArgument: no such joint, another value than a joint that follows has there, a
+                value outside its range; or the object would stick out of the unit frame.
+        """
+        if not isinstance(state, Mapping | None):
+            raise InvalidArgument(
+                f"{self.obj.object_id}: {state!r} names no joint; give values by name, as in "
+                f"at({self.joints[0].name}=0.1)"
+            )
+        values = {**(state or {}), **joints}
+        for name, value in values.items():
+            self._check(name, value)
+        driven = articulation.driven_state(self.obj, values)
+        for joint, q in zip(self.joints, driven.q.tolist(), strict=True):
+            if joint.mimic and not abs(values.get(joint.name, q) - q) <= _TIE * max(1.0, abs(q)):
+                raise InvalidArgument(
+                    f"{self.obj.object_id}: joint {joint.name!r} follows {joint.mimic.joint!r}, "
+                    f"which puts it at {q:g}; give that alone"
+                )
+        for index, known in enumerate(self.prepared.states):
+            if np.allclose(driven.q, known.q, rtol=_SAME, atol=0.0):
+                return self[index]
+        return self._made(driven)
+
+    def random(self, count: int = 1, *, rng: int | np.random.Generator | None = None) -> list[Made]:
+        """The object at random joint states, as the recipe's are drawn.
+
+        Args:
+            rng: the same seed draws the same; None draws others each time.
+        """
+        rng = np.random.default_rng(rng)
+        states = [articulation.sample_joint_state(self.obj, rng=rng) for _ in range(count)]
+        return [self._made(state) for state in states]
+
+    def _check(self, name: str, value: float) -> None:
+        known = {joint.name: joint for joint in self.joints}
+        joint = known.get(name)
+        if joint is None:
+            raise InvalidArgument(
+                f"{self.obj.object_id}: no joint {name!r} moves{nearest(name, list(known))}; "
+                f"those that do: {', '.join(known)}"
+            )
+        unit = "m" if joint.kind == JointKind.PRISMATIC else "rad"
+        if np.ndim(value) or np.asarray(value).dtype.kind not in "iuf":
+            raise InvalidArgument(
+                f"{self.obj.object_id}: joint {name!r} at {value!r} is no number; give one, {unit} "
+                "from the canonical pose"
+            )
+        lower, upper = min(joint.lower, 0.0), max(joint.upper, 0.0)
+        if not lower - _TIE <= value <= upper + _TIE:
+            raise InvalidArgument(
+                f"{self.obj.object_id}: joint {name!r} at {value:g} {unit} is outside its range, "
+                f"{lower:g} to {upper:g}; choose one in it, or widen articulation in the recipe"
+            )
+
+    def _made(self, state: JointState) -> Made:
+        """Its random points are those of no state of the recipe's; the same for the same state."""
+        p = self._prepared_for(state)
+        q = state.q.astype("<f8").tobytes().hex()
+        own = generator(self.seed, self.obj.category, self.obj.object_id, "at", q)
+        seed = int(own.integers(2**62))
+        return Made(replace(p, states=(*p.states, state), seed=seed), len(p.states))
+
+    def _prepared_for(self, state: JointState) -> Prepared:
+        """Views that hold the object at `state`: the recipe's, where they do."""
+        p = self.prepared
+        box = _box(p, [state])
+        if np.abs(box).max() > 0.5 + _TIE:
+            raise InvalidArgument(
+                f"{self.obj.object_id}: at {_values(self.obj, state)} it sticks out of the unit "
+                f"frame, which the recipe's {len(p.states)} states span; raise padding or "
+                "articulation.states in the recipe"
+            )
+        if _holds(self._box, box):
+            return p
+        wide, wide_box = self._wide
+        if _holds(wide_box, box):
+            return wide
+        return prepare(self.obj, self.recipe, self.seed, reach=[state])
+
+    @cached_property
+    def _box(self) -> Floats:
+        """(2, 3) what the recipe's views hold, unit frame."""
+        return _box(self.prepared, self.prepared.states)
+
+    @cached_property
+    def _wide(self) -> tuple[Prepared, Floats]:
+        """The same with views that hold the ends of all joints' ranges, and what they hold."""
+        ends = [(j.name, (j.lower, j.upper)) for j in self.joints if j.mimic is None]
+        together = [{name: end[side] for name, end in ends} for side in (0, 1)]
+        alone = [{name: value} for name, end in ends for value in end]
+        reach = [articulation.driven_state(self.obj, values) for values in (*together, *alone)]
+        wide = prepare(self.obj, self.recipe, self.seed, reach=reach)
+        return wide, _box(wide, (*wide.states, *reach))
+
+    def __repr__(self) -> str:
+        head = f"Maker({self.obj.object_id}, {self.obj.category}, recipe {self.recipe.name}, seed"
+        return "\n".join([f"{head} {self.seed}", *(f"  {j!r}" for j in self.joints)]) + ")"
+
+
+def _box(p: Prepared, states: Iterable[JointState]) -> Floats:
+    """(2, 3) the box of the object in all these states, unit frame."""
+    posed = (articulation.forward_kinematics(p.obj, state) for state in states)
+    motions = np.stack([articulation.part_motions(each, p.canonical) for each in posed])
+    return swept_box(p.mesh, p.unit.rigid_to_unit(motions))
+
+
+def _holds(box: Floats, other: Floats) -> bool:
+    return bool((box[0] <= other[0] + _TIE).all() and (other[1] <= box[1] + _TIE).all())
+
+
+def _values(obj: ArticulatedObject, state: JointState) -> str:
+    pairs = zip(obj.moving_joints, state.q.tolist(), strict=True)
+    return ", ".join(f"{joint.name}={q:g}" for joint, q in pairs)

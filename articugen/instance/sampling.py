@@ -1,0 +1,173 @@
+"""What is drawn from a posed object: grids, query points, surface points, partial clouds.
+
+Functions here ask the field through a callable and draw through a generator; they know neither how
+the field is made nor what is done with the samples. All coordinates are in the unit frame.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.core.errors import RejectedInstance
+from articugen.core.geometry import apply, cross, invert_rigid, points_on_triangles
+from articugen.core.records import DepthMaps, Floats, LabelledMesh
+
+IsFree = Callable[[Floats, NDArray[np.intp]], NDArray[np.bool_]]
+"""Whether points (n, 3), right in front of the faces (n,), are free: (n,)."""
+
+SURFACE_OFFSET = 1e-4
+"""A surface point is visible where the point this far in front of it is seen free."""
+
+SURFACE_ROUNDS = 40
+
+SUB_CELLS = 64
+"""So many sub-cells along the cube's edge, at least, have a sample where faces are."""
+
+
+@dataclass(frozen=True, eq=False)
+class SurfacePoints:
+    """`points` (n, 3), unit `normals` (n, 3) outwards, `part` (n,), `face` (n,)."""
+
+    points: Floats
+    normals: Floats
+    part: NDArray[np.uint8]
+    face: NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class PartialClouds:
+    """Per view: `points` (C, m, 3) unit frame, `part` (C, m)."""
+
+    points: Floats
+    part: NDArray[np.uint8]
+
+
+def solid_counts(
+    inside: NDArray[np.bool_],
+    touched: NDArray[np.bool_],
+    is_inside: Callable[[Floats], NDArray[np.bool_]],
+    *,
+    rng: np.random.Generator,
+) -> tuple[NDArray[np.int64], int]:
+    """How many of the sub-samples of each cell of a grid are inside, and how many there are.
+
+    A cell that no face touches is all inside or all outside, as its centre is. The others have one
+    sample at a random place in each of 2^3 sub-cells or more, so that even a plate that lies
+    between all centres counts for what it fills, without bias; a cell of 1/16 has 4^3.
+
+    Args:
+        inside: (R, R, R) of the centres.
+        touched: (R, R, R) by a face.
+    """
+    R = len(inside)
+    split = 2
+    while R * split < SUB_CELLS:
+        split *= 2
+    counts = np.where(inside, split**3, 0)
+    cells = np.argwhere(touched)
+    sub = np.stack(np.meshgrid(*[np.arange(split)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    places = (sub + rng.random((len(cells), split**3, 3))) / split
+    points = (cells[:, None] + places) / R - 0.5
+    counts[touched] = is_inside(points.reshape(-1, 3)).reshape(len(cells), -1).sum(axis=1)
+    return counts, split**3
+
+
+def uniform_points(count: int, *, rng: np.random.Generator) -> Floats:
+    """(count, 3) uniform in the cube [-0.5, 0.5]^3."""
+    return rng.random((count, 3)) - 0.5
+
+
+def near_points(
+    surface: Floats, count: int, sigma: float | tuple[float, ...], *, rng: np.random.Generator
+) -> Floats:
+    """(count, 3): surface points moved by a Gaussian of `sigma` on each axis, kept in the cube; of
+    several sigmas each takes its turn."""
+    number = np.arange(count)
+    wide = np.atleast_1d(sigma)
+    moved = wide[number % len(wide), None] * rng.normal(size=(count, 3))
+    return np.clip(surface[number % len(surface)] + moved, -0.5, 0.5)
+
+
+def surface_points(
+    mesh: LabelledMesh,
+    seen: NDArray[np.bool_],
+    is_free: IsFree,
+    count: int,
+    *,
+    rng: np.random.Generator,
+) -> SurfacePoints:
+    """`count` points uniform by area over the visible surface.
+
+    Drawn uniformly over all faces that can be seen and kept where the point just in front is free:
+    what is kept is uniform over the part of the surface that a view sees.
+
+    Args:
+        mesh: posed, faces outwards.
+        seen: (F,) faces that can be seen at all; the others are left out.
+
+    Raises:
+        RejectedInstance: next to nothing of the surface is visible.
+    """
+    corners = mesh.vertices[mesh.faces]
+    across = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    doubled = np.linalg.norm(across, axis=1)
+    weights = np.where(seen, doubled, 0.0)
+    if not weights.any():
+        raise RejectedInstance("no face of the object can be seen; is its mesh empty?")
+    normals = across / np.maximum(doubled, 1e-30)[:, None]
+    kept: list[tuple[Floats, NDArray[np.intp]]] = []
+    have = drawn = 0
+    for _ in range(SURFACE_ROUNDS):
+        share = max(have / drawn, 0.02) if drawn else 0.6
+        draw = int((count - have) / share * 1.05) + 64
+        points, face = points_on_triangles(corners, draw, rng=rng, weights=weights)
+        visible = is_free(points + SURFACE_OFFSET * normals[face], face)
+        kept.append((points[visible], face[visible]))
+        drawn, have = drawn + draw, have + int(visible.sum())
+        if have >= count:
+            break
+    else:
+        raise RejectedInstance(f"only {have} of {drawn} points on the surface can be seen")
+    points = np.concatenate([p for p, _ in kept])[:count]
+    face = np.concatenate([f for _, f in kept])[:count]
+    return SurfacePoints(points, normals[face], mesh.part_of_face[face], face)
+
+
+def partial_clouds(
+    maps: DepthMaps,
+    part_of_face: NDArray[np.uint8],
+    count: int,
+    noise: float,
+    *,
+    rng: np.random.Generator,
+) -> PartialClouds:
+    """`count` points of each view's depth map, without repeats where it has that many.
+
+    Args:
+        maps: pinhole depth maps that say which face is seen.
+        noise: standard deviation of the depth, unit frame; 0 for none.
+
+    Raises:
+        RejectedInstance: a view sees nothing.
+    """
+    assert maps.depth is not None
+    assert maps.face is not None
+    views = maps.views
+    clouds = np.zeros((len(views), count, 3))
+    parts = np.zeros((len(views), count), np.uint8)
+    for k in range(len(views)):
+        hits = np.flatnonzero(maps.face[k] >= 0)
+        if not len(hits):
+            raise RejectedInstance("a depth camera sees nothing of the object")
+        chosen = rng.permutation(hits)[np.arange(count) % len(hits)]
+        i, j = np.divmod(chosen, views.width)
+        z = maps.depth[k][i, j].astype(np.float64)
+        if noise > 0.0:
+            z = z + noise * rng.normal(size=count)
+        x = (j + 0.5 - views.cx[k]) / views.fx[k] * z
+        y = (i + 0.5 - views.cy[k]) / views.fy[k] * z
+        clouds[k] = apply(invert_rigid(views.T_camera_world[k]), np.stack([x, y, z], axis=1))
+        parts[k] = part_of_face[maps.face[k][i, j]]
+    return PartialClouds(np.clip(clouds, -0.5, 0.5), parts)

@@ -1,0 +1,1 @@
+"""What learners read: a split packed, batches drawn from it."""

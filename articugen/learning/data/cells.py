@@ -1,0 +1,158 @@
+"""Query points where they tell most: voxels of a fine grid, as many of an instance as are kept.
+
+Two kinds: `varying`, whose label differs between the poses of one object, and those in the `band`
+around the material of one pose. Free and occupied ones are kept apart, so that a batch can hold as
+many of each, however few there are; that a moving part fills one voxel in a thousand matters no
+more.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from articugen.core.seeding import generator
+
+Bools = NDArray[np.bool_]
+Packed = tuple[NDArray[np.int32], NDArray[np.int32]]
+
+KEPT = 2048
+"""Free and occupied cells that are kept of an instance, each: together 16 KiB."""
+
+Chance = torch.Generator | Sequence[torch.Generator] | None
+"""Where a batch's random numbers come from. Several generators draw for an equal share of its rows
+each: what each would draw for a batch of that share."""
+
+FINEST = 64
+"""The resolution of the grid that they are of, or the finest one below that a data set has."""
+
+REACH = 3
+"""How far the band reaches, in cells along each axis: 0.047 of the unit frame's edge at 64^3."""
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledCells:
+    """Free and occupied voxels of I instances, on whatever device they lie.
+
+    Attributes:
+        resolution: of the grid [x, y, z].
+        index: (I, 2, K) int32, flat; [:, 0] are free, [:, 1] occupied. K = 0 where unasked for.
+        count: (I, 2) int32, how many of each count, at most K; what follows says nothing.
+    """
+
+    resolution: int
+    index: Tensor
+    count: Tensor
+
+    def changed(self, change: Callable[[Tensor], Tensor]) -> "LabelledCells":
+        """The same with both tensors changed."""
+        return LabelledCells(self.resolution, change(self.index), change(self.count))
+
+    def draw(self, at: Tensor, count: int, rng: Chance) -> tuple[Tensor, Tensor]:
+        """Voxels' centres (B, count, 3) of the instances `at` (B,), and whether each is occupied.
+
+        Every second one is occupied; all are of one label where an instance has none of the other.
+        Each is drawn by itself, so that rare ones come several times.
+        """
+        at = at[:, None]
+        label = (torch.arange(count, device=at.device) % 2).expand(len(at), count)
+        label = torch.where(self.count[at, label] > 0, label, 1 - label)
+        share = uniform(rng, len(at), count, at.device)
+        place = (share * self.count[at, label]).long()
+        return voxel_centres(self.index[at, label, place], self.resolution), label > 0
+
+
+def drawn(rng: Chance, rows: int, draw: Callable[[torch.Generator | None, int], Tensor]) -> Tensor:
+    """What `draw` gives for some rows: by each of several generators for its share of them."""
+    if rng is None or isinstance(rng, torch.Generator):
+        return draw(rng, rows)
+    return torch.cat([draw(each, rows // len(rng)) for each in rng])
+
+
+def uniform(rng: Chance, rows: int, count: int, device: torch.device) -> Tensor:
+    """(rows, count) numbers in [0, 1)."""
+    return drawn(rng, rows, lambda g, n: torch.rand(n, count, generator=g, device=device))
+
+
+def voxel_centres(index: Tensor, resolution: int) -> Tensor:
+    """(..., 3) the centres of voxels from flat indices (...) of a grid [x, y, z]."""
+    x = index // (resolution * resolution)
+    at = torch.stack([x, index // resolution % resolution, index % resolution], -1)
+    return (at + 0.5) / resolution - 0.5
+
+
+def none(instances: int) -> Packed:
+    """What is packed where no such cells are asked for."""
+    return np.zeros((instances, 2, 0), np.int32), np.zeros((instances, 2), np.int32)
+
+
+def pack(
+    kind: str,
+    chosen: Iterable[Bools],
+    occupied: Bools,
+    names: NDArray[Any],
+    states: NDArray[np.integer],
+) -> Packed:
+    """`index` and `count` of `LabelledCells`: at most `KEPT` of each label, chosen at random.
+
+    Args:
+        kind: a key of `CHOOSE`. Which cells are kept depends on it, names and states alone.
+        chosen: for each instance a mask (R, R, R).
+        occupied: (N, R, R, R).
+        names, states: (N,) the objects, and which pose of it each is.
+    """
+    index, count = np.zeros((len(names), 2, KEPT), np.int32), np.zeros((len(names), 2), np.int32)
+    for i, (mask, inside) in enumerate(zip(chosen, occupied, strict=True)):
+        rng = generator(0, kind, str(names[i]), int(states[i]))
+        for label, of_label in enumerate((mask & ~inside, mask & inside)):
+            found = np.flatnonzero(of_label)
+            if len(found) > KEPT:
+                found = rng.choice(found, KEPT, replace=False, shuffle=False)
+            index[i, label, : len(found)] = found
+            count[i, label] = len(found)
+    return index, count
+
+
+def differing(occupied: Bools, names: NDArray[Any]) -> list[Bools]:
+    """For each instance (N, R, R, R) which cells are not the same in all poses of its object."""
+    of = {}
+    for name in dict.fromkeys(names.tolist()):
+        poses = occupied[names == name]
+        of[name] = poses.any(axis=0) & ~poses.all(axis=0)
+    return [of[name] for name in names.tolist()]
+
+
+def bands(occupied: Bools, _: NDArray[Any]) -> list[Bools]:
+    """For each instance which cells have both labels within `REACH` cells along each axis."""
+    return [_band(inside) for inside in occupied]
+
+
+CHOOSE = {"band": bands, "varying": differing}
+"""What says which cells are candidates, from occupancies (N, R, R, R) and names of objects (N,)."""
+
+
+def _band(inside: Bools) -> Bools:
+    both = _packed_near(inside) & _packed_near(~inside)
+    return np.unpackbits(both, axis=2, count=inside.shape[2]).view(np.bool_)
+
+
+def _packed_near(mask: Bools) -> NDArray[np.uint8]:
+    """Those within `REACH` cells, along each axis, of one that is set: eight a byte along z."""
+    apart = np.pad(mask, ((0, 0), (0, 0), (0, REACH)))  # one line of cells: long moves are fast
+    along = _widened(apart.ravel(), 0).reshape(apart.shape)[..., : mask.shape[2]]
+    packed = np.packbits(along, axis=2)
+    return _widened(_widened(packed, 0), 1)
+
+
+def _widened(mask: NDArray[Any], axis: int) -> NDArray[Any]:
+    """Each cell joined with those within `REACH` cells along one axis."""
+    wide = mask.copy()
+    into, of = np.moveaxis(wide, axis, 0), np.moveaxis(mask, axis, 0)
+    for step in range(1, REACH + 1):
+        into[step:] |= of[:-step]
+        into[:-step] |= of[step:]
+    return wide

@@ -1,0 +1,471 @@
+"""Shards as training data: a whole split packed in memory, batches unpacked from it by index.
+
+Coordinates stay 16-bit and labels 8-bit until a batch is made, on whatever device they lie; no
+worker process is needed, and a batch depends on nothing but its generator and indices.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from articugen.core.errors import CorruptShard, UnfitData
+from articugen.core.records import ENCLOSED, FREE
+from articugen.learning import processes
+from articugen.learning.data import cells
+from articugen.learning.data.cells import Chance, LabelledCells, drawn, uniform, voxel_centres
+from articugen.learning.data.fitness import check_fixed_part, check_shard, check_varies
+from articugen.learning.recipe import DataSettings
+from articugen.store.manifest import Manifest
+from articugen.store.shards import Shard, open_shard
+
+FEW = 4
+"""Where at most one in so many stored points is taken, one comes from each of equal stretches."""
+
+
+@dataclass(frozen=True)
+class BatchSpec:
+    """What a learner must be given; nothing else is read or unpacked.
+
+    Attributes:
+        surface_points, grid_points, uniform_points, near_points, band_points, varying_points,
+            occupancy: as `DataSettings`.
+        grids: resolutions of grids that `Learner.validate` reads, besides those of the stages.
+        parts: whether the true parts of surface points are wanted.
+        partial: whether clouds are what one depth camera sees, another one each time.
+        joints: (revolute, prismatic) joints an object may have at most; None is any number.
+        poses: whether several poses of each object are compared; for `varying_points` they are.
+        hidden: whether it is wanted which voxels of the finest grid are not free.
+        normals: whether the normals of surface points are wanted.
+        chances: so many random numbers the learner asks for each sample.
+    """
+
+    surface_points: int
+    grid_points: int = 0
+    uniform_points: int = 0
+    near_points: int = 0
+    band_points: int = 0
+    varying_points: int = 0
+    occupancy: str = "material"
+    grids: tuple[int, ...] = ()
+    parts: bool = False
+    partial: bool = False
+    joints: tuple[int, int] | None = None
+    poses: bool = False
+    hidden: bool = False
+    normals: bool = False
+    chances: int = 0
+
+    @staticmethod
+    def of(data: DataSettings, **more: Any) -> "BatchSpec":
+        """What a recipe says, and more."""
+        return BatchSpec(**data.model_dump(exclude={"validation_objects"}), **more)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """B samples in the unit frame.
+
+    Attributes:
+        rows: (B,) which instances of the split they are.
+        cloud: (B, n, 3) surface points, or what a depth camera sees.
+        part: (B, n) the cloud's true parts where they were asked for, else (B, 0).
+        points: (B, m, 3) query points.
+        occupied: (B, m) bool, their indicator values.
+        spread: the first so many query points are spread evenly over the cube, the others lie near
+            the surface, in the band around it, and where the object's poses differ, in this order.
+        chance: (B, k) random numbers in [0, 1), for whatever the learner does with the samples.
+    """
+
+    rows: Tensor
+    cloud: Tensor
+    part: Tensor
+    points: Tensor
+    occupied: Tensor
+    spread: int
+    chance: Tensor
+
+    def share(self) -> "Batch":
+        """What this process takes of it; all of it where there is one."""
+        of = processes.share
+        return Batch(
+            of(self.rows), of(self.cloud), of(self.part), of(self.points), of(self.occupied),
+            self.spread, of(self.chance),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class PackedSplit:
+    """Instances of some objects, as they are stored. I instances; 16-bit patterns lie in int16.
+
+    Attributes:
+        object_id: (I,) names.
+        state_index: (I,) 0 is the canonical pose.
+        surface: (I, S, 3).
+        part: (I, S) the parts of the surface points; (I, 0) unless asked for.
+        normals: (I, S, 3) int8 normals of the surface points, 127 times; (I, 0, 3) likewise. No
+            batch holds them.
+        grids: (I, R^3) labels by resolution, above 0 where the recipe calls it occupied.
+        uniform, near: ((I, K, 3) coordinates, (I, K) such labels).
+        hidden: (I, R^3 / 8) one bit for each voxel of the finest grid, 0 where it is free, whatever
+            the recipe calls occupied; R is `band.resolution`. (I, 0) unless asked for.
+        band, varying: voxels around this pose's material, and those that differ between poses.
+        partial: (I, C, M, 3) what each of C depth cameras sees; C = 0 unless asked for.
+    """
+
+    object_id: NDArray[Any]
+    state_index: NDArray[np.uint32]
+    surface: Tensor
+    part: Tensor
+    normals: Tensor
+    grids: dict[int, Tensor]
+    uniform: tuple[Tensor, Tensor]
+    near: tuple[Tensor, Tensor]
+    hidden: Tensor
+    band: LabelledCells
+    varying: LabelledCells
+    partial: Tensor
+
+    def __len__(self) -> int:
+        return len(self.object_id)
+
+    @property
+    def bytes(self) -> int:
+        """What the tensors take."""
+        tensors = [self.surface, self.part, self.normals, *self.grids.values()]
+        tensors += [*self.uniform, *self.near, self.hidden, self.partial]
+        for some in (self.band, self.varying):
+            tensors += [some.index, some.count]
+        return sum(t.numel() * t.element_size() for t in tensors)
+
+    def poses_of(self, name: str) -> NDArray[np.intp]:
+        """The rows of an object, by their state: its canonical pose, where it is there, comes
+        first."""
+        rows = np.flatnonzero(self.object_id == name)
+        return rows[np.argsort(self.state_index[rows], kind="stable")]
+
+    def of(self, objects: Iterable[str]) -> "PackedSplit":
+        """The instances of these objects alone."""
+        rows = np.flatnonzero(np.isin(self.object_id, list(objects)))
+        at = torch.from_numpy(rows)
+        some = self._with(lambda tensor: tensor[at])
+        return replace(some, object_id=self.object_id[rows], state_index=self.state_index[rows])
+
+    def for_batches(self) -> "PackedSplit":
+        """Without what batches do not hold, and `Learner.begin` alone looks at."""
+        return replace(self, normals=self.normals[:, :0].clone(), hidden=self.hidden[:, :0].clone())
+
+    def to(self, device: torch.device) -> "PackedSplit":
+        """The same in the memory of a device."""
+        return self._with(lambda tensor: tensor.to(device))
+
+    def _with(self, change: Callable[[Tensor], Tensor]) -> "PackedSplit":
+        return replace(
+            self,
+            surface=change(self.surface),
+            part=change(self.part),
+            normals=change(self.normals),
+            grids={resolution: change(grid) for resolution, grid in self.grids.items()},
+            uniform=(change(self.uniform[0]), change(self.uniform[1])),
+            near=(change(self.near[0]), change(self.near[1])),
+            hidden=change(self.hidden),
+            band=self.band.changed(change),
+            varying=self.varying.changed(change),
+            partial=change(self.partial),
+        )
+
+    def batch(self, rows: Sequence[int], spec: BatchSpec, resolution: int, rng: Chance) -> Batch:
+        """A batch of the instances `rows`; points are drawn without replacement, but for `band` and
+        `varying`.
+
+        Args:
+            resolution: of the grid that `grid_points` are drawn from.
+            rng: of the device that the split lies on; None for torch's own. Several draw for an
+                equal share of the rows each, what each would draw for a batch of its share.
+        """
+        at = index_on(self.surface.device, rows)
+        each = at[:, None]
+        cloud, where = self._clouds(at, spec, rng)
+        part = self.part[each, where] if spec.parts else self.part[at]
+        points: list[Tensor] = []
+        occupied: list[Tensor] = []
+        if spec.grid_points:
+            grid = self.grids[resolution]
+            where = _places(at, grid.shape[1], spec.grid_points, rng)
+            points.append(voxel_centres(where, resolution))
+            occupied.append(grid[each, where] > 0)
+        for wanted, (stored, label) in (
+            (spec.uniform_points, self.uniform),
+            (spec.near_points, self.near),
+        ):
+            where = _places(at, stored.shape[1], wanted, rng)
+            points.append(unpacked(stored[each, where]))
+            occupied.append(label[each, where] > 0)
+        for wanted, some in ((spec.band_points, self.band), (spec.varying_points, self.varying)):
+            if wanted:
+                centres, inside = some.draw(at, wanted, rng)
+                points.append(centres)
+                occupied.append(inside)
+        spread = spec.grid_points + spec.uniform_points
+        chance = uniform(rng, len(at), spec.chances, at.device)
+        return Batch(
+            at, unpacked(cloud), part, torch.cat(points, 1), torch.cat(occupied, 1), spread, chance
+        )
+
+    def _clouds(self, at: Tensor, spec: BatchSpec, rng: Chance) -> tuple[Tensor, Tensor]:
+        """The stored clouds (B, n, 3) of some instances, and the places of their points (B, n)."""
+        if spec.partial:
+            B, cameras = len(at), self.partial.shape[1]
+            camera = drawn(
+                rng, B, lambda g, n: torch.randint(cameras, (n,), generator=g, device=at.device)
+            )
+            seen = self.partial[at, camera]
+            return seen, torch.arange(seen.shape[1], device=at.device).expand(B, -1)
+        where = _places(at, self.surface.shape[1], spec.surface_points, rng)
+        return self.surface[at[:, None], where], where
+
+
+def index_on(device: torch.device, rows: Sequence[int]) -> Tensor:
+    """The numbers of rows as a tensor; no GPU is waited for."""
+    at = torch.tensor(rows)
+    return at.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else at.to(device)
+
+
+def _places(at: Tensor, n: int, count: int, rng: Chance) -> Tensor:
+    """(B, count) which `count` of n stored points, drawn anew for each row.
+
+    All n of them stay in order: nothing that uses a batch depends on the order of its points. Of
+    few each comes from a stretch of its own, on a ring that is turned at random: no number is drawn
+    for a point that is not taken.
+    """
+    if count in (0, n):
+        return torch.arange(count, device=at.device).expand(len(at), count)
+    if count * FEW > n:
+        order = uniform(rng, len(at), n, at.device)
+        return order.topk(count, dim=1, sorted=False).indices
+    begin = torch.arange(count, device=at.device) * n // count
+    width = torch.arange(1, count + 1, device=at.device) * n // count - begin
+    share = uniform(rng, len(at), count, at.device)
+    turn = drawn(rng, len(at), lambda g, b: torch.randint(n, (b, 1), generator=g, device=at.device))
+    return (begin + (share * width).long() + turn) % n
+
+
+def unpacked(stored: Tensor) -> Tensor:
+    """16-bit fixed point to the unit frame: x = stored / 65535 - 0.5."""
+    return (stored.int() & 0xFFFF).float() / 65535.0 - 0.5
+
+
+Folders = Path | tuple[Path, ...]
+"""Of a data set with its manifest, or of several that are learned from together."""
+
+
+def folders_of(data: Folders) -> tuple[Path, ...]:
+    return data if isinstance(data, tuple) else (data,)
+
+
+def load_split(
+    data: Folders,
+    split: str,
+    spec: BatchSpec,
+    resolutions: Iterable[int],
+    *,
+    category: str | None = None,
+) -> PackedSplit:
+    """Pack a split of a data set, or of several as if they were one.
+
+    Args:
+        data: the folder, or folders, of data sets of one category.
+        spec: what batches must hold; more is not read.
+        resolutions: of the grids wanted.
+        category: what the data set must be of.
+
+    Raises:
+        CorruptShard: no such data set, or a damaged one.
+        UnfitData: no such split, another category, too few points, no such grid, no
+            clouds of depth cameras, no joint, more joints than the learner can hold, poses of an
+            object that share no frame or, where poses are compared, an object that has but one; an
+            object that two of the data sets have, or grids and points of other sizes in one.
+    """
+    folders, wanted = folders_of(data), sorted(set(resolutions))
+    manifests = [Manifest.read(folder) for folder in folders]
+    _check_apart(folders, manifests)
+    is_fine = spec.band_points or spec.varying_points or spec.hidden
+    shards: list[dict[str, NDArray[Any]]] = []
+    finest = 0
+    for folder, manifest in zip(folders, manifests, strict=True):
+        names, about = _shards_of(folder, manifest, split, category)
+        finest = finest or (_finest(folder / names[0]) if is_fine else 0)
+        category = about["category"]
+        shards += [_read(folder / name, about, spec, wanted, finest) for name in names]
+    try:
+        # what is joined is let go: there is never much more than all of it at a time
+        joined = {name: np.concatenate([s.pop(name) for s in shards]) for name in list(shards[0])}
+    except ValueError:
+        where = ", ".join(map(str, folders))
+        raise UnfitData(
+            f"{where}: shards of different shapes; make them again, all by one recipe"
+        ) from None
+    grids = {int(n.rpartition("_")[2]): n for n in joined if n.startswith("occupancy_")}
+    return PackedSplit(
+        joined["object_id"],
+        joined["state_index"],
+        _tensor(joined["surface_points"]),
+        _tensor(joined["surface_part"]),
+        _tensor(joined["surface_normals"]),
+        {r: _tensor(joined[name]).flatten(1) for r, name in grids.items()},
+        (_tensor(joined["uniform_points"]), _tensor(joined["uniform_label"])),
+        (_tensor(joined["near_points"]), _tensor(joined["near_label"])),
+        _tensor(joined["hidden"]),
+        LabelledCells(finest, _tensor(joined["band"]), _tensor(joined["band_count"])),
+        LabelledCells(finest, _tensor(joined["varying"]), _tensor(joined["varying_count"])),
+        _tensor(joined["partial_points"]),
+    )
+
+
+def _shards_of(
+    folder: Path, manifest: Manifest, split: str, category: str | None
+) -> tuple[list[str], dict[str, str]]:
+    """The names of the shards of a split, and what each must say of itself."""
+    if category is not None and manifest.category != category:
+        raise UnfitData(f"{folder}: holds {manifest.category}, not {category}")
+    names = sorted({o.shard for o in manifest.objects if o.key.split == split})
+    if not names:
+        have = sorted({o.key.split for o in manifest.objects})
+        raise UnfitData(f"{folder}: has no object in split {split!r}, only in: {', '.join(have)}")
+    return names, {"split": split, "category": manifest.category}
+
+
+def _check_apart(folders: Sequence[Path], manifests: Sequence[Manifest]) -> None:
+    """No object is in two data sets: both would be taken for one, or what one is tested on would be
+    learned from the other."""
+    where: dict[str, Path] = {}
+    for folder, manifest in zip(folders, manifests, strict=True):
+        for entry in manifest.objects:
+            name = entry.key.object_id
+            if where.setdefault(name, folder) is not folder:
+                raise UnfitData(
+                    f"{folder}: has an object {name}, as {where[name]} has; leave it out of one, "
+                    "with --exclude"
+                )
+
+
+def _read(
+    path: Path, about: dict[str, str], spec: BatchSpec, resolutions: list[int], finest: int
+) -> dict[str, NDArray[Any]]:
+    """What is packed of a shard, by name; `finest` is the grid that cells are chosen from, or 0."""
+    with open_shard(path) as shard:
+        for name, should in about.items():
+            if shard.attributes[name] != should:
+                raise CorruptShard(
+                    f"{path}: is of {name} {shard.attributes[name]!r}, the manifest says {should!r}"
+                )
+        check_shard(shard, spec, sorted({*resolutions, finest} - {0}))
+        row = {name: shard.read(name) for name in ("state_index", "surface_points")}
+        wanted = {
+            "surface_part": spec.parts,
+            "surface_normals": spec.normals,
+            "uniform_points": spec.uniform_points,
+            "uniform_label": spec.uniform_points,
+            "near_points": spec.near_points,
+            "near_label": spec.near_points,
+            "partial_points": spec.partial,
+        }
+        row |= {name: shard.read(name) if w else _none(shard, name) for name, w in wanted.items()}
+        for name in ("uniform_label", "near_label"):
+            row[name] = _told(row[name], spec)
+        names = np.array(shard.object_ids())
+        grids = {r: _grid(shard, r, names, row["surface_points"], spec) for r in resolutions}
+        fine = grids.get(finest)
+        if finest and fine is None:
+            fine = _grid(shard, finest, names, row["surface_points"], spec)
+        row |= {f"occupancy_{r}": grid for r, grid in grids.items()}
+        row["hidden"] = np.zeros((len(names), 0), np.uint8)
+        if spec.hidden:
+            raw = shard.read(f"occupancy_{finest}").reshape(len(names), -1)
+            row["hidden"] = np.packbits(raw != FREE, axis=1)
+        return {"object_id": names, **row, **_cells(names, row["state_index"], fine, spec, path)}
+
+
+def _told(label: NDArray[np.uint8], spec: BatchSpec) -> NDArray[np.uint8]:
+    """The labels, free where the recipe does not call it occupied."""
+    return np.where(label == ENCLOSED, FREE, label) if spec.occupancy == "material" else label
+
+
+def _grid(
+    shard: Shard,
+    resolution: int,
+    names: NDArray[Any],
+    surface: NDArray[np.uint16],
+    spec: BatchSpec,
+) -> NDArray[np.uint8]:
+    """(n, R, R, R) such labels; somewhere every instance is occupied."""
+    grid = shard.read(f"occupancy_{resolution}")
+    check_fixed_part(shard, names, grid)
+    grid = _told(grid, spec)
+    _fill_empty(grid, surface, resolution)
+    return grid
+
+
+def _cells(
+    names: NDArray[Any],
+    states: NDArray[np.uint32],
+    grid: NDArray[np.uint8] | None,
+    spec: BatchSpec,
+    path: Path,
+) -> dict[str, NDArray[Any]]:
+    """The cells that query points are drawn at, as `LabelledCells` holds them."""
+    row: dict[str, NDArray[Any]] = {}
+    for kind, wanted in (("band", spec.band_points), ("varying", spec.varying_points)):
+        row[kind], row[f"{kind}_count"] = cells.none(len(names))
+        if grid is not None and wanted:
+            occupied = grid > 0
+            chosen = cells.CHOOSE[kind](occupied, names)
+            if kind == "varying":
+                check_varies(path, names, chosen)
+            row[kind], row[f"{kind}_count"] = cells.pack(kind, chosen, occupied, names, states)
+    return row
+
+
+def _finest(path: Path) -> int:
+    """The resolution of the grid that cells are chosen from."""
+    with open_shard(path) as shard:
+        grids = [int(n.rpartition("_")[2]) for n in shard.fields if n.startswith("occupancy_")]
+    fit = [resolution for resolution in grids if resolution <= cells.FINEST]
+    if not fit:
+        raise UnfitData(
+            f"{path}: has no grid of {cells.FINEST} or less, which data.band_points and "
+            f"varying_points need; add {cells.FINEST} to sampling.grids and make the data set again"
+        )
+    return max(fit)
+
+
+def _none(shard: Shard, name: str) -> NDArray[Any]:
+    """A field without any of its points."""
+    shape = shard.fields[name]
+    dtype = {"points": np.uint16, "normals": np.int8}.get(name.rpartition("_")[2], np.uint8)
+    return np.zeros((shape[0], 0, *shape[2:]), dtype)
+
+
+def _fill_empty(grid: NDArray[np.uint8], surface: NDArray[np.uint16], resolution: int) -> None:
+    """Where no voxel's centre is occupied, those are that the surface passes through.
+
+    Thin parts can lie between all centres of a coarse grid, and a grid that says "nothing is here"
+    would teach just that.
+
+    Args:
+        grid: (I, R, R, R) labels, changed in place.
+        surface: (I, S, 3) in fixed point.
+    """
+    for row in np.flatnonzero(~grid.any(axis=(1, 2, 3))):
+        x, y, z = (surface[row].astype(np.int64) * resolution // 65536).T
+        grid[row, x, y, z] = 1
+
+
+def _tensor(array: NDArray[Any]) -> Tensor:
+    """Torch has few functions for uint16: their bits as int16."""
+    return torch.from_numpy(array.view(np.int16) if array.dtype == np.uint16 else array)

@@ -1,0 +1,1 @@
+"""Kernels that make PPD quick without a GPU."""

@@ -1,0 +1,368 @@
+"""What a warm start knows of each training instance: its joints, which candidates carry them, and
+whose its material is.
+
+`articugen.discovery` finds it in the surface points of training objects, without labels; but it
+must know which instances belong to one object, which the paper does not use.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import permutations
+
+import numpy as np
+import torch
+from numpy.linalg import norm
+from numpy.typing import NDArray
+from torch import Tensor
+
+from articugen.core.geometry import invert_rigid
+from articugen.core.records import Floats, JointKind
+from articugen.discovery import LEAN, Discovery, FoundJoint, Ownership, assign_material
+from articugen.discovery.ownership import CLEARLY, MOST_DOUBT, RARELY, RIM
+from articugen.learning.data.split import PackedSplit, unpacked
+from articugen.learning.ppd.model import rest_states, widest
+from articugen.learning.ppd.settings import ModelSettings, directions_of
+from articugen.learning.ppd.warm.found import FEW_OBJECTS, Found, kinds_of
+
+LEFT_RIGHT = 1
+"""The axis of the unit frame that goes from left to right."""
+
+_UPRIGHT = np.cos(np.radians(10.0))
+"""A joint that leans less from a coordinate axis is taken to point along it."""
+
+ROW = 0.075
+"""Joints whose pivots are so far apart in height are not in one row."""
+
+_ALONG = np.cos(np.radians(3.0))
+"""The same where what lies along that axis may be warped, which must leave motions rigid."""
+
+_ONE_SIDED = np.cos(np.radians(5.0))
+"""Joints that a mirror lets lean otherwise by more than this are not as any object's are."""
+
+_FLIPPED = 0.5
+"""What it costs to give a joint to a candidate that turns the other way: as much as a lean of 29
+degrees."""
+
+
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """What the instances of a split are like. I instances, P parts, J = P - 1 candidates; C cells
+    on each axis. Where they may be mirrored there are 2 I rows, row I + i being what is asked of
+    instance i then: other candidates may take its joints. All is told of it as it is, though.
+
+    Attributes:
+        known: (I,) 1 where it was found how the instance moves, else 0: nothing to aim at.
+        there: (I, J) 1 where the object has a joint for the candidate, else 0.
+        still: (I, J) 1 where it has none, but other objects have one, else 0.
+        state: (I, J) of that joint; of a closed one where there is none.
+        axis, pivot: (I, J, 3) of that joint, in the unit frame.
+        owns: (I, P) 1 where it is known where the part's material lies, else 0.
+        middle, size: (I, P, 3) of a box around it, in the part's rest frame, that of the pose in
+            which it is closed.
+        rotation, offset: (I, P, 3, 3), (I, P, 3) from the instance to the rest frame.
+        centre, extent: (I, 3) the middle and the edges of a box that holds all poses of the object.
+        alike: (I, 3, 3) takes the logarithms of an object's growth along the axes to those of one
+            that leaves its motions rigid: the mean over axes that a joint turns into each other.
+        free: (I, 3) 1 along an axis that no joint turns or slides along, else 0.
+        grid: (I, P) which of `doubt` belongs to a part; the first is that of unknown ones.
+        doubt: (V, C^3) as in `Ownership`, of cells of a part's rest frame.
+        cells: C.
+    """
+
+    known: Tensor
+    there: Tensor
+    still: Tensor
+    state: Tensor
+    axis: Tensor
+    pivot: Tensor
+    owns: Tensor
+    middle: Tensor
+    size: Tensor
+    rotation: Tensor
+    offset: Tensor
+    centre: Tensor
+    extent: Tensor
+    alike: Tensor
+    free: Tensor
+    grid: Tensor
+    doubt: Tensor
+    cells: int
+
+    def of(self, rows: Tensor, mirrored: Tensor | None = None) -> Targets:
+        """Those of some instances, of which some (B,) are mirrored."""
+        if mirrored is not None:
+            rows = rows + mirrored * (len(self.known) // 2)
+        some = {f.name: getattr(self, f.name)[rows] for f in fields(self)[:-2]}
+        return replace(self, **some)
+
+    def owner(self, points: Tensor, occupied: Tensor) -> Tensor:
+        """(B, n) the part that each occupied point belongs to, as `Ownership` says; -1 for points
+        in free space.
+
+        Args:
+            points: (B, n, 3) in the instances that these targets are of.
+        """
+        rest = torch.einsum("bpij,bnj->bpni", self.rotation, points) + self.offset[:, :, None]
+        beyond = ((rest - self.middle[:, :, None]).abs() - self.size[:, :, None]).amax(3)
+        cell = self.grid[..., None] * self.cells**3 + _cells(rest, self.cells)
+        doubt = self.doubt.flatten()[cell]
+        surely = (doubt[:, :1] - CLEARLY).clamp(max=RARELY)
+        most = torch.where(beyond <= 0.0, MOST_DOUBT, torch.where(beyond <= RIM, surely, 0.0))
+        doubt = torch.where((doubt < most) & (self.owns[..., None] > 0), doubt, 1.0)
+        doubt[:, 0] = MOST_DOUBT
+        return torch.where(occupied, doubt.argmin(1), -1)
+
+
+def targets(
+    split: PackedSplit,
+    found: Found,
+    rows: Sequence[NDArray[np.intp]],
+    model: ModelSettings,
+    *,
+    mirrored: bool = False,
+) -> Targets:
+    """The targets of a split, on its device.
+
+    Args:
+        split: with what is hidden.
+        found: what was found in each object, its poses in the order of `rows`.
+        rows: the instances of each object that were looked at.
+        mirrored: whether they may be mirrored.
+    """
+    R = split.band.resolution
+    doubt = [torch.ones(R**3, dtype=torch.float16)]
+    tables = [_Table(len(split), model) for _ in range(1 + mirrored)]
+    for each, mine in zip(likely(found, model), rows, strict=True):
+        if not each:
+            continue
+        placed: dict[tuple[float, ...], _Placed] = {}
+        for table, seen in zip(tables, (each, in_mirror(each)), strict=False):
+            taken = [(-1, 1.0), *assigned(seen, model)]
+            senses = tuple(slot[1] if slot else 1.0 for slot in taken)
+            if senses not in placed:
+                placed[senses] = _Placed.of(split, mine, each, senses, len(doubt))
+                doubt += [torch.from_numpy(d).flatten().half() for d in placed[senses].own.doubt]
+            table.fill(mine, each, taken, placed[senses])
+    joined = {name: np.concatenate([getattr(t, name) for t in tables]) for name in _Table.NAMES}
+    device = split.surface.device
+    told = {name: torch.from_numpy(array).float().to(device) for name, array in joined.items()}
+    told["still"] = told["known"][:, None] * told["there"].amax(0) * (1.0 - told["there"])
+    told["state"] = in_range(
+        told["state"] + rest_states(told["state"], len(model.revolute)), len(model.revolute)
+    )
+    grid = torch.from_numpy(np.concatenate([table.grid for table in tables])).to(device)
+    return Targets(**told, grid=grid, doubt=torch.stack(doubt).to(device), cells=R)
+
+
+def in_range(states: Tensor, revolute: int) -> Tensor:
+    """States (..., J), no nearer to the ends of their ranges than half of a closed joint's."""
+    beside = 0.5 * rest_states(states, revolute)
+    return torch.maximum(torch.minimum(states, widest(states, revolute) - beside), beside)
+
+
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """Where an object's material is, if its joints open in these senses.
+
+    Attributes:
+        motion: (K, P, 4, 4) of each part from its rest frame.
+        own: whose it is; `first`: the place of part 0's cells among those of all objects.
+        centre, extent: (3,) of a box that holds all poses.
+    """
+
+    motion: NDArray[np.float64]
+    own: Ownership
+    first: int
+    centre: Floats
+    extent: Floats
+
+    @staticmethod
+    def of(
+        split: PackedSplit,
+        rows: NDArray[np.intp],
+        found: Discovery,
+        senses: tuple[float, ...],
+        first: int,
+    ) -> _Placed:
+        motion = _from_closed(found, senses)
+        points = unpacked(split.surface[torch.from_numpy(rows)].cpu()).double().flatten(0, 1)
+        low, high = points.amin(0).numpy(), points.amax(0).numpy()
+        own = _owned(split, rows, motion)
+        return _Placed(motion, own, first, 0.5 * (low + high), high - low)
+
+
+class _Table:
+    """What `Targets` holds of I instances, while it is filled in; I instances of which nothing is
+    known."""
+
+    NAMES = (
+        "known", "there", "state", "axis", "pivot", "owns", "middle", "size", "rotation", "offset",
+        "centre", "extent", "alike", "free",
+    )  # fmt: skip
+
+    def __init__(self, count: int, model: ModelSettings) -> None:
+        J = model.joints
+        self.known = np.zeros(count)
+        self.there, self.state = np.zeros((count, J)), np.zeros((count, J))
+        self.axis, self.pivot = np.zeros((count, J, 3)), np.zeros((count, J, 3))
+        self.owns = np.zeros((count, J + 1))
+        self.middle, self.size = np.ones((2, count, J + 1, 3))
+        self.rotation = np.tile(np.eye(3), (count, J + 1, 1, 1))
+        self.offset = np.zeros((count, J + 1, 3))
+        self.centre, self.extent = np.zeros((count, 3)), np.ones((count, 3))
+        self.alike = np.full((count, 3, 3), 1.0 / 3.0)
+        self.free = np.zeros((count, 3))
+        self.grid = np.zeros((count, J + 1), np.int64)
+
+    def fill(
+        self,
+        rows: NDArray[np.intp],
+        found: Discovery,
+        taken: list[tuple[int, float] | None],
+        placed: _Placed,
+    ) -> None:
+        """Tell of an object's instances; `taken` as `assigned` gives it, with the fixed part."""
+        T, own = invert_rigid(placed.motion), placed.own
+        self.known[rows] = 1.0
+        self.centre[rows], self.extent[rows] = placed.centre, placed.extent
+        self.alike[rows], self.free[rows] = _alike(found), _free(found)
+        for part, candidate in enumerate(taken):
+            if candidate is None:
+                continue
+            slot, sense = candidate
+            self.rotation[rows, slot + 1] = T[:, part, :3, :3]
+            self.offset[rows, slot + 1] = T[:, part, :3, 3]
+            self.owns[rows, slot + 1] = own.owns[part]
+            self.middle[rows, slot + 1] = own.middle[part]
+            self.size[rows, slot + 1] = own.size[part]
+            self.grid[rows, slot + 1] = placed.first + part
+            if part:
+                joint = found.joints[part - 1]
+                self.there[rows, slot], self.axis[rows, slot] = 1.0, sense * joint.axis
+                opened = sense * joint.states
+                self.state[rows, slot] = opened - opened.min()
+                self.pivot[rows, slot] = joint.pivot
+
+
+def in_mirror(found: Discovery) -> Discovery:
+    """An object's joints as a mirror shows them that swaps left and right: what turns one way turns
+    the other way then."""
+    side = np.ones(3)
+    side[LEFT_RIGHT] = -1.0
+
+    def seen(joint: FoundJoint) -> FoundJoint:
+        sense = -1.0 if joint.kind == JointKind.REVOLUTE else 1.0
+        return replace(joint, axis=sense * side * joint.axis, pivot=side * joint.pivot)
+
+    return replace(found, joints=tuple(seen(joint) for joint in found.joints))
+
+
+def is_one_sided(found: Found, model: ModelSettings) -> bool:
+    """Whether mirrored objects are unlike all that there are: the joints of some candidate lean to
+    one side. Of glasses the same temple always folds over the other one, which their open pose
+    does not show; with mirrored ones among them a model can only guess."""
+    axes: tuple[dict[int, list[Floats]], ...] = {}, {}
+    known = [each for each in likely(found, model) if each]
+    for each in known:
+        for own, seen in zip(axes, (each, in_mirror(each)), strict=True):
+            for joint, taken in zip(seen.joints, assigned(seen, model), strict=True):
+                if taken:
+                    own.setdefault(taken[0], []).append(taken[1] * joint.axis)
+    means = [
+        [np.mean(own[slot], axis=0) for own in axes]
+        for slot in axes[0].keys() & axes[1].keys()
+        if min(len(own[slot]) for own in axes) >= FEW_OBJECTS * len(known)
+    ]
+    return any(a @ b < _ONE_SIDED * norm(a) * norm(b) for a, b in means)
+
+
+def _alike(found: Discovery) -> Floats:
+    """(3, 3) of `Targets.alike`: joints turn two coordinate axes into each other if they point
+    along the third, else all three."""
+    across = np.zeros((3, 3), bool)
+    for joint in found.joints:
+        if joint.kind == JointKind.REVOLUTE:
+            about = np.abs(joint.axis) > _UPRIGHT
+            across |= ~(about[:, None] | about)
+    together = np.linalg.matrix_power(across + np.eye(3), 2) > 0
+    return together / together.sum(1, keepdims=True)
+
+
+def _free(found: Discovery) -> Floats:
+    """(3,) of `Targets.free`: a joint leaves the axis alone that it turns about, and those that it
+    does not slide along."""
+    free = np.ones(3)
+    for joint in found.joints:
+        along = np.abs(joint.axis) > _ALONG
+        turns = joint.kind == JointKind.REVOLUTE
+        free *= along if turns else ~along & along.any()
+    return free
+
+
+def _from_closed(found: Discovery, senses: tuple[float, ...]) -> Floats:
+    """(K, P, 4, 4) the motion of each part from the pose in which it is closed, which is that with
+    the least state in the `senses` of the parts, to all poses."""
+    motion = np.stack([found.motion(k) for k in range(len(found.joints[0].states))])
+    for part, sense in enumerate(senses[1:], 1):
+        closed = int((sense * found.joints[part - 1].states).argmin())
+        motion[:, part] = motion[:, part] @ invert_rigid(motion[closed, part])
+    return motion
+
+
+def _owned(split: PackedSplit, rows: NDArray[np.intp], motion: NDArray[np.float64]) -> Ownership:
+    """Whose an object's points are; `motion` (K, P, 4, 4) in the poses `rows`."""
+    R, at = split.band.resolution, torch.from_numpy(rows)
+    clouds = unpacked(split.surface[at].cpu()).double().numpy()
+    bits = np.unpackbits(split.hidden[at].cpu().numpy(), axis=1)
+    return assign_material(list(clouds), bits.reshape(-1, R, R, R) > 0, motion)
+
+
+def _cells(points: Tensor, R: int) -> Tensor:
+    """The flat cells of points (..., 3) in a grid of R^3; others are given to its nearest cells."""
+    at = ((points + 0.5) * R).floor().long().clamp(0, R - 1)
+    return (at[..., 0] * R + at[..., 1]) * R + at[..., 2]
+
+
+def likely(found: Found, model: ModelSettings) -> Found:
+    """What was found, without the objects that are unlike the others or the candidates: with a
+    kind of joint that few objects have, or a joint that leans too far from every candidate."""
+    kinds, directions = kinds_of(found), directions_of(model)
+
+    def is_likely(each: Discovery) -> bool:
+        along = [np.abs(directions[j.kind] @ j.axis).max() for j in each.joints]
+        return min(along) > LEAN and {joint.kind for joint in each.joints} <= kinds
+
+    return [each if each and is_likely(each) else None for each in found]
+
+
+def assigned(found: Discovery, model: ModelSettings) -> list[tuple[int, float] | None]:
+    """The candidate that each joint of an object goes to, and 1 or -1, the sense of its axis there.
+
+    Candidates point as joints do, if there are such. Those that point alike are handed out as one
+    reads, row by row, so that they mean the same in objects with as many parts.
+    A joint for which no candidate of its kind is left gets None.
+    """
+    taken: list[tuple[int, float] | None] = [None] * len(found.joints)
+    for kind, first in ((JointKind.REVOLUTE, 0), (JointKind.PRISMATIC, len(model.revolute))):
+        directions = directions_of(model)[kind]
+        own = [j for j, joint in enumerate(found.joints) if joint.kind == kind][: len(directions)]
+        if own:
+            own = [own[i] for i in _as_read(np.array([found.joints[j].pivot for j in own]))]
+            along = np.array([found.joints[j].axis for j in own]) @ directions.T
+            cost = (4.0 * (1.0 - np.abs(along)) + _FLIPPED * (along < 0)).round(1)
+            options = permutations(range(len(directions)), len(own))
+            best = min(options, key=lambda slots: sum(cost[i, s] for i, s in enumerate(slots)))
+            for i, (j, slot) in enumerate(zip(own, best, strict=True)):
+                taken[j] = first + slot, 1.0 if along[i, slot] >= 0 else -1.0
+    return taken
+
+
+def _as_read(places: Floats) -> list[int]:
+    """The order of places (n, 3) from the top row down and in a row with growing y or x, whichever
+    the places differ in more."""
+    across = int(np.ptp(places[:, :2], axis=0).argmax())
+    down = np.argsort(-places[:, 2], kind="stable")
+    rows = np.split(down, np.flatnonzero(-np.diff(places[down, 2]) > ROW) + 1)
+    return [i for row in rows for i in row[np.argsort(places[row, across], kind="stable")].tolist()]

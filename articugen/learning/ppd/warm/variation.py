@@ -1,0 +1,156 @@
+"""Training objects varied: warped, stretched, mirrored, smaller, elsewhere in the cube.
+
+The paper does not do this. A few dozen objects are all alike in ways that others are not: real
+laptops are wider than the bundled ones and stand elsewhere in the cube. What is asked of a sample,
+whose each point is among it, is told of the object as it is, and varied with it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from articugen.learning.data.split import Batch
+from articugen.learning.ppd.model import rest_states
+from articugen.learning.ppd.settings import VarySettings
+from articugen.learning.ppd.warm.targets import LEFT_RIGHT, Targets, in_range
+
+WAVES = 2
+"""Of which a warp along an axis is the sum."""
+
+CHANCES = 8 + 3 * WAVES * 2
+"""Random numbers that the variation of a sample takes."""
+
+
+def is_mirrored(chance: Tensor, mirrors: bool) -> Tensor:
+    """(B,) which samples are mirrored, where some are; `chance` (B, CHANCES or 0)."""
+    if not mirrors:
+        return torch.zeros_like(chance[:, :0].sum(1), dtype=torch.bool)
+    return chance[:, 0] < 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Warp:
+    """Where an object is drawn out and where it is pressed together, along each axis by itself; its
+    box stays. Of a chest each drawer becomes higher or lower than it was.
+
+    With u from -1 to 1 along the box's edge, the slope there is 1 + sum_h a_h cos(h pi u + p_h), so
+    what is flat and faces an axis stays flat. Beyond the box nothing changes.
+
+    Attributes:
+        centre, half: (B, 3) of the box, and halves of its edges.
+        amount: (B, 3, WAVES) the a_h, 0 along axes that a motion does not leave alone.
+        phase: (B, 3, WAVES) the p_h.
+    """
+
+    centre: Tensor
+    half: Tensor
+    amount: Tensor
+    phase: Tensor
+
+    @staticmethod
+    def of(chance: Tensor, aim: Targets, most: float) -> Warp:
+        """At most `most` a wave, where `aim` says that the motions stay as they are.
+
+        Args:
+            chance: (B, 3 * WAVES * 2) numbers in [0, 1).
+        """
+        amount, phase = chance.unflatten(1, (2, 3, WAVES)).unbind(1)
+        free = aim.free[..., None]
+        half = (0.5 * aim.extent).clamp(min=1e-6)
+        return Warp(aim.centre, half, most * free * amount, 2.0 * math.pi * phase)
+
+    def __call__(self, points: Tensor) -> Tensor:
+        """(B, n, 3) where points go."""
+        u = ((points - self.centre[:, None]) / self.half[:, None]).clamp(-1.0, 1.0)
+        h = math.pi * torch.arange(1, WAVES + 1, dtype=u.dtype, device=u.device)
+        a, p = self.amount[:, None], self.phase[:, None]
+        lift = (a * ((h * u[..., None] + p).sin() - (p - h).sin()) / h).sum(3)
+        return points + self.half[:, None] * lift
+
+
+@dataclass(frozen=True, eq=False)
+class Variation:
+    """x becomes scale warp(x) + shift; B samples.
+
+    Attributes:
+        warp: None where nothing is warped.
+        scale: (B, 3), below 0 along the axis that is mirrored.
+        shift: (B, 3).
+    """
+
+    warp: Warp | None
+    scale: Tensor
+    shift: Tensor
+
+    @staticmethod
+    def of(chance: Tensor, mirrored: Tensor, aim: Targets, vary: VarySettings) -> Variation:
+        """Stretched by the same along axes that a joint turns into each other, as large as it was
+        along its longest axis or a little smaller, and somewhere in the cube that it fits in then.
+
+        Args:
+            chance: (B, CHANCES) numbers in [0, 1).
+            mirrored: (B,).
+            aim: of these samples.
+        """
+        growth = vary.stretch * (2.0 * chance[:, 1:4] - 1.0)
+        size = torch.einsum("bij,bj->bi", aim.alike, growth).exp()
+        room = aim.extent.amax(1, keepdim=True)
+        size = size * room / (size * aim.extent).amax(1, keepdim=True)
+        size = size * (1.0 - vary.shrink * chance[:, 4:5])
+        side = torch.ones_like(size)
+        side[:, LEFT_RIGHT] = 1.0 - 2.0 * mirrored.to(size.dtype)
+        scale = size * side
+        free = 0.5 * (room - size * aim.extent)
+        somewhere = free * (2.0 * chance[:, 5:8] - 1.0)
+        stays = aim.centre * side
+        centre = somewhere if vary.shift else stays
+        warp = Warp.of(chance[:, 8:], aim, vary.warp) if vary.warp else None
+        return Variation(warp, scale, centre - scale * aim.centre)
+
+    def moved(self, points: Tensor) -> Tensor:
+        """(B, n, 3) where points go."""
+        warped = self.warp(points) if self.warp else points
+        return warped * self.scale[:, None] + self.shift[:, None]
+
+    def batch(self, batch: Batch) -> tuple[Batch, Tensor]:
+        """The batch varied, and (B, m) which of its query points are others now: points spread over
+        the cube go into the place that an object became smaller leaves free, so that they are
+        spread over the cube again."""
+        points = self.moved(batch.points)
+        even = batch.points[:, : batch.spread].roll(1, 1)
+        beyond = ((even - self.shift[:, None]) / self.scale[:, None]).abs().amax(2) > 0.5
+        points = torch.cat(
+            [
+                torch.where(beyond[..., None], even, points[:, : batch.spread]),
+                points[:, batch.spread :],
+            ],
+            1,
+        )
+        freed = torch.cat([beyond, torch.zeros_like(batch.occupied[:, batch.spread :])], 1)
+        varied = replace(
+            batch, cloud=self.moved(batch.cloud), points=points, occupied=batch.occupied & ~freed
+        )
+        return varied, freed
+
+    def targets(self, aim: Targets, revolute: int) -> Targets:
+        """What is asked of the varied samples; not for `Targets.owner`, which knows objects as they
+        are. Axes of parts that turn go the other way in a mirror."""
+        turns = torch.arange(aim.state.shape[1], device=aim.state.device) < revolute
+        side = torch.where(turns, self.scale.prod(1).sign()[:, None], 1.0)
+        axis = aim.axis * self.scale[:, None]
+        length = axis.norm(dim=2)
+        rest = rest_states(aim.state, revolute)
+        slid = rest + (aim.state - rest) * torch.where(turns | (aim.there == 0), 1.0, length)
+        low, high = self.moved(aim.middle - aim.size), self.moved(aim.middle + aim.size)
+        return replace(
+            aim,
+            state=in_range(slid, revolute),
+            axis=side[..., None] * axis / length.clamp(min=1e-6)[..., None],
+            pivot=self.moved(aim.pivot),
+            middle=0.5 * (low + high),
+            size=0.5 * (high - low).abs(),
+        )

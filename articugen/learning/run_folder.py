@@ -1,0 +1,543 @@
+"""Run folders: the recipe, what it ran on, metrics as JSON lines, checkpoints without pickled code.
+
+<runs>/<category>/<number>/recipe.yaml, run.json, metrics.jsonl, latest.pt, best.pt; depth.pt and
+depth.jsonl of a learner for depth input; what TensorBoard reads.
+
+Everything is believed only if it is as it was written: a file that is not gives one sentence.
+
+Where several seeds raced, race.json says who won and why, seeds/<seed> are run folders themselves,
+and the winner's metrics and checkpoints are the run's.
+
+A run that was only brought here to be used (`study`) has weights.safetensors instead: what
+predictions need, in a seventh of a checkpoint's bytes; training cannot go on from it.
+"""
+
+import json
+import math
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, NoReturn, TypeVar
+
+import torch
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from torch import Tensor
+
+from articugen import __version__
+from articugen.core.errors import ArticugenError, InvalidCheckpoint, InvalidRecipe, MachineFault
+from articugen.core.files import (
+    UnfitFile,
+    cannot_write,
+    make_folder,
+    read_regular,
+    sync,
+    whole_name,
+    write_atomically,
+)
+from articugen.core.yaml_files import resolved
+from articugen.learning import processes, tensorboard
+from articugen.learning.method import Learner, find_method, parse_recipe
+from articugen.learning.recipe import TrainRecipe
+from articugen.learning.safetensors import read_safetensors, write_safetensors
+from articugen.learning.tensors import CURE, check_like, digest, read_tensors, write_tensors
+from articugen.pipeline.journal import lock_folder
+from articugen.store.manifest import this_commit, this_machine
+
+FORMAT = "articugen checkpoint 3"
+LATEST, BEST, METRICS = "latest.pt", "best.pt", "metrics.jsonl"
+WEIGHTS, WEIGHTS_FORMAT = "weights.safetensors", "articugen weights 1"
+MOST_BYTES = 1 << 28
+"""That a recipe, run.json or metrics may have."""
+
+CPU, META = torch.device("cpu"), torch.device("meta")
+
+
+@dataclass(frozen=True)
+class Files:
+    """What one learner leaves in a run's folder: checkpoints, metrics, a folder of TensorBoard's.
+
+    Attributes:
+        best: None where the last one alone is kept.
+    """
+
+    latest: str
+    best: str | None
+    metrics: str
+    board: str
+
+
+MAIN = Files(LATEST, BEST, METRICS, ".")
+DEPTH = Files("depth.pt", None, "depth.jsonl", "depth")
+
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+
+class _Told(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+class _Folder(_Told):
+    folder: str
+    content_sha256: Sha256
+
+
+class _Data(_Folder):
+    """What it is trained on; `also`: further data sets."""
+
+    also: list[_Folder] = []
+
+
+class _About(_Told):
+    """run.json."""
+
+    category: str
+    seed: int
+    recipe_sha256: Sha256
+    data: _Data
+    articugen: str
+    commit: str | None
+    torch: str
+    machine: dict[str, str | int]
+
+
+class _Line(_Told):
+    """A line of the metrics. What was measured may be no finite number; nothing else may."""
+
+    iteration: int = Field(ge=0)
+    stage: int = Field(default=0, ge=0)
+    terms: dict[str, float] = {}
+    validation: dict[str, float] = {}
+    learning_rate: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
+    seconds: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
+
+
+class _OfWeights(_Told):
+    """The texts in the header of the weights, each of them JSON.
+
+    Attributes:
+        state: what the learner's state has besides tensors, by its way there.
+    """
+
+    category: str
+    seed: int
+    iteration: int = Field(ge=0)
+    recipe: dict[str, Any]
+    state: dict[str, Any]
+
+
+Told = TypeVar("Told", bound=BaseModel)
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """Everything that training goes on from.
+
+    Attributes:
+        recipe, category, seed: what is trained.
+        iteration: how many are done.
+        best: the lowest validation loss so far, or inf.
+        beside: the digest of the state of the learner that it was trained beside, or nothing.
+        state: the learner's own, see `method.Learner.state`.
+    """
+
+    recipe: TrainRecipe
+    category: str
+    seed: int
+    iteration: int
+    best: float
+    beside: str
+    state: dict[str, Any]
+
+    @staticmethod
+    def of(
+        learner: Learner, category: str, seed: int, iteration: int, best: float, beside: str = ""
+    ) -> "Checkpoint":
+        """Where a learner stands."""
+        recipe, state = learner.settings, learner.state()
+        return Checkpoint(recipe, category, seed, iteration, best, beside, state)
+
+    def write(self, path: Path) -> None:
+        """Write it in one step."""
+        write_tensors(path, {**vars(self), "recipe": self.recipe.plain()}, FORMAT)
+
+    def write_weights(self, path: Path) -> None:
+        """Write what predictions need as safetensors, with the recipe among its texts."""
+        chosen = find_method(self.recipe.method).weights or tuple(self.state)
+        values = _flat({name: self.state[name] for name in chosen})
+        tensors = {name: value for name, value in values.items() if isinstance(value, Tensor)}
+        about = _OfWeights(
+            category=self.category,
+            seed=self.seed,
+            iteration=self.iteration,
+            recipe=self.recipe.plain(),
+            state={name: value for name, value in values.items() if name not in tensors},
+        )
+        texts = {name: json.dumps(value) for name, value in about.model_dump().items()}
+        write_safetensors(path, tensors, {"format": WEIGHTS_FORMAT, **texts})
+
+    def learner(self, device: torch.device = CPU) -> Learner:
+        """What was trained, ready for predictions or to go on."""
+        learner = find_method(self.recipe.method).start(self.recipe, seed=0, device=device)
+        learner.load(self.state)
+        return learner
+
+    def about(self) -> dict[str, Any]:
+        """What was trained, as an evaluation tells it."""
+        return {
+            "category": self.category,
+            "method": self.recipe.method,
+            "recipe": self.recipe.name,
+            "variant": self.recipe.variant,
+            "seed": self.seed,
+            "iterations": self.iteration,
+            "commit": this_commit(),
+        }
+
+
+def read_checkpoint(path: Path) -> Checkpoint:
+    """A checkpoint; only tensors and plain data are read, never pickled code.
+
+    Raises:
+        InvalidCheckpoint: there is none, it is damaged, or not one of ours.
+    """
+    point = _read_checkpoint(path)
+    learner = find_method(point.recipe.method).start(point.recipe, seed=0, device=META)
+    check_like(point.state, learner.state(), path)  # shapes alone: whatever it says costs nothing
+    return point
+
+
+def read_run(folder: Path) -> Checkpoint:
+    """What a run's folder has for predictions: its last checkpoint, or else its weights.
+
+    Raises:
+        InvalidCheckpoint: it has neither, or what it has is damaged, or not one of ours.
+    """
+    if (folder / WEIGHTS).is_file() and not (folder / LATEST).is_file():
+        return _read_weights(folder / WEIGHTS)
+    return read_checkpoint(folder / LATEST)
+
+
+def _read_weights(path: Path) -> Checkpoint:
+    tensors, texts = read_safetensors(path)
+    if texts.get("format") != WEIGHTS_FORMAT:
+        raise InvalidCheckpoint(f"{path}: not weights of articugen's")
+    try:
+        about = _OfWeights.model_validate(
+            {n: json.loads(texts[n]) for n in _OfWeights.model_fields}
+        )
+        recipe = parse_recipe(about.recipe, str(path))
+    except (ValueError, KeyError, RecursionError, InvalidRecipe):
+        raise InvalidCheckpoint(f"{path}: weights that lack something; {CURE}") from None
+    method = find_method(recipe.method)
+    state = method.start(recipe, seed=0, device=CPU).state()
+    chosen = method.weights or tuple(state)
+    found, wanted = tensors | about.state, _flat({name: state[name] for name in chosen})
+    check_like(found, wanted, path)
+    if not all(bool(tensor.isfinite().all()) for tensor in tensors.values()):
+        raise InvalidCheckpoint(f"{path}: holds numbers that are not finite; {CURE}")
+    told, full = (about.category, about.seed, about.iteration), _filled(state, found)
+    return Checkpoint(recipe, *told, best=math.inf, beside="", state=full)
+
+
+def _flat(state: dict[str, Any], within: str = "") -> dict[str, Any]:
+    """All in nested dicts, each by its way there, as `model.encoder.latent.bias`."""
+    flat: dict[str, Any] = {}
+    for name, value in state.items():
+        way = f"{within}{name}"
+        flat |= _flat(value, f"{way}.") if isinstance(value, dict) else {way: value}
+    return flat
+
+
+def _filled(state: dict[str, Any], found: dict[str, Any], within: str = "") -> dict[str, Any]:
+    """The nested dicts, with what was found in place of theirs."""
+    return {
+        name: _filled(value, found, f"{within}{name}.")
+        if isinstance(value, dict)
+        else found.get(f"{within}{name}", value)
+        for name, value in state.items()
+    }
+
+
+def read_depth_checkpoint(folder: Path, main: Checkpoint) -> Checkpoint:
+    """The checkpoint for depth input in a run's folder, whatever it was trained beside.
+
+    Args:
+        main: the run's own.
+
+    Raises:
+        InvalidCheckpoint: there is none, it is damaged, or not one of ours.
+    """
+    path = folder / DEPTH.latest
+    if not path.is_file():
+        raise InvalidCheckpoint(
+            f"{folder}: has no encoder for partial clouds; make one with: articugen train-depth"
+        )
+    point, method = _read_checkpoint(path), find_method(main.recipe.method)
+    first = method.start(main.recipe, seed=0, device=META)
+    learner = method.start_depth(first, seed=0, device=META)
+    if point.recipe.sha256() != learner.settings.sha256():
+        raise InvalidCheckpoint(f"{path}: is of another recipe than {LATEST}; {CURE}")
+    check_like(point.state, learner.state(), path)
+    return point
+
+
+def depth_learner(folder: Path, main: Checkpoint, device: torch.device = CPU) -> Learner:
+    """What was trained for depth input, ready for predictions.
+
+    Args:
+        main: the run's own checkpoint.
+
+    Raises:
+        InvalidCheckpoint: there is none, or it was trained beside another state.
+    """
+    point = read_depth_checkpoint(folder, main)
+    if point.beside != digest(main.state):
+        raise InvalidCheckpoint(
+            f"{folder / DEPTH.latest}: belongs to other weights than {LATEST}; make it again: "
+            "articugen train-depth"
+        )
+    method = find_method(main.recipe.method)
+    learner = method.start_depth(main.learner(device), seed=0, device=device)
+    learner.load(point.state)
+    return learner
+
+
+def _read_checkpoint(path: Path) -> Checkpoint:
+    """A checkpoint whose state nobody has looked at yet."""
+    data = read_tensors(path, FORMAT)
+    recipe = data.pop("recipe", None)
+    try:
+        recipe = parse_recipe(recipe, "its recipe")
+        point = Checkpoint(recipe=recipe, **data)
+    except (TypeError, InvalidRecipe) as error:
+        if recipe and isinstance(error, InvalidRecipe):  # another version could be trained with it
+            raise InvalidCheckpoint(f"{path}: {error}; train it again") from None
+        raise InvalidCheckpoint(f"{path}: a checkpoint that lacks something; {CURE}") from None
+    kinds = [type(x) for x in (point.category, point.seed, point.iteration, point.best)]
+    sensible = kinds == [str, int, int, float] and type(point.beside) is str
+    if not (sensible and 0 <= point.iteration <= recipe.schedule.iterations):
+        raise InvalidCheckpoint(f"{path}: a checkpoint that makes no sense; {CURE}")
+    return point
+
+
+class RunFolder:
+    """One run's files."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.writes = processes.is_first()
+        """Of several processes one writes; what the others are to write is dropped."""
+
+    def __fspath__(self) -> str:
+        return str(self.path)
+
+    def __repr__(self) -> str:
+        return f"RunFolder({self.path})"
+
+    @staticmethod
+    def new(
+        runs: Path,
+        recipe: TrainRecipe,
+        *,
+        category: str,
+        seed: int,
+        data: dict[str, Any],
+        name: str | None = None,
+    ) -> "RunFolder":
+        """A folder under `runs`, the next number or `name`; `data` says what it is trained on."""
+        path = runs / name if name else _next_number(runs)
+        try:
+            make_folder(runs)
+            path.mkdir()
+        except FileExistsError:
+            if not name:  # another run was faster
+                return RunFolder.new(runs, recipe, category=category, seed=seed, data=data)
+            raise ArticugenError(f"{path}: cannot be made (File exists)") from None
+        except OSError as error:
+            raise ArticugenError(f"{path}: cannot be made ({error.strerror})") from None
+        about = {
+            "category": category,
+            "seed": seed,
+            "recipe_sha256": recipe.sha256(),
+            "data": data,
+            "articugen": __version__,
+            "commit": this_commit(),
+            "torch": torch.__version__,
+            "machine": this_machine(),
+        }
+        write_atomically(path / "recipe.yaml", recipe.text().encode())
+        write_atomically(path / "run.json", (json.dumps(about, indent=1) + "\n").encode())
+        return RunFolder(path)
+
+    @staticmethod
+    def existing(path: Path) -> "RunFolder":
+        """A run's folder that is there already, perhaps without a checkpoint as yet.
+
+        Raises:
+            InvalidCheckpoint: it has nothing to go on from.
+            ArticugenError: another process trains there.
+        """
+        begun = (path / "run.json").is_file() and not (path / WEIGHTS).is_file()
+        if not begun and not (path / LATEST).is_file():
+            raise InvalidCheckpoint(f"{path}: has no {LATEST} to go on from; start a new run")
+        run = RunFolder(path)
+        with run.locked():
+            if run.writes:
+                run.remove_temporary()
+        return run
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Keep other processes that want to train here out.
+
+        Raises:
+            ArticugenError: one is at work.
+        """
+        if not self.writes:
+            yield
+            return
+        try:
+            handle = lock_folder(self.path)
+        except OSError as error:
+            raise MachineFault(cannot_write(self.path, error)) from None
+        try:
+            yield
+        finally:
+            os.close(handle)
+
+    def remove_temporary(self) -> None:
+        """Remove what a process that was killed while it wrote has left."""
+        ours = ("recipe.yaml", "run.json", "race.json", METRICS, LATEST, BEST)
+        for path in self.path.glob(".*.partial"):
+            if whole_name(path.name) in (*ours, DEPTH.latest, DEPTH.metrics):
+                path.unlink(missing_ok=True)
+
+    def recipe(self) -> TrainRecipe:
+        """The recipe that the run was started with.
+
+        Raises:
+            InvalidCheckpoint: there is none, or it is another.
+        """
+        path = self.path / "recipe.yaml"
+        _read(path)  # looked at before the YAML reader gets it
+
+        def extends(_: str) -> NoReturn:
+            raise InvalidRecipe(f"{path}: a run's recipe extends no other")
+
+        try:
+            recipe = parse_recipe(resolved(path, extends), str(path))
+        except (InvalidRecipe, RecursionError, ValueError):
+            raise InvalidCheckpoint(
+                f"{path}: damaged; restore it from a copy, or start a new run"
+            ) from None
+        if recipe.sha256() != self.about()["recipe_sha256"]:
+            raise InvalidCheckpoint(
+                f"{path}: not the recipe that the run was started with; restore it, or start a "
+                "new run"
+            )
+        return recipe
+
+    def about(self) -> dict[str, Any]:
+        """What run.json says of the run.
+
+        Raises:
+            InvalidCheckpoint: there is none.
+        """
+        path = self.path / "run.json"
+        return _parsed(_About, _read(path), str(path)).model_dump()
+
+    def log(self, record: dict[str, Any], name: str = METRICS) -> None:
+        """Append one line to the metrics.
+
+        Raises:
+            MachineFault: the disk is full, or the like.
+        """
+        if not self.writes:
+            return
+        path = self.path / name
+        try:
+            with path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(record) + "\n")
+        except OSError as error:
+            raise MachineFault(cannot_write(path, error)) from None
+
+    @contextmanager
+    def metrics_from(
+        self, iteration: int, files: Files = MAIN
+    ) -> Iterator[Callable[[dict[str, Any]], None]]:
+        """What appends a line to the metrics and tells TensorBoard of it; what there is of later
+        iterations is dropped first, since they will be done again.
+
+        Raises:
+            ArticugenError: another process trains here.
+            MachineFault: the disk is full, or the like.
+        """
+        if not self.writes:
+            yield lambda _: None
+            return
+        with self.locked(), tensorboard.board(self.path / files.board, iteration) as tell:
+            self.forget_after(iteration, files.metrics)
+
+            def log(record: dict[str, Any]) -> None:
+                self.log(record, files.metrics)
+                tell(record)
+
+            yield log
+
+    def keep(self, point: Checkpoint, name: str, metrics: str = METRICS) -> None:
+        """Write a checkpoint; the metrics up to there are on the disk before it is."""
+        if self.writes:
+            with suppress(FileNotFoundError):
+                sync(self.path / metrics)
+            point.write(self.path / name)
+
+    def metrics(self, name: str = METRICS) -> list[dict[str, Any]]:
+        """The lines of the metrics; a last one that was cut short is none.
+
+        Raises:
+            InvalidCheckpoint: a line is damaged.
+        """
+        path = self.path / name
+        if not os.path.lexists(path):
+            return []
+        lines = _read(path).split(b"\n")[:-1]
+        numbered = ((f"{path}: line {n}", line) for n, line in enumerate(lines, start=1))
+        return [_parsed(_Line, line, at).model_dump(exclude_unset=True) for at, line in numbered]
+
+    def forget_after(self, iteration: int, name: str = METRICS) -> None:
+        """Drop metrics of later iterations."""
+        kept = [r for r in self.metrics(name) if r["iteration"] <= iteration]
+        text = "".join(json.dumps(record) + "\n" for record in kept)
+        write_atomically(self.path / name, text.encode())
+
+
+def _next_number(runs: Path) -> Path:
+    taken = [int(p.name) for p in runs.glob("*") if p.name.isdecimal()]
+    return runs / f"{max(taken, default=-1) + 1:03d}"
+
+
+def _read(path: Path) -> bytes:
+    """A file of a run's folder."""
+    try:
+        return read_regular(path, MOST_BYTES)
+    except UnfitFile as error:
+        raise InvalidCheckpoint(f"{path}: {error.strerror}; move it away") from None
+    except OSError as error:
+        raise InvalidCheckpoint(
+            f"{path}: cannot be read ({error.strerror}): no run's folder, or a damaged one; start "
+            "a new run with: articugen train"
+        ) from None
+
+
+def _parsed(model: type[Told], text: bytes, where: str) -> Told:
+    try:
+        return model.model_validate_json(text)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        what = f"{key}: {first['msg']}" if key else first["msg"]
+        raise InvalidCheckpoint(
+            f"{where}: damaged ({what}); restore it from a copy, or start a new run"
+        ) from None

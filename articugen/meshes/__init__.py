@@ -1,0 +1,1 @@
+"""Triangle meshes and point files: read distrustfully, written, extracted, asked."""

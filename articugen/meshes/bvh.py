@@ -1,0 +1,262 @@
+"""Bounding boxes around boxes: whether a ray leaves a part without meeting any of its faces.
+
+One tree a part, built once in the canonical pose; a ray is taken to the part instead of the part to
+the ray, so that no pose needs a new tree. Nodes lie in depth-first order with skip links
+(Smits 1998, "Efficiency issues for ray tracing"): the walk needs no stack.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.core.jit import helper, inlined, kernel
+
+LEAF_FACES = 4
+
+
+class Bvh(NamedTuple):
+    """The trees of all parts, one after the other. N nodes, F faces.
+
+    Attributes:
+        box: (N, 6) float32: lower and upper corner.
+        skip: (N,) int32: the node to go on with where the ray misses the box.
+        leaf: (N, 2) int32: the first face of a leaf and how many; (0, 0) for an inner node.
+        triangles: (F, 16) float32: the faces in the order of the leaves, see `triangle_table`.
+        roots: (P + 1,) int32: part k has the nodes roots[k] to roots[k + 1] - 1.
+    """
+
+    box: Any
+    skip: Any
+    leaf: Any
+    triangles: Any
+    roots: Any
+
+
+@kernel
+def triangle_table(corners):
+    """(F, 16) float32, one cache line a face: unit normal, offset, three corners; (F, 3, 3)."""
+    table = np.zeros((corners.shape[0], 16), np.float32)
+    for f in range(corners.shape[0]):
+        ax, ay, az = corners[f, 0, 0], corners[f, 0, 1], corners[f, 0, 2]
+        bx, by, bz = corners[f, 1, 0], corners[f, 1, 1], corners[f, 1, 2]
+        cx, cy, cz = corners[f, 2, 0], corners[f, 2, 1], corners[f, 2, 2]
+        x = (by - ay) * (cz - az) - (bz - az) * (cy - ay)
+        y = (bz - az) * (cx - ax) - (bx - ax) * (cz - az)
+        z = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        length = max(np.sqrt(x * x + y * y + z * z), 1e-30)
+        x, y, z = x / length, y / length, z / length
+        at = ((ax + bx + cx) / 3.0, (ay + by + cy) / 3.0, (az + bz + cz) / 3.0)
+        table[f, 0], table[f, 1], table[f, 2] = x, y, z
+        table[f, 3] = x * at[0] + y * at[1] + z * at[2]
+        for corner in range(3):
+            for axis in range(3):
+                table[f, 4 + 3 * corner + axis] = corners[f, corner, axis]
+    return table
+
+
+def build(corners: NDArray[np.float64], part_of_face: NDArray[np.uint8], parts: int) -> Bvh:
+    """The trees of `parts` parts over the faces' corners (F, 3, 3), each in its canonical pose."""
+    return joined([tree_of(corners[part_of_face == part]) for part in range(parts)])
+
+
+def tree_of(corners: NDArray[np.float64]) -> Bvh:
+    """The tree of one part."""
+    own = np.ascontiguousarray(corners)
+    order, box, skip, leaf, count = ordered(own)
+    roots = np.array([0, count], np.int32)
+    return Bvh(box[:count], skip[:count], leaf[:count], triangle_table(own[order]), roots)
+
+
+def joined(trees: Sequence[Bvh]) -> Bvh:
+    """The trees of several parts, one after the other."""
+    first_node = np.cumsum([0, *(len(tree.skip) for tree in trees)])
+    first_face = np.cumsum([0, *(len(tree.triangles) for tree in trees)])
+    leaves = [np.array(tree.leaf) for tree in trees]
+    for leaf, first in zip(leaves, first_face, strict=False):
+        leaf[:, 0] += np.where(leaf[:, 1] > 0, first, 0).astype(np.int32)
+    skips = [tree.skip + np.int32(n) for tree, n in zip(trees, first_node, strict=False)]
+    return Bvh(
+        np.concatenate([tree.box for tree in trees]),
+        np.concatenate(skips),
+        np.concatenate(leaves),
+        np.concatenate([tree.triangles for tree in trees]),
+        first_node.astype(np.int32),
+    )
+
+
+@kernel
+def ordered(corners):
+    """Split at the middle of the longer side of the centres' box until few faces are left.
+
+    The order of the faces; of room for the largest tree the box, skip and leaf of each node, and
+    how many nodes there are.
+    """
+    F = corners.shape[0]
+    centers = np.empty((F, 3))
+    order = np.empty(F, np.int64)
+    for f in range(F):
+        order[f] = f
+        for axis in range(3):
+            total = corners[f, 0, axis] + corners[f, 1, axis] + corners[f, 2, axis]
+            centers[f, axis] = total / 3.0
+    most = max(2 * F, 1)
+    box = np.zeros((most, 6), np.float32)
+    right = np.empty(most, np.int64)
+    skip = np.empty(most, np.int32)
+    leaf = np.zeros((most, 2), np.int32)
+    waiting = np.empty((most, 3), np.int64)  # faces, and the parent that this is the right child of
+    waiting[0, 0], waiting[0, 1], waiting[0, 2] = 0, F, -1
+    left = 1 if F > 0 else 0
+    count = 0
+    while left > 0:
+        left -= 1
+        low, high, parent = waiting[left, 0], waiting[left, 1], waiting[left, 2]
+        node = count
+        count += 1
+        right[node] = -1
+        if parent >= 0:
+            right[parent] = node
+        axis, middle = _measure(corners, centers, order, low, high, box, node)
+        if high - low <= LEAF_FACES:
+            leaf[node, 0] = low
+            leaf[node, 1] = high - low
+            continue
+        cut = low
+        for n in range(low, high):
+            f = order[n]
+            if centers[f, axis] < middle:
+                order[n], order[cut] = order[cut], f
+                cut += 1
+        if cut in (low, high):  # all centres in one place
+            cut = (low + high) // 2
+        waiting[left, 0], waiting[left, 1], waiting[left, 2] = cut, high, node
+        waiting[left + 1, 0], waiting[left + 1, 1], waiting[left + 1, 2] = low, cut, -1
+        left += 2
+    skip[0] = count
+    for node in range(count):
+        if right[node] >= 0:
+            skip[node + 1] = right[node]
+            skip[right[node]] = skip[node]
+    return order, box, skip, leaf, count
+
+
+@helper
+def _measure(corners, centers, order, low, high, box, node):
+    """Set the node's box; return the longest axis of its centres' box and the middle along it."""
+    longest, middle, widest = 0, 0.0, -1.0
+    for axis in range(3):
+        first, last, lower, upper = np.inf, -np.inf, np.inf, -np.inf
+        for n in range(low, high):
+            f = order[n]
+            first = min(first, centers[f, axis])
+            last = max(last, centers[f, axis])
+            for corner in range(3):
+                lower = min(lower, corners[f, corner, axis])
+                upper = max(upper, corners[f, corner, axis])
+        box[node, axis] = lower - 1e-6  # single precision must not lose what lies on the border
+        box[node, axis + 3] = upper + 1e-6
+        if last - first > widest:
+            longest, middle, widest = axis, (first + last) / 2.0, last - first
+    return longest, middle
+
+
+@helper
+def meets(p, w, reach, to_part, box, skip, leaf, triangles, roots):
+    """Whether the way from `p` to `p + reach * w` meets any face of any part.
+
+    Args:
+        p, w: tuples of three float32.
+        reach: float32; inf for a ray without end.
+        to_part: (P, 3, 4) float32: from the pose at hand to each part's canonical pose.
+        box, skip, leaf, triangles, roots: the `Bvh`.
+    """
+    for part in range(roots.shape[0] - 1):
+        T = to_part[part]
+        q = (
+            T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3],
+            T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3],
+            T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3],
+        )
+        d = (
+            T[0, 0] * w[0] + T[0, 1] * w[1] + T[0, 2] * w[2],
+            T[1, 0] * w[0] + T[1, 1] * w[1] + T[1, 2] * w[2],
+            T[2, 0] * w[0] + T[2, 1] * w[1] + T[2, 2] * w[2],
+        )
+        inverse = (_inverse(d[0]), _inverse(d[1]), _inverse(d[2]))
+        node, end = roots[part], roots[part + 1]
+        while node < end:
+            n = np.uintp(node)  # unsigned: numba does not ask whether to count from the end
+            low, high = (box[n, 0], box[n, 1], box[n, 2]), (box[n, 3], box[n, 4], box[n, 5])
+            if not _enters(q, inverse, reach, low, high):
+                node = skip[n]
+                continue
+            for f in range(leaf[n, 0], leaf[n, 0] + leaf[n, 1]):
+                t = np.uintp(f)
+                plane = (triangles[t, 0], triangles[t, 1], triangles[t, 2], triangles[t, 3])
+                ahead = -in_front(q, d, plane)
+                if 0.0 <= ahead <= reach and line_meets(
+                    q, d,
+                    (triangles[t, 4], triangles[t, 5], triangles[t, 6]),
+                    (triangles[t, 7], triangles[t, 8], triangles[t, 9]),
+                    (triangles[t, 10], triangles[t, 11], triangles[t, 12]),
+                ):  # fmt: skip
+                    return True
+            node += 1
+    return False
+
+
+@inlined
+def _inverse(x):
+    return np.float32(1.0) / x if abs(x) > 1e-20 else np.float32(1e20)
+
+
+@helper
+def _enters(q, inverse, reach, low, high):
+    """Whether the ray from `q` enters a box before `reach`; numbers only, see `_judge`."""
+    ax, bx = (low[0] - q[0]) * inverse[0], (high[0] - q[0]) * inverse[0]
+    ay, by = (low[1] - q[1]) * inverse[1], (high[1] - q[1]) * inverse[1]
+    az, bz = (low[2] - q[2]) * inverse[2], (high[2] - q[2]) * inverse[2]
+    near = max(min(ax, bx), min(ay, by), min(az, bz), np.float32(0.0))
+    far = min(max(ax, bx), max(ay, by), max(az, bz), reach)
+    return near <= far
+
+
+@helper
+def in_front(p, w, plane):
+    """How far `p` lies in front of a face's plane, along the direction `w` to the camera.
+
+    Args:
+        plane: normal and offset, the first four columns of the `triangle_table`.
+    """
+    a, b, c, offset = plane
+    slope = a * w[0] + b * w[1] + c * w[2]
+    if slope == 0.0:
+        slope = np.float32(1e-12)
+    return (a * p[0] + b * p[1] + c * p[2] - offset) / slope
+
+
+@helper
+def behind(p, w, plane):
+    """Whether `p` lies behind a face's plane, seen from the direction `w`: `in_front` <= 0."""
+    a, b, c, offset = plane
+    gap = a * p[0] + b * p[1] + c * p[2] - offset
+    slope = a * w[0] + b * w[1] + c * w[2]
+    return gap * slope <= 0.0
+
+
+@helper
+def line_meets(p, w, a, b, c):
+    """Whether the line through `p` along `w` passes through the triangle a, b, c, either way round.
+
+    Signs of the volumes that the line spans with each edge; the two faces at an edge compute the
+    same number with opposite sign, so no line slips between them.
+    """
+    ax, ay, az = a[0] - p[0], a[1] - p[1], a[2] - p[2]
+    bx, by, bz = b[0] - p[0], b[1] - p[1], b[2] - p[2]
+    cx, cy, cz = c[0] - p[0], c[1] - p[1], c[2] - p[2]
+    ab = w[0] * (ay * bz - az * by) + w[1] * (az * bx - ax * bz) + w[2] * (ax * by - ay * bx)
+    bc = w[0] * (by * cz - bz * cy) + w[1] * (bz * cx - bx * cz) + w[2] * (bx * cy - by * cx)
+    ca = w[0] * (cy * az - cz * ay) + w[1] * (cz * ax - cx * az) + w[2] * (cx * ay - cy * ax)
+    return (ab >= 0.0 and bc >= 0.0 and ca >= 0.0) or (ab <= 0.0 and bc <= 0.0 and ca <= 0.0)

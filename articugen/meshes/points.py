@@ -1,0 +1,237 @@
+"""Clouds to make predictions from: an instance of a shard, or a file of points."""
+
+import io
+import math
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from articugen.core.errors import InvalidSource, UnfitData
+from articugen.core.files import read_regular
+from articugen.core.records import Instance, Normalization, dequantize
+from articugen.core.seeding import generator
+from articugen.meshes.distances import Floats, sample
+from articugen.meshes.ply import claimed_rows
+from articugen.store.shards import Shard, open_shard
+
+FEWEST_POINTS = 64
+LONGEST_EDGE = 0.9
+"""Of an object over all its joint states in the unit frame, as data sets are made."""
+
+MOST_BYTES = 1 << 28
+"""That a file of points may have, and what it unpacks to."""
+
+UNIT = Normalization(np.zeros(3), 1.0)
+
+_SMALLEST_EDGE, _FARTHEST_MIDDLE = 0.3, 0.25
+_POINTS_ON_A_MESH = 8192
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points of a posed shape.
+
+    Attributes:
+        points: (n, 3) in the unit frame.
+        frame: leads back to the file's own frame; the identity for a shard.
+        hint: what looks wrong, in a sentence, or nothing.
+    """
+
+    points: Floats
+    frame: Normalization = UNIT
+    hint: str = ""
+
+
+def cloud_of_shard(
+    path: Path, row: int = 0, *, category: str | None = None, camera: int | None = None
+) -> Cloud:
+    """The surface points of a shard's instance.
+
+    Args:
+        category: what the shard must be of.
+        camera: what this depth camera sees instead.
+
+    Raises:
+        CorruptShard: it cannot be read.
+        InvalidSource: it is of another category, or has no such row or camera.
+    """
+    with open_shard(path) as shard:
+        have = shard.attributes["category"]
+        if category is not None and have != category:
+            raise InvalidSource(f"{path}: holds {have}, the model is of {category}")
+        if row >= len(shard):
+            raise InvalidSource(f"{path}: has {len(shard)} instances, from 0; there is no {row}")
+        return Cloud(checked(dequantize(_stored(shard, row, camera)), str(path)))
+
+
+def _stored(shard: Shard, row: int, camera: int | None) -> Any:
+    if camera is None:
+        return shard.read("surface_points", row)
+    cameras = shard.fields["partial_points"][1]
+    if camera >= cameras:
+        raise InvalidSource(f"{shard.path}: has {cameras} cameras, from 0; there is no {camera}")
+    return shard.read("partial_points", row)[camera]
+
+
+def seen_by_a_camera(instance: Instance) -> Floats:
+    """(M, 3) what one of the instance's depth cameras sees, always the same one.
+
+    Raises:
+        UnfitData: it has none.
+    """
+    cameras = len(instance.partial_points)
+    if not cameras:
+        raise UnfitData(
+            f"{instance.object_id}: has no partial clouds; set sampling.partial_views and make the "
+            "data set again"
+        )
+    chosen = generator(0, "camera", instance.object_id, instance.state_index).integers(cameras)
+    return dequantize(instance.partial_points[chosen])
+
+
+def cloud_of_file(path: Path, *, fit: bool = False) -> Cloud:
+    """The points of a PLY, .npy, .npz or .xyz file, in an order that says nothing.
+
+    Args:
+        fit: the file is in a frame of its own; its bounding box is brought to where a data set's
+            objects are. Theirs is the box over all joint states, which one cloud does not show, so
+            this is an estimate. Axes stay: z must be up, and joints point as the category's do.
+
+    Raises:
+        InvalidSource: it cannot be read, or is no cloud to make sense of.
+    """
+    stored = numbers_of_file(path)
+    name = str(path)
+    points = _finite(stored, name)
+    frame = _box_frame(points, name) if fit else UNIT
+    points = generator(0, "cloud").permutation(checked(frame.to_unit(points), name))
+    return Cloud(points, frame, _hint(points, name))
+
+
+def numbers_of_file(path: Path) -> Floats:
+    """The array that a PLY, .npy, .npz or .xyz file holds, whatever its shape, in its own frame.
+
+    Raises:
+        InvalidSource: it cannot be read.
+    """
+    read = _READERS.get(path.suffix.lower())
+    if read is None:
+        known = ", ".join(_READERS)
+        raise InvalidSource(f"{path}: neither a shard (.h5) nor points ({known})")
+    try:
+        data = read_regular(path, MOST_BYTES)
+    except OSError as error:
+        raise InvalidSource(f"{path}: cannot be read ({error.strerror})") from None
+    try:
+        with np.errstate(all="ignore"):  # of what is no number `checked` tells
+            return np.asarray(read(data), np.float64)
+    except MemoryError:
+        raise
+    except Exception as error:  # whatever a parser meets in a broken file
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise InvalidSource(f"{path}: broken ({reason})") from None
+
+
+def checked(cloud: Floats, name: str) -> Floats:
+    """The cloud (n, 3), if it is one that can be made sense of.
+
+    Raises:
+        InvalidSource: too few points, numbers that are not finite, or points outside the unit cube.
+    """
+    _finite(cloud, name)
+    if np.abs(cloud).max() > 0.5:
+        raise InvalidSource(
+            f"{name}: reaches from {_text(cloud.min(0))} to {_text(cloud.max(0))}, beyond the "
+            "unit frame [-0.5, 0.5]^3; --fit brings it there"
+        )
+    return cloud
+
+
+def _finite(cloud: Floats, name: str) -> Floats:
+    if cloud.ndim != 2 or cloud.shape[1] != 3:
+        raise InvalidSource(f"{name}: numbers of shape {cloud.shape}, not points (n, 3)")
+    if len(cloud) < FEWEST_POINTS:
+        raise InvalidSource(
+            f"{name}: has {len(cloud)} points, too few to say anything; give {FEWEST_POINTS} or "
+            "more"
+        )
+    if not np.isfinite(cloud).all():
+        bad = int((~np.isfinite(cloud)).any(1).sum())
+        raise InvalidSource(f"{name}: {bad} points are not finite numbers; remove them")
+    return cloud
+
+
+def _box_frame(points: Floats, name: str) -> Normalization:
+    low, high = points.min(0), points.max(0)
+    edge = float((high - low).max())
+    if edge == 0.0:
+        raise InvalidSource(f"{name}: all its points are one")
+    return Normalization((low + high) / 2.0, edge / LONGEST_EDGE)
+
+
+def _hint(points: Floats, name: str) -> str:
+    low, high = points.min(0), points.max(0)
+    if (high - low).max() < _SMALLEST_EDGE or np.abs(low + high).max() / 2 > _FARTHEST_MIDDLE:
+        return (
+            f"{name}: reaches from {_text(low)} to {_text(high)}, which is small or off centre for "
+            "the unit frame; --fit if its frame is another"
+        )
+    return ""
+
+
+def _text(vector: Floats) -> str:
+    return "(" + ", ".join(f"{x:.3g}" for x in vector) + ")"
+
+
+def _ply(data: bytes) -> Any:
+    """Vertices; where there are faces, points spread over them."""
+    claimed = claimed_rows(data)
+    found: Any = trimesh.load(io.BytesIO(data), file_type="ply", process=False)
+    if len(getattr(found, "faces", ())):
+        return sample(np.asarray(found.triangles), _POINTS_ON_A_MESH, generator(0, "cloud of mesh"))
+    if len(found.vertices) < claimed.get("vertex", 1):
+        raise ValueError("cut short")
+    return found.vertices
+
+
+def _npy(data: bytes) -> Any:
+    """numpy makes room for what a header claims before it looks whether that is there."""
+    file = io.BytesIO(data)
+    read = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }
+    shape, _, dtype = read[np.lib.format.read_magic(file)](file)
+    if dtype.kind not in "biuf":
+        raise ValueError("holds no numbers")
+    if math.prod(shape) * dtype.itemsize != len(data) - file.tell():
+        raise ValueError("its header does not fit its size")
+    return np.load(io.BytesIO(data), allow_pickle=False)
+
+
+def _npz(data: bytes) -> Any:
+    """The array "points" of a zip archive; numpy would unpack whatever it claims to hold."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        names = archive.namelist()
+        if "points.npy" not in names:
+            known = ", ".join(name.removesuffix(".npy") for name in names[:5])
+            raise ValueError(f"no array named points, only {known or 'none'}")
+        points = archive.getinfo("points.npy")
+        if points.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise ValueError("packed in an unusual way")
+        if points.file_size > MOST_BYTES:
+            raise ValueError("unpacks to too much")
+        return _npy(archive.read("points.npy"))
+
+
+_READERS: dict[str, Callable[[bytes], Any]] = {
+    ".ply": _ply,
+    ".npy": _npy,
+    ".npz": _npz,
+    ".xyz": lambda data: np.loadtxt(io.BytesIO(data), usecols=(0, 1, 2), ndmin=2),
+}

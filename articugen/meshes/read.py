@@ -1,0 +1,332 @@
+"""Mesh files and primitive shapes to `Mesh`: OBJ and STL read here, other formats by mesh_formats.
+
+OBJ has a reader of its own because a real model has up to 270 small OBJ files, and STL because
+trimesh accepts headers that lie. Whatever reads a file, `checked` sees the result.
+"""
+
+import codecs
+import re
+from array import array
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from articugen.core.errors import InvalidSource
+from articugen.core.portable import cos, sin
+from articugen.core.records import Mesh
+from articugen.meshes import scenes
+from articugen.meshes.model_files import ModelFiles, quoted
+from articugen.meshes.scenes import MAX_FACES, MAX_VERTICES
+
+MAX_LINE_BYTES = 2**20
+"""Of an OBJ: a face with so many corners is none."""
+MAX_COORDINATE = 1e9
+"""Largest absolute coordinate; beyond it differences lose everything smaller than 0.1 um."""
+
+_Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
+
+
+_HASHED_ONLY = ContextVar("_HASHED_ONLY", default=False)
+_UNREAD = ContextVar("_UNREAD", default=False)
+
+_NAME_OTHER_FILES = (".glb", ".gltf")
+"""Formats whose files must be understood before one knows all bytes that count."""
+
+STAND_IN = Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32))
+
+
+def of_interest() -> bool:
+    """Whether anybody wants meshes, and neither `hashed_only` nor `unread` holds."""
+    return not (_HASHED_ONLY.get() or _UNREAD.get())
+
+
+def only_hashed() -> bool:
+    """Whether `hashed_only` holds."""
+    return _HASHED_ONLY.get()
+
+
+@contextmanager
+def hashed_only() -> Iterator[None]:
+    """Meanwhile `read_mesh` reads files, so that their bytes count in the model's hash, and makes
+    nothing of them: a stand-in of one triangle. The hash of a sound model is what it always is."""
+    token = _HASHED_ONLY.set(True)
+    try:
+        yield
+    finally:
+        _HASHED_ONLY.reset(token)
+
+
+@contextmanager
+def unread() -> Iterator[None]:
+    """Meanwhile `read_mesh` gives the stand-in without opening a file, for whom a model's joints
+    are all that matters. The model's hash is then of no use."""
+    token = _UNREAD.set(True)
+    try:
+        yield
+    finally:
+        _UNREAD.reset(token)
+
+
+class EmptyMesh(InvalidSource):
+    """A mesh file without a single triangle."""
+
+
+def read_mesh(path: Path, files: ModelFiles | None = None) -> Mesh:
+    """The triangles of a mesh file (.obj, .stl, .ply, .dae, .glb, .gltf), in file units and frame.
+
+    Polygons become fans; nodes of a scene are baked in; materials, lines and points are ignored.
+    Faces that name a vertex twice are dropped, nothing else: no merging, no reordering.
+
+    Args:
+        path: the file.
+        files: reads it (and what a .gltf names), so that it counts in the model's hash; by default
+            only files in the folder of `path` can be read.
+
+    Raises:
+        EmptyMesh: no triangle in it.
+        InvalidSource: unreadable, of an unknown format, inconsistent, too large, or not finite.
+    """
+    files = files or ModelFiles(path.parent)
+    read = _READERS.get(path.suffix.lower())
+    if read is None:
+        raise InvalidSource(
+            f"{path}: {quoted(path.suffix)} is no known mesh format; convert it to one of "
+            f"{', '.join(_READERS)}"
+        )
+    if _UNREAD.get():
+        return STAND_IN
+    data = files.read(path)
+    if _HASHED_ONLY.get() and path.suffix.lower() not in _NAME_OTHER_FILES:
+        return STAND_IN
+    vertices, faces = read(data, path, files)
+    return checked(vertices, faces, path)
+
+
+def checked(vertices: NDArray[np.floating], faces: NDArray[np.integer], path: Path) -> Mesh:
+    """`Mesh` of (V, 3) vertices and (F, 3) faces that came from a stranger.
+
+    Raises:
+        EmptyMesh, InvalidSource: as `read_mesh`.
+    """
+    vertices = np.asarray(vertices, np.float64).reshape(-1, 3)
+    faces = np.asarray(faces, np.int64).reshape(-1, 3)
+    scenes.check_size(path, faces=len(faces), vertices=len(vertices))
+    if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
+        raise InvalidSource(
+            f"{path}: a face names a vertex that is not there ({len(vertices)} vertices); export it"
+            " again"
+        )
+    if not (np.abs(vertices) <= MAX_COORDINATE).all():
+        raise InvalidSource(
+            f"{path}: a coordinate is not finite, or beyond {MAX_COORDINATE:g}; export it again"
+        )
+    a, b, c = faces.T
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    if len(faces) == 0:
+        raise EmptyMesh(
+            f"{path}: has no triangle; remove the <visual> that uses it or export again"
+        )
+    return Mesh(vertices, faces.astype(np.int32))
+
+
+def box(size: ArrayLike) -> Mesh:
+    """A closed box of edge lengths `size` (3,), centred on the origin.
+
+    Raises:
+        ValueError: a length is not above 0.
+    """
+    if not (np.asarray(size) > 0.0).all():
+        raise ValueError(f"a box of the size {np.asarray(size)}; each length must be above 0")
+    corners = np.array([[(i >> 2) & 1, (i >> 1) & 1, i & 1] for i in range(8)]) - 0.5
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return Mesh(
+        corners * np.asarray(size), fans(np.array(quads).ravel(), np.full(6, 4)).astype(np.int32)
+    )
+
+
+def cylinder(radius: float, length: float, sections: int = 64) -> Mesh:
+    """A closed cylinder about z, centred on the origin; `sections` corners on the circle."""
+    return _lathe(
+        np.array([0.0, radius, radius, 0.0]), np.array([-0.5, -0.5, 0.5, 0.5]) * length, sections
+    )
+
+
+def sphere(radius: float, sections: int = 64) -> Mesh:
+    """A closed sphere about the origin, `sections` meridians, half as many parallels."""
+    polar = np.linspace(np.pi, 0.0, sections // 2 + 1)
+    around = sin(polar)
+    around[[0, -1]] = 0.0
+    return _lathe(radius * around, radius * cos(polar), sections)
+
+
+def capsule(radius: float, length: float, sections: int = 64) -> Mesh:
+    """A closed cylinder about z of that length, centred on the origin, with a half sphere on each
+    end; `sections` meridians, half as many parallels on the two halves together."""
+    polar = np.linspace(np.pi, 0.5 * np.pi, sections // 4 + 1)
+    around, along = sin(polar), cos(polar)
+    around[0], along[-1] = 0.0, 0.0
+    half = 0.5 * length
+    return _lathe(
+        radius * np.concatenate([around, around[::-1]]),
+        np.concatenate([radius * along - half, half - radius * along[::-1]]),
+        sections,
+    )
+
+
+def cone(radius: float, height: float, sections: int = 64) -> Mesh:
+    """A closed cone about z with its tip up, centred on the origin as its box is."""
+    return _lathe(np.array([0.0, radius, 0.0]), np.array([-0.5, -0.5, 0.5]) * height, sections)
+
+
+PRIMITIVE_FACES = {"box": 12, "cylinder": 4 * 64, "sphere": 62 * 64, "capsule": 64 * 64}
+"""Triangles of each, to be counted before any is made."""
+
+
+def scaled(mesh: Mesh, scale: ArrayLike) -> Mesh:
+    """`mesh` scaled along x, y, z; a mirrored one is turned outside out again."""
+    mirrored = np.prod(np.sign(scale)) < 0
+    return Mesh(mesh.vertices * np.asarray(scale), mesh.faces[:, ::-1] if mirrored else mesh.faces)
+
+
+def fans(corners: NDArray[np.integer], counts: NDArray[np.integer]) -> NDArray[np.int64]:
+    """Triangles (F, 3) of polygons, each a fan about its first corner.
+
+    Args:
+        corners: the vertex indices of all polygons, one after another.
+        counts: (P,) corners of each polygon; a polygon of fewer than 3 gives nothing.
+    """
+    triangles = np.maximum(counts - 2, 0)
+    start = np.repeat(np.cumsum(counts) - counts, triangles)
+    nth = np.arange(triangles.sum()) - np.repeat(np.cumsum(triangles) - triangles, triangles)
+    picked = np.stack([start, start + nth + 1, start + nth + 2], axis=1)
+    return np.asarray(corners, np.int64)[picked]
+
+
+def _lathe(radii: NDArray[np.float64], heights: NDArray[np.float64], sections: int) -> Mesh:
+    """The closed surface of a profile turned about z: radius 0 at both ends, heights ascending."""
+    turn = 2.0 * np.pi * np.arange(sections) / sections
+    ring = np.stack([cos(turn), sin(turn), np.zeros(sections)], axis=1)
+    rings = [ring * r + [0.0, 0.0, z] for r, z in zip(radii[1:-1], heights[1:-1], strict=True)]
+    poles = [[0.0, 0.0, heights[0]], [0.0, 0.0, heights[-1]]]
+    here = np.arange(sections)
+    there = (here + 1) % sections
+    bottom = len(rings) * sections
+    last = bottom - sections
+    faces = [np.stack([there, here, np.full(sections, bottom)], axis=1)]
+    for low in range(0, last, sections):
+        high = low + sections
+        faces.append(np.stack([low + here, low + there, high + there], axis=1))
+        faces.append(np.stack([low + here, high + there, high + here], axis=1))
+    faces.append(np.stack([last + here, last + there, np.full(sections, bottom + 1)], axis=1))
+    return Mesh(np.concatenate([*rings, poles]), np.concatenate(faces).astype(np.int32))
+
+
+_LONG_OBJ = 2**14
+"""Bytes: shorter ones are not worth the import of a compiled reader."""
+
+_OBJ_LINE = re.compile(rb"^[ \t\v\f]*[vf](?:[ \t\v\f].*)?$", re.MULTILINE)
+
+
+def _read_obj(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
+    """Wavefront OBJ: `v` and `f` lines, also with texture and normal indices, polygons, negative
+    (relative) indices, continued lines and comments. Everything else is ignored."""
+    data = _obj_text(data, path)
+    if len(data) >= _LONG_OBJ:
+        from articugen.meshes.obj_kernel import read_plain  # noqa: PLC0415 - imports numba
+
+        plain = read_plain(data, vertices=MAX_VERTICES, faces=MAX_FACES, line=MAX_LINE_BYTES)
+        if plain is not None:
+            faces = int(np.maximum(plain[2] - 2, 0).sum())
+            scenes.check_size(path, faces=faces, vertices=len(plain[0]))
+            return plain[0], fans(*plain[1:])
+    coordinates, corners, counts = array("d"), array("q"), array("q")
+    faces = 0
+    line = b""
+    try:
+        for line in _obj_lines(data, path):
+            words = line.split()
+            if words[0] == b"v":
+                x, y, z = words[1:4]
+                coordinates.extend((float(x), float(y), float(z)))
+                continue
+            if b"#" in line:
+                words = line.partition(b"#")[0].split()
+            known = len(coordinates) // 3
+            polygon = [int(word.partition(b"/")[0]) for word in words[1:]]
+            corners.extend([i - 1 if i > 0 else known + i if i else -1 for i in polygon])
+            counts.append(len(polygon))
+            faces += max(len(polygon) - 2, 0)
+            if faces > MAX_FACES:
+                break
+    except (ValueError, OverflowError):
+        text = quoted(line[:60].decode(errors="replace"))
+        raise InvalidSource(f"{path}: the line {text} is not OBJ; export it again") from None
+    scenes.check_size(path, faces=faces, vertices=len(coordinates) // 3)
+    return np.array(coordinates, np.float64).reshape(-1, 3), fans(
+        np.array(corners, np.int64), np.array(counts, np.int64)
+    )
+
+
+def _obj_text(data: bytes, path: Path) -> bytes:
+    """Lines that end with a newline, none continued; of no more than a mesh may have."""
+    data = data.removeprefix(codecs.BOM_UTF8)
+    if b"\\" in data:
+        data = re.sub(rb"\\\r?\n", b" ", data)
+    if b"\r" in data:
+        data = data.replace(b"\r", b"\n")
+    scenes.check_size(path, faces=data.count(b"\nf "), vertices=data.count(b"\nv "))
+    return data
+
+
+def _obj_lines(data: bytes, path: Path) -> Iterator[bytes]:
+    """The `v` and `f` lines; no more than a mesh may have, and none too long."""
+    for number, match in enumerate(_OBJ_LINE.finditer(data)):
+        line = match.group()
+        if len(line) > MAX_LINE_BYTES:
+            raise InvalidSource(f"{path}: a line has {len(line):,} bytes; export it again")
+        if number > MAX_FACES + MAX_VERTICES:
+            scenes.check_size(path, faces=number)
+        yield line
+
+
+_STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_STL_VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)")
+
+
+def _read_stl(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
+    """STL, binary where the size fits the count in the header, else ASCII."""
+    count = int.from_bytes(data[80:84], "little")
+    if len(data) == 84 + count * _STL_TRIANGLE.itemsize:
+        scenes.check_size(path, faces=count)
+        corners = np.frombuffer(data, _STL_TRIANGLE, offset=84)["corners"]
+    elif data.lstrip()[:5].lower() == b"solid" and b"\0" not in data:
+        scenes.check_size(path, faces=data.count(b"endfacet"), vertices=data.count(b"vertex"))
+        found = _STL_VERTEX.findall(data)
+        try:
+            corners = np.array([[float(x) for x in vertex] for vertex in found], np.float64)
+        except ValueError:
+            raise InvalidSource(f"{path}: a vertex is not three numbers; export it again") from None
+        if len(corners) != 3 * len(re.findall(rb"\bendfacet\b", data)):
+            raise InvalidSource(f"{path}: a facet has not three vertices; export it again")
+    else:
+        raise InvalidSource(
+            f"{path}: {len(data)} bytes do not hold the {count:,} triangles that its STL"
+            " header claims; export it again"
+        )
+    with np.errstate(invalid="ignore"):  # of what is no number `checked` tells
+        vertices = corners.reshape(-1, 3).astype(np.float64)
+    return vertices, np.arange(len(vertices)).reshape(-1, 3)
+
+
+_READERS: dict[str, Callable[[bytes, Path, ModelFiles], _Arrays]] = {
+    ".obj": _read_obj,
+    ".stl": _read_stl,
+    ".ply": scenes.read_ply,
+    ".dae": scenes.read_dae,
+    ".glb": scenes.read_glb,
+    ".gltf": scenes.read_gltf,
+}

@@ -1,0 +1,289 @@
+"""PLY, COLLADA and glTF through trimesh, which believes files that lie: headers are checked first.
+
+Every reader gives `(vertices (V, 3), faces (F, 3))` with the transforms of a scene's nodes baked
+in; materials and textures are not read. `meshes.checked` sees the result.
+"""
+
+import io
+import json
+import os
+import struct
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.core.errors import InvalidSource, machine_fault
+from articugen.core.geometry import apply
+from articugen.meshes.model_files import ModelFiles, quoted
+from articugen.meshes.ply import claimed_rows
+from articugen.meshes.xml_strict import parse_xml, tostring
+
+MAX_FACES = 1_000_000
+MAX_VERTICES = 3 * MAX_FACES
+"""Of one mesh file, and of an object. Each node of a scene counts: a mesh may hang on many."""
+
+_MAX_NODES = 10_000  # of a scene
+_MAX_DEPTH = 100  # of nodes that instance others
+
+_Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
+
+
+def read_ply(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
+    """PLY, ASCII or binary."""
+    try:
+        claimed = claimed_rows(data)
+    except ValueError as error:
+        raise _broken(path, str(error)) from None
+    check_size(path, faces=claimed.get("face", 0), vertices=claimed.get("vertex", 0))
+    vertices, faces = _through_trimesh(data, path, skip_materials=True)
+    if len(vertices) < claimed.get("vertex", 0) or len(faces) < claimed.get("face", 0):
+        raise _broken(path, "not every face of the PLY header can be read")
+    return vertices, faces
+
+
+def read_dae(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
+    """COLLADA. As in ROS, the file's unit is applied and its up axis is not."""
+    root = parse_xml(data, path)
+    unit = root.find("{*}asset/{*}unit")
+    try:
+        meter = float(unit.get("meter", "1")) if unit is not None else 1.0
+    except ValueError:
+        raise _broken(path, "its <unit> is not a number") from None
+    if not 1e-9 <= meter <= 1e6:
+        raise _broken(path, f"its <unit> of {meter:g} m is none")
+    if root.find(".//{*}instance_controller") is not None:
+        raise _broken(path, "has skinned meshes, which are not read")
+    _check_dae_size(root, path)
+    without_looks = _without(root, *_LOOKS)
+    vertices, faces = _through_trimesh(tostring(without_looks), path, ignore_broken=False)
+    return vertices * meter, faces
+
+
+_LOOKS = (
+    *("library_images", "library_effects", "library_materials", "bind_material"),
+    *("library_cameras", "library_lights", "instance_camera", "instance_light"),
+    *("library_animations", "extra"),
+)
+"""Elements of COLLADA that say nothing of triangles; trimesh would look for textures."""
+
+
+def _without(root: Any, *names: str) -> Any:
+    for name in names:
+        for element in root.findall(f".//{{*}}{name}"):
+            element.getparent().remove(element)
+    return root
+
+
+def _check_dae_size(root: Any, path: Path) -> None:
+    """Refuse scenes of too many triangles, each instance counted, since nodes that instance nodes
+    can double at each step; and nodes that pycollada would take for ever to put together."""
+    faces = {g.get("id"): _dae_faces(g, path) for g in root.iterfind(".//{*}geometry")}
+    nodes = {n.get("id"): n for n in root.iterfind(".//{*}node") if n.get("id")}
+    known: dict[str, tuple[int, int]] = {}
+
+    def size(element: Any, above: tuple[str, ...]) -> tuple[int, int]:
+        """(triangles, nodes) of what hangs on an element."""
+        total = (0, 1)
+        for child in element:
+            name = child.tag.rpartition("}")[2]
+            target = child.get("url", "").removeprefix("#")
+            more = (0, 0)
+            if name == "node":
+                more = size(child, above)
+            elif name == "instance_geometry":
+                more = (faces.get(target, 0), 1)
+            elif name == "instance_node" and target in nodes:
+                if target in above:
+                    raise _broken(path, f"its node {quoted(target)} holds itself")
+                if len(above) > _MAX_DEPTH:
+                    raise _broken(path, f"its nodes are nested more than {_MAX_DEPTH} deep")
+                if target not in known:
+                    known[target] = size(nodes[target], (*above, target))
+                more = known[target]
+            total = (total[0] + more[0], total[1] + more[1])
+        return total
+
+    every = list(root.iterfind(".//{*}node"))
+    if len(every) > _MAX_NODES:
+        raise _broken(path, f"it has more than {_MAX_NODES:,} nodes")
+    for element in (*every, *root.iterfind(".//{*}visual_scene")):
+        triangles, count = size(element, ())
+        check_size(path, faces=triangles)
+        if count > _MAX_NODES:
+            raise _broken(path, f"its scene has more than {_MAX_NODES:,} nodes")
+
+
+_FACES = ("triangles", "polylist", "polygons", "tristrips", "trifans")
+
+
+def _dae_faces(geometry: Any, path: Path) -> int:
+    """How many triangles a geometry says that it has, or has numbers for."""
+    faces = 0
+    try:
+        for element in (e for tag in _FACES for e in geometry.iterfind(f".//{{*}}{tag}")):
+            offsets = [int(i.get("offset", "0")) for i in element.iterfind("{*}input")]
+            texts = [p.text or "" for p in element.iterfind("{*}p")]
+            numbers = sum(text.count(" ") + text.count("\n") for text in texts)
+            corners = numbers // (1 + max(offsets, default=0))
+            faces += max(int(element.get("count") or 0), corners // 3)
+            # pycollada makes room for as many corners as polygons are said to have
+            counts = [int(n) for v in element.iterfind("{*}vcount") for n in (v.text or "").split()]
+            check_size(path, vertices=sum(map(abs, counts)))
+    except (ValueError, ZeroDivisionError):
+        raise _broken(path, "a count or offset of its faces is not a number") from None
+    return faces
+
+
+def read_glb(data: bytes, path: Path, files: ModelFiles) -> _Arrays:
+    """Binary glTF 2.0."""
+    if len(data) < 20 or data[:4] != b"glTF":
+        raise _broken(path, "has no GLB header")
+    version, length, json_length = struct.unpack_from("<III", data, 4)
+    if version != 2 or length != len(data) or json_length > length - 20:
+        raise _broken(path, f"its GLB header does not fit its {len(data)} bytes or is not glTF 2")
+    resolver = _check_gltf(data[20 : 20 + json_length], path, files)
+    return _through_trimesh(data, path, resolver=resolver, skip_materials=True)
+
+
+def read_gltf(data: bytes, path: Path, files: ModelFiles) -> _Arrays:
+    """glTF 2.0 as JSON; its buffers lie inside it or in files of the model."""
+    resolver = _check_gltf(data, path, files)
+    return _through_trimesh(data, path, resolver=resolver, skip_materials=True)
+
+
+def _through_trimesh(data: bytes, path: Path, **options: Any) -> _Arrays:
+    import trimesh  # noqa: PLC0415 - takes a second, and many commands read no mesh
+
+    file_type = path.suffix.lower().lstrip(".")
+    try:
+        scene = trimesh.load_scene(io.BytesIO(data), file_type=file_type, process=False, **options)
+        return _baked(scene, path, trimesh.Trimesh)
+    except (InvalidSource, MemoryError):
+        raise
+    except Exception as error:  # whatever a foreign parser meets in a broken file
+        fault = machine_fault(error)
+        if fault is not None:
+            raise fault from error
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:200].rstrip(": ")
+        raise _broken(path, f"cannot be read as {path.suffix[1:].upper()} ({reason})") from None
+
+
+def _baked(scene: Any, path: Path, kind: type) -> _Arrays:
+    """All triangles of a scene in its world frame, of geometries of that `kind`; mirrored nodes
+    keep their outside outside."""
+    vertices: list[NDArray[np.float64]] = [np.zeros((0, 3))]
+    faces: list[NDArray[np.int64]] = [np.zeros((0, 3), np.int64)]
+    offset = total = 0
+    for node in scene.graph.nodes_geometry:
+        T, name = scene.graph[node]
+        # single precision, as these formats': trimesh's last bits depend on the processor
+        T = T.astype(np.float32).astype(np.float64)
+        mesh = scene.geometry[name]
+        if not isinstance(mesh, kind):
+            continue
+        own = np.asarray(mesh.faces, np.int64).reshape(-1, 3)
+        if own.size and (own.min() < 0 or own.max() >= len(mesh.vertices)):
+            raise _broken(path, f"a face of {name!r} names a vertex that is not there")
+        faces.append((own[:, ::-1] if np.linalg.det(T[:3, :3]) < 0 else own) + offset)
+        vertices.append(apply(T, mesh.vertices))
+        offset += len(mesh.vertices)
+        total += len(own)
+        check_size(path, faces=total, vertices=offset)
+    return np.concatenate(vertices), np.concatenate(faces)
+
+
+class _Buffers(dict[str, bytes]):
+    """The resolver trimesh asks for the external buffers of a glTF file; it has no other files."""
+
+    def get(self, key: str, default: Any = None) -> Any:
+        return self[key]
+
+
+def _check_gltf(text: bytes, path: Path, files: ModelFiles) -> _Buffers:
+    """Refuse a glTF document that trimesh would misread; give it the buffers it names."""
+    try:
+        document = json.loads(text)
+        faces = _check_triangles(document, path)
+        _check_nodes(document.get("nodes", []), faces, path)
+        names = [b["uri"] for b in document.get("buffers", []) if "uri" in b]
+    except (ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError) as error:
+        reason = f"{type(error).__name__}: {error}"[:200]
+        raise _broken(path, f"not a glTF document ({reason})") from None
+    buffers = _Buffers()
+    for name in names:
+        if not isinstance(name, str):
+            raise _broken(path, f"the uri of a buffer is {name!r}, not a text"[:200])
+        if not name.startswith("data:"):
+            buffers[name] = _buffer(name, path, files)
+    return buffers
+
+
+def _buffer(name: str, path: Path, files: ModelFiles) -> bytes:
+    """A file that a glTF document names; `name` is relative to the document."""
+    inside = unquote(name)
+    if "\0" not in inside:
+        inside = os.path.relpath(path.resolve().parent / inside, files.folder)
+    found = files.find(inside, f"{path}: buffer {quoted(name)}")
+    if found is None:
+        raise InvalidSource(f"{path}: its buffer {quoted(name)} is missing; put it beside it")
+    return files.read(found)
+
+
+def _check_triangles(document: dict[str, Any], path: Path) -> list[int]:
+    """The triangles of each mesh. Positions are plain floats that lie in a buffer; compressed or
+    sparse ones are refused."""
+    faces = []
+    for mesh in document.get("meshes", []):
+        faces.append(0)
+        for primitive in mesh["primitives"]:
+            if primitive.get("mode", 4) == 6:
+                raise _broken(path, "has triangle fans, which are not read")
+            used = [primitive["attributes"]["POSITION"]]
+            used += [primitive["indices"]] if "indices" in primitive else []
+            accessors = [document["accessors"][i] for i in used]
+            if any("bufferView" not in a or "sparse" in a for a in accessors):
+                raise _broken(path, "has compressed or sparse geometry, which is not read")
+            if accessors[0]["componentType"] != 5126:
+                raise _broken(path, "has quantised positions, which are not read")
+            if any(not 0 < a["count"] <= MAX_VERTICES for a in accessors):
+                raise _broken(path, "an accessor has no or too many elements")
+            faces[-1] += accessors[-1]["count"] // 3
+    for view in document.get("bufferViews", []):
+        if view.get("byteOffset", 0) < 0 or view["byteLength"] < 0:
+            raise _broken(path, "a buffer view has a negative size or offset")
+    return faces
+
+
+def _check_nodes(nodes: list[dict[str, Any]], faces: list[int], path: Path) -> None:
+    """Nodes form trees, as the format demands: no node has two parents or is its own ancestor; and
+    the meshes on them (of so many `faces`) are not too much together."""
+    children = [child for node in nodes for child in node.get("children", [])]
+    if len(set(children)) < len(children) or not set(children) <= set(range(len(nodes))):
+        raise _broken(path, "its nodes do not form a tree")
+    reached = sorted(set(range(len(nodes))) - set(children))
+    for i in reached:  # grows while it is walked; a loop is never reached from a root
+        reached += nodes[i].get("children", [])
+    if len(reached) < len(nodes):
+        raise _broken(path, "its nodes form a loop")
+    if len(nodes) > _MAX_NODES:
+        raise _broken(path, f"its scene has more than {_MAX_NODES:,} nodes")
+    check_size(path, faces=sum(faces[node["mesh"]] for node in nodes if "mesh" in node))
+
+
+def check_size(path: Path, *, faces: float = 0, vertices: float = 0) -> None:
+    """Refuse a mesh of too many triangles or vertices, best before any is made.
+
+    Raises:
+        InvalidSource: there are more than MAX_FACES or MAX_VERTICES.
+    """
+    if faces > MAX_FACES or vertices > MAX_VERTICES:
+        raise InvalidSource(
+            f"{path}: more than {MAX_FACES:,} triangles or {MAX_VERTICES:,} vertices; simplify it"
+        )
+
+
+def _broken(path: Path, problem: str) -> InvalidSource:
+    return InvalidSource(f"{path}: {problem}; export it again")

@@ -1,0 +1,60 @@
+"""XML from strangers: parsed without recovery, entities, network or DOCTYPE."""
+
+from pathlib import Path
+from typing import Any
+
+from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
+
+from articugen.core.errors import InvalidSource
+
+
+def parse_xml(data: bytes, path: Path) -> Any:
+    """The root element (lxml) of a well-formed document without DOCTYPE, comments removed.
+
+    libxml2's own limits stay on (`huge_tree=False`): depth 256, 10 MB in one text.
+
+    Args:
+        data: the bytes of the file.
+        path: its name, for messages only.
+
+    Raises:
+        InvalidSource: not well-formed, too deep, too large, or with a DOCTYPE.
+        MemoryError: libxml2 gets no memory.
+    """
+    parser = etree.XMLParser(
+        resolve_entities=False,
+        no_network=True,
+        load_dtd=False,
+        huge_tree=False,
+        recover=False,
+        remove_comments=True,
+        remove_pis=True,
+    )
+    try:
+        root = etree.fromstring(data, parser)
+    except (etree.XMLSyntaxError, ValueError, LookupError) as error:
+        if getattr(error, "code", None) == etree.ErrorTypes.ERR_NO_MEMORY:
+            raise MemoryError(f"{path}: no memory to read it") from None
+        reason = " ".join(str(error).split())[:200]
+        raise InvalidSource(
+            f"{path}: not well-formed XML ({reason}); correct it there, nothing is guessed"
+        ) from None
+    if root.getroottree().docinfo.doctype:
+        raise InvalidSource(f"{path}: has a DOCTYPE, which is refused; remove it from the file")
+    return root
+
+
+def drop_default_namespaces(root: Any) -> None:
+    """Have elements without a prefix belong to no namespace, whatever `xmlns=` says.
+
+    That is how readers that know no namespaces (urdfdom's TinyXML) see them.
+    """
+    for element in root.iter("*"):
+        if element.prefix is None and element.tag.startswith("{"):
+            element.tag = element.tag.rpartition("}")[2]
+    etree.cleanup_namespaces(root)
+
+
+def tostring(root: Any) -> bytes:
+    """The document of a root element; in ASCII, names of other letters would be no names."""
+    return etree.tostring(root, encoding="utf-8")

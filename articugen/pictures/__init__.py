@@ -1,0 +1,1 @@
+"""Pictures for people: points and meshes in light."""

@@ -1,0 +1,59 @@
+"""A pinhole camera that an object fills the picture of."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.core.geometry import apply, invert_rigid, look_along
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera: `T_camera_world` (4, 4), focal length and principal point in pixels.
+
+    Axes as in `records.Views`; images are `size` pixels wide and high.
+    """
+
+    T_camera_world: Array
+    focal: float
+    cx: float
+    cy: float
+    size: int
+
+    @cached_property
+    def rays(self) -> Array:
+        """(size, size, 3) world directions through the pixels' centres, of unit depth."""
+        at = np.arange(self.size) + 0.5
+        x, y = np.meshgrid((at - self.cx) / self.focal, (at - self.cy) / self.focal)
+        T_world_camera = invert_rigid(self.T_camera_world)
+        return apply(T_world_camera, np.stack([x, y, np.ones_like(x)], axis=-1)) - self.eye
+
+    @property
+    def eye(self) -> Array:
+        return -self.T_camera_world[:3, :3].T @ self.T_camera_world[:3, 3]
+
+
+def framed(points: Array, azimuth: float, elevation: float, size: int, *, fill: float) -> Camera:
+    """The camera at `azimuth`, `elevation` (rad) whose square image `points` (n, 3) fill.
+
+    `fill` is the fraction of the width or height that their box takes, the larger of the two.
+    """
+    toward_eye = np.array(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ]
+    )
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    T_camera_world = look_along(-toward_eye, middle + 3.5 * toward_eye)
+    seen = apply(T_camera_world, points)
+    flat = seen[:, :2] / seen[:, 2:]
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    focal = fill * size / (high - low).max()
+    cx, cy = 0.5 * size - focal * 0.5 * (low + high)
+    return Camera(T_camera_world, focal, cx, cy, size)

@@ -1,0 +1,198 @@
+"""A contact sheet: some objects, each in some of its joint states, coloured by part.
+
+The pictures are drawn from stored data alone. The surface points of many instances of an object are
+brought to its canonical pose by the stored motions of their parts, which makes a dense cloud, and
+from there to each pose that is drawn. So what is wrong in a shard shows: points that are off as
+specks, a wrong `part_motion` or part label as a blurred or doubled part. But what is wrong in one
+instance shows in all pictures of its object.
+"""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.core.colours import colour_of
+from articugen.core.errors import ArticugenError, InvalidArgument
+from articugen.core.files import check_place
+from articugen.core.records import Instance, JointKind, dequantize
+from articugen.pictures.layout import TILE, Caption, Row, save, sheet
+from articugen.pictures.portrait import best_azimuth, pooled, portrait, tile_camera
+from articugen.pictures.shading import Picture
+from articugen.pictures.surfels import Surfels
+from articugen.store.shards import Shard, open_shard
+
+Array = NDArray[np.float64]
+T = TypeVar("T")
+
+Place = tuple[Path, int]
+"""A shard and an instance's index in it."""
+
+POOLED = 16
+"""The points of so many instances of an object, or of all that there are, make its pictures."""
+
+ASKED = 4
+"""Objects of a category, of those that are drawn, that say from which side it is seen."""
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """An object to draw, and where its instances are."""
+
+    category: str
+    split: str
+    object_id: str
+    places: list[Place]
+
+
+@dataclass(frozen=True, eq=False)
+class Portraits:
+    """An object's row: `instances`, a picture of each, and what its joints' states are."""
+
+    object_id: str
+    split: str
+    instances: tuple[Instance, ...]
+    pictures: tuple[Picture, ...]
+
+    @property
+    def captions(self) -> tuple[Caption, ...]:
+        return tuple(map(_states, self.instances))
+
+
+@dataclass(frozen=True, eq=False)
+class _Object:
+    """`instances` to draw; `discs` in the canonical pose, from the points of many instances."""
+
+    chosen: Chosen
+    instances: tuple[Instance, ...]
+    discs: Surfels
+
+    @property
+    def points(self) -> Array:
+        return np.concatenate([dequantize(i.surface_points) for i in self.instances])
+
+    @property
+    def floor(self) -> float:
+        return float(self.points[:, 2].min())
+
+
+def contact_sheet(shards: Sequence[Path], path: Path, *, objects: int = 4, states: int = 6) -> None:
+    """Draw `objects` rows of `states` instances each, chosen evenly from `shards`, as a PNG.
+
+    Raises:
+        CorruptShard: a shard cannot be read.
+        ArticugenError: there is nothing to draw, `path` is not named like a PNG, or it cannot be
+            written.
+    """
+    if path.suffix.lower() != ".png":  # it may be somebody's data
+        raise InvalidArgument(f"{path}: a contact sheet is a PNG; give it a name ending in .png")
+    check_place(path)
+    drawn = portraits(chosen_of(shards, objects), states=states)
+    rows = [Row(f"{d.object_id}  {d.split}", d.pictures, d.captions) for d in drawn]
+    save(sheet(rows), path)
+
+
+def portraits(
+    chosen: Sequence[Chosen], *, states: int, pooling: int = POOLED, size: int = TILE
+) -> list[Portraits]:
+    """Pictures of objects in `states` instances each.
+
+    The first instance of an object is the canonical pose; the others are in the order of how far
+    their joints have moved. A category is seen from the side that shows most of its parts.
+
+    Args:
+        pooling: the points of so many of an object's instances make its pictures.
+        size: of a picture, pixels.
+
+    Raises:
+        CorruptShard: a shard cannot be read.
+    """
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        drawn = list(pool.map(lambda c: _object(c, states, pooling), chosen))
+        widest: dict[str, list[Instance]] = {}
+        for each in drawn:
+            widest.setdefault(each.chosen.category, []).append(each.instances[-1])
+        azimuth = {name: best_azimuth(_evenly(many, ASKED)) for name, many in widest.items()}
+        cameras = [tile_camera(o.points, azimuth[o.chosen.category], size) for o in drawn]
+        tiles = [(o, i, c) for o, c in zip(drawn, cameras, strict=True) for i in o.instances]
+        pictures = pool.map(lambda t: portrait(t[0].discs, t[1], t[2], t[0].floor), tiles)
+    return [
+        Portraits(
+            o.chosen.object_id,
+            o.chosen.split,
+            o.instances,
+            tuple(next(pictures) for _ in o.instances),
+        )
+        for o in drawn
+    ]
+
+
+def chosen_of(shards: Sequence[Path], objects: int) -> list[Chosen]:
+    """So many of the objects in the shards, chosen evenly.
+
+    Raises:
+        CorruptShard: a shard cannot be read.
+        ArticugenError: no surface points are stored.
+    """
+    where: dict[tuple[str, str, str], list[Place]] = {}
+    for path in shards:
+        with open_shard(path) as shard:
+            if shard.fields["surface_points"][1] < 2:
+                continue
+            category, split = (str(shard.attributes[name]) for name in ("category", "split"))
+            for index, object_id in enumerate(shard.object_ids()):
+                where.setdefault((category, split, object_id), []).append((path, index))
+    if not where:
+        raise ArticugenError(
+            f"{shards[0].parent}: no surface points to draw; ask for some in the recipe"
+        )
+    return some_of([Chosen(*key, places) for key, places in where.items()], objects)
+
+
+def some_of(every: Sequence[Chosen], count: int) -> list[Chosen]:
+    """So many of them, chosen evenly, those for training first."""
+    order = sorted(every, key=lambda c: (c.split != "train", c.category, c.split, c.object_id))
+    return _evenly(order, count)
+
+
+def _object(chosen: Chosen, states: int, pooling: int) -> _Object:
+    with ExitStack() as stack:
+        paths = {path for path, _ in chosen.places}
+        opened = {path: stack.enter_context(open_shard(path)) for path in paths}
+        moved = {path: _moved(shard) for path, shard in opened.items()}
+        places = sorted(chosen.places, key=lambda place: moved[place[0]][place[1]])
+        drawn, pool = _evenly(places, states), _evenly(places, pooling)
+        read = {(p, index): opened[p].instance(index) for p, index in {*drawn, *pool}}
+    instances = tuple(read[place] for place in drawn)
+    return _Object(chosen, instances, pooled([read[place] for place in pool]))
+
+
+def _evenly(items: Sequence[T], count: int) -> list[T]:
+    picked = np.linspace(0, len(items) - 1, min(count, len(items)))
+    return [items[round(i)] for i in picked]
+
+
+def _moved(shard: Shard) -> Array:
+    """(n,) how far the joints of each row have moved, the canonical pose before all others."""
+    q, upper = shard.read("joint_state"), shard.read("joint_upper")
+    far = np.abs(q / np.where(upper == 0.0, 1.0, upper)).sum(axis=1)
+    return np.where(shard.read("state_index") == 0, -np.inf, far)
+
+
+def _states(instance: Instance) -> Caption:
+    """The joint states, each in the colour of its part."""
+    J = len(instance.joint_state)
+    return [(_state(instance, j), colour_of(j + 1)) for j in range(J)]
+
+
+def _state(instance: Instance, joint: int) -> str:
+    q = float(instance.joint_state[joint])
+    if instance.joint_kind[joint] == JointKind.REVOLUTE:
+        return f"{np.degrees(q):.0f}°"
+    return f"{100.0 * q * instance.scale:.0f} cm"

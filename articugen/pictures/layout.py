@@ -1,0 +1,93 @@
+"""Captioned pictures in rows."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from PIL import Image, ImageDraw, ImageFont
+
+from articugen.core.files import written_atomically
+from articugen.pictures.shading import PAPER, Picture
+
+INK, GREY = "#333333", "#8a8a8a"
+
+TILE, MARGIN, CAPTION, GAP = 288, 10, 22, 12
+
+Caption = Sequence[tuple[str, str]]
+"""Texts, each after a dot of its colour, if it has one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """A title above, pictures of TILE x TILE pixels, and a caption under each."""
+
+    title: str
+    pictures: Sequence[Picture]
+    captions: Sequence[Caption]
+
+
+def sheet(rows: Sequence[Row]) -> Picture:
+    """The rows under each other; captions wider than a tile take several lines."""
+    columns = max(len(row.pictures) for row in rows)
+    captions = [[_lines(caption) for caption in row.captions] for row in rows]
+    heights = [TILE + CAPTION * (1 + max(map(len, row), default=1)) for row in captions]
+    canvas = Image.new("RGB", (2 * MARGIN + columns * TILE, 2 * MARGIN + sum(heights)), PAPER)
+    pen = ImageDraw.Draw(canvas)
+    for r, row in enumerate(rows):
+        top = MARGIN + sum(heights[:r])
+        pen.text((MARGIN + 6, top + 2), row.title, GREY, ImageFont.load_default(14))
+        for c, (picture, lines) in enumerate(zip(row.pictures, captions[r], strict=True)):
+            x = MARGIN + c * TILE
+            canvas.paste(picture, (x, top + CAPTION))
+            for k, line in enumerate(lines):
+                _write(pen, line, x + TILE // 2, top + CAPTION * (1 + k) + TILE)
+    return canvas
+
+
+def in_columns(sheets: Sequence[Picture], columns: int) -> Picture:
+    """Sheets in rows of so many, each as far from the next as its margin says."""
+    width = max(sheet.width for sheet in sheets)
+    rows = [sheets[at : at + columns] for at in range(0, len(sheets), columns)]
+    heights = [max(sheet.height for sheet in row) for row in rows]
+    canvas = Image.new("RGB", (width * min(columns, len(sheets)), sum(heights)), PAPER)
+    for r, row in enumerate(rows):
+        for c, sheet in enumerate(row):
+            canvas.paste(sheet, (c * width, sum(heights[:r])))
+    return canvas
+
+
+def save(picture: Picture, path: Path) -> None:
+    """Write a PNG, in place of what is called so: a link to elsewhere, say.
+
+    Raises:
+        MachineFault: `path` cannot be written.
+    """
+    with written_atomically(path) as file:
+        picture.save(file, "PNG", compress_level=6)
+
+
+def _lines(caption: Caption) -> list[Caption]:
+    """The caption in lines that are no wider than a tile, as even as can be."""
+    widths = [_width(entry) for entry in caption]
+    most = max(int((TILE + GAP) / (max(widths, default=0.0) + GAP)), 1)
+    if sum(widths) + GAP * (len(widths) - 1) <= TILE:
+        most = len(caption)
+    count = -(-len(caption) // most) if caption else 1
+    each = -(-len(caption) // count)
+    return [caption[k * each : (k + 1) * each] for k in range(count)]
+
+
+def _width(entry: tuple[str, str]) -> float:
+    text, colour = entry
+    return 16 * bool(colour) + ImageFont.load_default(14).getlength(text)
+
+
+def _write(pen: ImageDraw.ImageDraw, line: Caption, middle: int, top: int) -> None:
+    font = ImageFont.load_default(14)
+    widths = [_width(entry) for entry in line]
+    x = middle - (sum(widths) + GAP * (len(widths) - 1)) / 2
+    for (text, colour), width in zip(line, widths, strict=True):
+        if colour:
+            pen.ellipse((x, top + 4, x + 10, top + 14), colour)
+        pen.text((x + 16 * bool(colour), top), text, INK, font)
+        x += width + GAP

@@ -1,0 +1,138 @@
+"""Pictures of an object coloured by part: of its stored points, or of a triangle mesh.
+
+The surface points of many instances of an object are brought to its canonical pose by the stored
+motions of their parts, which makes a dense cloud, and from there to each pose that is drawn.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.core.colours import colour_of
+from articugen.core.geometry import apply, invert_rigid, rotation_about, transform
+from articugen.core.records import Instance, JointKind, dequantize
+from articugen.pictures.camera import Camera, framed
+from articugen.pictures.layout import TILE
+from articugen.pictures.light import SurfaceCloud
+from articugen.pictures.shading import SUPERSAMPLING, Picture, linear, shaded
+from articugen.pictures.solids import ColouredMesh, draw_solid, spread
+from articugen.pictures.surfels import OrientedPoints, Surfels, draw, surfels
+
+Array = NDArray[np.float64]
+
+NOTHING = ColouredMesh(np.zeros((0, 3, 3)), np.zeros(0, np.int64), ())
+
+AZIMUTHS = tuple(np.radians((-35.0, 35.0, 145.0, 215.0)))
+ELEVATION = float(np.radians(27.0))
+
+AJAR = 0.35
+"""Of its joints' ranges, how far what can be turned is open at first: shut, nothing seems to move.
+"""
+
+SWEPT = np.linspace(0.0, 1.0, 7)
+"""Shares of their ranges at which joints are looked at together."""
+
+
+def oriented_points(instance: Instance) -> OrientedPoints:
+    """The stored surface points of an instance."""
+    normals = instance.surface_normals.astype(np.float64)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return OrientedPoints(dequantize(instance.surface_points), normals, instance.surface_part)
+
+
+def pooled(instances: Sequence[Instance]) -> Surfels:
+    """Discs of one object in its canonical pose, from the points of all these instances."""
+    return surfels([oriented_points(i).moved(invert_rigid(i.part_motion)) for i in instances])
+
+
+def tile_camera(points: Array, azimuth: float, size: int = TILE) -> Camera:
+    """The camera whose tile of `size` pixels the points (n, 3) fill."""
+    return framed(points, azimuth, ELEVATION, SUPERSAMPLING * size, fill=0.86)
+
+
+def best_azimuth(instances: Sequence[Instance]) -> float:
+    """The side from which most of the parts of these instances can be seen."""
+    posed = [surfels([oriented_points(instance)]) for instance in instances]
+    return max(AZIMUTHS, key=lambda azimuth: sum(_seen(discs, azimuth) for discs in posed))
+
+
+def _seen(discs: Surfels, azimuth: float) -> float:
+    """How much of the parts can be seen from this side: their fractions, added up."""
+    camera = framed(discs.points, azimuth, ELEVATION, 128, fill=0.9)
+    depth, _, _ = draw(discs, np.zeros((len(discs.points), 0)), camera)
+    x, y, z = apply(camera.T_camera_world, discs.points).T
+    column = (camera.focal * x / z + camera.cx).astype(int)
+    row = (camera.focal * y / z + camera.cy).astype(int)
+    seen = np.bincount(discs.part[z < depth[row, column] + discs.spacing], minlength=256)
+    return float((seen / np.maximum(np.bincount(discs.part, minlength=256), 1)).sum())
+
+
+def swept(canonical: Instance) -> Array:
+    """(n, 3) where its surface points come when its joints go through their ranges together."""
+    points, J = dequantize(canonical.surface_points), len(canonical.joint_kind)
+    everywhere = []
+    for share in SWEPT:
+        motion = np.tile(np.eye(4), (J + 1, 1, 1))
+        for j in range(J):  # parents come before their children
+            axis, pivot = canonical.joint_axis[j], canonical.joint_pivot[j]
+            q = (1.0 - share) * canonical.joint_lower[j] + share * canonical.joint_upper[j]
+            if canonical.joint_kind[j] == JointKind.PRISMATIC:
+                moved = transform(translation=q * axis)
+            else:
+                R = rotation_about(axis, q)
+                moved = transform(R, pivot - R @ pivot)
+            motion[j + 1] = motion[canonical.joint_parent[j]] @ moved
+        for part in range(J + 1):
+            everywhere.append(apply(motion[part], points[canonical.surface_part == part]))
+    return np.concatenate(everywhere)
+
+
+def portrait(
+    discs: Surfels,
+    instance: Instance,
+    camera: Camera,
+    floor: float,
+    *,
+    beside: ColouredMesh = NOTHING,
+) -> Picture:
+    """An instance, drawn with the `pooled` discs of its object in the colours of its parts.
+
+    Args:
+        floor: the height of what it stands on.
+        beside: drawn as well, without a shadow.
+    """
+    posed, own = discs.moved(instance.part_motion), oriented_points(instance)
+    coarse = SurfaceCloud(own.points, own.normals, np.full(len(own.points), own.spacing() ** 2))
+    palette = _palette([colour_of(k) for k in range(256)])
+    seen = nearer(draw(posed, palette[posed.part], camera), _drawn(beside, camera))
+    return shaded(seen, camera, coarse, posed.cloud, floor)
+
+
+def solid_portrait(
+    solid: ColouredMesh, camera: Camera, floor: float, *, beside: ColouredMesh = NOTHING
+) -> Picture:
+    """A mesh as `portrait` draws points; an empty picture where there is none."""
+    seen = nearer(_drawn(solid, camera), _drawn(beside, camera))
+    coarse, fine = (spread(solid.triangles, count) for count in (8192, 65536))
+    return shaded(seen, camera, coarse, fine, floor)
+
+
+def _drawn(solid: ColouredMesh, camera: Camera) -> tuple[Array, Array, Array]:
+    return draw_solid(solid, _palette(solid.colours), camera)
+
+
+def _palette(colours: Sequence[str]) -> Array:
+    return np.array([linear(colour) for colour in colours]).reshape(-1, 3)
+
+
+def nearer(
+    a: tuple[Array, Array, Array], b: tuple[Array, Array, Array]
+) -> tuple[Array, Array, Array]:
+    """Of two drawings by one camera, at each pixel the one that is nearer."""
+    first = (a[0] <= b[0])[..., None]
+    return (
+        np.minimum(a[0], b[0]),
+        np.where(first, a[1], b[1]),
+        np.where(first, a[2], b[2]),
+    )

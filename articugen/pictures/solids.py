@@ -1,0 +1,152 @@
+"""Pictures of triangle meshes: depth, smooth normals and the colour of what each pixel sees."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.core.geometry import look_along, pick_by_weight, points_in_triangles
+from articugen.core.records import LabelledMesh, Views
+from articugen.pictures.camera import Camera
+from articugen.pictures.light import SurfaceCloud
+from articugen.rendering.rasterizer import render
+
+Array = NDArray[np.float64]
+
+CREASE = np.cos(np.radians(35.0))
+"""Where a face is turned further than this from the mean around a corner, the corner is sharp."""
+
+_PLACES = 1 << 18
+"""Corners that agree along each axis in so many places of the box are the same one."""
+
+
+@dataclass(frozen=True, eq=False)
+class ColouredMesh:
+    """Coloured triangles.
+
+    Attributes:
+        triangles: (F, 3, 3), corners counter-clockwise as seen from outside.
+        group: (F,) what each belongs to; shading is smooth within a group.
+        colours: #rrggbb of each group.
+    """
+
+    triangles: Array
+    group: NDArray[np.int64]
+    colours: Sequence[str]
+
+    @staticmethod
+    def joined(solids: Sequence["ColouredMesh"]) -> "ColouredMesh":
+        """All of them in one."""
+        first = np.cumsum([0] + [len(solid.colours) for solid in solids])
+        return ColouredMesh(
+            np.concatenate([np.zeros((0, 3, 3)), *(solid.triangles for solid in solids)]),
+            np.concatenate([
+                np.zeros(0, np.int64), *(s.group + n for s, n in zip(solids, first, strict=False))
+            ]),
+            [colour for solid in solids for colour in solid.colours],
+        )  # fmt: skip
+
+
+def arrow(tail: Array, tip: Array, radius: float, colour: str) -> ColouredMesh:
+    """A shaft with a cone at its `tip`, of 24 sides."""
+    along = _unit(tip - tail)
+    side = look_along(along)[0, :3]
+    turn = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    ring = np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * np.cross(along, side)
+    neck = tip - 6.0 * radius * along
+    profile = [(tail, 0.0), (tail, radius), (neck, radius), (neck, 2.5 * radius), (tip, 0.0)]
+    rings = [at + r * ring for at, r in profile]
+    triangles = []
+    for low, high in pairwise(rings):
+        a, b, c, d = low, np.roll(low, -1, 0), np.roll(high, -1, 0), high
+        triangles += [np.stack([a, b, c], 1), np.stack([a, c, d], 1)]
+    group = np.repeat(np.arange(4), 2 * 24)
+    return ColouredMesh(np.concatenate(triangles), group, [colour] * 4)
+
+
+def draw_solid(solid: ColouredMesh, values: Array, camera: Camera) -> tuple[Array, Array, Array]:
+    """A solid, all of it in front of the camera, as that sees it.
+
+    Args:
+        values: (G, C) of each group, for instance colours.
+
+    Returns:
+        Depth (H, W), inf where nothing is; unit normals (H, W, 3) towards the camera;
+        values (H, W, C).
+    """
+    size = (camera.size, camera.size)
+    triangles, group = solid.triangles, solid.group
+    faces = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
+    mesh = LabelledMesh(triangles.reshape(-1, 3), faces, np.zeros(len(faces), np.uint8))
+    maps = render(mesh, _views(camera))
+    assert maps.depth is not None
+    assert maps.face is not None
+    depth, face = maps.depth[0].astype(np.float64), maps.face[0]
+    hit = face >= 0
+    normals, drawn = np.zeros((*size, 3)), np.zeros((*size, values.shape[1]))
+    if hit.any():
+        which, rays = face[hit], camera.rays[hit]
+        at = camera.eye + depth[hit][:, None] * rays
+        corner = _corner_normals(triangles, group)[which]
+        smooth = np.einsum("nc,nci->ni", _barycentric(at, triangles[which]), corner)
+        smooth /= np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-12)
+        away = (smooth * rays).sum(1, keepdims=True) > 0.0
+        normals[hit] = np.where(away, -smooth, smooth)
+        drawn[hit] = values[group[which]]
+    return depth, normals, drawn
+
+
+def spread(triangles: Array, count: int) -> SurfaceCloud:
+    """About `count` points over triangles (F, 3, 3), evenly by area."""
+    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    twice = np.linalg.norm(normal, axis=1)
+    if not twice.any():
+        return SurfaceCloud(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+    rank = np.arange(count)
+    face = pick_by_weight(twice, (rank + 0.5) / count)
+    a = (0.5 + rank * 0.7548776662466927) % 1.0  # the R2 sequence (Roberts 2018)
+    b = (0.5 + rank * 0.5698402909980532) % 1.0
+    points = points_in_triangles(triangles[face], a[:, None], b[:, None])
+    area = np.full(count, 0.5 * twice.sum() / count)
+    return SurfaceCloud(points, normal[face] / twice[face, None], area)
+
+
+def _views(camera: Camera) -> Views:
+    one = np.ones(1)
+    return Views(
+        "pinhole", camera.T_camera_world[None], camera.focal * one, camera.focal * one,
+        camera.cx * one, camera.cy * one, camera.size, camera.size,
+    )  # fmt: skip
+
+
+def _corner_normals(triangles: Array, group: NDArray[np.int64]) -> Array:
+    """(F, 3, 3) unit normals at the corners: the mean by area of the faces of a group that meet
+    there, or the face's own where it is turned far away from that."""
+    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    low, size = triangles.min((0, 1)), max(float(np.ptp(triangles, axis=(0, 1)).max()), 1e-9)
+    x, y, z = ((triangles.reshape(-1, 3) - low) / size * (_PLACES - 1)).round().astype(np.int64).T
+    place = ((np.repeat(group, 3) * _PLACES + x) * _PLACES + y) * _PLACES + z
+    _, vertex = np.unique(place, return_inverse=True)
+    total = np.zeros((vertex.max() + 1, 3))
+    np.add.at(total, vertex, np.repeat(normal, 3, axis=0))
+    mean = _unit(total)[vertex].reshape(-1, 3, 3)
+    own = _unit(normal)[:, None]
+    sharp = (mean * own).sum(2, keepdims=True) < CREASE
+    return np.where(sharp, own, mean)
+
+
+def _unit(vectors: Array) -> Array:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
+
+
+def _barycentric(points: Array, triangles: Array) -> Array:
+    """(n, 3) weights of the corners of each point's triangle, none below 0."""
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    normal = np.cross(b - a, c - a)
+    size = np.maximum((normal * normal).sum(1), 1e-30)
+    v = (np.cross(points - a, c - a) * normal).sum(1) / size
+    w = (np.cross(b - a, points - a) * normal).sum(1) / size
+    weights = np.clip(np.stack([1.0 - v - w, v, w], axis=1), 0.0, 1.0)
+    return weights / np.maximum(weights.sum(1, keepdims=True), 1e-12)

@@ -1,0 +1,52 @@
+"""Tidying up after runs that were killed: what they left and nobody will need."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from articugen.pipeline.journal import Journal, data_sets
+
+
+@dataclass(frozen=True)
+class Leftover:
+    """A file that a killed run left.
+
+    Attributes:
+        path: of it.
+        why: it is not needed, in a few words.
+        bytes: that it takes.
+    """
+
+    path: Path
+    why: str
+    bytes: int
+
+
+def clean(path: Path, *, dry_run: bool = False) -> list[Leftover]:
+    """Remove what killed runs left in a data set, or in the data sets of a folder.
+
+    That is temporary files, shards that were written but not recorded, pages that a manifest does
+    not list, and a journal beside a whole manifest. What is recorded as finished stays, and so does
+    the journal of a run that can go on, and whatever is not what its name tells. No link is
+    followed or removed.
+
+    Args:
+        path: the folder of a data set, or of such folders.
+        dry_run: only say what would be removed.
+
+    Raises:
+        CorruptShard: there is no data set, or its manifest or journal is damaged.
+        ArticugenError: a run is at work there.
+        MachineFault: something cannot be read or removed.
+    """
+    found: list[Leftover] = []
+    for folder in data_sets(path, follow=False):
+        with Journal(folder) as journal:
+            leftovers = journal.leftovers()
+            found += [
+                Leftover(folder / name, why, os.lstat(folder / name).st_size)
+                for name, why in leftovers.items()
+            ]
+            if not dry_run:
+                journal.remove(leftovers)
+    return found

@@ -1,0 +1,1 @@
+"""Who makes the objects of a run, beside this machine."""

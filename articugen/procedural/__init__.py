@@ -1,0 +1,84 @@
+"""The bundled objects: parametric models whose exact occupancy is known.
+
+`write_object` makes one as an ordinary URDF with OBJ meshes; `truth.load_truth` reads its exact
+solids back. An object depends on its id, and whether it is a varied one, alone. A category is a
+module of its own here and a line of `CATEGORIES`; docs/extending.md shows how to add one.
+"""
+
+import importlib
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from articugen.core.content import model_version
+from articugen.core.errors import InvalidSource
+from articugen.core.seeding import generator
+from articugen.procedural.cache import stored
+from articugen.procedural.kit.model import Model
+from articugen.procedural.kit.writer import URDF_NAME, write_model
+
+CATEGORIES = {
+    "drawer": {"train": 24, "test": 6},
+    "eyeglasses": {"train": 35, "test": 7},
+    "laptop": {"train": 73, "test": 13},
+    "oven": {"train": 30, "test": 7},
+    "washing_machine": {"train": 39, "test": 6},
+}
+"""By the name of the module whose `build` makes its models: how many objects each split has unless
+more are asked for. These are those of the PPD paper (its table of training and test samples)."""
+
+
+def build_model(category: str, object_id: str, *, varied: bool = False) -> Model:
+    """The model of one object.
+
+    Args:
+        varied: as various as objects of others are: what the category's module builds by
+            `build_varied`; some have none.
+
+    Raises:
+        InvalidSource: there is no such category, or it has no such object.
+    """
+    build = _builder(category, varied=varied) if category in CATEGORIES else None
+    if build is None:
+        source = "procedural_varied" if varied else "procedural"
+        offered = [name for name in CATEGORIES if _builder(name, varied=varied)]
+        raise InvalidSource(f"{source} has no category {category!r}; it has {', '.join(offered)}")
+    if not re.fullmatch(rf"{category}_[0-9]{{4,9}}", object_id):
+        raise InvalidSource(f"procedural has no {object_id!r}; its ids are like {category}_0003")
+    return build(generator(0, object_id, "procedural"))
+
+
+def _builder(category: str, *, varied: bool) -> Callable[[np.random.Generator], Model] | None:
+    """What makes the models of a category; None of one that has no varied ones."""
+    module = importlib.import_module(f"{__name__}.{category}")
+    return getattr(module, "build_varied" if varied else "build", None)
+
+
+def write_object(
+    category: str, object_id: str, folder: Path, *, messy: bool = False, varied: bool = False
+) -> Path:
+    """Write one object as `folder`, unless it is there as it should be, and return its URDF's path.
+
+    Where `folder` cannot be written to, the URDF is elsewhere (see `cache.stored`).
+
+    Args:
+        folder: the object's own folder, for instance urdf_sources/procedural/laptop/laptop_0003.
+        messy: the same object as real data come (see `writer.write_model`).
+        varied: another object, see `build_model`.
+
+    Raises:
+        InvalidSource: no such category or object.
+        MachineFault: the disk is full or broken, or no memory is left.
+    """
+
+    def write(work: Path) -> None:
+        model = build_model(category, object_id, varied=varied)
+        write_model(model, work, object_id=object_id, category=category, messy=messy)
+
+    identity = {"object_id": object_id, "category": category, "messy": messy}
+    if varied:
+        identity["varied"] = True
+    identity["content_version"] = model_version(category)
+    return stored(folder, identity, write) / URDF_NAME

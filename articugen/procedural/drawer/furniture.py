@@ -1,0 +1,287 @@
+"""The fixed body of a piece of furniture: its boards and compartments, its legs, its top."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from articugen.core.geometry import rotation_about, transform
+from articugen.procedural.drawer.layouts import Kind, Layout, Split
+from articugen.procedural.kit.outlines import circle
+from articugen.procedural.kit.parts import Rect, rod, tapered
+from articugen.procedural.kit.solids import Solid, along_y, block, box, prism, ring, stack
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One compartment.
+
+    Attributes:
+        opening: the free space between the boards.
+        front: up to the middle of the boards, or to the carcass's edge: what a front may cover.
+        edge: the thickness of the thinnest board around it.
+    """
+
+    kind: Kind
+    opening: Rect
+    front: Rect
+    edge: float
+
+
+@dataclass(frozen=True)
+class Carcass:
+    """The body's box: `outer` seen from the front, x from `x0` to `x1`; thicknesses of its boards
+    (`board`) and of its back."""
+
+    outer: Rect
+    x0: float
+    x1: float
+    board: float
+    back: float
+
+
+def divided(cells: Split, carcass: Carcass) -> tuple[list[Cell], list[Solid]]:
+    """The compartments of a carcass, top left first, and the boards between them."""
+    inside = carcass.outer.shrunk(carcass.board)
+    return _divided(cells, inside, carcass.outer, carcass)
+
+
+def _divided(
+    node: "Split | Kind", opening: Rect, front: Rect, carcass: Carcass
+) -> tuple[list[Cell], list[Solid]]:
+    if isinstance(node, str):
+        return [Cell(node, opening, front, carcass.board)], []
+    rows, board = node.way == "rows", carcass.board
+    free = (opening.height if rows else opening.width) - board * (len(node.shares) - 1)
+    sizes = np.array(node.shares) * (free / sum(node.shares))
+    cells, boards = [], []
+    at = opening.z1 if rows else opening.y0
+    step = -1.0 if rows else 1.0
+    near = front.z1 if rows else front.y0
+    for k, (size, child) in enumerate(zip(sizes, node.children, strict=True)):
+        end = at + step * size
+        last = k == len(sizes) - 1
+        far = (front.z0 if rows else front.y1) if last else end + step * board / 2
+        own, covered = (
+            (Rect(opening.y0, end, opening.y1, at), Rect(front.y0, far, front.y1, near))
+            if rows
+            else (Rect(at, opening.z0, end, opening.z1), Rect(near, front.z0, far, front.z1))
+        )
+        more_cells, more_boards = _divided(child, own, covered, carcass)
+        cells, boards = cells + more_cells, boards + more_boards
+        if not last:
+            a, b = sorted((end, end + step * board))
+            x0, x1 = carcass.x0, carcass.x1
+            low, high = (
+                ((x0, opening.y0, a), (x1, opening.y1, b))
+                if rows
+                else ((x0, a, opening.z0), (x1, b, opening.z1))
+            )
+            boards.append(box(low, high))
+        at, near = end + step * board, far
+    return cells, boards
+
+
+def shell(rng: np.random.Generator, carcass: Carcass) -> list[Solid]:
+    """Sides, floor, ceiling and back; some sides are frames around a thinner panel."""
+    o, t, x0, x1 = carcass.outer, carcass.board, carcass.x0, carcass.x1
+    inner = o.shrunk(t)
+    solids = [
+        box((x0, inner.y0, o.z0), (x1, inner.y1, o.z0 + t)),
+        box((x0, inner.y0, inner.z1), (x1, inner.y1, o.z1)),
+        box((x0, inner.y0, inner.z0), (x0 + carcass.back, inner.y1, inner.z1), panel=True),
+    ]
+    framed = rng.uniform() < 0.35
+    for y0, y1, outward in ((o.y0, inner.y0, -1), (inner.y1, o.y1, 1)):
+        if not framed:
+            solids.append(box((x0, y0, o.z0), (x1, y1, o.z1)))
+            continue
+        outer = np.array([(o.z0, x0), (o.z1, x0), (o.z1, x1), (o.z0, x1)])
+        bar = 0.16 * min(o.height, x1 - x0)
+        hole = outer + bar * np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
+        solids.append(along_y(ring(outer, hole, y0, y1)))
+        a, b = (y0 + 0.3 * t, y1) if outward < 0 else (y0, y1 - 0.3 * t)
+        solids.append(box((x0 + bar, a, o.z0 + bar), (x1 - bar, b, o.z1 - bar)))
+    return solids
+
+
+def top(
+    rng: np.random.Generator,
+    layout: Layout,
+    carcass: Carcass,
+    slab: float,
+    front: float,
+    bow: float,
+) -> list[Solid]:
+    """The slab on top, `slab` thick; it reaches at least `front` over the carcass's front edge."""
+    width, _, height = layout.size
+    side = float(rng.choice([0.0, 0.6, 1.2])) * carcass.board
+    reach = front + float(rng.choice([0.0, 0.4, 1.0])) * carcass.board
+    low = (carcass.x0, -width / 2 - side, height - slab)
+    high = (carcass.x1 + reach, width / 2 + side, height)
+    if bow > 0.0:
+        y = np.linspace(low[1], high[1], 16)
+        arc = np.stack([high[0] + bow * (1.0 - (2.0 * y / (high[1] - low[1])) ** 2), y], axis=1)
+        outline = np.concatenate([[(low[0], low[1])], arc, [(low[0], high[1])]])
+        solids = [prism(outline, low[2], high[2])]
+    else:
+        bevel = float(rng.choice([0.05, 0.2, 0.4])) * slab
+        radius = float(rng.choice([0.0, 1.0])) * carcass.board
+        solids = [block(low, high, radius=radius, bevel=(bevel, bevel), segments=4)]
+    if rng.uniform() < 0.2:
+        rail = rng.uniform(1.5, 4.0) * carcass.board
+        far = (low[0] + carcass.board, width / 2, height + rail)
+        solids.append(block((low[0], -width / 2, height), far, bevel=(0.0, 0.2 * carcass.board)))
+    return solids
+
+
+def support(rng: np.random.Generator, layout: Layout, board: float) -> tuple[list[Solid], float]:
+    """What the carcass stands on, and how high its floor is."""
+    width, depth, height = layout.size
+    kind = str(rng.choice(layout.supports))
+    y0 = -width / 2 + layout.kneehole * width
+    foot = Rect(-depth / 2, y0, depth / 2, width / 2)  # (x, y) instead of (y, z)
+    lift = _LIFTS[kind] * height * rng.uniform(0.85, 1.25)
+    solids = _SUPPORTS[kind](foot, lift, board)
+    if layout.kneehole > 0.0:
+        x, y = depth / 2, -width / 2
+        solids.append(box((-x, y, 0.0), (x, y + 1.2 * board, height - board)))
+        beam = y0 + 0.5 * board
+        solids.append(box((-x, y + board, 0.5 * height), (board - x, beam, height - board)))
+    return solids, lift
+
+
+_LIFTS = {
+    "plinth": 0.1,
+    "floor": 0.02,
+    "legs": 0.2,
+    "legs_round": 0.2,
+    "splayed": 0.26,
+    "sled": 0.2,
+    "brackets": 0.12,
+    "casters": 0.1,
+    "tall": 0.42,
+    "tall_round": 0.6,
+}
+"""The floor of the carcass above the ground, part of the whole height."""
+
+
+def _corners(foot: Rect, inset: float) -> list[tuple[float, float, float, float]]:
+    """(x, y, outward x, outward y) of four places, `inset` from the sides."""
+    x, y = foot.center
+    a, b = foot.width / 2 - inset, foot.height / 2 - inset
+    return [(x + i * a, y + j * b, i, j) for i in (-1, 1) for j in (-1, 1)]
+
+
+def _plinth(foot: Rect, lift: float, board: float) -> list[Solid]:
+    inner = foot.shrunk(board)
+    return [box((inner.y0, inner.z0, 0.0), (inner.y1, inner.z1, lift))]
+
+
+def _floor(foot: Rect, lift: float, board: float) -> list[Solid]:
+    return [
+        tapered((board, 1.1 * board), (0.0, lift)).shifted(x, y)
+        for x, y, _, _ in _corners(foot, 1.8 * board)
+    ]
+
+
+def _legs(foot: Rect, lift: float, board: float) -> list[Solid]:
+    wide = 1.1 * board
+    solids = []
+    for x, y, i, j in _corners(foot, wide):
+        square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * wide
+        tip = 0.55 * square + (0.45 * wide * i, 0.45 * wide * j)
+        solids.append(stack([tip, square], (0.0, lift)).shifted(x, y))
+    return solids
+
+
+def _legs_round(foot: Rect, lift: float, board: float) -> list[Solid]:
+    radii = np.array((0.7, 0.75, 1.2, 1.0, 0.7, 1.15, 1.15)) * board
+    heights = np.array((0.0, 0.08, 0.35, 0.6, 0.7, 0.85, 1.0)) * lift
+    return [tapered(radii, heights).shifted(x, y) for x, y, _, _ in _corners(foot, 1.5 * board)]
+
+
+def _splayed(foot: Rect, lift: float, board: float) -> list[Solid]:
+    solids = []
+    for x, y, i, j in _corners(foot, 0.3 * min(foot.width, foot.height)):
+        out = np.array((i, j)) * 0.22 * lift
+        tip, head = circle(0.6 * board, 14, out), circle(1.1 * board, 14)
+        solids.append(stack([tip, head], (0.0, lift)).shifted(x, y))
+    return solids
+
+
+def _sled(foot: Rect, lift: float, board: float) -> list[Solid]:
+    r = 0.45 * board
+    solids = []
+    for y in (foot.z0 + 4 * r, foot.z1 - 4 * r):
+        a, b = foot.y0 + 2 * r, foot.y1 - 2 * r
+        for x in (a, b):
+            solids.append(box((x - r, y - r, 0.0), (x + r, y + r, lift)))
+        solids.append(box((a, y - r, 0.0), (b, y + r, 2 * r)))
+    return solids
+
+
+def _brackets(foot: Rect, lift: float, board: float) -> list[Solid]:
+    """Feet cut from a board that runs around the corners."""
+    reach, t = 0.2 * min(foot.width, foot.height), 1.1 * board
+    profile = np.array([(0, 0), (0.45, 0), (0.6, 0.45), (1.0, 0.8), (1.0, 1.0), (0, 1.0)])
+    solids = []
+    for x, y, i, j in _corners(foot, 0.0):
+        side = along_y(prism(profile[:, ::-1][::-1] * (lift, reach), 0.0, t))
+        across = side.mirrored(1).moved(_QUARTER_TURN)
+        for solid in (side, across):
+            flipped = solid if i < 0 else solid.mirrored(0)
+            flipped = flipped if j < 0 else flipped.mirrored(1)
+            solids.append(flipped.shifted(x, y))
+    return solids
+
+
+_QUARTER_TURN = transform(rotation_about((0, 0, 1), np.pi / 2).round())
+"""Turns x to y, about z."""
+
+
+def _casters(foot: Rect, lift: float, board: float) -> list[Solid]:
+    solids = []
+    r = 0.42 * lift
+    for x, y, _, _ in _corners(foot, 1.2 * r):
+        half = max(0.35 * r, 0.5 * board)
+        wheel = along_y(prism(circle(r, 18), -half, half))
+        # A polygon reaches its circle at its vertices alone, and none of them is lowest.
+        solids += [
+            wheel.shifted(x, y, -wheel.vertices[:, 2].min()),
+            rod([(x, y, r), (x, y, lift)], max(0.3 * r, 0.4 * board)),
+        ]
+    return solids
+
+
+def _tall(foot: Rect, lift: float, board: float) -> list[Solid]:
+    """Square legs with a shelf between them."""
+    inner = foot.shrunk(board)
+    z = 0.25 * lift
+    shelf = box((inner.y0, inner.z0, z), (inner.y1, inner.z1, z + board))
+    return [*_legs(foot, lift, board), shelf]
+
+
+def _tall_round(foot: Rect, lift: float, board: float) -> list[Solid]:
+    """Turned legs, two stretchers and a bar between them."""
+    solids = _legs_round(foot, lift, board)
+    z, inset, r = 0.16 * lift, 1.5 * board, 0.6 * board
+    a, b = foot.y0 + inset, foot.y1 - inset
+    for y in (foot.z0 + inset, foot.z1 - inset):
+        solids.append(rod([(a, y, z), (b, y, z)], r))
+    x = (a + b) / 2
+    return [*solids, rod([(x, foot.z0 + inset, z), (x, foot.z1 - inset, z)], r)]
+
+
+_SUPPORTS: dict[str, Callable[[Rect, float, float], list[Solid]]] = {
+    "plinth": _plinth,
+    "floor": _floor,
+    "legs": _legs,
+    "legs_round": _legs_round,
+    "splayed": _splayed,
+    "sled": _sled,
+    "brackets": _brackets,
+    "casters": _casters,
+    "tall": _tall,
+    "tall_round": _tall_round,
+}

@@ -1,0 +1,72 @@
+"""What a generator builds: links of solids and the joints between them, all drawn in one place.
+
+Everything is given in the object's own frame at q = 0 (right-handed, z up, metres): no generator
+needs to think in link frames. `writer` takes care of those.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from articugen.core.geometry import Array
+from articugen.procedural.kit.solids import Solid
+
+ROOT_NAME = "base"
+"""The empty link on which a messy model stands."""
+
+
+@dataclass(frozen=True, eq=False)
+class ModelLink:
+    """A rigid body: the union of `solids`, drawn where it stands at q = 0."""
+
+    name: str
+    semantic: str
+    solids: tuple[Solid, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ModelJoint:
+    """A joint, as it stands at q = 0.
+
+    Attributes:
+        parent, child: link names.
+        origin: (3,) a point on the axis, in the object's frame.
+        axis: (3,) unit direction; a revolute joint turns right-handed about it.
+        lower, upper: limits of q, rad or m.
+    """
+
+    name: str
+    kind: Literal["fixed", "revolute", "prismatic"]
+    parent: str
+    child: str
+    origin: ArrayLike
+    axis: ArrayLike = (0.0, 0.0, 1.0)
+    lower: float = 0.0
+    upper: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """One procedural object. `links[0]` is the fixed body; each other link hangs on one joint.
+
+    Joints come in topological order: a joint after the one that its parent hangs on.
+    """
+
+    links: tuple[ModelLink, ...]
+    joints: tuple[ModelJoint, ...]
+    bounds: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        hung = [self.links[0].name]
+        if any(link.name == ROOT_NAME for link in self.links):
+            raise ValueError(f"a link may not be called {ROOT_NAME}: messy models have one")
+        for joint in self.joints:
+            if joint.parent not in hung or joint.child in hung:
+                raise ValueError(f"joint {joint.name}: its parent must come first, its child once")
+            hung.append(joint.child)
+        if sorted(hung) != sorted(link.name for link in self.links):
+            raise ValueError("each link but the first must hang on one joint")
+        points = np.concatenate([s.vertices for link in self.links for s in link.solids])
+        object.__setattr__(self, "bounds", np.stack([points.min(axis=0), points.max(axis=0)]))

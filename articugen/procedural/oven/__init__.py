@@ -1,0 +1,199 @@
+"""Ranges, wall ovens, cookers and toaster ovens: one door that drops open about +y.
+
+The body is solid around a cavity with racks. The door hangs in front of it, hinged at its lower
+outer edge: no point of it but its handle lies beyond its outer face, and none below its lower
+edge, so it can swing by 135 degrees without meeting what is below.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from articugen.procedural.kit import GAP, RANGE
+from articugen.procedural.kit.model import Model, ModelJoint, ModelLink
+from articugen.procedural.kit.outlines import circle, matched
+from articugen.procedural.kit.parts import Rect, frame, handle, plate, rod, row, tapered
+from articugen.procedural.kit.solids import Solid, along_x, box, prism, ring
+from articugen.procedural.oven.plans import Oven, draw_plan
+from articugen.procedural.oven.stovetop import back_guard, control_panel, cooktop
+
+_CORNER = 0.06
+"""The radius of the cavity's corners, part of its height."""
+
+
+def build(rng: np.random.Generator) -> Model:
+    """One object: links body and door."""
+    oven = draw_plan(rng)
+    opening, back = _cavity(rng, oven)
+    pull = _pull(rng, oven)
+    body = [*_casing(oven, opening, back), *_furnishings(rng, oven, opening, back), *_feet(oven)]
+    if oven.controls is not None:
+        body += control_panel(rng, oven, oven.controls)
+    body += [*cooktop(rng, oven), *back_guard(rng, oven)]
+    for rect in oven.fixed_doors:
+        body += [*_door(oven, rect, 0.0), *pull.on(rect)]
+    for rect in oven.drawers:
+        body += [plate(rect, 0.0, oven.thickness, bevel=0.12 * oven.thickness), *pull.low(rect)]
+    door = [*_door(oven, oven.door, GAP), *pull.on(oven.door, GAP), *_plug(rng, oven, opening)]
+    hinge = (GAP + oven.thickness, oven.door.center[0], oven.door.z0)
+    joint = ModelJoint("door_hinge", "revolute", "body", "door", hinge, (0.0, 1.0, 0.0), *RANGE)
+    links = (ModelLink("body", "oven_body", tuple(body)), ModelLink("door", "door", tuple(door)))
+    return Model(links, (joint,))
+
+
+def _cavity(rng: np.random.Generator, oven: Oven) -> tuple[Rect, float]:
+    """The cavity's opening behind the door, and the x of its back."""
+    small = min(oven.door.width, oven.door.height)
+    side = min(rng.uniform(0.09, 0.14) * small, 0.3 * small)
+    wall = 0.03 * oven.extent
+    opening = oven.door.shrunk(side)
+    left = max(opening.y0, oven.body.y0 + oven.flange + wall)
+    right = min(opening.y1, oven.body.y1 - oven.flange - wall)
+    return Rect(left, opening.z0, right, opening.z1), -oven.depth + rng.uniform(1.2, 2.5) * wall
+
+
+def _casing(oven: Oven, opening: Rect, back: float) -> list[Solid]:
+    """The solid body around the cavity, with a rim if it is for building in."""
+    body, rim = oven.body, -0.02 * oven.extent
+    inner = body.shrunk(oven.flange)
+    start = rim if oven.flange > 0.0 else 0.0
+
+    def around(outer: Rect, x0: float, x1: float) -> Solid:
+        corner = _CORNER * opening.height
+        return frame(outer, opening, x0, x1, outer_radius=oven.radius, inner_radius=corner)
+
+    solids = [plate(inner, -oven.depth, back, radius=oven.radius), around(inner, back, start)]
+    return [*solids, around(body, rim, 0.0)] if oven.flange > 0.0 else solids
+
+
+def _furnishings(rng: np.random.Generator, oven: Oven, opening: Rect, back: float) -> list[Solid]:
+    """Racks between the cavity's sides, a fan cover, a heating element."""
+    r = 0.0065 * oven.extent
+    y, z = opening.center
+    count = int(rng.integers(1, 4)) if opening.height > 0.25 else 1
+    solids = []
+    for height in row(z, 0.42 * opening.height, count):
+        solids += _rack(rng, opening, back, height, r)
+    if rng.uniform() < 0.6:
+        radius = 0.3 * min(opening.width, opening.height)
+        hoop = ring(circle(radius, 28), circle(0.85 * radius, 28), back, back + 1.5 * r)
+        hub = prism(circle(0.45 * radius, 20), back, back + 1.5 * r)
+        solids += [along_x(s).shifted(y=y, z=z) for s in (hoop, hub)]
+    if rng.uniform() < 0.5:
+        top, a, b = opening.z1 - 3.5 * r, back - r, -0.2 * oven.depth
+        lanes = row(y, 0.38 * opening.width, 4)
+        turns = [(x, lane, top) for k, lane in enumerate(lanes) for x in ((a, b), (b, a))[k % 2]]
+        inset = [
+            (max(x, back + 3 * r) if 0 < k < 7 else x, w, h) for k, (x, w, h) in enumerate(turns)
+        ]
+        solids.append(rod(inset, r))
+    return solids
+
+
+def _rack(rng: np.random.Generator, opening: Rect, back: float, z: float, r: float) -> list[Solid]:
+    """Rods along x on rods along y, whose ends stick in the cavity's sides."""
+    front, rear = 0.12 * back - 2 * r, back + 2 * r
+    across = np.linspace(front, rear, int(rng.integers(2, 4)))
+    solids = [rod([(x, opening.y0 - r, z), (x, opening.y1 + r, z)], r) for x in across]
+    lanes = max(4, int(opening.width / max(0.04, 7 * r)))
+    for y in row(opening.center[0], opening.width / 2, lanes):
+        solids.append(rod([(rear, y, z + r), (front, y, z + r)], r, 6))
+    return solids
+
+
+def _door(oven: Oven, rect: Rect, x: float) -> list[Solid]:
+    """A door's leaf, its back at `x`."""
+    t, small = oven.thickness, min(rect.width, rect.height)
+    corner = min(oven.radius, 0.2 * small)
+    if oven.look in ("window", "wide"):
+        share = 0.22 if oven.look == "window" else 0.11
+        hole = Rect(
+            rect.y0 + share * small,
+            rect.z0 + share * small,
+            rect.y1 - share * small,
+            rect.z1 - max(share, 0.2) * rect.height,
+        )
+        leaf = frame(rect, hole, x, x + t, outer_radius=corner, inner_radius=0.1 * hole.height)
+        return [leaf, plate(hole.shrunk(-0.001), x + 0.2 * t, x + 0.7 * t)]
+    if oven.look == "porthole":
+        center, radius = rect.center, 0.28 * small
+        hole = circle(radius, 32, center)
+        leaf = along_x(ring(*matched(rect.outline(corner), hole, center), x, x + t))
+        hoop = ring(circle(1.15 * radius, 32, center), hole, x + 0.8 * t, x + t)
+        return [leaf, along_x(hoop), along_x(prism(hole, x + 0.2 * t, x + 0.6 * t))]
+    leaf = plate(rect, x, x + 0.65 * t, radius=corner, bevel=0.1 * t)
+    if oven.look == "glass":
+        glass = rect.shrunk(0.04 * small, 0.03 * small)
+        return [leaf, plate(glass, x + 0.65 * t, x + t, radius=0.05 * small)]
+    field = rect.shrunk(0.13 * small)
+    return [leaf, plate(field, x + 0.65 * t, x + t, radius=corner, bevel=0.3 * t)]
+
+
+def _plug(rng: np.random.Generator, oven: Oven, opening: Rect) -> list[Solid]:
+    """The door's inner panel, which stands a little into the cavity.
+
+    Its upper inner edge swings on a circle about the hinge and must pass below the opening's edge.
+    """
+    if rng.uniform() < 0.3:
+        return []
+    deep, z0 = 0.013 * oven.extent, oven.door.z0
+    reach = oven.thickness + GAP + deep
+    top = float(np.sqrt((opening.z1 - z0 - GAP) ** 2 - reach**2)) + z0
+    # The cavity's corners are round: stay clear of them.
+    side = max(GAP, 0.3 * _CORNER * opening.height) + GAP
+    rect = Rect(
+        opening.y0 + side, opening.z0 + side, opening.y1 - side, min(top, opening.z1 - side)
+    )
+    hole = rect.shrunk(0.16 * rect.height)
+    return [frame(rect, hole, -deep, GAP, inner_radius=0.05 * rect.height)]
+
+
+@dataclass(frozen=True)
+class Pull:
+    """The handles of one oven: all alike. `share` of a door's width is their length; see `handle`
+    for the others."""
+
+    kind: str
+    share: float
+    reach: float
+    girth: float
+    face: float
+
+    def on(self, rect: Rect, x: float = 0.0) -> list[Solid]:
+        """Near the upper edge of a door whose back is at `x`."""
+        z = rect.z1 - max(0.07 * rect.height, 1.3 * self.girth)
+        made = handle(self.kind, self.share * rect.width, self.reach, self.girth)
+        return [s.shifted(x + 0.6 * self.face, rect.center[0], z) for s in made]
+
+    def low(self, rect: Rect) -> list[Solid]:
+        """On a drawer below the door, far enough down and short enough for the door to pass."""
+        z = rect.z0 + 0.35 * rect.height
+        made = handle("flat", 0.6 * self.share * rect.width, 0.6 * self.reach, self.girth)
+        return [s.shifted(self.face, rect.center[0], z) for s in made]
+
+
+def _pull(rng: np.random.Generator, oven: Oven) -> Pull:
+    extent = max(oven.extent, 0.6)
+    return Pull(
+        kind=str(rng.choice(["bar", "bar", "flat", "arch", "strip"])),
+        share=rng.uniform(0.55, 0.92),
+        reach=rng.uniform(0.04, 0.055) * extent,
+        girth=rng.uniform(0.0145, 0.02) * extent,
+        face=oven.thickness,
+    )
+
+
+def _feet(oven: Oven) -> list[Solid]:
+    """Between the floor z = 0 and the body."""
+    lift, body, back = oven.body.z0, oven.body, -oven.depth
+    if oven.feet == "none" or lift <= 0.0:
+        return []
+    if oven.feet == "plinth":
+        inset = 0.04
+        return [box((back + inset, body.y0 + inset, 0.0), (-inset, body.y1 - inset, lift))]
+    wide = 0.02 * oven.extent if oven.feet == "feet" else 0.026 * oven.extent
+    shape = ((1.0, 1.0), (0.0, lift)) if oven.feet == "feet" else ((0.55, 1.1), (0.0, lift))
+    foot = tapered(wide * np.array(shape[0]), shape[1])
+    inset = max(1.5 * wide, oven.radius)
+    places = [(x, y) for x in (-inset, back + inset) for y in (body.y0 + inset, body.y1 - inset)]
+    return [foot.shifted(x, y) for x, y in places]

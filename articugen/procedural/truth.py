@@ -1,0 +1,235 @@
+"""The exact occupancy of a procedural object at any joint state, read from its `solids.json`.
+
+Every solid is a union of convex cells; a cell is what lies behind all of its planes. Nothing is
+sampled and nothing approximated: these are the very polyhedra that the OBJ files show. A sheet
+counts as the slab that it stands for.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from articugen.core.geometry import Array, cross
+from articugen.core.portable import norm, turned
+from articugen.procedural.kit.writer import TRUTH_NAME
+
+_Cells = tuple[Array, NDArray[np.int64], Array]
+"""What the kernels read: planes, first_plane and boxes of `Truth`, all in one frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """The convex cells of all links, each in its link's frame. C cells, M planes.
+
+    Attributes:
+        links: the names of the links that have cells, the fixed body first.
+        link_of_cell: (C,) index into `links`, ascending.
+        first_plane: (C + 1,) cell c has the planes first_plane[c] to first_plane[c + 1] - 1.
+        planes: (M, 4) rows (nx, ny, nz, d): behind is n . x <= d, metres.
+        boxes: (C, 2, 3) the box around each cell, metres.
+    """
+
+    links: tuple[str, ...]
+    link_of_cell: NDArray[np.int64]
+    first_plane: NDArray[np.int64]
+    planes: Array
+    boxes: Array
+
+    def of(self, links: NDArray[np.bool_]) -> "Truth":
+        """The cells of some of the links alone; `links` has a value for each."""
+        cells = np.flatnonzero(links[self.link_of_cell])
+        first = self.first_plane
+        planes = [self.planes[first[c] : first[c + 1]] for c in cells]
+        return replace(
+            self,
+            link_of_cell=self.link_of_cell[cells],
+            first_plane=np.cumsum([0, *map(len, planes)]),
+            planes=np.concatenate([np.zeros((0, 4)), *planes]),
+            boxes=self.boxes[cells],
+        )
+
+    def inside(self, points: Array, T_world_link: Mapping[str, Array]) -> NDArray[np.int64]:
+        """What each world point (N, 3) lies in: 0 for free space, k + 1 for `links[k]`.
+
+        Where links cross, as those of no bundled object do, the first one counts.
+
+        Args:
+            T_world_link: the (4, 4) transform of every link, by its name.
+        """
+        holds = self.holds(points, T_world_link)
+        return np.where(holds.any(axis=1), holds.argmax(axis=1) + 1, 0)
+
+    def holds(self, points: Array, T_world_link: Mapping[str, Array]) -> NDArray[np.bool_]:
+        """(N, links) whether each world point lies in each link."""
+        cells = self._posed(T_world_link)
+        return _holds(_contiguous(points), cells, self.link_of_cell, len(self.links))
+
+    def blocked(
+        self, points: Array, directions: Array, T_world_link: Mapping[str, Array]
+    ) -> NDArray[np.bool_]:
+        """(N, K) whether the ray from point i along direction j meets any cell.
+
+        A point inside a cell is blocked in all directions.
+        """
+        cells = self._posed(T_world_link)
+        return _blocked(_contiguous(points), _contiguous(directions), cells, False)
+
+    def enclosed(
+        self, points: Array, directions: Array, T_world_link: Mapping[str, Array]
+    ) -> NDArray[np.bool_]:
+        """(N,) whether the rays of each point are blocked along all `directions` (K, 3).
+
+        With the opposite of the viewing directions: the points that no view sees free.
+        """
+        cells = self._posed(T_world_link)
+        return _blocked(_contiguous(points), _contiguous(directions), cells, True)[:, -1]
+
+    def _posed(self, T_world_link: Mapping[str, Array]) -> _Cells:
+        """The cells in the world frame."""
+        T = np.array([T_world_link[name] for name in self.links])[self.link_of_cell]
+        center = T[:, :3, 3] + turned(T[:, :3, :3], self.boxes.mean(axis=1))
+        half = turned(np.abs(T[:, :3, :3]), np.ptp(self.boxes, axis=1) / 2)
+        per_plane = np.repeat(T, np.diff(self.first_plane), axis=0)
+        normals = turned(per_plane[:, :3, :3], self.planes[:, :3])
+        offsets = self.planes[:, 3] + np.sum(normals * per_plane[:, :3, 3], axis=1)
+        slack = 1e-12  # Metres: the box may not be smaller than its cell through rounding.
+        boxes = np.stack([center - half - slack, center + half + slack], axis=1)
+        return np.c_[normals, offsets], self.first_plane, boxes
+
+
+def load_truth(folder: Path, *, sheet_thickness: float | None = None) -> Truth:
+    """The truth of the object that `write_object` made as `folder`.
+
+    Args:
+        sheet_thickness: metres given to sheets that are drawn without any; by default that of the
+            panels they stand for.
+    """
+    content = json.loads((folder / TRUTH_NAME).read_text())
+    links = {name: _cells(link, sheet_thickness) for name, link in content["links"].items()}
+    cells = [cell for of_link in links.values() for cell in of_link]
+    counts = [len(of_link) for of_link in links.values()]
+    planes = [planes for planes, _ in cells]
+    return Truth(
+        links=tuple(links),
+        link_of_cell=np.repeat(np.arange(len(links)), counts),
+        first_plane=np.cumsum([0, *map(len, planes)]),
+        planes=np.concatenate(planes),
+        boxes=np.array([box for _, box in cells]),
+    )
+
+
+def _cells(link: dict[str, Any], sheet_thickness: float | None) -> list[tuple[Array, Array]]:
+    """(planes, box) of every cell of a link, its sheets included."""
+    cells = [(np.array(cell["half_spaces"]), np.array(cell["box"])) for cell in link["cells"]]
+    for sheet in link["sheets"]:
+        thickness = sheet["thickness"]
+        if sheet_thickness is not None and not sheet["backed"]:
+            thickness = sheet_thickness
+        cells += [_slab(np.array(t), thickness) for t in sheet["triangles"]]
+    return cells
+
+
+def _slab(triangle: Array, thickness: float) -> tuple[Array, Array]:
+    """The prism of a triangle (3, 3) that reaches half of `thickness` to either side."""
+    edges = np.roll(triangle, -1, axis=0) - triangle
+    normal = cross(edges[0], edges[1])
+    normal /= norm(normal)
+    sides = cross(edges, normal)
+    sides /= norm(sides)[:, None]
+    across = normal * thickness / 2
+    normals = np.stack([normal, -normal, *sides])
+    on_plane = np.stack([triangle[0] + across, triangle[0] - across, *triangle])
+    corners = np.concatenate([triangle + across, triangle - across])
+    box = np.stack([corners.min(axis=0), corners.max(axis=0)])
+    return np.c_[normals, np.sum(normals * on_plane, axis=1)], box
+
+
+def _contiguous(points: Array) -> Array:
+    return np.ascontiguousarray(points, dtype=np.float64)
+
+
+@njit(cache=True)
+def _holds(points, cells, link_of_cell, link_count):  # pragma: no cover
+    """Which links hold each point."""
+    planes, first_plane, boxes = cells
+    holds = np.zeros((len(points), link_count), np.bool_)
+    for i in range(len(points)):
+        x, y, z = points[i]
+        for c in range(len(boxes)):
+            # Scalars, not rows: a view made in this loop would cost more than all else.
+            if x < boxes[c, 0, 0] or y < boxes[c, 0, 1] or z < boxes[c, 0, 2]:
+                continue
+            if x > boxes[c, 1, 0] or y > boxes[c, 1, 1] or z > boxes[c, 1, 2]:
+                continue
+            if holds[i, link_of_cell[c]]:
+                continue
+            behind = True
+            for m in range(first_plane[c], first_plane[c + 1]):
+                if planes[m, 0] * x + planes[m, 1] * y + planes[m, 2] * z > planes[m, 3]:
+                    behind = False
+                    break
+            if behind:
+                holds[i, link_of_cell[c]] = True
+    return holds
+
+
+@njit(cache=True)
+def _blocked(points, directions, cells, stop_when_free):  # pragma: no cover
+    """Which rays meet a cell; after a point's first free ray, if asked, its others stay False."""
+    planes, first_plane, boxes = cells
+    hit = np.zeros((len(points), len(directions)), np.bool_)
+    for i in range(len(points)):
+        last = 0  # The cell that stopped the ray before will often stop the next one.
+        for j in range(len(directions)):
+            for k in range(len(boxes)):
+                c = (last + k) % len(boxes)
+                if _meets_box(points[i], directions[j], boxes[c]) and _meets_cell(
+                    points[i], directions[j], planes[first_plane[c] : first_plane[c + 1]]
+                ):
+                    hit[i, j] = True
+                    last = c
+                    break
+            if stop_when_free and not hit[i, j]:
+                break
+    return hit
+
+
+@njit(cache=True)
+def _meets_box(point, direction, box):  # pragma: no cover
+    """Whether the ray meets the box: clipped by three slabs (Kay and Kajiya 1986)."""
+    start, end = 0.0, np.inf
+    for k in range(3):
+        if direction[k] == 0.0:
+            if point[k] < box[0, k] or point[k] > box[1, k]:
+                return False
+            continue
+        a = (box[0, k] - point[k]) / direction[k]
+        b = (box[1, k] - point[k]) / direction[k]
+        start, end = max(start, min(a, b)), min(end, max(a, b))
+        if start > end:
+            return False
+    return True
+
+
+@njit(cache=True)
+def _meets_cell(point, direction, planes):  # pragma: no cover
+    """Whether the ray meets a convex cell: clipped by its planes (Cyrus and Beck 1978)."""
+    start, end = 0.0, np.inf
+    for p in planes:
+        room = p[3] - (p[0] * point[0] + p[1] * point[1] + p[2] * point[2])
+        speed = p[0] * direction[0] + p[1] * direction[1] + p[2] * direction[2]
+        if speed > 0.0:
+            end = min(end, room / speed)
+        elif speed < 0.0:
+            start = max(start, room / speed)
+        elif room < 0.0:
+            return False
+        if start > end:
+            return False
+    return True

@@ -1,0 +1,311 @@
+"""Front loaders: one round or square door that opens about +z or -z in front of a hollow drum.
+
+The body is solid around the drum. The door hangs in front of it, hinged at its outer edge on one
+side; its bowl reaches through the opening and is so tapered that it swings out without touching.
+"""
+
+import numpy as np
+
+from articugen.core.geometry import rotation_about, transform
+from articugen.core.portable import arctan2
+from articugen.procedural.kit import GAP, RANGE
+from articugen.procedural.kit.model import Model, ModelJoint, ModelLink
+from articugen.procedural.kit.outlines import circle, matched, rounded_rectangle
+from articugen.procedural.kit.parts import Rect, handle, knob, lathe, plate, row, tapered
+from articugen.procedural.kit.solids import Solid, along_x, along_y, block, box, prism, ring
+from articugen.procedural.washing_machine.plan import Washer, draw
+
+
+def build(rng: np.random.Generator) -> Model:
+    """One object: links body and door.
+
+    One in a hundred draws has a drum that comes through the casing, or a bowl too flat for its
+    wall: it is drawn again.
+    """
+    while not _is_sound(model := _drawn(rng)):
+        pass
+    return model
+
+
+def _is_sound(model: Model) -> bool:
+    """Whether all cells are convex, which those of outlines that cross are not."""
+    try:
+        return all(len(s.half_spaces) for link in model.links for s in link.solids)
+    except ValueError:
+        return False
+
+
+def _drawn(rng: np.random.Generator) -> Model:
+    washer = draw(rng)
+    unit = _unit(rng, washer)
+    door = _door(rng, washer)
+    body = [*unit, *_base(rng, washer), *_hinge(washer)]
+    if washer.stacked:
+        dryer = [*unit, *_hinge(washer), *(s.shifted(x=-GAP) for s in door)]
+        body += [s.shifted(z=washer.body.height + 0.02) for s in dryer]
+        between = washer.body.z1 - 0.01
+        inner = washer.body.shrunk(0.02)
+        body.append(
+            box((-washer.depth + 0.02, inner.y0, between), (-0.02, inner.y1, between + 0.04))
+        )
+    side = 1.0 if rng.uniform() < 0.5 else -1.0
+    if side < 0.0:
+        body, door = ([s.mirrored(1) for s in solids] for solids in (body, door))
+    hinge = (GAP + washer.thickness, side * washer.rim, washer.middle)
+    joint = ModelJoint("door_hinge", "revolute", "body", "door", hinge, (0.0, 0.0, side), *RANGE)
+    links = (
+        ModelLink("body", "washing_machine_body", tuple(body)),
+        ModelLink("door", "door", tuple(door)),
+    )
+    return Model(links, (joint,))
+
+
+def _unit(rng: np.random.Generator, washer: Washer) -> list[Solid]:
+    """The casing with its drum, top and controls."""
+    return [
+        *_casing(washer),
+        *_drum(rng, washer),
+        *_top(rng, washer),
+        *_controls(rng, washer),
+    ]
+
+
+def _casing(washer: Washer) -> list[Solid]:
+    """The solid body: a front with the opening, the drum's space, the back."""
+    center, outline = (0.0, washer.middle), washer.body.outline(washer.radius)
+    radius, deep = washer.drum
+
+    def layer(hole: float, x0: float, x1: float) -> Solid:
+        return along_x(ring(*matched(outline, circle(hole, washer.sides, center), center), x0, x1))
+
+    x = -washer.front
+    return [
+        layer(washer.opening, x, 0.0),
+        layer(radius, x - deep, x),
+        plate(washer.body, -washer.depth, x - deep, radius=washer.radius),
+    ]
+
+
+def _drum(rng: np.random.Generator, washer: Washer) -> list[Solid]:
+    """What is seen inside: a lining with a lip, lifters, a hub with spokes."""
+    radius, deep = washer.drum
+    wall, x = washer.wall, -washer.front
+    back, inner = x - deep, radius - wall
+    lining = lathe(
+        [(inner, back), (inner, x - 2 * wall), (washer.opening + 0.3 * wall, x)],
+        [(radius, back), (radius, x - 2 * wall), (radius, x)],
+        washer.sides,
+    )
+    tall, wide = 0.16 * radius, 0.14 * radius
+    lifter = np.array(
+        [(-1.0, -1.01 * inner), (1.0, -1.01 * inner), (0.4, tall - inner), (-0.4, tall - inner)]
+    ) * (wide, 1.0)
+    hub = along_x(tapered((0.3 * radius, 0.22 * radius), (back, back + wall), sides=20))
+    spoke = box((back, -0.04 * radius, 0.0), (back + 0.8 * wall, 0.04 * radius, 0.98 * inner))
+    solids = [along_x(lining), hub]
+    count = int(rng.integers(3, 5))
+    for k in range(count):
+        solids.append(_turned(along_x(prism(lifter, back, x - 4 * wall)), k / count + 0.05))
+    solids += [_turned(spoke, k / 6) for k in range(6)]
+    return [s.shifted(z=washer.middle) for s in solids]
+
+
+def _turned(solid: Solid, turns: float) -> Solid:
+    """The solid turned about x."""
+    return solid.moved(transform(rotation_about((1, 0, 0), 2 * np.pi * turns)))
+
+
+def _top(rng: np.random.Generator, washer: Washer) -> list[Solid]:
+    """A lid; none on rounded bodies and under a dryer."""
+    if washer.radius > 0.02 or washer.stacked:
+        return []
+    body, thick = washer.body, rng.uniform(1.2, 2.4) * washer.wall
+    over = rng.uniform(0.0, 0.012)
+    low = (-washer.depth, body.y0 - over, body.z1)
+    high = (over + 0.01, body.y1 + over, body.z1 + thick)
+    bevel = rng.uniform(0.1, 0.45) * thick
+    return [block(low, high, radius=rng.uniform(0.0, 0.03), bevel=(0.0, bevel), segments=4)]
+
+
+def _controls(rng: np.random.Generator, washer: Washer) -> list[Solid]:
+    """A panel with a detergent tray, a dial, a display and buttons, in front or on a console."""
+    rect, e = washer.fascia, washer.wall
+    if washer.console:
+        high = rng.uniform(0.1, 0.16)
+        rect = Rect(washer.body.y0, 0.0, washer.body.y1, high)
+        back, foot, head = -washer.depth, rng.uniform(0.09, 0.14), 0.04
+        outline = np.array([(0.0, 0.0), (high, 0.0), (high, head), (0.0, foot)])
+        board = along_y(prism(outline, rect.y0, rect.y1)).shifted(x=back, z=washer.body.z1)
+        middle = (back + (foot + head) / 2, 0.0, washer.body.z1 + high / 2)
+        lean = arctan2(foot - head, high)
+        T = transform(rotation_about((0, 1, 0), -lean), middle)
+        placed = _panel(rng, rect.width, 0.8 * high, e, tray=False)
+        return [board, *(s.moved(T) for s in placed)]
+    slab = rect.shrunk(0.5 * washer.radius, 0.25 * washer.radius).shrunk(0.0, 0.002)
+    y, z = slab.center
+    out = rng.uniform(0.4, 1.2) * e
+    lean = rng.uniform(0.5, 2.5) * e if rng.uniform() < 0.35 and washer.radius < 0.03 else 0.0
+    outline = np.array([(slab.z0, 0.0), (slab.z1, 0.0), (slab.z1, out), (slab.z0, out + lean)])
+    board = along_y(prism(outline, slab.y0, slab.y1))
+    if lean == 0.0:
+        board = plate(slab, 0.0, out, radius=0.3 * washer.radius, bevel=0.2 * out)
+    turn = rotation_about((0, 1, 0), -arctan2(lean, slab.height))
+    T = transform(turn, (out + lean / 2, y, z))
+    placed = _panel(rng, slab.width, slab.height, e, tray=True)
+    return [board, *(s.moved(T) for s in placed)]
+
+
+def _panel(
+    rng: np.random.Generator, width: float, height: float, e: float, *, tray: bool
+) -> list[Solid]:
+    """The controls around the origin, on the plane x = 0."""
+    left, tall = -0.47 * width, 0.36 * height
+    solids, used = [], left
+    if tray:
+        used = left + rng.uniform(0.22, 0.34) * width
+        solids += _tray(rng, Rect(left, -tall, used, tall), e)
+    dial_y = float(rng.choice([0.0, 0.12, 0.38])) * width
+    radius = min(rng.uniform(0.75, 1.0) * tall, 0.055)
+    collar = along_x(ring(circle(1.25 * radius, 28), circle(radius, 28), 0.0, 0.4 * e))
+    kind, reach = str(rng.choice(["plain", "grip", "cone"])), rng.uniform(1.5, 2.6) * e
+    dial = [collar, *knob(kind, radius, reach, sides=28)]
+    solids += [s.shifted(y=dial_y) for s in dial]
+    free = [(used, dial_y - 1.4 * radius), (dial_y + 1.4 * radius, 0.48 * width)]
+    a, b = max(free, key=lambda span: span[1] - span[0])
+    middle, half = (a + b) / 2, (b - a) / 2
+    if rng.uniform() < 0.75:
+        screen = Rect(middle - 0.75 * half, -0.05 * tall, middle + 0.75 * half, 0.75 * tall)
+        solids.append(plate(screen, 0.0, 0.5 * e, bevel=0.2 * e))
+    size = min(0.12 * half, 0.2 * tall)
+    for y in row(middle, 0.8 * half, int(rng.integers(3, 7))):
+        key = Rect(y - size, -0.6 * tall - size, y + size, -0.6 * tall + size)
+        solids.append(plate(key, 0.0, 0.6 * e, radius=0.4 * size))
+    return solids
+
+
+def _tray(rng: np.random.Generator, rect: Rect, e: float) -> list[Solid]:
+    """The front of a detergent tray, with a cup or a lip to pull."""
+    front = 0.9 * e
+    solids = [plate(rect, 0.0, front, radius=0.15 * rect.height, bevel=0.25 * e)]
+    y, z = rect.center
+    if rng.uniform() < 0.5:
+        made = handle("cup", 0.6 * rect.width, 2.0 * e, e)
+    else:
+        made = [plate(Rect(-0.3 * rect.width, -0.5 * e, 0.3 * rect.width, 0.5 * e), 0.0, 1.2 * e)]
+    return [*solids, *(s.shifted(front, y, z) for s in made)]
+
+
+def _base(rng: np.random.Generator, washer: Washer) -> list[Solid]:
+    """Feet on the floor z = 0, a kick plate with a hatch, a pedestal with its drawer."""
+    body, back, e = washer.body, -washer.depth, washer.wall
+    foot_top = body.z0 - washer.pedestal
+    inset = max(0.05, washer.radius)
+    radii = np.array((1.0, 1.8) if washer.legs else (1.6, 1.28)) * e
+    places = [(x, y) for x in (-inset, back + inset) for y in (body.y0 + inset, body.y1 - inset)]
+    solids = [tapered(radii, (0.0, foot_top + e)).shifted(*p) for p in places]
+    if washer.pedestal > 0.0:
+        low, high = (back + 0.01, body.y0, foot_top), (0.0, body.y1, body.z0)
+        drawer = Rect(body.y0, foot_top, body.y1, body.z0).shrunk(0.012)
+        pull = handle("bar", 0.6 * drawer.width, 3.0 * e, 1.2 * e)
+        solids += [block(low, high, bevel=0.0), plate(drawer, 0.0, 1.2 * e, bevel=0.2 * e)]
+        solids += [s.shifted(1.2 * e, 0.0, drawer.z1 - 4 * e) for s in pull]
+    kick = min(washer.middle - washer.rim - 0.01 - body.z0, 0.15)
+    if kick > 0.05 and not washer.legs:
+        strip = Rect(body.y0, body.z0, body.y1, body.z0 + 0.85 * kick)
+        strip = strip.shrunk(0.8 * washer.radius + 0.004, 0.004)
+        solids += _grille(strip, e) if rng.uniform() < 0.3 else _hatch(rng, strip, 0.4 * e, e)
+    return solids
+
+
+def _grille(strip: Rect, e: float) -> list[Solid]:
+    """Upright bars over an air inlet."""
+    area = strip.shrunk(0.1 * strip.width, 0.14 * strip.height)
+    count = int(area.width / (3.0 * e))
+    return [
+        plate(Rect(y - 0.7 * e, area.z0, y + 0.7 * e, area.z1), 0.0, e, bevel=0.3 * e)
+        for y in row(area.center[0], area.width / 2, count)
+    ]
+
+
+def _hatch(rng: np.random.Generator, strip: Rect, x: float, e: float) -> list[Solid]:
+    """A kick plate up to `x` with the cover of the drain filter."""
+    kick_plate = plate(strip, 0.0, x)
+    half = 0.38 * strip.height
+    y = strip.y0 + float(rng.choice([0.15, 0.5, 0.85])) * (strip.width - 4 * half) + 2 * half
+    z = strip.center[1]
+    if rng.uniform() < 0.5:
+        disc = along_x(tapered((half, half, 0.9 * half), (x, x + 0.4 * e, x + 0.6 * e), 24))
+        return [kick_plate, disc.shifted(y=y, z=z)]
+    return [
+        kick_plate,
+        plate(Rect(y - 1.6 * half, z - half, y + 1.6 * half, z + half), x, x + 0.6 * e),
+    ]
+
+
+def _hinge(washer: Washer) -> list[Solid]:
+    """The body's half of the hinge: it stays beside the pin, where the door never comes."""
+    y, z, tall = washer.rim + GAP, washer.middle, 0.28 * washer.rim
+    front = 0.8 * washer.thickness
+    return [plate(Rect(y, z - tall, y + 0.024, z + tall), 0.0, front, bevel=0.006)]
+
+
+def _door(rng: np.random.Generator, washer: Washer) -> list[Solid]:
+    """The door's rim, glass, handle and hinge leaf; hinged at y = +rim."""
+    t, wall, rim = washer.thickness, washer.wall, washer.rim
+    pane = washer.bowl_radius(-GAP)
+    x0, x1 = GAP, GAP + t
+    hole = circle(pane - 0.5 * wall, washer.sides)
+    if washer.square > 0.0:
+        outline = rounded_rectangle(2 * rim, 2 * rim, washer.square, segments=6)
+        leaf = along_x(ring(*matched(outline, hole), x0, x1))
+    else:
+        edge, slant = pane - 0.5 * wall, rng.uniform(0.1, 0.5) * t
+        leaf = along_x(
+            lathe(
+                [(edge, x0), (edge, x1 - slant), (edge + 0.4 * wall, x1)],
+                [(rim, x0), (rim, x1 - slant), (rim - slant, x1)],
+                washer.sides,
+            )
+        )
+    solids = [leaf, *_glass(rng, washer, pane), *_grip(rng, washer, pane)]
+    tall = 0.22 * rim
+    solids.append(box((x0, pane, -tall), (x0 + 0.8 * t, rim, tall)))
+    return [s.shifted(z=washer.middle) for s in solids]
+
+
+def _glass(rng: np.random.Generator, washer: Washer, pane: float) -> list[Solid]:
+    """The pane and the bowl behind it, around x; `pane` is the bowl's radius at the rim."""
+    t, wall = washer.thickness, washer.wall
+    face = GAP + t
+    reach = rng.uniform(0.08, 0.12) if washer.look == "deep" else rng.uniform(0.03, 0.075)
+    reach = min(reach, 0.4 * washer.drum[1])
+    depths = np.linspace(0.0, reach, 5)
+    round_off = 1.0 - rng.uniform(0.1, 0.3) * (depths / reach) ** 2
+    radii = np.minimum([washer.bowl_radius(d) for d in depths], pane) * round_off
+    outer = np.concatenate([[(pane, GAP + 0.6 * t)], np.c_[radii, -depths]])
+    sides = washer.sides
+    if washer.look in ("bowl", "deep"):
+        inner = outer - (wall, 0.0) + np.linspace(0.0, wall, len(outer))[:, None] * (0.0, 1.0)
+        end = tapered((radii[-1], radii[-1] - 0.2 * wall), (-reach, wall - reach), sides)
+        return [along_x(lathe(inner, outer, sides)), along_x(end)]
+    plug = tapered(outer[::-1, 0], outer[::-1, 1], sides)
+    if washer.look == "flat":
+        disc = tapered((1.02 * pane, 1.02 * pane), (GAP + 0.5 * t, face - 0.1 * t), sides)
+        return [along_x(plug), along_x(disc)]
+    bulge = rng.uniform(0.02, 0.05)
+    shape = np.array(((1.0, 0.0), (0.95, 0.35), (0.8, 0.7), (0.5, 0.93), (0.2, 1.0)))
+    dome = tapered(shape[:, 0] * pane, face - 0.3 * t + shape[:, 1] * bulge, sides)
+    seat = tapered((pane, pane), (GAP + 0.5 * t, face - 0.3 * t), sides)
+    return [along_x(solid) for solid in (plug, seat, dome)]
+
+
+def _grip(rng: np.random.Generator, washer: Washer, pane: float) -> list[Solid]:
+    """What one pulls at, on the side away from the hinge."""
+    t, wall, rim = washer.thickness, washer.wall, washer.rim
+    middle, width = -(rim + pane) / 2, rim - pane
+    if rng.uniform() < 0.5:
+        tall = rng.uniform(0.2, 0.32) * rim
+        tab = Rect(-rim - 0.35 * width, -tall, middle, tall)
+        return [plate(tab, GAP + 0.25 * t, GAP + t + wall, radius=0.4 * width, bevel=0.5 * wall)]
+    bar = handle("arch", 0.6 * rim, 2.8 * wall, 1.2 * wall, upright=True)
+    return [s.shifted(GAP + 0.8 * t, middle, 0.0) for s in bar]

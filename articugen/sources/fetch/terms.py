@@ -1,0 +1,66 @@
+"""Whose the models are, and on which terms; shown before they are fetched, and kept beside them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from articugen.core.errors import InvalidArgument
+from articugen.core.yaml_files import nearest
+from articugen.sources.categories import plain
+from articugen.sources.named import source_named
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Of one data set."""
+
+    source: str
+    origin: str
+    licence: str
+
+
+_OTHERS: Mapping[str, tuple[str, str]] = {
+    "articraft": (
+        "Articraft-10K (arXiv 2605.15187), camvsl/Articraft-10K at Hugging Face, compiled URDFs",
+        "CC BY 4.0",
+    ),
+    "artiverse": (
+        "Artiverse (arXiv 2605.24403), 3dlg-hcvc/artiverse at Hugging Face",
+        "gated; each model under the licence of the data set that it comes from",
+    ),
+    "artiatlas": (
+        "ArtiAtlas (SIGGRAPH Asia 2026), Moon-bow/ArtiAtlas at Hugging Face",
+        "gated; each model under the licence of the data set that it comes from",
+    ),
+    "artvip": (
+        "ArtVIP (ICLR 2026, arXiv 2506.04941), x-humanoid-robomind/ArtVIP at Hugging Face, USD",
+        "Apache-2.0",
+    ),
+    "sketchmobility": (
+        "SketchMobility (arXiv 2604.25781), Arlo397/SketchMobility at Hugging Face",
+        "gated; CC BY 4.0 or, of models from Shape2Motion, GPL-3.0, as its LICENSE_MAP.json says",
+    ),
+}
+
+NAMES = ("partnet-mobility", "shape2motion", *_OTHERS)
+
+
+def terms_of(name: str) -> Terms:
+    """The terms of a data set, by its name in any writing.
+
+    Raises:
+        InvalidArgument: there is none of that name.
+    """
+    own = next((known for known in NAMES if plain(known) == plain(name)), None)
+    if own is None:
+        raise InvalidArgument(
+            f"no data set {name!r} to fetch{nearest(name, list(NAMES))}; there are: "
+            f"{', '.join(NAMES)}"
+        )
+    if own in _OTHERS:
+        return Terms(own, *_OTHERS[own])
+    named = source_named(own.replace("-", "_"))
+    if named is None:
+        raise InvalidArgument(
+            f"the source {own!r} has lost its source.yaml; install articugen anew"
+        )
+    return Terms(own, named.file.origin, named.file.licence)
