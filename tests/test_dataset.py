@@ -13,7 +13,7 @@ from articugen.store.shards import open_shard, write_shard
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from articugen.core import geometry  # noqa: E402
+from articugen.core import geometry
 from articugen.learning.data.split import BatchSpec, _places, load_split, unpacked, voxel_centres
 
 ASK = BatchSpec(

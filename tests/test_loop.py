@@ -24,20 +24,20 @@ from articugen.store.shards import open_shard, write_shard
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from articugen.learning.data import split  # noqa: E402
-from articugen.learning.data.split import BatchSpec, load_split  # noqa: E402
-from articugen.learning.loop import batch_rows, split_objects, train  # noqa: E402
-from articugen.learning.ppd import losses, objective  # noqa: E402
-from articugen.learning.ppd.discriminator import Discriminator  # noqa: E402
-from articugen.learning.ppd.model import PPD  # noqa: E402
-from articugen.learning.run_folder import (  # noqa: E402
+from articugen.learning.data import split
+from articugen.learning.data.split import BatchSpec, load_split
+from articugen.learning.loop import batch_rows, split_objects, train
+from articugen.learning.ppd import losses, objective
+from articugen.learning.ppd.discriminator import Discriminator
+from articugen.learning.ppd.model import PPD
+from articugen.learning.run_folder import (
     BEST,
     LATEST,
     METRICS,
     RunFolder,
     read_checkpoint,
 )
-from articugen.learning.tensors import digest  # noqa: E402
+from articugen.learning.tensors import digest
 
 torch.set_num_threads(1)
 

@@ -13,20 +13,20 @@ from articugen.learning.ppd.settings import ModelSettings, PPDRecipe
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from articugen.learning.data.split import load_split  # noqa: E402
-from articugen.learning.loop import train  # noqa: E402
-from articugen.learning.ppd.learner import PPDLearner  # noqa: E402
-from articugen.learning.ppd.many import Many  # noqa: E402
-from articugen.learning.ppd.warm.targets import Targets  # noqa: E402
-from articugen.learning.race import can_run_at_once, race  # noqa: E402
-from articugen.learning.run_folder import (  # noqa: E402
+from articugen.learning.data.split import load_split
+from articugen.learning.loop import train
+from articugen.learning.ppd.learner import PPDLearner
+from articugen.learning.ppd.many import Many
+from articugen.learning.ppd.warm.targets import Targets
+from articugen.learning.race import can_run_at_once, race
+from articugen.learning.run_folder import (
     LATEST,
     METRICS,
     RunFolder,
     read_checkpoint,
 )
-from articugen.learning.tensors import check_like, digest  # noqa: E402
-from articugen.learning.together import train_together  # noqa: E402
+from articugen.learning.tensors import check_like, digest
+from articugen.learning.together import train_together
 
 torch.set_num_threads(1)
 

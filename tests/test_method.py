@@ -14,10 +14,10 @@ from articugen.learning.method import find_method, load_recipe, method_names
 
 torch = pytest.importorskip("torch", reason="learning needs torch")
 
-from articugen.learning import commands  # noqa: E402
-from articugen.learning.evaluation.results import read_evaluation  # noqa: E402
-from articugen.learning.run_folder import BEST, LATEST, read_checkpoint  # noqa: E402
-from articugen.learning.tensors import digest  # noqa: E402
+from articugen.learning import commands
+from articugen.learning.evaluation.results import read_evaluation
+from articugen.learning.run_folder import BEST, LATEST, read_checkpoint
+from articugen.learning.tensors import digest
 
 torch.set_num_threads(1)
 

@@ -7,9 +7,9 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="optimisers need torch")
 
-from articugen.learning.optimisers import GREATEST_SIDE, Soap, optimiser_of  # noqa: E402
-from articugen.learning.ppd.shape import Grouped  # noqa: E402
-from articugen.learning.tensors import check_like  # noqa: E402
+from articugen.learning.optimisers import GREATEST_SIDE, Soap, optimiser_of
+from articugen.learning.ppd.shape import Grouped
+from articugen.learning.tensors import check_like
 
 torch.set_num_threads(1)
 NAMES = ("adam", "soap", "muon")

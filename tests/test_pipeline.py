@@ -183,7 +183,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(
 import os, signal
 from pathlib import Path
 from articugen.pipeline import door as api
-from articugen.pipeline import Job
+from articugen.pipeline.run import Job
 from articugen.core.recipe import Recipe
 # A shell that runs the tests in the background has its children ignore Ctrl-C.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -285,7 +285,7 @@ def test_a_changed_recipe_or_seed_is_why_all_are_made_again(mine: Path) -> None:
 
 PLANNED = """
 from pathlib import Path
-from articugen.pipeline import Job, started
+from articugen.pipeline.run import Job, started
 from articugen.core.recipe import Recipe
 from articugen.store.manifest import code_version
 recipe = Recipe.model_validate_json({recipe!r})
@@ -675,7 +675,7 @@ FULL = """
 import resource, sys
 from pathlib import Path
 from articugen.pipeline import door as api
-from articugen.pipeline import Job
+from articugen.pipeline.run import Job
 from articugen.core.recipe import Recipe
 {before}
 recipe = Recipe.model_validate_json({recipe!r})

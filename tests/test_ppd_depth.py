@@ -18,15 +18,15 @@ from articugen.learning.recipe import DataSettings
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from instances import hinged_box  # noqa: E402
+from instances import hinged_box
 
-from articugen.core.records import dequantize  # noqa: E402
-from articugen.learning.data.split import BatchSpec, load_split, unpacked  # noqa: E402
-from articugen.learning.loop import train, train_depth  # noqa: E402
-from articugen.learning.ppd.depth import latents  # noqa: E402
+from articugen.core.records import dequantize
+from articugen.learning.data.split import BatchSpec, load_split, unpacked
+from articugen.learning.loop import train, train_depth
+from articugen.learning.ppd.depth import latents
 from articugen.learning.run_folder import DEPTH, LATEST, RunFolder, depth_learner, read_checkpoint
-from articugen.learning.tensors import digest  # noqa: E402
-from articugen.meshes.points import seen_by_a_camera  # noqa: E402
+from articugen.learning.tensors import digest
+from articugen.meshes.points import seen_by_a_camera
 
 torch.set_num_threads(1)
 

@@ -6,7 +6,7 @@ from articugen.core.errors import TrainingDiverged
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from articugen.learning.ppd.descent import Descent  # noqa: E402
+from articugen.learning.ppd.descent import Descent
 
 NAN = float("nan")
 

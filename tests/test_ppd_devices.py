@@ -11,12 +11,12 @@ from articugen.learning.method import load_recipe
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
-from torch.utils._pytree import tree_leaves  # noqa: E402
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
 
-from articugen.learning.data.split import load_split  # noqa: E402
-from articugen.learning.ppd.learner import PPDLearner  # noqa: E402
-from articugen.learning.recipe import DataSettings  # noqa: E402
+from articugen.learning.data.split import load_split
+from articugen.learning.ppd.learner import PPDLearner
+from articugen.learning.recipe import DataSettings
 
 META = torch.device("meta")
 SENDS = {"aten::lift_fresh", "aten::_to_copy", "aten::copy_"}

@@ -7,11 +7,11 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from articugen import rehearsal  # noqa: E402
-from articugen.learning.ppd import shape  # noqa: E402
-from articugen.learning.ppd.cpu import fused, greatest, sine_kernels  # noqa: E402
-from articugen.learning.ppd.model import PPD  # noqa: E402
-from articugen.learning.ppd.settings import ModelSettings  # noqa: E402
+from articugen import rehearsal
+from articugen.learning.ppd import shape
+from articugen.learning.ppd.cpu import fused, greatest, sine_kernels
+from articugen.learning.ppd.model import PPD
+from articugen.learning.ppd.settings import ModelSettings
 
 torch.set_num_threads(1)
 

@@ -7,8 +7,8 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from articugen.learning.ppd import losses  # noqa: E402
-from articugen.learning.ppd.discriminator import Discriminator  # noqa: E402
+from articugen.learning.ppd import losses
+from articugen.learning.ppd.discriminator import Discriminator
 
 torch.set_num_threads(1)
 B, P, R, N = 3, 8, 3, 40

@@ -12,21 +12,21 @@ from articugen.core.geometry import rotation_about
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from articugen.learning.method import load_recipe  # noqa: E402
-from articugen.learning.ppd.cpu.batches import argmax_of_points, distinct  # noqa: E402
-from articugen.learning.ppd.cpu.patches import patches  # noqa: E402
-from articugen.learning.ppd.discriminator import Discriminator  # noqa: E402
-from articugen.learning.ppd.encoders import (  # noqa: E402
+from articugen.learning.method import load_recipe
+from articugen.learning.ppd.cpu.batches import argmax_of_points, distinct
+from articugen.learning.ppd.cpu.patches import patches
+from articugen.learning.ppd.discriminator import Discriminator
+from articugen.learning.ppd.encoders import (
     Encoder,
     GridEncoder,
     _merged,
     can_spare_patches,
     filled,
 )
-from articugen.learning.ppd.kinematics import inverse_motion, joint_frames, rotation_from_z  # noqa: E402
-from articugen.learning.ppd.model import PPD, rest_states  # noqa: E402
-from articugen.learning.ppd.settings import ModelSettings  # noqa: E402
-from articugen.learning.ppd.shape import (  # noqa: E402
+from articugen.learning.ppd.kinematics import inverse_motion, joint_frames, rotation_from_z
+from articugen.learning.ppd.model import PPD, rest_states
+from articugen.learning.ppd.settings import ModelSettings
+from articugen.learning.ppd.shape import (
     PLAIN_SIZE,
     Quantizer,
 )

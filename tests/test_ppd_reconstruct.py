@@ -9,14 +9,14 @@ from instances import hinged_box
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from articugen.core.geometry import apply  # noqa: E402
-from articugen.core.records import dequantize  # noqa: E402
-from articugen.learning.ppd import reconstruct as reconstruction  # noqa: E402
-from articugen.learning.ppd.drawing import between  # noqa: E402
-from articugen.learning.ppd.model import PPD  # noqa: E402
-from articugen.learning.ppd.reconstruct import part_logits, reconstruction_of  # noqa: E402
-from articugen.learning.ppd.settings import ModelSettings  # noqa: E402
-from articugen.meshes.distances import distance  # noqa: E402
+from articugen.core.geometry import apply
+from articugen.core.records import dequantize
+from articugen.learning.ppd import reconstruct as reconstruction
+from articugen.learning.ppd.drawing import between
+from articugen.learning.ppd.model import PPD
+from articugen.learning.ppd.reconstruct import part_logits, reconstruction_of
+from articugen.learning.ppd.settings import ModelSettings
+from articugen.meshes.distances import distance
 
 torch.set_num_threads(1)
 

@@ -6,23 +6,23 @@ from ppd_data import write_boxes
 
 torch = pytest.importorskip("torch")
 
-from articugen.core.errors import InvalidRecipe  # noqa: E402
-from articugen.core.records import JointKind  # noqa: E402
-from articugen.core.yaml_files import with_settings  # noqa: E402
-from articugen.discovery import Discovery, FoundJoint  # noqa: E402
-from articugen.learning.data.split import BatchSpec, load_split, unpacked  # noqa: E402
-from articugen.learning.method import load_recipe  # noqa: E402
-from articugen.learning.ppd import learner as learner_module  # noqa: E402
-from articugen.learning.ppd.kinematics import inverse_motion, rotation_from_z  # noqa: E402
-from articugen.learning.ppd.learner import PPDLearner  # noqa: E402
-from articugen.learning.ppd.model import rest_states  # noqa: E402
-from articugen.learning.ppd.settings import (  # noqa: E402
+from articugen.core.errors import InvalidRecipe
+from articugen.core.records import JointKind
+from articugen.core.yaml_files import with_settings
+from articugen.discovery import Discovery, FoundJoint
+from articugen.learning.data.split import BatchSpec, load_split, unpacked
+from articugen.learning.method import load_recipe
+from articugen.learning.ppd import learner as learner_module
+from articugen.learning.ppd.kinematics import inverse_motion, rotation_from_z
+from articugen.learning.ppd.learner import PPDLearner
+from articugen.learning.ppd.model import rest_states
+from articugen.learning.ppd.settings import (
     ModelSettings,
     PPDRecipe,
     VarySettings,
 )
-from articugen.learning.ppd.warm.targets import targets  # noqa: E402
-from articugen.learning.ppd.warm.variation import (  # noqa: E402
+from articugen.learning.ppd.warm.targets import targets
+from articugen.learning.ppd.warm.variation import (
     CHANCES,
     Variation,
     Warp,

@@ -8,17 +8,17 @@ from ppd_data import write_boxes
 
 torch = pytest.importorskip("torch")
 
-from test_discovery import LID, posed, slide, turn  # noqa: E402
+from test_discovery import LID, posed, slide, turn
 
-from articugen.core.errors import InvalidCheckpoint, UnfitData  # noqa: E402
-from articugen.core.records import JointKind  # noqa: E402
-from articugen.discovery import KINDS, Discovery, FoundJoint  # noqa: E402
-from articugen.learning.data.split import BatchSpec, load_split, unpacked  # noqa: E402
-from articugen.learning.method import find_method, load_recipe  # noqa: E402
-from articugen.learning.ppd.model import Prediction, amount_of, rest_states  # noqa: E402
-from articugen.learning.ppd.settings import ModelSettings, WarmStart, directions_of  # noqa: E402
-from articugen.learning.ppd.shape import PartBox  # noqa: E402
-from articugen.learning.ppd.warm import found as found_module  # noqa: E402
+from articugen.core.errors import InvalidCheckpoint, UnfitData
+from articugen.core.records import JointKind
+from articugen.discovery import KINDS, Discovery, FoundJoint
+from articugen.learning.data.split import BatchSpec, load_split, unpacked
+from articugen.learning.method import find_method, load_recipe
+from articugen.learning.ppd.model import Prediction, amount_of, rest_states
+from articugen.learning.ppd.settings import ModelSettings, WarmStart, directions_of
+from articugen.learning.ppd.shape import PartBox
+from articugen.learning.ppd.warm import found as found_module
 from articugen.learning.ppd.warm.found import (
     _Asked,
     _Clouds,
@@ -36,7 +36,7 @@ from articugen.learning.ppd.warm.targets import (
     targets,
 )
 from articugen.learning.ppd.warm.terms import LEAST_SIZE, aim_terms, labels_entropy, parts_entropy
-from articugen.store.shards import open_shard  # noqa: E402
+from articugen.store.shards import open_shard
 
 MODEL = ModelSettings()
 SPEC = BatchSpec(surface_points=256, parts=True, poses=True, hidden=True, normals=True)

@@ -13,12 +13,12 @@ from articugen.core.errors import InvalidRecipe
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from two_processes import slopes  # noqa: E402
+from two_processes import slopes
 
-from articugen.learning import processes  # noqa: E402
-from articugen.learning.loop import train  # noqa: E402
-from articugen.learning.method import load_recipe  # noqa: E402
-from articugen.learning.run_folder import LATEST, METRICS, read_checkpoint  # noqa: E402
+from articugen.learning import processes
+from articugen.learning.loop import train
+from articugen.learning.method import load_recipe
+from articugen.learning.run_folder import LATEST, METRICS, read_checkpoint
 
 torch.set_num_threads(1)
 

@@ -11,10 +11,10 @@ from articugen.learning.recipe import DataSettings, Seeds
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from articugen.learning import race as race_module  # noqa: E402
-from articugen.learning.loop import train  # noqa: E402
-from articugen.learning.race import RACE, best_half, race  # noqa: E402
-from articugen.learning.run_folder import BEST, LATEST, METRICS, read_checkpoint  # noqa: E402
+from articugen.learning import race as race_module
+from articugen.learning.loop import train
+from articugen.learning.race import RACE, best_half, race
+from articugen.learning.run_folder import BEST, LATEST, METRICS, read_checkpoint
 
 torch.set_num_threads(1)
 

@@ -306,7 +306,10 @@ def test_text_and_hash_depend_on_the_meaning_alone(tmp_path: Path) -> None:
 
 
 def test_another_process_hashes_the_same() -> None:
-    code = "from articugen.core.recipe import load_recipe; print(load_recipe('quick', 'oven').sha256())"
+    code = (
+        "from articugen.core.recipe import load_recipe\n"
+        "print(load_recipe('quick', 'oven').sha256())"
+    )
     assert printed("-c", code, PYTHONHASHSEED="1").strip() == load_recipe("quick", "oven").sha256()
 
 

@@ -21,17 +21,17 @@ from articugen.learning.evaluation.results import read_evaluation
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from articugen.learning import tensors  # noqa: E402
-from articugen.learning.commands import newest  # noqa: E402
-from articugen.learning.loop import train, train_depth  # noqa: E402
-from articugen.learning.ppd.settings import (  # noqa: E402
+from articugen.learning import tensors
+from articugen.learning.commands import newest
+from articugen.learning.loop import train, train_depth
+from articugen.learning.ppd.settings import (
     DepthSettings,
     PPDRecipe,
     PPDSchedule,
     PPDStage,
 )
-from articugen.learning.recipe import DataSettings  # noqa: E402
-from articugen.learning.run_folder import DEPTH as DEPTH_FILES  # noqa: E402
+from articugen.learning.recipe import DataSettings
+from articugen.learning.run_folder import DEPTH as DEPTH_FILES
 from articugen.learning.run_folder import (
     FORMAT,
     LATEST,
@@ -40,7 +40,7 @@ from articugen.learning.run_folder import (
     depth_learner,
     read_checkpoint,
 )
-from articugen.learning.tensors import digest, read_tensors, sealed, write_tensors  # noqa: E402
+from articugen.learning.tensors import digest, read_tensors, sealed, write_tensors
 
 torch.set_num_threads(1)
 

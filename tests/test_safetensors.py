@@ -10,7 +10,7 @@ from articugen.core.errors import InvalidCheckpoint
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from articugen.learning.safetensors import read_safetensors, write_safetensors  # noqa: E402
+from articugen.learning.safetensors import read_safetensors, write_safetensors
 
 TENSORS = {
     "b.weight": torch.arange(6, dtype=torch.float32).view(2, 3).T,  # not contiguous

@@ -29,7 +29,10 @@ def test_a_path_is_more_than_its_text_run_together() -> None:
 
 
 def test_another_process_draws_the_same() -> None:
-    code = "from articugen.core.seeding import generator; print(generator(0, 'lamp', 3).random().hex())"
+    code = (
+        "from articugen.core.seeding import generator\n"
+        "print(generator(0, 'lamp', 3).random().hex())"
+    )
     assert printed("-c", code, PYTHONHASHSEED="1").strip() == generator(0, "lamp", 3).random().hex()
 
 

@@ -169,7 +169,7 @@ def test_a_shared_object_has_the_same_bytes(tmp_path: Path) -> None:
 MAKE = """
 import pickle, sys
 from pathlib import Path
-from articugen.pipeline import make_object
+from articugen.pipeline.run import make_object
 job, task, common = pickle.loads(Path(sys.argv[1]).read_bytes())
 print(make_object(job, task, common=common).made.content_sha256)
 """

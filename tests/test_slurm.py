@@ -101,7 +101,7 @@ def test_it_is_followed_again_and_interrupted(cluster: dict[str, Daemon], tmp_pa
     out = tmp_path / "eyeglasses"
     script = (
         "import os, sys; from pathlib import Path; from test_slurm import finished, on_slurm\n"
-        "from articugen import slurm\n"
+        "from articugen.pipeline.executors import slurm\n"
         "with slurm.started(on_slurm(Path(sys.argv[1]))) as run:\n"
         "    run.finish(on_notice=lambda _: os.kill(os.getpid(), 9))"
     )

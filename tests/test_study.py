@@ -13,16 +13,16 @@ from articugen.learning.method import load_recipe
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from articugen.learning import commands  # noqa: E402
-from articugen.learning import study as studies  # noqa: E402
-from articugen.learning.benchmark import Pace, pace, pace_table  # noqa: E402
-from articugen.learning.run_folder import (  # noqa: E402
+from articugen.learning import commands
+from articugen.learning import study as studies
+from articugen.learning.benchmark import Pace, pace, pace_table
+from articugen.learning.run_folder import (
     LATEST,
     WEIGHTS,
     read_checkpoint,
     read_run,
 )
-from articugen.learning.study import Asked, Journal, made_quick, planned_recipe, study  # noqa: E402
+from articugen.learning.study import Asked, Journal, made_quick, planned_recipe, study
 
 torch.set_num_threads(1)
 

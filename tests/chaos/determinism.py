@@ -28,7 +28,7 @@ MAKE = """
 import json, os, signal, sys
 from pathlib import Path
 from articugen.pipeline import door as api
-from articugen.pipeline import Job
+from articugen.pipeline.run import Job
 from tests.chaos.corruptions import RECIPE
 from tests.golden import own_models
 jobs, die = map(int, sys.argv[1:])
