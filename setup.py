@@ -14,5 +14,5 @@ BUNDLED = {f"articugen._bundled.{folder.replace('/', '.')}": folder for folder i
 setup(
     packages=[*find_packages(include=["articugen*"]), *BUNDLED],
     package_dir=BUNDLED,
-    package_data={"": ["*.yaml", "*.css", "*.js", "README.md", "py.typed"]},
+    package_data={"": ["*.yaml", "*.css", "*.js", "README.md", "py.typed", "*.pyi"]},
 )

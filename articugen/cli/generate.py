@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 from rich.markup import escape
 
-from articugen import __version__
 from articugen.cli.discover import register as register_discover
 from articugen.cli.export import register as register_export
 from articugen.cli.fetch import register as register_fetch
@@ -46,6 +45,7 @@ from articugen.cli.saying import (
 from articugen.cli.shares import made_by_array, made_in_bucket, made_share, share_of
 from articugen.cli.shares import register as register_merge
 from articugen.cli.view import register as register_view
+from articugen.core.content import VERSION
 from articugen.core.errors import ArticugenError
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ def _drop_output() -> None:
 
 def _version(wanted: bool) -> None:
     if wanted:
-        stdout.print(f"articugen {__version__}")
+        stdout.print(f"articugen {VERSION}")
         raise typer.Exit
 
 

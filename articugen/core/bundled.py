@@ -8,7 +8,7 @@ from pathlib import Path
 
 from platformdirs import user_cache_path
 
-_INSTALLED = Path(__file__).resolve().parent / "_bundled"
+_INSTALLED = Path(__file__).resolve().parents[1] / "_bundled"
 _ROOT = _INSTALLED if _INSTALLED.is_dir() else _INSTALLED.parent.parent
 
 RECIPES = _ROOT / "recipes"

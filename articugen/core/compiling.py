@@ -27,7 +27,7 @@ PARTS = {
 }
 """For each command the parts of `rehearsal` that it needs; first those that take longest."""
 
-_PACKAGE = Path(__file__).resolve().parent
+_PACKAGE = Path(__file__).resolve().parents[1]
 _KERNELS = (
     "fusion", "inspection", "jit.py", "learning/ppd/greatest.py", "learning/ppd/patches.py",
     "learning/ppd/sine_kernels.py", "rehearsal.py", "rendering", "report/skin.py",

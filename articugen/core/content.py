@@ -10,6 +10,9 @@ They stand in one light table, since a run is planned without importing numba an
 import hashlib
 from pathlib import Path
 
+VERSION = "0.1.0"
+"""Of articugen; `articugen.__version__`."""
+
 STAGES = {
     "sources": 1,  # how files become an object; not the shapes of bundled models
     "articulation": 1,
@@ -31,7 +34,7 @@ MODELS = {
 }
 """The same for the shapes of bundled models, by category: models and their data are made again."""
 
-_DRAWN_BY = Path(__file__).parent / "sources" / "procedural"
+_DRAWN_BY = Path(__file__).parents[1] / "procedural"
 
 
 def model_version(category: str) -> int | str:

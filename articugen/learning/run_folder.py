@@ -25,7 +25,7 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from torch import Tensor
 
-from articugen import __version__
+from articugen.core.content import VERSION
 from articugen.core.errors import ArticugenError, InvalidCheckpoint, InvalidRecipe, MachineFault
 from articugen.core.files import (
     UnfitFile,
@@ -362,7 +362,7 @@ class RunFolder:
             "seed": seed,
             "recipe_sha256": recipe.sha256(),
             "data": data,
-            "articugen": __version__,
+            "articugen": VERSION,
             "commit": this_commit(),
             "torch": torch.__version__,
             "machine": this_machine(),

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from articugen import __version__
 from articugen.core import processes
+from articugen.core.content import VERSION
 from articugen.core.errors import ArticugenError, InvalidCheckpoint, MachineFault
 from articugen.core.files import make_folder, write_atomically
 from articugen.core.yaml_files import validated
@@ -235,7 +235,7 @@ def facts(device: str) -> dict[str, Any]:
     found: dict[str, Any] = {
         "machine": this_machine(),
         "commit": this_commit(),
-        "articugen": __version__,
+        "articugen": VERSION,
         "python": platform.python_version(),
         "numpy": np.__version__,
         "torch": torch.__version__,

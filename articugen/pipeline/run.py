@@ -17,9 +17,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from articugen import __version__
 from articugen.core import content, processes
 from articugen.core.compiling import compile_kernels
+from articugen.core.content import VERSION
 from articugen.core.errors import (
     ArticugenError,
     InvalidRecipe,
@@ -704,7 +704,7 @@ def _attributes(job: Job, task: Task) -> dict[str, str | int]:
         "recipe": recipe.text(),
         "recipe_sha256": recipe.sha256(),
         "seed": job.seed,
-        "articugen_version": __version__,
+        "articugen_version": VERSION,
         "generator": task.key.generator,
     }
 

@@ -10,7 +10,7 @@ import re
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-from articugen import __version__
+from articugen.core.content import VERSION
 from articugen.store.manifest import Manifest, code_version
 
 NAME = "croissant.json"
@@ -141,9 +141,9 @@ def document(
         "conformsTo": "http://mlcommons.org/croissant/1.1",
         "name": name,
         "description": description,
-        "creator": {"@type": "sc:Organization", "name": f"articugen {__version__}"},
+        "creator": {"@type": "sc:Organization", "name": f"articugen {VERSION}"},
         "version": "1.0.0",
-        "citeAs": _CITATION % (re.sub(r"[^\w -]", "_", name), __version__),
+        "citeAs": _CITATION % (re.sub(r"[^\w -]", "_", name), VERSION),
     }
     if manifest is not None:
         told |= {"license": manifest.licence, "isBasedOn": manifest.source}

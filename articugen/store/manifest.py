@@ -19,7 +19,7 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError, model_validator
 
-from articugen import __version__
+from articugen.core.content import VERSION
 from articugen.core.errors import CorruptShard, MachineFault, printable
 from articugen.core.files import UnfitFile, cannot_write, read_regular, sha256_of, write_atomically
 from articugen.core.schema import SCHEMA_VERSION, SPLIT
@@ -587,7 +587,7 @@ def code_version() -> str:
     digest = hashlib.sha256()
     for file in sorted(package.rglob("*.py")):
         digest.update(file.relative_to(package).as_posix().encode() + b"\0" + file.read_bytes())
-    return f"{__version__}+{digest.hexdigest()[:12]}"
+    return f"{VERSION}+{digest.hexdigest()[:12]}"
 
 
 def this_machine() -> dict[str, str | int]:

@@ -13,7 +13,7 @@ from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
 
-from articugen import __version__
+from articugen.core.content import VERSION
 from articugen.core.errors import InvalidArgument
 from articugen.core.files import check_place, write_atomically
 from articugen.inspection.report import sections
@@ -122,7 +122,7 @@ def page(report: Report) -> str:
         el("meta", http_equiv="Content-Security-Policy", content=policy),
         el("meta", name="viewport", content="width=device-width, initial-scale=1"),
         el("meta", name="color-scheme", content="light dark"),
-        el("meta", name="generator", content=f"articugen {__version__}"),
+        el("meta", name="generator", content=f"articugen {VERSION}"),
         el("title", f"{category}: report of a data set"),
         el("style", Markup(style)),
     )
@@ -140,7 +140,7 @@ def page(report: Report) -> str:
                 for name, title, inside in parts
             ),
         ),
-        el("footer", el("p", f"Written by articugen {__version__} from what the data set holds. "
+        el("footer", el("p", f"Written by articugen {VERSION} from what the data set holds. "
                              "This file is complete: it opens without a network.")),
         _scene(report.turnable),
         el("script", Markup(script)),

@@ -17,7 +17,7 @@ from typing import BinaryIO
 
 from pydantic import TypeAdapter
 
-from articugen import __version__
+from articugen.core.content import VERSION
 from articugen.core.errors import (
     ArticugenError,
     InvalidArgument,
@@ -76,7 +76,7 @@ class Receipt:
     bytes: int
     sha256: str | None
     refused: str | None
-    checked_by: str = __version__
+    checked_by: str = VERSION
     listing: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -220,11 +220,9 @@ class Target:
             return False
         if archive_sha256 not in (None, receipt.archive_sha256):
             return False
-        if receipt.checked_by != __version__:
+        if receipt.checked_by != VERSION:
             sha256, refused = self._judged(self.folder / place)
-            self._note(
-                place, replace(receipt, sha256=sha256, refused=refused, checked_by=__version__)
-            )
+            self._note(place, replace(receipt, sha256=sha256, refused=refused, checked_by=VERSION))
         return True
 
     @contextmanager
