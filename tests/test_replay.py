@@ -12,13 +12,14 @@ from articugen.core.errors import ArticugenError, InvalidSource
 from articugen.core.recipe import Recipe
 from articugen.core.records import dequantize, quantize
 from articugen.instance import articulation
+from articugen.instance.again import prepared_again, write_mesh
 from articugen.instance.make import make_instance, prepare
 from articugen.pipeline import door
 from articugen.pipeline.run import Job
 from articugen.sources import registry
 from articugen.store.manifest import Manifest
 from articugen.verify import replay as replaying
-from articugen.verify.replay import prepared_again, replay, write_mesh
+from articugen.verify.replay import replay
 
 RECIPE = Recipe.model_validate(
     {

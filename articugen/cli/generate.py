@@ -523,7 +523,7 @@ def mesh(
 ) -> None:
     """Write a watertight mesh of one instance's field, made again from its source."""
     with said():
-        from articugen.verify.replay import write_mesh
+        from articugen.instance.again import write_mesh
 
         with stderr.status("fusing ..."):
             faces = write_mesh(folder, object_id, state, resolution, output)

@@ -33,7 +33,7 @@ class PartMeshes:
 
         Raises:
             LeftOut: a part has no voxel; or the canonical pose is not there.
-            ArticugenError: the model cannot be made again; see `replay.prepared_again`.
+            ArticugenError: the model cannot be made again; see `again.prepared_again`.
         """
         row = rows[0]
         if self._last[0] != row.object_id:
@@ -42,7 +42,7 @@ class PartMeshes:
         return self._last[1]
 
     def _made(self, row: Row) -> tuple[Mesh, ...]:
-        from articugen.verify import replay  # noqa: PLC0415 - the stages take a second
+        from articugen.instance import again  # noqa: PLC0415 - the stages take a second
 
         manifest = self._data.manifest
         try:
@@ -50,13 +50,13 @@ class PartMeshes:
                 raise ArticugenError(
                     f"{self._data.path}: has no manifest, so its models cannot be found"
                 )
-            prepared = replay.prepared_again(manifest, row.object_id)
+            prepared = again.prepared_again(manifest, row.object_id)
         except ArticugenError as error:
             raise ArticugenError(
                 f"{error}; or take the parts from the stored grids, with --from-grids"
             ) from error
         try:
-            made = replay.part_meshes(prepared, self._options.resolution)
+            made = again.part_meshes(prepared, self._options.resolution)
             return tuple(simpler(mesh, _WITHIN) for mesh in made)
         except RejectedInstance as error:
             raise LeftOut(f"{row.object_id}: {error}") from error

@@ -17,6 +17,7 @@ from pydantic import ValidationError
 
 from articugen.core.errors import ArticugenError
 from articugen.core.recipe import Recipe
+from articugen.instance.again import generator_of
 from articugen.pipeline.journal import NEVER_MADE
 from articugen.pipeline.rank_journal import (
     CommonPlan,
@@ -33,7 +34,6 @@ from articugen.pipeline.run import (
     Run,
     as_its_source_is,
     conclude,
-    generator_of,
     objects_of,
     plain_name,
     plan_for,

@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from articugen.core import content, processes
+from articugen.core import processes
 from articugen.core.compiling import compile_kernels
 from articugen.core.content import VERSION
 from articugen.core.errors import (
@@ -34,6 +34,7 @@ from articugen.core.files import megabytes, room_at, write_atomically
 from articugen.core.memory import give_back
 from articugen.core.recipe import Recipe, check_category
 from articugen.core.records import Instance
+from articugen.instance.again import generator_of
 from articugen.pipeline import sharing
 from articugen.pipeline.estimate import instance_bytes, run_seconds
 from articugen.pipeline.executors import dask
@@ -686,12 +687,6 @@ def _source_digest(recipe: Recipe, ref: ObjectRef) -> str:
     except Exception as error:  # an object must not take the others down with it
         verdict = _verdict(error, ref, recipe) or f"{type(error).__name__}: {error}"
         return printable(f"unreadable: {verdict}")
-
-
-def generator_of(ref: ObjectRef, recipe: str) -> str:
-    """What of our code decides the data of an object by a recipe of this text: see `content`."""
-    models = ref.category if registry.is_procedural(ref.source) else None
-    return content.declared(models, recipe)
 
 
 def _attributes(job: Job, task: Task) -> dict[str, str | int]:

@@ -106,7 +106,7 @@ class DataSet(Sequence[Row]):
     """
 
     draw: ClassVar[Callable[["DataSet"], str] | None] = None
-    """Makes HTML of it for a notebook; `articugen.inspection.notebook`, which may draw, puts it here."""
+    """Makes HTML of it for a notebook; `inspection.notebook`, which may draw, puts it here."""
 
     def __init__(
         self, shelf: "_Shelf", where: NDArray[np.int32], drawn: NDArray[np.int32] | None = None

@@ -248,7 +248,7 @@ class Row:
     """
 
     draw: ClassVar[Callable[["Row"], str] | None] = None
-    """Makes HTML of a row for a notebook; `articugen.inspection.notebook`, which may draw, puts it here."""
+    """Makes HTML of a row for a notebook; `inspection.notebook`, which may draw, puts it here."""
 
     def __init__(
         self,

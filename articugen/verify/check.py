@@ -41,7 +41,7 @@ def check(
 
     Raises:
         InvalidArgument: `drop_user` without `repair`.
-        ArticugenError: an instance cannot be made again, see `replay.prepared_again`; a run is at
+        ArticugenError: an instance cannot be made again, see `again.prepared_again`; a run is at
             work where a repair was asked for.
         MachineFault: a repair has no space on the disk, or the like; what was mended is kept.
     """

@@ -9,10 +9,10 @@ import numpy as np
 from articugen.core.errors import InvalidArgument, MissingExtra
 from articugen.core.geometry import apply, invert_rigid
 from articugen.core.records import Floats, Instance, JointKind, Mesh
+from articugen.instance import again
 from articugen.instance.maker import Maker
 from articugen.meshes.marching_cubes import zero_level
 from articugen.pictures.portrait import AJAR
-from articugen.verify import replay
 
 SAME = 1e-9
 """Radians or metres by which joint values of one state may differ."""
@@ -154,7 +154,7 @@ class Shown:
 
     def _part_surfaces(self) -> Iterator[Mesh]:
         if self.maker is not None:
-            yield from replay.part_meshes(self.maker.prepared, PART_VOXELS)
+            yield from again.part_meshes(self.maker.prepared, PART_VOXELS)
             return
         first = self._read(0)
         if not first.occupancy:

@@ -11,13 +11,13 @@ from articugen.core.errors import ArticugenError, InvalidSource, NotOfCategory
 from articugen.core.recipe import Recipe
 from articugen.core.records import Instance, JointKind
 from articugen.inspection.viewer.shown import Joint, Shown
+from articugen.instance import again
 from articugen.instance.maker import Maker, Model, load, models
 from articugen.sources.named import source_files
 from articugen.store.dataset import DataSet
 from articugen.store.dataset import open as open_data_set
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.shards import Shard, open_shard
-from articugen.verify import replay
 
 
 class Source(Protocol):
@@ -90,7 +90,7 @@ class StoredObjects:
         manifest = self._data.manifest or _manifest_beside(shard)
         if manifest is None:
             raise InvalidSource(f"{shard.parent}: has no {MANIFEST_NAME} that names the source")
-        obj, settings = replay.source_again(manifest, object_id)
+        obj, settings = again.source_again(manifest, object_id)
         model = Model(obj, settings.canonical, tuple(settings.movable))
         recipe = Recipe.model_validate_json(manifest.recipe)
         return Maker(model, recipe.for_one_object(), manifest.seed)

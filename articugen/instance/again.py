@@ -1,0 +1,96 @@
+"""Objects of a data set made again from their source: for verify, export, mesh and the viewer."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from articugen.core import content
+from articugen.core.errors import ArticugenError, InvalidSource, RejectedInstance
+from articugen.core.files import check_place
+from articugen.core.recipe import Recipe
+from articugen.core.records import ArticulatedObject, Mesh
+from articugen.fusion import PosedSolids
+from articugen.fusion.isosurface import extract_mesh
+from articugen.instance import articulation
+from articugen.instance.make import Prepared, pose, prepare
+from articugen.meshes.mesh_file import check_format, export
+from articugen.sources import registry
+from articugen.sources.refs import ObjectRef
+from articugen.store.manifest import Manifest
+
+
+def generator_of(ref: ObjectRef, recipe: str) -> str:
+    """What of our code decides the data of an object by a recipe of this text: see `content`."""
+    models = ref.category if registry.is_procedural(ref.source) else None
+    return content.declared(models, recipe)
+
+
+def source_again(
+    manifest: Manifest, object_id: str
+) -> tuple[ArticulatedObject, registry.CategorySettings]:
+    """The model that an object of the data set was made of, and what its source says of how it
+    moves.
+
+    Raises:
+        ArticugenError: no such object; its source is gone or has changed; other code made it.
+    """
+    entry = next((o for o in manifest.objects if o.key.object_id == object_id), None)
+    if entry is None:
+        raise InvalidSource(
+            f"no object {object_id!r} in this data set; articugen inspect names some"
+        )
+    ref = registry.find(manifest.source, manifest.category, object_id)
+    same_code = entry.key.model_copy(update={"generator": generator_of(ref, manifest.recipe)})
+    changed = same_code.difference(entry.key)
+    if changed:
+        raise ArticugenError(f"{object_id}: {changed}; only such a version can make it again")
+    obj = registry.load(ref)
+    if obj.sha256 != entry.input_sha256:
+        raise InvalidSource(f"{object_id}: its files under {ref.location} have changed since")
+    return obj, registry.settings(ref)
+
+
+def prepared_again(manifest: Manifest, object_id: str) -> Prepared:
+    """What the instances of one object of the data set share, made again.
+
+    Raises:
+        ArticugenError: as `source_again`.
+    """
+    recipe = Recipe.model_validate_json(manifest.recipe)
+    obj, settings = source_again(manifest, object_id)
+    resolved = articulation.resolve(
+        obj, recipe.articulation, canonical=settings.canonical, movable=settings.movable
+    )
+    return prepare(resolved, recipe.for_one_object(), manifest.seed)
+
+
+def write_mesh(folder: Path, object_id: str, state_index: int, resolution: int, path: Path) -> int:
+    """Write the watertight mesh of one instance's field, unit frame; the number of its faces.
+
+    Raises:
+        ArticugenError: as `prepared_again`; no such state; the file cannot be written.
+    """
+    check_format(path)
+    check_place(path)
+    prepared = prepared_again(Manifest.read(folder), object_id)
+    if state_index >= len(prepared.states):
+        raise ArticugenError(f"{object_id} has the states 0 to {len(prepared.states) - 1}")
+    _, fields = pose(prepared, state_index)
+    mesh = extract_mesh(fields.whole, resolution)
+    export(mesh, path)
+    return len(mesh.faces)
+
+
+def part_meshes(prepared: Prepared, resolution: int) -> Iterator[Mesh]:
+    """The own solid of each part as a watertight mesh, canonical pose, unit frame; part 0 first.
+
+    Raises:
+        RejectedInstance: no voxel centre lies in one of them.
+    """
+    for part, own in enumerate(prepared.own):
+        alone = PosedSolids((own,), np.eye(4)[None], prepared.recipe.fusion)
+        try:
+            yield extract_mesh(alone, resolution, box=own.box)
+        except RejectedInstance as error:
+            raise RejectedInstance(f"part {part}: {error}") from None
