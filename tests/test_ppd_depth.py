@@ -21,12 +21,12 @@ torch = pytest.importorskip("torch", reason="PPD needs torch")
 from instances import hinged_box
 
 from articugen.core.records import dequantize
+from articugen.learning.clouds import seen_by_a_camera
 from articugen.learning.data.split import BatchSpec, load_split, unpacked
 from articugen.learning.loop import train, train_depth
 from articugen.learning.ppd.depth import latents
 from articugen.learning.run_folder import DEPTH, LATEST, RunFolder, depth_learner, read_checkpoint
 from articugen.learning.tensors import digest
-from articugen.meshes.points import seen_by_a_camera
 
 torch.set_num_threads(1)
 

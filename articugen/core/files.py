@@ -1,6 +1,7 @@
 """Files that are either whole under their final name or not there at all."""
 
 import errno
+import fcntl
 import hashlib
 import os
 import re
@@ -8,12 +9,13 @@ import secrets
 import shutil
 import stat
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from articugen.core.errors import MachineFault
+from articugen.core.errors import ArticugenError, MachineFault
 
 _CURES = {
     errno.ENOSPC: "the disk is full{room}; free some space or choose another output folder",
@@ -40,6 +42,10 @@ _KINDS = {
     stat.S_IFSOCK: "a socket",
     stat.S_IFLNK: "a symbolic link",
 }
+
+
+DYING_SECONDS = 1.0
+"""The workers of a killed run hold its lock for so long at most: see `processes.die_with`."""
 
 
 class UnfitFile(OSError):
@@ -275,3 +281,30 @@ def sha256_of(path: Path) -> str:
         while block := file.read(1 << 20):
             digest.update(block)
     return digest.hexdigest()
+
+
+def lock_folder(folder: Path, kind: int = fcntl.LOCK_EX) -> int:
+    """A handle that keeps other runs out (or lets ranks in alone) for as long as anybody holds it
+    open.
+
+    Raises:
+        ArticugenError: another run holds one.
+        OSError: the folder cannot be opened.
+    """
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    patience = time.monotonic() + DYING_SECONDS
+    while True:
+        try:
+            fcntl.flock(handle, kind | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() < patience:
+                time.sleep(0.05)
+                continue
+            os.close(handle)
+            raise ArticugenError(
+                f"{folder}: another run is writing here; wait for it or choose another output "
+                "folder"
+            ) from None
+        except OSError:
+            pass  # a file system without locks: there the user must see to it
+        return handle

@@ -18,6 +18,7 @@ from articugen.core.files import write_atomically
 from articugen.core.records import Floats, Instance, JointKind, dequantize
 from articugen.core.yaml_files import with_settings
 from articugen.learning import loop, processes, tensorboard
+from articugen.learning.clouds import cloud_of_shard, seen_by_a_camera
 from articugen.learning.data.fitness import lying_otherwise
 from articugen.learning.evaluation.evaluate import Protocol, Reconstruct, check_splits
 from articugen.learning.evaluation.evaluate import evaluate as evaluate_as_paper
@@ -36,7 +37,7 @@ from articugen.learning.predict import write_rig
 from articugen.learning.race import race
 from articugen.learning.recipe import TrainRecipe
 from articugen.learning.run_folder import DEPTH, RunFolder, depth_learner, read_run
-from articugen.meshes.points import Cloud, cloud_of_file, cloud_of_shard, seen_by_a_camera
+from articugen.meshes.points import Cloud, cloud_of_file
 from articugen.store.manifest import Manifest
 
 FolderLike = str | os.PathLike[str]

@@ -30,6 +30,7 @@ from articugen.core.errors import ArticugenError, InvalidCheckpoint, InvalidReci
 from articugen.core.files import (
     UnfitFile,
     cannot_write,
+    lock_folder,
     make_folder,
     read_regular,
     sync,
@@ -42,7 +43,6 @@ from articugen.learning.method import Learner, find_method, parse_recipe
 from articugen.learning.recipe import TrainRecipe
 from articugen.learning.safetensors import read_safetensors, write_safetensors
 from articugen.learning.tensors import CURE, check_like, digest, read_tensors, write_tensors
-from articugen.pipeline.journal import lock_folder
 from articugen.store.manifest import this_commit, this_machine
 
 FORMAT = "articugen checkpoint 3"

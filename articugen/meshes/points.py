@@ -1,4 +1,4 @@
-"""Clouds to make predictions from: an instance of a shard, or a file of points."""
+"""Files of points that others wrote, read distrustfully."""
 
 import io
 import math
@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from articugen.core.errors import InvalidSource, UnfitData
+from articugen.core.errors import InvalidSource
 from articugen.core.files import read_regular
-from articugen.core.records import Instance, Normalization, dequantize
+from articugen.core.records import Normalization
 from articugen.core.seeding import generator
 from articugen.meshes.distances import Floats, sample
 from articugen.meshes.ply import claimed_rows
-from articugen.store.shards import Shard, open_shard
 
 FEWEST_POINTS = 64
 LONGEST_EDGE = 0.9
@@ -45,53 +44,6 @@ class Cloud:
     points: Floats
     frame: Normalization = UNIT
     hint: str = ""
-
-
-def cloud_of_shard(
-    path: Path, row: int = 0, *, category: str | None = None, camera: int | None = None
-) -> Cloud:
-    """The surface points of a shard's instance.
-
-    Args:
-        category: what the shard must be of.
-        camera: what this depth camera sees instead.
-
-    Raises:
-        CorruptShard: it cannot be read.
-        InvalidSource: it is of another category, or has no such row or camera.
-    """
-    with open_shard(path) as shard:
-        have = shard.attributes["category"]
-        if category is not None and have != category:
-            raise InvalidSource(f"{path}: holds {have}, the model is of {category}")
-        if row >= len(shard):
-            raise InvalidSource(f"{path}: has {len(shard)} instances, from 0; there is no {row}")
-        return Cloud(checked(dequantize(_stored(shard, row, camera)), str(path)))
-
-
-def _stored(shard: Shard, row: int, camera: int | None) -> Any:
-    if camera is None:
-        return shard.read("surface_points", row)
-    cameras = shard.fields["partial_points"][1]
-    if camera >= cameras:
-        raise InvalidSource(f"{shard.path}: has {cameras} cameras, from 0; there is no {camera}")
-    return shard.read("partial_points", row)[camera]
-
-
-def seen_by_a_camera(instance: Instance) -> Floats:
-    """(M, 3) what one of the instance's depth cameras sees, always the same one.
-
-    Raises:
-        UnfitData: it has none.
-    """
-    cameras = len(instance.partial_points)
-    if not cameras:
-        raise UnfitData(
-            f"{instance.object_id}: has no partial clouds; set sampling.partial_views and make the "
-            "data set again"
-        )
-    chosen = generator(0, "camera", instance.object_id, instance.state_index).integers(cameras)
-    return dequantize(instance.partial_points[chosen])
 
 
 def cloud_of_file(path: Path, *, fit: bool = False) -> Cloud:

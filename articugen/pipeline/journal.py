@@ -9,7 +9,6 @@ import fcntl
 import json
 import os
 import re
-import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
@@ -27,6 +26,7 @@ from articugen.core.files import (
     cannot_write,
     is_no_folder,
     is_plain_file,
+    lock_folder,
     make_folder,
     open_regular,
     sync,
@@ -54,10 +54,6 @@ _SHARD = re.compile(r"(?P<split>.+)-\d{5,}\.h5")
 _OF_A_RANK = re.compile(r"\.articugen-journal\.(\d{1,7})-of-(\d{1,7})\.[0-9a-f]{8}\.jsonl")
 
 NEVER_MADE = "it has not been made yet"
-
-DYING_SECONDS = 1.0
-"""The workers of a killed run hold its lock for so long at most: see `workers.die_with`."""
-
 
 J = TypeVar("J", bound="Journal")
 
@@ -493,30 +489,3 @@ def _append(path: Path, line: bytes) -> None:
             raise
     finally:
         os.close(handle)
-
-
-def lock_folder(folder: Path, kind: int = fcntl.LOCK_EX) -> int:
-    """A handle that keeps other runs out (or lets ranks in alone) for as long as anybody holds it
-    open.
-
-    Raises:
-        ArticugenError: another run holds one.
-        OSError: the folder cannot be opened.
-    """
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    patience = time.monotonic() + DYING_SECONDS
-    while True:
-        try:
-            fcntl.flock(handle, kind | fcntl.LOCK_NB)
-        except BlockingIOError:
-            if time.monotonic() < patience:
-                time.sleep(0.05)
-                continue
-            os.close(handle)
-            raise ArticugenError(
-                f"{folder}: another run is writing here; wait for it or choose another output "
-                "folder"
-            ) from None
-        except OSError:
-            pass  # a file system without locks: there the user must see to it
-        return handle

@@ -18,12 +18,12 @@ from pydantic import BaseModel, ValidationError
 
 from articugen.core import processes
 from articugen.core.errors import ArticugenError, CorruptShard
-from articugen.core.files import read_regular, sha256_of, write_atomically
+from articugen.core.files import lock_folder, read_regular, sha256_of, write_atomically
 from articugen.core.recipe import Recipe
 from articugen.instance.again import generator_of
 from articugen.instance.make import prepare
 from articugen.instance.resolving import resolved
-from articugen.pipeline.journal import is_journal, lock_folder
+from articugen.pipeline.journal import is_journal
 from articugen.sources import registry
 from articugen.store import croissant
 from articugen.store.manifest import (
