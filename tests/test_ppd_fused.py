@@ -7,9 +7,8 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from articugen import rehearsal
 from articugen.learning.ppd import shape
-from articugen.learning.ppd.cpu import fused, greatest, sine_kernels
+from articugen.learning.ppd.cpu import fused, greatest, sine_kernels, warm
 from articugen.learning.ppd.model import PPD
 from articugen.learning.ppd.settings import ModelSettings
 
@@ -135,7 +134,7 @@ def test_sines_are_right_to_a_few_units_in_the_last_place():
 
 
 def test_what_is_compiled_ahead_is_what_is_used(model):
-    rehearsal.networks()
+    warm.networks()
     out, own = fields(model, 20)
     gradients(out, weights(out, "all"), own)
     for kernel in (sine_kernels.forward, sine_kernels.backward, greatest.greatest):

@@ -12,27 +12,36 @@ import os
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 
 import llvmlite.binding as llvm
+import numpy as np
 
 from articugen.core import processes
 from articugen.core.bundled import CACHE
+from articugen.core.geometry import look_along
+from articugen.core.records import LabelledMesh, Views
 
-PARTS = {
-    "generate": ("views", "drawing", "rays", "solids", "boxes", "files"),
-    "inspect": ("discs", "light", "skins", "drawing"),
-    "train": ("networks",),
-}
-"""For each command the parts of `rehearsal` that it needs; first those that take longest."""
+WARM_UPS = {
+    "generate": (
+        "fusion.warm:views", "rendering.warm:drawing", "fusion.warm:rays", "fusion.warm:solids",
+        "fusion.warm:boxes", "instance.warm:swept", "meshes.warm:files",
+    ),
+    "inspect": (
+        "pictures.warm:discs", "pictures.warm:light", "inspection.warm:skins",
+        "rendering.warm:drawing",
+    ),
+    "train": ("learning.ppd.cpu.warm:networks",),
+}  # fmt: skip
+"""For each command the functions that call the kernels it needs; first those that take longest.
+
+What they call is handed arrays made by hand wherever it needs none that another kernel makes, so
+that several processes compile different kernels at a time. A test sees to it that after this the
+real work finds every kernel compiled, for just the types that it hands over."""
 
 _PACKAGE = Path(__file__).resolve().parents[1]
-_KERNELS = (
-    "fusion", "inspection", "jit.py", "learning/ppd/greatest.py", "learning/ppd/patches.py",
-    "learning/ppd/sine_kernels.py", "rehearsal.py", "rendering", "report/skin.py",
-    "sources/obj_kernel.py", "swept.py",
-)  # fmt: skip
 
 
 def compile_kernels(
@@ -52,7 +61,7 @@ def compile_kernels(
     except OSError:  # nothing can be kept here
         return
     notice("compiling the kernels, once after an installation or an update ...")
-    lost = [ended.lost for ended in processes.each(_rehearse, PARTS[command], workers=jobs)]
+    lost = [ended.lost for ended in processes.each(_warm_up, WARM_UPS[command], workers=jobs)]
     if not any(lost):
         with suppress(OSError):
             stamp.touch()
@@ -60,14 +69,36 @@ def compile_kernels(
 
 def compile_all() -> None:
     """What every command needs, on all cores."""
-    for command in PARTS:
+    for command in WARM_UPS:
         compile_kernels(command, jobs=os.cpu_count() or 1)
 
 
-def _rehearse(part: str) -> None:
-    from articugen import rehearsal  # noqa: PLC0415 - imports numba
+def _warm_up(name: str) -> None:
+    module, _, function = name.partition(":")
+    getattr(import_module(f"articugen.{module}"), function)()
 
-    getattr(rehearsal, part)()
+
+def tetrahedron() -> LabelledMesh:
+    """A closed mesh of four faces, one part."""
+    return LabelledMesh(
+        np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]),
+        np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32),
+        np.zeros(4, np.uint8),
+    )
+
+
+def two_views() -> Views:
+    """Of 4 x 4 pixels."""
+    two, sides = np.ones(2), np.stack([look_along(way) for way in np.eye(3)[:2]])
+    return Views("orthographic", sides, two, two, two, two, 4, 4)
+
+
+def _with_kernels() -> list[Path]:
+    """The files of the rooms that have kernels to be compiled."""
+    modules = {name.partition(".warm:")[0] for names in WARM_UPS.values() for name in names}
+    rooms = (_PACKAGE.joinpath(*module.split(".")) for module in sorted(modules))
+    files = (file for room in rooms for file in sorted(room.rglob("*.py")))
+    return [_PACKAGE / "core" / "jit.py", *files]
 
 
 def _stamp(command: str) -> Path:
@@ -75,11 +106,9 @@ def _stamp(command: str) -> Path:
     processor; in the same folder as they, or where that cannot be written to in the user's cache.
     """
     known = [sys.version, version("numba"), *_processor()]
-    for name in _KERNELS:
-        path = _PACKAGE / name
-        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
-            state = file.stat()  # numba, too, looks at no more than that
-            known.append(f"{file.relative_to(_PACKAGE)} {state.st_mtime_ns} {state.st_size}")
+    for file in _with_kernels():
+        state = file.stat()  # numba, too, looks at no more than that
+        known.append(f"{file.relative_to(_PACKAGE)} {state.st_mtime_ns} {state.st_size}")
     digest = hashlib.sha256("\n".join(known).encode()).hexdigest()
     return _folder() / f"compiled-{command}-{digest[:16]}"
 
