@@ -11,7 +11,7 @@ from instances import RICH
 from ppd_data import write_boxes
 
 import articugen as ag
-from articugen.export.formats import Options
+from articugen.export.items import Options
 from articugen.export.parts import PartMeshes
 
 MESHES = {"from_grids": True}

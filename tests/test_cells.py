@@ -18,13 +18,14 @@ torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen.learning.commands import hints
 from articugen.learning.data import cells
+from articugen.learning.data.batch import BatchSpec
 from articugen.learning.data.cells import LabelledCells, voxel_centres
 from articugen.learning.data.fitness import (
     apart,
     check_fixed_part,
     lying_otherwise,
 )
-from articugen.learning.data.split import BatchSpec, load_split
+from articugen.learning.data.split import load_split
 
 ASK = BatchSpec(
     surface_points=100, grid_points=40, near_points=30, band_points=60, varying_points=50

@@ -14,7 +14,8 @@ from articugen.store.shards import open_shard, write_shard
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen.core import geometry
-from articugen.learning.data.split import BatchSpec, _places, load_split, unpacked, voxel_centres
+from articugen.learning.data.batch import BatchSpec
+from articugen.learning.data.split import _places, load_split, unpacked, voxel_centres
 
 ASK = BatchSpec(
     surface_points=300, grid_points=200, uniform_points=100, near_points=50, joints=(3, 4)

@@ -27,7 +27,7 @@ from articugen.core.geometry import (
     transform,
 )
 from articugen.core.records import is_material
-from articugen.export.formats import Options
+from articugen.export.items import Options
 from articugen.export.parts import PartMeshes, part_boxes
 
 boxes, rows, exported, laptops = exports.boxes, exports.rows, exports.exported, exports.laptops

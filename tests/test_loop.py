@@ -25,7 +25,8 @@ from articugen.store.shards import open_shard, write_shard
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen.learning.data import split
-from articugen.learning.data.split import BatchSpec, load_split
+from articugen.learning.data.batch import BatchSpec
+from articugen.learning.data.split import load_split
 from articugen.learning.loop import batch_rows, split_objects, train
 from articugen.learning.ppd import losses, objective
 from articugen.learning.ppd.discriminator import Discriminator

@@ -22,7 +22,8 @@ from instances import hinged_box
 
 from articugen.core.records import dequantize
 from articugen.learning.clouds import seen_by_a_camera
-from articugen.learning.data.split import BatchSpec, load_split, unpacked
+from articugen.learning.data.batch import BatchSpec
+from articugen.learning.data.split import load_split, unpacked
 from articugen.learning.loop import train, train_depth
 from articugen.learning.ppd.depth import latents
 from articugen.learning.run_folder import DEPTH, LATEST, RunFolder, depth_learner, read_checkpoint

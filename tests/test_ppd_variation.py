@@ -10,7 +10,8 @@ from articugen.core.errors import InvalidRecipe
 from articugen.core.records import JointKind
 from articugen.core.yaml_files import with_settings
 from articugen.discovery import Discovery, FoundJoint
-from articugen.learning.data.split import BatchSpec, load_split, unpacked
+from articugen.learning.data.batch import BatchSpec
+from articugen.learning.data.split import load_split, unpacked
 from articugen.learning.method import load_recipe
 from articugen.learning.ppd import learner as learner_module
 from articugen.learning.ppd.kinematics import inverse_motion, rotation_from_z

@@ -13,7 +13,8 @@ from test_discovery import LID, posed, slide, turn
 from articugen.core.errors import InvalidCheckpoint, UnfitData
 from articugen.core.records import JointKind
 from articugen.discovery import KINDS, Discovery, FoundJoint
-from articugen.learning.data.split import BatchSpec, load_split, unpacked
+from articugen.learning.data.batch import BatchSpec
+from articugen.learning.data.split import load_split, unpacked
 from articugen.learning.method import find_method, load_recipe
 from articugen.learning.ppd.model import Prediction, amount_of, rest_states
 from articugen.learning.ppd.settings import ModelSettings, WarmStart, directions_of

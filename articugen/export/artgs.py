@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from articugen.core.geometry import invert_rigid
-from articugen.export.formats import Format, Item, LeftOut
-from articugen.export.items import canonical, file_name, of_objects
+from articugen.export.formats import Format
+from articugen.export.items import Item, LeftOut, canonical, file_name, of_objects
 from articugen.export.target import Target
 from articugen.store.rows import Row
 

@@ -10,9 +10,8 @@ import numpy as np
 
 from articugen.core.errors import MissingExtra
 from articugen.core.records import Floats, Mesh
-from articugen.export.formats import Item
 from articugen.export.inertia import Inertia, inertia
-from articugen.export.items import canonical
+from articugen.export.items import Item, canonical
 from articugen.export.joints import MetricJoint, metric_joints, part_names
 from articugen.export.parts import in_metres
 from articugen.export.target import Target

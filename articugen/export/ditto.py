@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from articugen.core.errors import InvalidArgument
 from articugen.core.geometry import apply, invert_rigid
-from articugen.export.formats import Format, Item, LeftOut
-from articugen.export.items import file_name, of_objects
+from articugen.export.formats import Format
+from articugen.export.items import Item, LeftOut, file_name, of_objects
 from articugen.export.labels import need
 from articugen.export.target import Target
 from articugen.store.rows import Row

@@ -3,54 +3,18 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from importlib import import_module
-from typing import TYPE_CHECKING, Literal
 
-from articugen.core.errors import ArticugenError, InvalidArgument
+from articugen.core.errors import InvalidArgument
 from articugen.core.yaml_files import nearest
+from articugen.export.items import Item, Options
+from articugen.export.target import Target
 from articugen.store.dataset import DataSet
-
-if TYPE_CHECKING:
-    from articugen.export.target import Target
 
 NAMES = (
     "ply", "glb", "urdf", "mjcf", "usd", "parquet", "webdataset", "onet", "imnet", "ppd", "ditto",
     "npcs", "particulate", "opalign", "vecset", "artgs",
 )  # fmt: skip
 """Each is a file of this folder, which holds one `FORMAT`."""
-
-
-class LeftOut(ArticugenError):
-    """What a format cannot hold: it is left out, said so, and the rest goes on."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """What may be chosen; each format says which of it it takes.
-
-    Attributes:
-        resolution: of part meshes, voxels along the unit cube.
-        from_grids: take part meshes from the finest stored grid, not from the models.
-        collision: add convex parts to collide with.
-        occupancy: what counts as inside: "visible", label > 0, or "material" alone.
-    """
-
-    resolution: int = 256
-    from_grids: bool = False
-    collision: bool = False
-    occupancy: Literal["visible", "material"] = "visible"
-
-
-@dataclass(frozen=True)
-class Item:
-    """What is written in one go, and again if that was cut short.
-
-    Attributes:
-        key: no other item of the export has it; also what its files are called after.
-        rows: the instances that are in it.
-    """
-
-    key: str
-    rows: DataSet
 
 
 @dataclass(frozen=True)
@@ -68,8 +32,8 @@ class Format:
 
     what: str
     items: Callable[[DataSet], Iterator[Item]]
-    write: "Callable[[Item, Target], None]"
-    finish: "Callable[[DataSet, Target], None]" = lambda data, target: None
+    write: Callable[[Item, Target], None]
+    finish: Callable[[DataSet, Target], None] = lambda data, target: None
     takes: tuple[str, ...] = ()
     needs: tuple[tuple[str, str], ...] = field(default=())
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from articugen.core.records import Floats, Mesh
 from articugen.export.colours import linear_of_part
-from articugen.export.formats import Format, Item
-from articugen.export.items import canonical, of_objects
+from articugen.export.formats import Format
+from articugen.export.items import Item, canonical, of_objects
 from articugen.export.joints import MetricJoint, metric_joints
 from articugen.export.parts import in_metres
 from articugen.export.target import Target

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from articugen.core.geometry import voxel_centres
 from articugen.core.seeding import generator
-from articugen.export.formats import Format, Item
+from articugen.export.formats import Format
 from articugen.export.hdf5 import stack
-from articugen.export.items import file_name, instance_name, of_splits
+from articugen.export.items import Item, file_name, instance_name, of_splits
 from articugen.export.labels import grid, inside, need
 from articugen.export.target import Target
 from articugen.store.rows import Row

@@ -3,8 +3,10 @@
 import hashlib
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
 
-from articugen.export.formats import Item, LeftOut
+from articugen.core.errors import ArticugenError
 from articugen.store.dataset import DataSet
 from articugen.store.rows import Row
 
@@ -12,6 +14,40 @@ _SAFE = 80
 """Characters of a name: with a number and an ending it fits into every file system's 255 bytes."""
 
 _DIGEST = re.compile(r"-[0-9a-f]{8}$")
+
+
+class LeftOut(ArticugenError):
+    """What a format cannot hold: it is left out, said so, and the rest goes on."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What may be chosen; each format says which of it it takes.
+
+    Attributes:
+        resolution: of part meshes, voxels along the unit cube.
+        from_grids: take part meshes from the finest stored grid, not from the models.
+        collision: add convex parts to collide with.
+        occupancy: what counts as inside: "visible", label > 0, or "material" alone.
+    """
+
+    resolution: int = 256
+    from_grids: bool = False
+    collision: bool = False
+    occupancy: Literal["visible", "material"] = "visible"
+
+
+@dataclass(frozen=True)
+class Item:
+    """What is written in one go, and again if that was cut short.
+
+    Attributes:
+        key: no other item of the export has it; also what its files are called after.
+        rows: the instances that are in it.
+    """
+
+    key: str
+    rows: DataSet
 
 
 def file_name(text: str) -> str:

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.records import ENCLOSED, FREE, is_material
-from articugen.export.formats import LeftOut, Options
+from articugen.export.items import LeftOut, Options
 from articugen.store.rows import Row
 
 

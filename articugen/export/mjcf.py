@@ -8,8 +8,8 @@ from xml.etree import ElementTree as ET
 
 from articugen.core.records import Mesh
 from articugen.export.assembly import DENSITY, bodies, damping, from_the_root, numbers
-from articugen.export.formats import Format, Item
-from articugen.export.items import of_objects
+from articugen.export.formats import Format
+from articugen.export.items import Item, of_objects
 from articugen.export.joints import MetricJoint, unique
 from articugen.export.target import Target
 from articugen.meshes.model_text import obj_text

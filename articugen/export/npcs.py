@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from articugen.core.geometry import apply, bounds, box_corners, invert_rigid
 from articugen.core.records import Floats
 from articugen.export.cameras import camera_count, seen
-from articugen.export.formats import Format, Item
+from articugen.export.formats import Format
 from articugen.export.hdf5 import packed
-from articugen.export.items import canonical, file_name, of_objects
+from articugen.export.items import Item, canonical, file_name, of_objects
 from articugen.export.labels import need
 from articugen.export.parts import part_boxes
 from articugen.export.target import Target

@@ -6,8 +6,8 @@
 
 import numpy as np
 
-from articugen.export.formats import Format, Item
-from articugen.export.items import file_name, instance_name, of_instances, validation
+from articugen.export.formats import Format
+from articugen.export.items import Item, file_name, instance_name, of_instances, validation
 from articugen.export.labels import inside
 from articugen.export.target import Target
 from articugen.store.dataset import DataSet

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from articugen.core.geometry import apply
 from articugen.core.records import Floats
 from articugen.export.cameras import camera_count, seen
-from articugen.export.formats import Format, Item
-from articugen.export.items import file_name, of_objects
+from articugen.export.formats import Format
+from articugen.export.items import Item, file_name, of_objects
 from articugen.export.labels import need
 from articugen.export.parts import part_boxes
 from articugen.export.target import Target

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from articugen.core.geometry import apply, bounds, invert_rigid
 from articugen.core.records import Floats
 from articugen.core.seeding import generator
-from articugen.export.formats import Format, Item
-from articugen.export.items import canonical, file_name, of_objects
+from articugen.export.formats import Format
+from articugen.export.items import Item, canonical, file_name, of_objects
 from articugen.export.target import Target
 from articugen.store.dataset import DataSet
 from articugen.store.rows import Row

@@ -10,8 +10,7 @@ import numpy as np
 from articugen.core.errors import ArticugenError, RejectedInstance
 from articugen.core.geometry import apply, bounds, invert_rigid
 from articugen.core.records import Floats, Mesh
-from articugen.export.formats import LeftOut, Options
-from articugen.export.items import canonical
+from articugen.export.items import LeftOut, Options, canonical
 from articugen.meshes.marching_cubes import zero_level
 from articugen.meshes.simpler import simpler
 from articugen.store.dataset import DataSet

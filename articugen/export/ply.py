@@ -3,8 +3,8 @@
 import numpy as np
 
 from articugen.export.colours import of_parts
-from articugen.export.formats import Format, Item
-from articugen.export.items import of_instances
+from articugen.export.formats import Format
+from articugen.export.items import Item, of_instances
 from articugen.export.target import Target
 
 _PROPERTIES = (

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.geometry import apply, voxel_centres
-from articugen.export.formats import Format, Item, LeftOut
-from articugen.export.items import canonical, file_name, of_objects
+from articugen.export.formats import Format
+from articugen.export.items import Item, LeftOut, canonical, file_name, of_objects
 from articugen.export.labels import grid, need, part_values
 from articugen.export.target import Target
 from articugen.meshes.model_text import obj_text

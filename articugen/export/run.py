@@ -10,8 +10,8 @@ from pathlib import Path
 from articugen.core.errors import InvalidArgument, MissingExtra
 from articugen.core.files import sha256_of
 from articugen.export import croissant
-from articugen.export.formats import Item, LeftOut, format_named, options_for
-from articugen.export.items import file_name, instance_name
+from articugen.export.formats import format_named, options_for
+from articugen.export.items import Item, LeftOut, file_name, instance_name
 from articugen.export.parts import PartMeshes
 from articugen.export.target import Target
 from articugen.store.dataset import DataSet

@@ -26,7 +26,7 @@ from articugen.core.files import (
     write_atomically,
     written_atomically,
 )
-from articugen.export.formats import Options
+from articugen.export.items import Options
 from articugen.export.parts import PartMeshes
 
 JOURNAL_NAME = ".articugen-export.jsonl"

@@ -4,8 +4,8 @@ from xml.etree import ElementTree as ET
 
 from articugen.core.records import Mesh
 from articugen.export.assembly import Body, bodies, damping, numbers
-from articugen.export.formats import Format, Item
-from articugen.export.items import of_objects
+from articugen.export.formats import Format
+from articugen.export.items import Item, of_objects
 from articugen.export.target import Target
 from articugen.meshes.model_text import obj_text
 

@@ -14,8 +14,8 @@ import numpy as np
 from articugen.core.records import Floats, Mesh
 from articugen.export.assembly import Body, bodies, damping
 from articugen.export.colours import linear_of_part
-from articugen.export.formats import Format, Item
-from articugen.export.items import of_objects
+from articugen.export.formats import Format
+from articugen.export.items import Item, of_objects
 from articugen.export.joints import unique
 from articugen.export.target import Target
 

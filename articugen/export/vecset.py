@@ -10,8 +10,8 @@ import json
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.export.formats import Format, Item, LeftOut
-from articugen.export.items import file_name, instance_name, of_instances
+from articugen.export.formats import Format
+from articugen.export.items import Item, LeftOut, file_name, instance_name, of_instances
 from articugen.export.target import Target
 from articugen.store.dataset import DataSet
 from articugen.store.rows import Row, RowQueries, RowSurface

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from articugen.core import schema
-from articugen.export.formats import Format, Item
-from articugen.export.items import file_name, instance_name
+from articugen.export.formats import Format
+from articugen.export.items import Item, file_name, instance_name
 from articugen.export.target import Target
 from articugen.store.dataset import DataSet
 from articugen.store.rows import Row, in_units, is_scaled

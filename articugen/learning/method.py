@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     import torch
 
     from articugen.core.records import Floats
-    from articugen.learning.data.split import Batch, BatchSpec, PackedSplit
+    from articugen.learning.data.batch import Batch, BatchSpec
+    from articugen.learning.data.split import PackedSplit
     from articugen.learning.evaluation.figures.draw import Drawable
     from articugen.learning.evaluation.reconstruction import Reconstruction
     from articugen.learning.evaluation.results import Evaluation

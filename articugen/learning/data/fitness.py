@@ -16,7 +16,7 @@ from articugen.store.manifest import Manifest
 from articugen.store.shards import Shard, open_shard
 
 if TYPE_CHECKING:
-    from articugen.learning.data.split import BatchSpec
+    from articugen.learning.data.batch import BatchSpec
 
 KINDS = ("revolute", "prismatic")
 """Of joints: kinds 1 and 2, and the keys of PPD's directions."""

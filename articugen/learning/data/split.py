@@ -16,87 +16,15 @@ from torch import Tensor
 
 from articugen.core.errors import CorruptShard, UnfitData
 from articugen.core.records import ENCLOSED, FREE
-from articugen.learning import processes
 from articugen.learning.data import cells
+from articugen.learning.data.batch import Batch, BatchSpec
 from articugen.learning.data.cells import Chance, LabelledCells, drawn, uniform, voxel_centres
 from articugen.learning.data.fitness import check_fixed_part, check_shard, check_varies
-from articugen.learning.recipe import DataSettings
 from articugen.store.manifest import Manifest
 from articugen.store.shards import Shard, open_shard
 
 FEW = 4
 """Where at most one in so many stored points is taken, one comes from each of equal stretches."""
-
-
-@dataclass(frozen=True)
-class BatchSpec:
-    """What a learner must be given; nothing else is read or unpacked.
-
-    Attributes:
-        surface_points, grid_points, uniform_points, near_points, band_points, varying_points,
-            occupancy: as `DataSettings`.
-        grids: resolutions of grids that `Learner.validate` reads, besides those of the stages.
-        parts: whether the true parts of surface points are wanted.
-        partial: whether clouds are what one depth camera sees, another one each time.
-        joints: (revolute, prismatic) joints an object may have at most; None is any number.
-        poses: whether several poses of each object are compared; for `varying_points` they are.
-        hidden: whether it is wanted which voxels of the finest grid are not free.
-        normals: whether the normals of surface points are wanted.
-        chances: so many random numbers the learner asks for each sample.
-    """
-
-    surface_points: int
-    grid_points: int = 0
-    uniform_points: int = 0
-    near_points: int = 0
-    band_points: int = 0
-    varying_points: int = 0
-    occupancy: str = "material"
-    grids: tuple[int, ...] = ()
-    parts: bool = False
-    partial: bool = False
-    joints: tuple[int, int] | None = None
-    poses: bool = False
-    hidden: bool = False
-    normals: bool = False
-    chances: int = 0
-
-    @staticmethod
-    def of(data: DataSettings, **more: Any) -> "BatchSpec":
-        """What a recipe says, and more."""
-        return BatchSpec(**data.model_dump(exclude={"validation_objects"}), **more)
-
-
-@dataclass(frozen=True)
-class Batch:
-    """B samples in the unit frame.
-
-    Attributes:
-        rows: (B,) which instances of the split they are.
-        cloud: (B, n, 3) surface points, or what a depth camera sees.
-        part: (B, n) the cloud's true parts where they were asked for, else (B, 0).
-        points: (B, m, 3) query points.
-        occupied: (B, m) bool, their indicator values.
-        spread: the first so many query points are spread evenly over the cube, the others lie near
-            the surface, in the band around it, and where the object's poses differ, in this order.
-        chance: (B, k) random numbers in [0, 1), for whatever the learner does with the samples.
-    """
-
-    rows: Tensor
-    cloud: Tensor
-    part: Tensor
-    points: Tensor
-    occupied: Tensor
-    spread: int
-    chance: Tensor
-
-    def share(self) -> "Batch":
-        """What this process takes of it; all of it where there is one."""
-        of = processes.share
-        return Batch(
-            of(self.rows), of(self.cloud), of(self.part), of(self.points), of(self.occupied),
-            self.spread, of(self.chance),
-        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

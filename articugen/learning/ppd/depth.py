@@ -15,7 +15,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import mse_loss
 
-from articugen.learning.data.split import Batch, PackedSplit, unpacked
+from articugen.learning.data.batch import Batch
+from articugen.learning.data.split import PackedSplit, unpacked
 from articugen.learning.method import Terms
 from articugen.learning.ppd.descent import Descent
 from articugen.learning.ppd.encoders import encoder_of

@@ -1,6 +1,6 @@
 """What figures ask of PPD: its part fields, and shapes and poses between those of two clouds."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,9 +10,9 @@ from torch import Tensor
 from articugen.core.records import Floats, JointKind
 from articugen.learning.evaluation.figures.draw import Between, Drawable, Opening
 from articugen.learning.evaluation.reconstruction import Reconstruction
-from articugen.learning.ppd.learner import Predictor
 from articugen.learning.ppd.model import PPD, Prediction
 from articugen.learning.ppd.reconstruct import logits_at, reconstruction_of
+from articugen.learning.ppd.settings import ModelSettings
 
 TITLES = {
     "rec": "$L_{rec}$",
@@ -32,28 +32,42 @@ TITLES = {
 """Of the curves."""
 
 
-def drawable(learner: Predictor, resolution: int) -> Drawable:
-    """A trained model as the figures take it; meshes on a grid of `resolution`^3."""
-    model, residual, most = learner.model, learner.residual_direction, learner.points
-    settings = learner.settings.model
+def drawable(
+    model: PPD,
+    predict: Callable[[Floats], Prediction],
+    settings: ModelSettings,
+    resolution: int,
+    *,
+    points: int | None,
+    residual_direction: bool,
+) -> Drawable:
+    """A trained model as the figures take it; meshes on a grid of `resolution`^3.
+
+    Args:
+        predict: what it makes of one cloud (n, 3).
+        points: so many points of a cloud are looked at; None means all.
+    """
     revolute, prismatic = len(settings.revolute), len(settings.prismatic)
     kinds = [JointKind.FIXED, *[JointKind.REVOLUTE] * revolute, *[JointKind.PRISMATIC] * prismatic]
 
     def drawn(prediction: Prediction) -> Reconstruction:
         return reconstruction_of(model, prediction, resolution)
 
-    def part_fields(cloud: Floats, points: Floats) -> Floats:
-        logits = logits_at(model, learner.predict(cloud), torch.from_numpy(points))
+    def part_fields(cloud: Floats, where: Floats) -> Floats:
+        logits = logits_at(model, predict(cloud), torch.from_numpy(where))
         return 1.0 / (1.0 + np.exp(-np.clip(logits, -50.0, 50.0)))
 
     def interpolate(openings: Sequence[Opening], steps: int) -> Between:
         first, shapes, states = between(
-            model, [[cloud[:most] for cloud in opening] for opening in openings], steps, residual
+            model,
+            [[cloud[:points] for cloud in opening] for opening in openings],
+            steps,
+            residual_direction,
         )
         return Between(first, [drawn(p) for p in shapes], [drawn(p) for p in states])
 
     return Drawable(
-        reconstruct=lambda cloud: drawn(learner.predict(cloud)),
+        reconstruct=lambda cloud: drawn(predict(cloud)),
         part_fields=part_fields,
         interpolate=interpolate,
         parts=[f"part {i}, {kind!s}" for i, kind in enumerate(kinds)],

@@ -13,7 +13,8 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from articugen.core.records import Floats
-from articugen.learning.data.split import Batch, BatchSpec, PackedSplit, unpacked, voxel_centres
+from articugen.learning.data.batch import Batch, BatchSpec
+from articugen.learning.data.split import PackedSplit, unpacked, voxel_centres
 from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.method import Learner, Terms
 from articugen.learning.ppd import objective
@@ -69,7 +70,10 @@ class Predictor(Learner):
     def drawable(self, resolution: int) -> Drawable:
         from articugen.learning.ppd.drawing import drawable  # noqa: PLC0415
 
-        return drawable(self, resolution)
+        return drawable(
+            self.model, self.predict, self.settings.model, resolution,
+            points=self.points, residual_direction=self.residual_direction,
+        )  # fmt: skip
 
 
 class PPDLearner(Predictor):

@@ -18,7 +18,8 @@ import torch
 from torch import Tensor, nn
 from torch.func import functional_call, vmap
 
-from articugen.learning.data.split import Batch, PackedSplit
+from articugen.learning.data.batch import Batch
+from articugen.learning.data.split import PackedSplit
 from articugen.learning.method import Team, Terms
 from articugen.learning.optimisers import Optimiser, optimiser_of
 from articugen.learning.ppd import objective

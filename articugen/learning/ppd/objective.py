@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from articugen.learning import processes
-from articugen.learning.data.split import Batch
+from articugen.learning.data.batch import Batch
 from articugen.learning.method import Terms
 from articugen.learning.ppd import losses
 from articugen.learning.ppd.cpu.batches import gather_points
