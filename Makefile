@@ -43,13 +43,12 @@ replace = $(if $(REPLACE),--replace)
 option = $(if $($(1)),--$(2) "$($(1))")
 
 .DEFAULT_GOAL := help
-.PHONY: help dataset inspect report view verify train depth evaluate gpu-study test check format bench accuracy bench-reading bench-train soundness fuzz chaos docs site-tools backends cluster learner exporters viewer clean
+.PHONY: help dataset inspect report view verify train depth evaluate test check format bench accuracy bench-reading bench-train soundness fuzz chaos docs site-tools backends cluster learner exporters viewer clean
 
 help:  ## list the targets
 	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1"
 	@echo "     IDS= EXCLUDE= JOINTS= MOVABLE= CANONICAL= MAX_REJECTED= SET=]; CATEGORY=laptop,oven or all for several"
 	@echo "make train CATEGORY=laptop [RECIPE=ppd_quick SET= SEED= SEEDS= OUT= RUNS=]; make evaluate CATEGORY=laptop"
-	@echo "make gpu-study [CATEGORY=all RECIPE=ppd_hour SET= SEEDS=64 BUDGET=40 DEVICE=cuda OUT= STUDY=study QUICK=1]"
 	@echo
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  \1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
 	@echo
@@ -108,9 +107,6 @@ ifdef CATEGORY
 else
 	@echo "Choose one: make evaluate CATEGORY=laptop" >&2; exit 2
 endif
-
-gpu-study: $(learner)  ## on a GPU: measure it, race seeds, train, evaluate; again goes on
-	@$(articugen) study --categories "$(or $(CATEGORY),all)" --data "$(OUT)" --out "$(or $(STUDY),study)" --recipe "$(or $(RECIPE),ppd_hour)" $(settings) --device "$(or $(DEVICE),cuda)" $(if $(SEEDS),--seeds "$(SEEDS)") $(if $(BUDGET),--budget "$(BUDGET)") $(if $(QUICK),--quick)
 
 # A process a core, each of one thread: more threads only wait. What ARGS says counts (-n 0 --pdb).
 pytest := OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest -n logical --maxprocesses 16 --dist worksteal

@@ -212,9 +212,8 @@ def test_stop_and_resume_gives_the_same_curve_and_weights(boxes, tmp_path, whole
     assert digest(one.state) == digest(two.state)
 
 
-@pytest.mark.parametrize("optimiser", ["soap", "muon"])
-def test_so_it_does_with_the_other_optimisers(boxes, tmp_path, whole, optimiser):
-    plan = TINY.schedule.model_copy(update={"optimiser": optimiser})
+def test_so_it_does_with_soap(boxes, tmp_path, whole):
+    plan = TINY.schedule.model_copy(update={"optimiser": "soap"})
     recipe = TINY.model_copy(update={"schedule": plan})
     full = start(boxes, tmp_path, recipe)
     part = start(boxes, tmp_path, recipe, stop_after=2)

@@ -42,11 +42,6 @@ def register(app: typer.Typer) -> None:
     app.command(epilog="Example: articugen evaluate runs/laptop --data data/laptop")(evaluate)
     app.command(epilog="Example: articugen tables runs/* --figure examples.png")(tables)
     app.command(
-        epilog="Examples:\n\narticugen study --budget 40\n\n"
-        "articugen study --categories laptop,oven --recipe ppd_quick --budget 10\n\n"
-        "articugen study --quick --device cpu --categories laptop"
-    )(study)
-    app.command(
         epilog="Examples:\n\narticugen predict runs/laptop data/laptop/test-00000.h5 --row 3\n\n"
         "articugen predict runs/laptop cloud.ply --fit --out rig"
     )(predict)
@@ -106,13 +101,12 @@ def train(
         check_category(category)
         with loading():
             from articugen.core.compiling import compile_kernels
-            from articugen.learning import commands, processes
+            from articugen.learning import commands
             from articugen.pipeline.run import default_jobs
 
-        if processes.is_first():
-            for hint in commands.hints(data):
-                stderr.print(hint, soft_wrap=True, markup=False)
-            compile_kernels("train", jobs=default_jobs(), notice=stderr.print)
+        for hint in commands.hints(data):
+            stderr.print(hint, soft_wrap=True, markup=False)
+        compile_kernels("train", jobs=default_jobs(), notice=stderr.print)
         with _ProgressBar() as on_progress:
             run = commands.train(
                 data,
@@ -129,8 +123,6 @@ def train(
                 threads=threads,
                 on_progress=on_progress,
             )
-        if not run.writes:
-            return
         stdout.print(f"done: {run.path}", soft_wrap=True)
         _say_next(run.path, data[0])
 
@@ -244,63 +236,6 @@ def tables(
             stdout.print(f"drawn: {figure}", soft_wrap=True)
 
 
-def study(
-    categories: Annotated[
-        str, typer.Option("--categories", "-c", help="Bundled ones, joined by commas, or all.")
-    ] = "all",
-    data: Annotated[
-        Path, typer.Option("--data", "-d", help="Sets are <data>/<category>, made if missing.")
-    ] = Path("data"),
-    out: Annotated[
-        Path, typer.Option(help="What is worth keeping goes there; checkpoints to <out>-work.")
-    ] = Path("study"),
-    budget: Annotated[float, typer.Option(min=0.1, help="Minutes, of all calls together.")] = 40.0,
-    recipe: Annotated[
-        str, typer.Option("--recipe", "-r", help="What all seeds follow; shortened to fit.")
-    ] = "ppd_hour",
-    changes: Changes = None,
-    seeds: Annotated[int, typer.Option(min=1, max=64, help="How many race a category.")] = 64,
-    device: Annotated[str, typer.Option(help="cuda, cuda:1 or cpu.")] = "cuda",
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Next to nothing of everything: does it work?")
-    ] = False,
-) -> None:
-    """Measure a device, race seeds, train, evaluate: all categories, one folder. Resumable."""
-    with said("interrupted; the same command goes on where it stood"):
-        from articugen.core import recipe as recipes
-        from articugen.core.yaml_files import with_settings
-        from articugen.learning import study as studies
-        from articugen.learning.method import load_recipe
-        from articugen.pipeline import door
-        from articugen.sources import registry
-
-        def make_data(category: str, folder: Path) -> None:
-            if quick:
-                door.generate(category, out=folder.parent, recipe="quick", objects=6, states=4)
-            else:
-                own = recipes.load_recipe(None, category, "procedural").articulation.states
-                door.generate(category, out=folder.parent, states=min(own, 40))
-
-        asked = studies.Asked(
-            categories=registry.categories("procedural", [categories]),
-            data=data,
-            recipe=with_settings(load_recipe(recipe), changes or ()),
-            seeds=seeds,
-            minutes=budget,
-            device=device,
-            quick=quick,
-        )
-        if quick:
-            asked = studies.made_quick(asked)
-        made = studies.study(
-            asked,
-            out,
-            make_data=make_data,
-            say=lambda line: stderr.print(line, soft_wrap=True, markup=False),
-        )
-        stdout.print(f"written: {made}/README.md", soft_wrap=True)
-
-
 def predict(
     run: Annotated[Path, typer.Argument(help="A run's folder, or that of a category's runs.")],
     cloud: Annotated[Path, typer.Argument(help="A shard, or points as .ply, .npy, .npz or .xyz.")],
@@ -337,15 +272,13 @@ class _ProgressBar:
         from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as Bar
 
-        from articugen.learning.processes import is_first
-
         self.bar = Bar(
             BarColumn(),
             TextColumn("{task.completed:.0f}/{task.total:.0f} iterations"),
             TextColumn("{task.fields[state]}"),
             TimeRemainingColumn(),
             console=stderr,
-            disable=not (stderr.is_terminal and is_first()),
+            disable=not stderr.is_terminal,
         )
         self.tasks: dict[int | None, TaskID] = {}
         self.latest: dict[int | None, str] = {}

@@ -17,7 +17,7 @@ except ImportError:
 from articugen.core.files import write_atomically
 from articugen.core.records import Floats, Instance, JointKind, dequantize
 from articugen.core.yaml_files import with_settings
-from articugen.learning import loop, processes, tensorboard
+from articugen.learning import loop, tensorboard
 from articugen.learning.clouds import cloud_of_shard, seen_by_a_camera
 from articugen.learning.data.fitness import lying_otherwise
 from articugen.learning.evaluation.evaluate import Protocol, Reconstruct, check_splits
@@ -118,23 +118,20 @@ def train(
         settings = settings.with_seeds(seeds)
     run_training = loop.train
     if settings.seeds.count > 1:
-        if processes.started() > 1:
-            raise ArticugenError("torchrun: seeds race in processes of their own; add --seeds 1")
         at_once = (jobs or os.cpu_count() or 1) if device == "cpu" else 1
         run_training = partial(race, jobs=min(at_once, settings.seeds.count))
     folders = _folders(data)
     category = category or Manifest.read(folders[0]).category
-    with processes.joined(device) as own_device:
-        return run_training(
-            settings,
-            category=category,
-            data=folders,
-            runs=Path(runs) / category,
-            seed=seed,
-            resume=resume,
-            device=own_device,
-            on_progress=on_progress,
-        )
+    return run_training(
+        settings,
+        category=category,
+        data=folders,
+        runs=Path(runs) / category,
+        seed=seed,
+        resume=resume,
+        device=device,
+        on_progress=on_progress,
+    )
 
 
 def train_depth(
@@ -155,8 +152,6 @@ def train_depth(
         Others as `train`.
     """
     prepare(device, threads)
-    if processes.started() > 1:
-        raise ArticugenError("train-depth runs in one process; leave out torchrun")
     folder = RunFolder.existing(newest(run))
     return loop.train_depth(folder, Path(data), device=device, on_progress=on_progress)
 

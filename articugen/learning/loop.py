@@ -1,5 +1,4 @@
-"""Training, in one readable loop, whatever learns. Several processes may run it together: see
-`processes`.
+"""Training, in one readable loop, whatever learns.
 
 An iteration's random numbers depend on the seed and its number alone, so a run that was stopped and
 resumed draws the same curve as one that was not.
@@ -21,7 +20,6 @@ from torch import Tensor
 from articugen.core.errors import InvalidCheckpoint
 from articugen.core.memory import given_back
 from articugen.core.seeding import generator as seeded
-from articugen.learning import processes
 from articugen.learning.data.split import Folders, PackedSplit, folders_of, load_split
 from articugen.learning.method import Learner, find_method
 from articugen.learning.recipe import Schedule, TrainRecipe
@@ -125,7 +123,7 @@ class Course:
             stage = plan.index_at(iteration)
             log({"iteration": self.iteration, "stage": stage, **about, "seconds": seconds})
         checked, saves = None, due.saves
-        if due.validates and self.run.writes:
+        if due.validates:
             checked = self.learner.validate(self.held_out)
             log({"iteration": self.iteration, "validation": checked})
         if checked and (loss := next(iter(checked.values()))) < self.best:
@@ -195,7 +193,6 @@ def train(
         TrainingDiverged: a term is no longer a finite number; the message says which.
     """
     where = torch.device(device)
-    processes.check_batch(recipe.schedule.batch)
     method = find_method(recipe.method)
     learner = method.start(recipe, seed=draw(seed, recipe.method, "weights"), device=where)
     splits = split_for(learner, data, category, where)
@@ -259,7 +256,7 @@ def follow(course: Course, stop_after: int | None, on_progress: Tell) -> RunFold
             rng.manual_seed(course.seed_at(iteration))
             resolution = plan.stages[plan.index_at(iteration)].resolution
             batch = training.batch(course.rows(iteration), learner.inputs, resolution, rng)
-            terms = learner.learn(batch.share(), rng, iteration=iteration)
+            terms = learner.learn(batch, rng, iteration=iteration)
 
             due = Due.after(iteration, plan, stop_after, len(course.held_out))
             if due:
@@ -267,7 +264,6 @@ def follow(course: Course, stop_after: int | None, on_progress: Tell) -> RunFold
             values = _values(terms) if due.logs else None
             checked = course.note(iteration, values, due, log)
             on_progress(Progress(course.iteration, plan.iterations, values, checked))
-    processes.wait()
     return course.run
 
 
@@ -356,10 +352,7 @@ def _run_and_start(
     name: str | None,
 ) -> tuple[RunFolder, Checkpoint | None]:
     if resume is None:
-        path = processes.of_first(
-            lambda: str(new_run(recipe, category, data, runs, seed, name).path)
-        )
-        return RunFolder(Path(path)), None
+        return new_run(recipe, category, data, runs, seed, name), None
     run = RunFolder.existing(resume)
     about = run.about()
     told = [(about["recipe_sha256"], about["category"], about["seed"])]
@@ -386,9 +379,8 @@ def check_data(run: RunFolder, data: Folders) -> None:
 
 
 def _values(terms: Mapping[str, Tensor]) -> dict[str, float]:
-    """The means over the processes, read from the device at once."""
+    """As numbers, read from the device at once."""
     values = torch.stack([value.detach() for value in terms.values()])
-    processes.average([values])
     return dict(zip(terms, values.tolist(), strict=True))
 
 

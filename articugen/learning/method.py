@@ -8,7 +8,7 @@ imports a method; METHODS and entry points of the group `articugen.methods` say 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -65,8 +65,7 @@ class Learner(Protocol):
         """One step; every term of the loss, without a graph or with one.
 
         Args:
-            batch: this process's share of it.
-            rng: of the batch's device, for whatever is drawn besides; the same in every process.
+            rng: of the batch's device, for whatever is drawn besides.
             iteration: from 0; the recipe's schedule says the rate and the stage. At a stage's first
                 iteration whatever a stage starts with is made anew.
 
@@ -102,30 +101,6 @@ class Learner(Protocol):
         from articugen.learning.evaluation.figures.draw import Drawable  # noqa: PLC0415
 
         return Drawable(lambda cloud: self.reconstruct(cloud, resolution=resolution))
-
-
-class Team(Protocol):
-    """Several learners of one recipe, a seed each, that take their steps at once."""
-
-    def begin(self, training: PackedSplit, beside: Path) -> None:
-        """As `Learner.begin`, once for all of them."""
-
-    def learn(self, batch: Batch, *, iteration: int) -> Mapping[str, torch.Tensor]:
-        """One step of each; every term of the loss, a number a learner, (S,).
-
-        Args:
-            batch: the batches of all of them, one after the other.
-            iteration: as `Learner.learn`.
-        """
-        ...
-
-    def diverged(self) -> list[bool]:
-        """Which of them have met a number that is not finite; that harms no other."""
-        ...
-
-    def hand_out(self) -> None:
-        """Let each learner stand where it would if it had taken the steps alone."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -167,10 +142,6 @@ class Method(Protocol):
 
     weights: tuple[str, ...] | None = None
     """The entries of a learner's `state` that predictions need; None is all of them."""
-
-    def team(self, learners: Sequence[Any]) -> Team | None:
-        """Those learners as a team, where they can be one: seeds on a GPU race together then."""
-        return None
 
     def start_depth(self, first: Any, *, seed: int, device: torch.device) -> Learner:
         """A learner for what one depth camera sees, beside one that is trained.

@@ -1,6 +1,6 @@
-"""Adam, SOAP and Muon: what becomes of a network's gradients.
+"""Adam and SOAP: what becomes of a network's gradients.
 
-SOAP and Muon know that weights are matrices: a linear layer has one, (out, in), a grouped layer one
+SOAP knows that weights are matrices: a linear layer has one, (out, in), a grouped layer one
 for each of its groups, (G, out, in). Small products cost calls rather than arithmetic, so matrices
 of one shape are stacked and stepped together, whatever layers they are of. All other parameters
 (biases, codes, great matrices) get Adam's step.
@@ -22,7 +22,7 @@ from torch.optim.adam import adam
 Betas = tuple[float, float]
 
 GREATEST_SIDE = 64
-"""A longer side gets no basis from SOAP; Muon leaves matrices with two longer sides to Adam."""
+"""A longer side gets no basis from SOAP."""
 
 EPSILON = 1e-8
 
@@ -49,7 +49,7 @@ class Optimiser(Protocol):
 
 def optimiser_of(name: str, network: nn.Module) -> Optimiser:
     """The one that recipes call `name`, at its beginning."""
-    return {"adam": Adam, "soap": Soap, "muon": Muon}[name](dict(network.named_parameters()))
+    return {"adam": Adam, "soap": Soap}[name](dict(network.named_parameters()))
 
 
 class Adam:
@@ -259,53 +259,6 @@ class _Side:
     def renew(self) -> None:
         """Bring the bases nearer by one step."""
         self.basis.copy_(torch.linalg.qr(torch.bmm(self.gram, self.basis)).Q)
-
-
-class Muon:
-    """Muon (Jordan 2024, kellerjordan.github.io/posts/muon): the momentum of each weight made
-    orthogonal, by five steps of Newton and Schulz.
-
-    Unlike there first and last layers are orthogonalised too, and in single precision.
-    """
-
-    MOMENTUM = 0.95
-    BETAS: Betas = (0.9, 0.95)
-    """Of Adam, for the rest."""
-
-    def __init__(self, named: Named) -> None:
-        self.flat, others = _sorted_out(named, lambda m, n: min(m, n) <= GREATEST_SIDE)
-        self.rest = Adam(others, self.BETAS)
-        self.mean = self.flat.zeros()
-
-    @torch.no_grad()
-    def step(self, rate: float) -> None:
-        self.rest.step(rate)
-        gradient = self.flat.gradient()
-        self.mean.lerp_(gradient, 1.0 - self.MOMENTUM)
-        ahead = gradient.lerp_(self.mean, self.MOMENTUM)  # Nesterov's
-        pieces = [_orthogonal(matrices) for matrices in self.flat.split(ahead)]
-        self.flat.descend(self.flat.joined(pieces), rate)
-
-    def state(self) -> dict[str, Any]:
-        """By the names of the parameters."""
-        return {"mean": self.flat.named(self.mean), "rest": self.rest.state()}
-
-    def load(self, state: dict[str, Any]) -> None:
-        _fill(self.state(), state, but=("rest",))
-        self.rest.load(state["rest"])
-
-
-def _orthogonal(matrices: Tensor) -> Tensor:
-    """U V^T of each U S V^T of (k, m, n), roughly: singular values end between 0.7 and 1.2, times
-    sqrt(m / n) where there are more rows than columns."""
-    _, m, n = matrices.shape
-    x = matrices.mT if m > n else matrices
-    x = x / (x.norm(dim=(1, 2), keepdim=True) + 1e-7)
-    for _ in range(5):
-        A = torch.bmm(x, x.mT)
-        B = torch.baddbmm(A, A, A, beta=-4.7750, alpha=2.0315)
-        x = torch.baddbmm(x, B, x, beta=3.4445)
-    return x.mT * math.sqrt(m / n) if m > n else x
 
 
 @dataclass(frozen=True)

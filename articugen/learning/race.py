@@ -3,13 +3,13 @@
 Who goes on is decided by the loss on the objects of the training split that are held out, never by
 test objects (successive halving: Jamieson and Talwalkar 2016). Each seed is an ordinary run, which
 stops and resumes exactly, so that the outcome depends neither on interruptions nor on how many
-processes take part. On a GPU all seeds learn at once (`together`), which rounds otherwise.
+processes take part.
 """
 
 import json
 import math
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -34,10 +34,8 @@ from articugen.learning.loop import (
     shared_folder,
     train,
 )
-from articugen.learning.method import find_method
 from articugen.learning.recipe import TrainRecipe
 from articugen.learning.run_folder import BEST, LATEST, METRICS, RunFolder, read_checkpoint
-from articugen.learning.together import train_together
 
 RACE = "race.json"
 
@@ -112,7 +110,6 @@ def race(
     stop_after: int | None = None,
     device: str = "cpu",
     jobs: int = 1,
-    at_once: bool | None = None,
     on_progress: Tell = lambda _: None,
 ) -> RunFolder:
     """Train `recipe.seeds.count` seeds from `seed` on, halving them, and keep the best.
@@ -123,8 +120,6 @@ def race(
         stop_after: stop when who goes on after this iteration is decided, as an interruption would.
         jobs: seeds that are trained at a time, each in a process and on one thread of its own. The
             outcome is the same whatever it is.
-        at_once: all seeds in one loop of this process; None is where the device is no CPU and the
-            method can.
         on_progress: called after each iteration of each seed.
 
     Returns:
@@ -139,19 +134,17 @@ def race(
     run = _run_to_race_in(recipe, category, data, runs, seed, resume)
     total = recipe.schedule.iterations
     heat = partial(Heat, recipe, category, data, run.path / SEEDS, device=device)
-    at_once = can_run_at_once(recipe, device) if at_once is None else at_once
     with run.locked():
         with given_back(SHARDS):
             begin(shared_folder(run), lambda said: on_progress(Progress(0, total, said=said)))
         del begin  # it holds all instances
         with _crew(jobs, on_progress) as crew:
-            run_heats = partial(_at_once, tell=on_progress) if at_once else crew.in_order
             racing = list(range(seed, seed + recipe.seeds.count))
             rounds: list[dict[str, Any]] = []
             for stop in (*recipe.seeds.halve_at, total):
                 if stop_after is not None and stop > stop_after:
                     return run
-                reached = run_heats([heat(seed=s, stop=stop) for s in racing])
+                reached = crew.in_order([heat(seed=s, stop=stop) for s in racing])
                 score = dict(zip(racing, reached, strict=True))
                 racing = best_half(score, last=stop == total)
                 reached_by = {str(s): found for s, found in score.items()}
@@ -179,32 +172,6 @@ def _run_to_race_in(
         raise InvalidCheckpoint(f"{resume}: was started with another recipe; start a new run")
     check_data(run, data)
     return run
-
-
-def can_run_at_once(recipe: TrainRecipe, device: str) -> bool:
-    """Whether all seeds learn at once on a device, if nobody says otherwise."""
-    if torch.device(device).type == "cpu":
-        return False
-    method, meta = find_method(recipe.method), torch.device("meta")
-    return method.team([method.start(recipe, seed=0, device=meta)]) is not None
-
-
-def _at_once(heats: Sequence[Heat], tell: Tell) -> list[dict[str, float] | None]:
-    """What all heats' seeds reach, trained in one loop."""
-    first = heats[0]
-    for heat in heats:
-        heat.is_started()
-    lost = train_together(
-        first.recipe,
-        category=first.category,
-        data=first.data,
-        runs=first.folder,
-        seeds=[heat.seed for heat in heats],
-        stop_after=first.stop,
-        device=first.device,
-        on_progress=tell,
-    )
-    return [None if heat.seed in lost else heat.reached() for heat in heats]
 
 
 def best_half(score: dict[int, dict[str, float] | None], *, last: bool) -> list[int]:

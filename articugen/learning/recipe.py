@@ -60,15 +60,15 @@ class Schedule(Section):
     """How long and how fast.
 
     Attributes:
-        optimiser: `adam`, the paper's; `soap` (Vyas et al. 2024) or `muon` (Jordan 2024), see
+        optimiser: `adam`, the paper's; or `soap` (Vyas et al. 2024), see
             learning/optimisers.py.
-        learning_rate: of the optimiser; SOAP and Muon want about three times Adam's.
+        learning_rate: of the optimiser; SOAP wants about three times Adam's.
         final_learning_rate: where a cosine leads to by the end; null keeps it constant.
         validate_every, save_every, log_every: iterations.
     """
 
     batch: int = Field(default=18, ge=2)
-    optimiser: Literal["adam", "soap", "muon"] = "adam"
+    optimiser: Literal["adam", "soap"] = "adam"
     learning_rate: float = Field(default=1e-4, gt=0)
     final_learning_rate: float | None = Field(default=None, gt=0)
     stages: tuple[Stage, ...]

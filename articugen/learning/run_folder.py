@@ -38,7 +38,7 @@ from articugen.core.files import (
     write_atomically,
 )
 from articugen.core.yaml_files import resolved
-from articugen.learning import processes, tensorboard
+from articugen.learning import tensorboard
 from articugen.learning.method import Learner, find_method, parse_recipe
 from articugen.learning.recipe import TrainRecipe
 from articugen.learning.safetensors import read_safetensors, write_safetensors
@@ -327,8 +327,6 @@ class RunFolder:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.writes = processes.is_first()
-        """Of several processes one writes; what the others are to write is dropped."""
 
     def __fspath__(self) -> str:
         return str(self.path)
@@ -384,8 +382,7 @@ class RunFolder:
             raise InvalidCheckpoint(f"{path}: has no {LATEST} to go on from; start a new run")
         run = RunFolder(path)
         with run.locked():
-            if run.writes:
-                run.remove_temporary()
+            run.remove_temporary()
         return run
 
     @contextmanager
@@ -395,9 +392,6 @@ class RunFolder:
         Raises:
             ArticugenError: one is at work.
         """
-        if not self.writes:
-            yield
-            return
         try:
             handle = lock_folder(self.path)
         except OSError as error:
@@ -454,8 +448,6 @@ class RunFolder:
         Raises:
             MachineFault: the disk is full, or the like.
         """
-        if not self.writes:
-            return
         path = self.path / name
         try:
             with path.open("a", encoding="utf-8") as file:
@@ -474,9 +466,6 @@ class RunFolder:
             ArticugenError: another process trains here.
             MachineFault: the disk is full, or the like.
         """
-        if not self.writes:
-            yield lambda _: None
-            return
         with self.locked(), tensorboard.board(self.path / files.board, iteration) as tell:
             self.forget_after(iteration, files.metrics)
 
@@ -488,10 +477,9 @@ class RunFolder:
 
     def keep(self, point: Checkpoint, name: str, metrics: str = METRICS) -> None:
         """Write a checkpoint; the metrics up to there are on the disk before it is."""
-        if self.writes:
-            with suppress(FileNotFoundError):
-                sync(self.path / metrics)
-            point.write(self.path / name)
+        with suppress(FileNotFoundError):
+            sync(self.path / metrics)
+        point.write(self.path / name)
 
     def metrics(self, name: str = METRICS) -> list[dict[str, Any]]:
         """The lines of the metrics; a last one that was cut short is none.

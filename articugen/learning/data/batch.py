@@ -5,7 +5,6 @@ from typing import Any
 
 from torch import Tensor
 
-from articugen.learning import processes
 from articugen.learning.recipe import DataSettings
 
 
@@ -70,11 +69,3 @@ class Batch:
     occupied: Tensor
     spread: int
     chance: Tensor
-
-    def share(self) -> "Batch":
-        """What this process takes of it; all of it where there is one."""
-        of = processes.share
-        return Batch(
-            of(self.rows), of(self.cloud), of(self.part), of(self.points), of(self.occupied),
-            self.spread, of(self.chance),
-        )  # fmt: skip

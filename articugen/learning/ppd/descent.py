@@ -6,7 +6,6 @@ import torch
 from torch import Tensor, nn
 
 from articugen.core.errors import TrainingDiverged
-from articugen.learning import processes
 from articugen.learning.method import Terms
 from articugen.learning.optimisers import optimiser_of
 
@@ -52,7 +51,6 @@ class Descent:
             parameter.grad = None
         torch.stack(list(terms.values())).sum().backward()
         gradients = [p.grad for p in self._parameters if p.grad is not None]
-        processes.average(gradients)
         size = torch.nn.utils.get_total_norm(gradients)
         values = torch.stack([*(value.detach() for value in terms.values()), size])
         if self.patient:
@@ -97,9 +95,8 @@ class Descent:
 
 
 def _blame(network: nn.Module, terms: Terms) -> str:
-    """The terms that are not finite in any process, or else those whose gradient is not."""
-    values = [value.detach().clone() for value in terms.values()]
-    processes.average(values)
+    """The terms that are not finite, or else those whose gradient is not."""
+    values = [value.detach() for value in terms.values()]
     bad = [name for name, value in zip(terms, values, strict=True) if not bool(value.isfinite())]
     if bad:
         return f"the loss {' and '.join(bad)}"
@@ -107,9 +104,6 @@ def _blame(network: nn.Module, terms: Terms) -> str:
     for name, value in terms.items():
         if value.requires_grad:
             gradients = torch.autograd.grad(value, parameters, retain_graph=True, allow_unused=True)
-            fine = torch.stack([g.isfinite().all() for g in gradients if g is not None]).all()
-            share = fine.to(value.dtype)
-            processes.average([share])
-            if float(share) < 1.0:
+            if not all(bool(g.isfinite().all()) for g in gradients if g is not None):
                 bad.append(name)
     return f"the gradient of {' and '.join(bad or terms)}"

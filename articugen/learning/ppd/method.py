@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from articugen.learning.method import Method, Yardstick
@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 
     from articugen.learning.ppd.depth import DepthLearner
     from articugen.learning.ppd.learner import PPDLearner
-    from articugen.learning.ppd.many import Many
 
 
 class PPDMethod(Method):
@@ -26,11 +25,6 @@ class PPDMethod(Method):
         from articugen.learning.ppd.learner import PPDLearner  # noqa: PLC0415
 
         return PPDLearner(settings, seed, device)
-
-    def team(self, learners: Sequence[PPDLearner]) -> Many | None:
-        from articugen.learning.ppd.many import Many, can_learn_at_once  # noqa: PLC0415
-
-        return Many(learners) if can_learn_at_once(learners[0].settings) else None
 
     def start_depth(self, first: PPDLearner, *, seed: int, device: torch.device) -> DepthLearner:
         from articugen.learning.ppd.depth import DepthLearner  # noqa: PLC0415

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from articugen.learning import processes
 from articugen.learning.data.batch import Batch
 from articugen.learning.method import Terms
 from articugen.learning.ppd import losses
@@ -47,9 +46,8 @@ def random_pose(
     kind = {"dtype": batch.points.dtype, "device": batch.points.device}
     most = torch.full((J,), weigh.most_prismatic, **kind)
     most[: len(model.settings.revolute)] = weigh.most_revolute
-    everyone = B * processes.count()
-    state = processes.share(most * torch.rand(everyone, J, generator=rng, **kind))
-    mix = processes.share(torch.rand(everyone, generator=rng, **kind))
+    state = most * torch.rand(B, J, generator=rng, **kind)
+    mix = torch.rand(B, generator=rng, **kind)
     with torch.no_grad():
         occupancy = _composed(model, prediction, state, batch.points)
     return RandomPose(state, occupancy, mix)
@@ -122,7 +120,7 @@ def _volume(
 
     def positive(of: PartLogits) -> Tensor:
         logit = of.product if weigh.vol_logit == "product" else of.instance
-        return processes.mean(losses.relu_volume(logit[..., : batch.spread]))
+        return losses.relu_volume(logit[..., : batch.spread])
 
     still = model.still(shape, batch.points[:, : batch.spread])
     return losses.volume(positive(fields), positive(still))
@@ -163,7 +161,7 @@ def _location(
     if weigh.loc_form == "paper":
         return losses.location(pivots, batch.points, batch.occupied, product[:, revolute] > 0)
     squares = losses.release_chain_squares(pivots, batch.points, product)
-    chain = losses.release_chain(*(processes.gathered(x) for x in squares))
+    chain = losses.release_chain(*squares)
     asked = [pivots, pose.pivot_common[:, revolute]] if model.settings.common_pose else [pivots]
     near = losses.release_location(torch.stack(asked), batch.points, batch.occupied, product)
     return near.sum() + chain
@@ -171,8 +169,8 @@ def _location(
 
 def _variation(model: PPD, pose: Pose, weigh: LossSettings) -> Terms:
     revolute = len(model.settings.revolute)
-    pivots, terms = processes.gathered(pose.pivot[:, 1 : 1 + revolute]), {}
-    state = processes.gathered(pose.state)
+    pivots, terms = pose.pivot[:, 1 : 1 + revolute], {}
+    state = pose.state
     if weigh.var_state:
         if weigh.var_form == "paper":
             variation = losses.state_variation(state)

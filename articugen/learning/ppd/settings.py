@@ -7,7 +7,7 @@ import math
 from typing import Literal
 
 import numpy as np
-from pydantic import Field, PositiveInt, model_validator
+from pydantic import Field, model_validator
 
 from articugen.core.records import Floats, JointKind
 from articugen.core.yaml_files import Section
@@ -37,9 +37,6 @@ class ModelSettings(Section):
             predicted from z^s: drawers of other sizes in other places then look alike. The paper
             has no such boxes; there z^s says all by six numbers a part. They lie along the unit
             frame's axes, and so ask for the part frame `world`.
-        part_widths: channels of a part's shape decoders: of their outer layers, of those within,
-            and of the innermost, which is how many numbers z^s tells of the part's shape. None:
-            the release's, (205 / P rounded down, 12, 6).
         latent_start: how the encoder's weights start: `release`, as torch's layers do, which leaves
             latents of different objects the same to a thousandth; or `he`, by He et al. 2015, and
             the layer that reads z^s 20 times larger, so that shapes differ from the start.
@@ -56,7 +53,6 @@ class ModelSettings(Section):
     coordinate_bound: float = Field(default=math.sqrt(2.0), gt=0.0)
     part_frame: Literal["world", "joint"] = "world"
     part_boxes: bool = False
-    part_widths: tuple[PositiveInt, PositiveInt, PositiveInt] | None = None
     latent_start: Literal["release", "he"] = "release"
     encoder: Literal["points", "both"] = "points"
 
@@ -154,8 +150,6 @@ class VarySettings(Section):
     Attributes:
         stretch: the logarithm of how much longer or shorter along an axis at most; the longest edge
             stays, and so do right angles of what turns.
-        warp: how much more an object grows in some places along an axis than in others, by each of
-            two waves at most, where no joint turns or slides along it (see `variation.Warp`).
         shrink: the share that an object is smaller at most.
         mirror: whether every other sample has left and right swapped; none has where joints lean to
             one side (`targets.is_one_sided`).
@@ -163,13 +157,12 @@ class VarySettings(Section):
     """
 
     stretch: float = Field(default=0.0, ge=0, le=1)
-    warp: float = Field(default=0.0, ge=0, lt=0.5)
     shrink: float = Field(default=0.0, ge=0, le=0.9)
     mirror: bool = False
     shift: bool = False
 
     def __bool__(self) -> bool:
-        return any((self.stretch, self.warp, self.shrink, self.mirror, self.shift))
+        return any((self.stretch, self.shrink, self.mirror, self.shift))
 
 
 class PPDStage(Stage):

@@ -14,10 +14,10 @@ from articugen.learning.ppd.kinematics import InverseMotion
 from articugen.learning.ppd.settings import ModelSettings
 
 WIDTH = 205
-"""Channels of all parts together, where a recipe names none; a part has WIDTH // P."""
+"""Channels of all parts together; a part has WIDTH // P."""
 
 WITHIN = (12, 6)
-"""Channels of a part's layers within, where a recipe names none."""
+"""Channels of a part's layers within."""
 
 _FREQUENCY = 30.0
 
@@ -114,7 +114,7 @@ class ShapeDecoder(nn.Module):
         self.parts = P = settings.parts
         self.common_shape = settings.common_shape
         self.box_in = _box_head(P) if settings.part_boxes else None
-        c, h, m = self.widths = settings.part_widths or (WIDTH // P, *WITHIN)
+        c, (h, m) = WIDTH // P, WITHIN
         self.template_in = nn.Linear(TEMPLATE, P * c)
         self.template_codes = Quantizer(1, P * c, settings.codes_learn)
         self.template_0, self.template_1 = Grouped(P, c, c, "latent"), Grouped(P, c, c)

@@ -35,9 +35,6 @@ _UPRIGHT = np.cos(np.radians(10.0))
 ROW = 0.075
 """Joints whose pivots are so far apart in height are not in one row."""
 
-_ALONG = np.cos(np.radians(3.0))
-"""The same where what lies along that axis may be warped, which must leave motions rigid."""
-
 _ONE_SIDED = np.cos(np.radians(5.0))
 """Joints that a mirror lets lean otherwise by more than this are not as any object's are."""
 
@@ -65,7 +62,6 @@ class Targets:
         centre, extent: (I, 3) the middle and the edges of a box that holds all poses of the object.
         alike: (I, 3, 3) takes the logarithms of an object's growth along the axes to those of one
             that leaves its motions rigid: the mean over axes that a joint turns into each other.
-        free: (I, 3) 1 along an axis that no joint turns or slides along, else 0.
         grid: (I, P) which of `doubt` belongs to a part; the first is that of unknown ones.
         doubt: (V, C^3) as in `Ownership`, of cells of a part's rest frame.
         cells: C.
@@ -85,7 +81,6 @@ class Targets:
     centre: Tensor
     extent: Tensor
     alike: Tensor
-    free: Tensor
     grid: Tensor
     doubt: Tensor
     cells: int
@@ -199,7 +194,7 @@ class _Table:
 
     NAMES = (
         "known", "there", "state", "axis", "pivot", "owns", "middle", "size", "rotation", "offset",
-        "centre", "extent", "alike", "free",
+        "centre", "extent", "alike",
     )  # fmt: skip
 
     def __init__(self, count: int, model: ModelSettings) -> None:
@@ -213,7 +208,6 @@ class _Table:
         self.offset = np.zeros((count, J + 1, 3))
         self.centre, self.extent = np.zeros((count, 3)), np.ones((count, 3))
         self.alike = np.full((count, 3, 3), 1.0 / 3.0)
-        self.free = np.zeros((count, 3))
         self.grid = np.zeros((count, J + 1), np.int64)
 
     def fill(
@@ -227,7 +221,7 @@ class _Table:
         T, own = invert_rigid(placed.motion), placed.own
         self.known[rows] = 1.0
         self.centre[rows], self.extent[rows] = placed.centre, placed.extent
-        self.alike[rows], self.free[rows] = _alike(found), _free(found)
+        self.alike[rows] = _alike(found)
         for part, candidate in enumerate(taken):
             if candidate is None:
                 continue
@@ -288,17 +282,6 @@ def _alike(found: Discovery) -> Floats:
             across |= ~(about[:, None] | about)
     together = np.linalg.matrix_power(across + np.eye(3), 2) > 0
     return together / together.sum(1, keepdims=True)
-
-
-def _free(found: Discovery) -> Floats:
-    """(3,) of `Targets.free`: a joint leaves the axis alone that it turns about, and those that it
-    does not slide along."""
-    free = np.ones(3)
-    for joint in found.joints:
-        along = np.abs(joint.axis) > _ALONG
-        turns = joint.kind == JointKind.REVOLUTE
-        free *= along if turns else ~along & along.any()
-    return free
 
 
 def _from_closed(found: Discovery, senses: tuple[float, ...]) -> Floats:

@@ -1,4 +1,4 @@
-"""Training objects varied: warped, stretched, mirrored, smaller, elsewhere in the cube.
+"""Training objects varied: stretched, mirrored, smaller, elsewhere in the cube.
 
 The paper does not do this. A few dozen objects are all alike in ways that others are not: real
 laptops are wider than the bundled ones and stand elsewhere in the cube. What is asked of a sample,
@@ -7,7 +7,6 @@ whose each point is among it, is told of the object as it is, and varied with it
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -18,11 +17,9 @@ from articugen.learning.ppd.model import rest_states
 from articugen.learning.ppd.settings import VarySettings
 from articugen.learning.ppd.warm.targets import LEFT_RIGHT, Targets, in_range
 
-WAVES = 2
-"""Of which a warp along an axis is the sum."""
-
-CHANCES = 8 + 3 * WAVES * 2
-"""Random numbers that the variation of a sample takes."""
+CHANCES = 20
+"""Random numbers that are drawn for each sample. Eight are used; with fewer all that is drawn after
+them would be other numbers, and so every curve."""
 
 
 def is_mirrored(chance: Tensor, mirrors: bool) -> Tensor:
@@ -33,56 +30,14 @@ def is_mirrored(chance: Tensor, mirrors: bool) -> Tensor:
 
 
 @dataclass(frozen=True, eq=False)
-class Warp:
-    """Where an object is drawn out and where it is pressed together, along each axis by itself; its
-    box stays. Of a chest each drawer becomes higher or lower than it was.
-
-    With u from -1 to 1 along the box's edge, the slope there is 1 + sum_h a_h cos(h pi u + p_h), so
-    what is flat and faces an axis stays flat. Beyond the box nothing changes.
-
-    Attributes:
-        centre, half: (B, 3) of the box, and halves of its edges.
-        amount: (B, 3, WAVES) the a_h, 0 along axes that a motion does not leave alone.
-        phase: (B, 3, WAVES) the p_h.
-    """
-
-    centre: Tensor
-    half: Tensor
-    amount: Tensor
-    phase: Tensor
-
-    @staticmethod
-    def of(chance: Tensor, aim: Targets, most: float) -> Warp:
-        """At most `most` a wave, where `aim` says that the motions stay as they are.
-
-        Args:
-            chance: (B, 3 * WAVES * 2) numbers in [0, 1).
-        """
-        amount, phase = chance.unflatten(1, (2, 3, WAVES)).unbind(1)
-        free = aim.free[..., None]
-        half = (0.5 * aim.extent).clamp(min=1e-6)
-        return Warp(aim.centre, half, most * free * amount, 2.0 * math.pi * phase)
-
-    def __call__(self, points: Tensor) -> Tensor:
-        """(B, n, 3) where points go."""
-        u = ((points - self.centre[:, None]) / self.half[:, None]).clamp(-1.0, 1.0)
-        h = math.pi * torch.arange(1, WAVES + 1, dtype=u.dtype, device=u.device)
-        a, p = self.amount[:, None], self.phase[:, None]
-        lift = (a * ((h * u[..., None] + p).sin() - (p - h).sin()) / h).sum(3)
-        return points + self.half[:, None] * lift
-
-
-@dataclass(frozen=True, eq=False)
 class Variation:
-    """x becomes scale warp(x) + shift; B samples.
+    """x becomes scale x + shift; B samples.
 
     Attributes:
-        warp: None where nothing is warped.
         scale: (B, 3), below 0 along the axis that is mirrored.
         shift: (B, 3).
     """
 
-    warp: Warp | None
     scale: Tensor
     shift: Tensor
 
@@ -108,13 +63,11 @@ class Variation:
         somewhere = free * (2.0 * chance[:, 5:8] - 1.0)
         stays = aim.centre * side
         centre = somewhere if vary.shift else stays
-        warp = Warp.of(chance[:, 8:], aim, vary.warp) if vary.warp else None
-        return Variation(warp, scale, centre - scale * aim.centre)
+        return Variation(scale, centre - scale * aim.centre)
 
     def moved(self, points: Tensor) -> Tensor:
         """(B, n, 3) where points go."""
-        warped = self.warp(points) if self.warp else points
-        return warped * self.scale[:, None] + self.shift[:, None]
+        return points * self.scale[:, None] + self.shift[:, None]
 
     def batch(self, batch: Batch) -> tuple[Batch, Tensor]:
         """The batch varied, and (B, m) which of its query points are others now: points spread over
