@@ -32,21 +32,22 @@ _ON = {
         "store.rows.RowImages", "store.torch_dataset.TorchDataSet",
     )),
     "models": ("Models at any joint state", ("load", "Model", "Maker", "Made"), (
-        "maker.MadeMesh", "records.Joint",
+        "instance.maker.MadeMesh", "core.records.Joint",
     )),
     "commands": ("What commands do", (
         "generate", "verify", "export", "discover", "train", "evaluate", "fetch",
-    ), ("export.run.Exported", "export.formats.Options", "fetching.outcome.Fetched")),
+    ), ("export.run.Exported", "export.items.Options", "sources.fetch.outcome.Fetched")),
     "recipes": ("Recipes", ("Recipe",), (
-        "recipe.Articulation", "recipe.ViewSettings", "recipe.Fusion", "recipe.Sampling",
-        "recipe.Images",
+        "core.recipe.Articulation", "core.recipe.ViewSettings", "core.recipe.Fusion",
+        "core.recipe.Sampling", "core.recipe.Images",
     )),
     "errors": ("Errors", ("ArticugenError",), (
-        "errors.InvalidSource", "errors.InvalidRecipe", "errors.InvalidArgument",
-        "errors.NotFetched", "errors.AccessRefused", "errors.RejectedInstance",
-        "errors.NotOfCategory", "errors.MachineFault", "errors.CorruptShard",
-        "errors.UnfitData", "errors.MissingExtra", "errors.MissingDriver", "errors.BrokenPlugin",
-        "errors.InvalidCheckpoint", "errors.TrainingDiverged",
+        "core.errors.InvalidSource", "core.errors.InvalidRecipe", "core.errors.InvalidArgument",
+        "core.errors.NotFetched", "core.errors.AccessRefused", "core.errors.RejectedInstance",
+        "core.errors.NotOfCategory", "core.errors.MachineFault", "core.errors.CorruptShard",
+        "core.errors.UnfitData", "core.errors.MissingExtra", "core.errors.MissingDriver",
+        "core.errors.BrokenPlugin", "core.errors.InvalidCheckpoint",
+        "core.errors.TrainingDiverged",
     )),
 }  # fmt: skip
 """Of each page: its title, names of `ag`, and what these give and take, from articugen on."""
