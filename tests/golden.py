@@ -12,6 +12,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -20,6 +21,8 @@ from articugen import procedural
 from articugen.core import content
 from articugen.core.recipe import load_recipe
 from articugen.core.yaml_files import with_settings
+from articugen.export.formats import NAMES, format_named
+from articugen.export.run import export
 from articugen.pipeline import door
 from articugen.pipeline.run import Job
 from articugen.procedural.cache import SEAL_NAME
@@ -52,6 +55,17 @@ SETS: dict[str, tuple[str, ...]] = {
     "boxes, mean": ("fusion.rule=mean", "views.projection=pinhole", "sampling.depth_noise=0.002"),
 }
 """Tiny data sets of one object each, and what their recipes say otherwise."""
+
+EXPORTED = (
+    "articulation.states=2", "images={views: 3, resolution: 32}", "sampling.grids=[16, 32, 64]",
+    "sampling.sharp_points=64", "sampling.near_sharp=0.5", "sampling.signed_distance=0.1",
+    "sampling.uniform_points=8192", "sampling.near_points=8192", "sampling.surface_points=8192",
+    "sampling.partial_points=1024",
+)  # fmt: skip
+"""What the recipe of the laptop that is exported says otherwise."""
+
+_TOLD = ("croissant.json", "export.json")
+"""Files of an export that tell of this version and machine."""
 
 SHAPES = 2
 """Bundled models of a category whose files are looked at."""
@@ -127,6 +141,30 @@ def shapes(category: str, folder: Path) -> str:
     return digest.hexdigest()
 
 
+def exports(folder: Path) -> dict[str, str]:
+    """One digest of the files of each format that can be written here; a tiny laptop's."""
+    folder.mkdir(parents=True)
+    (folder / "tiny.yaml").write_text(RECIPE)
+    recipe = with_settings(load_recipe(folder / "tiny.yaml", "laptop"), EXPORTED)
+    job = Job(
+        "procedural", "laptop", recipe.with_counts(objects=1), seed=0, out=folder / "out", jobs=0
+    )
+    door.make(job)
+    there = [n for n in NAMES if all(find_spec(library) for library, _ in format_named(n).needs)]
+    return {name: _exported(folder / "out", name, folder / name) for name in there}
+
+
+def _exported(data: Path, name: str, out: Path) -> str:
+    meshes = "from_grids" in format_named(name).takes
+    export(data, name, out, from_grids=True if meshes else None)
+    digest = hashlib.sha256()
+    for path in sorted(path for path in out.rglob("*") if path.is_file()):
+        if path.name not in _TOLD:
+            held = hashlib.sha256(path.read_bytes()).hexdigest()
+            digest.update(f"{path.relative_to(out).as_posix()} {held}\n".encode())
+    return digest.hexdigest()
+
+
 def made(folder: Path) -> dict[str, Any]:
     """What golden.json must hold: the declared versions, and what this code makes."""
     with own_models(folder / "models"):
@@ -135,6 +173,7 @@ def made(folder: Path) -> dict[str, Any]:
             "models": dict(content.MODELS),
             "data": {name: data(name, folder / "data" / name) for name in SETS},
             "shapes": {name: shapes(name, folder / "shapes" / name) for name in CATEGORIES},
+            "exports": exports(folder / "exports"),
             "libraries": {name: library_versions()[name] for name in ("numba", "numpy")},
         }
 
@@ -168,9 +207,12 @@ def undeclared(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
 
 def advice(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
     """What to do where `new` is not as `old`; "" where it is."""
-    if new == old | {"libraries": new["libraries"]}:
+    other = [n for n, digest in new["exports"].items() if old["exports"].get(n) != digest]
+    if not other and new == old | {name: new[name] for name in ("libraries", "exports")}:
         return ""
     sentences = undeclared(old, new)
+    if other:
+        sentences.append(f"exports are other files: {', '.join(other)}")
     if sentences:
         sentences.append("where that is not meant, mend the code instead; where it is, then")
     if new["libraries"] != old["libraries"]:
