@@ -33,7 +33,7 @@ def package_in(folder: Path) -> None:
     (folder / "articugen").mkdir(exist_ok=True)
     for path in PACKAGE.iterdir():
         link = folder / "articugen" / path.name
-        if path.name == "store":  # its files may be changed, too
+        if path.name in ("core", "instance"):  # their files may be changed, too
             link.mkdir()
             for inner in path.glob("*.py"):
                 (link / inner.name).symlink_to(inner)
@@ -49,6 +49,7 @@ def change(path: Path, hunk: str) -> None:
     )
     text = path.read_text(encoding="utf-8")
     assert text.count(before) == 1, f"{path.name} has not, or not once:\n{before}"
+    assert path.parent.resolve() == path.parent, f"{path} lies behind a link: nothing there is ours"
     path.unlink()  # which may be a link
     path.write_text(text.replace(before, after), encoding="utf-8")
 
