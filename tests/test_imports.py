@@ -257,7 +257,8 @@ def test_the_door_is_lazy_and_gives_what_it_names() -> None:
     typed = {
         n.asname or n.name for s in stub.body if isinstance(s, ast.ImportFrom) for n in s.names
     }
-    assert set(articugen.__all__) == typed
+    assert articugen._HOME.keys() == typed
+    assert set(articugen.__all__) >= typed - {"train", "evaluate"}  # which want torch
     for name in set(articugen.__all__) - {"train", "evaluate"}:
         assert callable(getattr(articugen, name)), name
     with pytest.raises(AttributeError, match="no attribute 'opne'"):
