@@ -377,7 +377,7 @@ def test_ctrl_c_keeps_finished_work_and_the_next_run_goes_on(
 
 TWICE = """
 import os, signal
-from articugen.store import journal
+from articugen.pipeline import journal
 close = journal.Journal.close
 def closed(self):
     for _ in range(3):  # again and again while all is put in order

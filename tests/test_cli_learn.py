@@ -216,19 +216,3 @@ def test_mistakes_are_said_in_one_sentence(folder, bad, arguments, said):
     assert done.exit_code == 1
     assert said in " ".join(done.output.split())
     assert "Traceback" not in done.output
-
-
-def test_what_several_processes_cannot_do_is_said(folder, monkeypatch):
-    monkeypatch.setenv("WORLD_SIZE", "2")
-    data, run = folder / "data", folder / "runs" / "box"
-    recipe = ("-r", folder / "tiny.yaml", "--seeds", 2, "--runs", folder / "none")
-    for arguments, said in (
-        (("train-depth", run, "-d", data), "runs in one process; leave out torchrun"),
-        (
-            ("train", "-c", "box", "-d", data, *recipe),
-            "torchrun: seeds race in processes of their own",
-        ),
-    ):
-        done = articugen(*arguments)
-        assert done.exit_code == 1
-        assert said in " ".join(done.output.split())

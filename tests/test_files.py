@@ -23,8 +23,8 @@ from articugen.core.files import (
     write_atomically,
 )
 from articugen.inspection.report.page import write_report
+from articugen.instance.again import write_mesh
 from articugen.pictures.contact_sheet import contact_sheet
-from articugen.verify.replay import write_mesh
 
 
 def test_a_regular_file_is_read(tmp_path):
