@@ -133,7 +133,7 @@ def lacks(line: str) -> str:
 def parsed(line: str, folder: Path) -> None:
     """Have the command line take a command, or what make would call, without running it."""
     if line.startswith("make "):
-        line = line.replace("make", "make -n", 1)
+        line = line.replace("make", "make -n --no-print-directory", 1)
         line = subprocess.check_output(line, shell=True, cwd=folder, text=True).splitlines()[-1]
     words = shlex.split(line, comments=True)
     words = words[[Path(word).name for word in words].index("articugen") + 1 :]
