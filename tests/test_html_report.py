@@ -106,10 +106,10 @@ def test_facts_are_those_of_the_boxes(page: Path) -> None:
     assert found.bytes == sum(path.stat().st_size for path in page.parent.glob("*.h5"))
     box = next(each for each in found.objects if each.object_id == "b")
     assert box.split == "test"
-    np.testing.assert_allclose([box.joints[0].upper, box.joints[1].upper], [100.0, 30.0])
+    np.testing.assert_allclose([box.joints[0].upper, box.joints[1].upper], [100.0, 0.3])
     np.testing.assert_allclose(box.joints[0].drawn, np.degrees([0.5, 1.2, 1.7]))
-    np.testing.assert_allclose(box.joints[1].drawn, [10.0, 25.0, 2.0])
-    np.testing.assert_allclose(box.parts[1].box, [60, 60, 6], atol=1.0)
+    np.testing.assert_allclose(box.joints[1].drawn, [0.1, 0.25, 0.02])
+    np.testing.assert_allclose(box.parts[1].box, [0.6, 0.6, 0.06], atol=0.01)
     solid = 0.6 * 0.6 * (0.08 + 0.06) + 0.1 * 0.12 * 0.055
     assert box.occupied.mean() == pytest.approx(solid / box.scale**3, rel=0.15)
 
@@ -345,7 +345,7 @@ def picture(tab: Any) -> bytes:
 def test_a_slider_moves_its_part_as_the_shard_says(chromium: Any, page: Path) -> None:
     tab, faults = opened(chromium, page, PHONE)
     made = hinged_box(STATES)
-    unit = np.array([np.degrees(1.0), 100.0 * made[0].scale])
+    unit = np.array([np.degrees(1.0), made[0].scale])
     seen = [picture(tab)]
     for instance in made:
         for joint, value in enumerate(instance.joint_state * unit):
@@ -356,7 +356,7 @@ def test_a_slider_moves_its_part_as_the_shard_says(chromium: Any, page: Path) ->
         )
         seen.append(picture(tab))
     assert len(set(seen)) == len(made) + 1  # as it opens, then each pose
-    assert tab.inner_text("#viewer output >> nth=1") == "2.0 cm"
+    assert tab.inner_text("#viewer output >> nth=1") == "0.02"
     tab.click("#view-reset")
     assert picture(tab) == seen[0]
     assert faults == []
@@ -365,7 +365,7 @@ def test_a_slider_moves_its_part_as_the_shard_says(chromium: Any, page: Path) ->
 def test_it_opens_a_little_open(chromium: Any, page: Path) -> None:
     tab, _ = opened(chromium, page, PHONE)
     values = [float(tab.input_value(f"#joint-{j}")) for j in (0, 1)]
-    np.testing.assert_allclose(values, [35.0, 10.5])  # of 100° and 30 cm
+    np.testing.assert_allclose(values, [35.0, 0.105])  # of 100° and 0.3
     assert tab.inner_text("#viewer output >> nth=0") == "35°"
 
 

@@ -367,7 +367,7 @@ def test_the_summary_tells_what_the_shards_hold(tmp_path: Path) -> None:
         ["1", "prismatic", "12"],
     ]
     assert "0.0 to 100.0°" in joints[0]
-    assert "0.0 to 30.0 cm" in joints[1]
+    assert "0 to 0.3 " in joints[1]
 
 
 def test_the_summary_adds_up(tmp_path: Path) -> None:

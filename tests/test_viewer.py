@@ -301,9 +301,9 @@ def test_without_a_grid_or_a_source_the_surface_is_shown(viser: Any, tmp_path: P
     [
         (JointKind.REVOLUTE, 0.0, np.radians(110.0), "lid: 0 to 110°"),
         (JointKind.REVOLUTE, -np.pi, 0.0, "lid: -180 to 0°"),
-        (JointKind.PRISMATIC, 0.0, 0.3109, "lid: 0 to 31.1 cm"),
-        (JointKind.PRISMATIC, 0.0, 0.002, "lid: 0 to 0.2 cm"),
-        (JointKind.PRISMATIC, 0.0, 0.0, "lid: 0 to 0.0001 cm"),
+        (JointKind.PRISMATIC, 0.0, 0.3109, "lid: 0 to 0.311"),
+        (JointKind.PRISMATIC, 0.0, 0.002, "lid: 0 to 0.002"),
+        (JointKind.PRISMATIC, 0.0, 0.0, "lid: 0 to 1e-06"),
     ],
 )
 def test_a_slider_reaches_its_joints_range_and_no_more(kind, lower, upper, label) -> None:

@@ -65,7 +65,7 @@ class _Seen:
         objects: (split, id) of each.
         instances: how many there are.
         shapes, stored: of each field, that of an instance and its bytes on disk.
-        states: by joint and kind: (n, 3) lower, upper, state in degrees or centimetres.
+        states: by joint and kind: (n, 3) lower, upper, state; degrees, or the model's unit.
         counts: (256,) how often some instances have each part or label, by field.
     """
 
@@ -125,14 +125,14 @@ def _fields(seen: Sequence[_Seen], files: int) -> Table:
 
 
 def _states_of(shard: Shard) -> _States:
-    """Revolute joints in degrees, prismatic ones in centimetres."""
+    """Revolute joints in degrees, prismatic ones in the unit of their model."""
     kinds, scale = shard.read("joint_kind"), shard.read("scale")
     columns = [shard.read(f"joint_{name}") for name in ("lower", "upper", "state")]
     values = np.stack(columns, axis=-1)
     states: _States = {}
     for joint, kind in product(range(kinds.shape[1]), STORED_KINDS):
         here = kinds[:, joint] == kind
-        unit = np.degrees(1.0) if kind == JointKind.REVOLUTE else 100.0 * scale[here, None]
+        unit = np.degrees(1.0) if kind == JointKind.REVOLUTE else scale[here, None]
         states[joint, kind] = values[here, joint] * unit
     return states
 
@@ -148,10 +148,10 @@ def _joints(seen: Sequence[_Seen]) -> Table:
     for (joint, kind), pieces in sorted(states.items()):
         rows = np.concatenate(pieces)
         if len(rows):
-            unit = "°" if kind == JointKind.REVOLUTE else " cm"
             low, high = float(rows[:, 0].min()), float(rows[:, 1].max())
             bars = histogram(rows[:, 2], low, high)
-            limits = f"{low:.1f} to {high:.1f}{unit}"
+            turns = kind == JointKind.REVOLUTE
+            limits = f"{low:.1f} to {high:.1f}°" if turns else f"{low:.3g} to {high:.3g}"
             table.add_row(str(joint), str(kind), f"{len(rows):,}", limits, bars)
     return table
 

@@ -195,4 +195,4 @@ def _state(instance: Instance, joint: int) -> str:
     q = float(instance.joint_state[joint])
     if instance.joint_kind[joint] == JointKind.REVOLUTE:
         return f"{np.degrees(q):.0f}°"
-    return f"{100.0 * q * instance.scale:.0f} cm"
+    return f"{q * instance.scale:.2g}"

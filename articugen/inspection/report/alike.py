@@ -125,7 +125,7 @@ def outliers(objects: Sequence[ObjectFacts]) -> list[Outlier]:
 
 
 _MEASURES: tuple[tuple[str, str, Callable[[ObjectFacts], float]], ...] = (
-    ("length of the unit frame", " cm", lambda each: 100.0 * each.scale),
+    ("length of the unit frame", "", lambda each: each.scale),
     ("occupied fraction", " %", lambda each: 100.0 * float(each.occupied.mean())),
     ("enclosed fraction", " %", lambda each: 100.0 * each.enclosed),
     ("surface of part 0", " %", lambda each: 100.0 * each.parts[0].surface),

@@ -19,7 +19,7 @@ CLOUD = 1024
 
 @dataclass(frozen=True, eq=False)
 class JointStates:
-    """A joint's states in an object's instances, in degrees or centimetres.
+    """A joint's states in an object's instances, in degrees, or in the unit of its model.
 
     Attributes:
         name: in the model's file; "" where the shard has none.
@@ -43,7 +43,7 @@ class PartSize:
         name, semantic: in the model's file; "" where the shard has none.
         surface: its share of the visible surface points, over all instances.
         volume: its share of the unit cube, by the uniform points; nan without any.
-        box: (3,) centimetres, of its surface points in the canonical pose; nan where it has none.
+        box: (3,) of its surface points in the canonical pose, its model's unit; nan without any.
     """
 
     name: str
@@ -79,7 +79,7 @@ class ObjectFacts:
 
     @property
     def box(self) -> Array:
-        """(3,) centimetres in the canonical pose; nan without surface points."""
+        """(3,) in the unit of its model, canonical pose; nan without surface points."""
         return _box(self.cloud, self.scale)
 
 
@@ -175,7 +175,7 @@ def _joints(
     random = [row for row in rows if small["state_index"][row] > 0]
     for j, number in enumerate(small["joint_kind"][rows[0]]):
         kind = JointKind(int(number))
-        unit = np.degrees(1.0) if kind == JointKind.REVOLUTE else 100.0 * scale
+        unit = np.degrees(1.0) if kind == JointKind.REVOLUTE else scale
         yield JointStates(
             name=names[j] if names else "",
             kind=kind,
@@ -197,4 +197,4 @@ def _shares(which: NDArray[np.bool_]) -> Array:
 def _box(points: Array, scale: float) -> Array:
     if not len(points):
         return np.full(3, np.nan)
-    return 100.0 * scale * np.ptp(points, axis=0)
+    return scale * np.ptp(points, axis=0)

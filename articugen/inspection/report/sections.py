@@ -123,7 +123,7 @@ def _slider(joint: JointStates, j: int) -> Markup:
         "div",
         el("label", dot(colour_of(j + 1)), name, el("output", f"{start:.0f}{unit}"),
            for_=f"joint-{j}"),
-        el("input", type="range", id_=f"joint-{j}", min=f"{low:.4f}", max=f"{high:.4f}",
+        el("input", type="range", id_=f"joint-{j}", min=f"{low:.6g}", max=f"{high:.6g}",
            step="any", value=f"{start:.4f}", data_unit=unit.strip()),
         el("p", f"{joint.kind}, {_range(joint.lower, joint.upper, unit)}", class_="hint"),
         class_="joint",
@@ -204,7 +204,7 @@ def parts(objects: Sequence[ObjectFacts]) -> Markup:
         (float(np.nansum([p.surface for p in same])), colour_of(k))
         for k, same in sorted(by_part.items())
     ]
-    head = ("Part", ">Objects", ">Surface", ">of the cube", ">Box, cm (median)")
+    head = ("Part", ">Objects", ">Surface", ">of the cube", ">Box (median)")
     occupied = np.concatenate([each.occupied for each in objects])
     occupied = occupied[np.isfinite(occupied)]
     return el(
@@ -225,7 +225,7 @@ def _part_row(k: int, same: Sequence[PartSize]) -> list[object]:
     names = Counter(p.semantic or p.name for p in same if p.semantic or p.name)
     boxes = np.array([p.box for p in same])
     boxes = boxes[np.isfinite(boxes).all(axis=1)]
-    box = " × ".join(f"{side:.1f}" for side in np.median(boxes, axis=0)) if len(boxes) else "–"
+    box = " × ".join(f"{side:.3g}" for side in np.median(boxes, axis=0)) if len(boxes) else "–"
     return [
         el("span", dot(colour_of(k)), SPACE, k, SPACE, el("span", _common(names), class_="hint")),
         f"{len(same):,}",
@@ -333,14 +333,14 @@ def objects(every: Sequence[ObjectFacts], manifest: Manifest | None) -> Markup:
     rows: list[list[object]] = []
     for each in every[:MOST_ROWS]:
         entry = entries.get((each.split, each.object_id))
-        box = " × ".join(f"{side:.0f}" for side in each.box) if np.isfinite(each.box).all() else "–"
+        box = " × ".join(f"{side:.3g}" for side in each.box) if np.isfinite(each.box).all() else "–"
         rows.append(
             [each.object_id, each.split, f"{len(each.rows)}", f"{len(each.joints)}", box,
              _mean([float(each.occupied.mean())]), each.shard.name,
              el("code", entry.content_sha256[:16]) if entry else "–",
              " ".join(entry.notes) if entry else ""]
         )  # fmt: skip
-    head = ("Object", "Split", ">Instances", ">Joints", "Box, cm", ">Occupied", "Shard", "Content",
+    head = ("Object", "Split", ">Instances", ">Joints", "Box", ">Occupied", "Shard", "Content",
             "~Notes")  # fmt: skip
     noted = sum(bool(entry.notes) for entry in entries.values())
     said = f"{noted:,} of {len(every):,} objects have notes from their making."
@@ -490,17 +490,23 @@ def _keys(lines: Iterable[tuple[str, object]], kind: str = "keys") -> Markup:
 
 
 def _unit(joint: JointStates) -> str:
-    return "°" if joint.kind == JointKind.REVOLUTE else " cm"
+    """Lengths have none: not all models tell theirs, and docs/conventions.md says so."""
+    return "°" if joint.kind == JointKind.REVOLUTE else ""
 
 
 def _range(low: float, high: float, unit: str) -> str:
-    return f"{low:.1f} to {high:.1f}{unit}"
+    return f"{_number(low, unit)} to {_number(high, unit)}{unit}"
+
+
+def _number(value: float, unit: str) -> str:
+    return f"{value:.1f}" if unit else f"{value:.3g}"
 
 
 def _spread(values: Sequence[float], unit: str) -> str:
     """One number where all are alike, else the least and the greatest."""
     low, high = min(values), max(values)
-    return f"{low:.1f}{unit}" if high - low < 0.05 else f"{low:.1f} … {high:.1f}{unit}"
+    one, other = _number(low, unit), _number(high, unit)
+    return f"{one}{unit}" if one == other else f"{one} … {other}{unit}"
 
 
 def _common(names: Counter[str]) -> str:

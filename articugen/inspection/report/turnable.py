@@ -90,7 +90,7 @@ def _scene(chosen: ObjectFacts, instances: Sequence[Instance]) -> dict[str, Any]
                 "parent": int(first.joint_parent[j]),
                 "axis": first.joint_axis[j].tolist(),
                 "pivot": first.joint_pivot[j].tolist(),
-                "unit": np.degrees(1.0) if joint.kind == JointKind.REVOLUTE else 100 * chosen.scale,
+                "unit": np.degrees(1.0) if joint.kind == JointKind.REVOLUTE else chosen.scale,
             }
             for j, joint in enumerate(chosen.joints)
         ],

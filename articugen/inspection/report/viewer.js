@@ -315,7 +315,7 @@
     };
     const written = (slider) => {
       const value = Number(slider.value);
-      const text = slider.dataset.unit === "°" ? `${value.toFixed(0)}°` : `${value.toFixed(1)} cm`;
+      const text = slider.dataset.unit === "°" ? `${value.toFixed(0)}°` : `${Number(value.toPrecision(3))}`;
       slider.setAttribute("aria-valuetext", text);
       slider.parentElement.querySelector("output").value = text;
     };

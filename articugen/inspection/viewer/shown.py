@@ -42,12 +42,12 @@ class Joint:
 
     @property
     def unit(self) -> str:
-        return "cm" if self.kind == JointKind.PRISMATIC else "°"
+        return "" if self.kind == JointKind.PRISMATIC else "°"
 
     @property
     def per_unit(self) -> float:
-        """Metres in a centimetre, radians in a degree."""
-        return 0.01 if self.kind == JointKind.PRISMATIC else float(np.radians(1.0))
+        """Radians in a degree; lengths are those of the model, which may not tell its unit."""
+        return 1.0 if self.kind == JointKind.PRISMATIC else float(np.radians(1.0))
 
 
 @dataclass(frozen=True, eq=False)

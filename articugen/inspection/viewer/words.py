@@ -37,7 +37,7 @@ def names_of(objects: Sequence[str]) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Scale:
-    """A joint's slider, in degrees or centimetres: its ends, outwards rounded to whole steps."""
+    """A joint's slider, in degrees or the model's unit: ends, rounded outwards to whole steps."""
 
     lower: float
     upper: float
@@ -46,7 +46,7 @@ class Scale:
     @staticmethod
     def of(joint: Joint) -> "Scale":
         lower, upper = joint.lower / joint.per_unit, joint.upper / joint.per_unit
-        digits = next((d for d in (1, 2, 3) if (upper - lower) * 10**d >= 100.0), 4)
+        digits = next((d for d in range(1, 6) if (upper - lower) * 10**d >= 100.0), 6)
         # a millionth of a step is what a range loses on its way through a shard
         low = math.floor(lower * 10**digits + 1e-6)
         high = math.ceil(upper * 10**digits - 1e-6)
@@ -55,7 +55,7 @@ class Scale:
     def shown(self, joint: Joint, value: float) -> float:
         """The step nearest to a joint value, rad or m."""
         steps = round(value / joint.per_unit / self.step)
-        return min(max(round(steps * self.step, 4), self.lower), self.upper)
+        return min(max(round(steps * self.step, 6), self.lower), self.upper)
 
     @staticmethod
     def meant(joint: Joint, shown: float) -> float:
@@ -65,9 +65,8 @@ class Scale:
 
 def label_of(j: int, joint: Joint) -> str:
     scale = Scale.of(joint)
-    space = "" if joint.unit == "°" else " "
     name = shortened(joint.name) or f"part {j + 1}"
-    return f"{name}: {scale.lower:g} to {scale.upper:g}{space}{joint.unit}"
+    return f"{name}: {scale.lower:g} to {scale.upper:g}{joint.unit}"
 
 
 CANONICAL = "0, canonical"

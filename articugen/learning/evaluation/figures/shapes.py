@@ -132,7 +132,7 @@ def _caption(instance: Instance, changes: Sequence[float | None] | Floats) -> Ca
         elif instance.joint_kind[j] == JointKind.REVOLUTE:
             text = f"{round(np.degrees(change))}°"
         else:
-            text = f"{round(100.0 * change * instance.scale)} cm"
+            text = f"{change * instance.scale:.2g}"
         texts.append((text, colour_of(j + 1)))
     return texts
 
