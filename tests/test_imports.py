@@ -42,7 +42,7 @@ LONG_FILES = {
     "core.records": 519,
     "core.schema": 471,
     "discovery.discover": 467,
-    "inspection.report.sections": 522,
+    "inspection.report.sections": 509,
     "instance.make": 630,
     "learning.run_folder": 531,
     "pictures.surfels": 504,

@@ -14,6 +14,7 @@ from articugen.core.tables import duration, size
 from articugen.inspection.report.alike import FEWEST, SAME, UNLIKE, Outlier, Pair
 from articugen.inspection.report.charts import dot, histogram, share_bar
 from articugen.inspection.report.facts import Facts, JointStates, ObjectFacts, PartSize
+from articugen.inspection.report.lengths import range_text, spread_text, unit_of
 from articugen.inspection.report.markup import SPACE, Markup, el, join
 from articugen.inspection.report.truth import Measured
 from articugen.inspection.report.turnable import Turnable
@@ -115,7 +116,7 @@ def turning(shown: Turnable | None, objects: Sequence[ObjectFacts], still: str) 
 
 def _slider(joint: JointStates, j: int) -> Markup:
     """From the canonical pose, or the least state, to the greatest; a little open at first."""
-    unit = _unit(joint)
+    unit = unit_of(joint)
     low, high = min(joint.lower, 0.0), max(joint.upper, 0.0)
     name = joint.name or f"joint {j}"
     start = AJAR * max(low, high, key=abs)
@@ -125,7 +126,7 @@ def _slider(joint: JointStates, j: int) -> Markup:
            for_=f"joint-{j}"),
         el("input", type="range", id_=f"joint-{j}", min=f"{low:.6g}", max=f"{high:.6g}",
            step="any", value=f"{start:.4f}", data_unit=unit.strip()),
-        el("p", f"{joint.kind}, {_range(joint.lower, joint.upper, unit)}", class_="hint"),
+        el("p", f"{joint.kind}, {range_text(joint.lower, joint.upper, unit)}", class_="hint"),
         class_="joint",
     )  # fmt: skip
 
@@ -170,11 +171,11 @@ def joints(objects: Sequence[ObjectFacts]) -> Markup:
 
 
 def _states(j: int, kind: JointKind, same: Sequence[JointStates]) -> Markup:
-    unit = _unit(same[0])
+    unit = unit_of(same[0])
     shares = np.concatenate(
         [(s.drawn - s.lower) / max(s.upper - s.lower, 1e-12) for s in same] or [np.zeros(0)]
     )
-    ends = tuple(_spread([getattr(s, end) for s in same], unit) for end in ("lower", "upper"))
+    ends = tuple(spread_text([getattr(s, end) for s in same], unit) for end in ("lower", "upper"))
     names = Counter(s.name for s in same if s.name)
     title = f"{_common(names) or f'joint {j}'}"
     beyond = int(np.sum((shares < -1e-6) | (shares > 1 + 1e-6)))
@@ -487,26 +488,6 @@ def _folded(title: str, inside: Markup, rows: int) -> Markup:
 
 def _keys(lines: Iterable[tuple[str, object]], kind: str = "keys") -> Markup:
     return el("dl", *(join(el("dt", key), el("dd", value)) for key, value in lines), class_=kind)
-
-
-def _unit(joint: JointStates) -> str:
-    """Lengths have none: not all models tell theirs, and docs/conventions.md says so."""
-    return "°" if joint.kind == JointKind.REVOLUTE else ""
-
-
-def _range(low: float, high: float, unit: str) -> str:
-    return f"{_number(low, unit)} to {_number(high, unit)}{unit}"
-
-
-def _number(value: float, unit: str) -> str:
-    return f"{value:.1f}" if unit else f"{value:.3g}"
-
-
-def _spread(values: Sequence[float], unit: str) -> str:
-    """One number where all are alike, else the least and the greatest."""
-    low, high = min(values), max(values)
-    one, other = _number(low, unit), _number(high, unit)
-    return f"{one}{unit}" if one == other else f"{one} … {other}{unit}"
 
 
 def _common(names: Counter[str]) -> str:
