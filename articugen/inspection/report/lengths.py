@@ -7,7 +7,7 @@ from articugen.inspection.report.facts import JointStates
 
 
 def unit_of(joint: JointStates) -> str:
-    """Give the sign behind a joint's states: lengths have none, as not all models tell their unit."""
+    """Give the sign behind a joint's states: lengths have none, not all models tell their unit."""
     return "°" if joint.kind == JointKind.REVOLUTE else ""
 
 
