@@ -36,7 +36,7 @@ from articugen.learning.method import Yardstick, find_method, load_recipe
 from articugen.learning.predict import write_rig
 from articugen.learning.race import race
 from articugen.learning.recipe import TrainRecipe
-from articugen.learning.run_folder import DEPTH, RunFolder, depth_learner, read_run
+from articugen.learning.run_folder import DEPTH, LATEST, RunFolder, depth_learner, read_checkpoint
 from articugen.meshes.points import Cloud, cloud_of_file
 from articugen.store.manifest import Manifest
 
@@ -196,7 +196,7 @@ def evaluate(
     if label_poses not in ("canonical", "all"):
         raise ArticugenError(f"--label-poses {label_poses}: canonical or all")
     folder = newest(run)
-    point = read_run(folder)
+    point = read_checkpoint(folder / LATEST)
     yardsticks = {"paper": _PAPER, **find_method(point.recipe.method).yardsticks()}
     if protocol not in yardsticks:
         raise ArticugenError(f"--protocol {protocol}: {' or '.join(yardsticks)}")
@@ -253,7 +253,7 @@ def draw(run: FolderLike, data: FolderLike, result: RunEvaluation) -> Iterator[P
     from articugen.learning.evaluation.figures.draw import draw_figures  # noqa: PLC0415
 
     folder = newest(run)
-    learner = read_run(folder).learner()
+    learner = read_checkpoint(folder / LATEST).learner()
     model = learner.drawable(min(4 * result.run.resolution, 128))
     on = Path(result.run.on) if result.run.on else None
     out, metrics = evaluation_folder(folder, on=on), RunFolder(folder).metrics()
@@ -286,7 +286,7 @@ def draw_examples(
 
     examples = []
     for folder in map(newest, runs):
-        result, point = read_evaluation(folder), read_run(folder)
+        result, point = read_evaluation(folder), read_checkpoint(folder / LATEST)
         own = Path(data or RunFolder(folder).about()["data"]["folder"])
         own = own / point.category if data and (own / point.category).is_dir() else own
         check_splits(own, point.category)
@@ -354,7 +354,7 @@ def predict(
     """
     prepare()
     folder, cloud = newest(run), Path(cloud)
-    point = read_run(folder)
+    point = read_checkpoint(folder / LATEST)
     if cloud.suffix == ".h5":
         eye = camera if depth else None
         given = cloud_of_shard(cloud, row, category=point.category, camera=eye)

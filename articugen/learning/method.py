@@ -140,9 +140,6 @@ class Method(Protocol):
         """
         ...
 
-    weights: tuple[str, ...] | None = None
-    """The entries of a learner's `state` that predictions need; None is all of them."""
-
     def start_depth(self, first: Any, *, seed: int, device: torch.device) -> Learner:
         """A learner for what one depth camera sees, beside one that is trained.
 

@@ -7,13 +7,9 @@ Everything is believed only if it is as it was written: a file that is not gives
 
 Where several seeds raced, race.json says who won and why, seeds/<seed> are run folders themselves,
 and the winner's metrics and checkpoints are the run's.
-
-A run that was only brought here to be used (`study`) has weights.safetensors instead: what
-predictions need, in a seventh of a checkpoint's bytes; training cannot go on from it.
 """
 
 import json
-import math
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -23,7 +19,6 @@ from typing import Annotated, Any, NoReturn, TypeVar
 
 import torch
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from torch import Tensor
 
 from articugen.core.content import VERSION
 from articugen.core.errors import ArticugenError, InvalidCheckpoint, InvalidRecipe, MachineFault
@@ -41,13 +36,11 @@ from articugen.core.yaml_files import resolved
 from articugen.learning import tensorboard
 from articugen.learning.method import Learner, find_method, parse_recipe
 from articugen.learning.recipe import TrainRecipe
-from articugen.learning.safetensors import read_safetensors, write_safetensors
 from articugen.learning.tensors import CURE, check_like, digest, read_tensors, write_tensors
 from articugen.store.manifest import this_commit, this_machine
 
 FORMAT = "articugen checkpoint 3"
 LATEST, BEST, METRICS = "latest.pt", "best.pt", "metrics.jsonl"
-WEIGHTS, WEIGHTS_FORMAT = "weights.safetensors", "articugen weights 1"
 MOST_BYTES = 1 << 28
 """That a recipe, run.json or metrics may have."""
 
@@ -113,20 +106,6 @@ class _Line(_Told):
     seconds: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
 
 
-class _OfWeights(_Told):
-    """The texts in the header of the weights, each of them JSON.
-
-    Attributes:
-        state: what the learner's state has besides tensors, by its way there.
-    """
-
-    category: str
-    seed: int
-    iteration: int = Field(ge=0)
-    recipe: dict[str, Any]
-    state: dict[str, Any]
-
-
 Told = TypeVar("Told", bound=BaseModel)
 
 
@@ -162,21 +141,6 @@ class Checkpoint:
         """Write it in one step."""
         write_tensors(path, {**vars(self), "recipe": self.recipe.plain()}, FORMAT)
 
-    def write_weights(self, path: Path) -> None:
-        """Write what predictions need as safetensors, with the recipe among its texts."""
-        chosen = find_method(self.recipe.method).weights or tuple(self.state)
-        values = _flat({name: self.state[name] for name in chosen})
-        tensors = {name: value for name, value in values.items() if isinstance(value, Tensor)}
-        about = _OfWeights(
-            category=self.category,
-            seed=self.seed,
-            iteration=self.iteration,
-            recipe=self.recipe.plain(),
-            state={name: value for name, value in values.items() if name not in tensors},
-        )
-        texts = {name: json.dumps(value) for name, value in about.model_dump().items()}
-        write_safetensors(path, tensors, {"format": WEIGHTS_FORMAT, **texts})
-
     def learner(self, device: torch.device = CPU) -> Learner:
         """What was trained, ready for predictions or to go on."""
         learner = find_method(self.recipe.method).start(self.recipe, seed=0, device=device)
@@ -206,58 +170,6 @@ def read_checkpoint(path: Path) -> Checkpoint:
     learner = find_method(point.recipe.method).start(point.recipe, seed=0, device=META)
     check_like(point.state, learner.state(), path)  # shapes alone: whatever it says costs nothing
     return point
-
-
-def read_run(folder: Path) -> Checkpoint:
-    """What a run's folder has for predictions: its last checkpoint, or else its weights.
-
-    Raises:
-        InvalidCheckpoint: it has neither, or what it has is damaged, or not one of ours.
-    """
-    if (folder / WEIGHTS).is_file() and not (folder / LATEST).is_file():
-        return _read_weights(folder / WEIGHTS)
-    return read_checkpoint(folder / LATEST)
-
-
-def _read_weights(path: Path) -> Checkpoint:
-    tensors, texts = read_safetensors(path)
-    if texts.get("format") != WEIGHTS_FORMAT:
-        raise InvalidCheckpoint(f"{path}: not weights of articugen's")
-    try:
-        about = _OfWeights.model_validate(
-            {n: json.loads(texts[n]) for n in _OfWeights.model_fields}
-        )
-        recipe = parse_recipe(about.recipe, str(path))
-    except (ValueError, KeyError, RecursionError, InvalidRecipe):
-        raise InvalidCheckpoint(f"{path}: weights that lack something; {CURE}") from None
-    method = find_method(recipe.method)
-    state = method.start(recipe, seed=0, device=CPU).state()
-    chosen = method.weights or tuple(state)
-    found, wanted = tensors | about.state, _flat({name: state[name] for name in chosen})
-    check_like(found, wanted, path)
-    if not all(bool(tensor.isfinite().all()) for tensor in tensors.values()):
-        raise InvalidCheckpoint(f"{path}: holds numbers that are not finite; {CURE}")
-    told, full = (about.category, about.seed, about.iteration), _filled(state, found)
-    return Checkpoint(recipe, *told, best=math.inf, beside="", state=full)
-
-
-def _flat(state: dict[str, Any], within: str = "") -> dict[str, Any]:
-    """All in nested dicts, each by its way there, as `model.encoder.latent.bias`."""
-    flat: dict[str, Any] = {}
-    for name, value in state.items():
-        way = f"{within}{name}"
-        flat |= _flat(value, f"{way}.") if isinstance(value, dict) else {way: value}
-    return flat
-
-
-def _filled(state: dict[str, Any], found: dict[str, Any], within: str = "") -> dict[str, Any]:
-    """The nested dicts, with what was found in place of theirs."""
-    return {
-        name: _filled(value, found, f"{within}{name}.")
-        if isinstance(value, dict)
-        else found.get(f"{within}{name}", value)
-        for name, value in state.items()
-    }
 
 
 def read_depth_checkpoint(folder: Path, main: Checkpoint) -> Checkpoint:
@@ -377,8 +289,7 @@ class RunFolder:
             InvalidCheckpoint: it has nothing to go on from.
             ArticugenError: another process trains there.
         """
-        begun = (path / "run.json").is_file() and not (path / WEIGHTS).is_file()
-        if not begun and not (path / LATEST).is_file():
+        if not (path / "run.json").is_file() and not (path / LATEST).is_file():
             raise InvalidCheckpoint(f"{path}: has no {LATEST} to go on from; start a new run")
         run = RunFolder(path)
         with run.locked():

@@ -167,28 +167,6 @@ def pickles() -> Iterable[bytes]:
             yield next(archive.read(n) for n in archive.namelist() if n.endswith("data.pkl"))
 
 
-def weights() -> Iterable[bytes]:
-    from articugen.learning.method import load_recipe
-    from articugen.learning.run_folder import WEIGHTS_FORMAT
-
-    about = {
-        "category": "box",
-        "seed": 0,
-        "iteration": 2,
-        "recipe": load_recipe("ppd_quick").plain(),
-        "state": {"iteration": 2},
-    }
-    texts = {"format": WEIGHTS_FORMAT, **{name: json.dumps(v) for name, v in about.items()}}
-    tensor = {"dtype": "F32", "shape": [2, 3], "data_offsets": [0, 24]}
-    flag = {"dtype": "BOOL", "shape": [2], "data_offsets": [24, 26]}
-    for header in (
-        {"__metadata__": texts, "model.w": tensor, "model.b": flag},
-        {"a": tensor, "b": flag, "c": {"dtype": "I64", "shape": [0], "data_offsets": [26, 26]}},
-    ):
-        text = json.dumps(header).encode()
-        yield len(text).to_bytes(8, "little") + text + bytes(26)
-
-
 def runs() -> Iterable[bytes]:
     about = {
         "category": "box",

@@ -39,18 +39,6 @@ def glb(data: bytes) -> bytes:
     return b"".join([data[:8], struct.pack("<II", len(data), end - 20), data[16:end], data[end:]])
 
 
-def safetensors(data: bytes) -> bytes:
-    """The length of a header, where it is JSON."""
-    if data[8:9] != b"{":
-        return data
-    text = data[8:].decode("latin-1")
-    try:
-        end = json.JSONDecoder().raw_decode(text)[1]
-    except (ValueError, RecursionError):
-        return data
-    return end.to_bytes(8, "little") + data[8:]
-
-
 def checkpoint(data: bytes) -> bytes:
     """An archive, with the digest that our files end with."""
     from articugen.learning.tensors import sealed

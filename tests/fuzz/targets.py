@@ -244,14 +244,6 @@ def _read_checkpoint(path: Path) -> object:
     return read_checkpoint(path)
 
 
-def _read_weights(path: Path) -> object:
-    from articugen.learning.run_folder import read_run
-    from articugen.learning.safetensors import read_safetensors
-
-    read_safetensors(path)
-    return read_run(path.parent)
-
-
 def _read_run_json(path: Path) -> object:
     from articugen.learning.run_folder import RunFolder
 
@@ -416,10 +408,6 @@ TARGETS = {
         ),
         _of_a_run(
             "pickle", "latest.pt", _read_checkpoint, made=making.pickles, mended=mending.pickle,
-        ),
-        _of_a_run(
-            "weights", "weights.safetensors", _read_weights, made=making.weights,
-            mended=mending.safetensors, tokens=_IN_JSON,
         ),
         _of_a_run("run", "run.json", _read_run_json, made=making.runs, tokens=_IN_JSON),
         _of_a_run("metrics", "metrics.jsonl", _read_metrics, made=making.metrics, tokens=_IN_JSON),

@@ -37,7 +37,7 @@ class Predictor:
                 raise
             raise MissingExtra("torch", "ppd") from None
         self.path = commands.newest(run)
-        point = run_folder.read_run(self.path)
+        point = run_folder.read_checkpoint(self.path / run_folder.LATEST)
         self._learner, self.category = point.learner(), point.category
         self.data = Path(run_folder.RunFolder(self.path).about()["data"]["folder"])
 

@@ -19,7 +19,6 @@ class PPDMethod(Method):
     name = "ppd"
     recipe = "ppd_quick"
     Settings = PPDRecipe
-    weights = ("iteration", "model")
 
     def start(self, settings: PPDRecipe, *, seed: int, device: torch.device) -> PPDLearner:
         from articugen.learning.ppd.learner import PPDLearner  # noqa: PLC0415
