@@ -1,17 +1,36 @@
-"""What is kept of compiled kernels."""
+"""What numba keeps of compiled kernels, after their files have changed."""
 
+import os
 import pickle
 
-from articugen.core import compiling
+import pytest
+from python_process import printed
+
+KERNEL = """
+from articugen.core.jit import kernel
 
 
-def test_what_is_kept_of_modules_that_moved_is_dropped(tmp_path, monkeypatch):
-    kept = tmp_path / "__pycache__"
-    kept.mkdir()
-    (kept / "sound.nbi").write_bytes(pickle.dumps("1.0") + pickle.dumps((("stamp", 1), {})))
-    (kept / "moved.nbi").write_bytes(pickle.dumps("1.0") + b"carticugen.no_such\nBvh\n.")
-    (kept / "cut.nbi").write_bytes(pickle.dumps("1.0"))
-    (kept / "moved.nbc").write_bytes(b"code")
-    monkeypatch.setattr(compiling, "_with_kernels", lambda: [tmp_path / "kernels.py"])
-    compiling._drop_unreadable()
-    assert {path.name for path in kept.iterdir()} == {"sound.nbi", "moved.nbc"}
+@kernel
+def twice(x):
+    return 2 * x
+"""
+MOVED = b"carticugen.no_such_module\nBvh\n."
+
+
+@pytest.mark.parametrize("hours", [1, -1])
+def test_an_index_of_modules_that_moved_is_dropped_where_the_file_is_newer(tmp_path, hours):
+    source = tmp_path / "ours.py"
+    source.write_text(KERNEL)
+    own = {"PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
+    command = ("-c", "import ours; print(ours.twice(21))")
+    assert printed(*command, folder=tmp_path, NUMBA_CACHE_DIR="", **own).split() == ["42"]
+    (index,) = tmp_path.rglob("*.nbi")
+    head = pickle.dumps(pickle.loads(index.read_bytes()))
+    index.write_bytes(head + MOVED)
+    now = index.stat().st_mtime
+    os.utime(source, (now + 3600 * hours, now + 3600 * hours))
+    if hours > 0:
+        assert printed(*command, folder=tmp_path, NUMBA_CACHE_DIR="", **own).split() == ["42"]
+    else:  # as numba does by itself
+        with pytest.raises(AssertionError, match="no_such_module"):
+            printed(*command, folder=tmp_path, NUMBA_CACHE_DIR="", **own)

@@ -210,8 +210,6 @@ def test_hdf5_s_checksum_is_known():
 
 @pytest.mark.parametrize("name", ["stl", "glb", "shard"])
 def test_what_is_sound_is_left_as_it_is(name):
-    if name == "weights":
-        pytest.importorskip("torch", reason="weights need torch")
     target = TARGETS[name]
     assert [target.mended(data) == data for data in target.seeds()] == [True] * len(target.seeds())
 

@@ -9,7 +9,6 @@ Commands call `compile_kernels` for what they need; `make test` calls `compile_a
 
 import hashlib
 import os
-import pickle
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -61,7 +60,6 @@ def compile_kernels(
         stamp.parent.mkdir(parents=True, exist_ok=True)
     except OSError:  # nothing can be kept here
         return
-    _drop_unreadable()
     notice("compiling the kernels, once after an installation or an update ...")
     lost = [ended.lost for ended in processes.each(_warm_up, WARM_UPS[command], workers=jobs)]
     if not any(lost):
@@ -113,19 +111,6 @@ def _stamp(command: str) -> Path:
         known.append(f"{file.relative_to(_PACKAGE)} {state.st_mtime_ns} {state.st_size}")
     digest = hashlib.sha256("\n".join(known).encode()).hexdigest()
     return _folder() / f"compiled-{command}-{digest[:16]}"
-
-
-def _drop_unreadable() -> None:
-    """Remove what numba keeps of code whose modules have moved since: to read it raises."""
-    for folder in {path.parent / "__pycache__" for path in _with_kernels()}:
-        for index in folder.glob("*.nbi"):
-            with suppress(OSError):
-                try:
-                    with index.open("rb") as file:  # as numba reads it
-                        pickle.load(file)
-                        pickle.loads(file.read())
-                except (ImportError, AttributeError, EOFError, pickle.UnpicklingError):
-                    index.unlink()
 
 
 def _folder() -> Path:

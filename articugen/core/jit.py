@@ -10,7 +10,10 @@ that can raise errors, as numba compiles how those are worded; np.partition, np.
 differ from one caller to the next in being read-only, or in their layout.
 """
 
+from contextlib import suppress
 from functools import partial
+from pathlib import Path
+from types import CodeType
 from typing import Any
 
 from numba import njit
@@ -28,6 +31,19 @@ def kernel(function: Any = None, /, **options: Any) -> Any:
     if function is None:
         return partial(kernel, **options)
     try:
-        return _njit(cache=True, **_OPTIONS, **options)(function)
+        compiled = _njit(cache=True, **_OPTIONS, **options)(function)
     except RuntimeError:  # neither this folder nor the user's cache can be written to
         return _njit(**_OPTIONS, **options)(function)
+    _drop_stale(function.__code__, Path(compiled.stats.cache_path))
+    return compiled
+
+
+def _drop_stale(code: CodeType, folder: Path) -> None:
+    """Remove numba's index of a kernel whose file has changed since: numba reads it before it
+    looks at the date, and raises where a class that it names has moved to another module."""
+    source = Path(code.co_filename)
+    with suppress(OSError):
+        changed = source.stat().st_mtime_ns
+        for index in folder.glob(f"{source.stem}.{code.co_name}-{code.co_firstlineno}.*.nbi"):
+            if index.stat().st_mtime_ns < changed:
+                index.unlink(missing_ok=True)
