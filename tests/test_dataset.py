@@ -7,7 +7,7 @@ import pytest
 from ppd_data import write_boxes
 
 from articugen.core import schema
-from articugen.core.errors import CorruptShard
+from articugen.core.errors import CorruptShard, UnfitData
 from articugen.core.records import dequantize
 from articugen.store.shards import open_shard, write_shard
 
@@ -153,7 +153,7 @@ def test_what_is_not_asked_for_is_not_kept(folder):
 def test_unfit_data_are_refused_in_one_sentence(folder, change, said):
     wanted = {"split": "train", "ask": ASK, "resolutions": [8], "category": "box"} | change
     split, ask, resolutions = wanted.pop("split"), wanted.pop("ask"), wanted.pop("resolutions")
-    with pytest.raises(CorruptShard, match=said.replace("(", r"\(")):
+    with pytest.raises(UnfitData, match=said.replace("(", r"\(")):
         load_split(folder, split, ask, resolutions, **wanted)
 
 
@@ -180,14 +180,26 @@ def test_shards_that_cannot_be_learnt_from_are_refused(tmp_path):
     still |= {"joint_axis": np.zeros((0, 3)), "joint_pivot": np.zeros((0, 3))}
     blind = {"partial_points": np.zeros((0, 0, 3)), "partial_part": np.zeros((0, 0))}
     blind |= {"partial_T_camera_world": np.zeros((0, 4, 4)), "partial_intrinsics": np.zeros((0, 4))}
-    for name, change, about, said in (
-        ("still", still, {}, "has no joint; what never moves teaches no parts"),
-        ("blind", blind, {}, "has no partial clouds; set sampling.partial_views"),
-        ("oven", {}, {"category": "oven"}, "is of category 'oven', the manifest says 'box'"),
-        ("test", {}, {"split": "test"}, "is of split 'test', the manifest says 'train'"),
+    for name, change, about, error, said in (
+        ("still", still, {}, UnfitData, "has no joint; what never moves teaches no parts"),
+        ("blind", blind, {}, UnfitData, "has no partial clouds; set sampling.partial_views"),
+        (
+            "oven",
+            {},
+            {"category": "oven"},
+            CorruptShard,
+            "is of category 'oven', the manifest says 'box'",
+        ),
+        (
+            "test",
+            {},
+            {"split": "test"},
+            CorruptShard,
+            "is of split 'test', the manifest says 'train'",
+        ),
     ):
         folder = rewritten(tmp_path / name, change, **about)
-        with pytest.raises(CorruptShard, match=f"train-00000.h5: {said}"):
+        with pytest.raises(error, match=f"train-00000.h5: {said}"):
             load_split(folder, "train", SEEN, [8])
 
 
@@ -205,7 +217,7 @@ def test_shards_that_do_not_fit_together_are_refused(tmp_path):
         row, about = shard.instance(0), dict(shard.attributes)
     less = {n: getattr(row, n)[:500] for n in ("surface_points", "surface_normals", "surface_part")}
     write_shard(folder / "train-00001.h5", [dataclasses.replace(row, **less)], about)
-    with pytest.raises(CorruptShard, match="shards of different shapes"):
+    with pytest.raises(UnfitData, match="shards of different shapes"):
         load_split(folder, "train", ASK, [8])
 
 
@@ -232,7 +244,7 @@ def test_data_sets_that_do_not_go_together_are_refused(folder, tmp_path):
         (jars, "jars: holds jar, not box"),
         (tested, "tested: has an object box-5, as .* has; leave it out of one"),
     ):
-        with pytest.raises(CorruptShard, match=said):
+        with pytest.raises(UnfitData, match=said):
             load_split((folder, other), "train", ASK, [8])
 
 

@@ -6,7 +6,7 @@ many of each, however few there are; that a moving part fills one voxel in a tho
 more.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,10 +22,6 @@ Packed = tuple[NDArray[np.int32], NDArray[np.int32]]
 
 KEPT = 2048
 """Free and occupied cells that are kept of an instance, each: together 16 KiB."""
-
-Chance = torch.Generator | Sequence[torch.Generator] | None
-"""Where a batch's random numbers come from. Several generators draw for an equal share of its rows
-each: what each would draw for a batch of that share."""
 
 FINEST = 64
 """The resolution of the grid that they are of, or the finest one below that a data set has."""
@@ -52,7 +48,7 @@ class LabelledCells:
         """The same with both tensors changed."""
         return LabelledCells(self.resolution, change(self.index), change(self.count))
 
-    def draw(self, at: Tensor, count: int, rng: Chance) -> tuple[Tensor, Tensor]:
+    def draw(self, at: Tensor, count: int, rng: torch.Generator | None) -> tuple[Tensor, Tensor]:
         """Voxels' centres (B, count, 3) of the instances `at` (B,), and whether each is occupied.
 
         Every second one is occupied; all are of one label where an instance has none of the other.
@@ -66,16 +62,9 @@ class LabelledCells:
         return voxel_centres(self.index[at, label, place], self.resolution), label > 0
 
 
-def drawn(rng: Chance, rows: int, draw: Callable[[torch.Generator | None, int], Tensor]) -> Tensor:
-    """What `draw` gives for some rows: by each of several generators for its share of them."""
-    if rng is None or isinstance(rng, torch.Generator):
-        return draw(rng, rows)
-    return torch.cat([draw(each, rows // len(rng)) for each in rng])
-
-
-def uniform(rng: Chance, rows: int, count: int, device: torch.device) -> Tensor:
+def uniform(rng: torch.Generator | None, rows: int, count: int, device: torch.device) -> Tensor:
     """(rows, count) numbers in [0, 1)."""
-    return drawn(rng, rows, lambda g, n: torch.rand(n, count, generator=g, device=device))
+    return torch.rand(rows, count, generator=rng, device=device)
 
 
 def voxel_centres(index: Tensor, resolution: int) -> Tensor:

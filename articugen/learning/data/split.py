@@ -18,7 +18,7 @@ from articugen.core.errors import CorruptShard, UnfitData
 from articugen.core.records import ENCLOSED, FREE
 from articugen.learning.data import cells
 from articugen.learning.data.batch import Batch, BatchSpec
-from articugen.learning.data.cells import Chance, LabelledCells, drawn, uniform, voxel_centres
+from articugen.learning.data.cells import LabelledCells, uniform, voxel_centres
 from articugen.learning.data.fitness import check_fixed_part, check_shard, check_varies
 from articugen.store.manifest import Manifest
 from articugen.store.shards import Shard, open_shard
@@ -107,14 +107,15 @@ class PackedSplit:
             partial=change(self.partial),
         )
 
-    def batch(self, rows: Sequence[int], spec: BatchSpec, resolution: int, rng: Chance) -> Batch:
+    def batch(
+        self, rows: Sequence[int], spec: BatchSpec, resolution: int, rng: torch.Generator | None
+    ) -> Batch:
         """A batch of the instances `rows`; points are drawn without replacement, but for `band` and
         `varying`.
 
         Args:
             resolution: of the grid that `grid_points` are drawn from.
-            rng: of the device that the split lies on; None for torch's own. Several draw for an
-                equal share of the rows each, what each would draw for a batch of its share.
+            rng: of the device that the split lies on; None for torch's own.
         """
         at = index_on(self.surface.device, rows)
         each = at[:, None]
@@ -145,13 +146,13 @@ class PackedSplit:
             at, unpacked(cloud), part, torch.cat(points, 1), torch.cat(occupied, 1), spread, chance
         )
 
-    def _clouds(self, at: Tensor, spec: BatchSpec, rng: Chance) -> tuple[Tensor, Tensor]:
+    def _clouds(
+        self, at: Tensor, spec: BatchSpec, rng: torch.Generator | None
+    ) -> tuple[Tensor, Tensor]:
         """The stored clouds (B, n, 3) of some instances, and the places of their points (B, n)."""
         if spec.partial:
             B, cameras = len(at), self.partial.shape[1]
-            camera = drawn(
-                rng, B, lambda g, n: torch.randint(cameras, (n,), generator=g, device=at.device)
-            )
+            camera = torch.randint(cameras, (B,), generator=rng, device=at.device)
             seen = self.partial[at, camera]
             return seen, torch.arange(seen.shape[1], device=at.device).expand(B, -1)
         where = _places(at, self.surface.shape[1], spec.surface_points, rng)
@@ -164,7 +165,7 @@ def index_on(device: torch.device, rows: Sequence[int]) -> Tensor:
     return at.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else at.to(device)
 
 
-def _places(at: Tensor, n: int, count: int, rng: Chance) -> Tensor:
+def _places(at: Tensor, n: int, count: int, rng: torch.Generator | None) -> Tensor:
     """(B, count) which `count` of n stored points, drawn anew for each row.
 
     All n of them stay in order: nothing that uses a batch depends on the order of its points. Of
@@ -179,7 +180,7 @@ def _places(at: Tensor, n: int, count: int, rng: Chance) -> Tensor:
     begin = torch.arange(count, device=at.device) * n // count
     width = torch.arange(1, count + 1, device=at.device) * n // count - begin
     share = uniform(rng, len(at), count, at.device)
-    turn = drawn(rng, len(at), lambda g, b: torch.randint(n, (b, 1), generator=g, device=at.device))
+    turn = torch.randint(n, (len(at), 1), generator=rng, device=at.device)
     return (begin + (share * width).long() + turn) % n
 
 

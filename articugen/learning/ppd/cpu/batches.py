@@ -1,8 +1,6 @@
 """Batches of points, as a CPU and as a GPU takes them best: both give the same numbers."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable
 
 import torch
 from torch import Tensor, nn
@@ -15,25 +13,9 @@ def gather_points(points: Tensor, index: Tensor) -> Tensor:
     return points.gather(1, index[..., None].expand(-1, -1, points.shape[-1]))
 
 
-_whole = ContextVar("whole", default=False)
-
-
-@contextmanager
-def whole_batches() -> Iterator[None]:
-    """Within, a CPU takes the ways of a GPU: batches as they are, nothing that asks for a number.
-
-    Both give the same numbers; `torch.vmap` cannot go the CPU's own ways.
-    """
-    before = _whole.set(True)
-    try:
-        yield
-    finally:
-        _whole.reset(before)
-
-
 def spares(x: Tensor) -> bool:
     """Whether a few samples and points at a time are fastest, as they are on a CPU."""
-    return x.device.type == "cpu" and not _whole.get()
+    return x.device.type == "cpu"
 
 
 def one_by_one(function: Callable[..., Tensor], *batches: Tensor) -> Tensor:
