@@ -145,25 +145,30 @@ def test_the_short_table_is_of_one_run():
     body = glance.markdown(_report())
     assert "`c` at commit abc, today, M;" in body
     assert "| peer | 2 | 6 | 0.5000 / 0.5000 | 0.5000 / 0.5000 | 1.0000 / 0.8000 |" in body
-    old = "# A\n\n<!-- benchmark -->\n\nold\n\n<!-- end of benchmark -->\n\nafter\n"
-    new = publish.replaced(old, "benchmark", body)
+    old = "# A\n\n<!-- glance -->\n\nold\n\n<!-- end of glance -->\n\nafter\n"
+    new = publish.replaced(old, "glance", body)
     assert "old" not in new
-    assert new.endswith("<!-- end of benchmark -->\n\nafter\n")
+    assert new.endswith("<!-- end of glance -->\n\nafter\n")
+
+
+def test_of_a_report_with_several_tables_the_page_has_the_first():
+    old = "<!-- accuracy -->\nold\n<!-- end of accuracy -->"
+    report = "## Accuracy\n\nmachine\n\n### A\n\n1\n\n### B\n\n2\n"
+    new = publish.replaced(old, "accuracy", report)
+    assert new == "<!-- accuracy -->\n\nmachine\n\n### A\n\n1\n\n<!-- end of accuracy -->"
 
 
 def test_reports_are_published_with_their_pictures(tmp_path):
     root, folder = tmp_path / "root", tmp_path / "out"
     (root / "docs" / "images").mkdir(parents=True)
     folder.mkdir()
-    marks = {"glance": "old", "benchmark": "old", "accuracy": "kept"}
+    marks = {"glance": "old", "accuracy": "kept"}
     page = "".join(f"<!-- {m} -->\n{body}\n<!-- end of {m} -->\n" for m, body in marks.items())
     (root / "docs" / "performance.md").write_text(page)
-    (folder / "report.md").write_text("## Benchmark\n\n![x](methods.png)\n")
     (folder / "glance.md").write_text(glance.markdown(_report()))
     (folder / "methods.png").write_bytes(b"png")
     publish.main(folder, root)
     performance = (root / "docs" / "performance.md").read_text()
-    assert "![x](images/methods.png)" in performance
     assert "kept" in performance
     assert "old" not in performance
     assert "`c` at commit abc, today, M;" in performance

@@ -55,7 +55,7 @@ def markdown(report: Row) -> str:
     lines = [
         "Beside what one would use instead, on the same meshes in one run: "
         f"`{about['command']}` at commit {about['commit']}, {about['date']}, {about['machine']}; "
-        "versions are with the long tables below.",
+        "versions are in `report.md`.",
         "",
         table.strip(),
         "",
@@ -63,7 +63,7 @@ def markdown(report: Row) -> str:
         "nothing else; then with that many query points and no grids. IoU at uniform points / near "
         "the surface, with the solids alone and with those and the space that no view sees. "
         "Sheet: the thickness of one without any, in voxels of 1/256; ours means 1.5. More forms "
-        "of these methods are in the long tables.",
+        "of these methods are in `report.md`.",
         "",
     ]
     return "\n".join(lines)

@@ -1,8 +1,9 @@
 """Copy the newest reports into the documentation: python -m tests.benchmarks.publish [folder]
 
-What stands between `<!-- name -->` and `<!-- end of name -->` is replaced by the folder's report,
-its headings one level down, for each report that is there, all in docs/performance.md; pictures go
-to docs/images. Figures of code that no commit has are refused: nobody could measure them again.
+The lines between `<!-- name -->` and `<!-- end of name -->` of docs/performance.md are replaced by
+the report of that name, for each report in the folder; of several tables the page gets the first.
+Pictures go to docs/images. Figures of code that no commit has are refused: nobody could measure
+them again.
 """
 
 import re
@@ -12,7 +13,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 PAGE = Path("docs") / "performance.md"
-REPORTS = {"glance": "glance.md", "benchmark": "report.md", "accuracy": "accuracy.md"}
+REPORTS = {"glance": "glance.md", "accuracy": "accuracy.md"}
 PICTURES = ("scaling.png", "methods.png")
 
 CHANGED = re.compile(r"commit (\S+-dirty|\S+\+changes|unknown)")
@@ -32,15 +33,16 @@ def main(folder: Path = Path("benchmarks_out"), root: Path = ROOT) -> None:
     for mark, report in REPORTS.items():
         if (folder / report).is_file():
             text = replaced(text, mark, (folder / report).read_text())
-    page.write_text(text.replace("](methods.png)", "](images/methods.png)"))
+    page.write_text(text)
     for picture in PICTURES:
         if (folder / picture).is_file():
             shutil.copyfile(folder / picture, images / picture)
 
 
 def replaced(text: str, name: str, report: str) -> str:
-    """`text` with the report, less its own first heading, between the marks of that name."""
-    body = re.sub(r"^## .*\n+", "", report, count=1).strip()
+    """Put the report's first table between the marks of that name, without the report's heading."""
+    body = re.sub(r"^## .*\n+", "", report, count=1)
+    body = "\n### ".join(body.split("\n### ")[:2]).strip()
     first, last = f"<!-- {name} -->", f"<!-- end of {name} -->"
     before, rest = text.split(first)
     return f"{before}{first}\n\n{body}\n\n{last}{rest.split(last)[1]}"
