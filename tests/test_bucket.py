@@ -78,14 +78,14 @@ def finished(job: Job, share: str | None = None) -> tuple[Manifest | None, list[
 def files(url: str) -> dict[str, bytes | None]:
     """But for the manifest, which has timings, and for what lies beside."""
     bucket = Bucket(url)
-    names = [name for name in bucket.listed("") if not name.startswith(".articugen/")]
-    return {name: bucket.get(name) for name in sorted(names) if name != MANIFEST_NAME}
+    names = [name for name in bucket.list("") if not name.startswith(".articugen/")]
+    return {name: bucket.read(name) for name in sorted(names) if name != MANIFEST_NAME}
 
 
 def test_what_is_stored_is_what_lies_on_a_disk(stored: str, whole: Path, server: Trouble) -> None:
     assert min(server.spoilt[kind] for kind in ("503", "unheard", "unanswered")) >= 1
     assert files(stored) == contents(whole)
-    assert not [n for n in Bucket(stored).listed(".articugen") if n.startswith("claims")]
+    assert not [n for n in Bucket(stored).list(".articugen") if n.startswith("claims")]
     manifest, told = finished(into(stored))
     assert [report.reused for report in told] == [True] * 4
     assert manifest is not None
@@ -150,12 +150,12 @@ def test_a_manifest_in_pages(server: Trouble, whole: Path, monkeypatch: pytest.M
     server.every = 0
     assert manifest is not None
     assert manifest.content_sha256 == Manifest.read(whole).content_sha256
-    pages = sorted(filter(is_page_name, Bucket(url).listed("")))
+    pages = sorted(filter(is_page_name, Bucket(url).list("")))
     assert len(pages) == 2
     assert ag.open(url).manifest == manifest
     assert finished(into(url))[0] == manifest  # nothing is left to do
-    first, second = (Bucket(url).get(name) or b"" for name in pages)
-    Bucket(url).put(pages[0], second)
+    first, second = (Bucket(url).read(name) or b"" for name in pages)
+    Bucket(url).write(pages[0], second)
     with pytest.raises(CorruptShard, match=rf"{pages[0]}: .* other bytes .* delete manifest\.json"):
         ag.open(url)
     Bucket(url).delete(pages[:1])
@@ -165,7 +165,7 @@ def test_a_manifest_in_pages(server: Trouble, whole: Path, monkeypatch: pytest.M
     again, told = finished(into(url))
     assert again is not None
     assert [report.reused for report in told] == [True] * 4
-    assert Bucket(url).get(pages[0]) == first
+    assert Bucket(url).read(pages[0]) == first
 
 
 def test_what_another_process_is_at_is_left_to_it(
@@ -201,7 +201,7 @@ def test_two_processes_share_out_the_objects(server: Trouble, whole: Path, tmp_p
     with subprocess.Popen(
         [sys.executable, "-m", "articugen", *map(str, command)], stdout=subprocess.PIPE
     ) as other:
-        while not Bucket(f"{url}/eyeglasses").listed(""):
+        while not Bucket(f"{url}/eyeglasses").list(""):
             assert other.poll() is None
             time.sleep(0.05)
         data = ag.generate("eyeglasses", out=url, recipe=TINY, jobs=0)
@@ -237,7 +237,7 @@ def test_nothing_in_a_store_is_replaced(server: Trouble) -> None:
     command = ["generate", "-c", "eyeglasses", "-o", url, "--replace"]
     told = CliRunner().invoke(app, command)
     assert (told.exit_code, "with an object store" in told.output) == (1, True)
-    assert Bucket(url).listed("") == {}
+    assert Bucket(url).list("") == {}
 
 
 @pytest.mark.parametrize(

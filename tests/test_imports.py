@@ -31,7 +31,7 @@ FLOORS = (
 FLOOR = {room: level for level, rooms in enumerate(FLOORS, start=1) for room in rooms}
 
 MOST_ARROWS = 70
-MOST_LINES = 51_800
+MOST_LINES = 52_200
 """Of the whole package; it is lowered as the package shrinks."""
 LARGEST_ROOM = 0.2
 """Its share of the lines."""
@@ -56,8 +56,8 @@ LONG_FILES = {
 
 CORE = {
     "backends", "bundled", "calling", "colours", "compiling", "content", "errors", "files",
-    "geometry", "jit", "memory", "near", "plugins", "portable", "processes", "recipe",
-    "records", "schema", "seeding", "tables", "yaml_files",
+    "geometry", "jit", "ledger", "memory", "near", "place", "plugins", "portable", "processes",
+    "recipe", "records", "schema", "seeding", "tables", "yaml_files",
 }  # fmt: skip
 """All that may lie in core/, or it becomes a drawer for everything."""
 

@@ -13,6 +13,7 @@ from uuid import uuid4
 from pydantic import ValidationError
 
 from articugen.core.errors import ArticugenError, CorruptShard
+from articugen.core.place import read_all
 from articugen.pipeline.journal import why_again
 from articugen.pipeline.rank_journal import CommonPlan, Name, shard_names
 from articugen.store.bucket import Bucket
@@ -46,7 +47,7 @@ class BucketJournal:
         self._outcomes: dict[Name, Outcome] = {}
         for outcome in manifest.outcomes if manifest else ():
             self._outcomes[outcome.key.split, outcome.key.object_id] = outcome
-        self._files = bucket.listed("")
+        self._files = bucket.list("")
         self.is_told = manifest is not None
 
     def look_at(self, names: Sequence[Name]) -> None:
@@ -56,7 +57,7 @@ class BucketJournal:
             for name in names
             if (path := record_of(self._shards[name])) in self._files and not self._is_known(name)
         ]
-        texts = self.bucket.get_all([path for _, path in recorded])
+        texts = list(read_all(self.bucket, [path for _, path in recorded]))
         for (name, path), text in zip(recorded, texts, strict=True):
             if text is not None:
                 self._outcomes[name] = read_record(text, f"{self.bucket.url}/{path}")
@@ -64,7 +65,7 @@ class BucketJournal:
 
     def agree(self) -> None:
         """Write down what all processes make, or see that it is what the first has written."""
-        if not self.bucket.put_new(_PLAN, self._plan.model_dump_json().encode()):
+        if not self.bucket.write_new(_PLAN, self._plan.model_dump_json().encode()):
             self._check_plan()
 
     def why(self, key: Key) -> str | None:
@@ -94,7 +95,7 @@ class BucketJournal:
         Raises:
             ArticugenError: some were removed or replaced meanwhile.
         """
-        self._files = self.bucket.listed("")
+        self._files = self.bucket.list("")
         gone = [o.shard.name for o in outcomes if o.shard and not self._is_whole(o)]
         if gone:
             raise ArticugenError(
@@ -113,7 +114,7 @@ class BucketJournal:
         return bool(shard and there and there.bytes == shard.bytes)
 
     def _check_plan(self) -> None:
-        text = self.bucket.get(_PLAN)
+        text = self.bucket.read(_PLAN)
         if text is None:
             return
         try:
@@ -155,12 +156,12 @@ class ObjectClaims:
     def take(self, shard: str) -> bool:
         """Claim an object; whether it is ours now."""
         folder = _claims_of(shard)
-        if self._bucket.put_new(f"{folder}/0", self._run):
+        if self._bucket.write_new(f"{folder}/0", self._run):
             return True
         written = self._written(shard)
         if written and self._age(written[max(written)]) < self._seconds:
             return False
-        return self._bucket.put_new(f"{folder}/{max(written, default=-1) + 1}", self._run)
+        return self._bucket.write_new(f"{folder}/{max(written, default=-1) + 1}", self._run)
 
     def is_free(self, shard: str) -> bool:
         """Whether nobody is at an object."""
@@ -173,21 +174,21 @@ class ObjectClaims:
 
     def free_all(self) -> None:
         """Give up whatever processes of this run still claim: they are no more."""
-        names = [f"{_CLAIMS}/{name}" for name in self._bucket.listed(_CLAIMS)]
-        texts = self._bucket.get_all(names)
+        names = [f"{_CLAIMS}/{name}" for name in self._bucket.list(_CLAIMS)]
+        texts = list(read_all(self._bucket, names))
         self._bucket.delete(n for n, text in zip(names, texts, strict=True) if text == self._run)
 
     def _written(self, shard: str) -> Mapping[int, float]:
         """When each claim of an object was written; a later one has taken over an earlier."""
-        listed = self._bucket.listed(_claims_of(shard))
+        listed = self._bucket.list(_claims_of(shard))
         return {int(name): about.written for name, about in listed.items() if name.isdecimal()}
 
     def _age(self, written: float) -> float:
         """Seconds, by the store's clock, which is read once."""
         if self._ahead is None:
             name = f"{_OURS}/clocks/{uuid4().hex}"
-            self._bucket.put(name, b"")
-            now = self._bucket.listed(f"{_OURS}/clocks")[name.rpartition("/")[2]].written
+            self._bucket.write(name, b"")
+            now = self._bucket.list(f"{_OURS}/clocks")[name.rpartition("/")[2]].written
             self._bucket.delete([name])
             self._ahead = now - time.time()
         return time.time() + self._ahead - written

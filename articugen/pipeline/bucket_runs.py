@@ -17,6 +17,7 @@ from uuid import uuid4
 from articugen.core import processes
 from articugen.core.compiling import compile_kernels
 from articugen.core.errors import ArticugenError
+from articugen.core.place import read_all
 from articugen.pipeline.bucket_journal import BucketJournal, ObjectClaims, read_record, record_of
 from articugen.pipeline.rank_journal import Share
 from articugen.pipeline.ranks import common_plan, names_of
@@ -97,9 +98,9 @@ class BucketRun:
         if told is not None:
             return told
         manifest = manifest_of(self.job, outcomes, timings, licence)
-        bucket.put(croissant.NAME, croissant.of_data_set(manifest))
+        bucket.write(croissant.NAME, croissant.of_data_set(manifest))
         for name, data in manifest.files():
-            bucket.put(name, data)
+            bucket.write(name, data)
         return manifest
 
     def _all_made(self, on_notice: Callable[[str], None]) -> Iterator[tuple[Outcome, bool]]:
@@ -165,7 +166,7 @@ class BucketRun:
         """What others have made of these objects by now."""
         bucket = self.journal.bucket
         paths = [record_of(task.shard) for task in tasks]
-        texts = bucket.get_all(paths)
+        texts = list(read_all(bucket, paths))
         found = [
             read_record(text, f"{bucket.url}/{path}") if text is not None else None
             for path, text in zip(paths, texts, strict=True)
@@ -215,13 +216,13 @@ def make_into(
     if not claims.take(task.shard):
         return None
     try:
-        text = bucket.get(record_of(task.shard))
+        text = bucket.read(record_of(task.shard))
         known = read_record(text, task.shard) if text is not None else None
         if known is not None and _will_do(known, task) and _is_there(bucket, known):
             return known  # another process was at it until now
         outcome = task.known or make_object(job, task, common=common)
         if outcome.shard:
-            bucket.put(task.shard, job.out / task.shard)
+            bucket.write(task.shard, job.out / task.shard)
         _record(bucket, task, outcome)
     finally:
         (job.out / task.shard).unlink(missing_ok=True)
@@ -235,7 +236,7 @@ def _bucket(url: str) -> Bucket:
 
 
 def _record(bucket: Bucket, task: Task, outcome: Outcome) -> None:
-    bucket.put(record_of(task.shard), outcome.model_dump_json().encode())
+    bucket.write(record_of(task.shard), outcome.model_dump_json().encode())
 
 
 def _will_do(outcome: Outcome, task: Task) -> bool:

@@ -8,13 +8,13 @@ import os
 import re
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from articugen.core.errors import ArticugenError, InvalidArgument, MachineFault, MissingExtra
+from articugen.core.place import Listed
 
 R = TypeVar("R")
 
@@ -25,7 +25,6 @@ RETRIES = 4
 """Of obstore's own, which are quick."""
 TRIES, PAUSE = 6, 0.2
 """Of a request that is not answered; seconds before the second try, twice as many each time."""
-AT_ONCE = 16
 PART = 1 << 26
 """Bytes above which a file is sent in parts, each a request."""
 
@@ -147,26 +146,21 @@ class Remote:
         return self.url
 
 
-@dataclass(frozen=True)
-class Listed:
-    """A file that a listing tells of: its size, and when it was written by the store's clock."""
-
-    bytes: int
-    written: float
-
-
 class Files(Protocol):
     """A folder elsewhere, to read: a `Bucket`, or what fsspec knows, see `remote.folder_at`."""
 
     url: str
 
-    def get(self, name: str) -> bytes | None: ...
+    def read(self, name: str) -> bytes | None: ...
 
     def size(self, name: str) -> int | None: ...
 
 
 class Bucket:
-    """A folder in an object store. It can be sent to other processes; each connects for itself."""
+    """A folder in an object store, a `Place`. It can be sent to other processes; each connects for
+    itself."""
+
+    at_once = 16
 
     def __init__(self, url: str) -> None:
         """
@@ -196,7 +190,10 @@ class Bucket:
     def __reduce__(self) -> tuple[Any, ...]:
         return Bucket, (self.url,)
 
-    def get(self, name: str) -> bytes | None:
+    def __str__(self) -> str:
+        return self.url
+
+    def read(self, name: str) -> bytes | None:
         """A file's bytes; None where there is none.
 
         Raises:
@@ -204,12 +201,7 @@ class Bucket:
         """
         return self._tried(lambda: bytes(self._obstore.get(self._store, name).bytes()), name)
 
-    def get_all(self, names: Sequence[str]) -> list[bytes | None]:
-        """Many small files."""
-        with ThreadPoolExecutor(AT_ONCE) as pool:
-            return list(pool.map(self.get, names))
-
-    def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes] | None:
+    def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> Sequence[bytes] | None:
         """Parts of a file, each by its first byte and length; None where there is no such file."""
         starts, lengths = [at for at, _ in spans], [size for _, size in spans]
         return self._tried(
@@ -226,12 +218,12 @@ class Bucket:
         """Bytes of a file; None where there is none."""
         return self._tried(lambda: self._obstore.head(self._store, name)["size"], name)
 
-    def put(self, name: str, data: bytes | Path) -> None:
+    def write(self, name: str, data: bytes | Path) -> None:
         """Write a file, which is there as a whole or not at all."""
         self._tried(lambda: self._obstore.put(self._store, name, data, chunk_size=PART), name)
 
-    def put_new(self, name: str, data: bytes) -> bool:
-        """Write a file that was not there; whether it is ours. `data` is unlike any other's."""
+    def write_new(self, name: str, data: bytes) -> bool:
+        """Write a file that was not there; whether it holds `data` now."""
 
         def put() -> bool:
             try:
@@ -248,7 +240,7 @@ class Bucket:
         for name in names:
             self._tried(lambda name=name: self._obstore.delete(self._store, name), name)
 
-    def listed(self, under: str) -> Mapping[str, Listed]:
+    def list(self, under: str = "") -> Mapping[str, Listed]:
         """The files whose names begin with the folder `under`, "" for all, without that folder."""
 
         def listing() -> dict[str, Listed]:

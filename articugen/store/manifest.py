@@ -478,12 +478,12 @@ class Manifest(_Record):
             CorruptShard: as `read`.
             MachineFault: the store does not answer.
         """
-        text = bucket.get(MANIFEST_NAME)
+        text = bucket.read(MANIFEST_NAME)
         path = Remote(bucket.url) / MANIFEST_NAME
 
         def read(page: Page) -> bytes | None:
             size = bucket.size(page.name)
-            return bucket.get(page.name) if size in (None, page.bytes) else b""
+            return bucket.read(page.name) if size in (None, page.bytes) else b""
 
         return None if text is None else _parsed(text, path, read)
 

@@ -72,7 +72,7 @@ class FileSystem:
             raise InvalidArgument(f"{url}: there is no such folder")
         self._fs, self._root = found
 
-    def get(self, name: str) -> bytes | None:
+    def read(self, name: str) -> bytes | None:
         """A file's bytes; None where there is none.
 
         Raises:
@@ -85,7 +85,7 @@ class FileSystem:
         """Bytes of a file; None where there is none."""
         return self._tried(name, self._fs.size)
 
-    def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> list[bytes] | None:
+    def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> Sequence[bytes] | None:
         """Parts of a file, each by its first byte and length; None where there is no such file."""
 
         def read(path: str) -> list[bytes]:
@@ -166,7 +166,7 @@ class RangeFile(io.RawIOBase):
         count, self._at = end - self._at, end
         return count
 
-    def read_spans(self, spans: Sequence[tuple[int, int]]) -> list[bytes]:
+    def read_spans(self, spans: Sequence[tuple[int, int]]) -> Sequence[bytes]:
         """Parts of the file, in as few requests as they take.
 
         Raises:
