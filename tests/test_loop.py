@@ -30,7 +30,7 @@ from articugen.learning.data.split import load_split
 from articugen.learning.loop import batch_rows, split_objects, train
 from articugen.learning.ppd import losses, objective
 from articugen.learning.ppd.discriminator import Discriminator
-from articugen.learning.ppd.model import PPD
+from articugen.learning.ppd.network import PPD
 from articugen.learning.run_folder import (
     BEST,
     LATEST,

@@ -7,9 +7,10 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
+from articugen.learning.cpu import greatest
 from articugen.learning.ppd import shape
-from articugen.learning.ppd.cpu import fused, greatest, sine_kernels, warm
-from articugen.learning.ppd.model import PPD
+from articugen.learning.ppd.cpu import fused, sine_kernels, warm
+from articugen.learning.ppd.network import PPD
 from articugen.learning.ppd.settings import ModelSettings
 
 torch.set_num_threads(1)

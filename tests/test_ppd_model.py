@@ -12,19 +12,13 @@ from articugen.core.geometry import rotation_about
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
+from articugen.learning.blocks import GridEncoder, PointNet, _merged, can_spare_patches, filled
+from articugen.learning.cpu.batches import argmax_of_points, distinct
+from articugen.learning.cpu.patches import patches
 from articugen.learning.method import load_recipe
-from articugen.learning.ppd.cpu.batches import argmax_of_points, distinct
-from articugen.learning.ppd.cpu.patches import patches
 from articugen.learning.ppd.discriminator import Discriminator
-from articugen.learning.ppd.encoders import (
-    Encoder,
-    GridEncoder,
-    _merged,
-    can_spare_patches,
-    filled,
-)
 from articugen.learning.ppd.kinematics import inverse_motion, joint_frames, rotation_from_z
-from articugen.learning.ppd.model import PPD, rest_states
+from articugen.learning.ppd.network import PPD, rest_states
 from articugen.learning.ppd.settings import ModelSettings
 from articugen.learning.ppd.shape import (
     PLAIN_SIZE,
@@ -90,7 +84,7 @@ def plain_encoder(encoder, points):
 @pytest.mark.parametrize("count", [130, 1000])
 def test_the_encoder_s_shortcut_changes_neither_value_nor_gradient(count):
     torch.manual_seed(1)
-    encoder, points = Encoder().double(), cloud(3, count)
+    encoder, points = PointNet(512).double(), cloud(3, count)
     points[:, count // 2 :] = points[:, : count // 2]  # ties: a cloud may hold a point twice
     weight = torch.randn(3, 512, dtype=torch.float64)
     short, plain = encoder(points), plain_encoder(encoder, points)
@@ -150,7 +144,7 @@ def test_a_grid_s_patches_are_its_blocks():
 
 def test_the_grid_s_encoder_sees_where_points_are_and_not_in_which_order():
     torch.manual_seed(0)
-    encoder, points = GridEncoder().double(), cloud(2, 700)
+    encoder, points = GridEncoder(512).double(), cloud(2, 700)
     latent = encoder(points)
     assert latent.shape == (2, 512)
     torch.testing.assert_close(encoder(points[:, torch.randperm(700)]), latent)
@@ -172,7 +166,7 @@ def test_patches_hold_what_the_grid_is_filled_with():
 @pytest.mark.parametrize("points", [1, 60, 3000])
 def test_patches_that_hold_nothing_need_not_be_looked_at(points):
     torch.manual_seed(0)
-    encoder, clouds = GridEncoder(), cloud(2, points).float()
+    encoder, clouds = GridEncoder(512), cloud(2, points).float()
     clouds[1] *= 0.2
     for parameter in encoder.parameters():
         torch.nn.init.normal_(parameter, std=0.1)

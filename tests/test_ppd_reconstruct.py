@@ -13,7 +13,7 @@ from articugen.core.geometry import apply
 from articugen.core.records import dequantize
 from articugen.learning.ppd import reconstruct as reconstruction
 from articugen.learning.ppd.drawing import between
-from articugen.learning.ppd.model import PPD
+from articugen.learning.ppd.network import PPD
 from articugen.learning.ppd.reconstruct import part_logits, reconstruction_of
 from articugen.learning.ppd.settings import ModelSettings
 from articugen.meshes.distances import distance

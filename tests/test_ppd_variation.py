@@ -16,7 +16,7 @@ from articugen.learning.method import load_recipe
 from articugen.learning.ppd import learner as learner_module
 from articugen.learning.ppd.kinematics import inverse_motion, rotation_from_z
 from articugen.learning.ppd.learner import PPDLearner
-from articugen.learning.ppd.model import rest_states
+from articugen.learning.ppd.network import rest_states
 from articugen.learning.ppd.settings import (
     ModelSettings,
     PPDRecipe,

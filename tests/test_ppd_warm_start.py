@@ -16,7 +16,7 @@ from articugen.discovery import KINDS, Discovery, FoundJoint
 from articugen.learning.data.batch import BatchSpec
 from articugen.learning.data.split import load_split, unpacked
 from articugen.learning.method import find_method, load_recipe
-from articugen.learning.ppd.model import Prediction, amount_of, rest_states
+from articugen.learning.ppd.network import Prediction, amount_of, rest_states
 from articugen.learning.ppd.settings import ModelSettings, WarmStart, directions_of
 from articugen.learning.ppd.shape import PartBox
 from articugen.learning.ppd.warm import found as found_module

@@ -27,11 +27,11 @@ from unittest.mock import patch
 import torch
 
 from articugen.learning import loop
+from articugen.learning.blocks import Descent
 from articugen.learning.data.split import PackedSplit
 from articugen.learning.method import load_recipe
 from articugen.learning.ppd import objective
-from articugen.learning.ppd.descent import Descent
-from articugen.learning.ppd.model import PPD
+from articugen.learning.ppd.network import PPD
 from articugen.learning.recipe import TrainRecipe
 from articugen.store.manifest import this_commit, this_machine
 

@@ -15,12 +15,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import mse_loss
 
+from articugen.learning.blocks import Descent
 from articugen.learning.data.batch import Batch
 from articugen.learning.data.split import PackedSplit, unpacked
 from articugen.learning.method import Terms
-from articugen.learning.ppd.descent import Descent
-from articugen.learning.ppd.encoders import encoder_of
 from articugen.learning.ppd.learner import PPDLearner, Predictor, validation
+from articugen.learning.ppd.network import encoder_of
 from articugen.learning.tensors import made
 
 

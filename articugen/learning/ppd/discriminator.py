@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import linear, normalize, selu
 
-from articugen.learning.ppd.cpu.batches import argmax_of_points, gather_points, one_by_one
+from articugen.learning.cpu.batches import argmax_of_points, gather_points, one_by_one
 
 Weight = tuple[Tensor, Tensor]
 _POINT_LAYERS = 3

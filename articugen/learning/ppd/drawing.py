@@ -10,7 +10,7 @@ from torch import Tensor
 from articugen.core.records import Floats, JointKind
 from articugen.learning.evaluation.figures.draw import Between, Drawable, Opening
 from articugen.learning.evaluation.reconstruction import Reconstruction
-from articugen.learning.ppd.model import PPD, Prediction
+from articugen.learning.ppd.network import PPD, Prediction
 from articugen.learning.ppd.reconstruct import logits_at, reconstruction_of
 from articugen.learning.ppd.settings import ModelSettings
 

@@ -13,14 +13,14 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from articugen.core.records import Floats
+from articugen.learning.blocks import Descent
 from articugen.learning.data.batch import Batch, BatchSpec
 from articugen.learning.data.split import PackedSplit, unpacked, voxel_centres
 from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.method import Learner, Terms
 from articugen.learning.ppd import objective
-from articugen.learning.ppd.descent import Descent
 from articugen.learning.ppd.discriminator import Discriminator
-from articugen.learning.ppd.model import PPD, Prediction
+from articugen.learning.ppd.network import PPD, Prediction
 from articugen.learning.ppd.reconstruct import Meshes, reconstruction_of
 from articugen.learning.ppd.settings import PPDRecipe, directions_of
 from articugen.learning.ppd.warm import terms as warm_start

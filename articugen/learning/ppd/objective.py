@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from articugen.learning.cpu.batches import gather_points
 from articugen.learning.data.batch import Batch
 from articugen.learning.method import Terms
 from articugen.learning.ppd import losses
-from articugen.learning.ppd.cpu.batches import gather_points
 from articugen.learning.ppd.discriminator import Discriminator
-from articugen.learning.ppd.model import PPD, Pose, Prediction
+from articugen.learning.ppd.network import PPD, Pose, Prediction
 from articugen.learning.ppd.settings import LossSettings
 from articugen.learning.ppd.shape import PartLogits, ShapeCode
 

@@ -15,7 +15,7 @@ from articugen.core.records import Floats, JointKind
 from articugen.learning.data.split import voxel_centres
 from articugen.learning.evaluation.reconstruction import PartJoints, Reconstruction
 from articugen.learning.ppd.kinematics import InverseMotion
-from articugen.learning.ppd.model import PPD, Prediction
+from articugen.learning.ppd.network import PPD, Prediction
 from articugen.learning.ppd.shape import PartBox, ShapeCode, ShapeDecoder
 from articugen.meshes.marching_cubes import zero_level
 

@@ -7,11 +7,15 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
-from articugen.learning.ppd.cpu.batches import one_by_one, spares
+from articugen.learning.cpu.batches import one_by_one, spares
 from articugen.learning.ppd.cpu.fused import can_fuse, sine_parts
-from articugen.learning.ppd.encoders import SHAPE, TEMPLATE
 from articugen.learning.ppd.kinematics import InverseMotion
 from articugen.learning.ppd.settings import ModelSettings
+
+POSE, SHAPE, TEMPLATE, COMMON = 128, 256, 64, 64
+"""The latent is z^p, z^s, the template's and z^{p,c}, in this order."""
+
+LATENT = POSE + SHAPE + TEMPLATE + COMMON
 
 WIDTH = 205
 """Channels of all parts together; a part has WIDTH // P."""

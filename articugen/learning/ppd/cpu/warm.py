@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from articugen.learning.cpu.greatest import greatest
+from articugen.learning.cpu.patches import patches
 from articugen.learning.ppd.cpu import sine_kernels
-from articugen.learning.ppd.cpu.greatest import greatest
-from articugen.learning.ppd.cpu.patches import patches
 
 
 def networks() -> None:

@@ -22,7 +22,7 @@ from articugen.core.records import Floats, JointKind
 from articugen.discovery import LEAN, Discovery, FoundJoint, Ownership, assign_material
 from articugen.discovery.ownership import CLEARLY, MOST_DOUBT, RARELY, RIM
 from articugen.learning.data.split import PackedSplit, unpacked
-from articugen.learning.ppd.model import rest_states, widest
+from articugen.learning.ppd.network import rest_states, widest
 from articugen.learning.ppd.settings import ModelSettings, directions_of
 from articugen.learning.ppd.warm.found import FEW_OBJECTS, Found, kinds_of
 

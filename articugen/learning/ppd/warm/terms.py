@@ -13,7 +13,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits, softplus
 
 from articugen.learning.method import Terms
 from articugen.learning.ppd.losses import POINTS_OF_THE_PAPER
-from articugen.learning.ppd.model import Prediction, amount_of
+from articugen.learning.ppd.network import Prediction, amount_of
 from articugen.learning.ppd.settings import WarmStart
 from articugen.learning.ppd.shape import PartBox
 from articugen.learning.ppd.warm.targets import Targets

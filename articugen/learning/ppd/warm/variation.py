@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from articugen.learning.data.batch import Batch
-from articugen.learning.ppd.model import rest_states
+from articugen.learning.ppd.network import rest_states
 from articugen.learning.ppd.settings import VarySettings
 from articugen.learning.ppd.warm.targets import LEFT_RIGHT, Targets, in_range
 

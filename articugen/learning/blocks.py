@@ -1,25 +1,27 @@
-"""From a cloud to its latent: the paper's PointNet, and an encoder of the grid that it fills."""
+"""What networks of several methods are made of, and the step that all of them make.
 
+A PointNet, an encoder of the grid that a cloud fills, and steps down the sum of some terms, none of
+them with a number that is not finite.
+"""
+
+from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import leaky_relu
 
-from articugen.learning.ppd.cpu.batches import (
+from articugen.core.errors import TrainingDiverged
+from articugen.learning.cpu.batches import (
     argmax_of_points,
     distinct,
     gather_points,
     one_by_one,
     spares,
 )
-from articugen.learning.ppd.cpu.patches import patches
-from articugen.learning.ppd.settings import ModelSettings
-
-POSE, SHAPE, TEMPLATE, COMMON = 128, 256, 64, 64
-"""The latent is z^p, z^s, the template's and z^{p,c}, in this order."""
-
-LATENT = POSE + SHAPE + TEMPLATE + COMMON
+from articugen.learning.cpu.patches import patches
+from articugen.learning.method import Terms
+from articugen.learning.optimisers import optimiser_of
 
 _GRID = 64
 """Cells along an edge of the grid that clouds fill."""
@@ -31,31 +33,29 @@ _USUAL = 2048
 """Points of a cloud whose cells are as full as counted; others are counted in proportion."""
 
 
-def encoder_of(settings: ModelSettings) -> nn.Module:
-    """The encoder that a recipe asks for: clouds (B, n, 3) to latents (B, 512)."""
-    points = Encoder(settings.latent_start)
-    return BothEncoders(points, GridEncoder()) if settings.encoder == "both" else points
-
-
-class Encoder(nn.Module):
+class PointNet(nn.Module):
     """The simple PointNet of Occupancy Networks (Mescheder et al. 2019), three pooled blocks.
 
     A maximum passes its gradient to one element only. What is pooled away is evaluated without a
     graph, and what is left is evaluated again with one: value and gradient are exactly those of the
     plain network, for a tenth of the work and memory.
+
+    Args:
+        code: the length of the latent.
+        start: `release` leaves weights as torch draws them, `he` draws them as He et al. (2015) do.
     """
 
-    def __init__(self, start: Literal["release", "he"] = "release") -> None:
+    def __init__(self, code: int, start: Literal["release", "he"] = "release") -> None:
         super().__init__()
         self.position = nn.Linear(3, 256)
         self.first, self.second, self.third = (nn.Linear(256, 128) for _ in range(3))
-        self.latent = nn.Linear(128, LATENT)
+        self.latent = nn.Linear(128, code)
         if start == "he":
             for layer in (self.position, self.first, self.second, self.third, self.latent):
                 nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
 
     def forward(self, cloud: Tensor) -> Tensor:
-        """The latent (B, 512) of clouds (B, n, 3), whatever the order of their points."""
+        """The latent (B, code) of clouds (B, n, 3), whatever the order of their points."""
         most = 128 if spares(cloud) else 3 * 128  # of what `_decisive` keeps
         if torch.is_grad_enabled() and cloud.shape[1] > most:
             cloud = gather_points(cloud, self._decisive(cloud))
@@ -94,18 +94,18 @@ class GridEncoder(nn.Module):
     what both CPUs and the optimisers here are best at.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, code: int) -> None:
         super().__init__()
         self.patch = nn.Linear(4**3, 32)
         self.first, self.second = nn.Linear(2**3 * 32, 64), nn.Linear(2**3 * 64, 64)
         self.whole = nn.Linear(4**3 * 64, 256)
-        self.latent = nn.Linear(256, LATENT)
+        self.latent = nn.Linear(256, code)
         for layer in (self.patch, self.first, self.second, self.whole, self.latent):
             nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
             nn.init.zeros_(layer.bias)
 
     def forward(self, cloud: Tensor) -> Tensor:
-        """The latent (B, 512) of clouds (B, n, 3), whatever the order of their points."""
+        """The latent (B, code) of clouds (B, n, 3), whatever the order of their points."""
         x = self._few(cloud) if can_spare_patches(cloud) else self._all(cloud)
         return self.latent(self.whole(x).relu())
 
@@ -160,13 +160,13 @@ class _Few(NamedTuple):
 class BothEncoders(nn.Module):
     """The sum of both latents, at first the PointNet's alone."""
 
-    def __init__(self, points: Encoder, grid: GridEncoder) -> None:
+    def __init__(self, points: PointNet, grid: GridEncoder) -> None:
         super().__init__()
         self.points, self.grid = points, grid
         nn.init.zeros_(grid.latent.weight)
 
     def forward(self, cloud: Tensor) -> Tensor:
-        """The latent (B, 512) of clouds (B, n, 3)."""
+        """The latent (B, code) of clouds (B, n, 3)."""
         return self.points(cloud[:, :: max(cloud.shape[1] // _FEW, 1)]) + self.grid(cloud)
 
 
@@ -190,3 +190,102 @@ def _merged(x: Tensor, cells: int, along: int) -> Tensor:
     blocks = cells // along
     x = x.unflatten(1, 3 * (blocks, along))
     return x.permute(0, 1, 3, 5, 2, 4, 6, 7).flatten(4).flatten(1, 3)
+
+
+class Descent:
+    """The steps of one network.
+
+    On a CPU a step that would spoil the weights is refused and the term to blame is named. To ask a
+    GPU is to wait for it, so there it is noted on the device which terms were not finite first, and
+    `check` asks where something is logged or kept anyway.
+
+    Args:
+        optimiser: as recipes call it.
+        patient: note instead of asking; what a GPU gets if not given.
+        rate: the recipe's key of the learning rate, which errors name.
+    """
+
+    def __init__(
+        self,
+        network: nn.Module,
+        optimiser: str = "adam",
+        patient: bool | None = None,
+        rate: str = "schedule.learning_rate",
+    ) -> None:
+        self.network, self.rate = network, rate
+        device = next(network.parameters()).device.type
+        self.optimiser = optimiser_of(optimiser, network)
+        self._parameters = list(network.parameters())  # found once: to walk a network takes long
+        self.patient = device != "cpu" if patient is None else patient
+        self._names: tuple[str, ...] = ()
+        self._noted: Tensor | None = None
+
+    def step(self, terms: Terms, again: Callable[[], Terms], iteration: int, rate: float) -> None:
+        """One step of the learning rate `rate`.
+
+        Args:
+            again: evaluates the same terms once more, to find the one to blame.
+
+        Raises:
+            TrainingDiverged: a term or its gradient is not finite; no step is made.
+        """
+        for parameter in self._parameters:
+            parameter.grad = None
+        torch.stack(list(terms.values())).sum().backward()
+        gradients = [p.grad for p in self._parameters if p.grad is not None]
+        size = torch.nn.utils.get_total_norm(gradients)
+        values = torch.stack([*(value.detach() for value in terms.values()), size])
+        if self.patient:
+            self._note(iteration, tuple(terms), values)
+        elif not bool(values.isfinite().all()):
+            raise self._diverged(iteration, _blame(self.network, again()))
+        self.optimiser.step(rate)
+
+    def check(self) -> None:
+        """Raise TrainingDiverged where a step since the last check was not finite."""
+        if self._noted is None:
+            return
+        iteration, *bad = self._noted.tolist()
+        self._noted = None
+        if any(bad):
+            named = [name for name, is_bad in zip(self._names, bad, strict=False) if is_bad]
+            what = f"the loss {' and '.join(named)}" if named else "the gradient of some term"
+            raise self._diverged(int(iteration), what)
+
+    def _note(self, iteration: int, names: tuple[str, ...], values: Tensor) -> None:
+        """Keep (iteration, which values are not finite) of the first that has any."""
+        if names != self._names:  # a warm start's terms end; where they do a GPU is waited for
+            self.check()
+        now = torch.cat([values.new_full((1,), iteration), (~values.isfinite()).to(values.dtype)])
+        before = self._noted
+        self._names = names
+        self._noted = now if before is None else torch.where(before[1:].any(), before, now)
+
+    def _diverged(self, iteration: int, what: str) -> TrainingDiverged:
+        return TrainingDiverged(
+            f"iteration {iteration + 1}: {what} is not a finite number; lower {self.rate} or that "
+            "term's weight, and resume from the last checkpoint"
+        )
+
+    def state(self) -> dict[str, Tensor]:
+        """Where the optimiser stands."""
+        return self.optimiser.state()
+
+    def load(self, state: dict[str, Tensor]) -> None:
+        """Go on from another one's `state`."""
+        self.optimiser.load(state)
+
+
+def _blame(network: nn.Module, terms: Terms) -> str:
+    """The terms that are not finite, or else those whose gradient is not."""
+    values = [value.detach() for value in terms.values()]
+    bad = [name for name, value in zip(terms, values, strict=True) if not bool(value.isfinite())]
+    if bad:
+        return f"the loss {' and '.join(bad)}"
+    parameters = list(network.parameters())
+    for name, value in terms.items():
+        if value.requires_grad:
+            gradients = torch.autograd.grad(value, parameters, retain_graph=True, allow_unused=True)
+            if not all(bool(g.isfinite().all()) for g in gradients if g is not None):
+                bad.append(name)
+    return f"the gradient of {' and '.join(bad or terms)}"

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import leaky_relu
 
-from articugen.learning.ppd.encoders import COMMON, POSE, SHAPE, TEMPLATE, encoder_of
+from articugen.learning.blocks import BothEncoders, GridEncoder, PointNet
 from articugen.learning.ppd.kinematics import (
     InverseMotion,
     inverse_motion,
@@ -20,6 +20,11 @@ from articugen.learning.ppd.kinematics import (
 )
 from articugen.learning.ppd.settings import ModelSettings
 from articugen.learning.ppd.shape import (
+    COMMON,
+    LATENT,
+    POSE,
+    SHAPE,
+    TEMPLATE,
     WIDTH,
     Grouped,
     PartLogits,
@@ -117,6 +122,12 @@ class PPD(nn.Module):
         return self.shape(
             shape, InverseMotion.none(len(points), self.settings.parts, points), points
         )
+
+
+def encoder_of(settings: ModelSettings) -> nn.Module:
+    """The encoder that a recipe asks for: clouds (B, n, 3) to latents (B, 512)."""
+    points = PointNet(LATENT, settings.latent_start)
+    return BothEncoders(points, GridEncoder(LATENT)) if settings.encoder == "both" else points
 
 
 class PoseDecoder(nn.Module):

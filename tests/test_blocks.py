@@ -6,7 +6,7 @@ from articugen.core.errors import TrainingDiverged
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
-from articugen.learning.ppd.descent import Descent
+from articugen.learning.blocks import Descent
 
 NAN = float("nan")
 

@@ -1,0 +1,1 @@
+"""What a CPU does faster than torch asks it to, for whatever learner."""
