@@ -53,8 +53,8 @@ def called_by_make() -> bool:
 
 
 def command(*words: object) -> str:
-    """A command of ours as it can be pasted: `articugen`, or how this process was called where no
-    such command is found, as in an environment that is not activated."""
+    """Return a command of ours as it can be pasted: `articugen`, or how this process was called
+    where no such command is found, as in an environment that is not activated."""
     program, found = [sys.argv[0]], which("articugen")
     if os.path.basename(program[0]) != "articugen":  # python -m articugen
         program = ["articugen"] if found else [sys.executable, "-m", "articugen"]

@@ -52,7 +52,7 @@ def _write(item: Item, target: Target) -> None:
 
 
 def _opened(row: Row) -> float:
-    """How far the joints are from the canonical pose, in shares of their ranges."""
+    """Return how far the joints are from the canonical pose, in shares of their ranges."""
     return sum(abs(j.state) / max(j.upper - j.lower, 1e-9) for j in row.joints)
 
 
@@ -119,7 +119,7 @@ def _write_json(name: str, value: dict[str, Any], target: Target) -> None:
 
 
 def _to_world(T_camera_world: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(4, 4) from a camera that looks along -z, y up, to the unit frame."""
+    """Return (4, 4) from a camera that looks along -z, y up, to the unit frame."""
     return invert_rigid(T_camera_world) @ _OPENGL
 
 

@@ -53,7 +53,7 @@ class Body:
 
 
 def bodies(item: Item, target: Target) -> tuple[Body, ...]:
-    """The parts of the object whose instances `item` holds, part 0 first."""
+    """Return the parts of the object whose instances `item` holds, part 0 first."""
     row = canonical(item.rows)
     joints = metric_joints(row)
     at = [np.zeros(3), *(joint.pivot for joint in joints)]
@@ -70,7 +70,7 @@ def bodies(item: Item, target: Target) -> tuple[Body, ...]:
 
 
 def damping(parts: Sequence[Body], part: int) -> float:
-    """Of the joint that moves `part`, N m s/rad or N s/m: its inertia over SLOWING.
+    """Compute the damping of the joint that moves `part`, N m s/rad or N s/m: inertia over SLOWING.
 
     The inertia is that of all that moves with it, canonical pose, about a hinge's axis, or its mass
     on a slide.
@@ -90,7 +90,7 @@ def damping(parts: Sequence[Body], part: int) -> float:
 
 
 def from_the_root(parts: Sequence[Body], root: int = 0) -> list[int]:
-    """The numbers of `root` and of all parts on it, each after the part that it hangs on."""
+    """Return the numbers of `root` and of all parts on it, each after the part that it hangs on."""
     order = [root]
     for above in order:
         order += [k for k, body in enumerate(parts) if body.joint and body.joint.parent == above]

@@ -8,7 +8,7 @@ from articugen.pictures.shading import linear
 
 
 def of_parts(part: NDArray[np.integer]) -> NDArray[np.uint8]:
-    """(n, 3) sRGB of each part (n,)."""
+    """Return (n, 3) sRGB of each part (n,)."""
     palette = [list(bytes.fromhex(colour_of(k)[1:])) for k in range(256)]
     return np.array(palette, np.uint8)[part]
 

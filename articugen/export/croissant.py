@@ -32,7 +32,7 @@ def _description(data: DataSet, to: str) -> str:
 
 
 def _records(data: DataSet) -> dict[str, Any]:
-    """The columns of Parquet."""
+    """Return the columns of Parquet."""
     kinds = {"S": "sc:Text", "<f8": "sc:Float", "<f4": "sc:Float"}
     fields = []
     for name in sorted(data.fields):

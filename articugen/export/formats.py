@@ -51,7 +51,7 @@ def format_named(name: str) -> Format:
 
 
 def options_for(name: str, **given: object) -> Options:
-    """The options that a format takes; those that are None are not given.
+    """Return the options that a format takes; those that are None are not given.
 
     Raises:
         InvalidArgument: one that it does not take.

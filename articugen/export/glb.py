@@ -38,7 +38,7 @@ class _Buffer:
         self.accessors: list[dict[str, Any]] = []
 
     def add(self, array: NDArray[Any], *, used_as: int | None = None) -> int:
-        """The number of a new accessor of `array`: (n,) or (n, k), float32 or uint32."""
+        """Return the number of a new accessor of `array`: (n,) or (n, k), float32 or uint32."""
         view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": array.nbytes}
         self.views.append(view if used_as is None else {**view, "target": used_as})
         flat = array.reshape(len(array), -1)
@@ -106,7 +106,7 @@ def _material(part: int) -> dict[str, Any]:
 
 
 def _animation(joint: MetricJoint, node: dict[str, Any], buffer: _Buffer) -> dict[str, Any]:
-    """The joint from one end of its range to the other."""
+    """Return the joint from one end of its range to the other."""
     span = joint.upper - joint.lower
     turns = joint.kind == "revolute"
     state = np.linspace(joint.lower, joint.upper, 2 + int(span // _STEP) if turns else 2)

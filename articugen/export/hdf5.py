@@ -11,7 +11,7 @@ from articugen.store.shards import Disk, new_hdf5
 
 
 def packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """A file of arrays by name; slashes in a name are groups."""
+    """Return a file of arrays by name; slashes in a name are groups."""
     data = io.BytesIO()
     with h5py.File(data, "w") as file:
         for name, array in arrays.items():

@@ -17,7 +17,7 @@ class Inertia:
 
 
 def inertia(mesh: Mesh, density: float) -> Inertia:
-    """Of a watertight mesh in metres, filled with `density` kg/m^3."""
+    """Compute mass and inertia of a watertight mesh in metres, filled with `density` kg/m^3."""
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     solid.density = density
     own = solid.mass_properties

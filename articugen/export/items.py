@@ -17,12 +17,12 @@ _DIGEST = re.compile(r"-[0-9a-f]{8}$")
 
 
 class LeftOut(ArticugenError):
-    """What a format cannot hold: it is left out, said so, and the rest goes on."""
+    """Data that a format cannot hold: left out with a reason, while the rest is written."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What may be chosen; each format says which of it it takes.
+    """Options of all formats; each format lists those that it takes.
 
     Attributes:
         resolution: of part meshes, voxels along the unit cube.
@@ -39,7 +39,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Item:
-    """What is written in one go, and again if that was cut short.
+    """Files that are written together, and again if that was interrupted.
 
     Attributes:
         key: no other item of the export has it; also what its files are called after.
@@ -51,7 +51,7 @@ class Item:
 
 
 def file_name(text: str) -> str:
-    """A name for files that any system takes, made of a text that may be hostile.
+    """Return a name for files that any system takes, made of a text that may be hostile.
 
     Letters of any script, digits, _ and - stay. What had to change ends in a digest of the text,
     and so does what ends as if it had: texts whose digests differ never share a name.
@@ -65,25 +65,25 @@ def file_name(text: str) -> str:
 
 
 def instance_name(row: Row) -> str:
-    """What an instance's files are called: its object, and which state."""
+    """Name an instance's files by its object and state."""
     return f"{file_name(row.object_id)}_{row.state_index:04d}"
 
 
 def of_instances(data: DataSet) -> Iterator[Item]:
-    """An item an instance; its key is <split>/<object>_<state>."""
+    """Yield an item an instance; its key is <split>/<object>_<state>."""
     for index in range(len(data)):
         row = data[index]
         yield Item(f"{row.split}/{instance_name(row)}", data[[index]])
 
 
 def of_objects(data: DataSet) -> Iterator[Item]:
-    """An item an object, with all its instances; its key is <split>/<object>."""
+    """Yield an item an object, with all its instances; its key is <split>/<object>."""
     for name, rows in data.by_object():
         yield Item(f"{rows[0].split}/{file_name(name)}", rows)
 
 
 def of_splits(data: DataSet) -> Iterator[Item]:
-    """An item a split."""
+    """Yield an item a split."""
     for name in data.splits:
         yield Item(file_name(name), data.split(name))
 
@@ -97,7 +97,7 @@ def validation(train: DataSet) -> DataSet:
 
 
 def canonical(rows: DataSet) -> Row:
-    """The canonical pose among an object's instances.
+    """Return the canonical pose among an object's instances.
 
     Raises:
         LeftOut: it is not among them.

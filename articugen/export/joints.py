@@ -33,7 +33,7 @@ class MetricJoint:
 
 
 def metric_joints(row: Row) -> tuple[MetricJoint, ...]:
-    """The joints of an object, from its canonical pose.
+    """Return the joints of an object, from its canonical pose.
 
     The range is that of the data, widened to the canonical pose where that lies outside.
     """
@@ -54,7 +54,7 @@ def metric_joints(row: Row) -> tuple[MetricJoint, ...]:
 
 
 def part_names(row: Row) -> tuple[str, ...]:
-    """Of each part, none twice."""
+    """Name each part, no name twice."""
     return unique(part.name or f"part_{k}" for k, part in enumerate(row.parts))
 
 

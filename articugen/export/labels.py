@@ -9,7 +9,7 @@ from articugen.store.rows import Row
 
 
 def inside(label: NDArray[np.uint8], options: Options) -> NDArray[np.bool_]:
-    """Where something is, by the chosen occupancy."""
+    """Return where something is, by the chosen occupancy."""
     return label != FREE if options.occupancy == "visible" else is_material(label)
 
 
@@ -20,7 +20,7 @@ def part_values(label: NDArray[np.uint8], options: Options) -> NDArray[np.uint8]
 
 
 def grid(row: Row, resolution: int) -> NDArray[np.uint8]:
-    """The labels of a stored grid.
+    """Return the labels of a stored grid.
 
     Raises:
         LeftOut: it is not stored.

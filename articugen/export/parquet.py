@@ -31,7 +31,7 @@ nested lists."""
 
 
 def _items(data: DataSet) -> "Iterator[Item]":
-    """A file an object, numbered as Hugging Face numbers the files of a split."""
+    """Yield a file an object, numbered as Hugging Face numbers the files of a split."""
     for split in data.splits:
         objects = list(data.split(split).by_object())
         for number, (_, rows) in enumerate(objects):
@@ -52,7 +52,7 @@ def _write(item: Item, target: Target) -> None:
 
 
 def _layout(shapes: Mapping[str, tuple[int, ...]]) -> "pyarrow.Schema":
-    """The columns, the same for all objects of a data set.
+    """Return the columns, the same for all objects of a data set.
 
     Fields and their shapes follow from the recipe, but for the numbers of joints and parts, and for
     names, which one model tells and another does not.
@@ -94,7 +94,7 @@ def _table(row: Row, layout: "pyarrow.Schema") -> "pyarrow.Table":
 
 
 def _column(value: Any, kind: "pyarrow.DataType") -> "pyarrow.Array":
-    """One value as a column of one row."""
+    """Return one value as a column of one row."""
     import pyarrow as pa  # noqa: PLC0415
 
     shape, kinds = np.shape(value), [kind]

@@ -28,7 +28,7 @@ class PartMeshes:
         self._last: tuple[str, tuple[Mesh, ...]] = ("", ())
 
     def of(self, rows: DataSet) -> tuple[Mesh, ...]:
-        """Of each part of the object whose instances these are, part 0 first.
+        """Make the mesh of each part of the rows' object, part 0 first.
 
         Raises:
             LeftOut: a part has no voxel; or the canonical pose is not there.
@@ -103,5 +103,5 @@ def part_boxes(rows: DataSet) -> Floats:
 
 
 def in_metres(mesh: Mesh, row: Row) -> Mesh:
-    """A mesh of the unit frame in the model's own frame, metres."""
+    """Return a mesh of the unit frame in the model's own frame, metres."""
     return Mesh(row.to_metres(mesh.vertices), mesh.faces)

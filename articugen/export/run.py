@@ -22,7 +22,7 @@ Folder = str | os.PathLike[str]
 
 @dataclass(frozen=True)
 class Exported:
-    """What an export came to.
+    """Result of an export.
 
     Attributes:
         folder: where it is.

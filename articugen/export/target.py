@@ -44,7 +44,7 @@ class Written:
 
     @staticmethod
     def of(noted: Mapping[str, Any]) -> "Written":
-        """As it was noted; ValueError where that leads out of the folder."""
+        """Read a record; ValueError if it leads out of the folder."""
         name = PurePosixPath(noted["name"])
         if name.is_absolute() or ".." in name.parts:
             raise ValueError(f"{name} is not in the folder")
@@ -146,7 +146,7 @@ class Target:
             )
 
     def _take_over(self, path: Path) -> None:
-        """What a finished export says of itself; export.json of others may hold anything."""
+        """Read the record of a finished export; a foreign export.json may hold anything."""
         try:
             report = json.loads(read_regular(path, _MOST_BYTES))
             self._check(report["about"])
@@ -190,7 +190,7 @@ class Target:
             self._journal = None
 
     def withdraw(self) -> None:
-        """Where nothing is written, leave nothing: no journal, and no folder that was not there."""
+        """Leave nothing if nothing was written: no journal, and no folder that was not there."""
         with suppress(OSError):
             if self._journal is not None and os.listdir(self.folder) == [JOURNAL_NAME]:
                 (self.folder / JOURNAL_NAME).unlink()

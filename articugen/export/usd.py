@@ -57,15 +57,15 @@ def _fill(path: Path, name: str, parts: tuple[Body, ...]) -> None:
 
 
 def _identifier(name: str) -> str:
-    """The name as OpenUSD takes it for a prim; led by `_` where it starts with a digit, which
-    OpenUSD would put `_` in place of, so that 12692 and 22692 became one."""
+    """Return the name as OpenUSD takes it for a prim; led by `_` where it starts with a digit,
+    which OpenUSD would put `_` in place of, so that 12692 and 22692 became one."""
     (Tf,) = _pxr("Tf")
 
     return Tf.MakeValidIdentifier(f"_{name}" if name[:1].isdigit() else name)
 
 
 def _places(parts: tuple[Body, ...]) -> list[Floats]:
-    """(3,) of each part's frame in the model's own."""
+    """Return (3,) of each part's frame in the model's own."""
 
     def place(body: Body) -> Floats:
         if body.joint is None:
@@ -139,7 +139,7 @@ def _add_joint(stage: Any, path: str, part: int, parts: tuple[Body, ...]) -> Non
 
 
 def _principal(tensor: Floats) -> tuple[list[float], list[float]]:
-    """The moments about the principal axes, and the rotation (w, x, y, z) to these."""
+    """Return the moments about the principal axes, and the rotation (w, x, y, z) to these."""
     (Gf,) = _pxr("Gf")
 
     moments, axes = np.linalg.eigh(tensor)

@@ -52,7 +52,7 @@ def _write(item: Item, target: Target) -> None:
 
 
 def _repeated(points: NDArray[np.float32], least: int) -> NDArray[np.float32]:
-    """The points (n, 4), over and over where they are fewer than `least`."""
+    """Return the points (n, 4), over and over where they are fewer than `least`."""
     return np.resize(points, (max(len(points), least), points.shape[1]))
 
 
@@ -61,12 +61,12 @@ def _path(row: Row) -> str:
 
 
 def _surface(points: RowSurface) -> NDArray[np.float32]:
-    """(n, 1, 6) points and normals."""
+    """Return (n, 1, 6) points and normals."""
     return np.concatenate([2.0 * points.points, points.normals], axis=1, dtype=np.float32)[:, None]
 
 
 def _queries(points: RowQueries) -> NDArray[np.float32]:
-    """(n, 4) points and signed distances."""
+    """Return (n, 4) points and signed distances."""
     return np.concatenate([2.0 * points.points, -2.0 * points.distance[:, None]], axis=1)
 
 

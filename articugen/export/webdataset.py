@@ -47,7 +47,7 @@ def _add(tar: tarfile.TarFile, name: str, data: bytes) -> None:
 
 
 def _arrays(row: Row) -> bytes:
-    """Every field that is numbers, in units: points float32 in the unit frame."""
+    """Return every field that is numbers, in units: points float32 in the unit frame."""
     arrays = {}
     for name in row.fields:
         field = schema.field_of(name)

@@ -41,7 +41,7 @@ class Colliding:
         return Colliding(tuple(_points_on(part, rng) for part in parts), faces)
 
     def depths(self, solids: PosedSolids) -> Floats:
-        """(P, P) how deep points of part i are in part j, both posed; 0 on the diagonal."""
+        """Return (P, P) how deep points of part i are in part j, both posed; 0 on the diagonal."""
         P = len(self.points)
         out = np.zeros((P, P))
         for i in range(P):
@@ -68,6 +68,6 @@ def _points_on(part: LabelledMesh, rng: np.random.Generator) -> Floats:
 
 
 def too_deep(depths: Floats, canonical: Floats, bound: float) -> bool:
-    """Whether parts are deeper in one another than `bound`, both (P, P): a pair that is so in the
-    canonical pose, as hinges often are, only where it is deeper by that."""
+    """Return whether parts are deeper in one another than `bound`, both (P, P): a pair that is so
+    in the canonical pose, as hinges often are, only where it is deeper by that."""
     return bool((depths > canonical + bound).any())

@@ -16,7 +16,7 @@ def distances(
     *,
     part: int | None = None,
 ) -> NDArray[np.float64]:
-    """(n,) the distance of `points` (n, 3) to the nearest face, at most `most`; unit frame.
+    """Return (n,) the distance of `points` (n, 3) to the nearest face, at most `most`; unit frame.
 
     Args:
         faces: of each part in its canonical pose.
@@ -50,7 +50,7 @@ def _distances(points, to_part, first, end, most, faces):
 
 @helper
 def _nearer(q, best, box, skip, leaf, triangles, node, end):
-    """The square of the distance from `q` to the faces of the nodes from `node` to `end`, or
+    """Return the square of the distance from `q` to the faces of the nodes from `node` to `end`, or
     `best`, whichever is less."""
     while node < end:
         gap = 0.0
@@ -68,8 +68,8 @@ def _nearer(q, best, box, skip, leaf, triangles, node, end):
 
 @helper
 def _to_triangle(q, triangles, f):
-    """The square of the distance from `q` to face `f` of a `triangle_table`: to its plane, where it
-    lies over the face, else to the nearest edge."""
+    """Return the square of the distance from `q` to face `f` of a `triangle_table`: to its plane,
+    where it lies over the face, else to the nearest edge."""
     a = (float(triangles[f, 4]), float(triangles[f, 5]), float(triangles[f, 6]))
     b = (float(triangles[f, 7]), float(triangles[f, 8]), float(triangles[f, 9]))
     c = (float(triangles[f, 10]), float(triangles[f, 11]), float(triangles[f, 12]))

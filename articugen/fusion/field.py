@@ -91,15 +91,15 @@ class FusedField:
         *,
         views: int | None = None,
     ) -> NDArray[np.bool_]:
-        """Which of `points` (n, 3), or of points[which], at least one of the first `views` views,
-        or of all, sees free."""
+        """Return which of `points` (n, 3), or of points[which], at least one of the first `views`
+        views, or of all, sees free."""
         which = np.arange(len(points)) if which is None else which
         flat = np.ascontiguousarray(points, np.float32)
         every = len(self.maps.views)
         return kernels.is_free(flat, which, self._scene, 0, min(views or every, every))
 
     def value(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """The field at `points` (n, 3): (n,) in [-truncation, truncation], negative inside.
+        """Return the field at `points` (n, 3): (n,) in [-truncation, truncation], negative inside.
 
         Distances are along the rays, in the unit frame.
         """
@@ -134,7 +134,7 @@ class FusedField:
 
 
 def pixel_width(views: Views) -> float:
-    """How wide the widest pixel of any view is at the middle of the unit frame."""
+    """Return how wide the widest pixel of any view is at the middle of the unit frame."""
     away = np.abs(views.T_camera_world[:, 2, 3]) if views.projection == "pinhole" else 1.0
     return float(np.max(away / np.minimum(views.fx, views.fy)))
 
@@ -155,7 +155,7 @@ class OwnSolid:
     closed: ClosedPieces | None = None
 
     def holds(self, points: NDArray[np.floating], *, glance: bool = False) -> NDArray[np.bool_]:
-        """(n,) which of `points` (n, 3), unit frame, in the canonical pose, it holds.
+        """Return (n,) which of `points` (n, 3), unit frame, in the canonical pose, it holds.
 
         Args:
             glance: take the word of a few views for what they see free, before anything else:
@@ -176,7 +176,7 @@ class OwnSolid:
         return held
 
     def value(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """(n,) as `FusedField.value`, negative where it holds the points (n, 3)."""
+        """Return (n,) as `FusedField.value`, negative where it holds the points (n, 3)."""
         value = self.field.value(points)
         if self.closed is not None:
             sure = surely_inside(points, self.closed)
@@ -212,7 +212,7 @@ class PosedSolids:
         return near[own.holds(apply(to_canonical, points[near]), glance=glance)]
 
     def labels(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
-        """(n,) k + 1 in the material of part k, else FREE, for `points` (n, 3).
+        """Return (n,) k + 1 in the material of part k, else FREE, for `points` (n, 3).
 
         Where own solids overlap, the first moving part counts, and part 0 last.
         """
@@ -225,7 +225,7 @@ class PosedSolids:
     def is_free(
         self, points: NDArray[np.floating], which: NDArray[np.intp] | None = None
     ) -> NDArray[np.bool_]:
-        """Which of `points` (n, 3), or of points[which], no part's own solid holds."""
+        """Return which of `points` (n, 3), or of points[which], no part's own solid holds."""
         asked = np.ascontiguousarray(points if which is None else points[which], np.float32)
         free = np.ones(len(asked), np.bool_)
         for part in range(len(self.own)):
@@ -254,7 +254,7 @@ class PosedSolids:
 
 @dataclass(frozen=True, eq=False)
 class PosedFields:
-    """What is inside of a posed object, and the material of its parts, which labels it.
+    """Fields of a posed object: inside or outside, and the material of its parts, which labels it.
 
     Attributes:
         whole: the field of all parts together, posed; with the rule `rigid` the material itself.
@@ -269,17 +269,17 @@ class PosedFields:
         return self.material.part_motion
 
     def labels(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
-        """(n,) FREE, k + 1 in the material of part k, ENCLOSED where no view sees free what no
-        part's own solid holds; for `points` (n, 3)."""
+        """Return (n,) FREE, k + 1 in the material of part k, ENCLOSED where no view sees free what
+        no part's own solid holds; for `points` (n, 3)."""
         points = np.ascontiguousarray(points, np.float32)
         return self.with_enclosed(points, self.material.labels(points))
 
     def is_free_before(
         self, points: NDArray[np.floating], part: NDArray[np.uint8]
     ) -> NDArray[np.bool_]:
-        """(n,) which of `points` (n, 3), each right in front of a face of its `part` (n,), are
-        free. Other pieces of the part often cover it: at what they wind around no view need look,
-        and none may read past their corners between its pixels."""
+        """Return (n,) which of `points` (n, 3), each right in front of a face of its `part` (n,),
+        are free. Other pieces of the part often cover it: at what they wind around no view need
+        look, and none may read past their corners between its pixels."""
         points = np.ascontiguousarray(points, np.float32)
         if isinstance(self.whole, PosedSolids):
             return self.whole.is_free(points)
@@ -307,7 +307,7 @@ def fuse(
     part_motion: NDArray[np.float64] | None = None,
     thin: ThinVoxels = NOTHING,
 ) -> FusedField:
-    """The field of `maps`, which show the faces of `mesh`.
+    """Return the field of `maps`, which show the faces of `mesh`.
 
     Args:
         bvh, part_motion: of the mesh's parts in the canonical pose, and how they moved from
@@ -326,7 +326,7 @@ def fuse(
 
 
 def flooded(field: FusedField, mesh: LabelledMesh) -> FusedField:
-    """The field of `mesh` by the rule `reachable`; with the rule `mean` as it is."""
+    """Return the field of `mesh` by the rule `reachable`; with the rule `mean` as it is."""
     if field.settings.rule == "mean" or field.flood is not None:
         return field
     state = walls(mesh, field.settings.opening)

@@ -56,8 +56,8 @@ class Scene(NamedTuple):
 
 @kernel
 def is_free(points, which, scene, first_view, end_view):
-    """(m,) which of points[which] at least one view from `first_view` on, and before `end_view`,
-    sees free; a point is done with at the first.
+    """Return (m,) which of points[which] at least one view from `first_view` on, and before
+    `end_view`, sees free; a point is done with at the first.
 
     View by view over the points that are left, which stay packed: a view's map stays in the cache.
     A block is projected, then the faces around its points are read, then judged: three short loops,
@@ -127,7 +127,7 @@ def is_free(points, which, scene, first_view, end_view):
 
 @helper
 def _judge(x, y, z, around, camera, pinhole, triangles, bvh, to_part, thin, verdict):
-    """What a view says of points, given the faces at the four pixels around each.
+    """Judge points by one view, given the faces at the four pixels around each.
 
     _HIDDEN where all four show one face and the point is behind it; _FREE where it is behind none
     of them and nothing thin is near; else the ray itself is followed. Only numbers are handed
@@ -205,7 +205,7 @@ def in_box(points, which, T, box):
 
 @kernel
 def value(points, scene, truncation, mean):
-    """(n,) the truncated signed distances of the views, averaged as `fusion` says."""
+    """Return (n,) the truncated signed distances of the views, averaged as `fusion` says."""
     n = points.shape[0]
     x, y, z = points[:, 0].copy(), points[:, 1].copy(), points[:, 2].copy()
     u, v, depth = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
@@ -253,7 +253,7 @@ def value(points, scene, truncation, mean):
 
 @inlined
 def _camera(k, scene):
-    """One view's numbers as tuples, which cost nothing to pass: three rows, lens, eye."""
+    """Return one view's numbers as tuples, which cost nothing to pass: three rows, lens, eye."""
     c, i, e = scene.cameras, scene.intrinsics, scene.eyes
     return (
         (c[k, 0, 0], c[k, 0, 1], c[k, 0, 2], c[k, 0, 3]),
@@ -272,7 +272,7 @@ def _maps(k, scene):
 
 @helper
 def _project(x, y, z, camera, pinhole, u, v, depth):
-    """Where points fall between pixel centres: pixel (i, j) is at (u, v) = (j, i) here."""
+    """Compute where points fall between pixel centres: pixel (i, j) is at (u, v) = (j, i) here."""
     a, b, c, lens, _ = camera
     fx, fy = lens[0], lens[1]
     cx, cy = lens[2] - np.float32(0.5), lens[3] - np.float32(0.5)
@@ -312,14 +312,14 @@ def _read_around(u, v, count, face_map, at, around):
 
 @helper
 def _leaves(p, w, bvh, to_part):
-    """Whether the ray from `p` towards the camera, `w`, meets nothing on its way."""
+    """Return whether the ray from `p` towards the camera, `w`, meets nothing on its way."""
     h = bvh
     return not meets(p, w, ENDLESS, to_part, h.box, h.skip, h.leaf, h.triangles, h.roots)
 
 
 @helper
 def _distance(p, shown, camera, pinhole, triangles, free):
-    """How far in front of the surface a view sees the point, given whether it sees it free.
+    """Return how far in front of the surface a view sees the point, given whether it sees it free.
 
     To the nearest of the four faces on that side.
     """
@@ -347,7 +347,7 @@ def _towards_camera(p, eye, pinhole):
 
 @helper
 def _gap_by_depth(u, v, z, depth_map, pixel):
-    """How far in front of four depths, at (u, v) among them, along the optical axis.
+    """Return how far in front of four depths, at (u, v) among them, along the optical axis.
 
     One smooth surface is interpolated; across a silhouette the four must agree: else nan, no say.
     """

@@ -79,7 +79,7 @@ def solid_part(soup: LabelledMesh, settings: Fusion, render: Render) -> SolidPar
 
 
 def seen_alone(part: SolidPart, settings: Fusion, render: Render) -> OwnSolid:
-    """The own solid of `part` by maps of it alone, rendered if it was not judged by such."""
+    """Return the own solid of `part` by maps of it alone, rendered if it was not judged by such."""
     field = part.judged_by
     if field is None:
         maps = render(part.mesh, part.box)
@@ -90,7 +90,7 @@ def seen_alone(part: SolidPart, settings: Fusion, render: Render) -> OwnSolid:
 
 
 def seen_by(maps: DepthMaps, part: SolidPart, settings: Fusion) -> OwnSolid:
-    """The own solid of `part` by `maps` of it alone."""
+    """Return the own solid of `part` by `maps` of it alone."""
     field = fuse(
         maps,
         part.mesh,
@@ -105,13 +105,13 @@ def seen_by(maps: DepthMaps, part: SolidPart, settings: Fusion) -> OwnSolid:
 
 
 def joined_bvh(parts: Sequence[SolidPart]) -> Bvh:
-    """The tree of the faces of all parts, one part after the other."""
+    """Return the tree of the faces of all parts, one part after the other."""
     return joined([part.tree for part in parts])
 
 
 def _deep(mesh: LabelledMesh, where: solidify.Probes, tree: Bvh) -> NDArray[np.bool_]:
-    """(n,) which probes have no other face between their face and the point behind it: of a closed
-    piece, such a point is inside, whatever the views make of it."""
+    """Return (n,) which probes have no other face between their face and the point behind it: of a
+    closed piece, such a point is inside, whatever the views make of it."""
     outwards = solidify.face_normals(mesh.vertices, mesh.faces)[where.face]
     way = 0.99 * 0.5 * norm(where.points[0] - where.points[1]).max(initial=0.0)
     inner = where.points[1].astype(np.float32)
@@ -125,7 +125,7 @@ def _slit(
     thickness: float,
     tree: Bvh,
 ) -> float:
-    """What `SolidPart.slit` holds: of those probes that are of a `sheet`, seen free on both sides,
+    """Compute `SolidPart.slit`: of those probes that are of a `sheet`, seen free on both sides,
     the area of which another face lies before them, nearer than `thickness`."""
     asked = np.flatnonzero(sheet)
     normals = solidify.face_normals(mesh.vertices, mesh.faces)[where.face[asked]]
@@ -139,12 +139,12 @@ def _slit(
 
 
 def _box(mesh: LabelledMesh) -> Floats:
-    """(2, 3) of its faces."""
+    """Return (2, 3) of its faces."""
     return bounds(mesh.vertices[mesh.faces].reshape(-1, 3)) if len(mesh.faces) else np.zeros((2, 3))
 
 
 def _closed_pieces(
     mesh: LabelledMesh, piece: NDArray[np.int64], settings: Fusion, tree: Bvh
 ) -> ClosedPieces | None:
-    """What `SolidPart.pieces` holds."""
+    """Find `SolidPart.pieces`."""
     return None if settings.rule == "mean" else closed_pieces(mesh, piece, tree)

@@ -24,7 +24,7 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Flood:
-    """Where a flood from outside gets to.
+    """Cells that a flood from outside reaches.
 
     Attributes:
         state: (n, n, n) uint8 over the unit cube: 0 not reached, 1 touched by a face, 2 reached.
@@ -36,12 +36,12 @@ class Flood:
     to_part: NDArray[np.float32]
 
     def fills(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """(n,) which of the `points` (n, 3) lie in a reached voxel: no face is between them and its
-        centre, so that they are free, whatever the views see."""
+        """Return (n,) which of the `points` (n, 3) lie in a reached voxel: no face is between them
+        and its centre, so that they are free, whatever the views see."""
         return _fills(np.ascontiguousarray(points, np.float32), self.state)
 
     def reaches(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """(n,) which of the unseen `points` (n, 3) the flood gets to."""
+        """Return (n,) which of the unseen `points` (n, 3) the flood gets to."""
         flat = np.ascontiguousarray(points, np.float32)
         return _reaches(flat, self.state, self.to_part, self.bvh)
 
@@ -52,7 +52,7 @@ def walls(mesh: LabelledMesh, opening: float) -> NDArray[np.uint8]:
 
 
 def touched(mesh: LabelledMesh, resolution: int) -> NDArray[np.uint8]:
-    """(resolution,) * 3 uint8 over the unit cube: 1 in the voxels that a face touches."""
+    """Return (resolution,) * 3 uint8 over the unit cube: 1 in the voxels that a face touches."""
     state = np.zeros((resolution,) * 3, np.uint8)
     first = np.zeros(3, np.int64)
     mark(state, first, resolution, (mesh.vertices[mesh.faces] + 0.5) * resolution)
@@ -122,15 +122,15 @@ def mark(state, first, n, corners):
 
 @helper
 def _extent(a, b, c, n):
-    """The first of n voxels along an axis that three coordinates span, and the end."""
+    """Return the first of n voxels along an axis that three coordinates span, and the end."""
     low, high = np.floor(min(a, b, c)), np.floor(max(a, b, c))
     return max(int(low), 0), min(int(high), n - 1) + 1
 
 
 @helper
 def _shadows_meet(au, av, bu, bv, cu, cv, turn, i, j):
-    """Whether a triangle's shadow along an axis, onto the others u, v, and that of a voxel overlap;
-    `turn` is the normal along the axis."""
+    """Return whether a triangle's shadow along an axis, onto the others u, v, and that of a voxel
+    overlap; `turn` is the normal along the axis."""
     sign = 1.0 if turn >= 0.0 else -1.0
     return (
         _within(au, av, bu, bv, sign, i, j)
@@ -141,7 +141,7 @@ def _shadows_meet(au, av, bu, bv, cu, cv, turn, i, j):
 
 @helper
 def _within(pu, pv, qu, qv, sign, i, j):
-    """Whether some of the square (i, j) lies on the inner side of the edge from p to q."""
+    """Return whether some of the square (i, j) lies on the inner side of the edge from p to q."""
     nu, nv = -(qv - pv) * sign, (qu - pu) * sign
     reach = max(nu, 0.0) + max(nv, 0.0)  # of its corner furthest to the inside
     return not nu * (i - pu) + nv * (j - pv) + reach < 0.0

@@ -57,8 +57,8 @@ def welded(vertices: NDArray[np.float64]) -> NDArray[np.intp]:
 
 
 def _key(*columns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(n,) one whole number for each row of `columns`, in the order of the rows: sorting those is
-    ten times as fast."""
+    """Return (n,) one whole number for each row of `columns`, in the order of the rows: sorting
+    those is ten times as fast."""
     key, size = np.zeros(len(columns[0]), np.int64), 1
     for column in columns:
         from_0 = column - column.min(initial=0)
@@ -71,7 +71,7 @@ def _key(*columns: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def without_repeats(mesh: LabelledMesh) -> LabelledMesh:
-    """The mesh with one of each set of coincident faces, whatever their winding, and no face
+    """Return the mesh with one of each set of coincident faces, whatever their winding, and no face
     without area. Vertices are kept."""
     corners = np.sort(welded(mesh.vertices)[mesh.faces], axis=1)
     solid = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])
@@ -107,8 +107,8 @@ def probes(mesh: LabelledMesh, distance: float, *, together: bool = False) -> Pr
 
 
 def _alike(centers: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.intp]:
-    """(n,) for each small face the first that lies in the same cell, a fifth of it as deep along
-    the normal, and looks the same way within some 15 degrees."""
+    """Return (n,) for each small face the first that lies in the same cell, a fifth of it as deep
+    along the normal, and looks the same way within some 15 degrees."""
     columns = [
         *np.floor(centers / TOGETHER).T,
         *np.round(4.0 * normals).T,
@@ -174,7 +174,7 @@ def solidified(
     thickness: float,
     solid: NDArray[np.bool_] | None = None,
 ) -> tuple[LabelledMesh, NDArray[np.bool_]]:
-    """The mesh with its sheets thickened and its faces turned outwards.
+    """Return the mesh with its sheets thickened and its faces turned outwards.
 
     Args:
         mesh: what `where` was made from.
@@ -215,7 +215,7 @@ def _slabs(
     part_of_face: NDArray[np.uint8],
     thickness: float,
 ) -> LabelledMesh:
-    """Each face as a slab: two caps, and walls on the edges where the sheet ends or folds.
+    """Return each face as a slab: two caps, and walls on the edges where the sheet ends or folds.
 
     Where the sheet goes on over an edge, smoothly, the slabs on both sides share the edge's lifted
     ends (a mitre joint): along a bent sheet there is no crack to look into it through.
@@ -292,7 +292,8 @@ def _mitres(
 
 @kernel
 def _groups(count, pairs, normals):
-    """For each of 3 * count corners the first of those joined to it, and on which side it lies.
+    """Find for each of 3 * count corners the first of those joined to it, and on which side it
+    lies.
 
     The side is -1 where the face's winding is the other way about from that first corner's.
     """
@@ -343,7 +344,7 @@ def _settle(parent, side, c):
 
 
 def closed(mesh: LabelledMesh) -> NDArray[np.bool_]:
-    """(F,) which faces belong to a closed piece, see `closed_piece`."""
+    """Return (F,) which faces belong to a closed piece, see `closed_piece`."""
     return closed_piece(mesh) >= 0
 
 
@@ -372,7 +373,7 @@ def closed_piece(mesh: LabelledMesh) -> NDArray[np.int64]:
 
 @kernel
 def _pieces(faces, count):
-    """(F,) a number for each face, the same for faces that hang together by corners."""
+    """Return (F,) a number for each face, the same for faces that hang together by corners."""
     parent = np.empty(count, np.int64)
     for c in range(count):
         parent[c] = c
@@ -395,7 +396,7 @@ def _root(parent, i):
 
 
 def face_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    """(F, 3) unit normals by the right-hand rule of each face's winding."""
+    """Return (F, 3) unit normals by the right-hand rule of each face's winding."""
     normals = _crosses(vertices[faces])
     return normals / np.maximum(norm(normals), 1e-30)[:, None]
 
@@ -406,7 +407,7 @@ def face_areas(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArr
 
 @kernel
 def _crosses(corners):
-    """(F, 3) the cross products of two sides of each face; `corners` (F, 3, 3)."""
+    """Return (F, 3) the cross products of two sides of each face; `corners` (F, 3, 3)."""
     out = np.empty((corners.shape[0], 3))
     for f in range(corners.shape[0]):
         x, y, z = corners[f, 0, 0], corners[f, 0, 1], corners[f, 0, 2]

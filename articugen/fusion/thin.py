@@ -43,7 +43,7 @@ class ThinVoxels(NamedTuple):
     resolution: int
 
     def voxels(self) -> NDArray[np.intp]:
-        """(n, 3) the lattice's numbers of those that are marked."""
+        """Return (n, 3) the lattice's numbers of those that are marked."""
         return np.argwhere(np.unpackbits(self.bits, axis=2, bitorder="little")) + self.first
 
 
@@ -51,8 +51,8 @@ NOTHING = ThinVoxels(np.zeros((0, 0, 0), np.uint8), np.zeros(3, np.int64), 1)
 
 
 def thin_voxels(mesh: LabelledMesh, width: float, bvh: Bvh) -> ThinVoxels:
-    """The voxels that are touched by a face which has another within `width` behind it; `NOTHING`
-    if there is none. A voxel is `width` wide, or so that the part's box has `_MOST_EDGE`.
+    """Return the voxels that are touched by a face which has another within `width` behind it;
+    `NOTHING` if there is none. A voxel is `width` wide, or so that the part's box has `_MOST_EDGE`.
 
     Args:
         mesh: faces outwards.
@@ -69,7 +69,7 @@ def thin_voxels(mesh: LabelledMesh, width: float, bvh: Bvh) -> ThinVoxels:
 
 
 def _touched(corners: NDArray[np.float64], width: float) -> ThinVoxels:
-    """The voxels that faces (n, 3, 3) touch."""
+    """Return the voxels that faces (n, 3, 3) touch."""
     box = bounds(corners.reshape(-1, 3))
     edge = float(np.max(box[1] - box[0]))
     resolution = max(4, round(1.0 / max(width, edge / (_MOST_EDGE - 2))))
@@ -81,7 +81,7 @@ def _touched(corners: NDArray[np.float64], width: float) -> ThinVoxels:
 
 @kernel
 def way_meets(points, ways, reach, bvh):
-    """(n,) whether a face lies within `reach` of each point on its way."""
+    """Return (n,) whether a face lies within `reach` of each point on its way."""
     unmoved = np.zeros((1, 3, 4), np.float32)
     for axis in range(3):
         unmoved[0, axis, axis] = 1.0

@@ -61,7 +61,7 @@ class ClosedPieces(NamedTuple):
 
 
 def closed_pieces(mesh: LabelledMesh, piece: NDArray[np.int64], tree: Bvh) -> ClosedPieces | None:
-    """The closed pieces of `mesh`, for `surely_inside`; None if there is none.
+    """Return the closed pieces of `mesh`, for `surely_inside`; None if there is none.
 
     Args:
         piece: (F,) which of them each face belongs to, see `solidify.closed_piece`.
@@ -94,8 +94,8 @@ def closed_pieces(mesh: LabelledMesh, piece: NDArray[np.int64], tree: Bvh) -> Cl
 
 @kernel
 def _planes(corners, normals, first):
-    """The planes of the convex pieces, one after the other, and how many each piece has: none where
-    it is not convex. Piece k has the faces first[k] to first[k + 1] - 1."""
+    """Return the planes of the convex pieces, one after the other, and how many each piece has:
+    none where it is not convex. Piece k has the faces first[k] to first[k + 1] - 1."""
     planes = np.empty((corners.shape[0], 4))
     counts = np.zeros(first.shape[0] - 1, np.int64)
     end = 0
@@ -122,7 +122,7 @@ def _planes(corners, normals, first):
 
 @helper
 def _farthest(corners, first, end, x, y, z):
-    """How far the corners of some faces reach along a direction."""
+    """Return how far the corners of some faces reach along a direction."""
     farthest = -np.inf
     for f in range(first, end):
         for corner in range(3):
@@ -132,7 +132,7 @@ def _farthest(corners, first, end, x, y, z):
 
 
 def surely_inside(points: NDArray[np.floating], closed: ClosedPieces) -> NDArray[np.bool_]:
-    """(n,) which of `points` (n, 3) closed pieces surely wind around."""
+    """Return (n,) which of `points` (n, 3) closed pieces surely wind around."""
     return _surely_inside(np.ascontiguousarray(points, np.float64), closed)
 
 
@@ -153,7 +153,7 @@ def _surely_inside(points, closed):
 
 @helper
 def _convex_around(p, box, skip, leaf, piece, first_plane, planes):
-    """How many convex pieces hold `p`; `_DOUBT` where it is near a plane of one."""
+    """Return how many convex pieces hold `p`; `_DOUBT` where it is near a plane of one."""
     held = node = 0
     doubt = False
     while node < skip.shape[0]:
@@ -203,7 +203,7 @@ def _turns(p, whole, box, skip, leaf, triangles):
 
 @inlined
 def _outwards(x, low, high):
-    """How far it is to the nearer end, negative where that is the lower; 0 where outside."""
+    """Return how far it is to the nearer end, negative where that is the lower; 0 where outside."""
     if x <= low or x >= high:
         return 0.0
     return high - x if high - x < x - low else low - x
@@ -211,7 +211,7 @@ def _outwards(x, low, high):
 
 @helper
 def _crossed(p, w, box, skip, leaf, triangles):
-    """How often more the ray from `p` along `w` leaves than enters; or `_DOUBT`."""
+    """Return how often more the ray from `p` along `w` leaves than enters; or `_DOUBT`."""
     start = (np.float32(p[0]), np.float32(p[1]), np.float32(p[2]))
     inverse = (
         _inverse(np.float32(w[0])), _inverse(np.float32(w[1])), _inverse(np.float32(w[2]))

@@ -26,7 +26,7 @@ BINS = 24
 
 
 def shards_of(path: Path) -> list[Path]:
-    """The shards that `path`, a shard or the folder of a data set, stands for.
+    """Return the shards that `path`, a shard or the folder of a data set, stands for.
 
     Raises:
         InvalidArgument: there is none.
@@ -42,7 +42,7 @@ def shards_of(path: Path) -> list[Path]:
 
 
 def summary(shards: Sequence[Path]) -> RenderableType:
-    """What the shards hold: fields with their sizes, joints with their states, parts.
+    """Summarise shards: fields with their sizes, joints with their states, parts.
 
     Raises:
         CorruptShard: one of them cannot be read.
@@ -58,7 +58,7 @@ _States = dict[tuple[int, JointKind], NDArray[np.float64]]
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What a shard holds.
+    """Content of a shard, counted.
 
     Attributes:
         about: its attributes.
@@ -79,7 +79,7 @@ class _Seen:
 
 
 def _seen(path: Path, some: int) -> _Seen:
-    """Of one shard, opened once; `some` instances are counted."""
+    """Count the content of one shard, opened once, by `some` of its instances."""
     with open_shard(path) as shard:
         about = dict(shard.attributes)
         return _Seen(
@@ -176,7 +176,7 @@ def _counts_of(shard: Shard, some: int) -> dict[str, NDArray[np.int64]]:
 
 
 def _parts(seen: Sequence[_Seen]) -> Table:
-    """For each part its share of the points, and of the finest grid; what is enclosed apart."""
+    """Tabulate each part's share of the points and of the finest grid; enclosed space apart."""
     counts: dict[str, NDArray[np.int64]] = {}
     for each in seen:
         for name, own in each.counts.items():
@@ -202,7 +202,7 @@ def _resolution(name: str) -> int:
 
 
 def _shares(name: str, counts: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(P,) the fraction of the points that lies in each part; label k + 1 is part k."""
+    """Return (P,) the fraction of the points that lies in each part; label k + 1 is part k."""
     fractions = counts / max(int(counts.sum()), 1)
     parts = fractions if name.endswith("_part") else fractions[1:]
     return np.trim_zeros(parts[: ENCLOSED - 1], "b")

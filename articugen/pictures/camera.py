@@ -38,7 +38,7 @@ class Camera:
 
 
 def framed(points: Array, azimuth: float, elevation: float, size: int, *, fill: float) -> Camera:
-    """The camera at `azimuth`, `elevation` (rad) whose square image `points` (n, 3) fill.
+    """Return the camera at `azimuth`, `elevation` (rad) whose square image `points` (n, 3) fill.
 
     `fill` is the fraction of the width or height that their box takes, the larger of the two.
     """

@@ -45,7 +45,7 @@ def cells_of(points: Array, side: float) -> Cells:
 
 @helper
 def reached(cells, axis, at, reach):
-    """Where the cubes within `reach` of the coordinate `at` begin and end along an axis."""
+    """Return where the cubes within `reach` of the coordinate `at` begin and end along an axis."""
     first = int(np.floor((at - reach - cells.low[axis]) / cells.side))
     last = int(np.floor((at + reach - cells.low[axis]) / cells.side))
     begin = min(max(first, 0), cells.shape[axis])

@@ -27,7 +27,7 @@ class Row:
 
 
 def sheet(rows: Sequence[Row]) -> Picture:
-    """The rows under each other; captions wider than a tile take several lines."""
+    """Return the rows under each other; captions wider than a tile take several lines."""
     columns = max(len(row.pictures) for row in rows)
     captions = [[_lines(caption) for caption in row.captions] for row in rows]
     heights = [TILE + CAPTION * (1 + max(map(len, row), default=1)) for row in captions]
@@ -67,7 +67,7 @@ def save(picture: Picture, path: Path) -> None:
 
 
 def _lines(caption: Caption) -> list[Caption]:
-    """The caption in lines that are no wider than a tile, as even as can be."""
+    """Return the caption in lines that are no wider than a tile, as even as can be."""
     widths = [_width(entry) for entry in caption]
     most = max(int((TILE + GAP) / (max(widths, default=0.0) + GAP)), 1)
     if sum(widths) + GAP * (len(widths) - 1) <= TILE:

@@ -38,7 +38,7 @@ class SurfaceCloud:
         return SurfaceCloud(self.points[which], self.normals[which], self.area[which])
 
     def thinned(self, step: int) -> "SurfaceCloud":
-        """Every so manyeth point, with so many times the area."""
+        """Return every so manyeth point, with so many times the area."""
         few = self[::step]
         return SurfaceCloud(few.points, few.normals, step * few.area)
 
@@ -54,7 +54,7 @@ class SurfaceCloud:
 
 
 def occlusion(at: Array, facing: Array, cloud: SurfaceCloud) -> Array:
-    """The share of the cosine-weighted sky that `cloud` hides from `at` (m, 3): (m,).
+    """Return the share of the cosine-weighted sky that `cloud` hides from `at` (m, 3): (m,).
 
     Args:
         facing: (m, 3) the unit normals at these places.
@@ -65,7 +65,7 @@ def occlusion(at: Array, facing: Array, cloud: SurfaceCloud) -> Array:
 def occlusion_in_detail(
     at: Array, facing: Array, coarse: SurfaceCloud, fine: SurfaceCloud
 ) -> Array:
-    """As `occlusion`, for many places `at` (m, 3) on the surface that two clouds lie on.
+    """Compute `occlusion` for many places `at` (m, 3) on the surface that two clouds lie on.
 
     What the far hides changes slowly: it is summed up at some points of `coarse` only and averaged
     over those around a place that face as it does. What the near hides comes from `fine`.
@@ -86,7 +86,8 @@ def occlusion_in_detail(
 
 @inlined
 def _hidden(at, facing, px, py, pz, nx, ny, nz, area, first, last, detail, is_far):
-    """What the discs first to last hide, those within `detail` or those beyond, with a soft border.
+    """Compute the share that discs first to last hide, those within `detail` or those beyond, with
+    a soft border.
 
     Discs much nearer than their size count less than they should: of a random covering, the few
     that happen to be so near would speckle. In single precision and without a branch, which lets
@@ -132,7 +133,7 @@ def _far(at, facing, columns, detail):
 
 @kernel(fastmath=True)
 def _near(at, facing, columns, cells, detail):
-    """The columns in the order of the cells."""
+    """Return the columns in the order of the cells."""
     hidden = np.zeros(len(at))
     px, py, pz, nx, ny, nz, area = columns
     cube = cells.first

@@ -15,7 +15,7 @@ SUPERSAMPLING = 2
 
 
 def linear(colour: str) -> Array:
-    """An #rrggbb colour as linear light, (3,) in [0, 1]."""
+    """Return an #rrggbb colour as linear light, (3,) in [0, 1]."""
     return (np.frombuffer(bytes.fromhex(colour[1:]), np.uint8) / 255.0) ** 2.2
 
 
@@ -26,7 +26,7 @@ def shaded(
     fine: SurfaceCloud,
     floor: float,
 ) -> Picture:
-    """The picture of a surface that stands on a white floor, `SUPERSAMPLING` times smaller.
+    """Return the picture of a surface that stands on a white floor, `SUPERSAMPLING` times smaller.
 
     Args:
         seen: depth (H, W), inf where nothing is; unit normals (H, W, 3); linear colour (H, W, 3).
@@ -48,7 +48,7 @@ def shaded(
 
 
 def _lit(normals: Array, sky_seen: Array, camera: Camera) -> Array:
-    """(n,) how bright white paper would be."""
+    """Return (n,) how bright white paper would be."""
     lamp = camera.T_camera_world[:3, :3].T @ np.array([-0.45, -0.65, -0.6])
     direct = np.clip(normals @ (lamp / np.linalg.norm(lamp)), 0.0, 1.0)
     sky = 0.75 + 0.25 * normals[:, 2]
@@ -58,7 +58,7 @@ def _lit(normals: Array, sky_seen: Array, camera: Camera) -> Array:
 
 
 def _shadow(cloud: SurfaceCloud, camera: Camera, floor: float) -> Array:
-    """(H, W) how much of the sky the object hides from the floor under each pixel."""
+    """Return (H, W) how much of the sky the object hides from the floor under each pixel."""
     count, reach = 48, 0.9
     at = np.linspace(-reach, reach, count)
     x, y = np.meshgrid(at, at, indexing="ij")

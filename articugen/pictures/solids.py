@@ -38,7 +38,7 @@ class ColouredMesh:
 
     @staticmethod
     def joined(solids: Sequence["ColouredMesh"]) -> "ColouredMesh":
-        """All of them in one."""
+        """Join solids into one mesh."""
         first = np.cumsum([0] + [len(solid.colours) for solid in solids])
         return ColouredMesh(
             np.concatenate([np.zeros((0, 3, 3)), *(solid.triangles for solid in solids)]),
@@ -50,7 +50,7 @@ class ColouredMesh:
 
 
 def arrow(tail: Array, tip: Array, radius: float, colour: str) -> ColouredMesh:
-    """A shaft with a cone at its `tip`, of 24 sides."""
+    """Return a shaft with a cone at its `tip`, of 24 sides."""
     along = _unit(tip - tail)
     side = look_along(along)[0, :3]
     turn = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
@@ -67,7 +67,7 @@ def arrow(tail: Array, tip: Array, radius: float, colour: str) -> ColouredMesh:
 
 
 def draw_solid(solid: ColouredMesh, values: Array, camera: Camera) -> tuple[Array, Array, Array]:
-    """A solid, all of it in front of the camera, as that sees it.
+    """Return a solid, all of it in front of the camera, as that sees it.
 
     Args:
         values: (G, C) of each group, for instance colours.
@@ -122,8 +122,8 @@ def _views(camera: Camera) -> Views:
 
 
 def _corner_normals(triangles: Array, group: NDArray[np.int64]) -> Array:
-    """(F, 3, 3) unit normals at the corners: the mean by area of the faces of a group that meet
-    there, or the face's own where it is turned far away from that."""
+    """Return (F, 3, 3) unit normals at the corners: the mean by area of the faces of a group that
+    meet there, or the face's own where it is turned far away from that."""
     normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     low, size = triangles.min((0, 1)), max(float(np.ptp(triangles, axis=(0, 1)).max()), 1e-9)
     x, y, z = ((triangles.reshape(-1, 3) - low) / size * (_PLACES - 1)).round().astype(np.int64).T
@@ -142,7 +142,7 @@ def _unit(vectors: Array) -> Array:
 
 
 def _barycentric(points: Array, triangles: Array) -> Array:
-    """(n, 3) weights of the corners of each point's triangle, none below 0."""
+    """Return (n, 3) weights of the corners of each point's triangle, none below 0."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     normal = np.cross(b - a, c - a)
     size = np.maximum((normal * normal).sum(1), 1e-30)

@@ -46,12 +46,12 @@ class OrientedPoints:
     part: NDArray[np.uint8]
 
     def moved(self, T_part: Array) -> "OrientedPoints":
-        """Each part's points moved by its own rigid motion; `T_part` (P, 4, 4)."""
+        """Return each part's points moved by its own rigid motion; `T_part` (P, 4, 4)."""
         points = _turned(T_part, self.points, self.part) + T_part[self.part, :3, 3]
         return OrientedPoints(points, _turned(T_part, self.normals, self.part), self.part)
 
     def spacing(self) -> float:
-        """The side of the square that each point stands for."""
+        """Return the side of the square that each point stands for."""
         rank = min(NEIGHBOURS, len(self.points) - 1)
         asked = np.linspace(0, len(self.points) - 1, min(64, len(self.points))).astype(np.int64)
         # On a plane, rank = pi * distance^2 / spacing^2.
@@ -90,7 +90,7 @@ class Surfels:
         return SurfaceCloud(self.points, self.normals, self.spacing**2)
 
     def moved(self, T_part: Array) -> "Surfels":
-        """Each part's discs moved by its own rigid motion; `T_part` (P, 4, 4).
+        """Return each part's discs moved by its own rigid motion; `T_part` (P, 4, 4).
 
         A disc's edges depend on discs of its own part only, so they move with it.
         """
@@ -126,14 +126,14 @@ def surfels(samples: Sequence[OrientedPoints]) -> Surfels:
 
 
 def _across(normals: Array) -> Array:
-    """A unit direction at right angles to each of `normals` (n, 3)."""
+    """Return a unit direction at right angles to each of `normals` (n, 3)."""
     least = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
     across = np.cross(normals, least)
     return across / np.linalg.norm(across, axis=1, keepdims=True)
 
 
 def draw(discs: Surfels, values: Array, camera: Camera) -> tuple[Array, Array, Array]:
-    """The discs as a camera sees them.
+    """Return the discs as a camera sees them.
 
     Args:
         values: (n, C) what to interpolate between the discs, for instance colours.
@@ -212,7 +212,7 @@ def _insert(least, number):
 
 @kernel
 def _covers(points, normals, part, source, sources, cells, reach):
-    """How many of the samples cover the surface at each point, (n,).
+    """Return how many of the samples cover the surface at each point, (n,).
 
     If m of them do, two points from there are of one sample with probability 1 / m, so pairs that
     are tell m, however small the face is (as equal birthdays tell the length of the year).
@@ -306,7 +306,7 @@ def _outline(points, normals, across, part, spacing, cells, rank):
 
 @helper
 def _longer(numbers):
-    """The numbers, with room for as many more; numba's own ways take seconds to compile."""
+    """Return the numbers, with room for as many more; numba's own ways take seconds to compile."""
     longer = np.empty(2 * len(numbers), np.int32)
     for n in range(len(numbers)):
         longer[n] = numbers[n]
@@ -328,7 +328,7 @@ def _direction(across, up, k):
 
 @helper
 def _is_bounded(normals, planes, first, end, way):
-    """Whether one of the planes ends what goes this way."""
+    """Return whether one of the planes ends what goes this way."""
     for n in range(first, end):  # noqa: SIM110 (numba compiles no any)
         if _dot(_row(normals, planes[n]), way) > 0.7:
             return True
@@ -337,7 +337,7 @@ def _is_bounded(normals, planes, first, end, way):
 
 @helper
 def _last(points, face, count, center, radius, way):
-    """How far the points of a face within `radius` of `center` reach this way."""
+    """Return how far the points of a face within `radius` of `center` reach this way."""
     last = 0.0
     for n in range(count):
         point = _row(points, face[n])
@@ -348,7 +348,7 @@ def _last(points, face, count, center, radius, way):
 
 @helper
 def _is_known(points, normals, planes, first, end, at, normal, slack):
-    """Whether one of the planes is that through `at`."""
+    """Return whether one of the planes is that through `at`."""
     for n in range(first, end):
         k = planes[n]
         own = _row(normals, k)
@@ -359,7 +359,7 @@ def _is_known(points, normals, planes, first, end, at, normal, slack):
 
 @helper
 def _goes_on(points, face, count, origin, normal, near, slack):
-    """Whether a face goes on in front of a plane, nearby."""
+    """Return whether a face goes on in front of a plane, nearby."""
     for n in range(count):
         point = _row(points, face[n])
         if _squared(point, origin) < near * near and _ahead(point, origin, normal) > slack:
@@ -384,7 +384,7 @@ def _cross(a, b):
 
 @helper
 def _ahead(point, origin, normal):
-    """How far `point` lies in front of the plane through `origin`."""
+    """Return how far `point` lies in front of the plane through `origin`."""
     return (
         (point[0] - origin[0]) * normal[0]
         + (point[1] - origin[1]) * normal[1]
@@ -453,7 +453,7 @@ def _splat(
 
 @helper
 def _along(basis, way):
-    """How far the three vectors (3, 3) reach this way."""
+    """Return how far the three vectors (3, 3) reach this way."""
     return _dot(_row(basis, 0), way), _dot(_row(basis, 1), way), _dot(_row(basis, 2), way)
 
 

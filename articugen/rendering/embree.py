@@ -13,7 +13,7 @@ from articugen.rendering.foreign import depth_ranges, import_library, unseen
 
 
 def render(mesh: LabelledMesh, views: Views) -> DepthMaps:
-    """What each of `views` sees of `mesh`: depth and faces.
+    """Render `mesh` in each of `views`: depth and faces.
 
     Where two faces coincide, either may be named.
 

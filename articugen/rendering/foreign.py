@@ -14,7 +14,7 @@ MARGIN = 1e-3
 
 
 def import_library(library: str, extra: str, system_packages: str) -> ModuleType:
-    """The optional `library` of the pip extra `extra`.
+    """Return the optional `library` of the pip extra `extra`.
 
     Raises MissingExtra where it is not installed, and MissingDriver where it is but cannot be
     loaded, which on Debian means that some of `system_packages` are missing.
@@ -28,7 +28,7 @@ def import_library(library: str, extra: str, system_packages: str) -> ModuleType
 
 
 def missing_driver(library: str, system_packages: str, error: Exception) -> MissingDriver:
-    """The sentence that names what `library` said and the Debian packages that mend it."""
+    """Return the sentence that names what `library` said and the Debian packages that mend it."""
     said = " ".join(str(error.args[0] if error.args else type(error).__name__).split())
     return MissingDriver(
         f"{library} cannot run on this machine ({said}); "
@@ -53,5 +53,5 @@ def depth_ranges(mesh: LabelledMesh, views: Views) -> Floats:
 
 
 def unseen(views: Views) -> NDArray[np.float32]:
-    """(K, H, W) float32 depth maps in which nothing is seen."""
+    """Return (K, H, W) float32 depth maps in which nothing is seen."""
     return np.full((len(views), views.height, views.width), np.inf, np.float32)

@@ -21,7 +21,7 @@ _SKY, _DIRECT = 0.4, 0.6
 def images(
     mesh: LabelledMesh, views: Views, wanted: tuple[str, ...], *, closed: NDArray[np.bool_]
 ) -> dict[str, NDArray]:
-    """What each of V cameras sees, by name, as far as it is `wanted`.
+    """Draw the `wanted` images of each of V cameras, by name.
 
     Args:
         mesh: posed, unit frame.
@@ -62,7 +62,7 @@ def _filled(hit: NDArray[np.bool_], values: NDArray) -> NDArray:
 def _towards_cameras(
     mesh: LabelledMesh, views: Views, face: NDArray[np.int32], view: NDArray[np.intp]
 ) -> Floats:
-    """(n, 3) the unit normals of faces (n,), turned towards the views (n,) that see them."""
+    """Return (n, 3) the unit normals of faces (n,), turned towards the views (n,) that see them."""
     corners = mesh.vertices[mesh.faces[face]]
     across = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     R, t = views.T_camera_world[:, :3, :3], views.T_camera_world[:, :3, 3]
@@ -72,12 +72,12 @@ def _towards_cameras(
 
 
 def _lamps(views: Views) -> Floats:
-    """(V, 3) towards the lamp of each view, unit frame."""
+    """Return (V, 3) towards the lamp of each view, unit frame."""
     return np.stack([turned(T[:3, :3].T, _LAMP) for T in views.T_camera_world])
 
 
 def _shaded(part: NDArray[np.uint8], light: Floats) -> NDArray[np.uint8]:
-    """(n, 3) sRGB of parts (n,) in so much light (n,)."""
+    """Return (n, 3) sRGB of parts (n,) in so much light (n,)."""
     codes = np.array([list(bytes.fromhex(colour_of(k)[1:])) for k in range(256)])
     linear = power(codes / 255.0, _GAMMA)[part] * light[:, None]
     return np.round(255.0 * power(np.minimum(linear, 1.0), 1.0 / _GAMMA)).astype(np.uint8)

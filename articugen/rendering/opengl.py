@@ -24,7 +24,7 @@ from articugen.rendering.foreign import depth_ranges, import_library, missing_dr
 
 
 def render(mesh: LabelledMesh, views: Views) -> DepthMaps:
-    """What each of `views` sees of `mesh`: depth only, `face` is None.
+    """Render `mesh` in each of `views`: depth only, `face` is None.
 
     Raises:
         MissingExtra, MissingDriver: pyrender, EGL or OSMesa cannot be used.
@@ -58,7 +58,7 @@ def render(mesh: LabelledMesh, views: Views) -> DepthMaps:
 
 
 def _projection(views: Views, k: int, near: float, far: float) -> Floats:
-    """The (4, 4) projection of view k from camera coordinates to OpenGL's clip space.
+    """Return the (4, 4) projection of view k from camera coordinates to OpenGL's clip space.
 
     The image is drawn upside down, so that OpenGL's bottom row, the first it gives back, is row 0.
     """
@@ -139,7 +139,7 @@ def _renderer_class() -> Any:
             primitive._unbind()
 
         def _read_main_framebuffer(self, scene: Any, flags: int) -> NDArray[np.float32]:
-            """(H, W) what the depth buffer holds, the bottom row first."""
+            """Return (H, W) what the depth buffer holds, the bottom row first."""
             width, height = self._main_fb_dims
             GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, self._main_fb_ms)
             stored = GL.glReadPixels(0, 0, width, height, GL.GL_DEPTH_COMPONENT, GL.GL_FLOAT)

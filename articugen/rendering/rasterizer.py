@@ -29,7 +29,7 @@ def render(
     closed: NDArray[np.bool_] | None = None,
     keep_depth: bool = True,
 ) -> DepthMaps:
-    """The depth maps of `mesh` from `views`, with the face seen at each pixel.
+    """Return the depth maps of `mesh` from `views`, with the face seen at each pixel.
 
     Args:
         mesh: unit frame.
@@ -173,7 +173,7 @@ def _rectangle(u, v, height, width):
 
 @helper
 def _camera(T, lens):
-    """One view's numbers as tuples: three rows and the lens."""
+    """Return one view's numbers as tuples: three rows and the lens."""
     return (
         (T[0, 0], T[0, 1], T[0, 2], T[0, 3]),
         (T[1, 0], T[1, 1], T[1, 2], T[1, 3]),
@@ -184,7 +184,7 @@ def _camera(T, lens):
 
 @helper
 def _project(x, y, z, camera, pinhole, width, height, u, v, centres):
-    """Where vertices fall, in subpixels, and between which pixels' centres, see `_between`.
+    """Return where vertices fall, in subpixels, and between which pixels' centres, see `_between`.
 
     False where a vertex falls too far outside the image. Nothing else is kept: `_on_image` makes
     the rest anew for the few faces that need it, and so short a loop is vectorised.
@@ -354,7 +354,7 @@ def _draw_view(  # noqa: PLR0912, PLR0915 - one loop: a call for each face would
 
 @helper
 def _pixels(a, b, c, size):
-    """The first and the last pixel whose centres lie between three subpixel coordinates."""
+    """Return the first and the last pixel whose centres lie between three subpixel coordinates."""
     half = SUBPIXELS // 2
     first = (min(a, b, c) - half + SUBPIXELS - 1) >> SUBPIXEL_BITS
     last = (max(a, b, c) - half) >> SUBPIXEL_BITS
@@ -374,7 +374,7 @@ def _slopes(a, b, c):
 
 @helper
 def _edge(a, b):
-    """An edge's function A x + B y + C, not negative inside.
+    """Return an edge's function A x + B y + C, not negative inside.
 
     Of two triangles at an edge the one that has it on top or left owns the pixels on it: for the
     other one C is less by one unit.
@@ -394,7 +394,7 @@ def _per_step(A):
 
 @helper
 def _span(A, rest, per_step, j0, j1):
-    """The pixels j in [j0, j1] with A * (j * SUBPIXELS + SUBPIXELS / 2) + rest >= 0.
+    """Return the pixels j in [j0, j1] with A * (j * SUBPIXELS + SUBPIXELS / 2) + rest >= 0.
 
     `per_step` is 1 / (A * SUBPIXELS), which gives the pixel to within one; integers decide.
     """

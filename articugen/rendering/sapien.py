@@ -22,7 +22,7 @@ CV_FROM_SAPIEN = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0,
 
 
 def render(mesh: LabelledMesh, views: Views) -> DepthMaps:
-    """What each of `views` sees of `mesh`: depth only, `face` is None.
+    """Render `mesh` in each of `views`: depth only, `face` is None.
 
     Raises:
         MissingExtra, MissingDriver: SAPIEN or a Vulkan driver cannot be used.
@@ -75,7 +75,7 @@ def _entity(sapien: ModuleType, component: Any) -> Any:
 
 
 def _two_sided_shape(sapien: ModuleType, mesh: LabelledMesh) -> Any:
-    """The mesh with each triangle in both windings, since SAPIEN always culls back faces."""
+    """Return the mesh with each triangle in both windings, since SAPIEN always culls back faces."""
     vertices = mesh.vertices.astype(np.float32)
     triangles = np.concatenate([mesh.faces, mesh.faces[:, ::-1]]).astype(np.uint32)
     normals, uv = np.zeros_like(vertices), np.zeros_like(vertices[:, :2])

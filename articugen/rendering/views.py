@@ -51,7 +51,7 @@ def fusion_views(settings: ViewSettings, box: NDArray[np.float64]) -> Views:
 
 @lru_cache
 def _all_around(count: int) -> NDArray[np.float64]:
-    """(count, 3) unit directions evenly over the sphere, in `spread_order`."""
+    """Return (count, 3) unit directions evenly over the sphere, in `spread_order`."""
     directions = fibonacci_sphere(count)
     directions = directions[spread_order(directions)]
     directions.setflags(write=False)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How far a number that is known exactly may be off.
+    """Greatest error of a number that is known exactly.
 
     Attributes:
         most: what is let through.
@@ -69,7 +69,7 @@ shares: one that is sound is refused with a chance below 1e-6."""
 
 @dataclass(frozen=True)
 class Bound:
-    """What the share of places that agree must be.
+    """Least share of places that must agree.
 
     Attributes:
         least: the true share of any sound object is at least that.
@@ -164,6 +164,6 @@ surface a voxel beside the level half and more is off it."""
 
 
 def on_level(pixel_width: float) -> Bound:
-    """The share of surface points on the zero level, by views of such pixels, unit frame."""
+    """Return the share of surface points on the zero level, by views of such pixels, unit frame."""
     most_off = max(MOST_OFF_LEVEL, OFF_LEVEL_PER_PIXEL * pixel_width)
     return Bound(least=max(1.0 - most_off, 0.5), sound=0.98, faulty=0.5)

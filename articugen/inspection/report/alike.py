@@ -67,14 +67,14 @@ def nearest_pairs(objects: Sequence[ObjectFacts], count: int) -> list[Pair]:
 
 
 def _coarse(points: Array) -> Array:
-    """How many points are in each of `_COARSE`^3 cells."""
+    """Return how many points are in each of `_COARSE`^3 cells."""
     cell = np.clip((points + 0.5) * _COARSE, 0, _COARSE - 1).astype(np.int64)
     flat = cell @ (_COARSE * _COARSE, _COARSE, 1)
     return np.bincount(flat, minlength=_COARSE**3) / len(points)
 
 
 def _pair(a: ObjectFacts, b: ObjectFacts) -> Pair:
-    """Each compared by halves, so that the halves of one object have as many points."""
+    """Return each compared by halves, so that the halves of one object have as many points."""
     (a0, a1), (b0, b1) = (_halves(each) for each in (a, b))
     apart = 0.25 * sum(_apart(x, y) for x in (a0, a1) for y in (b0, b1))
     floor = 0.5 * (_apart(a0, a1) + _apart(b0, b1))
@@ -90,8 +90,8 @@ def _halves(each: ObjectFacts) -> tuple[_Cloud, _Cloud]:
 
 
 def _apart(a: _Cloud, b: _Cloud) -> float:
-    """The mean distance of the points of each to the plane at the other's nearest that faces alike;
-    clouds of one surface are next to nothing apart, however few points they are."""
+    """Return the mean distance of the points of each to the plane at the other's nearest that faces
+    alike; clouds of one surface are next to nothing apart, however few points they are."""
     one, other = (np.c_[points, _TURN * normals].astype(np.float32) for points, normals in (a, b))
     squared = (one**2).sum(1)[:, None] + (other**2).sum(1) - 2.0 * one @ other.T
     return 0.5 * (_to_planes(a, b, squared.argmin(1)) + _to_planes(b, a, squared.argmin(0)))

@@ -17,7 +17,7 @@ def histogram(
     values: Array, low: float, high: float, ends: tuple[str, str], *, colour: str, title: str,
     even: bool = False,
 ) -> Markup:  # fmt: skip
-    """How many of `values` lie where between `low` and `high`, as bars.
+    """Return how many of `values` lie where between `low` and `high`, as bars.
 
     Args:
         ends: what is written below the two ends.
@@ -66,6 +66,6 @@ def share_bar(shares: Sequence[tuple[float, str]], title: str) -> Markup:
 
 
 def dot(colour: str) -> Markup:
-    """The mark of a part."""
+    """Return the mark of a part."""
     circle = el("circle", cx="5", cy="5", r="4.5", fill=colour, class_="rim")
     return el("svg", circle, viewBox="0 0 10 10", class_="dot", aria_hidden="true")

@@ -37,7 +37,7 @@ class JointStates:
 
 @dataclass(frozen=True, eq=False)
 class PartSize:
-    """How large a part is.
+    """Size of a part.
 
     Attributes:
         name, semantic: in the model's file; "" where the shard has none.
@@ -125,7 +125,7 @@ def _written(shape: tuple[int, ...]) -> str:
 
 
 def _objects(shard: Shard) -> Iterator[ObjectFacts]:
-    """The objects of a shard, of which each of ours has one."""
+    """Yield the objects of a shard, of which each of ours has one."""
     rows: dict[str, list[int]] = {}
     for row, object_id in enumerate(shard.object_ids()):
         rows.setdefault(object_id, []).append(row)
@@ -190,7 +190,7 @@ def _share(which: NDArray[np.bool_]) -> float:
 
 
 def _shares(which: NDArray[np.bool_]) -> Array:
-    """(n,) the share of each row."""
+    """Return (n,) the share of each row."""
     return which.mean(axis=1) if which.size else np.full(len(which), np.nan)
 
 

@@ -12,8 +12,8 @@ class Markup(str):
 
 
 def el(name: str, /, *inside: object, **attributes: object) -> Markup:
-    """An element. An attribute of None or False is left out, of True stands without a value; a
-    trailing _ of its name is dropped, other underscores become hyphens."""
+    """Return an element. An attribute of None or False is left out, of True stands without a value;
+    a trailing _ of its name is dropped, other underscores become hyphens."""
     written = "".join(
         f" {_attribute(key)}" + ("" if value is True else f'="{text(value)}"')
         for key, value in attributes.items()

@@ -40,7 +40,7 @@ PAIRS = 5
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """All that a page tells.
+    """Content of a page.
 
     Attributes:
         path: the folder, or the shard.
@@ -98,7 +98,7 @@ def write_report(
 
 
 def _drawable(found: Facts) -> list[Chosen]:
-    """The objects with a surface; which those are is known without reading a shard again."""
+    """Return the objects with a surface; which those are is known without reading a shard again."""
     category = str(found.about["category"])
     return [
         Chosen(category, each.split, each.object_id, [(each.shard, row) for row in each.rows])
@@ -108,7 +108,7 @@ def _drawable(found: Facts) -> list[Chosen]:
 
 
 def page(report: Report) -> str:
-    """The report as a whole HTML document."""
+    """Return the report as a whole HTML document."""
     style, script = (_asset(name) for name in ("page.css", "viewer.js"))
     policy = (
         f"default-src 'none'; img-src data:; style-src '{_digest(style)}'; "
@@ -149,7 +149,7 @@ def page(report: Report) -> str:
 
 
 def _sections(report: Report) -> list[tuple[str, str, Markup]]:
-    """(name, title, what it says) of each."""
+    """Return (name, title, what it says) of each."""
     found, manifest = report.facts, report.manifest
     every = found.objects
     pictures = {p.object_id: webp(p) for p in report.sheet}
@@ -175,7 +175,7 @@ def _sections(report: Report) -> list[tuple[str, str, Markup]]:
 
 
 def webp(drawn: Portraits) -> list[str]:
-    """The pictures as addresses that hold them."""
+    """Return the pictures as addresses that hold them."""
     addresses = []
     for picture in drawn.pictures:
         file = BytesIO()
@@ -185,7 +185,7 @@ def webp(drawn: Portraits) -> list[str]:
 
 
 def _scene(shown: Turnable | None) -> Markup:
-    """What the script reads: data, not code; no `<` in it can end the element."""
+    """Write the data that the script reads, not code: no `<` in it can end the element."""
     if shown is None:
         return join()
     data = json.dumps(shown.scene, separators=(",", ":")).replace("<", "\\u003c")

@@ -30,7 +30,7 @@ MOST_ROWS = 1000
 
 
 def header(path: Path, found: Facts, manifest: Manifest | None) -> Markup:
-    """The title, and what the page is about in a sentence."""
+    """Return the title, and what the page is about in a sentence."""
     where = f" of {path.name}" if path.suffix == ".h5" else ""
     if manifest:
         where = f" from {_source(manifest)}"
@@ -155,7 +155,7 @@ def _card(each: Portraits, pictures: Sequence[str]) -> Markup:
 
 
 def joints(objects: Sequence[ObjectFacts]) -> Markup:
-    """A histogram for each number of a joint, and kind."""
+    """Return a histogram for each number of a joint, and kind."""
     groups: dict[tuple[int, JointKind], list[JointStates]] = {}
     for each in objects:
         for j, joint in enumerate(each.joints):
@@ -195,7 +195,7 @@ def _states(j: int, kind: JointKind, same: Sequence[JointStates]) -> Markup:
 
 
 def parts(objects: Sequence[ObjectFacts]) -> Markup:
-    """How large each part is, and how much of the unit cube is inside."""
+    """Return how large each part is, and how much of the unit cube is inside."""
     by_part: dict[int, list[PartSize]] = {}
     for each in objects:
         for k, part in enumerate(each.parts):
@@ -277,7 +277,7 @@ def truth(found: Measured) -> Markup:
 
 
 def alike(pairs: Sequence[Pair], unlike: Sequence[Outlier], count: int) -> Markup:
-    """Of `count` objects the pairs that are nearly the same, and those unlike the others."""
+    """Write the pairs of `count` objects that are nearly the same, and the outliers."""
     same = [pair for pair in pairs if pair.same]
     rows = [
         [f"{p.first.object_id} ({p.first.split})", f"{p.second.object_id} ({p.second.split})",
@@ -329,7 +329,7 @@ def alike(pairs: Sequence[Pair], unlike: Sequence[Outlier], count: int) -> Marku
 
 
 def objects(every: Sequence[ObjectFacts], manifest: Manifest | None) -> Markup:
-    """A table of all objects, closed at first."""
+    """Return a table of all objects, closed at first."""
     entries = {(o.key.split, o.key.object_id): o for o in manifest.objects} if manifest else {}
     rows: list[list[object]] = []
     for each in every[:MOST_ROWS]:
@@ -372,7 +372,7 @@ def left_out(manifest: Manifest | None) -> Markup:
 
 
 def recipe(found: Facts, manifest: Manifest | None) -> Markup:
-    """Every key of the recipe, those of a group under each other."""
+    """Return every key of the recipe, those of a group under each other."""
     text = manifest.recipe if manifest else str(found.about["recipe"])
     try:
         groups = json.loads(text)
@@ -464,7 +464,7 @@ def _shards(found: Facts, manifest: Manifest | None) -> Markup:
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[object]], name: str) -> Markup:
-    """A table that scrolls by itself where it is too wide.
+    """Return a table that scrolls by itself where it is too wide.
 
     Args:
         head: titles; > before one means a column of numbers, ~ one of sentences.
@@ -491,7 +491,7 @@ def _keys(lines: Iterable[tuple[str, object]], kind: str = "keys") -> Markup:
 
 
 def _common(names: Counter[str]) -> str:
-    """The most common names, and that there are others."""
+    """Return the most common names, and that there are others."""
     some = ", ".join(name for name, _ in names.most_common(2))
     return some + (", …" if len(names) > 2 else "")
 

@@ -47,7 +47,7 @@ class Skin:
 
 
 def skin(points: OrientedPoints, voxel: float, spacing: float) -> Skin:
-    """The surface that the points (of one part, many a voxel) lie on.
+    """Return the surface that the points (of one part, many a voxel) lie on.
 
     Args:
         voxel: the side of the grid's cells, unit frame; larger where a part has too many.
@@ -67,7 +67,7 @@ def skin(points: OrientedPoints, voxel: float, spacing: float) -> Skin:
 
 
 def _of_faces(vertices: Array, faces: NDArray[np.int32]) -> Skin:
-    """The faces, with the vertices that they use in the order of their use."""
+    """Return the faces, with the vertices that they use in the order of their use."""
     used, first, number = np.unique(faces, return_index=True, return_inverse=True)
     order = np.argsort(first)
     place = np.empty(len(used), np.int32)
@@ -86,7 +86,7 @@ def _vertex_normals(vertices: Array, faces: NDArray[np.int32]) -> Array:
 
 @kernel
 def _field(points, normals, cells, origin, voxel, spacing, R):
-    """(R, R, R) voxels inside the swollen surface, above 0 inside; free far from all points.
+    """Return (R, R, R) voxels inside the swollen surface, above 0 inside; free far from all points.
 
     At a sample, the mean over the points nearly as near as the nearest of how far it lies behind
     their planes. In front of them, what leads along a plane past its last points counts as well:
@@ -122,7 +122,7 @@ def _field(points, normals, cells, origin, voxel, spacing, R):
 
 @helper
 def _band(points, origin, voxel, R):
-    """(R, R, R) the samples that may have a point within reach."""
+    """Return (R, R, R) the samples that may have a point within reach."""
     band = np.zeros((R, R, R), np.bool_)
     for p in range(len(points)):
         x = (points[p, 0] - origin[0]) / voxel

@@ -65,7 +65,7 @@ def guarded(host: str, start: Callable[[], Any]) -> Any:
 
 
 def refusal(host: str, address: str, headers: Any) -> str:
-    """The sentence that says why a request is not answered; "" where it is.
+    """Return the sentence that says why a request is not answered; "" where it is.
 
     Args:
         host: where the server was told to listen.

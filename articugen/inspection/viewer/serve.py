@@ -25,7 +25,7 @@ PORT = 8080
 
 @dataclass(frozen=True)
 class Served:
-    """What is shown where: `session` at `url`."""
+    """A running viewer: `session` at `url`."""
 
     session: Session
     url: str
@@ -39,7 +39,7 @@ def what_to_show(
     recipe: str | None = None,
     seed: int = 0,
 ) -> tuple[Source, Predictor | None]:
-    """What is at a path: of a run, its test objects first, with what predicts beside them.
+    """Open the source at a path; for a run, its data, test objects first, and its predictor.
 
     Args:
         data: of a run: another data set than it was trained on.

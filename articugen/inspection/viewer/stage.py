@@ -160,7 +160,7 @@ def _deepest(u: Floats, z: Floats, before: float, after: float) -> float:
 
 
 def _middle(u: Floats, z: Floats, before: float, after: float) -> float:
-    """That c of an eye at depth 0 which leaves as much room on one side as on the other."""
+    """Find the c of an eye at depth 0 which leaves as much room on one side as on the other."""
     c = 0.0
     for _ in range(20):
         outermost = (u - c) / z
@@ -174,7 +174,7 @@ def _linear(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _only_moved(before: Sequence[Drawn], now: Sequence[Drawn]) -> bool:
-    """Whether these are the same solids as before, wherever they stand."""
+    """Return whether these are the same solids as before, wherever they stand."""
     return len(before) == len(now) and all(
         isinstance(old, Solid) and isinstance(new, Solid) and old.vertices is new.vertices
         for old, new in zip(before, now, strict=True)

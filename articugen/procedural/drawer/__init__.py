@@ -21,7 +21,7 @@ from articugen.procedural.kit.solids import Solid, along_x, box, prism
 
 @dataclass(frozen=True)
 class Style:
-    """What all drawers of one object have in common.
+    """Features that all drawers of one object share.
 
     Attributes:
         mount: full or partial: the front covers the boards' edges; inset: it fills the opening.
@@ -56,12 +56,12 @@ MOST_STROKE, MOST_STROKE_VARIED = 0.9, 1.0
 
 
 def build(rng: np.random.Generator) -> Model:
-    """One object: links body and drawer_0 to drawer_2."""
+    """Build one object: links body and drawer_0 to drawer_2."""
     return _built(rng, draw_layout(rng), MOST_STROKE)
 
 
 def build_varied(rng: np.random.Generator) -> Model:
-    """One with one to three drawers, which may slide all the way out."""
+    """Build one with one to three drawers, which may slide all the way out."""
     return _built(rng, draw_layout(rng, varied=True), MOST_STROKE_VARIED)
 
 
@@ -135,7 +135,7 @@ def _front_rect(cell: Cell, style: Style) -> Rect:
 
 
 def _drawer(cell: Cell, carcass: Carcass, style: Style) -> tuple[list[Solid], float]:
-    """The solids of a drawer and the depth of its box."""
+    """Build the solids of a drawer and the depth of its box."""
     front = _front_rect(cell, style)
     x_front = carcass.x1 - style.thickness if style.mount == "inset" else carcass.x1 + GAP
     solids = [*_front(front, x_front, carcass, style), *_pulls(front, x_front, carcass, style)]
@@ -156,7 +156,7 @@ def _drawer(cell: Cell, carcass: Carcass, style: Style) -> tuple[list[Solid], fl
 
 
 def _false_door(cell: Cell, carcass: Carcass, style: Style) -> list[Solid]:
-    """A door that does not open, and the filling behind it."""
+    """Build a door that does not open, and the filling behind it."""
     rect, opening = _front_rect(cell, style), cell.opening
     x = carcass.x1 - style.thickness if style.mount == "inset" else carcass.x1
     filled = box((carcass.x0, opening.y0, opening.z0), (x, opening.y1, opening.z1))
@@ -171,7 +171,7 @@ def _false_door(cell: Cell, carcass: Carcass, style: Style) -> list[Solid]:
 
 
 def _front(rect: Rect, x: float, carcass: Carcass, style: Style) -> list[Solid]:
-    """The plate of a drawer or door, its back at `x`."""
+    """Build the plate of a drawer or door, its back at `x`."""
     t = style.thickness
     field, hole = rect.shrunk(0.16 * min(rect.width, rect.height)), rect.shrunk(_stile(rect))
     match style.front:
@@ -194,12 +194,12 @@ def _front(rect: Rect, x: float, carcass: Carcass, style: Style) -> list[Solid]:
 
 
 def _stile(rect: Rect) -> float:
-    """The width of a frame's bars around a recessed panel."""
+    """Return the width of a frame's bars around a recessed panel."""
     return 0.2 * min(rect.width, rect.height)
 
 
 def _face(rect: Rect, x: float, y: float, carcass: Carcass, style: Style) -> float:
-    """Where a pull stands: the x of the plate's face."""
+    """Return where a pull stands: the x of the plate's face."""
     t = style.thickness
     if style.front == "shaker":
         on_bar = abs(y - rect.center[0]) > 0.5 * rect.width - _stile(rect)
@@ -225,20 +225,20 @@ def _slats(rect: Rect, x0: float, x1: float) -> list[Solid]:
 
 
 def _bulge(y: Array, carcass: Carcass) -> Array:
-    """The bow's height, 1 in the middle of the carcass and 0 at its sides."""
+    """Return the bow's height, 1 in the middle of the carcass and 0 at its sides."""
     s = (y - carcass.outer.center[0]) / (0.5 * carcass.outer.width)
     return np.maximum(1.0 - s * s, 0.0)
 
 
 def _bowed(rect: Rect, x: float, carcass: Carcass, style: Style) -> Array:
-    """The outline (n, 2) in (x, y) of a bowed plate."""
+    """Return the outline (n, 2) in (x, y) of a bowed plate."""
     y = np.linspace(rect.y0, rect.y1, 14)
     arc = np.stack([x + style.thickness + style.bow * _bulge(y, carcass), y], axis=1)
     return np.concatenate([[(x, rect.y0)], arc, [(x, rect.y1)]])
 
 
 def _notched(rect: Rect) -> Array:
-    """The outline (n, 2) in (y, z) of a plate with a grip cut out of its upper edge."""
+    """Return the outline (n, 2) in (y, z) of a plate with a grip cut out of its upper edge."""
     half, deep = min(0.07, 0.22 * rect.width), min(0.2 * rect.height, 0.035)
     angle = np.linspace(0.0, np.pi, 11)
     arc = np.stack([half * cos(angle), -deep * sin(angle)], axis=1)
@@ -254,7 +254,7 @@ def _one_pull(kind: str, length: float, style: Style, *, upright: bool = False) 
 
 
 def _pulls(rect: Rect, x: float, carcass: Carcass, style: Style) -> list[Solid]:
-    """The pulls of one drawer's front, in their places."""
+    """Build the pulls of one drawer's front, in their places."""
     if style.pull == "none":
         return []
     count = style.pulls if rect.width > 0.45 and style.pull != "strip" else 1

@@ -41,7 +41,7 @@ class Carcass:
 
 
 def divided(cells: Split, carcass: Carcass) -> tuple[list[Cell], list[Solid]]:
-    """The compartments of a carcass, top left first, and the boards between them."""
+    """Build the compartments of a carcass, top left first, and the boards between them."""
     inside = carcass.outer.shrunk(carcass.board)
     return _divided(cells, inside, carcass.outer, carcass)
 
@@ -136,7 +136,7 @@ def top(
 
 
 def support(rng: np.random.Generator, layout: Layout, board: float) -> tuple[list[Solid], float]:
-    """What the carcass stands on, and how high its floor is."""
+    """Build the feet or plinth of the carcass, and return the height of its floor."""
     width, depth, height = layout.size
     kind = str(rng.choice(layout.supports))
     y0 = -width / 2 + layout.kneehole * width
@@ -167,7 +167,7 @@ _LIFTS = {
 
 
 def _corners(foot: Rect, inset: float) -> list[tuple[float, float, float, float]]:
-    """(x, y, outward x, outward y) of four places, `inset` from the sides."""
+    """Return (x, y, outward x, outward y) of four places, `inset` from the sides."""
     x, y = foot.center
     a, b = foot.width / 2 - inset, foot.height / 2 - inset
     return [(x + i * a, y + j * b, i, j) for i in (-1, 1) for j in (-1, 1)]

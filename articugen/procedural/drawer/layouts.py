@@ -26,7 +26,7 @@ class Split:
 
 @dataclass(frozen=True)
 class Layout:
-    """What a piece is for.
+    """Purpose of a piece of furniture.
 
     Attributes:
         size: (width, depth, height), metres.
@@ -61,7 +61,7 @@ class _Cut:
     swap: Either | bool = False
 
     def drawn(self, rng: np.random.Generator, growth: float = 1.0) -> Split:
-        """The split; each of its children is `growth` times as large as the one before."""
+        """Return the split; each of its children is `growth` times as large as the one before."""
         kinds = [draw(rng, child) for child in self.children]
         children = [kind.drawn(rng) if isinstance(kind, _Cut) else kind for kind in kinds]
         if draw(rng, self.swap):

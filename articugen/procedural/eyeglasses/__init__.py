@@ -79,7 +79,7 @@ class _Shape:
         return solid.moved(turn).shifted(y=self.lens_y)
 
     def place(self, point: Array) -> Array:
-        """(y, z) on the right lens's plane to where it stands (x, y, z)."""
+        """Return (y, z) on the right lens's plane to where it stands (x, y, z)."""
         wrapped = turned(rotation_about((0, 0, 1), -self.wrap), (0.0, *point))
         return wrapped + np.array([0.0, self.lens_y, 0.0])
 
@@ -90,7 +90,7 @@ def build(rng: np.random.Generator) -> Model:
 
 
 def build_varied(rng: np.random.Generator) -> Model:
-    """The same with upright hinges at two heights."""
+    """Build the same with upright hinges at two heights."""
     return _built(rng, upright=True)
 
 
@@ -199,7 +199,7 @@ def _draw(rng: np.random.Generator) -> _Shape:
 
 
 def _eye(s: _Shape) -> list[Solid]:
-    """The right lens and what holds it."""
+    """Build the right lens and what holds it."""
     t = s.lens_thickness if s.style != "rimless" else max(s.lens_thickness, 1.8 * MM)
     lens = s.placed(along_x(prism(s.lens, -t / 2, t / 2, panel=True)))
     path = np.c_[np.zeros(len(s.lens)), s.lens]
@@ -219,7 +219,7 @@ def _eye(s: _Shape) -> list[Solid]:
 
 
 def _shield(rng: np.random.Generator, s: _Shape) -> tuple[list[Solid], Array]:
-    """One pane bent around the face, with a bar above, and the top of its right end."""
+    """Build one pane bent around the face, with a bar above, and the top of its right end."""
     half, bend = rng.uniform(62, 72) * MM, np.deg2rad(rng.uniform(28, 48))
     radius = half / sin(bend)
     turn = np.linspace(-bend, bend, 33)
@@ -243,12 +243,12 @@ def _shield(rng: np.random.Generator, s: _Shape) -> tuple[list[Solid], Array]:
 
 
 def _flat_section(thickness: float, height: float) -> Array:
-    """A section with cut corners."""
+    """Return a section with cut corners."""
     return rounded_rectangle(thickness, height, 0.3 * min(thickness, height), segments=1)
 
 
 def _upper_run(outline: Array) -> list[int]:
-    """The vertices of the upper half, in the order of the outline."""
+    """Return the vertices of the upper half, in the order of the outline."""
     n = len(outline)
     above = outline[:, 1] > 0.12 * outline[:, 1].max()
     first = next(i for i in range(n) if above[i] and not above[i - 1])
@@ -256,7 +256,7 @@ def _upper_run(outline: Array) -> list[int]:
 
 
 def _bridge(rng: np.random.Generator, s: _Shape) -> list[Solid]:
-    """What joins the two eyes: a saddle, a wire, two wires, or a straight bar above."""
+    """Build the bridge between the eyes: a saddle, a wire, two wires, or a straight bar above."""
     heights = [rng.uniform(0.15, 0.45)]
     if s.style in ("wire", "rimless") and rng.random() < 0.35:
         heights = [rng.uniform(0.1, 0.2), rng.uniform(0.72, 0.85)]
@@ -269,7 +269,7 @@ def _bridge(rng: np.random.Generator, s: _Shape) -> list[Solid]:
 
 
 def _arch(s: _Shape, start: Array, rise: float, forward: float) -> Solid:
-    """A bar from `start`, in the right rim, to its mirror image, arched up and forward."""
+    """Build a bar from `start`, in the right rim, to its mirror image, arched up and forward."""
     u = np.linspace(1.0, -1.0, 11)
     bow = 1.0 - u**2
     path = np.stack([start[0] - forward * bow, start[1] * u, start[2] + rise * bow], axis=1)
@@ -283,7 +283,7 @@ def _arch(s: _Shape, start: Array, rise: float, forward: float) -> Solid:
 
 
 def _inner_point(s: _Shape, z: float) -> Array:
-    """The point (y, z) of the lens's edge that is nearest to the nose at height `z`."""
+    """Return the point (y, z) of the lens's edge that is nearest to the nose at height `z`."""
     inner = s.lens[s.lens[:, 0] < 0.0]
     order = np.argsort(inner[:, 1], kind="stable")
     depth = 1.5 * s.wire if s.style == "rimless" else 0.0
@@ -317,7 +317,7 @@ def _knuckle_radius(s: _Shape) -> float:
 
 
 def _clear(s: _Shape) -> float:
-    """How far end piece and temple stay from the hinge's axis."""
+    """Return how far end piece and temple stay from the hinge's axis."""
     half = (s.temple[0] + s.temple[1] * sin(_MOST_LEAN)) / 2
     return max(half, _knuckle_radius(s)) + _SLIT
 
@@ -329,14 +329,14 @@ def _hinge_across(s: _Shape, face: list[Solid]) -> float:
 
 
 def _normal(lean: float) -> Array:
-    """The normal of the planes in which both temples turn."""
+    """Return the normal of the planes in which both temples turn."""
     return np.array([0.0, -sin(lean), cos(lean)])
 
 
 def _lean(temple: list[Solid], across: float) -> float:
-    """The least angle of the hinges at which the left temple's lowest point passes over the right
-    one's highest; the right temple (its hinge at the origin) and its mirror image are `across`
-    from the middle."""
+    """Return the least angle of the hinges at which the left temple's lowest point passes over the
+    right one's highest; the right temple (its hinge at the origin) and its mirror image are
+    `across` from the middle."""
     points = np.concatenate([solid.vertices for solid in temple])
 
     def room(lean: float) -> float:
@@ -357,7 +357,7 @@ def _height(solids: list[Solid]) -> float:
 
 
 def _hinge_depth(s: _Shape, face: list[Solid], temple: list[Solid], lean: float) -> float:
-    """The x of the hinges' axes: behind all that either folded temple passes."""
+    """Return the x of the hinges' axes: behind all that either folded temple passes."""
     deepest = max(float(solid.vertices[:, 0].max()) for solid in face)
     points = np.concatenate([solid.vertices for solid in temple])
     y, z = points[:, 1] * cos(lean), points[:, 2] * sin(lean)
@@ -372,8 +372,8 @@ def _temple_section(s: _Shape, scale: float = 1.0) -> Array:
 
 
 def _outer_point(s: _Shape, z: float) -> Array:
-    """Where the right end piece starts at a height: on the rim or, without one, a little inside
-    the lens."""
+    """Return where the right end piece starts at a height: on the rim or, without one, a little
+    inside the lens."""
     outer = s.lens[s.lens[:, 0] > 0.0]
     order = np.argsort(outer[:, 1], kind="stable")
     y = float(np.interp(z, outer[order, 1], outer[order, 0]))
@@ -411,7 +411,7 @@ def _knuckles(s: _Shape, *, of_temple: bool) -> list[Solid]:
 
 
 def _temple(rng: np.random.Generator, s: _Shape, across: float, *, level: bool) -> list[Solid]:
-    """The right temple, its hinge at the origin: back along +x, then bent down behind the ear
+    """Build the right temple, its hinge at the origin: back along +x, then bent down behind the ear
     (hardly, where `level`), sometimes with a sleeve. `across` is from the middle of the face to
     the hinge."""
     start = _clear(s)

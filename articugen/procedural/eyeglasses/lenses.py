@@ -30,7 +30,7 @@ class Lens:
 
 
 def lens_shapes(rng: np.random.Generator) -> dict[str, Lens]:
-    """One lens of each shape, by its name."""
+    """Return one lens of each shape, by its name."""
     u = rng.uniform
     return {
         "round": Lens(u(0.93, 1.0), 2.0, 0.0, 0.0, 0.0),
@@ -45,7 +45,7 @@ def lens_shapes(rng: np.random.Generator) -> dict[str, Lens]:
 
 
 def lens_outline(lens: Lens, width: float, slant: float) -> Array:
-    """The outline (n, 2) of the right lens about its middle: x outward, y up."""
+    """Return the outline (n, 2) of the right lens about its middle: x outward, y up."""
     # Vertices at equal steps of length: first many, then as many as wanted.
     angles = np.linspace(0.0, 2.0 * np.pi, 721)
     cosine, sine = cos(angles), sin(angles)

@@ -23,7 +23,7 @@ def rounded_rectangle(
     center: ArrayLike = (0.0, 0.0),
     segments: int = 4,
 ) -> Array:
-    """A rectangle whose corners are arcs of `segments` chords; 4 * (segments + 1) vertices.
+    """Return a rectangle whose corners are arcs of `segments` chords; 4 * (segments + 1) vertices.
 
     Args:
         radius: of every corner, or (4,) in the order (-x, -y), (+x, -y), (+x, +y), (-x, +y). It is
@@ -47,7 +47,7 @@ def circle(radius: float, sides: int = 32, center: ArrayLike = (0.0, 0.0)) -> Ar
 
 
 def ellipse(a: float, b: float, sides: int = 32, center: ArrayLike = (0.0, 0.0)) -> Array:
-    """A polygon inscribed in the ellipse with half-axes `a` along x and `b` along y."""
+    """Return a polygon inscribed in the ellipse with half-axes `a` along x and `b` along y."""
     angles = (np.arange(sides) + 0.5) * (2.0 * np.pi / sides)
     unit = np.stack([cos(angles), sin(angles)], axis=1)
     return unit * (a, b) + np.asarray(center, dtype=np.float64)
@@ -68,7 +68,7 @@ def matched(outer: Array, inner: Array, center: ArrayLike = (0.0, 0.0)) -> tuple
 
 
 def _seen_from_origin(outline: Array, angles: Array) -> Array:
-    """Where rays from the origin at `angles` meet a star-shaped outline."""
+    """Return where rays from the origin at `angles` meet a star-shaped outline."""
     direction = np.stack([cos(angles), sin(angles)], axis=1)
     start, end = outline, np.roll(outline, -1, axis=0)
     normal = np.stack([end[:, 1] - start[:, 1], start[:, 0] - end[:, 0]], axis=1)

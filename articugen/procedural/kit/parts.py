@@ -53,7 +53,7 @@ class Rect:
         return Rect(self.y0 + y, self.z0 + z, self.y1 - y, self.z1 - z)
 
     def outline(self, radius: float = 0.0, segments: int = 4) -> Array:
-        """(n, 2) in (y, z); outlines with equal `segments` fit `solids.ring`."""
+        """Return (n, 2) in (y, z); outlines with equal `segments` fit `solids.ring`."""
         return rounded_rectangle(self.width, self.height, radius, self.center, segments)
 
 
@@ -64,7 +64,7 @@ def plate(rect: Rect, x0: float, x1: float, *, radius: float = 0.0, bevel: float
 
 
 def panel(rect: Rect, x0: float, x1: float) -> Solid:
-    """A thin plate that a messy model may write as a sheet."""
+    """Build a thin plate that a messy model may write as a sheet."""
     return box((x0, rect.y0, rect.z0), (x1, rect.y1, rect.z1), panel=True)
 
 
@@ -78,13 +78,13 @@ def frame(
     inner_radius: float = 0.0,
     segments: int = 4,
 ) -> Solid:
-    """A plate with a rectangular hole; both corners may be rounded."""
+    """Build a plate with a rectangular hole; both corners may be rounded."""
     sizes = (outer.outline(outer_radius, segments), inner.outline(inner_radius, segments))
     return along_x(ring(*sizes, x0, x1))
 
 
 def lathe(inner: ArrayLike, outer: ArrayLike, sides: int = 32) -> Solid:
-    """A shell of revolution around z: bowls, domes, hoops.
+    """Build a shell of revolution around z: bowls, domes, hoops.
 
     Args:
         inner, outer: (k, 2) points (radius, height) from one rim to the other. Quad i, between
@@ -115,7 +115,7 @@ def lathe(inner: ArrayLike, outer: ArrayLike, sides: int = 32) -> Solid:
 
 
 def rod(path: ArrayLike, radius: float, sides: int = 8, *, closed: bool = False) -> Solid:
-    """A round bar along a polyline (n, 3); a closed one lies in a plane z = const."""
+    """Build a round bar along a polyline (n, 3); a closed one lies in a plane z = const."""
     points = np.asarray(path, dtype=np.float64)
     first = np.abs(points[1] - points[0])
     up = (0.0, 0.0, 1.0) if first[2] < 0.9 * norm(first) else (1.0, 0.0, 0.0)
@@ -128,7 +128,7 @@ def tapered(radii: ArrayLike, heights: ArrayLike, sides: int = 16) -> Solid:
 
 
 def knob(kind: str, radius: float, reach: float, sides: int = 16) -> list[Solid]:
-    """A control or furniture knob.
+    """Build a control or furniture knob.
 
     Args:
         kind: plain, grip, cone, ball, square or mushroom.
@@ -158,7 +158,7 @@ _KNOB_PROFILES = {
 def handle(
     kind: str, length: float, reach: float, thickness: float, *, upright: bool = False
 ) -> list[Solid]:
-    """A pull along y (or z where `upright`), its middle at the origin.
+    """Build a pull along y (or z where `upright`), its middle at the origin.
 
     Args:
         kind: bar, flat, arch, cup or strip.
@@ -192,7 +192,7 @@ _UPRIGHT = transform(np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]))
 
 
 def _cup(half: float, reach: float, wall: float) -> list[Solid]:
-    """A bin pull: a quarter of a tube, open below, closed at both ends."""
+    """Build a bin pull: a quarter of a tube, open below, closed at both ends."""
     angles = np.linspace(0.0, np.pi / 2, 7)
     arc = np.stack([cos(angles), sin(angles)], axis=1)  # (z, x), from the plane to the lip
     middle = np.array((reach / 2, 0.0))

@@ -25,7 +25,7 @@ class Either:
 
 
 def draw(rng: np.random.Generator, entry: Any, before: Mapping[str, Any] | None = None) -> Any:
-    """A value as an entry of a table says.
+    """Return a value as an entry of a table says.
 
     Args:
         entry: a tuple (low, high) for a number between them, a list for one of its members, an
@@ -44,7 +44,7 @@ def draw(rng: np.random.Generator, entry: Any, before: Mapping[str, Any] | None 
 
 
 def draw_all(rng: np.random.Generator, table: Mapping[str, Any]) -> dict[str, Any]:
-    """A value for each entry of a table, in its order."""
+    """Return a value for each entry of a table, in its order."""
     values: dict[str, Any] = {}
     for name, entry in table.items():
         values[name] = draw(rng, entry, values)

@@ -52,7 +52,7 @@ class Sheet:
         return self.triangles + self.seen * self.thickness / 2 * normal / norm(normal)
 
     def moved(self, T: Array) -> "Sheet":
-        """The sheet after the rigid transform `T` (4, 4)."""
+        """Return the sheet after the rigid transform `T` (4, 4)."""
         return replace(self, triangles=apply(T, self.triangles))
 
 
@@ -83,7 +83,7 @@ class Solid:
 
     @cached_property
     def half_spaces(self) -> tuple[Array, ...]:
-        """For each cell (m, 4): rows (nx, ny, nz, d); inside is n . x <= d.
+        """Rows (m, 4) for each cell: (nx, ny, nz, d); inside is n . x <= d.
 
         Raises:
             ValueError: a cell is not convex.
@@ -119,16 +119,16 @@ class Solid:
         return float(np.sum(a * cross(b, c)) / 6.0)
 
     def moved(self, T: Array) -> "Solid":
-        """The solid after the rigid transform `T` (4, 4)."""
+        """Build the solid after the rigid transform `T` (4, 4)."""
         sheet = None if self.sheet is None else self.sheet.moved(T)
         return Solid(apply(T, self.vertices), self.cells, sheet)
 
     def shifted(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> "Solid":
-        """The solid moved by (x, y, z)."""
+        """Build the solid moved by (x, y, z)."""
         return self.moved(transform(translation=(x, y, z)))
 
     def mirrored(self, axis: int) -> "Solid":
-        """The mirror image: coordinate `axis` (0, 1 or 2) with the opposite sign."""
+        """Build the mirror image: coordinate `axis` (0, 1 or 2) with the opposite sign."""
         sign = np.where(np.arange(3) == axis, -1.0, 1.0)
         cells = tuple(tuple(face[::-1] for face in cell) for cell in self.cells)
         sheet = (
@@ -150,7 +150,7 @@ def along_y(solid: Solid) -> Solid:
 
 
 def box(lower: ArrayLike, upper: ArrayLike, *, panel: bool = False) -> Solid:
-    """The axis-aligned box between two corners; a `panel` may be written as a sheet.
+    """Build the axis-aligned box between two corners; a `panel` may be written as a sheet.
 
     Mark a box as a panel only if it is thin and no slit half as wide as its thickness, around its
     mid-surface, would open a view into a closed space.
@@ -166,7 +166,7 @@ def box(lower: ArrayLike, upper: ArrayLike, *, panel: bool = False) -> Solid:
 
 
 def prism(outline: Array, z0: float, z1: float, *, panel: bool = False, seen: int = 0) -> Solid:
-    """A simple polygon (n, 2), convex or not, raised from `z0` to `z1`.
+    """Build a simple polygon (n, 2), convex or not, raised from `z0` to `z1`.
 
     Args:
         panel: see `box`.
@@ -188,7 +188,7 @@ def prism(outline: Array, z0: float, z1: float, *, panel: bool = False, seen: in
 
 
 def loft(rings: ArrayLike, *, closed: bool = False) -> Solid:
-    """One cell between each ring and the next.
+    """Build one cell between each ring and the next.
 
     Args:
         rings: (k, n, 3) plane convex polygons, counter-clockwise seen against the way on.
@@ -212,7 +212,7 @@ def stack(outlines: Sequence[Array], heights: Sequence[float]) -> Solid:
 
 
 def cylinder(radius: float, z0: float, z1: float, *, sides: int = 24, bevel: float = 0.0) -> Solid:
-    """A regular prism around z, its edges cut at 45 degrees by `bevel`."""
+    """Build a regular prism around z, its edges cut at 45 degrees by `bevel`."""
     if bevel <= 0.0:
         return prism(circle(radius, sides), z0, z1)
     radii = (radius - bevel, radius, radius, radius - bevel)
@@ -248,8 +248,8 @@ def block(
 
 
 def ring(outer: Array, inner: Array, z0: float, z1: float) -> Solid:
-    """The space between two outlines of equal length (n, 2), raised: frames, tubes, panels with a
-    hole. Vertex i of both is joined by a cut, so each piece between two cuts must be convex
+    """Build the space between two outlines of equal length (n, 2), raised: frames, tubes, panels
+    with a hole. Vertex i of both is joined by a cut, so each piece between two cuts must be convex
     (`outlines.matched` makes it so)."""
     n = len(outer)
     flat = np.concatenate([outer, inner])
@@ -266,7 +266,7 @@ def ring(outer: Array, inner: Array, z0: float, z1: float) -> Solid:
 def sweep(
     path: ArrayLike, section: ArrayLike, *, closed: bool = False, up: ArrayLike = (0.0, 0.0, 1.0)
 ) -> Solid:
-    """A convex section carried along a polyline, mitred at its corners.
+    """Build a convex section carried along a polyline, mitred at its corners.
 
     Args:
         path: (n, 3).
@@ -312,7 +312,7 @@ def _corners(width: float, depth: float, center: Array) -> Array:
 
 
 def _side(vertices: Array, a: list[int], b: list[int], i: int) -> list[Face]:
-    """The quad between edge i of two rings, or two triangles where it is not plane.
+    """Return the quad between edge i of two rings, or two triangles where it is not plane.
 
     Of the two diagonals the one is taken that leaves the cell convex.
     """
@@ -344,7 +344,7 @@ def _planes(vertices: Array, faces: list[Face]) -> Array:
 
 
 def _triangles(vertices: Array, faces: list[Face]) -> NDArray[np.int32]:
-    """The faces as triangles (n, 3), none of them flat though corners of a face may be."""
+    """Return the faces as triangles (n, 3), none of them flat though corners of a face may be."""
     quads = np.array([face for face in faces if len(face) == 4], np.int32).reshape(-1, 4)
     others = [t for face in faces if len(face) != 4 for t in _clipped(vertices, face)]
     p = vertices[quads]
@@ -358,7 +358,7 @@ def _triangles(vertices: Array, faces: list[Face]) -> NDArray[np.int32]:
 
 
 def _clipped(vertices: Array, face: Face) -> list[Face]:
-    """A convex polygon as triangles, cut off ear by ear, the fattest first."""
+    """Return a convex polygon as triangles, cut off ear by ear, the fattest first."""
     left = list(face)
     triangles = []
     while len(left) > 3:

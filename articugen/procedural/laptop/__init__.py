@@ -38,7 +38,7 @@ _T_WORLD_USER = transform([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 def build(rng: np.random.Generator) -> Model:
-    """A laptop with links `body` and `lid` and the joint `hinge`."""
+    """Build a laptop with links `body` and `lid` and the joint `hinge`."""
     shape = draw_shape(rng)
     base_knuckles, lid_knuckles = _hinge(rng, shape)
     base = [*_chassis(shape), *_feet(rng, shape), *_deck(rng, shape), *base_knuckles]
@@ -82,7 +82,7 @@ def _chassis(s: LaptopShape) -> list[Solid]:
 
 
 def _behind(s: LaptopShape, left: float, right: float) -> Array:
-    """The outline of the base around and behind the hinge, from x = `left` to `right`."""
+    """Return the outline of the base around and behind the hinge, from x = `left` to `right`."""
     size = right - left, s.reach + s.barrel + 2 * MM
     ends = (right > s.width / 2 - MM, left < MM - s.width / 2)
     radii = [0.5 * MM, 0.5 * MM, *(s.rear_corner if end else 0.5 * MM for end in ends)]
@@ -91,7 +91,7 @@ def _behind(s: LaptopShape, left: float, right: float) -> Array:
 
 
 def _rear_block(s: LaptopShape, bottom: float) -> list[Solid]:
-    """What juts out behind the hinge, below the lid's reach: an exhaust, or ports."""
+    """Build the block behind the hinge, below the lid's reach: an exhaust, or ports."""
     back = s.reach + (14 if s.kind == "gaming" else 6) * MM
     top = min(s.shelf, s.lowest_lid - 1.5 * MM)
     if top - bottom < 4.5 * MM:
@@ -129,7 +129,7 @@ def _feet(rng: np.random.Generator, s: LaptopShape) -> list[Solid]:
 
 
 def _deck(rng: np.random.Generator, s: LaptopShape) -> list[Solid]:
-    """The plate around the keys, the keys, the trackpad and what stands beside them."""
+    """Build the plate around the keys, the keys, the trackpad and what stands beside them."""
     board = _keyboard(rng, s)
     width, depth = board.size
     rear = s.rear - rng.uniform(0.25, 0.6) * (s.depth - depth) * 0.55 - 3 * MM
@@ -268,7 +268,7 @@ def _camera(rng: np.random.Generator, s: LaptopShape, under: float, face: float)
 
 
 def _emblem(rng: np.random.Generator, s: LaptopShape, back: float) -> list[Solid]:
-    """What stands out on the lid's back."""
+    """Build the emblem on the lid's back."""
     z = back, back + rng.uniform(0.4, 0.8) * MM
     x, y = s.middle
     size = rng.uniform(12, 26) * MM
@@ -293,7 +293,7 @@ def _emblem(rng: np.random.Generator, s: LaptopShape, back: float) -> list[Solid
 
 
 def _hinge(rng: np.random.Generator, s: LaptopShape) -> tuple[list[Solid], list[Solid]]:
-    """The knuckles of the base and those of the lid, side by side on the axis."""
+    """Build the knuckles of the base and those of the lid, side by side on the axis."""
     cuts = _cuts(rng, s)
     knuckles: dict[str, list[Solid]] = {"base": [], "lid": []}
     for left, right, owner in cuts:
@@ -307,7 +307,7 @@ def _hinge(rng: np.random.Generator, s: LaptopShape) -> tuple[list[Solid], list[
 
 
 def _cuts(rng: np.random.Generator, s: LaptopShape) -> list[tuple[float, float, str]]:
-    """Where along the axis the knuckles are, and whose."""
+    """Return where along the axis the knuckles are, and whose."""
     corner = s.corner + 15 * MM if s.kind == "rugged" else max(s.corner, 6 * MM)
     end = s.width / 2 - corner  # Beyond it the outline is round, or padded.
     if s.hinge == "pair":
@@ -326,7 +326,7 @@ def _cuts(rng: np.random.Generator, s: LaptopShape) -> list[tuple[float, float, 
 
 
 def _arm(s: LaptopShape, owner: str, left: float, right: float) -> list[Solid]:
-    """What joins a knuckle to its base or lid."""
+    """Build the arm between a knuckle and its base or lid."""
     far, joined = 0.85 * s.barrel, s.rear - 2 * MM
     if not s.drops:  # A base's knuckle lies in the base itself.
         return [box((left, joined, 0.0), (right, 0.0, far))] if owner == "lid" else []
@@ -337,7 +337,7 @@ def _arm(s: LaptopShape, owner: str, left: float, right: float) -> list[Solid]:
 
 
 def _between_notches(s: LaptopShape, notches: list[tuple[float, float]]) -> list[Solid]:
-    """The base's rear, up to the deck, wherever there is no knuckle of the lid."""
+    """Build the base's rear, up to the deck, wherever there is no knuckle of the lid."""
     edges = [-s.width / 2, s.width / 2]
     for a, b in notches:
         edges += [a - SLIT / 2, b + SLIT / 2]
@@ -364,7 +364,7 @@ def _bumpers(s: LaptopShape, z0: float, z1: float) -> list[Solid]:
 
 
 def _handle(rng: np.random.Generator, s: LaptopShape) -> list[Solid]:
-    """A carrying handle at the front."""
+    """Build a carrying handle at the front."""
     half, out, r = s.width * rng.uniform(0.18, 0.3), rng.uniform(24, 34) * MM, 5 * MM
     z = (s.deck + s.floor) / 2
     turn = np.linspace(0.0, np.pi / 2, 5)[:, None] * np.ones(2)

@@ -58,7 +58,7 @@ class Keyboard:
         return across * self.pitch[0], (5.0 + self.function_row) * self.pitch[1]
 
     def solids(self, left: float, rear: float, z0: float, z1: float) -> list[Solid]:
-        """All keys between heights `z0` and `z1`; the field's corner is at (left, rear)."""
+        """Build all keys between heights `z0` and `z1`; the field's corner is at (left, rear)."""
         keys = _letter_block(self)
         if self.number_pad:
             keys += _number_pad(self.function_row)

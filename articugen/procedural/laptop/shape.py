@@ -148,16 +148,16 @@ class LaptopShape:
         return np.array([0.0, (self.rear + self.front) / 2])
 
     def outline(self, inset: float, segments: int = 5) -> Array:
-        """The outline from above up to the hinge, `inset` within the base's walls."""
+        """Return the outline from above up to the hinge, `inset` within the base's walls."""
         return self._rounded(self.rear, inset, float(self.drops), segments)
 
     def lid_outline(self, inset: float, segments: int = 5) -> Array:
-        """The lid's outline from above when closed, `inset` within its walls."""
+        """Return the lid's outline from above when closed, `inset` within its walls."""
         return self._rounded(self.lid_rear, inset, 1.0, segments)
 
     def _rounded(self, rear: float, inset: float, rear_share: float, segments: int) -> Array:
-        """A rounded rectangle from the front to `rear`; its rear corners have `rear_share` of the
-        radius of the others."""
+        """Return a rounded rectangle from the front to `rear`; its rear corners have `rear_share`
+        of the radius of the others."""
         depth = rear - self.front
         radii = np.array([1.0, 1.0, rear_share, rear_share]) * self.corner - inset
         middle = (0.0, self.front + depth / 2)
@@ -165,13 +165,13 @@ class LaptopShape:
         return rounded_rectangle(*size, np.maximum(radii, 0.5 * MM), middle, segments)
 
     def bottom(self, y: Array | float) -> Array | float:
-        """The height of the base's underside, which falls to the rear."""
+        """Return the height of the base's underside, which falls to the rear."""
         t = (np.asarray(y) - self.front) / self.depth
         return self.bottom_front + t * (self.bottom_rear - self.bottom_front)
 
 
 def draw_shape(rng: np.random.Generator) -> LaptopShape:
-    """The measures of a laptop of any kind."""
+    """Return the measures of a laptop of any kind."""
     kind = str(rng.choice(list(KINDS)))
     ranges = KINDS[kind]
     diagonal = rng.uniform(*ranges.diagonal) * 25.4 * MM

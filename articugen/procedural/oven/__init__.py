@@ -22,7 +22,7 @@ _CORNER = 0.06
 
 
 def build(rng: np.random.Generator) -> Model:
-    """One object: links body and door."""
+    """Build one object: links body and door."""
     oven = draw_plan(rng)
     opening, back = _cavity(rng, oven)
     pull = _pull(rng, oven)
@@ -42,7 +42,7 @@ def build(rng: np.random.Generator) -> Model:
 
 
 def _cavity(rng: np.random.Generator, oven: Oven) -> tuple[Rect, float]:
-    """The cavity's opening behind the door, and the x of its back."""
+    """Return the cavity's opening behind the door, and the x of its back."""
     small = min(oven.door.width, oven.door.height)
     side = min(rng.uniform(0.09, 0.14) * small, 0.3 * small)
     wall = 0.03 * oven.extent
@@ -53,7 +53,7 @@ def _cavity(rng: np.random.Generator, oven: Oven) -> tuple[Rect, float]:
 
 
 def _casing(oven: Oven, opening: Rect, back: float) -> list[Solid]:
-    """The solid body around the cavity, with a rim if it is for building in."""
+    """Build the solid body around the cavity, with a rim if it is for building in."""
     body, rim = oven.body, -0.02 * oven.extent
     inner = body.shrunk(oven.flange)
     start = rim if oven.flange > 0.0 else 0.0
@@ -102,7 +102,7 @@ def _rack(rng: np.random.Generator, opening: Rect, back: float, z: float, r: flo
 
 
 def _door(oven: Oven, rect: Rect, x: float) -> list[Solid]:
-    """A door's leaf, its back at `x`."""
+    """Build a door's leaf, its back at `x`."""
     t, small = oven.thickness, min(rect.width, rect.height)
     corner = min(oven.radius, 0.2 * small)
     if oven.look in ("window", "wide"):
@@ -130,7 +130,7 @@ def _door(oven: Oven, rect: Rect, x: float) -> list[Solid]:
 
 
 def _plug(rng: np.random.Generator, oven: Oven, opening: Rect) -> list[Solid]:
-    """The door's inner panel, which stands a little into the cavity.
+    """Build the door's inner panel, which stands a little into the cavity.
 
     Its upper inner edge swings on a circle about the hinge and must pass below the opening's edge.
     """

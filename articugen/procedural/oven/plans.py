@@ -56,14 +56,14 @@ class Oven:
 
 
 def draw_plan(rng: np.random.Generator) -> Oven:
-    """The plan of an oven of any kind."""
+    """Return the plan of an oven of any kind."""
     drawn = _PLAIN | draw_all(rng, _KINDS[rng.integers(len(_KINDS))])
     kept = {k: v for k, v in drawn.items() if k in {field.name for field in fields(Oven)}}
     return Oven(**_rectangles(SimpleNamespace(**drawn)), **kept)
 
 
 def _rectangles(d: SimpleNamespace) -> dict[str, Any]:
-    """The rectangles of an oven with these measures."""
+    """Return the rectangles of an oven with these measures."""
     half, top = d.width / 2, d.height or d.lift + d.rise
     left, right, floor, ceiling = d.side - half, half - d.side, d.lift + d.sill, top - d.strip
     panel = Rect(-half, ceiling, half, top)
@@ -102,7 +102,7 @@ def _rectangles(d: SimpleNamespace) -> dict[str, Any]:
 
 
 def _hung(y0: float, z0: float, y1: float, ceiling: float, thickness: float) -> Rect:
-    """A door that may fill the space below `ceiling`.
+    """Return a door that may fill the space below `ceiling`.
 
     Its upper inner edge rises while it swings, up to the length of the front's diagonal
     sqrt(height^2 + thickness^2) above the hinge.

@@ -15,7 +15,7 @@ Spots = list[tuple[float, float]]
 
 
 def control_panel(rng: np.random.Generator, oven: Oven, rect: Rect) -> list[Solid]:
-    """A panel in front of the body with knobs, and mostly a display and buttons."""
+    """Build a panel in front of the body with knobs, and mostly a display and buttons."""
     t = oven.thickness
     if rect.height > rect.width:
         radius = min(0.6 * oven.radius, 0.3 * rect.width)
@@ -70,7 +70,7 @@ def _column_of_controls(rng: np.random.Generator, oven: Oven, rect: Rect) -> lis
 
 
 def _display(rng: np.random.Generator, half: float, tall: float, out: float) -> list[Solid]:
-    """A raised display at the origin, with buttons under or beside it."""
+    """Build a raised display at the origin, with buttons under or beside it."""
     if half < 0.02:
         return []
     screen = plate(Rect(-half, -tall, half, tall), 0.0, out, bevel=0.3 * out)
@@ -86,7 +86,7 @@ def _display(rng: np.random.Generator, half: float, tall: float, out: float) -> 
 
 
 def back_guard(rng: np.random.Generator, oven: Oven) -> list[Solid]:
-    """The upright board behind the stove, its front leaning back."""
+    """Build the upright board behind the stove, its front leaning back."""
     if oven.guard <= 0.0:
         return []
     body, back = oven.body, -oven.depth
@@ -106,7 +106,7 @@ def back_guard(rng: np.random.Generator, oven: Oven) -> list[Solid]:
 
 
 def cooktop(rng: np.random.Generator, oven: Oven) -> list[Solid]:
-    """A slab with its burners; nothing where the oven has no stove."""
+    """Build a slab with its burners; nothing where the oven has no stove."""
     if oven.stove == "none":
         return []
     body, e = oven.body, oven.extent
@@ -122,7 +122,7 @@ def cooktop(rng: np.random.Generator, oven: Oven) -> list[Solid]:
 
 
 def _spots(area: Rect, columns: int) -> Spots:
-    """(x, y) of two rows of burners."""
+    """Return (x, y) of two rows of burners."""
     x, y = area.center
     return [
         (x + i * 0.25 * area.width, b) for b in row(y, area.height / 2, columns) for i in (-1, 1)
@@ -149,7 +149,7 @@ def _gas(rng: np.random.Generator, area: Rect, e: float) -> list[Solid]:
 
 
 def _grate(area: Rect, z: float, r: float) -> list[Solid]:
-    """A frame of square bars on four feet, with a cross over each of two burners."""
+    """Build a frame of square bars on four feet, with a cross over each of two burners."""
     (x, y), high = area.center, z + r
 
     def bar(x0: float, y0: float, x1: float, y1: float, bottom: float = z - r) -> Solid:
@@ -183,7 +183,7 @@ def _coil(rng: np.random.Generator, area: Rect, e: float) -> list[Solid]:
 
 
 def _glass(rng: np.random.Generator, area: Rect, e: float) -> list[Solid]:
-    """A ceramic plate with four marked zones."""
+    """Build a ceramic plate with four marked zones."""
     z = 0.006
     solids = [block((area.y0, area.z0, 0.0), (area.y1, area.z1, z), radius=0.012, bevel=(0, 0.002))]
     for x, y in _spots(area, _columns(area)):

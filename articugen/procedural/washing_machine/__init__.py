@@ -17,7 +17,7 @@ from articugen.procedural.washing_machine.plan import Washer, draw
 
 
 def build(rng: np.random.Generator) -> Model:
-    """One object: links body and door.
+    """Build one object: links body and door.
 
     One in a hundred draws has a drum that comes through the casing, or a bowl too flat for its
     wall: it is drawn again.
@@ -28,7 +28,7 @@ def build(rng: np.random.Generator) -> Model:
 
 
 def _is_sound(model: Model) -> bool:
-    """Whether all cells are convex, which those of outlines that cross are not."""
+    """Return whether all cells are convex, which those of outlines that cross are not."""
     try:
         return all(len(s.half_spaces) for link in model.links for s in link.solids)
     except ValueError:
@@ -61,7 +61,7 @@ def _drawn(rng: np.random.Generator) -> Model:
 
 
 def _unit(rng: np.random.Generator, washer: Washer) -> list[Solid]:
-    """The casing with its drum, top and controls."""
+    """Build the casing with its drum, top and controls."""
     return [
         *_casing(washer),
         *_drum(rng, washer),
@@ -71,7 +71,7 @@ def _unit(rng: np.random.Generator, washer: Washer) -> list[Solid]:
 
 
 def _casing(washer: Washer) -> list[Solid]:
-    """The solid body: a front with the opening, the drum's space, the back."""
+    """Build the solid body: a front with the opening, the drum's space, the back."""
     center, outline = (0.0, washer.middle), washer.body.outline(washer.radius)
     radius, deep = washer.drum
 
@@ -87,7 +87,7 @@ def _casing(washer: Washer) -> list[Solid]:
 
 
 def _drum(rng: np.random.Generator, washer: Washer) -> list[Solid]:
-    """What is seen inside: a lining with a lip, lifters, a hub with spokes."""
+    """Build the inside: a lining with a lip, lifters, a hub with spokes."""
     radius, deep = washer.drum
     wall, x = washer.wall, -washer.front
     back, inner = x - deep, radius - wall
@@ -111,12 +111,12 @@ def _drum(rng: np.random.Generator, washer: Washer) -> list[Solid]:
 
 
 def _turned(solid: Solid, turns: float) -> Solid:
-    """The solid turned about x."""
+    """Build the solid turned about x."""
     return solid.moved(transform(rotation_about((1, 0, 0), 2 * np.pi * turns)))
 
 
 def _top(rng: np.random.Generator, washer: Washer) -> list[Solid]:
-    """A lid; none on rounded bodies and under a dryer."""
+    """Build a lid; none on rounded bodies and under a dryer."""
     if washer.radius > 0.02 or washer.stacked:
         return []
     body, thick = washer.body, rng.uniform(1.2, 2.4) * washer.wall
@@ -158,7 +158,7 @@ def _controls(rng: np.random.Generator, washer: Washer) -> list[Solid]:
 def _panel(
     rng: np.random.Generator, width: float, height: float, e: float, *, tray: bool
 ) -> list[Solid]:
-    """The controls around the origin, on the plane x = 0."""
+    """Build the controls around the origin, on the plane x = 0."""
     left, tall = -0.47 * width, 0.36 * height
     solids, used = [], left
     if tray:
@@ -184,7 +184,7 @@ def _panel(
 
 
 def _tray(rng: np.random.Generator, rect: Rect, e: float) -> list[Solid]:
-    """The front of a detergent tray, with a cup or a lip to pull."""
+    """Build the front of a detergent tray, with a cup or a lip to pull."""
     front = 0.9 * e
     solids = [plate(rect, 0.0, front, radius=0.15 * rect.height, bevel=0.25 * e)]
     y, z = rect.center
@@ -228,7 +228,7 @@ def _grille(strip: Rect, e: float) -> list[Solid]:
 
 
 def _hatch(rng: np.random.Generator, strip: Rect, x: float, e: float) -> list[Solid]:
-    """A kick plate up to `x` with the cover of the drain filter."""
+    """Build a kick plate up to `x` with the cover of the drain filter."""
     kick_plate = plate(strip, 0.0, x)
     half = 0.38 * strip.height
     y = strip.y0 + float(rng.choice([0.15, 0.5, 0.85])) * (strip.width - 4 * half) + 2 * half
@@ -243,14 +243,14 @@ def _hatch(rng: np.random.Generator, strip: Rect, x: float, e: float) -> list[So
 
 
 def _hinge(washer: Washer) -> list[Solid]:
-    """The body's half of the hinge: it stays beside the pin, where the door never comes."""
+    """Build the body's half of the hinge: it stays beside the pin, where the door never comes."""
     y, z, tall = washer.rim + GAP, washer.middle, 0.28 * washer.rim
     front = 0.8 * washer.thickness
     return [plate(Rect(y, z - tall, y + 0.024, z + tall), 0.0, front, bevel=0.006)]
 
 
 def _door(rng: np.random.Generator, washer: Washer) -> list[Solid]:
-    """The door's rim, glass, handle and hinge leaf; hinged at y = +rim."""
+    """Build the door's rim, glass, handle and hinge leaf; hinged at y = +rim."""
     t, wall, rim = washer.thickness, washer.wall, washer.rim
     pane = washer.bowl_radius(-GAP)
     x0, x1 = GAP, GAP + t
@@ -274,7 +274,7 @@ def _door(rng: np.random.Generator, washer: Washer) -> list[Solid]:
 
 
 def _glass(rng: np.random.Generator, washer: Washer, pane: float) -> list[Solid]:
-    """The pane and the bowl behind it, around x; `pane` is the bowl's radius at the rim."""
+    """Build the pane and the bowl behind it, around x; `pane` is the bowl's radius at the rim."""
     t, wall = washer.thickness, washer.wall
     face = GAP + t
     reach = rng.uniform(0.08, 0.12) if washer.look == "deep" else rng.uniform(0.03, 0.075)
@@ -300,7 +300,7 @@ def _glass(rng: np.random.Generator, washer: Washer, pane: float) -> list[Solid]
 
 
 def _grip(rng: np.random.Generator, washer: Washer, pane: float) -> list[Solid]:
-    """What one pulls at, on the side away from the hinge."""
+    """Build the grip, on the side away from the hinge."""
     t, wall, rim = washer.thickness, washer.wall, washer.rim
     middle, width = -(rim + pane) / 2, rim - pane
     if rng.uniform() < 0.5:

@@ -56,7 +56,7 @@ class Washer:
         return 2.5 * self.wall
 
     def bowl_radius(self, depth: float) -> float:
-        """How wide the bowl may be `depth` behind the body's front face.
+        """Return how wide the bowl may be `depth` behind the body's front face.
 
         At distance D inward of the hinge and U along the front, a point swings out on a circle of
         radius sqrt(D^2 + U^2) and moves away from the hinge by at most D^2 / (2 U) on its way; the
@@ -67,7 +67,7 @@ class Washer:
 
 
 def draw(rng: np.random.Generator) -> Washer:
-    """The plan of one machine."""
+    """Return the plan of one machine."""
     u = rng.uniform
     kind = str(rng.choice(_KINDS))
     (w_low, w_high), (d_low, d_high), (h_low, h_high) = _SIZES[kind]
