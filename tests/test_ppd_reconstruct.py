@@ -1,7 +1,6 @@
 """What PPD's model says of a cloud: surfaces where its field is zero, and what lies between two."""
 
-from types import SimpleNamespace
-from typing import Any
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,14 +10,19 @@ torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen.core.geometry import apply
 from articugen.core.records import dequantize
+from articugen.learning.fields import fields_on_grid, meshes_of_greatest
 from articugen.learning.ppd import reconstruct as reconstruction
 from articugen.learning.ppd.drawing import between
 from articugen.learning.ppd.network import PPD
-from articugen.learning.ppd.reconstruct import part_logits, reconstruction_of
+from articugen.learning.ppd.reconstruct import logits_at, reconstruction_of
 from articugen.learning.ppd.settings import ModelSettings
 from articugen.meshes.distances import distance
 
 torch.set_num_threads(1)
+
+
+def part_logits(model, predicted, resolution):
+    return fields_on_grid(partial(logits_at, model, predicted), resolution)
 
 
 @pytest.mark.parametrize("part_frame", ["world", "joint"])
@@ -102,29 +106,6 @@ def test_interpolation_holds_what_it_holds():
         torch.testing.assert_close(prediction.shape.detail, one.shape.detail)
 
 
-def test_a_fine_grid_need_only_be_evaluated_near_surfaces(monkeypatch):
-    asked = []
-
-    def balls(_model, _predicted, points, parts=slice(None)):
-        """Two balls, and a part that is nowhere."""
-        asked.append(len(points))
-        p = points.double().numpy()
-        at, radius = [[0.0, 0.1, 0.0], [0.2, -0.2, 0.1], [0.0, 0.0, 0.0]], [0.2, 0.2, -0.1]
-        far = [r - np.linalg.norm(p - c, axis=1) for c, r in zip(at, radius, strict=True)]
-        return 20.0 * np.stack(far)[parts]
-
-    monkeypatch.setattr(reconstruction, "logits_at", balls)
-    without_boxes: Any = SimpleNamespace(shape=SimpleNamespace(box=None))
-    parts, fine = reconstruction.logits_near_surfaces(None, without_boxes, 32, 16)
-    assert parts.tolist() == [0, 1]
-    assert sum(asked) < 0.5 * 32**3
-    own, whole = reconstruction._meshes(fine)
-    (*both, nowhere), union = reconstruction._meshes(part_logits(None, None, 32))
-    for a, b in zip([*own, whole], [*both, union], strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-9)
-    assert not len(nowhere)
-
-
 def test_some_parts_alone_have_the_fields_that_they_have_among_all():
     torch.manual_seed(3)
     model = PPD(ModelSettings()).eval()
@@ -157,7 +138,7 @@ def test_a_part_that_is_nowhere_is_not_looked_for_on_a_finer_grid(monkeypatch):
     points, (parts,) = asked[1]
     assert points == 64**3
     assert 3 not in parts
-    each, whole = reconstruction._meshes(part_logits(model, predicted, 64))
+    each, whole = meshes_of_greatest(part_logits(model, predicted, 64))
     assert len(whole)
     np.testing.assert_allclose(found.whole, whole, atol=1e-6)
     np.testing.assert_allclose(found.triangles, np.concatenate(each), atol=1e-6)
@@ -208,7 +189,7 @@ def test_parts_with_boxes_are_looked_for_there(monkeypatch):
     monkeypatch.setattr(reconstruction, "logits_at", noted)
     found = reconstruction_of(model, predicted, 16)
     assert asked == [[0, 1, 2, 4, 5, 6, 7]]
-    each, union = reconstruction._meshes(np.delete(whole, 3, 0))
+    each, union = meshes_of_greatest(np.delete(whole, 3, 0))
     np.testing.assert_allclose(found.whole, union, atol=1e-6)
     np.testing.assert_allclose(found.triangles, np.concatenate(each), atol=1e-6)
     assert len(union)

@@ -21,7 +21,7 @@ from articugen.learning.cpu.batches import (
 )
 from articugen.learning.cpu.patches import patches
 from articugen.learning.method import Terms
-from articugen.learning.optimisers import optimiser_of
+from articugen.learning.optimisers import BETAS, Betas, optimiser_of
 
 _GRID = 64
 """Cells along an edge of the grid that clouds fill."""
@@ -203,6 +203,7 @@ class Descent:
         optimiser: as recipes call it.
         patient: note instead of asking; what a GPU gets if not given.
         rate: the recipe's key of the learning rate, which errors name.
+        betas: of Adam.
     """
 
     def __init__(
@@ -211,10 +212,11 @@ class Descent:
         optimiser: str = "adam",
         patient: bool | None = None,
         rate: str = "schedule.learning_rate",
+        betas: Betas = BETAS,
     ) -> None:
         self.network, self.rate = network, rate
         device = next(network.parameters()).device.type
-        self.optimiser = optimiser_of(optimiser, network)
+        self.optimiser = optimiser_of(optimiser, network, betas)
         self._parameters = list(network.parameters())  # found once: to walk a network takes long
         self.patient = device != "cpu" if patient is None else patient
         self._names: tuple[str, ...] = ()

@@ -21,6 +21,8 @@ from torch.optim.adam import adam
 
 Betas = tuple[float, float]
 
+BETAS: Betas = (0.9, 0.999)
+
 GREATEST_SIDE = 64
 """A longer side gets no basis from SOAP."""
 
@@ -47,9 +49,10 @@ class Optimiser(Protocol):
         ...
 
 
-def optimiser_of(name: str, network: nn.Module) -> Optimiser:
-    """The one that recipes call `name`, at its beginning."""
-    return {"adam": Adam, "soap": Soap}[name](dict(network.named_parameters()))
+def optimiser_of(name: str, network: nn.Module, betas: Betas = BETAS) -> Optimiser:
+    """The one that recipes call `name`, at its beginning; `betas` are Adam's."""
+    named = dict(network.named_parameters())
+    return Soap(named) if name == "soap" else Adam(named, betas)
 
 
 class Adam:
@@ -59,7 +62,7 @@ class Adam:
     torch's compiler is imported, which takes a second.
     """
 
-    def __init__(self, named: Named, betas: Betas = (0.9, 0.999)) -> None:
+    def __init__(self, named: Named, betas: Betas = BETAS) -> None:
         self.named, self.betas = named, betas
         # One call for all parameters; the other devices have no such kernel.
         self.fused = {p.device.type for p in named.values()} <= {"cpu", "cuda"}

@@ -3,13 +3,13 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from articugen.core.records import Floats, JointKind
 from articugen.learning.evaluation.figures.draw import Between, Drawable, Opening
 from articugen.learning.evaluation.reconstruction import Reconstruction
+from articugen.learning.fields import probability
 from articugen.learning.ppd.network import PPD, Prediction
 from articugen.learning.ppd.reconstruct import logits_at, reconstruction_of
 from articugen.learning.ppd.settings import ModelSettings
@@ -54,8 +54,7 @@ def drawable(
         return reconstruction_of(model, prediction, resolution)
 
     def part_fields(cloud: Floats, where: Floats) -> Floats:
-        logits = logits_at(model, predict(cloud), torch.from_numpy(where))
-        return 1.0 / (1.0 + np.exp(-np.clip(logits, -50.0, 50.0)))
+        return probability(logits_at(model, predict(cloud), torch.from_numpy(where)))
 
     def interpolate(openings: Sequence[Opening], steps: int) -> Between:
         first, shapes, states = between(

@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import binary_cross_entropy_with_logits
 
 from articugen.core.records import Floats
 from articugen.learning.blocks import Descent
 from articugen.learning.data.batch import Batch, BatchSpec
-from articugen.learning.data.split import PackedSplit, unpacked, voxel_centres
+from articugen.learning.data.split import PackedSplit, unpacked
 from articugen.learning.evaluation.reconstruction import Reconstruction
+from articugen.learning.fields import VALIDATION_GRID, Meshes, held_out_fit
 from articugen.learning.method import Learner, Terms
 from articugen.learning.ppd import objective
 from articugen.learning.ppd.discriminator import Discriminator
 from articugen.learning.ppd.network import PPD, Prediction
-from articugen.learning.ppd.reconstruct import Meshes, reconstruction_of
+from articugen.learning.ppd.reconstruct import reconstruction_of
 from articugen.learning.ppd.settings import PPDRecipe, directions_of
 from articugen.learning.ppd.warm import terms as warm_start
 from articugen.learning.ppd.warm.found import discovered
@@ -32,8 +32,6 @@ from articugen.learning.tensors import made
 if TYPE_CHECKING:
     from articugen.learning.evaluation.figures.draw import Drawable
 
-VALIDATION_GRID = 32
-VALIDATION_INSTANCES = 64
 MOVED_POSES, MOVED_POINTS = 6, 2048
 
 LABELLED = 512
@@ -219,35 +217,19 @@ class PPDLearner(Predictor):
         self.discriminator_descent.load(state["discriminator_adam"])
 
 
-@torch.no_grad()
 def validation(
     model: PPD, clouds: Tensor, held_out: PackedSplit, residual_direction: bool
 ) -> dict[str, float]:
-    """How well unseen objects are reconstructed on their 32^3 grid, parts composed by the maximum.
+    """`rec` and `iou` of `held_out_fit`, from clouds (I, n, 3) as they are stored."""
 
-    `rec` is the mean binary cross-entropy, `iou` the mean over instances of |A and B| / |A or B|.
+    def fields(cloud: Tensor, points: Tensor) -> Tensor:
+        predicted = model(cloud, residual_direction=residual_direction)
+        return model.fields(predicted.shape, model.motion(predicted.pose), points).product[0]
 
-    Args:
-        clouds: (I, n, 3) as they are stored, what the model sees of each instance.
-    """
     model.eval()
-    count = min(VALIDATION_INSTANCES, len(held_out))
-    entropy, overlap = [], []
-    cells = torch.arange(VALIDATION_GRID**3, device=clouds.device)
-    points = voxel_centres(cells, VALIDATION_GRID)[None]
-    for row in np.linspace(0, len(held_out) - 1, count).astype(int):
-        occupied = held_out.grids[VALIDATION_GRID][row] > 0
-        predicted = model(unpacked(clouds[row : row + 1]), residual_direction=residual_direction)
-        fields = model.fields(predicted.shape, model.motion(predicted.pose), points)
-        logit = fields.product.amax(1)[0]
-        entropy.append(binary_cross_entropy_with_logits(logit, occupied.to(logit.dtype)))
-        both, either = (logit > 0) & occupied, (logit > 0) | occupied
-        overlap.append(both.sum() / either.sum().clamp(min=1))
+    fit = held_out_fit(fields, clouds, held_out)
     model.train()
-    return {
-        "rec": float(torch.stack(entropy).mean()),
-        "iou": float(torch.stack(overlap).mean()),
-    }
+    return {"rec": fit["rec"], "iou": fit["iou"]}
 
 
 @torch.no_grad()

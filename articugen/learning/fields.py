@@ -1,0 +1,350 @@
+"""Part fields: their surfaces, how well they fit held-out objects, and learners of nothing else.
+
+A field is above 0 inside of its part and below 0 outside, as a logit is. Part i's surface encloses
+where its field is above 0 and the greatest of all, unless a method draws its surfaces otherwise.
+"""
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn.functional import binary_cross_entropy_with_logits
+
+from articugen.core.records import Floats
+from articugen.learning.blocks import Descent
+from articugen.learning.data.batch import Batch, BatchSpec
+from articugen.learning.data.split import PackedSplit, unpacked, voxel_centres
+from articugen.learning.evaluation.figures.draw import Drawable
+from articugen.learning.evaluation.reconstruction import PartJoints, Reconstruction
+from articugen.learning.method import Learner, Terms
+from articugen.learning.optimisers import BETAS, Betas
+from articugen.learning.recipe import TrainRecipe
+from articugen.learning.tensors import made
+from articugen.meshes.marching_cubes import zero_level
+
+VALIDATION_GRID = 32
+VALIDATION_INSTANCES = 64
+
+DENSE = 64
+"""Grids of less than twice that are evaluated everywhere."""
+
+_NO_TRIANGLES = np.zeros((0, 3, 3))
+_BLOCK, _LARGE_BLOCK = 1 << 14, 1 << 21
+"""Points at a time, of all parts together: on a CPU what the decoders make of them stays in the
+cache, which takes less than half of the time; on a GPU there are enough to keep it busy."""
+
+_ABSENT = -4.0
+"""A part whose field is nowhere above that at the places where it is looked for is nowhere at all:
+PPD's candidates that no object has are at -7, and what was there came to -0.1 at the least."""
+
+Meshes = Callable[[Floats], tuple[list[Floats], Floats]]
+"""From the parts' fields (P, R, R, R) to the triangles of each part, and those of the whole."""
+
+
+class Fields(Protocol):
+    """The fields of one shape."""
+
+    def __call__(self, points: Tensor, parts: NDArray[np.int64] = ..., /) -> Floats:
+        """(P, n): the field of each part, or of these `parts`, at points (n, 3)."""
+        ...
+
+
+def reconstruction_of(
+    fields: Fields,
+    parts: int,
+    resolution: int,
+    *,
+    meshes: Meshes | None = None,
+    looked_for: Callable[[], Floats] | None = None,
+    dense: int = DENSE,
+    T_part: Floats | None = None,
+    joints: PartJoints | None = None,
+) -> Reconstruction:
+    """The parts of one shape, their surfaces from a grid of `resolution`^3.
+
+    Args:
+        parts: how many fields there are.
+        meshes: what makes the surfaces; `meshes_of_greatest` if not given.
+        looked_for, dense: see `fields_near_surfaces`.
+        T_part, joints: as `Reconstruction`; None of a method that knows none.
+    """
+    there, grids = fields_near_surfaces(fields, resolution, dense, looked_for)
+    surfaces, whole = (meshes or meshes_of_greatest)(grids)
+    return Reconstruction(
+        triangles=np.concatenate([_NO_TRIANGLES, *surfaces]),
+        part=np.repeat(there, [len(s) for s in surfaces]),
+        whole=whole,
+        occupied=grids.max(0) > 0.0,
+        parts=parts,
+        T_part=T_part,
+        joints=joints,
+    )
+
+
+def fields_on_grid(fields: Fields, resolution: int) -> Floats:
+    """(P, R, R, R): the field of each part at the voxel centres."""
+    return _on_grid(fields(grid_centres(resolution)))
+
+
+def _on_grid(values: Floats) -> Floats:
+    """(P, R, R, R) of (P, R^3)."""
+    resolution = round(values.shape[1] ** (1 / 3))
+    return values.reshape(-1, resolution, resolution, resolution)
+
+
+@cache
+def grid_centres(resolution: int) -> Tensor:
+    """(R^3, 3) the centres of a grid's voxels."""
+    return voxel_centres(torch.arange(resolution**3), resolution)
+
+
+def in_blocks(points: Tensor, parts: int) -> tuple[Tensor, ...]:
+    """Points (n, 3), so few at a time as is fastest for so many parts."""
+    return points.split((_BLOCK if points.device.type == "cpu" else _LARGE_BLOCK) // parts)
+
+
+def fields_near_surfaces(
+    fields: Fields,
+    resolution: int,
+    dense: int = DENSE,
+    looked_for: Callable[[], Floats] | None = None,
+) -> tuple[NDArray[np.int64], Floats]:
+    """((k,), (k, R, R, R)): some parts, and their fields as `fields_on_grid` gives them.
+
+    Parts that are nowhere are left out. Grids of twice `dense` and finer are evaluated near
+    surfaces only, and of parts alone that are anywhere on the grid that is half as fine: what is
+    far keeps its value there, which changes no surface that is seen there.
+
+    Args:
+        looked_for: gives (P, n), each part's field where it would be found if it were anywhere.
+    """
+    if resolution < 2 * dense or resolution % 2:
+        return _on_the_whole_grid(fields, resolution, looked_for)
+    parts, coarse = fields_near_surfaces(fields, resolution // 2, dense, looked_for)
+    there = _somewhere_above(0.0, coarse)
+    parts, coarse = parts[there], coarse[there]
+    fine, cells = _doubled(coarse), np.flatnonzero(_doubled(_beside_surfaces(coarse)[None]))
+    if not len(cells):
+        return parts, fine
+    centres = voxel_centres(torch.from_numpy(cells), resolution)
+    for field, values in zip(fine, fields(centres, parts), strict=True):
+        field.reshape(-1)[cells] = values
+    return parts, fine
+
+
+def _on_the_whole_grid(
+    fields: Fields, resolution: int, looked_for: Callable[[], Floats] | None
+) -> tuple[NDArray[np.int64], Floats]:
+    """Parts and their fields, without those that `_ABSENT` says are nowhere."""
+    if looked_for:
+        sought = looked_for()
+    elif resolution >= DENSE:
+        sought = fields(grid_centres(resolution // 2))
+    else:
+        grids = fields_on_grid(fields, resolution)
+        return np.arange(len(grids)), grids
+    parts = np.flatnonzero(_somewhere_above(_ABSENT, sought))
+    return parts, _on_grid(fields(grid_centres(resolution), parts))
+
+
+def _somewhere_above(level: float, logits: Floats) -> NDArray[np.bool_]:
+    """(P,) whether fields (P, ...) are above a level anywhere; the first, if none is."""
+    there = logits.reshape(len(logits), -1).max(1) > level
+    there[0] |= not there.any()
+    return there
+
+
+def _doubled(grids: NDArray[Any]) -> NDArray[Any]:
+    """Grids (P, R, R, R), each voxel as eight."""
+    P, R = grids.shape[:2]
+    fine = np.empty((P, R, 2, R, 2, R, 2), grids.dtype)
+    fine[:] = grids[:, :, None, :, None, :, None]
+    return fine.reshape(P, 2 * R, 2 * R, 2 * R)
+
+
+def _beside_surfaces(logits: Floats) -> NDArray[np.bool_]:
+    """(R, R, R): whether any voxel around, corners included, is of another part, or none."""
+    owner = np.pad(np.where(logits.max(0) > 0.0, logits.argmax(0), -1), 1, mode="edge")
+    least = most = owner
+    for axis in range(3):
+        rolled = [np.roll(least, step, axis) for step in (-1, 0, 1)]
+        least = np.minimum.reduce(rolled)
+        rolled = [np.roll(most, step, axis) for step in (-1, 0, 1)]
+        most = np.maximum.reduce(rolled)
+    return (least != most)[1:-1, 1:-1, 1:-1]
+
+
+def meshes_of_greatest(logits: Floats) -> tuple[list[Floats], Floats]:
+    """Part i is where its field is above 0, and exceeds every other part's."""
+    first, second = logits[0].copy(), np.full_like(logits[0], -np.inf)  # the greatest two
+    for field in logits[1:]:
+        np.maximum(second, np.minimum(first, field), out=second)
+        np.maximum(first, field, out=first)
+    own = []
+    for field in logits:
+        if not (field > 0.0).any():
+            own.append(_NO_TRIANGLES)
+            continue
+        lead = np.where(field == first, second, first)
+        np.subtract(field, lead, out=lead)
+        own.append(zero_level(np.minimum(field, lead, out=lead)).triangles)
+    return own, zero_level(first).triangles
+
+
+@torch.no_grad()
+def held_out_fit(
+    fields: Callable[[Tensor, Tensor], Tensor], clouds: Tensor, held_out: PackedSplit
+) -> dict[str, float]:
+    """How well unseen objects are reconstructed on their 32^3 grid, parts composed by the maximum.
+
+    `rec` is the mean binary cross-entropy, `iou` the mean over instances of |A and B| / |A or B|,
+    `parts` how many parts are the greatest anywhere inside, on average: where that is 1 a method
+    has come to one part for everything, which scores 1 / K^2 in label IoU.
+
+    Args:
+        fields: from one cloud (1, n, 3) and points (1, m, 3) to (P, m).
+        clouds: (I, n, 3) as they are stored, what the model sees of each instance.
+    """
+    count = min(VALIDATION_INSTANCES, len(held_out))
+    entropy, overlap, owners = [], [], []
+    points = grid_centres(VALIDATION_GRID).to(clouds.device)[None]
+    for row in np.linspace(0, len(held_out) - 1, count).astype(int):
+        occupied = held_out.grids[VALIDATION_GRID][row] > 0
+        logit, owner = fields(unpacked(clouds[row : row + 1]), points).max(0)
+        entropy.append(binary_cross_entropy_with_logits(logit, occupied.to(logit.dtype)))
+        both, either = (logit > 0) & occupied, (logit > 0) | occupied
+        overlap.append(both.sum() / either.sum().clamp(min=1))
+        owners.append(len(owner[logit > 0].unique()))
+    return {
+        "rec": float(torch.stack(entropy).mean()),
+        "iou": float(torch.stack(overlap).mean()),
+        "parts": float(np.mean(owners)),
+    }
+
+
+class PartFields(nn.Module):
+    """What `FieldLearner` asks of a network.
+
+    Attributes:
+        parts: how many fields there are.
+    """
+
+    parts: int
+
+    def encode(self, cloud: Tensor) -> Tensor:
+        """The codes (B, C) of clouds (B, n, 3)."""
+        raise NotImplementedError
+
+    def fields(self, code: Tensor, points: Tensor) -> Tensor:
+        """The fields (B, P, n) of codes (B, C) at points (B, n, 3)."""
+        raise NotImplementedError
+
+
+class FieldLearner(Learner):
+    """A learner of part fields: a method of its own adds settings, a network and a loss.
+
+    Args:
+        network: makes it; `seed` decides its weights, whatever the device.
+        betas: of Adam, where the recipe asks for that.
+    """
+
+    def __init__(
+        self,
+        settings: TrainRecipe,
+        network: Callable[[], PartFields],
+        seed: int,
+        device: torch.device,
+        *,
+        betas: Betas = BETAS,
+    ) -> None:
+        self.settings = settings
+        grids = (VALIDATION_GRID,) if settings.data.validation_objects else ()
+        self.inputs = BatchSpec.of(settings.data, grids=grids)
+        with made(seed, device):
+            self.network = network()
+        self.network.to(device)
+        self.device, self.betas, self.iteration = device, betas, 0
+        self._begin_stage()
+
+    def loss(self, batch: Batch) -> Terms:
+        """What is minimised for a batch; `iteration` says at which iteration."""
+        raise NotImplementedError
+
+    def _begin_stage(self) -> None:
+        """Let the optimiser start afresh, as in each stage."""
+        optimiser = self.settings.schedule.optimiser
+        self.descent = Descent(self.network, optimiser, betas=self.betas)
+
+    def learn(self, batch: Batch, rng: torch.Generator | None, *, iteration: int) -> Terms:
+        plan = self.settings.schedule
+        if plan.index_at(iteration) != plan.index_at(self.iteration):
+            self._begin_stage()
+        self.iteration = iteration
+        terms = self.loss(batch)
+        self.descent.step(terms, lambda: self.loss(batch), iteration, plan.rate_at(iteration))
+        return terms
+
+    def check(self) -> None:
+        self.descent.check()
+
+    def validate(self, held_out: PackedSplit) -> dict[str, float]:
+        """`rec`, `iou` and `parts`, see `held_out_fit`."""
+
+        def fields(cloud: Tensor, points: Tensor) -> Tensor:
+            code = self.network.encode(cloud)
+            some = [self.network.fields(code, p[None])[0] for p in in_blocks(points[0], self.parts)]
+            return torch.cat(some, 1)
+
+        self.network.eval()
+        fit = held_out_fit(fields, held_out.surface[:, : self.inputs.surface_points], held_out)
+        self.network.train()
+        return fit
+
+    @property
+    def parts(self) -> int:
+        return self.network.parts
+
+    def state(self) -> dict[str, Any]:
+        return {
+            "iteration": self.iteration,
+            "network": self.network.state_dict(),
+            "optimiser": self.descent.state(),
+        }
+
+    def load(self, state: dict[str, Any]) -> None:
+        self.iteration = state["iteration"]
+        self.network.load_state_dict(state["network"])
+        self.descent.load(state["optimiser"])
+
+    @torch.no_grad()
+    def fields_of(self, cloud: Floats) -> Fields:
+        """The fields of what is seen in one cloud (n, 3)."""
+        few = torch.as_tensor(cloud[: self.inputs.surface_points], dtype=torch.float32)
+        code = self.network.encode(few[None].to(self.device))
+
+        @torch.no_grad()
+        def fields(points: Tensor, parts: NDArray[np.int64] | slice = slice(None)) -> Floats:
+            blocks = in_blocks(points.to(code), self.parts)
+            some = [self.network.fields(code, block[None])[0][parts] for block in blocks]
+            return torch.cat(some, 1).double().cpu().numpy()
+
+        return fields
+
+    def reconstruct(self, cloud: Floats, *, resolution: int) -> Reconstruction:
+        """Parts without motions or joints."""
+        return reconstruction_of(self.fields_of(cloud), self.parts, resolution)
+
+    def drawable(self, resolution: int) -> Drawable:
+        return Drawable(
+            lambda cloud: self.reconstruct(cloud, resolution=resolution),
+            lambda cloud, where: probability(self.fields_of(cloud)(torch.from_numpy(where))),
+        )
+
+
+def probability(logits: Floats) -> Floats:
+    """The sigmoid."""
+    return 1.0 / (1.0 + np.exp(-np.clip(logits, -50.0, 50.0)))
