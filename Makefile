@@ -94,14 +94,14 @@ else
 	@echo "Choose one: make train CATEGORY=laptop" >&2; exit 2
 endif
 
-depth: $(learner)  ## train the newest run's encoder for depth input (the third stage)
+depth: $(learner)  ## train an encoder for depth input beside the newest run (the third stage; RECIPE=ppd_depth takes longer)
 ifdef CATEGORY
-	@$(articugen) train-depth "$(RUNS)/$(CATEGORY)" --data "$(OUT)/$(CATEGORY)"
+	@$(articugen) train-depth "$(RUNS)/$(CATEGORY)" --data "$(OUT)/$(CATEGORY)" --runs "$(RUNS)-depth" $(if $(RECIPE),--recipe "$(RECIPE)") $(settings)
 else
 	@echo "Choose one: make depth CATEGORY=laptop" >&2; exit 2
 endif
 
-evaluate: $(learner)  ## evaluate the newest run of CATEGORY= on its test objects (PROTOCOL=release STATES=0)
+evaluate: $(learner)  ## evaluate the newest run of CATEGORY= on its test objects (PROTOCOL=release STATES=0 RUNS=runs-depth)
 ifdef CATEGORY
 	@$(articugen) evaluate "$(RUNS)/$(CATEGORY)" --data "$(OUT)/$(CATEGORY)" $(if $(PROTOCOL),--protocol "$(PROTOCOL)") $(if $(STATES),--states "$(STATES)")
 else

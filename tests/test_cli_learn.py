@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ extends: ppd_plain
 data: {surface_points: 256, uniform_points: 128, near_points: 128, validation_objects: 1}
 schedule: {batch: 3, stages: [{resolution: 16, iterations: 3}], validate_every: 3}
 seeds: {count: 1, halve_at: []}
-depth: {iterations: 2}
 """
 
 
@@ -35,16 +33,7 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ppd")
     write_boxes(folder / "data", train=2, test=1, states=1)
     (folder / "tiny.yaml").write_text(RECIPE)
-    arguments = (
-        "-c",
-        "box",
-        "-d",
-        folder / "data",
-        "-r",
-        folder / "tiny.yaml",
-        "--set",
-        "depth.batch=2",
-    )
+    arguments = ("-c", "box", "-d", folder / "data", "-r", folder / "tiny.yaml")
     done = articugen("train", *arguments, "--runs", folder / "runs")
     assert done.exit_code == 0, done.output
     assert "3/3 held-out objects: rec 0." in done.output
@@ -140,25 +129,28 @@ def test_several_data_sets_are_learned_from_together(folder, tmp_path):
     assert "was started on other data" in " ".join(done.output.split())
 
 
-def test_depth_input_and_the_release_s_protocol(folder):
-    data, run = folder / "data", folder / "copy" / "000"
-    shutil.copytree(folder / "runs" / "box" / "000", run)
-    done = articugen("predict", run, data / "test-00002.h5", "--depth")
-    assert done.exit_code == 1
-    assert "make one with: articugen train-depth" in done.output
-    done = articugen("train-depth", folder / "copy", "-d", data)
+def test_depth_input_and_the_release_s_protocol(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    data, run = folder / "data", folder / "runs-depth" / "box" / "000"
+    few = ("--set", "schedule.stages=[{resolution: 1, iterations: 2}]", "--set", "schedule.batch=2")
+    done = articugen("train-depth", folder / "runs" / "box", "-d", data, *few)
     assert done.exit_code == 0, done.output
     assert "2/2 held-out objects: latent" in done.output
+    again = ("train-depth", folder / "runs" / "box", "-d", data, "--resume", run)
+    assert articugen(*again, *few).exit_code == 0
+    assert "was started with another recipe" in " ".join(articugen(*again).output.split())
     rough = ("--resolution", 8, "--states", 1)
     done = articugen("evaluate", run, "-d", data, *rough, "--protocol", "release")
     assert done.exit_code == 0, done.output
     assert "as the authors' release does; left out" in done.output
-    assert "| depth (here: box by tiny) |" in done.output
+    assert "| depth (here: box by ppd_depth_quick) |" in done.output
     result = json.loads((run / "evaluation-release" / "evaluation.json").read_text())
-    assert set(result["depth_input"]["left_out"]) == set(result["left_out"])
-    rig = ("--depth", "--camera", 1, "--out", folder / "rig-depth", "--resolution", 16)
+    assert (result["run"]["input"], result["run"]["method"]) == ("depth", "ppd_depth")
+    rig = ("--camera", 1, "--out", folder / "rig-depth", "--resolution", 16)
     done = articugen("predict", run, data / "test-00002.h5", *rig)
     assert (done.exit_code, "sees no surface" in done.output) in ((0, False), (1, True))
+    done = articugen("predict", run, data / "test-00002.h5", "--camera", 9)
+    assert "has 2 cameras, from 0; there is no 9" in " ".join(done.output.split())
 
 
 @pytest.fixture(scope="module")

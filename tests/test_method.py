@@ -135,7 +135,5 @@ def test_a_state_that_is_not_its_own_is_refused(boxes, tmp_path):
 
 def test_what_it_has_not_is_said(boxes, tmp_path):
     run = commands.train(boxes, tmp_path / "mine.yaml", runs=tmp_path)
-    with pytest.raises(ArticugenError, match="has no learner for depth input"):
-        commands.train_depth(run, boxes)
     with pytest.raises(ArticugenError, match="--protocol release: paper"):
         commands.evaluate(run, boxes, protocol="release")

@@ -6,14 +6,9 @@ import shutil
 import pytest
 from ppd_data import write_boxes
 
-from articugen.core.errors import InvalidCheckpoint, UnfitData
-from articugen.learning.ppd.settings import (
-    DepthSettings,
-    LossSettings,
-    PPDRecipe,
-    PPDSchedule,
-    PPDStage,
-)
+from articugen.core.errors import InvalidCheckpoint, InvalidRecipe, UnfitData
+from articugen.learning.method import load_recipe
+from articugen.learning.ppd.settings import LossSettings, PPDRecipe, PPDSchedule, PPDStage
 from articugen.learning.recipe import DataSettings
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
@@ -22,11 +17,12 @@ from instances import hinged_box
 
 from articugen.core.records import dequantize
 from articugen.learning.clouds import seen_by_a_camera
+from articugen.learning.commands import train as trained
 from articugen.learning.data.batch import BatchSpec
 from articugen.learning.data.split import load_split, unpacked
-from articugen.learning.loop import train, train_depth
+from articugen.learning.loop import train
 from articugen.learning.ppd.depth import latents
-from articugen.learning.run_folder import DEPTH, LATEST, RunFolder, depth_learner, read_checkpoint
+from articugen.learning.run_folder import LATEST, RunFolder, read_checkpoint
 from articugen.learning.tensors import digest
 
 torch.set_num_threads(1)
@@ -37,13 +33,20 @@ TINY = PPDRecipe(
     data=DataSettings(surface_points=200, grid_points=50, validation_objects=1),
     schedule=PPDSchedule(
         batch=2,
-        stages=(PPDStage(resolution=8, iterations=2),),
+        stages=(
+            PPDStage(resolution=8, iterations=1),
+            PPDStage(resolution=8, iterations=1, residual_direction=True),
+        ),
         log_every=1,
         validate_every=20,
         save_every=100,
     ),
-    depth=DepthSettings(iterations=20, batch=4, learning_rate=2e-3),
 )
+
+PLAN = {
+    "batch": 4, "learning_rate": 2e-3, "final_learning_rate": 2e-5, "log_every": 1,
+    "validate_every": 20, "stages": [{"resolution": 1, "iterations": 20}],
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -54,33 +57,31 @@ def boxes(tmp_path_factory):
 @pytest.fixture(scope="module")
 def base(boxes, tmp_path_factory):
     """A run whose first two stages are done."""
-    runs = tmp_path_factory.mktemp("runs")
-    return train(TINY, category="box", data=boxes, runs=runs).path
+    return train(TINY, category="box", data=boxes, runs=tmp_path_factory.mktemp("runs")).path
+
+
+def third_stage(boxes, base, runs, **more) -> RunFolder:
+    recipe = load_recipe({"extends": "ppd_depth", "teacher": str(base), "schedule": PLAN})
+    return train(recipe, category="box", data=boxes, runs=runs, **more)
 
 
 @pytest.fixture(scope="module")
 def whole(base, boxes, tmp_path_factory):
     """Its third stage, which nothing interrupted."""
-    run = copied(base, tmp_path_factory.mktemp("whole") / "run")
-    train_depth(run, boxes)
-    return run
+    return third_stage(boxes, base, tmp_path_factory.mktemp("whole"))
 
 
-def copied(path, to) -> RunFolder:
-    shutil.copytree(path, to)
-    return RunFolder(to)
-
-
-def test_it_learns_to_give_the_first_encoder_s_latents(whole, boxes):
-    curve = whole.metrics(DEPTH.metrics)
+def test_it_learns_to_give_the_first_encoder_s_latents(base, whole, boxes):
+    curve = whole.metrics()
     differences = [r["terms"]["latent"] for r in curve if "terms" in r]
     assert len(differences) == 20
     assert differences[-1] < 0.2 * differences[0]
     (checked,) = [r["validation"] for r in curve if "validation" in r]
-    point = read_checkpoint(whole.path / LATEST)
     assert set(checked) == {"latent", "rec", "iou"}
     data = load_split(boxes, "train", BatchSpec.of(TINY.data, partial=True), [8])
-    first, second = point.learner().model, depth_learner(whole.path, point).model
+    teacher, learner = (read_checkpoint(path / LATEST).learner() for path in (base, whole.path))
+    first, second = teacher.model, learner.model
+    assert learner.residual_direction
     wanted = latents(first.encoder, data.surface[:, :200])
     assert wanted.shape == (9, 512)
     with torch.no_grad():
@@ -96,42 +97,35 @@ def test_it_learns_to_give_the_first_encoder_s_latents(whole, boxes):
 
 @pytest.mark.parametrize("stop", [7, 19])
 def test_stop_and_resume_gives_the_same_curve_and_weights(base, whole, boxes, tmp_path, stop):
-    run = copied(base, tmp_path / "run")
-    train_depth(run, boxes, stop_after=stop)
-    train_depth(run, boxes)
-    one, two = (
-        [r | {"seconds": 0.0} for r in each.metrics(DEPTH.metrics)] for each in (whole, run)
-    )
+    """Also where the teacher is no longer there."""
+    teacher = shutil.copytree(base, tmp_path / "teacher")
+    part = third_stage(boxes, teacher, tmp_path / "part", stop_after=stop)
+    shutil.rmtree(teacher)
+    done = trained(boxes, resume=part.path)
+    one, two = ([r | {"seconds": 0.0} for r in run.metrics()] for run in (whole, done))
     assert one == two
-    left, right = (
-        depth_learner(each.path, read_checkpoint(each.path / LATEST)) for each in (whole, run)
-    )
-    assert digest(left.state()) == digest(right.state())
-    assert digest(left.model.state_dict()) == digest(right.model.state_dict())
+    left, right = (read_checkpoint(run.path / LATEST).state for run in (whole, done))
+    assert digest(left) == digest(right)
 
 
-def test_what_is_trained_already_is_left_alone(whole, boxes):
-    before = (whole.path / DEPTH.latest).read_bytes()
-    train_depth(whole, boxes)
-    assert (whole.path / DEPTH.latest).read_bytes() == before
+def test_a_teacher_that_was_trained_by_another_recipe_meanwhile_is_refused(base, boxes, tmp_path):
+    recipe = load_recipe({"extends": "ppd_depth", "teacher": str(base), "schedule": PLAN})
+    taught = recipe.taught.model_copy(update={"losses": LossSettings(vol=1.0)})
+    other = recipe.model_copy(update={"taught": taught})
+    with pytest.raises(InvalidCheckpoint, match="is of another recipe than `taught`"):
+        train(other, category="box", data=boxes, runs=tmp_path)
 
 
-def test_an_encoder_of_other_weights_is_refused_and_trained_anew(whole, boxes, tmp_path):
-    run = copied(whole.path, tmp_path / "run")
-    point = read_checkpoint(run.path / LATEST)
-    point.state["model"]["pose.common_euler"] += 0.1
-    point.write(run.path / LATEST)
-    changed = read_checkpoint(run.path / LATEST)
-    with pytest.raises(InvalidCheckpoint, match=r"depth\.pt: belongs to other weights"):
-        depth_learner(run.path, changed)
-    train_depth(run, boxes, stop_after=1)
-    assert [r["iteration"] for r in run.metrics(DEPTH.metrics) if "terms" in r] == [1]
-    depth_learner(run.path, changed)
-
-
-def test_a_run_without_one_says_how_to_make_it(base):
-    with pytest.raises(InvalidCheckpoint, match="make one with: articugen train-depth"):
-        depth_learner(base, read_checkpoint(base / LATEST))
+def test_a_recipe_takes_model_and_data_from_its_teacher(base, whole, tmp_path):
+    recipe = whole.recipe()
+    assert (recipe.taught, recipe.data) == (TINY, TINY.data)
+    assert recipe.variant == TINY.variant
+    with pytest.raises(InvalidRecipe, match="names no teacher; set teacher to a run's folder"):
+        train(load_recipe("ppd_depth"), category="box", data=tmp_path, runs=tmp_path)
+    for teacher, said in ((whole.path, "is of method ppd_depth; name a run of PPD"),
+                          (tmp_path, "cannot be read")):  # fmt: skip
+        with pytest.raises(InvalidRecipe, match=said):
+            load_recipe({"extends": "ppd_depth", "teacher": str(teacher)})
 
 
 def test_a_camera_sees_a_part_of_the_surface_and_is_the_same_each_time():

@@ -127,10 +127,20 @@ def test_what_failed_is_told():
 
 
 def test_depth_input_has_its_row():
-    both = result().model_copy(update={"depth_input": evaluation({"f_score": 7.0})})
-    text = tables([both])
-    assert "| depth (here: laptop by r) | **7.00** | 28.99 |  | 80.65 |  | 3.203 |" in text
-    assert "| complete (here: laptop by r) | **12.00** | 31.42 |" in text
+    seen = result(method="ppd_depth")
+    run = seen.run.model_copy(update={"input": "depth"})
+    seen = seen.model_copy(update={"run": run, "means": {"f_score": 7.0}})
+    depth = "| depth (here: laptop by r) | **7.00** | 28.99 |  | 80.65 |  | 3.203 |"
+    both = tables([result(), seen])
+    assert depth in both
+    assert "| complete (here: laptop by r) | **12.00** | 31.42 |" in both
+    assert both.replace(depth, "| depth | | 28.99 |  | 80.65 |  | 3.203 |") == tables(
+        [result()]
+    ).replace("| depth |  | 28.99", "| depth | | 28.99")
+    alone = tables([seen])
+    assert depth in alone
+    assert rows(alone)["4", "F-score", "laptop"][0] == "**7.00**"
+    assert "table 5" not in alone
 
 
 def test_recipes_know_their_row():
@@ -150,7 +160,7 @@ def test_a_run_without_evaluation_is_refused(tmp_path):
 
 def test_an_evaluation_is_read_as_it_was_written(tmp_path):
     (tmp_path / "evaluation").mkdir()
-    more = {"depth_input": evaluation({"f_score": 7.0}), "left_out": LeftOut(parts_epe=3)}
+    more = {"left_out": LeftOut(parts_epe=3)}
     for written in (result(), result().model_copy(update=more)):
         written.write(tmp_path / "evaluation")
         assert read_evaluation(tmp_path) == written

@@ -23,28 +23,23 @@ torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen.learning import tensors
 from articugen.learning.commands import newest
-from articugen.learning.loop import train, train_depth
+from articugen.learning.loop import train
 from articugen.learning.ppd.settings import (
-    DepthSettings,
     PPDRecipe,
     PPDSchedule,
     PPDStage,
 )
 from articugen.learning.recipe import DataSettings
-from articugen.learning.run_folder import DEPTH as DEPTH_FILES
 from articugen.learning.run_folder import (
     FORMAT,
     LATEST,
     METRICS,
     RunFolder,
-    depth_learner,
     read_checkpoint,
 )
-from articugen.learning.tensors import digest, read_tensors, sealed, write_tensors
+from articugen.learning.tensors import digest, read_tensors, sealed
 
 torch.set_num_threads(1)
-
-DEPTH = DEPTH_FILES.latest
 
 TINY = PPDRecipe(
     name="tiny",
@@ -56,7 +51,6 @@ TINY = PPDRecipe(
         validate_every=1,
         save_every=1,
     ),
-    depth=DepthSettings(iterations=2, batch=2),
 )
 
 
@@ -69,9 +63,7 @@ def boxes(tmp_path_factory):
 def sound(boxes, tmp_path_factory):
     """A run that was stopped after two iterations. Look, do not touch."""
     runs = tmp_path_factory.mktemp("runs")
-    run = train(TINY, category="box", data=boxes, runs=runs, stop_after=2)
-    train_depth(run, boxes, stop_after=1)
-    return run.path
+    return train(TINY, category="box", data=boxes, runs=runs, stop_after=2).path
 
 
 @pytest.fixture
@@ -93,14 +85,12 @@ def refused(read, *arguments) -> str:
 
 def test_a_sealed_file_is_an_ordinary_checkpoint(sound):
     """torch reads it without us."""
-    for name in (LATEST, DEPTH):
-        assert torch.load(sound / name, weights_only=True)["format"] == FORMAT
+    assert torch.load(sound / LATEST, weights_only=True)["format"] == FORMAT
     assert read_checkpoint(sound / LATEST).iteration == 2
 
 
-@pytest.mark.parametrize("name", [LATEST, DEPTH])
-def test_every_flipped_bit_is_found(run, name):
-    path, rng = run.path / name, np.random.default_rng(5)
+def test_every_flipped_bit_is_found(run):
+    path, rng = run.path / LATEST, np.random.default_rng(5)
     size = path.stat().st_size
     places = {*rng.integers(size, size=60).tolist(), 0, 30, size - 1, size - 72, size - 73}
     form = torch.load(path, weights_only=True)["format"]
@@ -191,7 +181,6 @@ def nested(depth: int) -> list:
         lambda d: d | {"seed": 0.5},
         lambda d: d | {"category": None},
         lambda d: d | {"best": None},
-        lambda d: d | {"beside": 5},
         lambda d: d | {"recipe": d["recipe"] | {"method": "other"}},
         lambda d: d | {"recipe": d["recipe"] | {"method": []}},
         lambda d: d | {"state": None},
@@ -239,18 +228,6 @@ def test_a_recipe_that_is_refused_by_now_says_why_and_how_to_go_on(run):
     said = refused(read_checkpoint, path)
     assert said.startswith(f"{path}: its recipe: ")
     assert said.endswith("; train it again")
-
-
-def test_the_encoder_for_depth_is_checked_as_well(run):
-    path = run.path / DEPTH
-    point, data = read_checkpoint(run.path / LATEST), torch.load(path, weights_only=True)
-    form = data.pop("format")
-    wrong = ({"beside": 1}, {"iteration": "x"}, {"x": 1}, {"recipe": point.recipe.plain()})
-    for change in (*wrong, {"state": {}}, {"state": data["state"] | {"encoder": {}}}):
-        write_tensors(path, data | change, form)
-        assert f"{path}: " in refused(depth_learner, run.path, point)
-    write_tensors(path, data, form)
-    depth_learner(run.path, point)
 
 
 @pytest.mark.parametrize("kind", ["FIFO", "folder", "too large", "absent"])
@@ -342,7 +319,7 @@ def test_a_full_disk_is_a_fault_of_the_machine(run, monkeypatch):
 
 
 def test_what_a_killed_process_left_is_removed(run):
-    left = [partial_name(LATEST), partial_name("run.json"), partial_name(DEPTH)]
+    left = [partial_name(LATEST), partial_name("run.json")]
     for name in [*left, partial_name("mine.txt"), ".latest.pt.partial"]:
         (run.path / name).write_bytes(b"half")
     RunFolder.existing(run.path)
@@ -375,12 +352,9 @@ def test_a_folder_whose_making_was_cut_short_is_no_run(boxes, tmp_path):
 
 
 def test_two_do_not_train_in_one_folder(run, boxes):
-    with run.locked():
-        with pytest.raises(ArticugenError, match="another run is writing here; wait for it"):
-            train(TINY, category="box", data=boxes, runs=run.path.parent, resume=run.path)
-        with pytest.raises(ArticugenError, match="another run is writing here; wait for it"):
-            train_depth(RunFolder(run.path), boxes)
-    assert train_depth(RunFolder.existing(run.path), boxes).path == run.path
+    busy = pytest.raises(ArticugenError, match="another run is writing here; wait for it")
+    with run.locked(), busy:
+        train(TINY, category="box", data=boxes, runs=run.path.parent, resume=run.path)
 
 
 def test_runs_with_other_names_are_no_numbers(boxes, tmp_path):
@@ -401,7 +375,6 @@ def test_runs_with_other_names_are_no_numbers(boxes, tmp_path):
         lambda r: r | {"means": {"label_iou": "x"}},
         lambda r: r | {"means": {"label_iou": float("nan")}},
         lambda r: r | {"means": None},
-        lambda r: r | {"depth_input": 5},
         lambda r: NESTED,
     ],
 )
@@ -417,7 +390,7 @@ def test_evaluations_may_hold_anything(tmp_path, change):
     assert f"make it with: articugen evaluate {tmp_path}" in told
 
 
-@pytest.mark.parametrize("name", [LATEST, "run.json", "recipe.yaml", METRICS, DEPTH])
+@pytest.mark.parametrize("name", [LATEST, "run.json", "recipe.yaml", METRICS])
 def test_commands_refuse_a_damaged_run_in_one_sentence(run, boxes, name):
     path = run.path / name
     data = path.read_bytes()
@@ -426,16 +399,15 @@ def test_commands_refuse_a_damaged_run_in_one_sentence(run, boxes, name):
     path.write_bytes(data[:place] + harm + data[place + 1 :])
     commands = {
         "train": ("-c", "box", "-d", boxes, "--resume", run.path),
-        "train-depth": (run.path, "-d", boxes),
-        "predict": (run.path, boxes / "test-00002.h5", "--depth"),
+        "train-depth": (run.path, "-d", boxes, "--runs", run.path.parent),
+        "predict": (run.path, boxes / "test-00002.h5"),
         "evaluate": (run.path, "-d", boxes, "--no-figures", "--resolution", 8),
     }
     reads = {
         LATEST: set(commands),
-        "run.json": {"train"},
-        "recipe.yaml": {"train"},
+        "run.json": {"train", "train-depth"},
+        "recipe.yaml": {"train", "train-depth"},
         METRICS: {"train"},
-        DEPTH: {"train-depth", "predict"},
     }
     for command in sorted(reads[name]):
         done = CliRunner().invoke(app, [command, *map(str, commands[command])])

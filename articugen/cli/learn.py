@@ -5,6 +5,7 @@ articugen/cli/generate.py registers them.
 
 # Everything heavy is imported where it is used: --help should not wait for torch.
 # ruff: noqa: PLC0415
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -43,7 +44,8 @@ def register(app: typer.Typer) -> None:
     app.command(epilog="Example: articugen tables runs/* --figure examples.png")(tables)
     app.command(
         epilog="Examples:\n\narticugen predict runs/laptop data/laptop/test-00000.h5 --row 3\n\n"
-        "articugen predict runs/laptop cloud.ply --fit --out rig"
+        "articugen predict runs/laptop cloud.ply --fit --out rig\n\n"
+        "articugen predict runs-depth/laptop view.ply"
     )(predict)
 
 
@@ -130,20 +132,29 @@ def train(
 def train_depth(
     run: Annotated[Path, typer.Argument(help="A run's folder, or that of a category's runs.")],
     data: Annotated[Path, typer.Option("--data", "-d", help="The folder of the data set.")],
+    recipe: Annotated[
+        str, typer.Option("--recipe", "-r", help="ppd_depth is longer; or a YAML file.")
+    ] = "ppd_depth_quick",
+    changes: Changes = None,
+    runs: Annotated[Path, typer.Option(help="Where the new run goes, as for train.")] = Path(
+        "runs-depth"
+    ),
+    resume: Annotated[Path | None, typer.Option(help="Go on with this run instead.")] = None,
     device: Annotated[str, typer.Option(help="cpu, cuda or cuda:1.")] = "cpu",
     threads: Annotated[int, typer.Option(min=0, help="CPU threads; 0 leaves it to torch.")] = 0,
 ) -> None:
-    """Train a run's encoder for depth input, or go on with it: what one camera sees, not all."""
-    with said("interrupted; what was last saved is kept, the same command goes on"):
+    """Train an encoder for what one camera sees, beside a run: train, with that run as teacher."""
+    with said():
         with loading():
-            from articugen.learning import commands
+            from articugen.learning.commands import RunFolder, newest
 
-        with _ProgressBar() as on_progress:
-            done = commands.train_depth(
-                run, data, device=device, threads=threads, on_progress=on_progress
-            )
-        stdout.print(f"done: {done.path / commands.DEPTH.latest}", soft_wrap=True)
-        _say_next(done.path, data)
+        teacher = newest(run)
+        category = RunFolder(teacher).about()["category"]
+    settings = [*(changes or ()), f"teacher={json.dumps(str(teacher))}"]
+    train(
+        category, [data], recipe, changes=settings, runs=runs, resume=resume, device=device,
+        threads=threads,
+    )  # fmt: skip
 
 
 def _say_next(run: Path, data: Path) -> None:
@@ -240,10 +251,9 @@ def predict(
     run: Annotated[Path, typer.Argument(help="A run's folder, or that of a category's runs.")],
     cloud: Annotated[Path, typer.Argument(help="A shard, or points as .ply, .npy, .npz or .xyz.")],
     row: Annotated[int, typer.Option(min=0, help="Which instance of the shard.")] = 0,
-    depth: Annotated[
-        bool, typer.Option("--depth", help="One depth camera's cloud; needs train-depth.")
-    ] = False,
-    camera: Annotated[int, typer.Option(min=0, help="Which of the shard's, for --depth.")] = 0,
+    camera: Annotated[
+        int, typer.Option(min=0, help="Which of the shard's, for a run of train-depth.")
+    ] = 0,
     fit: Annotated[
         bool, typer.Option("--fit", help="Bring the cloud's box into the unit frame first.")
     ] = False,
@@ -255,7 +265,7 @@ def predict(
         from articugen.learning import commands
 
         made = commands.predict(
-            run, cloud, row=row, depth=depth, camera=camera, fit=fit, out=out, resolution=resolution
+            run, cloud, row=row, camera=camera, fit=fit, out=out, resolution=resolution
         )
         if made.cloud.hint:
             stderr.print(made.cloud.hint, soft_wrap=True)

@@ -15,7 +15,7 @@ except ImportError:
     raise MissingExtra("torch", "ppd") from None
 
 from articugen.core.files import write_atomically
-from articugen.core.records import Floats, Instance, JointKind, dequantize
+from articugen.core.records import Instance, JointKind, dequantize
 from articugen.core.yaml_files import with_settings
 from articugen.learning import loop, tensorboard
 from articugen.learning.clouds import cloud_of_shard, seen_by_a_camera
@@ -27,7 +27,6 @@ from articugen.learning.evaluation.report import markdown
 from articugen.learning.evaluation.report import tables as written
 from articugen.learning.evaluation.results import (
     EvaluatedRun,
-    Evaluation,
     RunEvaluation,
     read_evaluation,
 )
@@ -36,7 +35,7 @@ from articugen.learning.method import Yardstick, find_method, load_recipe
 from articugen.learning.predict import write_rig
 from articugen.learning.race import race
 from articugen.learning.recipe import TrainRecipe
-from articugen.learning.run_folder import DEPTH, LATEST, RunFolder, depth_learner, read_checkpoint
+from articugen.learning.run_folder import LATEST, RunFolder, read_checkpoint
 from articugen.meshes.points import Cloud, cloud_of_file
 from articugen.store.manifest import Manifest
 
@@ -134,28 +133,6 @@ def train(
     )
 
 
-def train_depth(
-    run: FolderLike,
-    data: FolderLike,
-    *,
-    device: str = "cpu",
-    threads: int = 0,
-    on_progress: Tell = lambda _: None,
-) -> RunFolder:
-    """Train what a run's method has for depth input, or go on with it.
-
-    Args:
-        run: a run's folder, or that of a category's runs, whose newest is meant.
-        data, device, threads, on_progress: as `train` takes them.
-
-    Raises:
-        Others as `train`.
-    """
-    prepare(device, threads)
-    folder = RunFolder.existing(newest(run))
-    return loop.train_depth(folder, Path(data), device=device, on_progress=on_progress)
-
-
 def evaluate(
     run: FolderLike,
     data: FolderLike,
@@ -185,7 +162,7 @@ def evaluate(
         on_object: called with the name of each object that was evaluated.
 
     Returns:
-        What was measured; `depth_input` too, where the run has something for that.
+        What was measured; of clouds that one camera sees, where the run learned from those.
 
     Raises:
         InvalidCheckpoint: the run cannot be read.
@@ -213,21 +190,24 @@ def evaluate(
         on_object=on_object,
     )
 
-    def measured(learner: Any, seen: Callable[[Instance], Floats]) -> Evaluation:
-        def on(grid: int) -> Reconstruct:
-            return lambda instance: by.reconstruct(learner, seen(instance), grid)
+    learner = point.learner()
+    partial_clouds = learner.inputs.partial
 
-        return measure(on(resolution), **({"finer": on(finer)} if finer else {}))
+    def at(grid: int) -> Reconstruct:
+        def reconstruct(instance: Instance) -> Reconstruction:
+            cloud = dequantize(instance.surface_points)
+            cloud = seen_by_a_camera(instance) if partial_clouds else cloud
+            return by.reconstruct(learner, cloud, grid)
 
-    found = measured(point.learner(), lambda instance: dequantize(instance.surface_points))
-    by_depth = None
-    if (folder / DEPTH.latest).is_file():
-        by_depth = measured(depth_learner(folder, point), seen_by_a_camera)
+        return reconstruct
+
+    measured = measure(at(resolution), **({"finer": at(finer)} if finer else {}))
     evaluated = EvaluatedRun(
-        **point.about(), protocol=protocol, label_poses=label_poses, states=states,
-        resolution=resolution, finer=finer, on=None if on is None else str(on),
+        **point.about(), input="depth" if partial_clouds else "complete", protocol=protocol,
+        label_poses=label_poses, states=states, resolution=resolution, finer=finer,
+        on=None if on is None else str(on),
     )  # fmt: skip
-    result = RunEvaluation(run=evaluated, depth_input=by_depth, **dict(found))
+    result = RunEvaluation(run=evaluated, **dict(measured))
     out = evaluation_folder(folder, protocol, on)
     out.mkdir(exist_ok=True)
     result.write(out)
@@ -329,7 +309,6 @@ def predict(
     cloud: FolderLike,
     *,
     row: int = 0,
-    depth: bool = False,
     camera: int = 0,
     fit: bool = False,
     out: FolderLike = "rig",
@@ -341,8 +320,8 @@ def predict(
         run: a run's folder, or that of a category's runs, whose newest is meant.
         cloud: a shard, or a file of points.
         row: which instance of a shard.
-        depth, camera: what this one of the shard's depth cameras sees, or that the file's points
-            are what some camera sees; the run must have something for depth input.
+        camera: which of a shard's depth cameras, where the run learned from what one sees; a file's
+            points are taken for what some camera sees then.
         fit: bring the file's box into the unit frame first.
         out: the folder for meshes and URDF.
         resolution: of the meshes' grid.
@@ -355,12 +334,12 @@ def predict(
     prepare()
     folder, cloud = newest(run), Path(cloud)
     point = read_checkpoint(folder / LATEST)
+    learner = point.learner()
     if cloud.suffix == ".h5":
-        eye = camera if depth else None
+        eye = camera if learner.inputs.partial else None
         given = cloud_of_shard(cloud, row, category=point.category, camera=eye)
     else:
         given = cloud_of_file(cloud, fit=fit)
-    learner = depth_learner(folder, point) if depth else point.learner()
     found = learner.reconstruct(given.points, resolution=resolution)
     return Predicted(given, found, write_rig(found, Path(out), frame=given.frame))
 

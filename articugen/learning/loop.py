@@ -24,17 +24,13 @@ from articugen.learning.data.split import Folders, PackedSplit, folders_of, load
 from articugen.learning.method import Learner, find_method
 from articugen.learning.recipe import Schedule, TrainRecipe
 from articugen.learning.run_folder import (
-    DEPTH,
+    BEST,
     LATEST,
-    MAIN,
     META,
     Checkpoint,
-    Files,
     RunFolder,
     read_checkpoint,
-    read_depth_checkpoint,
 )
-from articugen.learning.tensors import digest
 from articugen.store.manifest import Manifest
 
 
@@ -69,9 +65,6 @@ class Course:
 
     Attributes:
         seed: of the batches and everything drawn.
-        stream: names the random numbers of its iterations.
-        files: of the run's folder.
-        beside: the digest of the learner that it was trained beside, if there is one.
         iteration, best: how many iterations are done; the lowest validation loss so far.
     """
 
@@ -81,9 +74,6 @@ class Course:
     run: RunFolder
     category: str
     seed: int
-    stream: str = "batch"
-    files: Files = MAIN
-    beside: str = ""
     iteration: int = 0
     best: float = math.inf
     since: float = field(default_factory=time.perf_counter)
@@ -95,8 +85,9 @@ class Course:
 
     def keep(self, name: str) -> None:
         """Write a checkpoint of where it stands."""
-        self.run.keep(Checkpoint.of(self.learner, self.category, self.seed, self.iteration,
-                                    self.best, self.beside), name, self.files.metrics)  # fmt: skip
+        self.run.keep(
+            Checkpoint.of(self.learner, self.category, self.seed, self.iteration, self.best), name
+        )
 
     def rows(self, iteration: int) -> list[int]:
         """The instances of an iteration's batch."""
@@ -105,7 +96,7 @@ class Course:
 
     def seed_at(self, iteration: int) -> int:
         """Of everything that an iteration draws."""
-        return draw(self.seed, self._method, self.stream, iteration)
+        return draw(self.seed, self._method, "batch", iteration)
 
     def note(
         self, iteration: int, terms: dict[str, float] | None, due: "Due", log: Log
@@ -128,11 +119,10 @@ class Course:
             log({"iteration": self.iteration, "validation": checked})
         if checked and (loss := next(iter(checked.values()))) < self.best:
             self.best = loss
-            if self.files.best:
-                self.keep(self.files.best)
+            self.keep(BEST)
             saves = True
         if saves:
-            self.keep(self.files.latest)
+            self.keep(LATEST)
         return checked
 
     @property
@@ -201,43 +191,6 @@ def train(
     return follow(course, stop_after, on_progress)
 
 
-def train_depth(
-    run: RunFolder,
-    data: Path,
-    *,
-    device: str = "cpu",
-    stop_after: int | None = None,
-    on_progress: Tell = lambda _: None,
-) -> RunFolder:
-    """Train what a run's method has for depth input, beside its last checkpoint, or go on with it.
-
-    Args:
-        data: the folder of a data set of the same category.
-
-    Raises:
-        ArticugenError: the method has nothing for depth input.
-        UnfitData: the data cannot be trained on, for instance has no partial clouds.
-        InvalidCheckpoint: the run has no checkpoint.
-        TrainingDiverged: the loss is no longer a finite number.
-    """
-    where = torch.device(device)
-    point = read_checkpoint(run.path / LATEST)
-    method, seed = find_method(point.recipe.method), point.seed
-    first = point.learner(where)
-    weights = draw(seed, method.name, "depth weights")
-    learner = method.start_depth(first, seed=weights, device=where)
-    splits = split_for(learner, data, point.category, where)
-    course = Course(
-        learner, *splits, run, point.category, seed,
-        stream="depth", files=DEPTH, beside=digest(point.state),
-    )  # fmt: skip
-    if (run.path / DEPTH.latest).is_file():
-        start = read_depth_checkpoint(run.path, point)
-        if start.beside == course.beside:  # else of an earlier state of the run
-            course.go_on_from(start)
-    return follow(course, stop_after, on_progress)
-
-
 def follow(course: Course, stop_after: int | None, on_progress: Tell) -> RunFolder:
     """The loop: from where the course stands to its schedule's end, or to `stop_after`."""
     learner, plan = course.learner, course.learner.settings.schedule
@@ -248,7 +201,7 @@ def follow(course: Course, stop_after: int | None, on_progress: Tell) -> RunFold
             lambda said: on_progress(Progress(course.iteration, plan.iterations, said=said)),
         )
         training = course.training = course.training.for_batches()
-    with course.run.metrics_from(course.iteration, course.files) as log:
+    with course.run.metrics_from(course.iteration) as log:
         for iteration in range(
             course.iteration, min(plan.iterations, stop_after or plan.iterations)
         ):

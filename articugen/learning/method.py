@@ -14,7 +14,7 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from articugen.core.errors import ArticugenError, InvalidRecipe
+from articugen.core.errors import InvalidRecipe
 from articugen.core.plugins import Group
 from articugen.core.yaml_files import find, nearest, resolved, resolved_mapping, validated
 from articugen.learning.recipe import TrainRecipe
@@ -29,7 +29,10 @@ if TYPE_CHECKING:
     from articugen.learning.evaluation.reconstruction import Reconstruction
     from articugen.learning.evaluation.results import Evaluation
 
-METHODS = {"ppd": "articugen.learning.ppd.method:PPD_METHOD"}
+METHODS = {
+    "ppd": "articugen.learning.ppd.method:PPD_METHOD",
+    "ppd_depth": "articugen.learning.ppd.method:DEPTH_METHOD",
+}
 """Ours by name; those of other packages are found by their entry points."""
 
 DEFAULT = "ppd"
@@ -139,14 +142,6 @@ class Method(Protocol):
             device: `meta` asks for shapes alone, to compare a stored state with.
         """
         ...
-
-    def start_depth(self, first: Any, *, seed: int, device: torch.device) -> Learner:
-        """A learner for what one depth camera sees, beside one that is trained.
-
-        Raises:
-            ArticugenError: there is none.
-        """
-        raise ArticugenError(f"method {self.name}: has no learner for depth input; leave it out")
 
     def yardsticks(self) -> Mapping[str, Yardstick]:
         """How it is measured elsewhere, by the protocol's name; `paper` is there for all."""

@@ -1,7 +1,7 @@
 """Run folders: the recipe, what it ran on, metrics as JSON lines, checkpoints without pickled code.
 
-<runs>/<category>/<number>/recipe.yaml, run.json, metrics.jsonl, latest.pt, best.pt; depth.pt and
-depth.jsonl of a learner for depth input; what TensorBoard reads.
+<runs>/<category>/<number>/recipe.yaml, run.json, metrics.jsonl, latest.pt, best.pt; what
+TensorBoard reads.
 
 Everything is believed only if it is as it was written: a file that is not gives one sentence.
 
@@ -36,7 +36,7 @@ from articugen.core.yaml_files import resolved
 from articugen.learning import tensorboard
 from articugen.learning.method import Learner, find_method, parse_recipe
 from articugen.learning.recipe import TrainRecipe
-from articugen.learning.tensors import CURE, check_like, digest, read_tensors, write_tensors
+from articugen.learning.tensors import CURE, check_like, read_tensors, write_tensors
 from articugen.store.manifest import this_commit, this_machine
 
 FORMAT = "articugen checkpoint 3"
@@ -46,23 +46,6 @@ MOST_BYTES = 1 << 28
 
 CPU, META = torch.device("cpu"), torch.device("meta")
 
-
-@dataclass(frozen=True)
-class Files:
-    """What one learner leaves in a run's folder: checkpoints, metrics, a folder of TensorBoard's.
-
-    Attributes:
-        best: None where the last one alone is kept.
-    """
-
-    latest: str
-    best: str | None
-    metrics: str
-    board: str
-
-
-MAIN = Files(LATEST, BEST, METRICS, ".")
-DEPTH = Files("depth.pt", None, "depth.jsonl", "depth")
 
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
@@ -117,7 +100,6 @@ class Checkpoint:
         recipe, category, seed: what is trained.
         iteration: how many are done.
         best: the lowest validation loss so far, or inf.
-        beside: the digest of the state of the learner that it was trained beside, or nothing.
         state: the learner's own, see `method.Learner.state`.
     """
 
@@ -126,16 +108,13 @@ class Checkpoint:
     seed: int
     iteration: int
     best: float
-    beside: str
     state: dict[str, Any]
 
     @staticmethod
-    def of(
-        learner: Learner, category: str, seed: int, iteration: int, best: float, beside: str = ""
-    ) -> "Checkpoint":
+    def of(learner: Learner, category: str, seed: int, iteration: int, best: float) -> "Checkpoint":
         """Where a learner stands."""
         recipe, state = learner.settings, learner.state()
-        return Checkpoint(recipe, category, seed, iteration, best, beside, state)
+        return Checkpoint(recipe, category, seed, iteration, best, state)
 
     def write(self, path: Path) -> None:
         """Write it in one step."""
@@ -172,50 +151,6 @@ def read_checkpoint(path: Path) -> Checkpoint:
     return point
 
 
-def read_depth_checkpoint(folder: Path, main: Checkpoint) -> Checkpoint:
-    """The checkpoint for depth input in a run's folder, whatever it was trained beside.
-
-    Args:
-        main: the run's own.
-
-    Raises:
-        InvalidCheckpoint: there is none, it is damaged, or not one of ours.
-    """
-    path = folder / DEPTH.latest
-    if not path.is_file():
-        raise InvalidCheckpoint(
-            f"{folder}: has no encoder for partial clouds; make one with: articugen train-depth"
-        )
-    point, method = _read_checkpoint(path), find_method(main.recipe.method)
-    first = method.start(main.recipe, seed=0, device=META)
-    learner = method.start_depth(first, seed=0, device=META)
-    if point.recipe.sha256() != learner.settings.sha256():
-        raise InvalidCheckpoint(f"{path}: is of another recipe than {LATEST}; {CURE}")
-    check_like(point.state, learner.state(), path)
-    return point
-
-
-def depth_learner(folder: Path, main: Checkpoint, device: torch.device = CPU) -> Learner:
-    """What was trained for depth input, ready for predictions.
-
-    Args:
-        main: the run's own checkpoint.
-
-    Raises:
-        InvalidCheckpoint: there is none, or it was trained beside another state.
-    """
-    point = read_depth_checkpoint(folder, main)
-    if point.beside != digest(main.state):
-        raise InvalidCheckpoint(
-            f"{folder / DEPTH.latest}: belongs to other weights than {LATEST}; make it again: "
-            "articugen train-depth"
-        )
-    method = find_method(main.recipe.method)
-    learner = method.start_depth(main.learner(device), seed=0, device=device)
-    learner.load(point.state)
-    return learner
-
-
 def _read_checkpoint(path: Path) -> Checkpoint:
     """A checkpoint whose state nobody has looked at yet."""
     data = read_tensors(path, FORMAT)
@@ -228,8 +163,7 @@ def _read_checkpoint(path: Path) -> Checkpoint:
             raise InvalidCheckpoint(f"{path}: {error}; train it again") from None
         raise InvalidCheckpoint(f"{path}: a checkpoint that lacks something; {CURE}") from None
     kinds = [type(x) for x in (point.category, point.seed, point.iteration, point.best)]
-    sensible = kinds == [str, int, int, float] and type(point.beside) is str
-    if not (sensible and 0 <= point.iteration <= recipe.schedule.iterations):
+    if not (kinds == [str, int, int, float] and 0 <= point.iteration <= recipe.schedule.iterations):
         raise InvalidCheckpoint(f"{path}: a checkpoint that makes no sense; {CURE}")
     return point
 
@@ -316,7 +250,7 @@ class RunFolder:
         """Remove what a process that was killed while it wrote has left."""
         ours = ("recipe.yaml", "run.json", "race.json", METRICS, LATEST, BEST)
         for path in self.path.glob(".*.partial"):
-            if whole_name(path.name) in (*ours, DEPTH.latest, DEPTH.metrics):
+            if whole_name(path.name) in ours:
                 path.unlink(missing_ok=True)
 
     def recipe(self) -> TrainRecipe:
@@ -335,7 +269,8 @@ class RunFolder:
             recipe = parse_recipe(resolved(path, extends), str(path))
         except (InvalidRecipe, RecursionError, ValueError):
             raise InvalidCheckpoint(
-                f"{path}: damaged; restore it from a copy, or start a new run"
+                f"{path}: damaged, or of an earlier version; restore it from a copy, or start a "
+                "new run"
             ) from None
         if recipe.sha256() != self.about()["recipe_sha256"]:
             raise InvalidCheckpoint(
@@ -353,13 +288,13 @@ class RunFolder:
         path = self.path / "run.json"
         return _parsed(_About, _read(path), str(path)).model_dump()
 
-    def log(self, record: dict[str, Any], name: str = METRICS) -> None:
+    def log(self, record: dict[str, Any]) -> None:
         """Append one line to the metrics.
 
         Raises:
             MachineFault: the disk is full, or the like.
         """
-        path = self.path / name
+        path = self.path / METRICS
         try:
             with path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(record) + "\n")
@@ -367,9 +302,7 @@ class RunFolder:
             raise MachineFault(cannot_write(path, error)) from None
 
     @contextmanager
-    def metrics_from(
-        self, iteration: int, files: Files = MAIN
-    ) -> Iterator[Callable[[dict[str, Any]], None]]:
+    def metrics_from(self, iteration: int) -> Iterator[Callable[[dict[str, Any]], None]]:
         """What appends a line to the metrics and tells TensorBoard of it; what there is of later
         iterations is dropped first, since they will be done again.
 
@@ -377,39 +310,39 @@ class RunFolder:
             ArticugenError: another process trains here.
             MachineFault: the disk is full, or the like.
         """
-        with self.locked(), tensorboard.board(self.path / files.board, iteration) as tell:
-            self.forget_after(iteration, files.metrics)
+        with self.locked(), tensorboard.board(self.path, iteration) as tell:
+            self.forget_after(iteration)
 
             def log(record: dict[str, Any]) -> None:
-                self.log(record, files.metrics)
+                self.log(record)
                 tell(record)
 
             yield log
 
-    def keep(self, point: Checkpoint, name: str, metrics: str = METRICS) -> None:
+    def keep(self, point: Checkpoint, name: str) -> None:
         """Write a checkpoint; the metrics up to there are on the disk before it is."""
         with suppress(FileNotFoundError):
-            sync(self.path / metrics)
+            sync(self.path / METRICS)
         point.write(self.path / name)
 
-    def metrics(self, name: str = METRICS) -> list[dict[str, Any]]:
+    def metrics(self) -> list[dict[str, Any]]:
         """The lines of the metrics; a last one that was cut short is none.
 
         Raises:
             InvalidCheckpoint: a line is damaged.
         """
-        path = self.path / name
+        path = self.path / METRICS
         if not os.path.lexists(path):
             return []
         lines = _read(path).split(b"\n")[:-1]
         numbered = ((f"{path}: line {n}", line) for n, line in enumerate(lines, start=1))
         return [_parsed(_Line, line, at).model_dump(exclude_unset=True) for at, line in numbered]
 
-    def forget_after(self, iteration: int, name: str = METRICS) -> None:
+    def forget_after(self, iteration: int) -> None:
         """Drop metrics of later iterations."""
-        kept = [r for r in self.metrics(name) if r["iteration"] <= iteration]
+        kept = [r for r in self.metrics() if r["iteration"] <= iteration]
         text = "".join(json.dumps(record) + "\n" for record in kept)
-        write_atomically(self.path / name, text.encode())
+        write_atomically(self.path / METRICS, text.encode())
 
 
 def _next_number(runs: Path) -> Path:

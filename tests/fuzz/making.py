@@ -140,7 +140,6 @@ def checkpoint_data() -> dict[str, Any]:
         "seed": 0,
         "iteration": 2,
         "best": 0.5,
-        "beside": "",
         "state": state,
     }
 

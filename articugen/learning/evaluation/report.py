@@ -77,13 +77,17 @@ def tables(results: Sequence[RunEvaluation]) -> str:
 
     Args:
         results: evaluations of any methods, categories and variants. Tables 2 to 4 and 9 take the
-            complete model where there is one; Tables 5 and 6, of PPD alone, the mean over
-            categories.
+            complete model where there is one, and what sees depth only where nothing else was
+            evaluated; Tables 5 and 6, of PPD alone, the mean over categories.
     """
-    lines, of_ppd = _by_category(results), [r for r in results if r.run.method == paper.METHOD]
+    by_depth = [r for r in results if r.run.input == "depth"]
+    whole = [r for r in results if r.run.input == "complete"] or by_depth
+    lines, of_ppd = _by_category(whole), [r for r in whole if r.run.method == paper.METHOD]
     if of_ppd:
-        lines += [*_ablation(of_ppd), *_inputs(of_ppd)]
-    lines += _as_pose_estimators(results)
+        lines += _ablation(of_ppd)
+    if of_ppd or by_depth:
+        lines += _inputs([*of_ppd, *by_depth])
+    lines += _as_pose_estimators(whole)
     return "\n".join([OTHER_DATA, *lines]) + "\n"
 
 
@@ -171,19 +175,15 @@ def _inputs(results: Sequence[RunEvaluation]) -> list[str]:
         "| table 6: input | F-score | paper | label IoU, % | paper | EPE x 100 | paper |",
         "|---|---:|---:|---:|---:|---:|---:|",
     ]
-    complete = [r for r in results if r.run.variant == paper.COMPLETE] or list(results)
-    by_depth = [r for r in complete if r.depth_input]
-    for name, runs, measured in (
-        ("complete", complete, complete),
-        ("depth", by_depth, [r.depth_input for r in by_depth if r.depth_input]),
-    ):
-        theirs = paper.INPUTS[name]
+    for name, theirs in paper.INPUTS.items():
+        of_input = [r for r in results if r.run.input == name]
+        measured = [r for r in of_input if r.run.variant == paper.COMPLETE] or of_input
         cells = [
             _mean(measured, "f_score", 1.0, 2), theirs[0],
             _mean(measured, "label_iou", 100.0, 2), theirs[1],
             _mean(measured, "epe_joint_all", 100.0, 3), theirs[2],
         ]  # fmt: skip
-        lines.append(f"| {name}{_of(runs)} | {' | '.join(cells)} |")
+        lines.append(f"| {name}{_of(measured)} | {' | '.join(cells)} |")
     return [*lines, "", MEANS]
 
 

@@ -101,6 +101,7 @@ class EvaluatedRun(_Record):
 
     Attributes:
         method: whose run it is; the paper's ablation is of `paper.METHOD` alone.
+        input: what it reconstructs from: complete clouds, or what one depth camera sees.
         variant: the row of Table 5 that it belongs to.
         states: random ones of each test object; None is all.
         resolution: of the grid of its meshes.
@@ -110,6 +111,7 @@ class EvaluatedRun(_Record):
     """
 
     method: str = "ppd"
+    input: Literal["complete", "depth"] = "complete"
     category: str
     recipe: str
     variant: str
@@ -125,10 +127,9 @@ class EvaluatedRun(_Record):
 
 
 class RunEvaluation(Evaluation):
-    """The evaluation of a run, and that with depth input where the run has an encoder for it."""
+    """The evaluation of a run."""
 
     run: EvaluatedRun
-    depth_input: Evaluation | None = None
 
     def write(self, folder: Path) -> None:
         """Write evaluation.json, which `read_evaluation` reads."""

@@ -5,9 +5,7 @@ the complete cloud of the same instance; the loss is their mean squared differen
 stay as they are.
 """
 
-import copy
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,49 +13,68 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import mse_loss
 
+from articugen.core.errors import InvalidCheckpoint, InvalidRecipe
 from articugen.learning.blocks import Descent
-from articugen.learning.data.batch import Batch
+from articugen.learning.data.batch import Batch, BatchSpec
 from articugen.learning.data.split import PackedSplit, unpacked
 from articugen.learning.method import Terms
-from articugen.learning.ppd.learner import PPDLearner, Predictor, validation
-from articugen.learning.ppd.network import encoder_of
+from articugen.learning.ppd.learner import VALIDATION_GRID, PPDLearner, Predictor, validation
+from articugen.learning.ppd.network import PPD, encoder_of
+from articugen.learning.ppd.settings import DepthRecipe
+from articugen.learning.run_folder import LATEST, read_checkpoint
 from articugen.learning.tensors import made
 
 
 class DepthLearner(Predictor):
-    """The second encoder, beside a learner whose first stages are done.
+    """The second encoder, beside the decoders of a run whose first stages are done.
 
     Args:
         seed: decides its weights.
     """
 
-    def __init__(self, first: PPDLearner, seed: int, device: torch.device) -> None:
-        self.settings = first.settings.third_stage()
-        kinds = ("grid", "uniform", "near", "band", "varying")
-        none = {f"{kind}_points": 0 for kind in kinds}
-        self.inputs = replace(
-            first.inputs,
-            **none,
-            joints=None,
-            poses=False,
-            hidden=False,
-            normals=False,
-            chances=0,
+    def __init__(self, settings: DepthRecipe, seed: int, device: torch.device) -> None:
+        taught = settings.taught
+        if taught is None:
+            raise InvalidRecipe(f"{settings.name}: names no teacher; set teacher to a run's folder")
+        self.settings: DepthRecipe = settings  # pyright: ignore[reportIncompatibleVariableOverride]
+        self.taught = taught
+        self.inputs = BatchSpec(
+            taught.data.surface_points,
+            occupancy=taught.data.occupancy,
+            grids=(VALIDATION_GRID,) if taught.data.validation_objects else (),
             partial=True,
         )
         self.points = None
-        self.residual_direction = first.residual_direction
-        self.teacher = first.model.encoder
-        plain = first.settings.model.model_copy(update={"latent_start": "release"})
+        self.residual_direction = False
+        plain = taught.model.model_copy(update={"latent_start": "release"})
         with made(seed, device):
             self.student = encoder_of(plain).to(device)
-        self.model = copy.deepcopy(first.model)
+            self.model, self.teacher = PPD(taught.model), encoder_of(taught.model).to(device)
         self.model.encoder = self.student
-        self.descent = Descent(self.student, rate="depth.learning_rate")
+        self.model.to(device)
+        self.descent = Descent(self.student)
+        self.is_taught = False
 
     def begin(
         self, training: PackedSplit, beside: Path, tell: Callable[[str], None] = lambda _: None
     ) -> None:
+        """Take over the teacher's weights, if nothing was learned from it yet."""
+        if not self.is_taught:
+            path = Path(self.settings.teacher) / LATEST
+            point = read_checkpoint(path)
+            if point.recipe.sha256() != self.taught.sha256():
+                raise InvalidCheckpoint(
+                    f"{path}: is of another recipe than `taught`; leave that out"
+                )
+            if next(self.student.parameters()).is_meta:
+                return  # it is only asked whether it could begin
+            first = point.learner()
+            assert isinstance(first, PPDLearner)
+            self.residual_direction = first.residual_direction
+            own = {f"encoder.{name}": value for name, value in self.student.state_dict().items()}
+            self.model.load_state_dict(first.model.state_dict() | own)
+            self.teacher.load_state_dict(first.model.encoder.state_dict())
+            self.is_taught = True
         self.wanted = self._wanted(training)
 
     def learn(self, batch: Batch, rng: torch.Generator | None, *, iteration: int) -> Terms:
@@ -81,11 +98,19 @@ class DepthLearner(Predictor):
         return {"latent": float(torch.stack(each).mean()), **rest}
 
     def state(self) -> dict[str, Any]:
-        return {"encoder": self.student.state_dict(), "adam": self.descent.state()}
+        return {
+            "residual_direction": self.residual_direction,
+            "model": self.model.state_dict(),
+            "teacher": self.teacher.state_dict(),
+            "adam": self.descent.state(),
+        }
 
     def load(self, state: dict[str, Any]) -> None:
-        self.student.load_state_dict(state["encoder"])
+        self.residual_direction = state["residual_direction"]
+        self.model.load_state_dict(state["model"])
+        self.teacher.load_state_dict(state["teacher"])
         self.descent.load(state["adam"])
+        self.is_taught = True
 
     def _wanted(self, split: PackedSplit) -> Tensor:
         return latents(self.teacher, split.surface[:, : self.inputs.surface_points])

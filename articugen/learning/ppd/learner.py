@@ -46,7 +46,6 @@ class Predictor(Learner):
         residual_direction: whether r^z counts.
     """
 
-    settings: PPDRecipe  # pyright: ignore[reportIncompatibleVariableOverride]
     model: PPD
     points: int | None
     residual_direction: bool
@@ -69,7 +68,7 @@ class Predictor(Learner):
         from articugen.learning.ppd.drawing import drawable  # noqa: PLC0415
 
         return drawable(
-            self.model, self.predict, self.settings.model, resolution,
+            self.model, self.predict, self.model.settings, resolution,
             points=self.points, residual_direction=self.residual_direction,
         )  # fmt: skip
 
@@ -82,7 +81,7 @@ class PPDLearner(Predictor):
     """
 
     def __init__(self, settings: PPDRecipe, seed: int, device: torch.device) -> None:
-        self.settings = settings
+        self.settings: PPDRecipe = settings  # pyright: ignore[reportIncompatibleVariableOverride]
         self.inputs = BatchSpec.of(
             settings.data,
             grids=(VALIDATION_GRID,) if settings.data.validation_objects else (),

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from articugen.learning.method import Method, Yardstick
-from articugen.learning.ppd.settings import PPDRecipe
+from articugen.learning.ppd.settings import DepthRecipe, PPDRecipe
 
 if TYPE_CHECKING:
     import torch
@@ -15,7 +15,14 @@ if TYPE_CHECKING:
     from articugen.learning.ppd.learner import PPDLearner
 
 
-class PPDMethod(Method):
+class _Measured(Method):
+    def yardsticks(self) -> Mapping[str, Yardstick]:
+        from articugen.learning.ppd import release  # noqa: PLC0415
+
+        return {"release": Yardstick(release.RESOLUTION, release.reconstruct, release.evaluate)}
+
+
+class PPDMethod(_Measured):
     name = "ppd"
     recipe = "ppd_quick"
     Settings = PPDRecipe
@@ -25,15 +32,16 @@ class PPDMethod(Method):
 
         return PPDLearner(settings, seed, device)
 
-    def start_depth(self, first: PPDLearner, *, seed: int, device: torch.device) -> DepthLearner:
+
+class DepthMethod(_Measured):
+    name = "ppd_depth"
+    recipe = "ppd_depth_quick"
+    Settings = DepthRecipe
+
+    def start(self, settings: DepthRecipe, *, seed: int, device: torch.device) -> DepthLearner:
         from articugen.learning.ppd.depth import DepthLearner  # noqa: PLC0415
 
-        return DepthLearner(first, seed, device)
-
-    def yardsticks(self) -> Mapping[str, Yardstick]:
-        from articugen.learning.ppd import release  # noqa: PLC0415
-
-        return {"release": Yardstick(release.RESOLUTION, release.reconstruct, release.evaluate)}
+        return DepthLearner(settings, seed, device)
 
 
-PPD_METHOD = PPDMethod()
+PPD_METHOD, DEPTH_METHOD = PPDMethod(), DepthMethod()

@@ -4,15 +4,17 @@ What a key takes from the paper and what from the authors' release is listed in 
 """
 
 import math
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
+from articugen.core.errors import InvalidCheckpoint
 from articugen.core.records import Floats, JointKind
 from articugen.core.yaml_files import Section
 from articugen.learning.evaluation.paper import COMPLETE
-from articugen.learning.recipe import Schedule, Seeds, Stage, TrainRecipe
+from articugen.learning.recipe import Schedule, Stage, TrainRecipe
 
 Direction = tuple[float, float, float]
 
@@ -186,19 +188,6 @@ class PPDSchedule(Schedule):
         return self.stages[self.index_at(iteration)]
 
 
-class DepthSettings(Section):
-    """The third stage: an encoder for what one depth camera sees.
-
-    Attributes:
-        iterations, batch: how many, of how many clouds each.
-        learning_rate: of Adam; a cosine leads to a hundredth of it by the end.
-    """
-
-    iterations: int = Field(default=50_000, ge=1)
-    batch: int = Field(default=32, ge=2)
-    learning_rate: float = Field(default=1e-3, gt=0)
-
-
 class PPDRecipe(TrainRecipe):
     """A recipe of PPD, resolved. The defaults are the text of the paper."""
 
@@ -208,7 +197,6 @@ class PPDRecipe(TrainRecipe):
     warm_start: WarmStart = WarmStart()
     vary: VarySettings = VarySettings()
     schedule: PPDSchedule = PPDSchedule()  # pyright: ignore[reportIncompatibleVariableOverride]
-    depth: DepthSettings = DepthSettings()
 
     @model_validator(mode="after")
     def _has_points_in_the_volume(self) -> "PPDRecipe":
@@ -249,15 +237,36 @@ class PPDRecipe(TrainRecipe):
         off = [name for name, is_on in parts.items() if not is_on]
         return f"w/o {', '.join(off)}" if off else COMPLETE
 
-    def third_stage(self) -> "PPDRecipe":
-        """The recipe of the encoder for depth input."""
-        plan, rate = self.depth, self.depth.learning_rate
-        schedule = {
-            "batch": plan.batch,
-            "optimiser": "adam",
-            "learning_rate": rate,
-            "final_learning_rate": 0.01 * rate,
-            "stages": (PPDStage(resolution=1, iterations=plan.iterations),),
-        }
-        own = {"schedule": self.schedule.model_copy(update=schedule), "seeds": Seeds()}
-        return self.model_copy(update=own)
+
+class DepthRecipe(TrainRecipe):
+    """A recipe of PPD's third stage, an encoder for what one depth camera sees.
+
+    Attributes:
+        teacher: the folder of the run whose first two stages are done.
+        taught: the teacher's recipe, which is read from its folder where it is not given; `data`
+            are the teacher's as well.
+    """
+
+    method: Literal["ppd_depth"] = "ppd_depth"  # pyright: ignore[reportIncompatibleVariableOverride]
+    teacher: str = ""
+    taught: PPDRecipe | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _knows_its_teacher(cls, keys: Any) -> Any:
+        teacher = keys.get("teacher") if isinstance(keys, dict) else None
+        if not (isinstance(teacher, str) and teacher) or keys.get("taught") is not None:
+            return keys
+        from articugen.learning.run_folder import RunFolder  # noqa: PLC0415 - imports torch
+
+        try:
+            taught = RunFolder(Path(teacher)).recipe()
+        except InvalidCheckpoint as error:
+            raise ValueError(str(error)) from None
+        if not isinstance(taught, PPDRecipe):
+            raise ValueError(f"{teacher} is of method {taught.method}; name a run of PPD")
+        return keys | {"taught": taught, "data": taught.data}
+
+    @property
+    def variant(self) -> str:
+        return self.taught.variant if self.taught else self.method
