@@ -20,10 +20,12 @@ from typer.testing import CliRunner
 import articugen as ag
 from articugen.cli import app
 from articugen.core.errors import ArticugenError, InvalidArgument, MissingExtra
+from articugen.core.ledger import LEDGER, Ledger
+from articugen.core.place import Folder
 from articugen.export.formats import NAMES, format_named
 from articugen.export.items import file_name
 from articugen.export.joints import unique
-from articugen.export.target import JOURNAL_NAME, REPORT_NAME
+from articugen.export.target import REPORT_NAME
 
 
 @pytest.fixture(scope="module")
@@ -87,10 +89,10 @@ def test_a_killed_export_goes_on_to_the_same_bytes(boxes, tmp_path):
     ended = subprocess.run(command, env={**os.environ, "PYTHONPATH": "."}, check=False)
     assert ended.returncode == -signal.SIGKILL
     assert len(list(cut.rglob("*.ply"))) == 5
-    # what a kill in the middle of a write leaves: half a file, half a line, a file that was lost
+    # what a kill in the middle of a write leaves: half a file, half a record, a file that was lost
     (cut / "train" / ".box-0_0001.ply.0123abcd.partial").write_bytes(b"ply")
-    with (cut / JOURNAL_NAME).open("ab") as journal:
-        journal.write(b'{"item": "train/bo')
+    record = min((cut / LEDGER / "done").glob("train-box-0_0001.*"))
+    record.write_bytes(record.read_bytes()[:-9])
     (cut / "train" / "box-0_0000.ply").write_bytes(b"cut")
     kept = (cut / "train" / "box-0_0002.ply").stat().st_mtime_ns
     ag.export(boxes, "ply", cut)
@@ -103,7 +105,7 @@ def test_what_an_export_leaves_that_is_cut_short_after_its_report_goes_with_the_
 ):
     ag.export(boxes, "ply", tmp_path)
     whole = files_in(tmp_path)
-    (tmp_path / JOURNAL_NAME).write_text("{}")
+    Ledger(Folder(tmp_path)).agree(b"{}")
     (tmp_path / f".{REPORT_NAME}.0123abcd.partial").write_text("{")
     ag.export(boxes, "ply", tmp_path)
     assert files_in(tmp_path) == whole
@@ -129,51 +131,53 @@ def test_a_folder_that_holds_something_else_is_refused(boxes, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "line",
+    "record",
     [
         b"no json",
         b"[" * 100_000,
         b"[]",
-        b'{"item": "test/box-2_0000", "left_out": null}',
-        b'{"item": "test/box-2_0000", "left_out": null, "files": [{"name": "../secret", "bytes": 3,'
-        b' "sha256": ""}]}',
+        b'{"left_out": null}',
+        b'{"left_out": null, "files": [{"name": "../secret", "bytes": 3, "sha256": ""}]}',
     ],
 )
-def test_a_damaged_journal_is_refused_and_left_as_it_is(boxes, tmp_path, line):
-    class Stop(Exception):
-        pass
-
-    def stop(done, items, item):
-        raise Stop
-
-    out = tmp_path / "out"
+def test_a_record_that_is_not_ours_counts_for_nothing(boxes, tmp_path, record):
+    out, whole = tmp_path / "out", tmp_path / "whole"
     (tmp_path / "secret").write_bytes(b"own")
-    with pytest.raises(Stop):
-        ag.export(boxes, "ply", out, on_item=stop)
-    with (out / JOURNAL_NAME).open("ab") as journal:
-        journal.write(line + b"\n")
-    before = files_in(out)
-    with pytest.raises(ArticugenError, match=r"export.jsonl: is damaged; delete the folder"):
-        ag.export(boxes, "ply", out)
-    assert files_in(out) == before
+    for folder in (out, whole):
+        ag.export(boxes, "ply", folder, split="test")
+    unfinish(out)
+    Ledger(Folder(out)).record("test/box-2_0000", record)
+    ag.export(boxes, "ply", out, split="test")
+    assert files_in(out) == files_in(whole)
+    assert (tmp_path / "secret").read_bytes() == b"own"
 
 
-def test_a_link_in_the_place_of_the_journal_is_not_followed(boxes, tmp_path):
+def test_a_damaged_plan_is_refused_and_left_as_it_is(boxes, tmp_path):
+    ag.export(boxes, "ply", tmp_path, split="test")
+    unfinish(tmp_path)
+    (tmp_path / LEDGER / "plan.json").write_bytes(b"no plan")
+    before = files_in(tmp_path)
+    with pytest.raises(ArticugenError, match=r"plan.json: damaged; delete it"):
+        ag.export(boxes, "ply", tmp_path, split="test")
+    assert files_in(tmp_path) == before
+
+
+def test_a_link_in_the_place_of_the_ledger_is_not_followed(boxes, tmp_path):
     out, other = tmp_path / "out", tmp_path / "other"
     out.mkdir()
-    other.write_bytes(b"all of it")
-    (out / JOURNAL_NAME).symlink_to(other)
-    with pytest.raises(ArticugenError, match="out: "):
+    other.mkdir()
+    (out / LEDGER).symlink_to(other)
+    with pytest.raises(ArticugenError, match=r"'\.articugen' in it is a symbolic link"):
         ag.export(boxes, "ply", out)
-    assert other.read_bytes() == b"all of it"
+    assert files_in(other) == {}
 
 
 def test_no_link_in_the_folder_is_written_through(boxes, tmp_path):
-    """Neither one that lies beside an empty journal, nor one in the place of a folder of ours."""
+    """Neither one that lies beside an empty ledger, nor one in the place of a folder of ours."""
     out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
     elsewhere.mkdir()
     out.mkdir()
-    (out / JOURNAL_NAME).touch()
+    (out / LEDGER).mkdir()
     (out / "test").symlink_to(elsewhere)
     with pytest.raises(ArticugenError, match=r"out: holds something else \(test\)"):
         ag.export(boxes, "ply", out)
@@ -195,17 +199,19 @@ def test_no_link_in_the_folder_is_written_through(boxes, tmp_path):
 def unfinish(folder: Path) -> None:
     """Make a finished export one that was cut short before its report."""
     report = json.loads((folder / REPORT_NAME).read_text())
-    names = [file for file in report["files"] if file["name"].endswith(".ply")]
-    done = [{"item": f["name"][:-4], "files": [f], "left_out": None} for f in names]
-    lines = [json.dumps(line) + "\n" for line in (report["about"], *done)]
-    (folder / JOURNAL_NAME).write_text("".join(lines))
+    ledger = Ledger(Folder(folder))
+    ledger.agree(json.dumps(report["about"]).encode())
+    for file in report["files"]:
+        if file["name"].endswith(".ply"):
+            record = {"files": [file], "left_out": None}
+            ledger.record(file["name"][:-4], json.dumps(record).encode())
     (folder / REPORT_NAME).unlink()
 
 
 def test_two_exports_do_not_write_into_one_folder(boxes, tmp_path):
     def another(done, items, item):
         if done == 1:
-            with pytest.raises(ArticugenError, match="another export is writing there"):
+            with pytest.raises(ArticugenError, match="another run is writing here"):
                 ag.export(boxes, "ply", tmp_path / "out")
 
     ag.export(boxes, "ply", tmp_path / "out", on_item=another)

@@ -171,14 +171,18 @@ class Folder:
 
     def delete(self, names: Iterable[str]) -> None:
         folders: set[Path] = set()
+        before: Path | None = None
         try:
             for name in names:
                 path = within(self.path, name)
+                if before not in (None, path.parent):
+                    _sync_if_there(before)
+                before = path.parent
                 with suppress(FileNotFoundError, NotADirectoryError):
                     path.unlink()
                 folders.update(p for p in path.parents if self.path in p.parents)
-                with suppress(FileNotFoundError, NotADirectoryError):
-                    sync(path.parent)
+            if before is not None:
+                _sync_if_there(before)
             for folder in sorted(folders, reverse=True):
                 with suppress(OSError):  # others have files in it
                     folder.rmdir()
@@ -193,6 +197,11 @@ class Folder:
         except OSError as error:
             raise MachineFault(cannot_write(self.path / name, error, len(data))) from None
         return path
+
+
+def _sync_if_there(folder: Path) -> None:
+    with suppress(FileNotFoundError, NotADirectoryError):
+        sync(folder)
 
 
 def _write_exclusively(path: Path, data: bytes) -> None:

@@ -1,6 +1,5 @@
 """The folder that an export goes to: whose it is, what is finished in it, files written whole."""
 
-import fcntl
 import hashlib
 import io
 import json
@@ -18,6 +17,7 @@ from articugen.core.errors import ArticugenError, MachineFault
 from articugen.core.files import (
     UnfitFile,
     cannot_write,
+    lock_folder,
     make_folder,
     read_regular,
     sha256_of,
@@ -26,12 +26,15 @@ from articugen.core.files import (
     write_atomically,
     written_atomically,
 )
+from articugen.core.ledger import LEDGER, Ledger
+from articugen.core.place import Folder
 from articugen.export.items import Options
 from articugen.export.parts import PartMeshes
 
-JOURNAL_NAME = ".articugen-export.jsonl"
 REPORT_NAME = "export.json"
 _MOST_BYTES = 1 << 30
+_DAMAGED = (ValueError, KeyError, TypeError, AttributeError, RecursionError)
+"""Raised by JSON that is not ours."""
 
 
 @dataclass(frozen=True)
@@ -87,85 +90,61 @@ class Target:
         self._about = {**about, "options": asdict(options)}
         self._files: list[Written] = []
         self._names: set[str] = set()
-        self._journal: BinaryIO | None = None
         self._is_new = not folder.exists()
+        self._ledger = Ledger(Folder(folder))
         try:
             make_folder(folder)
-            self._take()
+            self._lock: int | None = lock_folder(folder)
         except OSError as error:
             raise MachineFault(cannot_write(folder, error)) from error
+        try:
+            self._resume(set(os.listdir(folder)))
+        except BaseException:
+            self.close()
+            raise
 
-    def _take(self) -> None:
-        names = sorted(os.listdir(self.folder))
+    def _resume(self, names: set[str]) -> None:
+        """Read what is finished already, and remove what a killed run was writing."""
         if REPORT_NAME in names:
-            self._take_over(self.folder / REPORT_NAME)
-            if JOURNAL_NAME in names:  # the run that wrote the report was cut short after it
-                with suppress(OSError):
-                    self._tidy()
-                    (self.folder / JOURNAL_NAME).unlink()
+            self._read_report(self.folder / REPORT_NAME)
+            if LEDGER in names:  # the run that wrote the report was killed after it
+                self._remove_partial_files()
+                self._ledger.seal(())
             return
-        if JOURNAL_NAME not in names:
-            self._refuse(names)
-        # Whatever lies there, no other file is written to, and nobody is waited for.
-        flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
-        self._journal = os.fdopen(os.open(self.folder / JOURNAL_NAME, flags, 0o666), "a+b")
-        try:
-            fcntl.flock(self._journal, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            self.close()
+        others = names - {LEDGER}
+        if others and self._ledger.agreed() is None:
             raise ArticugenError(
-                f"{self.folder}: another export is writing there; wait for it, or choose another "
+                f"{self.folder}: holds something else ({min(others)}); choose an empty or new "
                 "folder"
-            ) from None
-        self._journal.seek(0)
-        lines = self._journal.read().split(b"\n")
-        if len(lines) == 1:  # new, or cut short before its first line was whole
-            self._refuse(names)
-            self._journal.truncate(0)
-            self._note(self._about)
-            return
-        try:
-            self._check(json.loads(lines[0]))
-            for line in lines[1:-1]:
-                self._believe(json.loads(line))
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-            self.close()
-            raise ArticugenError(
-                f"{self.folder / JOURNAL_NAME}: is damaged; delete the folder and export again"
-            ) from None
-        self._journal.truncate(sum(len(line) + 1 for line in lines[:-1]))  # what a kill tore
-        self._tidy()
-
-    def _refuse(self, names: list[str]) -> None:
-        """See to it that nothing but a journal is there."""
-        others = [name for name in names if name != JOURNAL_NAME]
-        if others:
-            self.close()
-            raise ArticugenError(
-                f"{self.folder}: holds something else ({others[0]}); choose an empty or new folder"
             )
+        about = json.dumps(self._about).encode()
+        self._check(None if self._ledger.agree(about) != about else self._about)
+        for item, record in self._ledger.known().items():
+            with suppress(*_DAMAGED):  # then the item is written again
+                self._believe(item, json.loads(record))
+        self._remove_partial_files()
 
-    def _take_over(self, path: Path) -> None:
-        """Read the record of a finished export; a foreign export.json may hold anything."""
+    def _read_report(self, path: Path) -> None:
+        """Read the report of a finished export; export.json of others may hold anything."""
         try:
             report = json.loads(read_regular(path, _MOST_BYTES))
             self._check(report["about"])
             files = tuple(map(Written.of, report["files"]))
             self.done = {"": Done(files)} | {k: Done((), v) for k, v in report["left_out"].items()}
-        except (UnfitFile, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        except (UnfitFile, *_DAMAGED):
             self._check(None)
         self.complete = True
 
-    def _check(self, found: object) -> None:
-        if found != json.loads(json.dumps(self._about)):
+    def _check(self, about: object) -> None:
+        if about != json.loads(json.dumps(self._about)):
             raise ArticugenError(
                 f"{self.folder}: holds an export of other data or to another format, or with other "
                 "options; choose another folder"
             )
 
-    def _believe(self, noted: Mapping[str, Any]) -> None:
-        """An item counts as done while its files are there in full."""
-        files = tuple(map(Written.of, noted["files"]))
+    def _believe(self, item: str, record: Mapping[str, Any]) -> None:
+        """Count an item as done while its files are there in full."""
+        files = tuple(map(Written.of, record["files"]))
         for file in files:
             try:
                 path = within(self.folder, file.name)
@@ -173,27 +152,25 @@ class Target:
                 return
             if not path.is_file() or path.stat().st_size != file.bytes:
                 return
-        self.done[noted["item"]] = Done(files, noted["left_out"])
+        self.done[item] = Done(files, record["left_out"])
         self._names |= {file.name for file in files}
 
-    def _tidy(self) -> None:
-        """Remove what a killed run was writing."""
+    def _remove_partial_files(self) -> None:
         for path in self.folder.rglob(".*.partial"):
             if whole_name(path.name) and path.is_file():
-                path.unlink()
+                path.unlink(missing_ok=True)
 
     def close(self) -> None:
         """Let others into the folder."""
-        if self._journal is not None:
-            with suppress(OSError):  # a full disk does not take what is left to be written
-                self._journal.close()
-            self._journal = None
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
 
     def withdraw(self) -> None:
-        """Leave nothing if nothing was written: no journal, and no folder that was not there."""
-        with suppress(OSError):
-            if self._journal is not None and os.listdir(self.folder) == [JOURNAL_NAME]:
-                (self.folder / JOURNAL_NAME).unlink()
+        """Leave nothing if nothing was written: no ledger, and no folder that was not there."""
+        with suppress(OSError, ArticugenError):
+            if os.listdir(self.folder) == [LEDGER]:
+                self._ledger.seal(())
                 if self._is_new:
                     self.folder.rmdir()
 
@@ -232,7 +209,7 @@ class Target:
             raise ArticugenError(f"{self.folder}: not written: {error.strerror}") from None
         except OSError as error:
             raise MachineFault(cannot_write(self.folder / name, error)) from error
-        if name in self._names or name in (REPORT_NAME, JOURNAL_NAME):
+        if name in self._names or name.split("/", maxsplit=1)[0] in (REPORT_NAME, LEDGER):
             raise ArticugenError(
                 f"{path}: two things would be called so; rename an object or a split, or export "
                 "the splits one by one"
@@ -245,17 +222,8 @@ class Target:
         files = () if left_out else tuple(self._files)
         self._files = []
         self.done[item] = Done(files, left_out)
-        noted = {"item": item, "files": [asdict(file) for file in files], "left_out": left_out}
-        self._note(noted)
-
-    def _note(self, line: Mapping[str, Any]) -> None:
-        assert self._journal is not None
-        try:
-            self._journal.write(json.dumps(line).encode() + b"\n")
-            self._journal.flush()
-            os.fsync(self._journal.fileno())
-        except OSError as error:
-            raise MachineFault(cannot_write(self.folder / JOURNAL_NAME, error)) from error
+        record = {"files": [asdict(file) for file in files], "left_out": left_out}
+        self._ledger.record(item, json.dumps(record).encode())
 
     @property
     def written(self) -> list[Written]:
@@ -271,7 +239,4 @@ class Target:
             "left_out": {key: done.left_out for key, done in self.done.items() if done.left_out},
         }
         text = json.dumps(report, indent=1, ensure_ascii=False) + "\n"
-        write_atomically(self.folder / REPORT_NAME, text.encode())
-        self.close()
-        with suppress(FileNotFoundError):
-            (self.folder / JOURNAL_NAME).unlink()
+        self._ledger.seal([(REPORT_NAME, text.encode())])
