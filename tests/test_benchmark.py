@@ -151,19 +151,11 @@ def test_the_short_table_is_of_one_run():
     assert new.endswith("<!-- end of glance -->\n\nafter\n")
 
 
-def test_of_a_report_with_several_tables_the_page_has_the_first():
-    old = "<!-- accuracy -->\nold\n<!-- end of accuracy -->"
-    report = "## Accuracy\n\nmachine\n\n### A\n\n1\n\n### B\n\n2\n"
-    new = publish.replaced(old, "accuracy", report)
-    assert new == "<!-- accuracy -->\n\nmachine\n\n### A\n\n1\n\n<!-- end of accuracy -->"
-
-
 def test_reports_are_published_with_their_pictures(tmp_path):
     root, folder = tmp_path / "root", tmp_path / "out"
     (root / "docs" / "images").mkdir(parents=True)
     folder.mkdir()
-    marks = {"glance": "old", "accuracy": "kept"}
-    page = "".join(f"<!-- {m} -->\n{body}\n<!-- end of {m} -->\n" for m, body in marks.items())
+    page = "kept\n<!-- glance -->\nold\n<!-- end of glance -->\n"
     (root / "docs" / "performance.md").write_text(page)
     (folder / "glance.md").write_text(glance.markdown(_report()))
     (folder / "methods.png").write_bytes(b"png")

@@ -1,9 +1,8 @@
 """Copy the newest reports into the documentation: python -m tests.benchmarks.publish [folder]
 
 The lines between `<!-- name -->` and `<!-- end of name -->` of docs/performance.md are replaced by
-the report of that name, for each report in the folder; of several tables the page gets the first.
-Pictures go to docs/images. Figures of code that no commit has are refused: nobody could measure
-them again.
+the report of that name, if the folder has one; pictures go to docs/images. Figures of code that no
+commit has are refused: nobody could measure them again.
 """
 
 import re
@@ -13,7 +12,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 PAGE = Path("docs") / "performance.md"
-REPORTS = {"glance": "glance.md", "accuracy": "accuracy.md"}
+REPORTS = {"glance": "glance.md"}
 PICTURES = ("scaling.png", "methods.png")
 
 CHANGED = re.compile(r"commit (\S+-dirty|\S+\+changes|unknown)")
@@ -40,9 +39,8 @@ def main(folder: Path = Path("benchmarks_out"), root: Path = ROOT) -> None:
 
 
 def replaced(text: str, name: str, report: str) -> str:
-    """Put the report's first table between the marks of that name, without the report's heading."""
-    body = re.sub(r"^## .*\n+", "", report, count=1)
-    body = "\n### ".join(body.split("\n### ")[:2]).strip()
+    """Put the report between the marks of that name."""
+    body = report.strip()
     first, last = f"<!-- {name} -->", f"<!-- end of {name} -->"
     before, rest = text.split(first)
     return f"{before}{first}\n\n{body}\n\n{last}{rest.split(last)[1]}"
