@@ -154,7 +154,7 @@ def check_name(name: str) -> None:
 
 
 def backend_named(name: str) -> Backend:
-    """The backend of that name, ours or another package's.
+    """Return the backend of that name, ours or another package's.
 
     Raises:
         ValueError: there is none.

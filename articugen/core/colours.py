@@ -10,5 +10,5 @@ COLOURS = (
 
 
 def colour_of(part: int) -> str:
-    """The colour of a part; from part 17 on they repeat, but for part 0's."""
+    """Return the colour of a part; from part 17 on they repeat, but for part 0's."""
     return COLOURS[0] if part == 0 else COLOURS[1 + (part - 1) % (len(COLOURS) - 1)]

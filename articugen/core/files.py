@@ -57,7 +57,7 @@ class UnfitFile(OSError):
 
 
 def read_regular(path: Path, most_bytes: int, *, follow: bool = True) -> bytes:
-    """The bytes of a regular file; its kind and size are looked at before anything is read.
+    """Return the bytes of a regular file; its kind and size are looked at before anything is read.
 
     Args:
         path: a name that may be hostile: of a FIFO, a device, a file of many gigabytes.
@@ -79,7 +79,7 @@ def read_regular(path: Path, most_bytes: int, *, follow: bool = True) -> bytes:
 
 
 def open_regular(path: Path, most_bytes: int, *, follow: bool = True) -> BinaryIO:
-    """The same, for files that are better not read as a whole."""
+    """Return the same, for files that are better not read as a whole."""
     try:
         _check_regular(os.stat(path, follow_symlinks=follow), most_bytes)
         # Whatever has taken its place meanwhile, opening it does not wait for a writer.
@@ -95,13 +95,13 @@ def open_regular(path: Path, most_bytes: int, *, follow: bool = True) -> BinaryI
 
 
 def is_no_folder(path: Path) -> bool:
-    """Whether something is there, and no folder: links count as what they are, not where they
-    lead."""
+    """Return whether something is there, and no folder: links count as what they are, not where
+    they lead."""
     return os.path.lexists(path) and (path.is_symlink() or not path.is_dir())
 
 
 def is_plain_file(path: Path) -> bool:
-    """Whether a regular file is there, no link to one."""
+    """Return whether a regular file is there, no link to one."""
     return path.is_file() and not path.is_symlink()
 
 
@@ -222,7 +222,7 @@ def whole_name(name: str) -> str | None:
 
 
 def cannot_write(path: Path, error: OSError, size: int = 0) -> str:
-    """One sentence on why `path` (of `size` bytes) could not be written, with the cure."""
+    """Return one sentence on why `path` (of `size` bytes) could not be written, with the cure."""
     cure = _CURES.get(error.errno or 0)
     if cure is None:
         cure = f"{error.strerror or error}; choose another output folder"
@@ -235,7 +235,7 @@ def cannot_write(path: Path, error: OSError, size: int = 0) -> str:
 
 
 def room_at(path: Path) -> int:
-    """The bytes that are free where a path is, or will be.
+    """Return the bytes that are free where a path is, or will be.
 
     Raises:
         OSError: nobody can tell.
@@ -275,7 +275,7 @@ def sync(path: Path) -> None:
 
 
 def sha256_of(path: Path) -> str:
-    """The hex digest of a regular file's bytes."""
+    """Return the hex digest of a regular file's bytes."""
     digest = hashlib.sha256()
     with open_regular(path, sys.maxsize) as file:
         while block := file.read(1 << 20):
@@ -284,8 +284,8 @@ def sha256_of(path: Path) -> str:
 
 
 def lock_folder(folder: Path, kind: int = fcntl.LOCK_EX) -> int:
-    """A handle that keeps other runs out (or lets ranks in alone) for as long as anybody holds it
-    open.
+    """Return a handle that keeps other runs out (or lets ranks in alone) for as long as anybody
+    holds it open.
 
     Raises:
         ArticugenError: another run holds one.

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 def rotation_about(axis: ArrayLike, angle: float) -> Array:
-    """The (3, 3) rotation by `angle` about the unit vector `axis` (Rodrigues' formula)."""
+    """Return the (3, 3) rotation by `angle` about the unit vector `axis` (Rodrigues' formula)."""
     x, y, z = np.asarray(axis, dtype=np.float64)
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     sine, cosine = sin_cos(angle)
@@ -51,7 +51,7 @@ def apply(T: Array, points: ArrayLike) -> Array:
 
 
 def invert_rigid(T: Array) -> Array:
-    """The inverse of rigid transforms (..., 4, 4), exact up to rounding and cheap."""
+    """Return the inverse of rigid transforms (..., 4, 4), exact up to rounding and cheap."""
     inverse = np.zeros_like(T)
     rotation_t = np.swapaxes(T[..., :3, :3], -1, -2)
     inverse[..., :3, :3] = rotation_t
@@ -61,19 +61,19 @@ def invert_rigid(T: Array) -> Array:
 
 
 def bounds(points: ArrayLike) -> Array:
-    """The axis-aligned box (2, 3) of `points` (n, 3): lower corner, upper corner."""
+    """Return the axis-aligned box (2, 3) of `points` (n, 3): lower corner, upper corner."""
     columns = np.asarray(points, dtype=np.float64).T  # each by itself: rows of 3 take five times it
     return np.array([[x.min() for x in columns], [x.max() for x in columns]])
 
 
 def box_corners(box: Array) -> Array:
-    """The 8 corners (8, 3) of a box (2, 3)."""
+    """Return the 8 corners (8, 3) of a box (2, 3)."""
     pick = np.array([[(i >> k) & 1 for k in range(3)] for i in range(8)])
     return np.take_along_axis(box, pick, axis=0)
 
 
 def voxel_centres(resolution: int, which: NDArray[np.integer] | None = None) -> Array:
-    """The centres (i + 0.5) / R - 0.5 of the R^3 voxels of a grid: (R^3, 3), x slowest.
+    """Return the centres (i + 0.5) / R - 0.5 of the R^3 voxels of a grid: (R^3, 3), x slowest.
 
     Args:
         which: flat indices (...), of whose voxels alone the centres (..., 3) are wanted.
@@ -108,8 +108,8 @@ def pick_by_weight(weights: ArrayLike, at: NDArray[np.floating]) -> NDArray[np.i
 
 
 def points_in_triangles(corners: Array, a: NDArray[np.floating], b: NDArray[np.floating]) -> Array:
-    """(n, 3) the points of triangles (n, 3, 3) at places (n, 1) of the unit square, which is folded
-    along its diagonal: what is uniform there is uniform by area."""
+    """Return (n, 3) the points of triangles (n, 3, 3) at places (n, 1) of the unit square, which is
+    folded along its diagonal: what is uniform there is uniform by area."""
     folded = a + b > 1.0
     a, b = np.where(folded, 1.0 - a, a), np.where(folded, 1.0 - b, b)
     return corners[:, 0] * (1.0 - a - b) + corners[:, 1] * a + corners[:, 2] * b
@@ -131,8 +131,8 @@ def fibonacci_sphere(count: int) -> Array:
 
 
 def cross(a: ArrayLike, b: ArrayLike) -> Array:
-    """The cross products of (..., 3) and (..., 3); the same numbers as numpy's, at a tenth of its
-    overhead, of which the procedural models' thousands of small polygons are most."""
+    """Return the cross products of (..., 3) and (..., 3); the same numbers as numpy's, at a tenth
+    of its overhead, of which the procedural models' thousands of small polygons are most."""
     a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
     b0, b1, b2 = b[..., 0], b[..., 1], b[..., 2]

@@ -27,7 +27,7 @@ inlined: Any = partial(_njit, inline="always")
 
 
 def kernel(function: Any = None, /, **options: Any) -> Any:
-    """The decorator of what Python calls; `options` are numba's."""
+    """Return the decorator of what Python calls; `options` are numba's."""
     if function is None:
         return partial(kernel, **options)
     try:

@@ -40,7 +40,7 @@ def by_cell(points: NDArray[np.float64]) -> Sorted:
 
 @kernel
 def any_within(among, queries, radius):  # pragma: no cover - compiled
-    """(n,) whether any of the `Sorted` points lies within `radius` of each query (n, 3)."""
+    """Return (n,) whether any of the `Sorted` points lies within `radius` of each query (n, 3)."""
     held, start, cells = among.points, among.start, among.cells
     found = np.zeros(len(queries), np.bool_)
     most, reach = radius * radius, radius + _ROUNDING
@@ -68,8 +68,8 @@ def any_within(among, queries, radius):  # pragma: no cover - compiled
 
 @kernel
 def nearest_within(among, queries, radius):  # pragma: no cover - compiled
-    """(n,) which of the `Sorted` points, by their places before, is nearest to each query (n, 3)
-    within `radius`, or -1; of several equally near one."""
+    """Return (n,) which of the `Sorted` points, by their places before, is nearest to each query
+    (n, 3) within `radius`, or -1; of several equally near one."""
     held, number, start, cells = among.points, among.number, among.start, among.cells
     found = np.full(len(queries), -1, np.int64)
     reach = radius + _ROUNDING
@@ -91,7 +91,7 @@ def nearest_within(among, queries, radius):  # pragma: no cover - compiled
 
 @helper
 def _cell(at, cells):  # pragma: no cover - compiled
-    """The cell along an axis that holds a coordinate, or the outermost."""
+    """Return the cell along an axis that holds a coordinate, or the outermost."""
     return min(max(int((at + 0.5) * cells), 0), cells - 1)
 
 
@@ -128,8 +128,8 @@ def _off(cell, cells, at):  # pragma: no cover - compiled
 
 @inlined
 def _nearest(points, first, last, query, most):  # pragma: no cover - compiled
-    """(i, d): which of points[first:last] is nearest, and its squared distance; (-1, most) where
-    none is within the root of `most`."""
+    """Return (i, d): which of points[first:last] is nearest, and its squared distance; (-1, most)
+    where none is within the root of `most`."""
     found, least = -1, most
     for i in range(first, last):
         n = np.uintp(i)  # unsigned: numba does not ask whether to count from the end

@@ -33,7 +33,7 @@ class Group:
         return tuple(_found(self.name, tuple(ours)))
 
     def load(self, name: str) -> Any:
-        """The object of that name.
+        """Return the object of that name.
 
         Raises:
             BrokenPlugin: it cannot be imported or lacks what it needs; names the package.

@@ -25,7 +25,7 @@ _TURNS = 2.0**20
 
 
 def product(*matrices: ArrayLike) -> Array:
-    """The matrix product of (..., a, b), (..., b, c), ... from the left to the right."""
+    """Return the matrix product of (..., a, b), (..., b, c), ... from the left to the right."""
 
     def times(A: Array, B: Array) -> Array:
         total = A[..., :, 0, None] * B[..., 0, None, :]
@@ -42,7 +42,7 @@ def turned(matrix: ArrayLike, vectors: ArrayLike) -> Array:
 
 
 def dot(a: ArrayLike, b: ArrayLike) -> Any:
-    """The inner products of (..., n) and (..., n): (...), a float for two vectors."""
+    """Return the inner products of (..., n) and (..., n): (...), a float for two vectors."""
     terms = np.asarray(a, np.float64) * np.asarray(b, np.float64)
     total = terms[..., 0]
     for k in range(1, terms.shape[-1]):
@@ -51,7 +51,7 @@ def dot(a: ArrayLike, b: ArrayLike) -> Any:
 
 
 def norm(vectors: ArrayLike) -> Any:
-    """The Euclidean lengths of (..., n): (...), a float for one vector."""
+    """Return the Euclidean lengths of (..., n): (...), a float for one vector."""
     return np.sqrt(dot(vectors, vectors))
 
 
@@ -93,7 +93,7 @@ def cos(angle: ArrayLike) -> Any:
 
 
 def arctan2(y: ArrayLike, x: ArrayLike) -> Any:
-    """The angle (...) of the points (x, y), in (-pi, pi]; 0 for the origin."""
+    """Return the angle (...) of the points (x, y), in (-pi, pi]; 0 for the origin."""
     y, x = np.broadcast_arrays(np.asarray(y, np.float64), np.asarray(x, np.float64))
     low, high = np.minimum(np.abs(x), np.abs(y)), np.maximum(np.abs(x), np.abs(y))
     slope = low / np.where(high > 0.0, high, 1.0)

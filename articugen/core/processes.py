@@ -321,7 +321,7 @@ class Crew(Generic[T, R]):
         self._busy, self._idle = [], []
 
     def each(self, tasks: Sequence[T]) -> Iterator[Ended[R]]:
-        """The function of each task, as they end; raises what it raises.
+        """Yield the function of each task, as they end; raises what it raises.
 
         Raises:
             MachineFault: no worker can be started, or none does anything before it is lost.
@@ -350,7 +350,7 @@ class Crew(Generic[T, R]):
                     yield Ended(worker.number or 0, over=over)
 
     def in_order(self, tasks: Sequence[T]) -> Iterator[R]:
-        """The function of each task, in the order of the tasks; raises what it raises.
+        """Yield the function of each task, in the order of the tasks; raises what it raises.
 
         Raises:
             MachineFault: as `each`; or a worker was lost twice over the same task.
@@ -517,7 +517,7 @@ def _fate(status: int) -> str:
 
 
 def resident_bytes(pids: Sequence[int]) -> dict[int, int]:
-    """The memory that processes hold, by their id; without those that are gone."""
+    """Return the memory that processes hold, by their id; without those that are gone."""
     if Path("/proc/self/statm").exists():
         return dict(filter(None, map(_resident_on_linux, pids)))
     command = ["ps", "-o", "pid=,rss=", "-p", ",".join(map(str, pids))]

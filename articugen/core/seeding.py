@@ -6,7 +6,7 @@ import numpy as np
 
 
 def generator(seed: int, *path: str | int) -> np.random.Generator:
-    """A generator that depends on `seed` and on `path` alone.
+    """Return a generator that depends on `seed` and on `path` alone.
 
     Args:
         seed: the master seed; every integer counts, 0 included.

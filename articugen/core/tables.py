@@ -7,7 +7,7 @@ DIM = "bright_black"
 
 
 def quiet_table(*headers: str) -> Table:
-    """A table with one rule under its headers; > in front of one means a column of numbers.
+    """Return a table with one rule under its headers; > in front of one means a column of numbers.
 
     On a narrow terminal, texts behind the first column wrap; names and numbers do not.
     """
@@ -24,7 +24,7 @@ def quiet_table(*headers: str) -> Table:
 
 
 def facts() -> Table:
-    """A table of names and values, without headers or rules."""
+    """Return a table of names and values, without headers or rules."""
     table = Table.grid(padding=(0, 3, 0, 0))
     table.add_column(style=DIM, no_wrap=True)
     table.add_column(overflow="fold")

@@ -28,7 +28,7 @@ LEARNER_KEYS = {"method", "schedule"}
 
 
 def known(*, learner: bool) -> list[str]:
-    """The names of the recipes under recipes/, of data or of learners."""
+    """Return the names of the recipes under recipes/, of data or of learners."""
     return [path.stem for path in sorted(RECIPES.glob("*.yaml")) if _is_learner(path) == learner]
 
 
@@ -41,7 +41,7 @@ def _is_learner(path: Path) -> bool:
 
 
 def find(name: str, *, learner: bool) -> Path:
-    """The file that `name` stands for: a name under recipes/, or a path.
+    """Return the file that `name` stands for: a name under recipes/, or a path.
 
     Raises:
         InvalidRecipe: there is none.
@@ -56,7 +56,7 @@ def find(name: str, *, learner: bool) -> Path:
 def resolved(
     path: Path, base_of: Callable[[str], Path], chain: tuple[Path, ...] = ()
 ) -> dict[str, Any]:
-    """The keys of a file over those of what it says it `extends`; `base_of` finds that.
+    """Return the keys of a file over those of what it says it `extends`; `base_of` finds that.
 
     Raises:
         InvalidRecipe: it cannot be read, is not YAML, no mapping, or extends itself.
@@ -97,7 +97,7 @@ def read_yaml(path: Path, refusal: type[ArticugenError]) -> Any:
 
 
 def yaml_bytes(path: Path, refusal: type[ArticugenError]) -> bytes:
-    """The bytes of a YAML file, for `parsed_yaml`.
+    """Return the bytes of a YAML file, for `parsed_yaml`.
 
     Raises:
         refusal, MachineFault, MemoryError: as `read_yaml`.
@@ -237,7 +237,7 @@ def validated(model: type[Model], data: dict[str, Any], where: str) -> Model:
 
 
 def nearest(name: str, known: list[str], cutoff: float = 0.6) -> str:
-    """The hint "; did you mean 'x'?", or nothing where no known name is near."""
+    """Return the hint "; did you mean 'x'?", or nothing where no known name is near."""
     close = difflib.get_close_matches(name, known, n=1, cutoff=cutoff)
     return f"; did you mean {close[0]!r}?" if close else ""
 
@@ -262,7 +262,7 @@ def _nearest_key(model: type[BaseModel], location: tuple[int | str, ...]) -> str
 
 
 def _section(model: type[BaseModel], key: str) -> type[BaseModel] | None:
-    """The model of what stands at a key, or of each item there."""
+    """Return the model of what stands at a key, or of each item there."""
     field = model.model_fields.get(key)
     annotation = field.annotation if field else None
     inner = [a for a in (annotation, *get_args(annotation)) if isinstance(a, type)]
@@ -270,7 +270,7 @@ def _section(model: type[BaseModel], key: str) -> type[BaseModel] | None:
 
 
 def _paths(model: type[BaseModel]) -> Iterator[str]:
-    """Every key, with the sections it is in: `sampling.grids`."""
+    """Yield every key, with the sections it is in: `sampling.grids`."""
     for key in model.model_fields:
         yield key
         section = _section(model, key)

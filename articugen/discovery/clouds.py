@@ -31,8 +31,8 @@ _NEAR = np.array([0.008, 0.05])
 
 
 def cell_of(cloud: Floats) -> NDArray[np.uint16]:
-    """(n,) the number of the cell that each point is in; what is outside counts to the border. Of
-    16 bits, which numpy sorts by radix."""
+    """Return (n,) the number of the cell that each point is in; what is outside counts to the
+    border. Of 16 bits, which numpy sorts by radix."""
     R = kernels.CELLS
     i, j, k = np.clip((cloud.T + 0.5) * R, 0.0, R - 1.0).astype(np.uint16)
     return (i * np.uint16(R) + j) * np.uint16(R) + k
@@ -102,7 +102,7 @@ class Cells:
         return len(self.starts)
 
     def within(self, reach: float) -> NDArray[np.uint8]:
-        """(G, VOTES^3) the bits by which `kernels.is_void` tells what is out of reach."""
+        """Return (G, VOTES^3) the bits by which `kernels.is_void` tells what is out of reach."""
         steps = int(np.ceil(reach * kernels.VOTES))
         if steps not in self._within:
             marks = self._marks()
@@ -113,7 +113,7 @@ class Cells:
         return self._within[steps]
 
     def _marks(self) -> NDArray[np.uint8]:
-        """(G, VOTES^3) bit k % 8 of byte `[k // 8, cell]` is 1 where pose k has a point."""
+        """Return (G, VOTES^3) bit k % 8 of byte `[k // 8, cell]` is 1 where pose k has a point."""
         R = kernels.VOTES
         marks = np.zeros((-(-len(self) // 8), R**3), np.uint8)
         i, j, k = np.clip(((self.points + 0.5) * R).astype(np.int64), 0, R - 1).T
@@ -131,21 +131,21 @@ class Cells:
         )  # fmt: skip
 
     def distances(self, surface: Surface, motions: Floats, reach: float) -> NDArray[np.float32]:
-        """(K, n) from each pose, of points moved by `motions` (K, 3, 4)."""
+        """Return (K, n) from each pose, of points moved by `motions` (K, 3, 4)."""
         return kernels.distances(*self._of(surface, motions, reach=reach))
 
     def agreement(self, surface: Surface, motions: Floats, reach: float) -> Floats:
-        """(K,) how well points, moved by `motions` (K, 3, 4), lie on each pose, the more the nearer
-        they are to it."""
+        """Return (K,) how well points, moved by `motions` (K, 3, 4), lie on each pose, the more the
+        nearer they are to it."""
         return kernels.agreement(*self._of(surface, motions, reach=reach))
 
     def profiles(self, surface: Surface, steps: Floats, reach: float) -> Floats:
-        """(K, T) the same for each of `steps` (T, 3, 4) in each pose."""
+        """Return (K, T) the same for each of `steps` (T, 3, 4) in each pose."""
         return kernels.profiles(*self._of(surface, steps, reach=reach))
 
     def across(self, reach: float) -> float:
-        """How far from plane to plane points within `reach` may be: planes are known better than
-        where on them a cloud has points."""
+        """Return how far from plane to plane points within `reach` may be: planes are known better
+        than where on them a cloud has points."""
         return max(reach - 0.6 * self.near, _ACROSS)
 
     def met(
@@ -155,8 +155,8 @@ class Cells:
         reach: float,
         asked: NDArray[np.bool_] | None = None,
     ) -> NDArray[np.bool_]:
-        """(K, n) whether points, moved by `motions` (K, 3, 4), lie on each pose; False where that
-        is not `asked` (K, n)."""
+        """Return (K, n) whether points, moved by `motions` (K, 3, 4), lie on each pose; False where
+        that is not `asked` (K, n)."""
         if asked is None:
             asked = np.ones((len(motions), len(surface)), np.bool_)
         return kernels.met(*self._of(surface, asked, motions, reach=reach))
@@ -239,7 +239,7 @@ def _widened(bits: NDArray[np.uint8], steps: int) -> NDArray[np.uint8]:
 
 
 def still(count: int) -> Floats:
-    """(count, 3, 4) what moves nothing."""
+    """Return (count, 3, 4) what moves nothing."""
     return np.tile(np.eye(4)[:3], (count, 1, 1))
 
 
@@ -313,7 +313,7 @@ def _check_frames(left: Floats) -> None:
 
 
 def _spread(left: Floats) -> NDArray[np.intp]:
-    """The poses to search, in order: of those in which most has left, evenly."""
+    """Return the poses to search, in order: of those in which most has left, evenly."""
     if len(left) <= SEARCHED:
         return np.arange(len(left)) + 1
     order = np.argsort(-left, kind="stable")[: max(SEARCHED, int(0.8 * len(left)))]
@@ -322,7 +322,7 @@ def _spread(left: Floats) -> NDArray[np.intp]:
 
 
 def _movers(cloud: Floats, gone: NDArray[np.bool_], near: float) -> NDArray[np.bool_]:
-    """(n,) points that have left in some poses, as most of those around them have."""
+    """Return (n,) points that have left in some poses, as most of those around them have."""
     often = gone.sum(axis=0) >= max(1, round(len(gone) / 4))
     return often & (_share_about(cloud, often, near) > 0.5)
 

@@ -114,8 +114,8 @@ class Discovery:
     part: Ints
 
     def motion(self, pose: int) -> Floats:
-        """(P, 4, 4) the rigid motion of each part from pose 0 to another; part 0 has the identity.
-        A point of part k at x in pose 0 is at `motion(pose)[k]` x in that pose."""
+        """Return (P, 4, 4) the rigid motion of each part from pose 0 to another; part 0 has the
+        identity. A point of part k at x in pose 0 is at `motion(pose)[k]` x in that pose."""
         T = np.tile(np.eye(4), (len(self.joints) + 1, 1, 1))
         for j, joint in enumerate(self.joints):
             turns = joint.kind == JointKind.REVOLUTE
@@ -170,7 +170,7 @@ class _Grown:
 
 
 def _unlike(directions: Floats) -> Floats:
-    """Each direction once, whatever its sign."""
+    """Return each direction once, whatever its sign."""
     unlike: list[Floats] = []
     for direction in np.asarray(directions, np.float64):
         one = direction / np.linalg.norm(direction)
@@ -180,7 +180,7 @@ def _unlike(directions: Floats) -> Floats:
 
 
 def _alike(one: _Grown, other: _Grown) -> bool:
-    """Whether two candidates explain nearly the same pairs."""
+    """Return whether two candidates explain nearly the same pairs."""
     both, any_ = (one.right & other.right).sum(), (one.right | other.right).sum()
     return one.joint.turns == other.joint.turns and both > 0.85 * any_
 
@@ -224,8 +224,8 @@ class _Found:
         return len(self.joints) > before
 
     def _gain(self, grown: _Grown, among: slice = _ALL) -> float:
-        """How many pairs of a point and a pose it explains that nothing yet does, less those where
-        it is wrong of its own points; of the movers `among` which it was asked."""
+        """Return how many pairs of a point and a pose it explains that nothing yet does, less those
+        where it is wrong of its own points; of the movers `among` which it was asked."""
         if not self._points_right(grown.joint):
             return -1.0
         mine = grown.follow & self.left[among]
@@ -251,8 +251,8 @@ class _Found:
         return patches
 
     def _grown(self, patches: list[NDArray[np.intp]]) -> list[_Grown]:
-        """The candidates that patches vote for, each fitted to its patch; the best of them that are
-        not alike grow."""
+        """Return the candidates that patches vote for, each fitted to its patch; the best of them
+        that are not alike grow."""
         reach = 2.0 * self.seen.near
         seeds = [self._seed(joint, patch) for patch in patches for joint in self._voted(patch)]
         seeds = [self._explained(seed, reach, _SOME) for seed in seeds]
@@ -340,8 +340,8 @@ class _Found:
         return _Grown(joint, right, wrong, follow)
 
     def settled(self) -> list[Candidate]:
-        """The joints, each fitted to the points that agree with it best; those that nobody needs
-        are dropped."""
+        """Return the joints, each fitted to the points that agree with it best; those that nobody
+        needs are dropped."""
         joints = self._needed([grown.joint for grown in self.joints])
         for _ in range(2):
             shares = _agreement(self.seen, joints, self.part).mean(1)
@@ -395,7 +395,7 @@ def _agreement(seen: Change, joints: list[Candidate], surface: Surface) -> NDArr
 
 
 def _moved(seen: Change, joints: list[Candidate]) -> list[Floats]:
-    """(S, 3, 4) what stays and what each joint moves in the searched poses."""
+    """Return (S, 3, 4) what stays and what each joint moves in the searched poses."""
     return [still(len(seen.chosen)), *(motions(joint) for joint in joints)]
 
 
@@ -416,8 +416,8 @@ def _told(
 
 
 def _labels(seen: Change, joints: list[Candidate], surface: Surface) -> Ints:
-    """(n,) of each point what leaves it nearest to the poses; where that is a tie, as most of its
-    neighbours that are sure."""
+    """Return (n,) of each point what leaves it nearest to the poses; where that is a tie, as most
+    of its neighbours that are sure."""
     if not joints:
         return np.zeros(len(surface), np.int64)
     far = [seen.poses.distances(surface, M, seen.near) for M in _moved(seen, joints)]
@@ -449,7 +449,7 @@ def _as_neighbours(
 
 
 def _joint(seen: Change, others: Cells, joint: Candidate, part: Surface) -> FoundJoint:
-    """The joint in the clouds' frame, with the states of all `others` than pose 0."""
+    """Return the joint in the clouds' frame, with the states of all `others` than pose 0."""
     core = part[some(np.arange(len(part)), 250)]
     states = np.concatenate([[0.0], states_of(joint, core, others, seen.near)])
     sign = -1.0 if states.mean() < 0.0 else 1.0

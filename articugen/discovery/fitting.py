@@ -32,7 +32,7 @@ def fitted(
     tilts: bool = True,
     states_alone: bool = False,
 ) -> Candidate:
-    """The joint after so many rounds of Gauss and Newton's method, damped a little.
+    """Return the joint after so many rounds of Gauss and Newton's method, damped a little.
 
     Args:
         part: in pose 0.
@@ -51,8 +51,8 @@ def fitted(
 
 
 def states_of(joint: Candidate, part: Surface, cells: Cells, near: float) -> Floats:
-    """(K,) the states at which a part lies on each of the poses in `cells`, searched one by one
-    over a whole turn or the cube's length, then made exact."""
+    """Return (K,) the states at which a part lies on each of the poses in `cells`, searched one by
+    one over a whole turn or the cube's length, then made exact."""
     if joint.turns:
         steps = np.linspace(-np.pi, np.pi, STEPS, endpoint=False)
     else:

@@ -30,14 +30,14 @@ LIKE = 0.85
 
 @helper
 def _span(x, reach):
-    """The cells along an edge that come within `reach` of x."""
+    """Return the cells along an edge that come within `reach` of x."""
     first = max(int(np.floor((x - reach + 0.5) * CELLS)), 0)
     return range(first, min(int(np.floor((x + reach + 0.5) * CELLS)), CELLS - 1) + 1)
 
 
 @helper
 def _row(starts, pose, i, j, z, reach):
-    """The points of a pose in the cells (i, j, k) that come within `reach` of z."""
+    """Return the points of a pose in the cells (i, j, k) that come within `reach` of z."""
     first = min(max(int(np.floor((z - reach + 0.5) * CELLS)), 0), CELLS)
     last = min(int(np.floor((z + reach + 0.5) * CELLS)), CELLS - 1)
     row = (i * CELLS + j) * CELLS
@@ -48,7 +48,7 @@ def _row(starts, pose, i, j, z, reach):
 
 @helper
 def moved(M, p, n):
-    """A point p and its normal n, moved by M (3, 4)."""
+    """Return a point p and its normal n, moved by M (3, 4)."""
     return (
         M[0, 0] * p[0] + M[0, 1] * p[1] + M[0, 2] * p[2] + M[0, 3],
         M[1, 0] * p[0] + M[1, 1] * p[1] + M[1, 2] * p[2] + M[1, 3],
@@ -61,7 +61,7 @@ def moved(M, p, n):
 
 @helper
 def _voter(x):
-    """Which of VOTES cells along an edge x is in, or before."""
+    """Return which of VOTES cells along an edge x is in, or before."""
     return min(max(int((x + 0.5) * VOTES), 0), VOTES - 1)
 
 
@@ -80,9 +80,9 @@ def is_void(within, pose, x, y, z):
 
 @helper
 def _is_alike(normals, signed, n, dx, dy, dz, nx, ny, nz, across):
-    """Whether point n, so far from another one, may be of the same surface as that: no more than
-    `across` from plane to plane. A normal of zeros says nothing; `signed` ones point out of the
-    material, others either way."""
+    """Return whether point n, so far from another one, may be of the same surface as that: no more
+    than `across` from plane to plane. A normal of zeros says nothing; `signed` ones point out of
+    the material, others either way."""
     if abs(dx * nx + dy * ny + dz * nz) > across:
         return False
     along = normals[n, 0] * nx + normals[n, 1] * ny + normals[n, 2] * nz
@@ -91,8 +91,8 @@ def _is_alike(normals, signed, n, dx, dy, dz, nx, ny, nz, across):
 
 @helper
 def nearest(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, across):
-    """(index, squared distance) of the point of a pose that is nearest to (x, y, z) and may be of
-    the same surface, -1 if there is none within `reach`."""
+    """Return (index, squared distance) of the point of a pose that is nearest to (x, y, z) and may
+    be of the same surface, -1 if there is none within `reach`."""
     best, at = reach * reach, -1
     for i in _span(x, reach):
         for j in _span(y, reach):
@@ -125,7 +125,7 @@ def distances(
 
 @helper
 def _fits(points, normals, signed, n, x, y, z, nx, ny, nz, reach, across):
-    """Whether point n is within `reach` of (x, y, z) and may be of the same surface."""
+    """Return whether point n is within `reach` of (x, y, z) and may be of the same surface."""
     dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
     if dx * dx + dy * dy + dz * dz > reach * reach:
         return False
@@ -134,7 +134,7 @@ def _fits(points, normals, signed, n, x, y, z, nx, ny, nz, reach, across):
 
 @helper
 def _meets(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, across):
-    """Whether `nearest` would find a point; what is in the same cell is looked at first."""
+    """Return whether `nearest` would find a point; what is in the same cell is looked at first."""
     a, b = int(np.floor((x + 0.5) * CELLS)), int(np.floor((y + 0.5) * CELLS))
     c = int(np.floor((z + 0.5) * CELLS))
     if 0 <= a < CELLS and 0 <= b < CELLS and 0 <= c < CELLS:
@@ -156,9 +156,9 @@ def _meets(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, ac
 def met(
     queries, query_normals, asked, motions, points, normals, signed, starts, within, reach, across
 ):  # fmt: skip
-    """(K, n) whether each query point, moved as in each pose, lies on what may be of the same
-    surface in that pose; False where it is not `asked` (K, n). `motions` (K, 3, 4), `within` as in
-    `is_void`."""
+    """Return (K, n) whether each query point, moved as in each pose, lies on what may be of the
+    same surface in that pose; False where it is not `asked` (K, n). `motions` (K, 3, 4), `within`
+    as in `is_void`."""
     out = np.zeros(asked.shape, np.bool_)
     for k in range(len(motions)):
         for i in range(len(queries)):
@@ -174,8 +174,8 @@ def met(
 
 @kernel
 def about(queries, values, points, starts, pose, reach, skip_self):
-    """(n, 2) of the points of a pose within `reach` of each query: how many, and the sum of their
-    `values`; `skip_self` leaves out those that are where the query is."""
+    """Return (n, 2) of the points of a pose within `reach` of each query: how many, and the sum of
+    their `values`; `skip_self` leaves out those that are where the query is."""
     out = np.zeros((len(queries), 2))
     for i in range(len(queries)):
         x, y, z = queries[i, 0], queries[i, 1], queries[i, 2]
@@ -210,8 +210,8 @@ def spacing(queries, points, starts, pose, reach):
 
 @kernel
 def to_nothing(rest, motions, taken, points, starts, reach):
-    """(n,) in which share of the poses a point, moved by `motions` (K, 3, 4), comes to a voxel of
-    `taken` (K, R, R, R) that is 0, with no point of the pose within `reach`."""
+    """Return (n,) in which share of the poses a point, moved by `motions` (K, 3, 4), comes to a
+    voxel of `taken` (K, R, R, R) that is 0, with no point of the pose within `reach`."""
     R = taken.shape[1]
     out = np.zeros(len(rest))
     for k in range(len(motions)):
@@ -228,7 +228,7 @@ def to_nothing(rest, motions, taken, points, starts, reach):
 
 @helper
 def _is_near(points, starts, pose, x, y, z, reach):
-    """Whether the pose has a point within `reach` of (x, y, z)."""
+    """Return whether the pose has a point within `reach` of (x, y, z)."""
     for i in _span(x, reach):
         for j in _span(y, reach):
             for n in _row(starts, pose, i, j, z, reach):
@@ -372,8 +372,8 @@ def _agreement(
 def agreement(
     queries, query_normals, motions, points, normals, signed, starts, within, reach, across
 ):  # fmt: skip
-    """(K,) how well query points (m, 3), moved by `motions` (K, 3, 4), lie on each pose: the sum
-    over them of 1 - (d / reach)^2, 0 beyond it. `within` as in `is_void`."""
+    """Return (K,) how well query points (m, 3), moved by `motions` (K, 3, 4), lie on each pose: the
+    sum over them of 1 - (d / reach)^2, 0 beyond it. `within` as in `is_void`."""
     out = np.zeros(len(motions))
     for k in range(len(motions)):
         out[k] = _agreement(
@@ -387,8 +387,8 @@ def agreement(
 def profiles(
     queries, query_normals, steps, points, normals, signed, starts, within, reach, across
 ):  # fmt: skip
-    """(K, T) the `agreement` of query points, moved by each of `steps` (T, 3, 4), with each of the
-    poses."""
+    """Return (K, T) the `agreement` of query points, moved by each of `steps` (T, 3, 4), with each
+    of the poses."""
     out = np.zeros((len(starts), len(steps)))
     for k in range(len(starts)):
         for t in range(len(steps)):

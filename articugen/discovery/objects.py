@@ -178,7 +178,7 @@ def _judged(found: Discovery | None, rows: Sequence[Row]) -> Judged:
 
 
 def axes_apart(found: FoundJoint, axis: Floats, pivot: Floats) -> float:
-    """How far a found axis is from a true one, beside the part that it turns."""
+    """Return how far a found axis is from a true one, beside the part that it turns."""
     there = pivot + ((found.pivot - pivot) @ axis) * axis
     off = there - found.pivot
     return float(np.linalg.norm(off - (off @ found.axis) * found.axis))
@@ -201,7 +201,7 @@ def _matched(found: Discovery, part: NDArray[np.uint8], joints: int) -> Mapping[
 
 
 def as_json(found: Discovery | None) -> list[dict[str, Any]]:
-    """The joints as plain numbers and texts."""
+    """Return the joints as plain numbers and texts."""
     return [
         {
             "kind": str(joint.kind),
@@ -221,7 +221,7 @@ def share(objects: Sequence[ObjectJoints], name: str) -> float:
 
 
 def mean_error(objects: Sequence[ObjectJoints], name: str) -> float | None:
-    """The mean of `turned` or `slid` over the objects that have it."""
+    """Return the mean of `turned` or `slid` over the objects that have it."""
     each = [getattr(o.judged, name) for o in objects if getattr(o.judged, name) is not None]
     return float(np.mean(each)) if each else None
 

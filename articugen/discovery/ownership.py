@@ -142,11 +142,11 @@ class _Evidence:
         return self._on_grid(asked if np.ptp(bounds) else np.zeros_like(asked), part)
 
     def of_fixed(self) -> Floats:
-        """(R, R, R) the same of part 0 where something is in some of the poses, else 0."""
+        """Return (R, R, R) the same of part 0 where something is in some of the poses, else 0."""
         return self._on_grid((self.taken.max(0) > 0) & (self.taken.min(0) == 0), 0)
 
     def _on_grid(self, asked: NDArray[np.bool_], part: int) -> Floats:
-        """(R, R, R) the same of the centres of the cells that are `asked`, else 0."""
+        """Return (R, R, R) the same of the centres of the cells that are `asked`, else 0."""
         out = np.zeros(asked.shape)
         out[asked] = self.against((np.argwhere(asked) + 0.5) / len(asked) - 0.5, part)
         return out

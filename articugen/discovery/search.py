@@ -48,7 +48,7 @@ EVERY_WAY = _every_way()
 
 
 def motions(candidate: Candidate, states: Floats | None = None) -> Floats:
-    """(S, 3, 4) what a joint does to its part at its states, or at others."""
+    """Return (S, 3, 4) what a joint does to its part at its states, or at others."""
     q = candidate.states if states is None else states
     axis, pivot = candidate.axis, candidate.pivot
     M = np.zeros((len(q), 3, 4))
@@ -92,7 +92,7 @@ def ballot(change: Change) -> NDArray[np.uint64]:
 
 
 def weights(change: Change, which: NDArray[np.intp]) -> NDArray[np.uint64]:
-    """(m,) of points of pose 0: byte k is 1 where the point has left in searched pose k."""
+    """Return (m,) of points of pose 0: byte k is 1 where the point has left in searched pose k."""
     bits = change.gone[:, which].astype(np.uint64)
     return np.bitwise_or.reduce(
         bits << (8 * np.arange(len(bits), dtype=np.uint64))[:, None], axis=0
@@ -113,7 +113,7 @@ class Search:
     def turns(
         self, which: NDArray[np.intp], axis: Floats, keep: int
     ) -> list[tuple[float, Candidate]]:
-        """The best turns of some points (at most 255) about an axis of this direction."""
+        """Return the best turns of some points (at most 255) about an axis of this direction."""
         angles, spins, pivots, rest = self._turns_about(tuple(axis.tolist()))
         points = self.change.clouds[0].points[which] * kernels.VOTES
         turned = (spins @ points.T).astype(np.float32)
@@ -151,7 +151,7 @@ class Search:
     def slides(
         self, which: NDArray[np.intp], ways: Floats, keep: int
     ) -> list[tuple[float, Candidate]]:
-        """The best slides of some points (at most 255) along directions `ways` (n, 3)."""
+        """Return the best slides of some points (at most 255) along directions `ways` (n, 3)."""
         P, R = self.change.clouds[0].points[which], kernels.VOTES
         lengths = np.arange(-_LONGEST_SLIDE, _LONGEST_SLIDE, SLIDE_STEP)
         offsets = ways[:, None] * lengths[:, None] + 0.5

@@ -29,8 +29,8 @@ def generator_of(ref: ObjectRef, recipe: str) -> str:
 def source_again(
     manifest: Manifest, object_id: str
 ) -> tuple[ArticulatedObject, registry.CategorySettings]:
-    """The model that an object of the data set was made of, and what its source says of how it
-    moves.
+    """Return the model that an object of the data set was made of, and what its source says of how
+    it moves.
 
     Raises:
         ArticugenError: no such object; its source is gone or has changed; other code made it.

@@ -113,8 +113,8 @@ def canonical_state(obj: ArticulatedObject) -> JointState:
 
 
 def driven_state(obj: ArticulatedObject, drivers: Mapping[str, float]) -> JointState:
-    """The state in which each driver has its value (rad or m, 0 where not given) and the others
-    follow. Limits are not applied."""
+    """Return the state in which each driver has its value (rad or m, 0 where not given) and the
+    others follow. Limits are not applied."""
     q = np.zeros(len(obj.moving_joints))
     by_name = {joint.name: joint for joint in obj.joints}
     for k, joint in enumerate(obj.moving_joints):
@@ -133,7 +133,7 @@ def sample_joint_state(obj: ArticulatedObject, *, rng: np.random.Generator) -> J
 
 
 def forward_kinematics(obj: ArticulatedObject, state: JointState) -> PosedObject:
-    """Where `state` puts every link, part and joint axis of `obj`: world frame, metres.
+    """Return where `state` puts every link, part and joint axis of `obj`: world frame, metres.
 
     T_world_child = T_world_parent T_parent_joint M(q), with M a rotation by q about the joint's
     axis or a translation by q along it (URDF's definition). Limits are not applied.
@@ -164,7 +164,7 @@ def forward_kinematics(obj: ArticulatedObject, state: JointState) -> PosedObject
 
 
 def part_motions(posed: PosedObject, canonical_posed: PosedObject) -> Floats:
-    """(P, 4, 4) the rigid motion of each part from the canonical pose, world frame, metres.
+    """Return (P, 4, 4) the rigid motion of each part from the canonical pose, world frame, metres.
 
     A point of part k at x in the canonical pose is at `apply(motions[k], x)` in the posed object.
     Part 0 has the identity.
@@ -305,7 +305,7 @@ def _planned(joint: Joint, plan: _Plan) -> Joint:
 
 
 def _motion(joint: Joint, q: float) -> Floats:
-    """(4, 4) what the joint's value does to its child link, in the joint's frame."""
+    """Return (4, 4) what the joint's value does to its child link, in the joint's frame."""
     if joint.kind == JointKind.FIXED:
         return np.eye(4)
     if joint.kind == JointKind.PRISMATIC:
@@ -314,14 +314,14 @@ def _motion(joint: Joint, q: float) -> Floats:
 
 
 def _pattern_of(obj: ArticulatedObject, joint: Joint, patterns: tuple[str, ...]) -> int:
-    """The first pattern that picks the joint; the number of patterns where none does."""
+    """Return the first pattern that picks the joint; the number of patterns where none does."""
     names = (joint.name, obj.links[obj.link_index[joint.child]].semantic)
     picks = (k for k, p in enumerate(patterns) if any(fnmatchcase(name, p) for name in names))
     return next(picks, len(patterns))
 
 
 def _part_order(obj: ArticulatedObject, patterns: tuple[str, ...]) -> tuple[str, ...]:
-    """The moving joints by pattern, then by where their parts are in the canonical pose."""
+    """Return the moving joints by pattern, then by where their parts are in the canonical pose."""
     boxes = _part_boxes(obj)
     middle = boxes.mean(axis=1)
     length = float((boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0)).max())
@@ -337,8 +337,8 @@ def _part_order(obj: ArticulatedObject, patterns: tuple[str, ...]) -> tuple[str,
 
 
 def _part_boxes(obj: ArticulatedObject) -> Floats:
-    """(P, 2, 3) the box of each part in the canonical pose, world frame; of an empty one, its
-    pivot or the origin."""
+    """Return (P, 2, 3) the box of each part in the canonical pose, world frame; of an empty one,
+    its pivot or the origin."""
     posed = forward_kinematics(obj, canonical_state(obj))
     pivots = np.concatenate([posed.T_world_part[:1, :3, 3], posed.pivots])
     at: list[list[Floats]] = [[] for _ in pivots]

@@ -51,7 +51,7 @@ def solid_counts(
     *,
     rng: np.random.Generator,
 ) -> tuple[NDArray[np.int64], int]:
-    """How many of the sub-samples of each cell of a grid are inside, and how many there are.
+    """Return how many of the sub-samples of each cell of a grid are inside, and how many there are.
 
     A cell that no face touches is all inside or all outside, as its centre is. The others have one
     sample at a random place in each of 2^3 sub-cells or more, so that even a plate that lies
@@ -75,15 +75,15 @@ def solid_counts(
 
 
 def uniform_points(count: int, *, rng: np.random.Generator) -> Floats:
-    """(count, 3) uniform in the cube [-0.5, 0.5]^3."""
+    """Return (count, 3) uniform in the cube [-0.5, 0.5]^3."""
     return rng.random((count, 3)) - 0.5
 
 
 def near_points(
     surface: Floats, count: int, sigma: float | tuple[float, ...], *, rng: np.random.Generator
 ) -> Floats:
-    """(count, 3): surface points moved by a Gaussian of `sigma` on each axis, kept in the cube; of
-    several sigmas each takes its turn."""
+    """Return (count, 3): surface points moved by a Gaussian of `sigma` on each axis, kept in the
+    cube; of several sigmas each takes its turn."""
     number = np.arange(count)
     wide = np.atleast_1d(sigma)
     moved = wide[number % len(wide), None] * rng.normal(size=(count, 3))

@@ -47,7 +47,7 @@ class SharpEdges:
 
 
 def sharp_edges(mesh: LabelledMesh, degrees: float) -> SharpEdges:
-    """The edges at which two faces of one part turn by `degrees` or more.
+    """Return the edges at which two faces of one part turn by `degrees` or more.
 
     Vertices in one place are one vertex: soups have an own corner for each face. Of more than two
     faces at an edge those two count that look at each other across the space before them, as one
@@ -84,9 +84,9 @@ def sharp_edges(mesh: LabelledMesh, degrees: float) -> SharpEdges:
 def _facing(
     edge: NDArray[np.intp], normals: Floats, ends: Floats, apex: Floats
 ) -> NDArray[np.intp]:
-    """(m, 2) the rows of faces between which there is space before both, in the order around their
-    edge; of edges where no two are wound so, each two. The rows (n,) of an edge follow one another;
-    `ends` (n, 2, 3) and `apex` (n, 3) are the corners of their faces."""
+    """Return (m, 2) the rows of faces between which there is space before both, in the order around
+    their edge; of edges where no two are wound so, each two. The rows (n,) of an edge follow one
+    another; `ends` (n, 2, 3) and `apex` (n, 3) are the corners of their faces."""
     first = np.searchsorted(edge, edge)
     along, out = ends[:, 1] - ends[:, 0], apex - ends[:, 0]
     across = cross(normals[first], along)  # in the plane of the edge's first face

@@ -20,7 +20,7 @@ _ROUNDING = 1e-12
 
 
 def swept_box(mesh: LabelledMesh, motions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The box (2, 3) of the mesh's faces in all poses; `motions` (N, P, 4, 4)."""
+    """Return the box (2, 3) of the mesh's faces in all poses; `motions` (N, P, 4, 4)."""
     boxes = []
     for part in np.unique(mesh.part_of_face):
         used = np.zeros(len(mesh.vertices), np.bool_)
@@ -34,8 +34,8 @@ def swept_box(mesh: LabelledMesh, motions: NDArray[np.float64]) -> NDArray[np.fl
 def _cells(
     points: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.float64]]:
-    """The points in the order of their cells; where each cell begins, and the end; (C, 2, 3) the
-    boxes of the cells."""
+    """Return the points in the order of their cells; where each cell begins, and the end; (C, 2, 3)
+    the boxes of the cells."""
     low, high = bounds(points)
     at = ((points - low) * (_CELLS * 0.999 / np.maximum(high - low, 1e-300))).astype(np.intp)
     key = (at[:, 0] * _CELLS + at[:, 1]) * _CELLS + at[:, 2]
@@ -48,7 +48,7 @@ def _cells(
 
 @kernel
 def _swept(points, first, boxes, poses):
-    """(2, 3) the utmost coordinates of the points in all poses (N, 4, 4)."""
+    """Return (2, 3) the utmost coordinates of the points in all poses (N, 4, 4)."""
     box = np.empty((2, 3))
     for row in range(3):
         box[0, row], box[1, row] = np.inf, -np.inf

@@ -49,7 +49,7 @@ class Fields(Protocol):
     """The fields of one shape."""
 
     def __call__(self, points: Tensor, parts: NDArray[np.int64] = ..., /) -> Floats:
-        """(P, n): the field of each part, or of these `parts`, at points (n, 3)."""
+        """Return (P, n): the field of each part, or of these `parts`, at points (n, 3)."""
         ...
 
 
@@ -64,7 +64,7 @@ def reconstruction_of(
     T_part: Floats | None = None,
     joints: PartJoints | None = None,
 ) -> Reconstruction:
-    """The parts of one shape, their surfaces from a grid of `resolution`^3.
+    """Return the parts of one shape, their surfaces from a grid of `resolution`^3.
 
     Args:
         parts: how many fields there are.
@@ -86,19 +86,19 @@ def reconstruction_of(
 
 
 def fields_on_grid(fields: Fields, resolution: int) -> Floats:
-    """(P, R, R, R): the field of each part at the voxel centres."""
+    """Return (P, R, R, R): the field of each part at the voxel centres."""
     return _on_grid(fields(grid_centres(resolution)))
 
 
 def _on_grid(values: Floats) -> Floats:
-    """(P, R, R, R) of (P, R^3)."""
+    """Return (P, R, R, R) of (P, R^3)."""
     resolution = round(values.shape[1] ** (1 / 3))
     return values.reshape(-1, resolution, resolution, resolution)
 
 
 @cache
 def grid_centres(resolution: int) -> Tensor:
-    """(R^3, 3) the centres of a grid's voxels."""
+    """Return (R^3, 3) the centres of a grid's voxels."""
     return voxel_centres(torch.arange(resolution**3), resolution)
 
 
@@ -113,7 +113,7 @@ def fields_near_surfaces(
     dense: int = DENSE,
     looked_for: Callable[[], Floats] | None = None,
 ) -> tuple[NDArray[np.int64], Floats]:
-    """((k,), (k, R, R, R)): some parts, and their fields as `fields_on_grid` gives them.
+    """Return ((k,), (k, R, R, R)): some parts, and their fields as `fields_on_grid` gives them.
 
     Parts that are nowhere are left out. Grids of twice `dense` and finer are evaluated near
     surfaces only, and of parts alone that are anywhere on the grid that is half as fine: what is
@@ -152,7 +152,7 @@ def _on_the_whole_grid(
 
 
 def _somewhere_above(level: float, logits: Floats) -> NDArray[np.bool_]:
-    """(P,) whether fields (P, ...) are above a level anywhere; the first, if none is."""
+    """Return (P,) whether fields (P, ...) are above a level anywhere; the first, if none is."""
     there = logits.reshape(len(logits), -1).max(1) > level
     there[0] |= not there.any()
     return there
@@ -167,7 +167,7 @@ def _doubled(grids: NDArray[Any]) -> NDArray[Any]:
 
 
 def _beside_surfaces(logits: Floats) -> NDArray[np.bool_]:
-    """(R, R, R): whether any voxel around, corners included, is of another part, or none."""
+    """Return (R, R, R): whether any voxel around, corners included, is of another part, or none."""
     owner = np.pad(np.where(logits.max(0) > 0.0, logits.argmax(0), -1), 1, mode="edge")
     least = most = owner
     for axis in range(3):
@@ -236,11 +236,11 @@ class PartFields(nn.Module):
     parts: int
 
     def encode(self, cloud: Tensor) -> Tensor:
-        """The codes (B, C) of clouds (B, n, 3)."""
+        """Return the codes (B, C) of clouds (B, n, 3)."""
         raise NotImplementedError
 
     def fields(self, code: Tensor, points: Tensor) -> Tensor:
-        """The fields (B, P, n) of codes (B, C) at points (B, n, 3)."""
+        """Return the fields (B, P, n) of codes (B, C) at points (B, n, 3)."""
         raise NotImplementedError
 
 
@@ -322,7 +322,7 @@ class FieldLearner(Learner):
 
     @torch.no_grad()
     def fields_of(self, cloud: Floats) -> Fields:
-        """The fields of what is seen in one cloud (n, 3)."""
+        """Return the fields of what is seen in one cloud (n, 3)."""
         few = torch.as_tensor(cloud[: self.inputs.surface_points], dtype=torch.float32)
         code = self.network.encode(few[None].to(self.device))
 
@@ -346,5 +346,5 @@ class FieldLearner(Learner):
 
 
 def probability(logits: Floats) -> Floats:
-    """The sigmoid."""
+    """Return the sigmoid."""
     return 1.0 / (1.0 + np.exp(-np.clip(logits, -50.0, 50.0)))

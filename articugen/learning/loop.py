@@ -90,7 +90,7 @@ class Course:
         )
 
     def rows(self, iteration: int) -> list[int]:
-        """The instances of an iteration's batch."""
+        """Return the instances of an iteration's batch."""
         plan = self.learner.settings.schedule
         return batch_rows(iteration, plan.batch, len(self.training), self.seed, self._method)
 
@@ -192,7 +192,7 @@ def train(
 
 
 def follow(course: Course, stop_after: int | None, on_progress: Tell) -> RunFolder:
-    """The loop: from where the course stands to its schedule's end, or to `stop_after`."""
+    """Return the loop: from where the course stands to its schedule's end, or to `stop_after`."""
     learner, plan = course.learner, course.learner.settings.schedule
     with given_back(SHARDS):
         learner.begin(
@@ -229,7 +229,7 @@ def shared_folder(run: RunFolder) -> Path:
 def split_for(
     learner: Learner, data: Folders, category: str, device: torch.device
 ) -> tuple[PackedSplit, PackedSplit]:
-    """The training instances, and those of the objects that are held out."""
+    """Return the training instances, and those of the objects that are held out."""
     spec, recipe = learner.inputs, learner.settings
     grids = {stage.resolution for stage in recipe.schedule.stages if spec.grid_points}
     with given_back(SHARDS):
@@ -252,7 +252,7 @@ def look(
 
 
 def split_objects(object_ids: Iterable[str], held_out: int) -> tuple[list[str], list[str]]:
-    """(for training, held out): the same whatever the seed; at most a quarter is held out.
+    """Return (for training, held out): the same whatever the seed; at most a quarter is held out.
 
     Where there are two objects, one is; a single one is trained on.
     """
@@ -267,7 +267,7 @@ def new_run(
     recipe: TrainRecipe, category: str, data: Folders, runs: Path, seed: int,
     name: str | None = None,
 ) -> RunFolder:  # fmt: skip
-    """A new run's folder, which says what it is trained on."""
+    """Return a new run's folder, which says what it is trained on."""
     first, *others = [
         {"folder": str(folder), "content_sha256": Manifest.read(folder).content_sha256}
         for folder in folders_of(data)
@@ -287,7 +287,7 @@ def begun(
     resume: Path | None = None,
     name: str | None = None,
 ) -> Course:
-    """The course of a new run, or of one to go on with, as `train` takes them."""
+    """Return the course of a new run, or of one to go on with, as `train` takes them."""
     run, start = _run_and_start(learner.settings, category, data, runs, seed, resume, name)
     course = Course(learner, training, held_out, run, category, seed)
     if start:
@@ -338,12 +338,12 @@ def _values(terms: Mapping[str, Tensor]) -> dict[str, float]:
 
 
 def draw(seed: int, *path: str | int) -> int:
-    """A number for torch's generators, from the seed and what it is for."""
+    """Return a number for torch's generators, from the seed and what it is for."""
     return int(seeded(seed, *path).integers(2**63))
 
 
 def batch_rows(iteration: int, batch: int, count: int, seed: int, method: str) -> list[int]:
-    """The instances of a batch: epochs one after the other, each in an order of its own."""
+    """Return the instances of a batch: epochs one after the other, each in an order of its own."""
     rows: list[int] = []
     at = iteration * batch
     while len(rows) < batch:

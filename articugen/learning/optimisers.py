@@ -50,7 +50,7 @@ class Optimiser(Protocol):
 
 
 def optimiser_of(name: str, network: nn.Module, betas: Betas = BETAS) -> Optimiser:
-    """The one that recipes call `name`, at its beginning; `betas` are Adam's."""
+    """Return the one that recipes call `name`, at its beginning; `betas` are Adam's."""
     named = dict(network.named_parameters())
     return Soap(named) if name == "soap" else Adam(named, betas)
 
@@ -298,7 +298,7 @@ class _Flat:
         self._sizes = [weight.numel() for weight in self.weights.values()]
 
     def zeros(self) -> Tensor:
-        """A number for each."""
+        """Return a number for each."""
         return self._empty.new_zeros(sum(self._sizes))
 
     def gradient(self) -> Tensor:
@@ -307,7 +307,7 @@ class _Flat:
         return self.joined([torch.zeros_like(w) if w.grad is None else w.grad for w in each])
 
     def joined(self, pieces: list[Tensor]) -> Tensor:
-        """A new flat vector."""
+        """Return a new flat vector."""
         return torch.cat([self._empty, *(piece.flatten() for piece in pieces)])
 
     def split(self, flat: Tensor) -> list[Tensor]:
@@ -330,7 +330,7 @@ class _Flat:
 
 
 def _sorted_out(named: Named, wanted: Callable[[int, int], bool]) -> tuple[_Flat, Named]:
-    """The weights whose sides are `wanted`, and all the rest."""
+    """Return the weights whose sides are `wanted`, and all the rest."""
 
     def is_wanted(name: str, parameter: nn.Parameter) -> bool:
         is_weight = name.rpartition(".")[2] == "weight" and parameter.ndim > 1

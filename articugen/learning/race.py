@@ -74,7 +74,7 @@ class Heat:
         return self.reached()
 
     def is_done(self) -> bool:
-        """Whether the seed stands at `stop`, or beyond."""
+        """Return whether the seed stands at `stop`, or beyond."""
         if not self.is_started():
             return False
         return read_checkpoint(self.folder / str(self.seed) / LATEST).iteration >= self.stop
@@ -87,7 +87,7 @@ class Heat:
         return (path / LATEST).is_file()
 
     def reached(self) -> dict[str, float]:
-        """The validation at `stop`."""
+        """Return the validation at `stop`."""
         path = self.folder / str(self.seed)
         there = [r for r in RunFolder(path).metrics() if r["iteration"] == self.stop]
         found = [r["validation"] for r in there if r.get("validation")]
@@ -164,7 +164,7 @@ def race(
 def _run_to_race_in(
     recipe: TrainRecipe, category: str, data: Folders, runs: Path, seed: int, resume: Path | None
 ) -> RunFolder:
-    """A new run, or the one to go on with, as `race` takes them."""
+    """Return a new run, or the one to go on with, as `race` takes them."""
     if resume is None:
         return new_run(recipe, category, data, runs, seed)
     run = RunFolder(resume)

@@ -81,16 +81,16 @@ class Schedule(Section):
         return sum(stage.iterations for stage in self.stages)
 
     def index_at(self, iteration: int) -> int:
-        """The index of the stage that an iteration (from 0) belongs to."""
+        """Return the index of the stage that an iteration (from 0) belongs to."""
         last = len(self.stages) - 1
         return next((i for i in range(last) if iteration < self.first_of(i + 1)), last)
 
     def first_of(self, index: int) -> int:
-        """The first iteration of a stage."""
+        """Return the first iteration of a stage."""
         return sum(stage.iterations for stage in self.stages[:index])
 
     def rate_at(self, iteration: int) -> float:
-        """The learning rate of an iteration."""
+        """Return the learning rate of an iteration."""
         if self.final_learning_rate is None:
             return self.learning_rate
         share = 0.5 * (1.0 + math.cos(math.pi * iteration / max(self.iterations - 1, 1)))
@@ -153,17 +153,17 @@ class TrainRecipe(Section):
         return validated(type(self), self.model_dump() | {"seeds": seeds}, "--seeds")
 
     def same_but_seeds(self, other: "TrainRecipe") -> bool:
-        """Whether the other decides the same runs, however many of them race."""
+        """Return whether the other decides the same runs, however many of them race."""
         return self.sha256() == other.model_copy(update={"seeds": self.seeds}).sha256()
 
     def text(self) -> str:
-        """The resolved recipe as YAML, every key spelt out."""
+        """Return the resolved recipe as YAML, every key spelt out."""
         return yaml.safe_dump(self.plain(), sort_keys=False)
 
     def plain(self) -> dict[str, Any]:
-        """The resolved recipe as plain data."""
+        """Return the resolved recipe as plain data."""
         return self.model_dump(mode="json")
 
     def sha256(self) -> str:
-        """The digest of what decides a run: all but the name."""
+        """Return the digest of what decides a run: all but the name."""
         return hashlib.sha256(self.model_dump_json(exclude={"name"}).encode()).hexdigest()

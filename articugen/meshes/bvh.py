@@ -62,7 +62,7 @@ def build(corners: NDArray[np.float64], part_of_face: NDArray[np.uint8], parts: 
 
 
 def tree_of(corners: NDArray[np.float64]) -> Bvh:
-    """The tree of one part."""
+    """Return the tree of one part."""
     own = np.ascontiguousarray(corners)
     order, box, skip, leaf, count = ordered(own)
     roots = np.array([0, count], np.int32)
@@ -70,7 +70,7 @@ def tree_of(corners: NDArray[np.float64]) -> Bvh:
 
 
 def joined(trees: Sequence[Bvh]) -> Bvh:
-    """The trees of several parts, one after the other."""
+    """Return the trees of several parts, one after the other."""
     first_node = np.cumsum([0, *(len(tree.skip) for tree in trees)])
     first_face = np.cumsum([0, *(len(tree.triangles) for tree in trees)])
     leaves = [np.array(tree.leaf) for tree in trees]
@@ -164,7 +164,7 @@ def _measure(corners, centers, order, low, high, box, node):
 
 @helper
 def meets(p, w, reach, to_part, box, skip, leaf, triangles, roots):
-    """Whether the way from `p` to `p + reach * w` meets any face of any part.
+    """Return whether the way from `p` to `p + reach * w` meets any face of any part.
 
     Args:
         p, w: tuples of three float32.
@@ -214,7 +214,7 @@ def _inverse(x):
 
 @helper
 def _enters(q, inverse, reach, low, high):
-    """Whether the ray from `q` enters a box before `reach`; numbers only, see `_judge`."""
+    """Return whether the ray from `q` enters a box before `reach`; numbers only, see `_judge`."""
     ax, bx = (low[0] - q[0]) * inverse[0], (high[0] - q[0]) * inverse[0]
     ay, by = (low[1] - q[1]) * inverse[1], (high[1] - q[1]) * inverse[1]
     az, bz = (low[2] - q[2]) * inverse[2], (high[2] - q[2]) * inverse[2]
@@ -225,7 +225,7 @@ def _enters(q, inverse, reach, low, high):
 
 @helper
 def in_front(p, w, plane):
-    """How far `p` lies in front of a face's plane, along the direction `w` to the camera.
+    """Return how far `p` lies in front of a face's plane, along the direction `w` to the camera.
 
     Args:
         plane: normal and offset, the first four columns of the `triangle_table`.

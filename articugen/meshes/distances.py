@@ -11,7 +11,7 @@ from articugen.core.records import Floats
 
 
 def sample(triangles: Floats, count: int, rng: np.random.Generator) -> Floats:
-    """(count, 3) points spread over triangles (F, 3, 3) uniformly by area.
+    """Return (count, 3) points spread over triangles (F, 3, 3) uniformly by area.
 
     Points count as triangles whose corners coincide; where all do, some of them are drawn.
     """
@@ -36,9 +36,9 @@ def distance(points: Floats, triangles: Floats) -> Floats:
 
 
 def _tree(triangles: Floats) -> tuple[Floats, Floats]:
-    """The triangles along a curve that fills space, so that neighbours in memory lie together, and
-    (2 L, 6) boxes around runs of them: node n has the children 2 n and 2 n + 1, from 1 on, and node
-    L + i is the i-th of L leaves, a power of 2, which share the triangles evenly."""
+    """Return the triangles along a curve that fills space, so that neighbours in memory lie
+    together, and (2 L, 6) boxes around runs of them: node n has the children 2 n and 2 n + 1, from
+    1 on, and node L + i is the i-th of L leaves, a power of 2, which share the triangles evenly."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     order = np.argsort(_along_a_curve(a + b + c))
     corners = triangles[order]
@@ -100,7 +100,7 @@ def _distances(points, corners, boxes):  # pragma: no cover - compiled
 
 @helper
 def _to_box(p, boxes, n):  # pragma: no cover - compiled
-    """The square of the distance."""
+    """Return the square of the distance."""
     x = max(boxes[n, 0] - p[0], p[0] - boxes[n, 3], 0.0)
     y = max(boxes[n, 1] - p[1], p[1] - boxes[n, 4], 0.0)
     z = max(boxes[n, 2] - p[2], p[2] - boxes[n, 5], 0.0)
@@ -141,7 +141,7 @@ def _to_triangle(p, corners, f):  # noqa: PLR0911  # pragma: no cover - compiled
 
 @helper
 def _beside(point, s, one, t, two):  # pragma: no cover - compiled
-    """How far `point` is from s * one + t * two."""
+    """Return how far `point` is from s * one + t * two."""
     x = point[0] - s * one[0] - t * two[0]
     y = point[1] - s * one[1] - t * two[1]
     z = point[2] - s * one[2] - t * two[2]

@@ -73,7 +73,7 @@ def _crossed_edges(inside: NDArray[np.bool_], strides: NDArray[np.int64]) -> NDA
 
 
 def _faces() -> list[list[int]]:
-    """The corners of each face of a cell, counter-clockwise as seen from outside."""
+    """Return the corners of each face of a cell, counter-clockwise as seen from outside."""
     rings = []
     for axis, step in enumerate(_STEPS):
         one, two = _STEPS[(axis + 1) % 3], _STEPS[(axis + 2) % 3]
@@ -83,7 +83,7 @@ def _faces() -> list[list[int]]:
 
 
 def _loops(case: int, faces: Sequence[Sequence[int]]) -> list[list[_Edge]]:
-    """The closed lines in which a surface crosses the faces of a cell, each once around.
+    """Return the closed lines in which a surface crosses the faces of a cell, each once around.
 
     Args:
         case: bit c says whether corner c is inside.
@@ -113,8 +113,8 @@ def _edge(a: int, b: int) -> _Edge:
 
 
 def _triangles(loop: Sequence[_Edge], faces: Sequence[Sequence[int]]) -> list[_Triangle] | None:
-    """A loop as triangles without a chord in a face, which the next cell could have too; None if
-    there are none."""
+    """Return a loop as triangles without a chord in a face, which the next cell could have too;
+    None if there are none."""
     if len(loop) == 2:
         return []
     for k in range(1, len(loop) - 1):
@@ -128,8 +128,8 @@ def _triangles(loop: Sequence[_Edge], faces: Sequence[Sequence[int]]) -> list[_T
 
 
 def _table() -> NDArray[np.int64]:
-    """(256, 5, 3) the edges at the corners of the triangles of each case, -1 where there are fewer
-    than five."""
+    """Return (256, 5, 3) the edges at the corners of the triangles of each case, -1 where there are
+    fewer than five."""
     faces, table = _faces(), np.full((256, 5, 3), -1)
     for case in range(256):
         for_each_loop = (_triangles(loop, faces) or [] for loop in _loops(case, faces))

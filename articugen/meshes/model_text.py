@@ -46,7 +46,7 @@ class Joint:
 
 
 def obj_text(pieces: Iterable[tuple[NDArray[np.float64], NDArray[np.integer]]]) -> str:
-    """One OBJ file of meshes (vertices (n, 3), triangles (m, 3)).
+    """Return one OBJ file of meshes (vertices (n, 3), triangles (m, 3)).
 
     To nanometres: finer than any use, coarser than the last bits in which machines differ.
     """
@@ -59,7 +59,7 @@ def obj_text(pieces: Iterable[tuple[NDArray[np.float64], NDArray[np.integer]]]) 
 
 
 def urdf_text(name: str, links: Mapping[str, Sequence[Visual]], joints: Iterable[Joint]) -> str:
-    """A URDF of links, by name, and joints, in their order."""
+    """Return a URDF of links, by name, and joints, in their order."""
     elements = [_link(link, visuals) for link, visuals in links.items()]
     tree = "\n".join([*elements, *map(_joint, joints)])
     return f'<?xml version="1.0"?>\n<robot name={quoteattr(name)}>\n{tree}\n</robot>\n'

@@ -6,7 +6,7 @@ MAX_HEADER_BYTES = 2**16
 
 
 def claimed_rows(data: bytes) -> dict[str, int]:
-    """How many rows of each element the header of a file claims, by the element's name.
+    """Return how many rows of each element the header of a file claims, by the element's name.
 
     A row takes at least one byte a property, so that no header can claim more rows than the file
     has bytes.

@@ -47,7 +47,7 @@ class Cloud:
 
 
 def cloud_of_file(path: Path, *, fit: bool = False) -> Cloud:
-    """The points of a PLY, .npy, .npz or .xyz file, in an order that says nothing.
+    """Return the points of a PLY, .npy, .npz or .xyz file, in an order that says nothing.
 
     Args:
         fit: the file is in a frame of its own; its bounding box is brought to where a data set's
@@ -90,7 +90,7 @@ def numbers_of_file(path: Path) -> Floats:
 
 
 def checked(cloud: Floats, name: str) -> Floats:
-    """The cloud (n, 3), if it is one that can be made sense of.
+    """Return the cloud (n, 3), if it is one that can be made sense of.
 
     Raises:
         InvalidSource: too few points, numbers that are not finite, or points outside the unit cube.
@@ -167,7 +167,7 @@ def _npy(data: bytes) -> Any:
 
 
 def _npz(data: bytes) -> Any:
-    """The array "points" of a zip archive; numpy would unpack whatever it claims to hold."""
+    """Return the array "points" of a zip archive; numpy would unpack whatever it claims to hold."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         names = archive.namelist()
         if "points.npy" not in names:

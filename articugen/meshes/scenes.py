@@ -85,7 +85,7 @@ def _check_dae_size(root: Any, path: Path) -> None:
     known: dict[str, tuple[int, int]] = {}
 
     def size(element: Any, above: tuple[str, ...]) -> tuple[int, int]:
-        """(triangles, nodes) of what hangs on an element."""
+        """Return (triangles, nodes) of what hangs on an element."""
         total = (0, 1)
         for child in element:
             name = child.tag.rpartition("}")[2]
@@ -120,7 +120,7 @@ _FACES = ("triangles", "polylist", "polygons", "tristrips", "trifans")
 
 
 def _dae_faces(geometry: Any, path: Path) -> int:
-    """How many triangles a geometry says that it has, or has numbers for."""
+    """Return how many triangles a geometry says that it has, or has numbers for."""
     faces = 0
     try:
         for element in (e for tag in _FACES for e in geometry.iterfind(f".//{{*}}{tag}")):
@@ -222,7 +222,7 @@ def _check_gltf(text: bytes, path: Path, files: ModelFiles) -> _Buffers:
 
 
 def _buffer(name: str, path: Path, files: ModelFiles) -> bytes:
-    """A file that a glTF document names; `name` is relative to the document."""
+    """Return a file that a glTF document names; `name` is relative to the document."""
     inside = unquote(name)
     if "\0" not in inside:
         inside = os.path.relpath(path.resolve().parent / inside, files.folder)
@@ -233,8 +233,8 @@ def _buffer(name: str, path: Path, files: ModelFiles) -> bytes:
 
 
 def _check_triangles(document: dict[str, Any], path: Path) -> list[int]:
-    """The triangles of each mesh. Positions are plain floats that lie in a buffer; compressed or
-    sparse ones are refused."""
+    """Return the triangles of each mesh. Positions are plain floats that lie in a buffer;
+    compressed or sparse ones are refused."""
     faces = []
     for mesh in document.get("meshes", []):
         faces.append(0)

@@ -7,7 +7,7 @@ from articugen.core.records import Mesh
 
 
 def simpler(mesh: Mesh, tolerance: float) -> Mesh:
-    """A watertight mesh that lies within about `tolerance` of a watertight `mesh`."""
+    """Return a watertight mesh that lies within about `tolerance` of a watertight `mesh`."""
     vertices, faces = np.array(mesh.vertices), np.array(mesh.faces, dtype=np.uint64)
     solid = manifold3d.Manifold(manifold3d.Mesh64(vertices, faces))
     if solid.status() != manifold3d.Error.NoError:

@@ -9,7 +9,7 @@ from articugen.core.errors import InvalidSource
 
 
 def parse_xml(data: bytes, path: Path) -> Any:
-    """The root element (lxml) of a well-formed document without DOCTYPE, comments removed.
+    """Return the root element (lxml) of a well-formed document without DOCTYPE, comments removed.
 
     libxml2's own limits stay on (`huge_tree=False`): depth 256, 10 MB in one text.
 
@@ -56,5 +56,5 @@ def drop_default_namespaces(root: Any) -> None:
 
 
 def tostring(root: Any) -> bytes:
-    """The document of a root element; in ASCII, names of other letters would be no names."""
+    """Return the document of a root element; in ASCII, names of other letters would be no names."""
     return etree.tostring(root, encoding="utf-8")

@@ -95,7 +95,7 @@ def help_with(folder: Path, count: int, make: Callable[[int], object]) -> int:
 
 
 def _is_owned(folder: Path) -> bool:
-    """Whether there is an owner, or is soon."""
+    """Return whether there is an owner, or is soon."""
     until = time.monotonic() + _SOON
     while True:
         with suppress(FileNotFoundError):
@@ -205,7 +205,7 @@ class _Claims:
         return thing
 
     def _lock(self, byte: int) -> bool:
-        """Whether this byte is ours now."""
+        """Return whether this byte is ours now."""
         try:
             fcntl.lockf(self.file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, byte)
         except OSError:

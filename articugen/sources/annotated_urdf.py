@@ -17,14 +17,14 @@ _URDF = "mobility.urdf"
 
 
 def detect(path: Path) -> Found | None:
-    """The model that a folder with mobility.urdf and annotation.json is."""
+    """Return the model that a folder with mobility.urdf and annotation.json is."""
     if isfile(path / _URDF) and isfile(path / "annotation.json"):
         return Found(path.name, path, path.name)
     return None
 
 
 def find(base: Path) -> list[Found]:
-    """The folders in `base` that are models."""
+    """Return the folders in `base` that are models."""
     return [found for folder in visible(base) if (found := detect(folder))]
 
 

@@ -18,14 +18,14 @@ _FOLDER = "urdf_w_collider"
 
 
 def detect(path: Path) -> Found | None:
-    """The model that a folder is by the names in it, though its URDF be missing."""
+    """Return the model that a folder is by the names in it, though its URDF be missing."""
     if isfile(path / f"{path.name}.articulations.json") or isdir(path / _FOLDER):
         return Found(path.name, path, path.name, category_above=2)
     return None
 
 
 def find(base: Path) -> list[Found]:
-    """The folders in `base` that are models."""
+    """Return the folders in `base` that are models."""
     return [found for folder in visible(base) if (found := detect(folder))]
 
 

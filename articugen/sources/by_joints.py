@@ -26,7 +26,7 @@ def check_kinds(joints: Iterable[str]) -> None:
 
 
 def of_joints(refs: list[ObjectRef], joints: Collection[str], category: str) -> list[ObjectRef]:
-    """The objects that have joints that move, all of them of the kinds `joints`.
+    """Return the objects that have joints that move, all of them of the kinds `joints`.
 
     A joint counts as its model has it, whether or not a recipe lets it move. An object that cannot
     be read stays: its turn comes to be refused, with the reason.

@@ -43,8 +43,8 @@ def words(file: SourceFile | None, name: str) -> set[str]:
 
 
 def of_category(found: Collection[Found], file: SourceFile | None, name: str) -> list[Found]:
-    """The models of one category: those in a folder of just that name, if there is one; else those
-    whose folder or meta.json is called like it."""
+    """Return the models of one category: those in a folder of just that name, if there is one; else
+    those whose folder or meta.json is called like it."""
     exact = {plain(name), plain(own_name(file, name) or name)}
     own = [f for f in found if f.kinds and plain(f.kinds[0]) in exact]
     wanted = words(file, name)
@@ -52,7 +52,7 @@ def of_category(found: Collection[Found], file: SourceFile | None, name: str) ->
 
 
 def kinds_there(found: Iterable[Found], file: SourceFile | None) -> list[str]:
-    """The categories of the models, in the source's own names where it has them."""
+    """Return the categories of the models, in the source's own names where it has them."""
     names = {_kind(f, file) for f in found if f.kinds}
     return sorted(names)
 
@@ -62,6 +62,6 @@ def _kind(found: Found, file: SourceFile | None) -> str:
 
 
 def unknown(where: str, name: str, there: Collection[str]) -> InvalidSource:
-    """The refusal of a category that is not there; it names the nearest and all."""
+    """Return the refusal of a category that is not there; it names the nearest and all."""
     hint = nearest(name.lower(), [other.lower() for other in there])
     return InvalidSource(f"{where} has no category {name!r}{hint}; there are: {', '.join(there)}")

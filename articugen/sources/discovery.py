@@ -40,14 +40,14 @@ def mixed_models(base: Path, is_category: Callable[[str], bool]) -> Iterator[Fou
 
 
 def any_models(base: Path) -> list[Found]:
-    """Every object in `base`, whatever its layout."""
+    """Return every object in `base`, whatever its layout."""
     return [f for child in visible(base) for f in _models_at(child, readers.detect(child))]
 
 
 def called(object_id: str, base: Path, reader: str) -> list[Found]:
-    """The models in `base` whose file or folder has the name `object_id`, and they that id; others
-    are not looked at. None where only a listing can tell: an id with a dot may be the path of one
-    of two that share a name, and another package's reader may name models as it likes.
+    """Return the models in `base` whose file or folder has the name `object_id`, and they that id;
+    others are not looked at. None where only a listing can tell: an id with a dot may be the path
+    of one of two that share a name, and another package's reader may name models as it likes.
 
     Args:
         reader: that of the source; "" where no source.yaml names one.
@@ -66,8 +66,8 @@ def called(object_id: str, base: Path, reader: str) -> list[Found]:
 
 
 def distinct(found: Sequence[Found], base: Path) -> list[Found]:
-    """The same objects; those that share a name are called by their whole path below `base`, with
-    a ~ for each time that this, too, is taken."""
+    """Return the same objects; those that share a name are called by their whole path below `base`,
+    with a ~ for each time that this, too, is taken."""
     count = Counter(f.object_id for f in found)
     renamed = [f for f in found if count[f.object_id] > 1]
     taken = {f.object_id for f in found if count[f.object_id] == 1}
@@ -90,8 +90,8 @@ _DEEP = 3
 
 
 def _models_at(child: Path, own: Found | None) -> list[Found]:
-    """The model that a file or folder is, known already; those of layouts that we know somewhere
-    in it; or the URDFs somewhere in it."""
+    """Return the model that a file or folder is, known already; those of layouts that we know
+    somewhere in it; or the URDFs somewhere in it."""
     if own is not None:
         return [own]
     below = list(_models_below(child, _DEEP))
@@ -110,8 +110,8 @@ def _models_below(folder: Path, deep: int) -> Iterator[Found]:
 
 
 def _category_folder(found: Found, base: Path) -> str:
-    """The name of the folder below `base` that has a model's category by its layout; "" where it
-    would be `base` or above."""
+    """Return the name of the folder below `base` that has a model's category by its layout; ""
+    where it would be `base` or above."""
     below = found.location.relative_to(base).parts
     if found.reader == _PLAIN:
         return below[0]

@@ -32,8 +32,8 @@ def ending_in(folder: Path, suffix: str) -> list[Path]:
 
 
 def meta_category(folder: Path) -> str:
-    """The category that the meta.json of a model's folder gives, as PartNet-Mobility's do; ""
-    where it gives none."""
+    """Return the category that the meta.json of a model's folder gives, as PartNet-Mobility's do;
+    "" where it gives none."""
     try:
         text = ModelFiles(folder).read(folder / "meta.json", MAX_TEXT_BYTES)
         return str(json.loads(text)["model_cat"])

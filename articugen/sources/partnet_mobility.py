@@ -36,17 +36,17 @@ _TOLERANCE = 1e-3
 
 
 def detect(path: Path) -> Found | None:
-    """The model that a folder with mobility.urdf and meta.json is."""
+    """Return the model that a folder with mobility.urdf and meta.json is."""
     return _found(path) if isfile(path / URDF) and isfile(path / "meta.json") else None
 
 
 def find(base: Path) -> list[Found]:
-    """The folders in `base` that have a mobility.urdf."""
+    """Return the folders in `base` that have a mobility.urdf."""
     return [model for folder in visible(base) for model in find_at(folder)]
 
 
 def find_at(child: Path) -> list[Found]:
-    """The model that a folder with a mobility.urdf is."""
+    """Return the model that a folder with a mobility.urdf is."""
     return [_found(child)] if isfile(child / URDF) else []
 
 
@@ -55,7 +55,7 @@ def _found(folder: Path) -> Found:
 
 
 def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
-    """One model; its notes say where URDF, annotation and category disagree.
+    """Return one model; its notes say where URDF, annotation and category disagree.
 
     Raises:
         InvalidSource: anything amiss in the folder.
@@ -82,7 +82,7 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
 
 
 def _text(files: ModelFiles, name: str) -> str | None:
-    """The text of one of the files beside the URDF, None where there is none."""
+    """Return the text of one of the files beside the URDF, None where there is none."""
     path = files.find(name)
     if path is None:
         return None
@@ -154,7 +154,7 @@ _ANNOTATION = TypeAdapter(list[_Annotated])
 
 
 def _annotation(files: ModelFiles) -> list[_Annotated]:
-    """The parts of mobility_v2.json that became links, in the order of the links."""
+    """Return the parts of mobility_v2.json that became links, in the order of the links."""
     data = _json(files, "mobility_v2.json")
     try:
         parts = _ANNOTATION.validate_python([] if data is None else data)
@@ -197,7 +197,7 @@ def _kind(part: _Annotated) -> str:
 
 
 def _ends(part: _Annotated) -> NDArray[np.float64]:
-    """(2,) the annotated limits, rad or m, ascending."""
+    """Return (2,) the annotated limits, rad or m, ascending."""
     ends = np.sort((part.data.limit.a, part.data.limit.b))
     return np.radians(ends) if part.joint == "hinge" else ends
 

@@ -34,7 +34,7 @@ def of_named(
     ids: Collection[str],
     counts: Counts = all_count,
 ) -> list[ObjectRef]:
-    """The objects of a named source; of one that makes them, so many and those called `ids`.
+    """Return the objects of a named source; of one that makes them, so many and those called `ids`.
 
     Raises:
         InvalidSource: no such category, or no model of it.
@@ -53,8 +53,8 @@ def of_named(
 
 
 def of_every_category(named: NamedSource) -> dict[str, list[ObjectRef]]:
-    """The objects of each category of a named source, though there be none; of one that makes them
-    as many as the category's recipe makes."""
+    """Return the objects of each category of a named source, though there be none; of one that
+    makes them as many as the category's recipe makes."""
     maker, every = named.file.maker, named.file.categories
     if maker:
         counts = {own: load_recipe(None, own, named.name).objects for own in every}
@@ -64,7 +64,7 @@ def of_every_category(named: NamedSource) -> dict[str, list[ObjectRef]]:
 
 
 def of_path(path: Path, category: str, counts: Counts = all_count) -> list[ObjectRef]:
-    """The objects of a file, or of a folder that no source.yaml describes.
+    """Return the objects of a file, or of a folder that no source.yaml describes.
 
     Raises:
         InvalidSource: there is none; models that tell their category, all another.
@@ -89,8 +89,8 @@ def of_path(path: Path, category: str, counts: Counts = all_count) -> list[Objec
 
 
 def of_id(named: NamedSource | None, path: Path, category: str, object_id: str) -> ObjectRef | None:
-    """The object of that id where the name alone leads to it; no other one is looked at, so that
-    its split, which they decide, stays open. None where only a listing can tell.
+    """Return the object of that id where the name alone leads to it; no other one is looked at, so
+    that its split, which they decide, stays open. None where only a listing can tell.
 
     Args:
         named: the source whose folder `path` is; None where no source.yaml describes it.
@@ -155,7 +155,7 @@ def model_at(path: str | Path, category: str = "") -> ObjectRef:
 
 
 def mixed(path: Path) -> Iterator[Found]:
-    """Every model in a folder that no source.yaml describes."""
+    """Return every model in a folder that no source.yaml describes."""
     like = common_categories()
     return mixed_models(path, lambda name: own_name(like, name) is not None)
 
@@ -177,7 +177,7 @@ def _of_category(found: list[Found], path: Path, category: str) -> list[Found]:
 def _found(
     named: NamedSource, models: Collection[Found], own: str, counts: Counts = all_count
 ) -> list[ObjectRef]:
-    """Those of `models` that are of the category."""
+    """Return those of `models` that are of the category."""
     found = of_category(models, named.file, own)
     settings = named.file.categories[own]
     return _with_splits(found, settings, named.name, own, named.folder, counts)

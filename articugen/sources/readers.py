@@ -41,8 +41,8 @@ class Reader(Protocol):
         ...
 
     def find(self, base: Path) -> list[Found]:
-        """The models in a folder of a source whose source.yaml names this reader; mostly what
-        `detect` makes of each thing in it."""
+        """Return the models in a folder of a source whose source.yaml names this reader; mostly
+        what `detect` makes of each thing in it."""
         ...
 
     def load(self, ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
@@ -69,11 +69,11 @@ class Maker(Reader, Protocol):
     CATEGORIES: Mapping[str, Mapping[str, int]]
 
     def object_id(self, category: str, index: int) -> str:
-        """The id of object number `index`, from 0."""
+        """Return the id of object number `index`, from 0."""
         ...
 
     def index_of(self, category: str, object_id: str) -> int | None:
-        """The number of the object of that id; None where there is none."""
+        """Return the number of the object of that id; None where there is none."""
         ...
 
 
@@ -110,7 +110,7 @@ def check_name(name: str) -> None:
 
 
 def reader(name: str) -> Reader:
-    """The reader of that name, ours or another package's.
+    """Return the reader of that name, ours or another package's.
 
     Raises:
         InvalidSource: there is none.
@@ -121,7 +121,7 @@ def reader(name: str) -> Reader:
 
 
 def detect(path: Path) -> Found | None:
-    """The model that a file or folder is, by the first reader that says so.
+    """Return the model that a file or folder is, by the first reader that says so.
 
     Raises:
         InvalidSource: another package's reader fails at it.
@@ -137,7 +137,7 @@ def detect(path: Path) -> Found | None:
 
 
 def find(name: str, base: Path) -> list[Found]:
-    """The models in `base` that the reader of that name finds.
+    """Return the models in `base` that the reader of that name finds.
 
     Raises:
         InvalidSource, BrokenPlugin: as `reader` and `detect`.

@@ -66,12 +66,12 @@ def detect(path: Path) -> Found | None:
 
 
 def find(base: Path) -> list[Found]:
-    """The folders in `base` that hold a model in either form."""
+    """Return the folders in `base` that hold a model in either form."""
     return [model for folder in visible(base) for model in find_at(folder)]
 
 
 def find_at(child: Path) -> list[Found]:
-    """The model in either form that a folder is."""
+    """Return the model in either form that a folder is."""
     forms = (_ATTRIBUTES, "*.urdf")
     is_model = any(isfile(path) for form in forms for path in child.glob(form))
     return [_found(child)] if is_model else []
@@ -82,7 +82,7 @@ def _found(folder: Path) -> Found:
 
 
 def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
-    """One model, with limits of -inf and inf where the data set has none.
+    """Return one model, with limits of -inf and inf where the data set has none.
 
     Raises:
         InvalidSource: anything amiss in the folder, or a spiral joint.
@@ -162,7 +162,7 @@ def _load_raw(ref: ObjectRef, turn: Floats) -> ArticulatedObject:
 
 
 def _walk(dof: _Dof, center: Floats | None = None) -> Iterator[tuple[_Dof, str, Floats]]:
-    """Every dof below `dof` with its parent's name and centre, parents first.
+    """Yield every dof below `dof` with its parent's name and centre, parents first.
 
     The root's frame is the model's own, whatever centre the file gives it.
     """
@@ -173,7 +173,7 @@ def _walk(dof: _Dof, center: Floats | None = None) -> Iterator[tuple[_Dof, str, 
 
 
 def _part(files: ModelFiles, name: str, center: Floats) -> Mesh:
-    """The mesh of one part, in a frame that is the model's moved to `center`."""
+    """Return the mesh of one part, in a frame that is the model's moved to `center`."""
     by = f"{files.folder / _ATTRIBUTES}: part {quoted(name)}"
     path = files.find(f"part_objs/{name}.obj", by) or files.find(f"part_objs/{name}.OBJ", by)
     if path is None:

@@ -16,7 +16,7 @@ def assign_splits(
     test: Share,
     counts: Callable[[str], bool] = lambda _: True,
 ) -> dict[str, str]:
-    """The split, "train" or "test", of each object.
+    """Return the split, "train" or "test", of each object.
 
     Ids name the objects of a split; where both splits name theirs, other objects have none.
     Otherwise a hash of its group decides for each object by itself, so that more objects change

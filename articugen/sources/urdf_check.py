@@ -91,7 +91,7 @@ class _Check:
         self.path = path
 
     def refuse(self, element: Any, problem: str) -> InvalidSource:
-        """The error for an element, which is named by its nearest ancestor with a name."""
+        """Return the error for an element, which is named by its nearest ancestor with a name."""
         owner = element
         while owner.tag not in ("link", "joint") and owner.getparent() is not None:
             owner = owner.getparent()
@@ -109,7 +109,7 @@ class _Check:
             )
 
     def named(self, robot: Any, tag: str) -> dict[str, Any]:
-        """Every `<tag>` by its name."""
+        """Return every `<tag>` by its name."""
         found: dict[str, Any] = {}
         for element in robot.findall(tag):
             name = element.get("name")
@@ -185,7 +185,7 @@ class _Check:
             self.numbers(mimic, "offset", (1,), "0")
 
     def limit(self, joint: Any, kind: str) -> None:
-        """Where the joint ends; what says nothing of that (force, speed) is not looked at.
+        """Compute where the joint ends; what says nothing of that (force, speed) is not looked at.
 
         Ends beyond MAX_NUMBER are how simulators say that there is none.
         """
@@ -216,7 +216,7 @@ class _Check:
             self.numbers(origin, "rpy", (3,), "0 0 0")
 
     def child(self, element: Any, tag: str, *, required: bool = False) -> Any:
-        """The one child `<tag>`, or None."""
+        """Return the one child `<tag>`, or None."""
         found = element.findall(tag)
         if len(found) > 1 or (required and not found):
             raise self.refuse(element, f"has {len(found) or 'no'} <{tag}>; a {element.tag} has one")
@@ -232,8 +232,8 @@ class _Check:
         infinite: bool = False,
         most: float = MAX_NUMBER,
     ) -> list[float]:
-        """The numbers of an attribute, as many as one of `counts`, none beyond `most`; where they
-        may be `infinite`, what lies beyond is.
+        """Return the numbers of an attribute, as many as one of `counts`, none beyond `most`; where
+        they may be `infinite`, what lies beyond is.
 
         They are written back in one plain form, so that yourdfpy reads what was checked.
         """

@@ -10,7 +10,7 @@ from articugen.sources.urdf import load_urdf
 
 
 def detect(path: Path) -> Found | None:
-    """The model that a URDF file is; what is no regular file is refused when it is read."""
+    """Return the model that a URDF file is; what is no regular file is refused when it is read."""
     if path.suffix.lower() == ".urdf" and not isdir(path):
         return Found(path.stem, path, path.stem)
     return None
@@ -22,7 +22,7 @@ def find(base: Path) -> list[Found]:
 
 
 def find_at(child: Path) -> list[Found]:
-    """The model that a file is, or the models up to three folders deep in a folder."""
+    """Return the model that a file is, or the models up to three folders deep in a folder."""
     if not isdir(child):
         own = detect(child)
         return [own] if own else []

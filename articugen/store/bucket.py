@@ -40,7 +40,7 @@ _LIKE_A_URL = re.compile(r"([a-z][a-z0-9+]+)://.+", re.DOTALL)
 
 
 def is_url(path: object) -> bool:
-    """Whether a path is of an object store's kind."""
+    """Return whether a path is of an object store's kind."""
     return isinstance(path, Remote) or bool(_LIKE_A_URL.fullmatch(str(path)))
 
 
@@ -51,7 +51,7 @@ def scheme_of(url: str) -> str:
 
 
 def _is_plain(url: str) -> bool:
-    """Whether somebody has asked for http, which anybody on the way can read and change."""
+    """Return whether somebody has asked for http, which anybody on the way can read and change."""
     names = _ENDPOINTS.get(scheme_of(url), ())
     return any(at.startswith("http://") for at in (url, *(os.environ.get(n, "") for n in names)))
 
@@ -194,7 +194,7 @@ class Bucket:
         return self.url
 
     def read(self, name: str) -> bytes | None:
-        """A file's bytes; None where there is none.
+        """Return a file's bytes; None where there is none.
 
         Raises:
             MachineFault: the store does not answer, or refuses; so all others.

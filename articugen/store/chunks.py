@@ -22,7 +22,7 @@ _HARMLESS = (1 << 26) // _EXPANDS
 
 
 def encoded(row: bytes, *, compressed: bool) -> bytes:
-    """The chunk that holds `row`."""
+    """Return the chunk that holds `row`."""
     stored = zlib.compress(row, GZIP_LEVEL) if compressed else row
     return stored + fletcher32(stored).to_bytes(CHECKSUM_BYTES, "little")
 
@@ -33,7 +33,7 @@ def most_bytes(row_bytes: int) -> int:
 
 
 def decoded(chunk: memoryview, row_bytes: int, *, compressed: bool) -> memoryview | bytes:
-    """The row that a chunk holds; no more than about `row_bytes` are ever made of it.
+    """Return the row that a chunk holds; no more than about `row_bytes` are ever made of it.
 
     Raises:
         ValueError: it does not hold exactly that many, or its checksum is wrong.

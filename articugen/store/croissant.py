@@ -128,7 +128,7 @@ def document(
     distribution: list[dict[str, Any]],
     records: Sequence[dict[str, Any]] = (),
 ) -> bytes:
-    """The text of a croissant.json.
+    """Return the text of a croissant.json.
 
     Args:
         manifest: tells licence and source.
@@ -174,7 +174,7 @@ def objects(files: Sequence[File]) -> list[dict[str, Any]]:
 
 
 def file_sets(files: Sequence[File]) -> list[dict[str, Any]]:
-    """One for each kind of file, by its ending."""
+    """Return one for each kind of file, by its ending."""
     return [
         {
             "@type": "cr:FileSet",

@@ -197,7 +197,7 @@ class DataSet(Sequence[Row]):
         return DataSet(self._shelf, self._where[np.array(mine)[self._where[:, 0]]])
 
     def of(self, *objects: str) -> "DataSet":
-        """The instances of these objects alone.
+        """Return the instances of these objects alone.
 
         Raises:
             InvalidArgument: there is no such object.
@@ -211,7 +211,7 @@ class DataSet(Sequence[Row]):
         return self[np.isin(self._object_ids(), objects)]
 
     def by_object(self) -> Iterator[tuple[str, "DataSet"]]:
-        """Each object's id, and its instances, in the order of `objects`."""
+        """Yield each object's id, and its instances, in the order of `objects`."""
         where: dict[str, list[int]] = {}
         for index, name in enumerate(self._object_ids()):
             where.setdefault(name, []).append(index)
@@ -244,7 +244,7 @@ class DataSet(Sequence[Row]):
     @overload
     def __getitem__(self, index: slice | Sequence[int] | NDArray[Any]) -> "DataSet": ...
     def __getitem__(self, index: Any) -> Any:
-        """A row for a number; a data set for a slice, numbers, or one bool an instance.
+        """Return a row for a number; a data set for a slice, numbers, or one bool an instance.
 
         Raises:
             IndexError: there is no such instance.
@@ -322,7 +322,7 @@ class DataSet(Sequence[Row]):
     def torch(
         self, *, fields: Sequence[str] = DEFAULT_FIELDS, points: int | None = None
     ) -> "TorchDataSet":
-        """A map-style torch Dataset of dicts of tensors, for any DataLoader.
+        """Return a map-style torch Dataset of dicts of tensors, for any DataLoader.
 
         Points are drawn anew each time, by torch's own generator: `torch.manual_seed` decides them,
         and a DataLoader's workers draw different ones. Points, normals and numbers of joints are
@@ -342,7 +342,7 @@ class DataSet(Sequence[Row]):
         return torch_dataset(self, tuple(fields), points)
 
     def _drawn(self, which: Any, rng: np.random.Generator) -> NDArray[np.int32]:
-        """(n, 2) the places of the instances that a batch asks for."""
+        """Return (n, 2) the places of the instances that a batch asks for."""
         if isinstance(which, int | np.integer):
             if not 1 <= which <= len(self):
                 raise InvalidArgument(
@@ -580,7 +580,7 @@ class _Shelf:
         self._forget()
 
     def about(self, shard: int) -> tuple[Mapping[str, tuple[int, ...]], Mapping[str, Attribute]]:
-        """(N, ...) shapes of the data sets of a shard, and its attributes."""
+        """Return (N, ...) shapes of the data sets of a shard, and its attributes."""
         if shard not in self._about:
             self._learn(shard, ())
         return self._about[shard]

@@ -110,13 +110,13 @@ def slices(lists: Mapping[str, Sequence[T]]) -> list[dict[str, Sequence[T]]]:
 
 
 def is_page_name(name: str) -> bool:
-    """Whether a page of a manifest may be called so."""
+    """Return whether a page of a manifest may be called so."""
     return _NAME.fullmatch(name) is not None
 
 
 def stale_pages(manifest: Path) -> list[str]:
-    """The names of pages in a manifest's folder that it does not list: of an earlier one, or of one
-    that was not written to the end. Without a manifest these are all.
+    """Return the names of pages in a manifest's folder that it does not list: of an earlier one, or
+    of one that was not written to the end. Without a manifest these are all.
 
     Raises:
         OSError: the folder cannot be read.
@@ -127,7 +127,7 @@ def stale_pages(manifest: Path) -> list[str]:
 
 
 def listed_pages(manifest: Path) -> set[str]:
-    """The names of the pages that a manifest lists; none where it is damaged or not there.
+    """Return the names of the pages that a manifest lists; none where it is damaged or not there.
 
     Raises:
         OSError: it cannot be read.

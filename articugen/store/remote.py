@@ -73,7 +73,7 @@ class FileSystem:
         self._fs, self._root = found
 
     def read(self, name: str) -> bytes | None:
-        """A file's bytes; None where there is none.
+        """Return a file's bytes; None where there is none.
 
         Raises:
             MachineFault: the file system does not answer; so all others.

@@ -53,7 +53,7 @@ class TorchDataSet(Dataset):
 
 
 def torch_dataset(data: Batches, fields: tuple[str, ...], points: int | None) -> TorchDataSet:
-    """The instances of `data`; fields and points as in `DataSet.batch`."""
+    """Return the instances of `data`; fields and points as in `DataSet.batch`."""
     return TorchDataSet(data, fields, points)
 
 

@@ -9,12 +9,12 @@ from articugen.learning.cpu.greatest import greatest
 
 
 def gather_points(points: Tensor, index: Tensor) -> Tensor:
-    """The points (B, k, C) at `index` (B, k) of `points` (B, n, C)."""
+    """Return the points (B, k, C) at `index` (B, k) of `points` (B, n, C)."""
     return points.gather(1, index[..., None].expand(-1, -1, points.shape[-1]))
 
 
 def spares(x: Tensor) -> bool:
-    """Whether a few samples and points at a time are fastest, as they are on a CPU."""
+    """Return whether a few samples and points at a time are fastest, as they are on a CPU."""
     return x.device.type == "cpu"
 
 
@@ -31,7 +31,7 @@ def one_by_one(function: Callable[..., Tensor], *batches: Tensor) -> Tensor:
 
 
 def argmax_of_points(x: Tensor) -> Tensor:
-    """(B, C) the place of a greatest point of each channel of (B, n, C).
+    """Return (B, C) the place of a greatest point of each channel of (B, n, C).
 
     Where torch looks, by blocks of 64 points: it finds maxima without their places ten times as
     fast.

@@ -7,8 +7,8 @@ from articugen.core.jit import helper, kernel
 
 @helper
 def _cell(coordinate, cells):
-    """The cell along an axis whose centre is the last one before a coordinate of the unit frame,
-    and how far that is from it, in cells."""
+    """Return the cell along an axis whose centre is the last one before a coordinate of the unit
+    frame, and how far that is from it, in cells."""
     at = (coordinate + np.float32(0.5)) * np.float32(cells) - np.float32(0.5)
     at = min(max(at, np.float32(0.0)), np.float32(cells - 1.001))
     low = int(at)

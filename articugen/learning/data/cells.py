@@ -45,7 +45,7 @@ class LabelledCells:
     count: Tensor
 
     def changed(self, change: Callable[[Tensor], Tensor]) -> "LabelledCells":
-        """The same with both tensors changed."""
+        """Return the same with both tensors changed."""
         return LabelledCells(self.resolution, change(self.index), change(self.count))
 
     def draw(self, at: Tensor, count: int, rng: torch.Generator | None) -> tuple[Tensor, Tensor]:
@@ -63,12 +63,12 @@ class LabelledCells:
 
 
 def uniform(rng: torch.Generator | None, rows: int, count: int, device: torch.device) -> Tensor:
-    """(rows, count) numbers in [0, 1)."""
+    """Return (rows, count) numbers in [0, 1)."""
     return torch.rand(rows, count, generator=rng, device=device)
 
 
 def voxel_centres(index: Tensor, resolution: int) -> Tensor:
-    """(..., 3) the centres of voxels from flat indices (...) of a grid [x, y, z]."""
+    """Return (..., 3) the centres of voxels from flat indices (...) of a grid [x, y, z]."""
     x = index // (resolution * resolution)
     at = torch.stack([x, index // resolution % resolution, index % resolution], -1)
     return (at + 0.5) / resolution - 0.5
@@ -138,7 +138,7 @@ def _packed_near(mask: Bools) -> NDArray[np.uint8]:
 
 
 def _widened(mask: NDArray[Any], axis: int) -> NDArray[Any]:
-    """Each cell joined with those within `REACH` cells along one axis."""
+    """Return each cell joined with those within `REACH` cells along one axis."""
     wide = mask.copy()
     into, of = np.moveaxis(wide, axis, 0), np.moveaxis(mask, axis, 0)
     for step in range(1, REACH + 1):

@@ -129,8 +129,8 @@ def check_varies(path: Path, names: NDArray[Any], varying: Sequence[NDArray[np.b
 
 
 def lying_otherwise(folder: Path) -> list[str]:
-    """The training objects none of whose joints goes along one of the same kind, whatever its
-    sense, of half of the other training objects.
+    """Return the training objects none of whose joints goes along one of the same kind, whatever
+    its sense, of half of the other training objects.
 
     It may be what they are, as a machine that is loaded from above; or they lie in another frame.
     """

@@ -72,13 +72,13 @@ class PackedSplit:
         return sum(t.numel() * t.element_size() for t in tensors)
 
     def poses_of(self, name: str) -> NDArray[np.intp]:
-        """The rows of an object, by their state: its canonical pose, where it is there, comes
-        first."""
+        """Return the rows of an object, by their state: its canonical pose, where it is there,
+        comes first."""
         rows = np.flatnonzero(self.object_id == name)
         return rows[np.argsort(self.state_index[rows], kind="stable")]
 
     def of(self, objects: Iterable[str]) -> "PackedSplit":
-        """The instances of these objects alone."""
+        """Return the instances of these objects alone."""
         rows = np.flatnonzero(np.isin(self.object_id, list(objects)))
         at = torch.from_numpy(rows)
         some = self._with(lambda tensor: tensor[at])
@@ -89,7 +89,7 @@ class PackedSplit:
         return replace(self, normals=self.normals[:, :0].clone(), hidden=self.hidden[:, :0].clone())
 
     def to(self, device: torch.device) -> "PackedSplit":
-        """The same in the memory of a device."""
+        """Return the same in the memory of a device."""
         return self._with(lambda tensor: tensor.to(device))
 
     def _with(self, change: Callable[[Tensor], Tensor]) -> "PackedSplit":
@@ -110,8 +110,8 @@ class PackedSplit:
     def batch(
         self, rows: Sequence[int], spec: BatchSpec, resolution: int, rng: torch.Generator | None
     ) -> Batch:
-        """A batch of the instances `rows`; points are drawn without replacement, but for `band` and
-        `varying`.
+        """Return a batch of the instances `rows`; points are drawn without replacement, but for
+        `band` and `varying`.
 
         Args:
             resolution: of the grid that `grid_points` are drawn from.
@@ -160,13 +160,13 @@ class PackedSplit:
 
 
 def index_on(device: torch.device, rows: Sequence[int]) -> Tensor:
-    """The numbers of rows as a tensor; no GPU is waited for."""
+    """Return the numbers of rows as a tensor; no GPU is waited for."""
     at = torch.tensor(rows)
     return at.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else at.to(device)
 
 
 def _places(at: Tensor, n: int, count: int, rng: torch.Generator | None) -> Tensor:
-    """(B, count) which `count` of n stored points, drawn anew for each row.
+    """Return (B, count) which `count` of n stored points, drawn anew for each row.
 
     All n of them stay in order: nothing that uses a batch depends on the order of its points. Of
     few each comes from a stretch of its own, on a ring that is turned at random: no number is drawn
@@ -259,7 +259,7 @@ def load_split(
 def _shards_of(
     folder: Path, manifest: Manifest, split: str, category: str | None
 ) -> tuple[list[str], dict[str, str]]:
-    """The names of the shards of a split, and what each must say of itself."""
+    """Return the names of the shards of a split, and what each must say of itself."""
     if category is not None and manifest.category != category:
         raise UnfitData(f"{folder}: holds {manifest.category}, not {category}")
     names = sorted({o.shard for o in manifest.objects if o.key.split == split})
@@ -321,7 +321,7 @@ def _read(
 
 
 def _told(label: NDArray[np.uint8], spec: BatchSpec) -> NDArray[np.uint8]:
-    """The labels, free where the recipe does not call it occupied."""
+    """Return the labels, free where the recipe does not call it occupied."""
     return np.where(label == ENCLOSED, FREE, label) if spec.occupancy == "material" else label
 
 
@@ -332,7 +332,7 @@ def _grid(
     surface: NDArray[np.uint16],
     spec: BatchSpec,
 ) -> NDArray[np.uint8]:
-    """(n, R, R, R) such labels; somewhere every instance is occupied."""
+    """Return (n, R, R, R) such labels; somewhere every instance is occupied."""
     grid = shard.read(f"occupancy_{resolution}")
     check_fixed_part(shard, names, grid)
     grid = _told(grid, spec)
@@ -347,7 +347,7 @@ def _cells(
     spec: BatchSpec,
     path: Path,
 ) -> dict[str, NDArray[Any]]:
-    """The cells that query points are drawn at, as `LabelledCells` holds them."""
+    """Return the cells that query points are drawn at, as `LabelledCells` holds them."""
     row: dict[str, NDArray[Any]] = {}
     for kind, wanted in (("band", spec.band_points), ("varying", spec.varying_points)):
         row[kind], row[f"{kind}_count"] = cells.none(len(names))
@@ -361,7 +361,7 @@ def _cells(
 
 
 def _finest(path: Path) -> int:
-    """The resolution of the grid that cells are chosen from."""
+    """Return the resolution of the grid that cells are chosen from."""
     with open_shard(path) as shard:
         grids = [int(n.rpartition("_")[2]) for n in shard.fields if n.startswith("occupancy_")]
     fit = [resolution for resolution in grids if resolution <= cells.FINEST]
@@ -374,14 +374,14 @@ def _finest(path: Path) -> int:
 
 
 def _none(shard: Shard, name: str) -> NDArray[Any]:
-    """A field without any of its points."""
+    """Return a field without any of its points."""
     shape = shard.fields[name]
     dtype = {"points": np.uint16, "normals": np.int8}.get(name.rpartition("_")[2], np.uint8)
     return np.zeros((shape[0], 0, *shape[2:]), dtype)
 
 
 def _fill_empty(grid: NDArray[np.uint8], surface: NDArray[np.uint16], resolution: int) -> None:
-    """Where no voxel's centre is occupied, those are that the surface passes through.
+    """Compute where no voxel's centre is occupied, those are that the surface passes through.
 
     Thin parts can lie between all centres of a coarse grid, and a grid that says "nothing is here"
     would teach just that.

@@ -30,7 +30,7 @@ def nearest_part(points: Floats, triangles: Floats, part: Ints, parts: int) -> I
 
 
 def votes(nearest: Ints, true_part: Ints, parts: int, true_parts: int) -> Floats:
-    """(P, K) the share of each true part's points that are nearest to each predicted part.
+    """Return (P, K) the share of each true part's points that are nearest to each predicted part.
 
     A true part counts the same however large it is.
     """
@@ -47,7 +47,7 @@ def labels_from(table: Floats) -> Ints:
 
 
 def dominant_labels(table: Floats) -> Ints:
-    """(P,) the same, but each label only for the part with the most votes for it."""
+    """Return (P,) the same, but each label only for the part with the most votes for it."""
     label = labels_from(table)
     kept = np.full(len(label), NO_LABEL)
     for k in set(label.tolist()) - {NO_LABEL}:
@@ -57,8 +57,8 @@ def dominant_labels(table: Floats) -> Ints:
 
 
 def assigned(gain: Floats) -> Ints:
-    """(K,) the column of each row of (K, P), no two the same, with the greatest sum of gains;
-    NO_LABEL where that gains nothing.
+    """Return (K,) the column of each row of (K, P), no two the same, with the greatest sum of
+    gains; NO_LABEL where that gains nothing.
 
     The Hungarian method: rows are taken in one after the other, each along the cheapest path of
     changes (Kuhn 1955; with the potentials of Jonker and Volgenant 1987).
@@ -95,7 +95,7 @@ def assigned(gain: Floats) -> Ints:
 
 
 def label_iou(predicted: Ints, true: Ints) -> float:
-    """The mean over the true parts present of |predicted and true| / |predicted or true|."""
+    """Return the mean over the true parts present of |predicted and true| / |predicted or true|."""
     each = [
         np.sum((predicted == k) & (true == k)) / np.sum((predicted == k) | (true == k))
         for k in np.unique(true)
@@ -159,13 +159,13 @@ def angle_between_rotations(R: Floats, S: Floats) -> float:
 
 
 def point_to_line(point: Floats, q: Floats, v: Floats) -> float:
-    """The distance from a point to the line q + t v; v of unit length."""
+    """Return the distance from a point to the line q + t v; v of unit length."""
     between = point - q
     return float(np.linalg.norm(between - np.dot(between, v) * v))
 
 
 def line_distance(p: Floats, u: Floats, q: Floats, v: Floats) -> float:
-    """The least distance between the lines p + t u and q + t v; u and v of unit length."""
+    """Return the least distance between the lines p + t u and q + t v; u and v of unit length."""
     normal = np.cross(u, v)
     size = np.linalg.norm(normal)
     if size < 1e-9:

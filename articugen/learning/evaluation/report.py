@@ -60,7 +60,7 @@ _DETAILS = (
 
 
 def markdown(result: RunEvaluation) -> str:
-    """One evaluation: who was evaluated, the paper's tables, all else that was measured."""
+    """Return one evaluation: who was evaluated, the paper's tables, all else that was measured."""
     run = result.run
     others = "test objects" if run.on is None else f"objects of {run.on}, none trained on"
     about = (
@@ -216,7 +216,7 @@ def _details(result: Evaluation) -> list[str]:
 
 
 def _joint_lines(joints: Sequence[JointLine]) -> list[str]:
-    """The line through predicted over true states of each joint's dominant part."""
+    """Return the line through predicted over true states of each joint's dominant part."""
     if not joints:
         return []
     lines = ["", "| predicted over true joint state | slope | residual | of its kind in |"]

@@ -139,7 +139,7 @@ class RunEvaluation(Evaluation):
 
 
 def read_evaluation(run: Path) -> RunEvaluation:
-    """The evaluation, by the paper's protocol, in a run's folder.
+    """Return the evaluation, by the paper's protocol, in a run's folder.
 
     Raises:
         InvalidCheckpoint: there is none, or it is damaged.

@@ -118,5 +118,5 @@ class DepthLearner(Predictor):
 
 @torch.no_grad()
 def latents(encoder: nn.Module, clouds: Tensor) -> Tensor:
-    """(I, 512) what an encoder makes of clouds (I, n, 3) as they are stored."""
+    """Return (I, 512) what an encoder makes of clouds (I, n, 3) as they are stored."""
     return torch.cat([encoder(unpacked(block)) for block in clouds.split(64)])

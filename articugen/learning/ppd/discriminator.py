@@ -27,7 +27,7 @@ class SpectralLinear(nn.Module):
         self.register_buffer("u", normalize(torch.randn(n_out, device="cpu"), dim=0))
 
     def normalized(self) -> Tensor:
-        """The weight of unit norm; one step of power iteration a call while training."""
+        """Return the weight of unit norm; one step of power iteration a call while training."""
         with torch.no_grad():
             v = normalize(self.u @ self.weight, dim=0)
             if self.training:
@@ -57,11 +57,11 @@ class Discriminator(nn.Module):
 
     @torch.no_grad()
     def decisive(self, cloud: Tensor, weights: list[Weight]) -> Tensor:
-        """(B, 256) the indices of the points that hold the maximum of each channel."""
+        """Return (B, 256) the indices of the points that hold the maximum of each channel."""
         return one_by_one(lambda c: argmax_of_points(_each(c, weights)), cloud)
 
     def score(self, cloud: Tensor, weights: list[Weight]) -> Tensor:
-        """The scores (B,) with these weights."""
+        """Return the scores (B,) with these weights."""
         x = selu(_each(cloud, weights).amax(1))
         for weight, bias in weights[_POINT_LAYERS:]:
             x = linear(x, weight, bias)

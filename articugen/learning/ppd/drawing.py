@@ -41,7 +41,7 @@ def drawable(
     points: int | None,
     residual_direction: bool,
 ) -> Drawable:
-    """A trained model as the figures take it; meshes on a grid of `resolution`^3.
+    """Return a trained model as the figures take it; meshes on a grid of `resolution`^3.
 
     Args:
         predict: what it makes of one cloud (n, 3).

@@ -49,7 +49,7 @@ def rotation_from_z(directions: Tensor) -> Tensor:
 
 
 def about_z(angle: Tensor) -> Tensor:
-    """(..., 3, 3) rotations by `angle` (...) about z."""
+    """Return (..., 3, 3) rotations by `angle` (...) about z."""
     c, s, zero, one = angle.cos(), angle.sin(), torch.zeros_like(angle), torch.ones_like(angle)
     return torch.stack([c, -s, zero, s, c, zero, zero, zero, one], -1).unflatten(-1, (3, 3))
 

@@ -128,8 +128,8 @@ class PPDLearner(Predictor):
             self.targets = targets(training, found, rows, model, mirrored=self.mirrors)
 
     def prepared(self, batch: Batch) -> tuple[Batch, Callable[[Prediction, Tensor], Terms] | None]:
-        """The batch, varied where the recipe says so, and what a warm start asks of the prediction
-        for it, while there is one."""
+        """Return the batch, varied where the recipe says so, and what a warm start asks of the
+        prediction for it, while there is one."""
         warm, vary, turning = self.settings.warm_start, self.settings.vary, self.turning
         if not warm.share:
             return batch, None
@@ -159,7 +159,7 @@ class PPDLearner(Predictor):
         return batch, asked
 
     def learn(self, batch: Batch, rng: torch.Generator | None, *, iteration: int) -> Terms:
-        """One step of the discriminator and one of the model."""
+        """Return one step of the discriminator and one of the model."""
         plan, weigh = self.settings.schedule, self.settings.losses
         if plan.index_at(iteration) != plan.index_at(self.iteration):
             self._begin_stage()

@@ -44,7 +44,7 @@ def quantization(before: Tensor, code: Tensor) -> Tensor:
 
 
 def release_quantization(before: Tensor, code: Tensor) -> Tensor:
-    """The mean square of code - z, with gradient to both."""
+    """Return the mean square of code - z, with gradient to both."""
     return mse_loss(code, before)
 
 
@@ -58,7 +58,7 @@ def deviation(residual: Tensor) -> Tensor:
 
 
 def release_deviation(final: Tensor, common: Tensor) -> Tensor:
-    """The mean square of final - common over all P parts; both (B, P, 3)."""
+    """Return the mean square of final - common over all P parts; both (B, P, 3)."""
     return mse_loss(final, common)
 
 
@@ -94,7 +94,7 @@ def location(pivots: Tensor, points: Tensor, occupied: Tensor, inside: Tensor) -
 
 
 def _others(inside: Tensor) -> Tensor:
-    """(B, R, n): inside any revolute part but this."""
+    """Return (B, R, n): inside any revolute part but this."""
     return (inside.sum(1, keepdim=True) - inside.to(torch.int64)) > 0
 
 

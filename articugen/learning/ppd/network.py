@@ -88,7 +88,7 @@ class PPD(nn.Module):
         self.pose = PoseDecoder(settings)
 
     def forward(self, cloud: Tensor, *, residual_direction: bool = True) -> Prediction:
-        """The prediction for clouds (B, n, 3).
+        """Return the prediction for clouds (B, n, 3).
 
         Args:
             residual_direction: whether r^z counts; false in the paper's first stage.
@@ -96,7 +96,7 @@ class PPD(nn.Module):
         return self.decode(self.encoder(cloud), residual_direction=residual_direction)
 
     def decode(self, latent: Tensor, *, residual_direction: bool = True) -> Prediction:
-        """The prediction for latents (B, 512)."""
+        """Return the prediction for latents (B, 512)."""
         z_pose, z_shape, z_template, z_common = latent.split([POSE, SHAPE, TEMPLATE, COMMON], 1)
         return Prediction(
             self.shape.code(z_shape, z_template),
@@ -114,18 +114,18 @@ class PPD(nn.Module):
         )
 
     def fields(self, shape: ShapeCode, motion: InverseMotion, points: Tensor) -> PartLogits:
-        """The fields of all parts at points (B, n, 3)."""
+        """Return the fields of all parts at points (B, n, 3)."""
         return self.shape(shape, motion, points)
 
     def still(self, shape: ShapeCode, points: Tensor) -> PartLogits:
-        """The fields at points that no part's pose has moved (the second term of Eq. 3)."""
+        """Return the fields at points that no part's pose has moved (the second term of Eq. 3)."""
         return self.shape(
             shape, InverseMotion.none(len(points), self.settings.parts, points), points
         )
 
 
 def encoder_of(settings: ModelSettings) -> nn.Module:
-    """The encoder that a recipe asks for: clouds (B, n, 3) to latents (B, 512)."""
+    """Return the encoder that a recipe asks for: clouds (B, n, 3) to latents (B, 512)."""
     points = PointNet(LATENT, settings.latent_start)
     return BothEncoders(points, GridEncoder(LATENT)) if settings.encoder == "both" else points
 
@@ -183,8 +183,8 @@ class PoseDecoder(nn.Module):
 
 
 def rest_states(states: Tensor, revolute: int) -> Tensor:
-    """(J,) the states at which parts with boxes lie along the axes of the unit frame: so far from
-    the ends, which a tanh never reaches, that an object can be closed."""
+    """Return (J,) the states at which parts with boxes lie along the axes of the unit frame: so far
+    from the ends, which a tanh never reaches, that an object can be closed."""
     rest = torch.full_like(states[0], REST_SLIDE)
     rest[:revolute] = REST_TURN
     return rest
@@ -196,7 +196,7 @@ def amount_of(state: Tensor, revolute: int) -> Tensor:
 
 
 def widest(states: Tensor, revolute: int) -> Tensor:
-    """(J,) how far states can go: pi, or 1 where a joint slides."""
+    """Return (J,) how far states can go: pi, or 1 where a joint slides."""
     most = torch.ones_like(states[0])
     most[:revolute] = math.pi
     return most

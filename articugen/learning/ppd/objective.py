@@ -54,7 +54,7 @@ def random_pose(
 
 
 def _composed(model: PPD, prediction: Prediction, state: Tensor, points: Tensor) -> Tensor:
-    """(B, n) the sigmoid of the LogSumExp over the parts, posed at `state`."""
+    """Return (B, n) the sigmoid of the LogSumExp over the parts, posed at `state`."""
     fields = model.fields(prediction.shape, model.motion(prediction.pose, state), points)
     return fields.product.logsumexp(1).sigmoid()
 

@@ -73,8 +73,8 @@ def reconstruction_of(
 
 @torch.no_grad()
 def _in_boxes(model: PPD, code: ShapeCode, box: PartBox) -> Floats:
-    """(P, n): the field of each part at places all over the box that it can be in, however small
-    that is: grids of the cube may miss what is thin."""
+    """Return (P, n): the field of each part at places all over the box that it can be in, however
+    small that is: grids of the cube may miss what is thin."""
     points = 2.0 * ROOM * grid_centres(_LOOKED_FOR).to(box.middle)
     into = InverseMotion(torch.diag_embed(box.size), box.middle)
     return model.fields(code, into, points[None]).product[0].double().cpu().numpy()
@@ -84,8 +84,8 @@ def _in_boxes(model: PPD, code: ShapeCode, box: PartBox) -> Floats:
 def logits_at(
     model: PPD, predicted: Prediction, points: Tensor, parts: NDArray[np.int64] | None = None
 ) -> Floats:
-    """(P, n): the field of each part, or of these `parts`, at points (n, 3), before the sigmoid;
-    below 0 far outside of the part's box, where it has one."""
+    """Return (P, n): the field of each part, or of these `parts`, at points (n, 3), before the
+    sigmoid; below 0 far outside of the part's box, where it has one."""
     inverse = model.motion(predicted.pose)
     points = points.to(inverse.offset)
     each = torch.arange(model.settings.parts) if parts is None else torch.from_numpy(parts)
@@ -104,8 +104,8 @@ def logits_at(
 
 
 def _beyond(box: PartBox, inverse: InverseMotion, points: Tensor, part: Tensor) -> Tensor:
-    """(n,) how far points (3, n) are outside of `ROOM` times the box of a part (1,), along that
-    axis of the box along which it is most; negative inside."""
+    """Return (n,) how far points (3, n) are outside of `ROOM` times the box of a part (1,), along
+    that axis of the box along which it is most; negative inside."""
     offset = inverse.offset[0, part] - box.middle[0, part]
     rest = torch.addmm(offset.mT, inverse.rotation[0, part][0], points)
     x, y, z = rest.abs_().sub_(ROOM * box.size[0, part].mT)
@@ -115,7 +115,7 @@ def _beyond(box: PartBox, inverse: InverseMotion, points: Tensor, part: Tensor) 
 def _field(
     decoder: ShapeDecoder, code: ShapeCode, inverse: InverseMotion, points: Tensor, parts: Tensor
 ) -> Tensor:
-    """(p, n): the field of some parts (p,) at points (n, 3), a few at a time."""
+    """Return (p, n): the field of some parts (p,) at points (n, 3), a few at a time."""
     weights, code = _weights_of(decoder, parts), code.of(parts)
     inverse = InverseMotion(inverse.rotation[:, parts], inverse.offset[:, parts])
     blocks = [

@@ -79,7 +79,7 @@ class ModelSettings(Section):
 
 
 def directions_of(model: ModelSettings) -> dict[JointKind, Floats]:
-    """(n, 3) where the candidates of each kind point."""
+    """Return (n, 3) where the candidates of each kind point."""
     return {
         JointKind.REVOLUTE: np.array(model.revolute, np.float64),
         JointKind.PRISMATIC: np.array(model.prismatic, np.float64),
@@ -184,7 +184,7 @@ class PPDSchedule(Schedule):
     )
 
     def stage_at(self, iteration: int) -> PPDStage:
-        """The stage that an iteration (from 0) belongs to."""
+        """Return the stage that an iteration (from 0) belongs to."""
         return self.stages[self.index_at(iteration)]
 
 

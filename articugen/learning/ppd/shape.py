@@ -42,7 +42,7 @@ class Quantizer(nn.Module):
         self.codes = nn.Parameter(torch.rand(codes, width))
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """(quantised, code), both of the value of the nearest code (B, width)."""
+        """Return (quantised, code), both of the value of the nearest code (B, width)."""
         distance = torch.cdist(x.detach(), self.codes.detach())
         code = self.codes[distance.argmin(1)]
         passed = code if self.learn else code.detach()
@@ -149,7 +149,7 @@ class ShapeDecoder(nn.Module):
         return PartBox(middle, PLAIN_SIZE * size.clamp(-3.0, 1.0).exp())
 
     def forward(self, code: ShapeCode, motion: InverseMotion, points: Tensor) -> PartLogits:
-        """The fields of all parts at points (B, n, 3), each part moved by its own motion."""
+        """Return the fields of all parts at points (B, n, 3), each part moved by its own motion."""
         # The motion is part of the first layer: W (A x + t) + b = (W A) x + (W t + b).
         W, b = self.coordinate.times(_FREQUENCY)
         at = motion.offset
@@ -174,7 +174,7 @@ class ShapeDecoder(nn.Module):
     def _heads(
         self, points: Tensor, moved: Tensor, shift: Tensor, template: Tensor, detail: Tensor
     ) -> Tensor:
-        """(B, 2 P, n): F^{s,c} of all parts, then F^{s,z}."""
+        """Return (B, 2 P, n): F^{s,c} of all parts, then F^{s,z}."""
         x = torch.baddbmm(shift.flatten(1)[..., None], moved.flatten(1, 2), points.mT).sin()
         x = x.view(*template.shape, -1) + template[..., None]
         x = self.trunk_1.sine(self.trunk_0.sine(x))
@@ -235,7 +235,7 @@ class Grouped(nn.Module):
         return self._affine(x, _FREQUENCY).sin()
 
     def flat(self, x: Tensor) -> Tensor:
-        """One vector a group, side by side: (B, G in) to (B, G out)."""
+        """Return one vector a group, side by side: (B, G in) to (B, G out)."""
         G, _, n_in = self.weight.shape
         out = torch.einsum("goi,bgi->bgo", self.weight, x.view(len(x), G, n_in))
         return (out if self.bias is None else out + self.bias).flatten(1)

@@ -78,7 +78,7 @@ class Archive(Protocol):
         ...
 
     def contents(self) -> Iterator[tuple[_Entry, BinaryIO]]:
-        """The same with their bytes; each must be read before the next."""
+        """Return the same with their bytes; each must be read before the next."""
         ...
 
 

@@ -52,8 +52,8 @@ _LISTED = TypeAdapter(list[_Listed])
 
 
 def hub(token: str | None, cure: str) -> Server:
-    """The hub at $HF_ENDPOINT or at its usual address, with a token: that one, $HF_TOKEN's, or what
-    `hf auth login` has kept."""
+    """Return the hub at $HF_ENDPOINT or at its usual address, with a token: that one, $HF_TOKEN's,
+    or what `hf auth login` has kept."""
     base = os.environ.get("HF_ENDPOINT") or "https://huggingface.co"
     return Server(base.rstrip("/"), token=token or _own_token(), cure=cure)
 

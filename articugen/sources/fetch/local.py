@@ -52,7 +52,7 @@ def fetch_archives(
 
 
 def _unpacked(path: Path, target: Target) -> tuple[list[str], int]:
-    """The models of an archive, by their places, and how many were not there."""
+    """Return the models of an archive, by their places, and how many were not there."""
     try:
         digest = sha256_of(path)
     except OSError as error:

@@ -135,7 +135,7 @@ def _roots(members: Sequence[Member]) -> dict[PurePosixPath, PurePosixPath]:
 
 
 def _root_marked(name: PurePosixPath) -> PurePosixPath | None:
-    """The folder of the model that a file of this name shows to be there."""
+    """Return the folder of the model that a file of this name shows to be there."""
     marks = name.suffix.lower() == ".urdf" or name.name == "motion_attributes.json"
     marks = marks or name.name == f"{name.parent.name}.articulations.json"
     if not marks or _is_hidden(name):

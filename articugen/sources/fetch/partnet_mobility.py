@@ -248,7 +248,7 @@ def _of_categories(
 def _categories(
     models: Sequence[_Model], server: Server, target: Target, told: Told
 ) -> dict[str, str]:
-    """The category of each model; what was looked up before is not asked for again."""
+    """Return the category of each model; what was looked up before is not asked for again."""
     path = target.work / CATEGORIES_NAME
     try:
         known = {str(k): str(v) for k, v in json.loads(read_regular(path, 2**24)).items()}

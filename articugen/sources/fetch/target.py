@@ -131,7 +131,7 @@ class Target:
             self._believe(path)
 
     def path(self, name: str) -> Path:
-        """The path of something of that name in the folder, to be written.
+        """Return the path of something of that name in the folder, to be written.
 
         Raises:
             MachineFault: a symbolic link leads there.
@@ -160,8 +160,8 @@ class Target:
     def wants(
         self, place: PurePosixPath, archive_sha256: str | None, origin: str, name: str
     ) -> bool:
-        """Whether a model is to be fetched: it is not there, as `has` says, and has a place of its
-        own; where it has none that is noted.
+        """Return whether a model is to be fetched: it is not there, as `has` says, and has a place
+        of its own; where it has none that is noted.
 
         Args:
             origin: by which it is known from another one that would take its place.
@@ -183,7 +183,7 @@ class Target:
         return True
 
     def _free(self, place: PurePosixPath) -> Path:
-        """The folder of a model, where it may be had.
+        """Return the folder of a model, where it may be had.
 
         Raises:
             InvalidSource: its name is kept for others, a model is in a model, or something that was
@@ -213,8 +213,8 @@ class Target:
         return to
 
     def has(self, place: PurePosixPath, archive_sha256: str | None) -> bool:
-        """Whether the model is there whole, from just that archive (None: from any), and checked
-        by this version; a model that is not ours is left alone."""
+        """Return whether the model is there whole, from just that archive (None: from any), and
+        checked by this version; a model that is not ours is left alone."""
         receipt = self.receipts.get(str(place))
         if receipt is None:
             return False
@@ -282,7 +282,7 @@ class Target:
         to.rename(away)
 
     def _judged(self, path: Path, shown: Path | None = None) -> tuple[str | None, str | None]:
-        """A model's digest, or why it cannot be used: it is read as any command reads it."""
+        """Return a model's digest, or why it cannot be used: it is read as any command reads it."""
         shown = shown or path
         try:
             return registry.load_path(path).sha256, None
@@ -334,7 +334,7 @@ def _receipts(folder: Path) -> Iterator[Path]:
 
 
 def _receipt(folder: Path) -> Receipt | None:
-    """A model's receipt; None where it has none that can be believed."""
+    """Return a model's receipt; None where it has none that can be believed."""
     try:
         data = read_regular(folder / RECEIPT_NAME, _MOST_BYTES, follow=False)
         receipt = _RECEIPT.validate_json(data)

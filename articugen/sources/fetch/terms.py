@@ -45,7 +45,7 @@ NAMES = ("partnet-mobility", "shape2motion", *_OTHERS)
 
 
 def terms_of(name: str) -> Terms:
-    """The terms of a data set, by its name in any writing.
+    """Return the terms of a data set, by its name in any writing.
 
     Raises:
         InvalidArgument: there is none of that name.

@@ -108,7 +108,7 @@ class Server:
         return answer, _path_of(self.base, following[1]) if following else ""
 
     def part(self, address: str, first: int, last: int) -> bytes:
-        """The bytes `first` to `last` of a file, both counted.
+        """Return the bytes `first` to `last` of a file, both counted.
 
         Raises:
             AccessRefused, NotFetched: it does not answer, or not with these.
@@ -332,7 +332,7 @@ def _path_of(base: str, address: str) -> str:
 
 
 def _shown(address: str) -> str:
-    """An address without what may be secret in it: user, password and query."""
+    """Return an address without what may be secret in it: user, password and query."""
     try:
         parts = urlsplit(address)
         host = f"{parts.hostname or ''}:{parts.port}" if parts.port else parts.hostname or ""

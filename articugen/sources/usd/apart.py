@@ -110,7 +110,7 @@ def _asked(path: Path, root: Path, how: dict[str, bool]) -> tuple[dict[str, Any]
 
 
 def _environment() -> dict[str, str]:
-    """The user's, without what leads OpenUSD elsewhere; one thread, for workers are many."""
+    """Return the user's, without what leads OpenUSD elsewhere; one thread, for workers are many."""
     kept = {k: v for k, v in os.environ.items() if not k.startswith(_OURS)}
     return {**kept, "PXR_WORK_THREAD_LIMIT": "1", "OPENBLAS_NUM_THREADS": "1"}
 

@@ -35,7 +35,7 @@ def _limit(what: int, most: int) -> None:
 
 
 def _answer(request: dict[str, Any]) -> bytes:
-    """A line of JSON, and behind it the arrays as .npz where it tells of a model."""
+    """Return a line of JSON, and behind it the arrays as .npz where it tells of a model."""
     from articugen.sources.usd import model  # noqa: PLC0415 - may find no memory
 
     path, root = Path(request["path"]), Path(request["root"])

@@ -85,7 +85,7 @@ class Layers:
             todo += self._names[place].values()
 
     def _named(self, name: str, by: Place) -> Place:
-        """Where the layer is that a layer calls `name`."""
+        """Return where the layer is that a layer calls `name`."""
         where = f"{by.file}: its layer {quoted(name)}"
         if not _is_relative(name):
             raise InvalidSource(
@@ -104,7 +104,7 @@ class Layers:
         return self._first_of(found)
 
     def _first_of(self, file: Path) -> Place:
-        """The layer that a file is, or the first one of a package."""
+        """Return the layer that a file is, or the first one of a package."""
         if file.suffix.lower() != ".usdz":
             return Place(file)
         if file not in self._packages:
@@ -152,7 +152,7 @@ def _is_relative(name: str) -> bool:
 
 
 def _package(data: bytes, file: Path) -> zipfile.ZipFile:
-    """A .usdz: a zip archive of files that are not compressed, as the format demands."""
+    """Return a .usdz: a zip archive of files that are not compressed, as the format demands."""
     try:
         package = zipfile.ZipFile(io.BytesIO(data))
     except (zipfile.BadZipFile, ValueError) as error:
@@ -168,7 +168,7 @@ def _package(data: bytes, file: Path) -> zipfile.ZipFile:
 
 
 def _opened(data: bytes, place: Place) -> Any:
-    """The layer that these bytes are."""
+    """Return the layer that these bytes are."""
     (Sdf, Tf) = pxr("Sdf", "Tf")
     try:
         if data.startswith(_CRATE):

@@ -61,7 +61,7 @@ def read_model(path: Path, root: Path, *, with_meshes: bool = True) -> Model:
 
 
 def digest(path: Path, root: Path) -> str:
-    """The digest of all layers of a model.
+    """Return the digest of all layers of a model.
 
     Raises:
         InvalidSource, MachineFault, MemoryError: as `read_model`.

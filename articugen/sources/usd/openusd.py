@@ -11,7 +11,7 @@ def pxr(*names: str) -> list[Any]:
 
 
 def is_there() -> bool:
-    """Whether OpenUSD is installed."""
+    """Return whether OpenUSD is installed."""
     try:
         return find_spec("pxr") is not None
     except ValueError:  # somebody has put None in its place

@@ -81,7 +81,7 @@ class PhysicsJoint:
 
 
 def body_of(prim: Any) -> Any | None:
-    """The nearest rigid body that a prim is or lies in."""
+    """Return the nearest rigid body that a prim is or lies in."""
     (UsdPhysics,) = pxr("UsdPhysics")
     while prim and not prim.IsPseudoRoot():
         body = UsdPhysics.RigidBodyAPI(prim)
@@ -95,7 +95,7 @@ def body_of(prim: Any) -> Any | None:
 
 
 def read_joint(prim: Any, stage: Stage) -> PhysicsJoint | None:
-    """The joint that a prim is; None of one that is switched off.
+    """Return the joint that a prim is; None of one that is switched off.
 
     Raises:
         InvalidSource: it is of a kind that is not read, or anything is amiss with it.

@@ -27,7 +27,7 @@ _DEEP = 3
 
 
 def detect(path: Path) -> Found | None:
-    """The model that a USD file or a folder with one main file is.
+    """Return the model that a USD file or a folder with one main file is.
 
     A file is none by itself where it lies in the folder of layers of a model, or beside a URDF,
     whose mesh or copy it then is.
@@ -40,13 +40,13 @@ def detect(path: Path) -> Found | None:
 
 
 def find(base: Path) -> list[Found]:
-    """The files and folders in `base` that are models."""
+    """Return the files and folders in `base` that are models."""
     return [found for child in visible(base) if (found := detect(child))]
 
 
 def main_file(folder: Path) -> Path | None:
-    """The file of a folder that is a model: of several the one that is called like the folder, or
-    model_<...>; a single one where layers lie in a folder beside it."""
+    """Return the file of a folder that is a model: of several the one that is called like the
+    folder, or model_<...>; a single one where layers lie in a folder beside it."""
     there = visible(folder)
     own = [path for path in there if path.suffix.lower() in SUFFIXES]
     if not own or any(path.suffix.lower() == ".urdf" for path in there):
@@ -96,7 +96,7 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
 
 
 def _is_of_another(path: Path) -> bool:
-    """Whether a USD file is a layer or a mesh of a model that other files in reach show."""
+    """Return whether a USD file is a layer or a mesh of a model that other files in reach show."""
     folder = path.parent
     if any(each.suffix.lower() == ".urdf" for each in (*visible(folder), *visible(folder.parent))):
         return True

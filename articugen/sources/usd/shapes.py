@@ -36,7 +36,7 @@ class Shapes:
         self.left_out: set[str] = set()
 
     def shown(self, prim: Any) -> bool:
-        """Whether a prim is a surface that is seen: not a guide or proxy, not hidden.
+        """Return whether a prim is a surface that is seen: not a guide or proxy, not hidden.
 
         Raises:
             InvalidSource: it is of a kind without which the model would not be itself.
@@ -60,7 +60,7 @@ class Shapes:
         return True
 
     def triangles(self, prim: Any) -> Mesh:
-        """(V, 3) in stage coordinates and (F, 3) of a prim that is `shown`.
+        """Return (V, 3) in stage coordinates and (F, 3) of a prim that is `shown`.
 
         Raises:
             InvalidSource: anything amiss with it, or all together are too many.
@@ -116,7 +116,7 @@ def _without_holes(holes: Any, corners: Any, counts: Any) -> tuple[Any, Any]:
 
 
 def _array(attribute: Any, kind: type, by: str) -> Any:
-    """An array attribute; of one without a value an empty one."""
+    """Return an array attribute; of one without a value an empty one."""
     value = value_of(attribute, by)
     return np.zeros(0, kind) if value is None else np.array(value).astype(kind)
 
@@ -129,7 +129,7 @@ def _size(prim: Any, name: str, by: str) -> float:
 
 
 def _about_axis(mesh: Mesh, prim: Any, by: str) -> Mesh:
-    """A shape that was made about z, about the axis that the prim has."""
+    """Return a shape that was made about z, about the axis that the prim has."""
     token = str(value_of(prim.GetAttribute("axis"), by))
     shift = {"X": 1, "Y": 2}.get(token, 0)
     return Mesh(np.roll(mesh.vertices, shift, axis=1), mesh.faces)

@@ -25,7 +25,7 @@ class Places:
         self._known: dict[Any, Array] = {}
 
     def of(self, prim: Any) -> Array:
-        """(4, 4), stage units; with scale and all."""
+        """Return (4, 4), stage units; with scale and all."""
         (UsdGeom,) = pxr("UsdGeom")
         if prim.IsPseudoRoot():
             return np.eye(4)
@@ -51,7 +51,7 @@ class Places:
 
 
 def _steps(xformable: Any, by: str) -> list[Any]:
-    """The steps by which a prim is placed; OpenUSD passes over those that it cannot find."""
+    """Return the steps by which a prim is placed; OpenUSD passes over those that it cannot find."""
     (Tf,) = pxr("Tf")
     names = value_of(xformable.GetXformOpOrderAttr(), by) or ()
     wanted = [str(name) for name in names]
@@ -70,7 +70,7 @@ def _steps(xformable: Any, by: str) -> list[Any]:
 
 
 def value_of(attribute: Any, by: str) -> Any:
-    """The value of an attribute at the default time.
+    """Return the value of an attribute at the default time.
 
     Raises:
         InvalidSource: it changes with time.
@@ -83,7 +83,7 @@ def value_of(attribute: Any, by: str) -> Any:
 
 
 def numbers(value: Any, shape: tuple[int, ...], by: str, what: str) -> Array:
-    """A value as an array of that shape.
+    """Return a value as an array of that shape.
 
     Raises:
         InvalidSource: it is none, or of a number that is not finite or too large.
@@ -100,7 +100,7 @@ def numbers(value: Any, shape: tuple[int, ...], by: str, what: str) -> Array:
 
 
 def rotation_of(quaternion: Any, by: str, what: str) -> Array:
-    """(3, 3) of a quaternion of OpenUSD, which need not be of unit length.
+    """Return (3, 3) of a quaternion of OpenUSD, which need not be of unit length.
 
     Raises:
         InvalidSource: it is none.
@@ -121,7 +121,7 @@ def rotation_of(quaternion: Any, by: str, what: str) -> Array:
 
 
 def inverse(T: Array, by: str) -> Array:
-    """(4, 4) of an affine transform, by cofactors.
+    """Return (4, 4) of an affine transform, by cofactors.
 
     Raises:
         InvalidSource: it has none.
@@ -137,8 +137,8 @@ def inverse(T: Array, by: str) -> Array:
 
 
 def turn_of(T: Array, by: str) -> Array:
-    """(3, 3) the rotation in a transform that turns, scales and perhaps mirrors. Of a mirrored one
-    all three scales count as negative, as OpenUSD has it.
+    """Return (3, 3) the rotation in a transform that turns, scales and perhaps mirrors. Of a
+    mirrored one all three scales count as negative, as OpenUSD has it.
 
     Raises:
         InvalidSource: it shears, or is scaled to nothing.
@@ -158,7 +158,7 @@ def turn_of(T: Array, by: str) -> Array:
 
 
 def axis_of(token: Any, by: str) -> tuple[float, float, float]:
-    """The unit vector that X, Y or Z stands for.
+    """Return the unit vector that X, Y or Z stands for.
 
     Raises:
         InvalidSource: it is none of them.
@@ -169,7 +169,7 @@ def axis_of(token: Any, by: str) -> tuple[float, float, float]:
 
 
 def _step(kind: str, value: Any, by: str) -> Array:
-    """(4, 4) of one xformOp. OpenUSD's matrices multiply rows, and are transposed here."""
+    """Return (4, 4) of one xformOp. OpenUSD's matrices multiply rows, and are transposed here."""
     T = np.eye(4)
     if kind == "transform":
         T = numbers(value, (4, 4), by, "a transform").T

@@ -126,7 +126,7 @@ class Tree:
         self.joints.append(Joint(name, joint.kind, *names, T, axis, joint.lower, joint.upper))
 
     def _axis(self, joint: PhysicsJoint) -> tuple[Array, float]:
-        """The axis (3,) in the world, and at which joint state the model was drawn."""
+        """Return the axis (3,) in the world, and at which joint state the model was drawn."""
         here, there = joint.frames
         axis = turned(here[:3, :3], joint.axis)
         axis = axis / norm(axis)
@@ -149,7 +149,7 @@ class Tree:
 
 
 def _turn_about(R: Array, axis: Sequence[float]) -> float:
-    """The angle of a rotation about a coordinate axis."""
+    """Return the angle of a rotation about a coordinate axis."""
     x = list(axis).index(1.0)
     y, z = (x + 1) % 3, (x + 2) % 3
     return float(arctan2(R[z, y] - R[y, z], R[y, y] + R[z, z]))

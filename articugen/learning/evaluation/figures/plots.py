@@ -57,7 +57,7 @@ def curves(
 def curve_panels(
     metrics: Sequence[dict[str, Any]],
 ) -> tuple[list[tuple[str, list[int], list[float], bool]], list[int]]:
-    """(name, iterations, values, whether it is a loss) of each curve; where stages end."""
+    """Return (name, iterations, values, whether it is a loss) of each curve; where stages end."""
     panels: list[tuple[str, list[int], list[float], bool]] = []
     for key, before in (("terms", ""), ("validation", "held-out ")):
         records = [record for record in metrics if key in record]
@@ -85,7 +85,7 @@ def _curve(axis: Axes, iterations: NDArray[np.int64], values: Floats, is_loss: b
 
 
 def running_mean(values: Floats, width: int) -> Floats:
-    """The mean of up to `width` values on either side, fewer near the ends: (n,)."""
+    """Return the mean of up to `width` values on either side, fewer near the ends: (n,)."""
     total = np.concatenate([[0.0], np.cumsum(values)])
     at = np.arange(len(values))
     reach = np.minimum(np.minimum(at, len(values) - 1 - at), width)
@@ -256,7 +256,7 @@ def _grid(panels: int, columns: int, *, width: float, height: float) -> list[Axe
 
 
 def _one_and_many(count: int, size: float) -> list[Axes]:
-    """A large panel, and `count` small ones of `size` inches in two rows beside it."""
+    """Return a large panel, and `count` small ones of `size` inches in two rows beside it."""
     columns = (count + 1) // 2
     figure = Figure(figsize=((2 + columns) * size, 2.15 * size), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)

@@ -16,7 +16,7 @@ from articugen.learning.ppd.cpu import sine_kernels
 
 
 def can_fuse(points: Tensor) -> bool:
-    """Whether `sine_parts` takes these points; they get no gradient."""
+    """Return whether `sine_parts` takes these points; they get no gradient."""
     is_plain = points.device.type == "cpu" and points.dtype == torch.float32
     return is_plain and not points.requires_grad
 

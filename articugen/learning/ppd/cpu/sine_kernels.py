@@ -29,7 +29,7 @@ _ONE, _TWO, _ZERO = _f(1.0), _f(2.0), _f(0.0)
 
 @helper(fastmath={"contract"})
 def _reduced(z):
-    """(r, sign): sin(z) = sign sin(r), cos(z) = sign cos(r), r within half a turn of 0."""
+    """Return (r, sign): sin(z) = sign sin(r), cos(z) = sign cos(r), r within half a turn of 0."""
     k = np.rint(z * _PER_HALF_TURN)
     r = ((z - k * _PI_1) - k * _PI_2) - k * _PI_3
     return r, _ONE - _TWO * _f(np.int32(k) & 1)

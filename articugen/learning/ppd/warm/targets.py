@@ -86,15 +86,15 @@ class Targets:
     cells: int
 
     def of(self, rows: Tensor, mirrored: Tensor | None = None) -> Targets:
-        """Those of some instances, of which some (B,) are mirrored."""
+        """Return those of some instances, of which some (B,) are mirrored."""
         if mirrored is not None:
             rows = rows + mirrored * (len(self.known) // 2)
         some = {f.name: getattr(self, f.name)[rows] for f in fields(self)[:-2]}
         return replace(self, **some)
 
     def owner(self, points: Tensor, occupied: Tensor) -> Tensor:
-        """(B, n) the part that each occupied point belongs to, as `Ownership` says; -1 for points
-        in free space.
+        """Return (B, n) the part that each occupied point belongs to, as `Ownership` says; -1 for
+        points in free space.
 
         Args:
             points: (B, n, 3) in the instances that these targets are of.
@@ -118,7 +118,7 @@ def targets(
     *,
     mirrored: bool = False,
 ) -> Targets:
-    """The targets of a split, on its device.
+    """Return the targets of a split, on its device.
 
     Args:
         split: with what is hidden.
@@ -241,8 +241,8 @@ class _Table:
 
 
 def in_mirror(found: Discovery) -> Discovery:
-    """An object's joints as a mirror shows them that swaps left and right: what turns one way turns
-    the other way then."""
+    """Return an object's joints as a mirror shows them that swaps left and right: what turns one
+    way turns the other way then."""
     side = np.ones(3)
     side[LEFT_RIGHT] = -1.0
 
@@ -254,9 +254,9 @@ def in_mirror(found: Discovery) -> Discovery:
 
 
 def is_one_sided(found: Found, model: ModelSettings) -> bool:
-    """Whether mirrored objects are unlike all that there are: the joints of some candidate lean to
-    one side. Of glasses the same temple always folds over the other one, which their open pose
-    does not show; with mirrored ones among them a model can only guess."""
+    """Return whether mirrored objects are unlike all that there are: the joints of some candidate
+    lean to one side. Of glasses the same temple always folds over the other one, which their open
+    pose does not show; with mirrored ones among them a model can only guess."""
     axes: tuple[dict[int, list[Floats]], ...] = {}, {}
     known = [each for each in likely(found, model) if each]
     for each in known:
@@ -273,8 +273,8 @@ def is_one_sided(found: Found, model: ModelSettings) -> bool:
 
 
 def _alike(found: Discovery) -> Floats:
-    """(3, 3) of `Targets.alike`: joints turn two coordinate axes into each other if they point
-    along the third, else all three."""
+    """Return (3, 3) of `Targets.alike`: joints turn two coordinate axes into each other if they
+    point along the third, else all three."""
     across = np.zeros((3, 3), bool)
     for joint in found.joints:
         if joint.kind == JointKind.REVOLUTE:
@@ -285,8 +285,8 @@ def _alike(found: Discovery) -> Floats:
 
 
 def _from_closed(found: Discovery, senses: tuple[float, ...]) -> Floats:
-    """(K, P, 4, 4) the motion of each part from the pose in which it is closed, which is that with
-    the least state in the `senses` of the parts, to all poses."""
+    """Return (K, P, 4, 4) the motion of each part from the pose in which it is closed, which is
+    that with the least state in the `senses` of the parts, to all poses."""
     motion = np.stack([found.motion(k) for k in range(len(found.joints[0].states))])
     for part, sense in enumerate(senses[1:], 1):
         closed = int((sense * found.joints[part - 1].states).argmin())
@@ -295,7 +295,7 @@ def _from_closed(found: Discovery, senses: tuple[float, ...]) -> Floats:
 
 
 def _owned(split: PackedSplit, rows: NDArray[np.intp], motion: NDArray[np.float64]) -> Ownership:
-    """Whose an object's points are; `motion` (K, P, 4, 4) in the poses `rows`."""
+    """Return whose an object's points are; `motion` (K, P, 4, 4) in the poses `rows`."""
     R, at = split.band.resolution, torch.from_numpy(rows)
     clouds = unpacked(split.surface[at].cpu()).double().numpy()
     bits = np.unpackbits(split.hidden[at].cpu().numpy(), axis=1)
@@ -343,8 +343,8 @@ def assigned(found: Discovery, model: ModelSettings) -> list[tuple[int, float] |
 
 
 def _as_read(places: Floats) -> list[int]:
-    """The order of places (n, 3) from the top row down and in a row with growing y or x, whichever
-    the places differ in more."""
+    """Return the order of places (n, 3) from the top row down and in a row with growing y or x,
+    whichever the places differ in more."""
     across = int(np.ptp(places[:, :2], axis=0).argmax())
     down = np.argsort(-places[:, 2], kind="stable")
     rows = np.split(down, np.flatnonzero(-np.diff(places[down, 2]) > ROW) + 1)

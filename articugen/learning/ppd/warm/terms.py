@@ -30,7 +30,7 @@ def aim_terms(
     weigh: WarmStart,
     revolute: int,
 ) -> Terms:
-    """How far a prediction is from its targets.
+    """Return how far a prediction is from its targets.
 
     Amounts are compared instead of states, since near the ends of a tanh nothing would be learned.
     Of a candidate that only other objects have it is asked to stand still: else it would be said to
@@ -59,9 +59,9 @@ def aim_terms(
 
 
 def box_misfit(box: PartBox, aim: Targets, revolute: int) -> Tensor:
-    """How far the boxes' middles are off, in sizes of the boxes, and the logarithms of the sizes:
-    sums of squares over axes and parts, a mean over samples. A part that turns is seen from its
-    pivot."""
+    """Return how far the boxes' middles are off, in sizes of the boxes, and the logarithms of the
+    sizes: sums of squares over axes and parts, a mean over samples. A part that turns is seen from
+    its pivot."""
     middle, size = aim.middle.clone(), aim.size.clamp(min=LEAST_SIZE)
     middle[:, 1 : 1 + revolute] -= aim.pivot[:, :revolute]
     shift, growth = (box.middle - middle) / size, (box.size / size).log()
@@ -69,8 +69,8 @@ def box_misfit(box: PartBox, aim: Targets, revolute: int) -> Tensor:
 
 
 def labels_entropy(part_logits: Tensor, owner: Tensor, known: Tensor) -> Tensor:
-    """The cross-entropy of whose field is the greatest, a mean over points: where parts lie beside
-    each other, `parts_entropy` is content with fields that are right on either side of 0.
+    """Return the cross-entropy of whose field is the greatest, a mean over points: where parts lie
+    beside each other, `parts_entropy` is content with fields that are right on either side of 0.
 
     It lowers the fields of the others alone: at the surface the part's own should be 0.
 
@@ -86,7 +86,7 @@ def labels_entropy(part_logits: Tensor, owner: Tensor, known: Tensor) -> Tensor:
 
 
 def parts_entropy(part_logits: Tensor, owner: Tensor, known: Tensor, occupied: float) -> Tensor:
-    """The binary cross-entropy of each part's field, summed over parts, a mean over points.
+    """Return the binary cross-entropy of each part's field, summed over parts, a mean over points.
 
     Args:
         part_logits: (B, P, n).

@@ -23,7 +23,7 @@ them would be other numbers, and so every curve."""
 
 
 def is_mirrored(chance: Tensor, mirrors: bool) -> Tensor:
-    """(B,) which samples are mirrored, where some are; `chance` (B, CHANCES or 0)."""
+    """Return (B,) which samples are mirrored, where some are; `chance` (B, CHANCES or 0)."""
     if not mirrors:
         return torch.zeros_like(chance[:, :0].sum(1), dtype=torch.bool)
     return chance[:, 0] < 0.5
@@ -66,13 +66,13 @@ class Variation:
         return Variation(scale, centre - scale * aim.centre)
 
     def moved(self, points: Tensor) -> Tensor:
-        """(B, n, 3) where points go."""
+        """Return (B, n, 3) where points go."""
         return points * self.scale[:, None] + self.shift[:, None]
 
     def batch(self, batch: Batch) -> tuple[Batch, Tensor]:
-        """The batch varied, and (B, m) which of its query points are others now: points spread over
-        the cube go into the place that an object became smaller leaves free, so that they are
-        spread over the cube again."""
+        """Return the batch varied, and (B, m) which of its query points are others now: points
+        spread over the cube go into the place that an object became smaller leaves free, so that
+        they are spread over the cube again."""
         points = self.moved(batch.points)
         even = batch.points[:, : batch.spread].roll(1, 1)
         beyond = ((even - self.shift[:, None]) / self.scale[:, None]).abs().amax(2) > 0.5
