@@ -340,7 +340,7 @@ def test_damage_and_other_files_are_noticed(folder, tmp_path):
     content = shard.read_bytes()
     shard.unlink()
     shard.write_bytes(content)
-    with pytest.raises(CorruptShard, match="was made again since; open the data set anew"):
+    with pytest.raises(CorruptShard, match="was made again since; open the data set again"):
         _ = data[4].near.points
 
 

@@ -206,7 +206,7 @@ def test_a_reader_that_raises_as_it_looks_is_one_sentence(install: Install, tmp_
     (tmp_path / "a.txt").write_text("")
     with pytest.raises(InvalidSource, match=r"a\.txt: the reader 'clumsy' cannot look .*ZeroDiv"):
         readers.detect(tmp_path / "a.txt")
-    with pytest.raises(InvalidSource, match="the reader 'clumsy' cannot look at it"):
+    with pytest.raises(InvalidSource, match="the reader 'clumsy' cannot examine it"):
         readers.find("clumsy", tmp_path)
 
 

@@ -1,4 +1,4 @@
-"""The command line: `data` makes and looks at data sets, `learn` trains; each command calls one
+"""The command line: `data` makes and inspects data sets, `learn` trains; each command calls one
 function."""
 
 from articugen.cli.generate import app, main

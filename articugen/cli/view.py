@@ -60,7 +60,7 @@ def view(
         bool, typer.Option("--open", help="Open it in this machine's browser.")
     ] = False,
 ) -> None:
-    """Look at objects in the browser: turn them, move their joints, see all that is sampled."""
+    """Examine objects in the browser: turn them, move their joints, see all that is sampled."""
     with said():
         import time
         import webbrowser

@@ -42,7 +42,7 @@ class Backend:
         tells_faces: whether its maps say which face each pixel sees.
         takes: which of the keywords of `Backend.render` the module's own takes as well.
         overlay: a module with a class `Overlay(static)`, see above; "" where it has none, and
-            everything is drawn anew for each instance.
+            everything is drawn again for each instance.
     """
 
     module: str

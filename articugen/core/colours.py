@@ -5,7 +5,7 @@ COLOURS = (
     *("#4477aa", "#ddaa33", "#bb5566", "#44aa99", "#882255", "#88ccee", "#999933", "#cc88ee"),
     *("#444422", "#442288", "#66cc66", "#cc6622", "#226622", "#eeaacc", "#aa8866", "#2266cc"),
 )
-"""Of part 0, 1, ...: the first eight are pairs that readers with any colour vision tell apart
+"""Of part 0, 1, ...: the first eight are pairs that readers with any colour vision distinguish
 (after Paul Tol), the others as far from them and from each other as calm colours can be."""
 
 

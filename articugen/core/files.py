@@ -57,7 +57,7 @@ class UnfitFile(OSError):
 
 
 def read_regular(path: Path, most_bytes: int, *, follow: bool = True) -> bytes:
-    """Return the bytes of a regular file; its kind and size are looked at before anything is read.
+    """Return the bytes of a regular file; its kind and size are examined before anything is read.
 
     Args:
         path: a name that may be hostile: of a FIFO, a device, a file of many gigabytes.
@@ -163,7 +163,7 @@ def written_atomically(
 ) -> Iterator[BinaryIO]:
     """A file to write and read; once the block has ended without an error, `path` is all of it.
 
-    The bytes go to a temporary name in the same folder and to the disk (fsync); `check` looks at
+    The bytes go to a temporary name in the same folder and to the disk (fsync); `check` examines
     that file and raises where it is not as it should be; only then it gets its name, and the folder
     is synchronised, so that the name survives a power cut as well. Where anything fails `path` is
     what it was, and the temporary file is gone. `size`, where it is known, is told if the disk is

@@ -40,7 +40,7 @@ def kernel(function: Any = None, /, **options: Any) -> Any:
 
 def _drop_stale(code: CodeType, folder: Path) -> None:
     """Remove numba's index of a kernel whose file has changed since: numba reads it before it
-    looks at the date, and raises where a class that it names has moved to another module."""
+    examines the date, and raises where a class that it names has moved to another module."""
     source = Path(code.co_filename)
     with suppress(OSError):
         changed = source.stat().st_mtime_ns

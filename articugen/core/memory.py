@@ -17,7 +17,7 @@ _LARGEST = 32 << 20
 
 def give_back(block: int) -> None:
     """From now on blocks of so many bytes or more go back to the system as soon as they are freed.
-    Asking for them anew takes longer."""
+    Asking for them again takes longer."""
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
         mallopt(_M_TRIM_THRESHOLD, 2 * block)  # glibc's own ratio

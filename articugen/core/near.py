@@ -1,6 +1,6 @@
 """Which points lie near others: exact, by sorting the points into cells.
 
-Cells along z lie in one piece, so that a query looks at a few columns of them; there are about
+Cells along z lie in one piece, so that a query examines a few columns of them; there are about
 three times as many as points, of which a surface leaves most empty.
 """
 

@@ -30,7 +30,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 TICK = 0.2
-"""Seconds between two looks at the workers' clocks and memory."""
+"""Seconds between two checks of the workers' clocks and memory."""
 
 LONGEST_LOOK = 5.0
 """Seconds that count at most between two looks: this process was stopped (Ctrl-Z), or the machine
@@ -180,7 +180,7 @@ def _picklable(error: Exception) -> Exception:
 
 
 class _Clock:
-    """The seconds in which somebody looked at it: see `LONGEST_LOOK`."""
+    """The seconds in which somebody checked it: see `LONGEST_LOOK`."""
 
     def __init__(self) -> None:
         self._seconds, self._looked = 0.0, time.monotonic()

@@ -34,7 +34,7 @@ _SAME_WAY = 0.99
 
 _PATCHES, _PATCH = 12, 48
 _MOVERS = 800
-"""So many of the points that have left are looked at."""
+"""So many of the points that have left are examined."""
 
 _ALL, _SOME = slice(None), slice(None, None, 2)
 """Of those: what candidates are asked for in the end, and what ranks them at first."""
@@ -295,7 +295,7 @@ class _Found:
         return self._explained(joint, near)
 
     def _polished(self, grown: _Grown) -> _Grown:
-        """With the states voted anew by all that follow, and all of it fitted to them; about the
+        """With the states voted again by all that follow, and all of it fitted to them; about the
         coordinate axis beside its own, where that explains as much."""
         core = some(np.flatnonzero(grown.follow & self.left), _CORE)
         if len(core) < 12:

@@ -1,5 +1,5 @@
 """A candidate made exact: its axis, pivot and states fitted to the points that follow it, and the
-points that follow it found anew."""
+points that follow it found again."""
 
 from dataclasses import replace
 

@@ -67,7 +67,7 @@ def _voter(x):
 
 @helper
 def is_void(within, pose, x, y, z):
-    """Whether a pose surely has no point within reach of (x, y, z): told by one look at a bit.
+    """Whether a pose surely has no point within reach of (x, y, z): one bit says so.
 
     `within` (G, VOTES^3): bit k % 8 of byte `[k // 8, cell]` is 1 where pose k has a point within
     reach of any place in the cell. A place outside the cube is no nearer to what is in it than the
@@ -134,7 +134,7 @@ def _fits(points, normals, signed, n, x, y, z, nx, ny, nz, reach, across):
 
 @helper
 def _meets(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, across):
-    """Return whether `nearest` would find a point; what is in the same cell is looked at first."""
+    """Return whether `nearest` would find a point; what is in the same cell is examined first."""
     a, b = int(np.floor((x + 0.5) * CELLS)), int(np.floor((y + 0.5) * CELLS))
     c = int(np.floor((z + 0.5) * CELLS))
     if 0 <= a < CELLS and 0 <= b < CELLS and 0 <= c < CELLS:

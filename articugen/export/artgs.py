@@ -57,7 +57,7 @@ def _opened(row: Row) -> float:
 
 
 def _splits(cameras: int) -> dict[str, list[int]]:
-    """The cameras of each set of views; PARIS looks at `val` while it trains, ArtGS has none."""
+    """The cameras of each set of views; PARIS examines `val` while it trains, ArtGS has none."""
     tests = list(range(_TEST - 1, cameras, _TEST)) or [cameras - 1]
     return {"train": [k for k in range(cameras) if k not in tests], "val": tests, "test": tests}
 

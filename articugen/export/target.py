@@ -201,7 +201,7 @@ class Target:
         self._files.append(Written(name, path.stat().st_size, sha256_of(path)))
 
     def _path(self, name: str) -> Path:
-        """Where a file goes: into the folder, through no link, in the place of no other file."""
+        """Where a file goes: into the folder, through no link, in place of no other file."""
         try:
             path = within(self.folder, name)
             make_folder(path.parent)

@@ -16,7 +16,7 @@ Rules (`recipe.Fusion.rule`):
         Occupancy Networks' preparation; outside where that is positive.
 In all three, a point that no view sees, or only from further behind than the truncation, is inside.
     rigid: a point is inside where the own solid of some part holds it, see `OwnSolid`. The posed
-        object is not looked at.
+        object is not examined.
 """
 
 from collections.abc import Sequence

@@ -23,7 +23,7 @@ def extract_mesh(
     change of sign are evaluated in full.
 
     Args:
-        box: (2, 3) that holds all that is inside: only voxels around it are looked at, and vertices
+        box: (2, 3) that holds all that is inside: only voxels around it are examined, and vertices
             are bisected to where it becomes free.
 
     Raises:

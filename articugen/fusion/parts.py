@@ -1,7 +1,7 @@
 """The solid that each part is, judged by how the part is seen when it stands alone.
 
 Faces alone do not say what is solid: sheets have no thickness, and many models turn faces either
-way. So each part is looked at alone, its sheets are thickened and its faces turned outwards, and
+way. So each part is examined alone, its sheets are thickened and its faces turned outwards, and
 what its views and its closed pieces say together is its material.
 """
 

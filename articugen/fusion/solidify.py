@@ -2,7 +2,7 @@
 
 Real models are soups: every triangle twice, arbitrary winding, panels without thickness. Fusion
 knows inside from outside by visibility, and a sheet without thickness has no inside. So each part
-is looked at alone, from all around: a face that is seen from both sides is a sheet and gets a
+is examined alone, from all around: a face that is seen from both sides is a sheet and gets a
 thickness; one that is seen from one side looks that way; one that is never seen is left as it is.
 A part alone, so that the answer does not change with its pose.
 """
@@ -30,7 +30,7 @@ SMALL_AREA, TOGETHER = SAMPLE_AREA / 8.0, 0.01
 """The largest of the small faces, and how far those reach that are asked together; unit frame."""
 
 MOST_AT_AN_EDGE = 8
-"""Of more faces than these at one edge, only neighbours in their order are looked at."""
+"""Of more faces than these at one edge, only neighbours in their order are examined."""
 
 LONGEST_MITRE = 2.0
 """A corner of a bent sheet is lifted by at most so many times the sheet's thickness."""

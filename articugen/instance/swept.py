@@ -16,7 +16,7 @@ _CELLS = 24
 """Along an edge of the points' box."""
 
 _ROUNDING = 1e-12
-"""Of a bound, relative to the largest number in it: what lies as near is looked at."""
+"""Of a bound, relative to the largest number in it: what lies as near is examined."""
 
 
 def swept_box(mesh: LabelledMesh, motions: NDArray[np.float64]) -> NDArray[np.float64]:

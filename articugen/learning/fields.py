@@ -275,7 +275,7 @@ class FieldLearner(Learner):
         raise NotImplementedError
 
     def _begin_stage(self) -> None:
-        """Let the optimiser start afresh, as in each stage."""
+        """Let the optimiser start again, as in each stage."""
         optimiser = self.settings.schedule.optimiser
         self.descent = Descent(self.network, optimiser, betas=self.betas)
 

@@ -58,7 +58,7 @@ def optimiser_of(name: str, network: nn.Module, betas: Betas = BETAS) -> Optimis
 class Adam:
     """Adam (Kingma and Ba 2015) as torch has it.
 
-    Its function, not its class: that one sorts all parameters anew at every step, and with it
+    Its function, not its class: that one sorts all parameters again at every step, and with it
     torch's compiler is imported, which takes a second.
     """
 

@@ -1,4 +1,4 @@
-"""The header of a PLY file: what it claims to hold, looked at before a library believes it."""
+"""The header of a PLY file: what it claims to hold, examined before a library believes it."""
 
 import re
 

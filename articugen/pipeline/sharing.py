@@ -29,7 +29,7 @@ _MOST_LEFT, _MOST_EARLY = 16, 2
 """So many things at most wait for the owner: in the folder, and in its memory."""
 
 _LOOK = 0.002
-"""Seconds between two looks at what others are at."""
+"""Seconds between two checks of what others are at."""
 
 _SOON = 0.5
 """Seconds in which a helper that was quicker waits for the owner to begin."""

@@ -115,7 +115,7 @@ def _renderer_class() -> Any:
 
     class DepthRenderer(Renderer):
         def _configure_main_framebuffer(self) -> None:
-            """The multisampled buffers made anew with one sample a pixel, at its centre."""
+            """The multisampled buffers made again with one sample a pixel, at its centre."""
             if self._main_fb is not None:
                 return
             super()._configure_main_framebuffer()

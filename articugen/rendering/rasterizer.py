@@ -187,7 +187,7 @@ def _project(x, y, z, camera, pinhole, width, height, u, v, centres):
     """Return where vertices fall, in subpixels, and between which pixels' centres, see `_between`.
 
     False where a vertex falls too far outside the image. Nothing else is kept: `_on_image` makes
-    the rest anew for the few faces that need it, and so short a loop is vectorised.
+    the rest again for the few faces that need it, and so short a loop is vectorised.
     """
     limit, half = np.float64(LARGEST_PIXEL), np.int32(SUBPIXELS // 2)
     last_u, last_v = np.int32(2 * width - 1), np.int32(2 * height - 1)

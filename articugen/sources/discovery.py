@@ -46,7 +46,7 @@ def any_models(base: Path) -> list[Found]:
 
 def called(object_id: str, base: Path, reader: str) -> list[Found]:
     """Return the models in `base` whose file or folder has the name `object_id`, and they that id;
-    others are not looked at. None where only a listing can tell: an id with a dot may be the path
+    others are not examined. None where only a listing can tell: an id with a dot may be the path
     of one of two that share a name, and another package's reader may name models as it likes.
 
     Args:

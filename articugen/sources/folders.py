@@ -1,4 +1,4 @@
-"""What readers look at in a folder of models; nothing here opens a model."""
+"""What readers examine in a folder of models; nothing here opens a model."""
 
 import json
 import os

@@ -89,7 +89,7 @@ def of_path(path: Path, category: str, counts: Counts = all_count) -> list[Objec
 
 
 def of_id(named: NamedSource | None, path: Path, category: str, object_id: str) -> ObjectRef | None:
-    """Return the object of that id where the name alone leads to it; no other one is looked at, so
+    """Return the object of that id where the name alone leads to it; no other one is examined, so
     that its split, which they decide, stays open. None where only a listing can tell.
 
     Args:
@@ -161,7 +161,7 @@ def mixed(path: Path) -> Iterator[Found]:
 
 
 def tells_categories(path: Path) -> bool:
-    """Whether any model in the folder tells its category; no more are looked at than that takes."""
+    """Whether any model in the folder tells its category; no more are examined than that takes."""
     return any(found.kinds for found in mixed(path))
 
 

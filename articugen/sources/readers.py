@@ -236,11 +236,11 @@ def _all() -> Mapping[str, Reader]:
 
 
 def _failed(name: str, path: Path, error: Exception) -> Exception:
-    """What to raise where a reader raised `error` as it looked at `path`."""
+    """What to raise where a reader raised `error` as it examined `path`."""
     if isinstance(error, ArticugenError | MemoryError):
         return error
     reason = printable(f"{type(error).__name__}: {error}")[:200]
     return machine_fault(error) or InvalidSource(
-        f"{printable(str(path))}: the reader {name!r} cannot look at it ({reason}); leave it out "
+        f"{printable(str(path))}: the reader {name!r} cannot examine it ({reason}); leave it out "
         "and report it, please"
     )

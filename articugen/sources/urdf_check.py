@@ -185,7 +185,7 @@ class _Check:
             self.numbers(mimic, "offset", (1,), "0")
 
     def limit(self, joint: Any, kind: str) -> None:
-        """Compute where the joint ends; what says nothing of that (force, speed) is not looked at.
+        """Compute where the joint ends; what says nothing of that (force, speed) is not examined.
 
         Ends beyond MAX_NUMBER are how simulators say that there is none.
         """

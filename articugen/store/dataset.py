@@ -635,7 +635,7 @@ class _Shelf:
                     f"{path}: cannot be opened ({error.strerror})"
                 ) from error
             if self._seen.setdefault(shard, handle.seen) != handle.seen:
-                raise CorruptShard(f"{path}: was made again since; open the data set anew")
+                raise CorruptShard(f"{path}: was made again since; open the data set again")
             while len(self._handles) >= _OPEN_FILES:
                 self._handles.pop(next(iter(self._handles)), None)
             self._handles[shard] = handle

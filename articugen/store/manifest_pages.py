@@ -62,7 +62,7 @@ class Page(BaseModel):
 
 
 class Head(BaseModel):
-    """A manifest that lists pages; `model_extra` is what else it says, not looked at yet."""
+    """A manifest that lists pages; `model_extra` is what else it says, not examined yet."""
 
     model_config = ConfigDict(frozen=True, extra="allow", strict=True, allow_inf_nan=False)
 

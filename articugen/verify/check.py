@@ -31,7 +31,7 @@ def check(
             damaged manifest from whole shards; then check again.
         drop_user: while that is done, give up groups `user` that cannot be read.
         jobs: worker processes, None for all cores.
-        on_shard: called with the name of each shard once it has been looked at.
+        on_shard: called with the name of each shard once it has been examined.
         on_repair: called with what was done about each file.
         on_notice: called with one sentence where mending takes a while, or a worker was lost.
 

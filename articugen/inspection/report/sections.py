@@ -292,7 +292,7 @@ def alike(pairs: Sequence[Pair], unlike: Sequence[Outlier], count: int) -> Marku
     about = (
         "The most alike canonical poses. Apart: the mean distance of one's points to the other's "
         "surface, of the unit frame. Ratio: over the same between two halves of one object's "
-        f"points; below {SAME} two objects cannot be told apart."
+        f"points; below {SAME} two objects cannot be distinguished."
     )
     far = [
         [o.object.object_id, o.what, f"{o.value:.4g}{o.unit}", f"{o.typical:.4g}{o.unit}",

@@ -26,7 +26,7 @@ window.__VISER_EMBED_CONFIG__ = {darkMode: matchMedia("(prefers-color-scheme: da
 def guarded(host: str, start: Callable[[], Any]) -> Any:
     """Have viser's server, that `start` starts, refuse the pages of other sites, with 403.
 
-    viser lets nobody look at requests, so this comes between it and the function that it serves
+    viser lets nobody examine requests, so this comes between it and the function that it serves
     with.
 
     Raises:

@@ -26,7 +26,7 @@ height free, at the top."""
 
 
 class Stage:
-    """The scene of a server: layers by name, and from where one looks at them.
+    """The scene of a server: layers by name, and the camera on them.
 
     Attributes:
         framed: whether that is settled.
@@ -121,7 +121,7 @@ class Stage:
                 self._place(client)
 
     def _place(self, client: "viser.ClientHandle") -> None:
-        """Have a window look at what is framed, whatever its shape."""
+        """Turn a window's camera to what is framed, whatever its shape."""
         if not self.framed:
             return
         camera = client.camera

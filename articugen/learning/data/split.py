@@ -85,7 +85,7 @@ class PackedSplit:
         return replace(some, object_id=self.object_id[rows], state_index=self.state_index[rows])
 
     def for_batches(self) -> "PackedSplit":
-        """Without what batches do not hold, and `Learner.begin` alone looks at."""
+        """Without what batches do not hold, and `Learner.begin` alone examines."""
         return replace(self, normals=self.normals[:, :0].clone(), hidden=self.hidden[:, :0].clone())
 
     def to(self, device: torch.device) -> "PackedSplit":
@@ -166,7 +166,7 @@ def index_on(device: torch.device, rows: Sequence[int]) -> Tensor:
 
 
 def _places(at: Tensor, n: int, count: int, rng: torch.Generator | None) -> Tensor:
-    """Return (B, count) which `count` of n stored points, drawn anew for each row.
+    """Return (B, count) which `count` of n stored points, drawn again for each row.
 
     All n of them stay in order: nothing that uses a batch depends on the order of its points. Of
     few each comes from a stretch of its own, on a ring that is turned at random: no number is drawn

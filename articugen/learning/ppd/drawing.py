@@ -45,7 +45,7 @@ def drawable(
 
     Args:
         predict: what it makes of one cloud (n, 3).
-        points: so many points of a cloud are looked at; None means all.
+        points: so many points of a cloud are examined; None means all.
     """
     revolute, prismatic = len(settings.revolute), len(settings.prismatic)
     kinds = [JointKind.FIXED, *[JointKind.REVOLUTE] * revolute, *[JointKind.PRISMATIC] * prismatic]

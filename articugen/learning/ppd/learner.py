@@ -42,7 +42,7 @@ class Predictor(Learner):
     """What a PPD model makes of clouds.
 
     Attributes:
-        points: so many points of a cloud are looked at; None means all.
+        points: so many points of a cloud are examined; None means all.
         residual_direction: whether r^z counts.
     """
 
@@ -108,7 +108,7 @@ class PPDLearner(Predictor):
         self.residual_direction = stage.residual_direction
 
     def _begin_stage(self) -> None:
-        """Optimisers start afresh in each stage, as in the release."""
+        """Optimisers start again in each stage, as in the release."""
         optimiser = self.settings.schedule.optimiser
         self.descent = Descent(self.model, optimiser)
         self.discriminator_descent = Descent(self.discriminator, optimiser)

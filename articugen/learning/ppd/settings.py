@@ -147,7 +147,7 @@ class WarmStart(Section):
 
 
 class VarySettings(Section):
-    """How training objects are varied, anew in each batch; see `variation`. The paper does not.
+    """Variations of training objects, drawn in each batch; see `variation`. The paper does not.
 
     Attributes:
         stretch: the logarithm of how much longer or shorter along an axis at most; the longest edge
@@ -168,7 +168,7 @@ class VarySettings(Section):
 
 
 class PPDStage(Stage):
-    """A stretch of training; the optimiser starts afresh in each.
+    """A stretch of training; the optimiser starts again in each.
 
     Attributes:
         residual_direction: r = r^c + r^z (the paper's second stage), else r = r^c.

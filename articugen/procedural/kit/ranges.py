@@ -1,4 +1,4 @@
-"""Tables of ranges: what kinds of a product there are, as numbers in the place of code."""
+"""Tables of ranges: what kinds of a product there are, as numbers instead of code."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -63,7 +63,7 @@ class Solid:
     Attributes:
         vertices: (V, 3) metres.
         cells: the faces of each cell.
-        sheet: what `messy` models may write in the place of a thin panel.
+        sheet: what `messy` models may write instead of a thin panel.
     """
 
     vertices: Array

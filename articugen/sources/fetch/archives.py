@@ -1,4 +1,4 @@
-"""Archives from strangers: what is in a .zip or .tar.gz, looked at whole before a byte is written.
+"""Archives from strangers: what is in a .zip or .tar.gz, examined whole before a byte is written.
 
 An archive with a name that leads out of a folder, a link, a device, or more in it than a bound
 allows is refused as a whole: what tries such a thing is not to be trusted with the rest.
@@ -154,7 +154,7 @@ def checked_members(archive: Archive, path: Path) -> list[Member]:
 
 
 def contents(archive: Archive, path: Path) -> Iterator[tuple[Member, BinaryIO]]:
-    """The files of an archive with their bytes, checked anew; each must be read before the next.
+    """The files of an archive with their bytes, checked again; each must be read before the next.
 
     Raises:
         InvalidSource: as `checked_members`.

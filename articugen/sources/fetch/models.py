@@ -40,7 +40,7 @@ def unpack(
     wanted: Callable[[PurePosixPath], bool],
     on_model: Callable[[Unpacked, Path], None],
 ) -> list[PurePosixPath]:
-    """Unpack the models of an archive, one after the other; nothing before all of it was looked at.
+    """Unpack the models of an archive, one after the other; nothing before all of it was examined.
 
     Args:
         into: an empty folder; a model is unpacked to a folder in it, which `on_model` may move.

@@ -61,6 +61,6 @@ def terms_of(name: str) -> Terms:
     named = source_named(own.replace("-", "_"))
     if named is None:
         raise InvalidArgument(
-            f"the source {own!r} has lost its source.yaml; install articugen anew"
+            f"the source {own!r} has lost its source.yaml; install articugen again"
         )
     return Terms(own, named.file.origin, named.file.licence)

@@ -1,7 +1,7 @@
 """A web server's files: resumed where a connection is cut, checked against their digest.
 
-The standard library does it: Hugging Face's own client (2.4) begins a file anew once its process
-has ended, looks at sizes alone, and knows no other publisher.
+The standard library does it: Hugging Face's own client (2.4) begins a file again once its process
+has ended, examines sizes alone, and knows no other publisher.
 """
 
 import http.client

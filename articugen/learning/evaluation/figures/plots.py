@@ -34,7 +34,7 @@ def curves(
 
     Args:
         metrics: the records of a run's metrics.jsonl.
-        titles: of some curves, in the place of their names.
+        titles: of some curves, instead of their names.
     """
     panels, borders = curve_panels(metrics)
     columns = min((5, 4), key=lambda columns: -len(panels) % columns)

@@ -1,7 +1,7 @@
 """The shape decoders on a CPU, forwards and backwards, block of points by block of points.
 
 A block's activations stay in the first caches, nothing of them is kept for the way back (to compute
-them again is cheaper than to fetch them), and there only points are looked at that a gradient comes
+them again is cheaper than to fetch them), and there only points are examined that a gradient comes
 from. Single precision. Parts are independent: threads may take some each.
 
 Arrays: B samples, P parts, n points; a part's layers have c, h, m, h, c channels. Weights come with

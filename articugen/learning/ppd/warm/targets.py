@@ -123,7 +123,7 @@ def targets(
     Args:
         split: with what is hidden.
         found: what was found in each object, its poses in the order of `rows`.
-        rows: the instances of each object that were looked at.
+        rows: the instances of each object that were examined.
         mirrored: whether they may be mirrored.
     """
     R = split.band.resolution
