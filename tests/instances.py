@@ -21,7 +21,8 @@ from articugen.core.geometry import (
     voxel_centres,
 )
 from articugen.core.recipe import Articulation, Recipe, Sampling
-from articugen.core.records import Floats, Instance, Normalization, quantize
+from articugen.core.records import Floats, Normalization, quantize
+from articugen.core.schema import Instance
 from articugen.core.seeding import generator
 
 LOWER = np.array([[0.0, -0.3, 0.0], [0.0, -0.3, 0.085], [0.1, -0.06, 0.145]])

@@ -342,10 +342,10 @@ def put(index, value):
 
 
 FAULTS = {
-    "no sharp points": ("asked for", lambda r: changed(r, sharp_points=None)),
-    "no image of parts": ("asked for", lambda r: changed(r, image_part=None)),
+    "no sharp points": ("counts", lambda r: changed(r, sharp_points=None)),
+    "no image of parts": ("counts", lambda r: changed(r, image_part=None)),
     "a sharp point too few": (
-        "asked for",
+        "counts",
         lambda r: changed(
             r,
             sharp_points=r.sharp_points[1:],
@@ -380,14 +380,14 @@ def test_fault_is_found(apart, what):
 
 
 def test_every_check_has_a_fault():
-    assert {check for check, _ in FAULTS.values()} == set(extras.CHECKS)
+    assert {check for check, _ in FAULTS.values()} == {"counts", *extras.CHECKS}
 
 
 def test_what_was_not_asked_for_is_a_fault(apart):
     rows, recipe = apart
     usual = recipe.model_copy(update={"images": type(recipe.images)()})
     found = list(invariants.faults(rows, usual))
-    assert {fault.check for fault in found} == {"asked for"}
+    assert {fault.check for fault in found} == {"counts"}
 
 
 # In shards, and as people read them.

@@ -21,7 +21,8 @@ from test_cli import TINY, run
 
 from articugen.core.errors import MachineFault
 from articugen.core.geometry import apply, rotation_about
-from articugen.core.records import Instance, dequantize
+from articugen.core.records import dequantize
+from articugen.core.schema import Instance
 from articugen.inspection.report.alike import nearest_pairs, outliers
 from articugen.inspection.report.facts import CLOUD, ObjectFacts, PartSize, facts
 from articugen.inspection.report.markup import el, text

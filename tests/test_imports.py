@@ -39,8 +39,6 @@ LONGEST_FILE = 450
 LONG_FILES = {
     "cli.generate": 538,
     "core.processes": 534,
-    "core.records": 519,
-    "core.schema": 471,
     "discovery.discover": 467,
     "inspection.report.sections": 509,
     "instance.make": 630,
@@ -55,9 +53,9 @@ LONG_FILES = {
 """Files that are longer yet, and how long they may be: no line more is let in."""
 
 CORE = {
-    "backends", "bundled", "calling", "colours", "compiling", "content", "errors", "files",
-    "geometry", "jit", "ledger", "memory", "near", "place", "plugins", "portable", "processes",
-    "recipe", "records", "schema", "seeding", "tables", "yaml_files",
+    "backends", "bundled", "calling", "colours", "compiling", "content", "errors", "fields",
+    "files", "geometry", "jit", "ledger", "memory", "near", "place", "plugins", "portable",
+    "processes", "recipe", "records", "schema", "seeding", "tables", "yaml_files",
 }  # fmt: skip
 """All that may lie in core/, or it becomes a drawer for everything."""
 

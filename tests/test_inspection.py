@@ -18,7 +18,7 @@ from articugen.core.colours import COLOURS, colour_of
 from articugen.core.errors import ArticugenError, InvalidArgument
 from articugen.core.geometry import fibonacci_sphere, invert_rigid, rotation_about, transform
 from articugen.core.recipe import Recipe
-from articugen.core.records import Instance
+from articugen.core.schema import Instance
 from articugen.core.tables import duration, size
 from articugen.inspection.summary import histogram, shards_of, summary
 from articugen.pictures.camera import framed

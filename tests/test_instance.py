@@ -30,7 +30,6 @@ from articugen.core.records import (
     ArticulatedObject,
     DepthMaps,
     Floats,
-    Instance,
     JointKind,
     LabelledMesh,
     Normalization,
@@ -38,6 +37,7 @@ from articugen.core.records import (
     dequantize,
     is_material,
 )
+from articugen.core.schema import Instance
 from articugen.fusion.field import OwnSolid, PosedSolids
 from articugen.instance import articulation
 from articugen.instance.make import Prepared, make_instance, pose, prepare

@@ -13,7 +13,8 @@ from test_manifest import STATES
 from articugen.core.geometry import voxel_centres
 from articugen.core.near import any_within, by_cell, nearest_within
 from articugen.core.recipe import Recipe, Sampling
-from articugen.core.records import Instance, dequantize, quantize
+from articugen.core.records import dequantize, quantize
+from articugen.core.schema import Instance
 from articugen.verify import bounds, exact, invariants, sampled
 from tests.benchmarks.soundness import made_sets
 

@@ -18,7 +18,8 @@ from scipy.spatial import KDTree
 from articugen.core.errors import ArticugenError, InvalidSource, NotOfCategory
 from articugen.core.geometry import apply, invert_rigid
 from articugen.core.recipe import Recipe, Sampling, load_recipe
-from articugen.core.records import ArticulatedObject, Floats, Instance, dequantize
+from articugen.core.records import ArticulatedObject, Floats, dequantize
+from articugen.core.schema import Instance
 from articugen.fusion.solidify import LONGEST_MITRE
 from articugen.instance import articulation
 from articugen.instance.make import Prepared, make_instance, prepare

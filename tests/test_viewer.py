@@ -25,7 +25,8 @@ from articugen.core.errors import (
     installing,
 )
 from articugen.core.geometry import apply, look_along, rotation_about
-from articugen.core.records import ENCLOSED, FREE, Instance, JointKind, dequantize
+from articugen.core.records import ENCLOSED, FREE, JointKind, dequantize
+from articugen.core.schema import Instance
 from articugen.inspection.viewer import layers, words
 from articugen.inspection.viewer.layers import Lines, Points, Solid
 from articugen.inspection.viewer.serve import served, what_to_show

@@ -12,12 +12,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from articugen.core import backends, schema
 from articugen.core.bundled import RECIPES
 from articugen.core.errors import InvalidRecipe, printable
+from articugen.core.fields import SYMBOLS, resolution_of
+from articugen.core.fields import Field as Described
 from articugen.core.yaml_files import Section as _Section
 from articugen.core.yaml_files import find, resolved, resolved_mapping, validated
 
@@ -260,47 +261,46 @@ class Recipe(_Section):
         told = {name: value for name, value in told.items() if value != {}}
         return json.dumps(told, sort_keys=True, separators=(",", ":"))
 
-    def fields(self) -> dict[str, schema.Field]:
+    def fields(self) -> dict[str, Described]:
         """The data sets of a shard by this recipe, by name."""
-        asked = [field for field in schema.FIELDS if self._asks_for(field.stem)]
         return {
-            f"{field.stem}_{r}" if field.is_grid else field.name: field
-            for field in asked
-            for r in (self.sampling.grids if field.is_grid else (0,))
+            f"{described.stem}_{r}" if described.is_grid else described.name: described
+            for described in schema.FIELDS
+            if self._asks_for(described)
+            for r in (self.sampling.grids if described.is_grid else (0,))
         }
 
-    def _asks_for(self, stem: str) -> bool:
-        group, _, what = stem.partition("_")
-        if group == "image":
-            always = what in ("T_camera_world", "intrinsics")
-            return self.images.views > 0 and (always or what in self.images.fields)
-        return {
-            "coverage": self.sampling.coverage,
-            "sharp": self.sampling.sharp_points > 0,
-            "collision": self.articulation.collision != "ignore",
-        }.get(group, what != "distance" or self.sampling.signed_distance > 0.0)
+    def _asks_for(self, described: Described) -> bool:
+        if not described.asked_by:
+            return True
+        if described.asked_by == "images.fields":
+            name = described.name.removeprefix("image_")
+            return self.images.views > 0 and name in self.images.fields
+        return self.at(described.asked_by) not in (0, "ignore")
+
+    def at(self, key: str) -> Any:
+        """The value of a key, "sampling.grids" say."""
+        section, name = key.split(".")
+        return getattr(getattr(self, section), name)
+
+    def instance_shapes(self) -> dict[str, tuple[int | None, ...]]:
+        """The shape of each field of one instance; None for a number that its object decides."""
+        numbers = {letter: self.at(key) for letter, (_, key) in SYMBOLS.items() if key}
+        shapes: dict[str, tuple[int | None, ...]] = {}
+        for name, described in self.fields().items():
+            known = numbers | ({"R": resolution_of(name)} if described.is_grid else {})
+            letters = described.shape[1:]
+            shapes[name] = tuple(n if isinstance(n, int) else known.get(n) for n in letters)
+        return shapes
 
     def instance_bytes(self) -> dict[str, int]:
-        """What each field of one instance takes before compression, for as many parts as a shard
+        """The bytes of each field of one instance before compression, with as many parts as a shard
         can hold."""
-        sampling = self.sampling
-        numbers = {
-            "S": sampling.surface_points,
-            "U": sampling.uniform_points,
-            "K": sampling.near_points,
-            "C": sampling.partial_views,
-            "M": sampling.partial_points,
-            "E": sampling.sharp_points,
-            "V": self.images.views,
-            "H": self.images.resolution,
+        sizes = {name: described.itemsize for name, described in self.fields().items()}
+        return {
+            name: sizes[name] * math.prod(MOST_PARTS if n is None else n for n in shape)
+            for name, shape in self.instance_shapes().items()
         }
-        sizes: dict[str, int] = {}
-        for name, field in self.fields().items():
-            size = schema.MAX_TEXT if field.dtype == "S" else np.dtype(field.dtype).itemsize
-            known = numbers | ({"R": schema.resolution_of(name)} if field.is_grid else {})
-            dims = [n if isinstance(n, int) else known.get(n, MOST_PARTS) for n in field.shape[1:]]
-            sizes[name] = size * math.prod(dims)
-        return sizes
 
     def for_one_object(self) -> "Recipe":
         """What of the recipe decides an object's data: neither its name nor numbers and limits."""

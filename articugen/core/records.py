@@ -4,10 +4,9 @@ Units are metres and radians in `Mesh`, `Link`, `Joint`, `ArticulatedObject` and
 `Normalization` on everything is in the unit frame: the object inside [-0.5, 0.5]^3.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import IntEnum
-from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -15,7 +14,6 @@ from numpy.typing import NDArray
 
 from articugen.core.geometry import apply
 from articugen.core.portable import turned
-from articugen.core.schema import FIELDS, Field, written_shape
 
 Floats = NDArray[np.float64]
 
@@ -53,10 +51,6 @@ of part k has label k + 1."""
 def is_material(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Where labels name the material of some part."""
     return (label != FREE) & (label != ENCLOSED)
-
-
-MAX_NAME = 255
-"""Bytes of UTF-8 that a shard keeps of a name."""
 
 
 def _freeze(record: Any, **wanted: tuple[type, tuple[int | None, ...]]) -> None:
@@ -400,113 +394,6 @@ class DepthMaps:
             if array.shape != shape:
                 raise ValueError(f"DepthMaps.{name}: shape {array.shape}, not {shape}")
             object.__setattr__(self, name, np.ascontiguousarray(array, kind))
-
-
-def _no_grids() -> Mapping[int, NDArray[np.uint8]]:
-    return MappingProxyType({})
-
-
-@dataclass(frozen=True, eq=False)
-class Instance:
-    """One object at one joint state: all that a row of a shard holds, in the unit frame.
-
-    Point coordinates are stored in fixed point: `quantize` and `dequantize` say how. P parts, J
-    moving joints (P = J + 1), joint j carries part j + 1. Labels: 0 free, k + 1 material of part k,
-    255 enclosed; parts: k. What a shard lacks is None. docs/format.md describes every field.
-    """
-
-    object_id: str
-    state_index: int
-    center: Floats
-    scale: float
-    joint_kind: NDArray[np.uint8]
-    joint_parent: NDArray[np.uint8]
-    joint_state: Floats
-    joint_lower: Floats
-    joint_upper: Floats
-    joint_axis: Floats
-    joint_pivot: Floats
-    part_motion: Floats
-    joint_name: tuple[str, ...] | None = None
-    part_name: tuple[str, ...] | None = None
-    part_semantic: tuple[str, ...] | None = None
-    occupancy: Mapping[int, NDArray[np.uint8]] = field(default_factory=_no_grids)
-    coverage: Mapping[int, NDArray[np.uint8]] = field(default_factory=_no_grids)
-    surface_points: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 3), np.uint16))
-    surface_normals: NDArray[np.int8] = field(default_factory=lambda: np.zeros((0, 3), np.int8))
-    surface_part: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
-    uniform_points: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 3), np.uint16))
-    uniform_label: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
-    near_points: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 3), np.uint16))
-    near_label: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
-    partial_points: NDArray[np.uint16] = field(
-        default_factory=lambda: np.zeros((0, 0, 3), np.uint16)
-    )
-    partial_part: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 0), np.uint8))
-    partial_T_camera_world: Floats = field(default_factory=lambda: np.zeros((0, 4, 4)))
-    partial_intrinsics: Floats = field(default_factory=lambda: np.zeros((0, 4)))
-    uniform_distance: NDArray[np.float32] | None = None
-    near_distance: NDArray[np.float32] | None = None
-    sharp_points: NDArray[np.uint16] | None = None
-    sharp_normals: NDArray[np.int8] | None = None
-    sharp_part: NDArray[np.uint8] | None = None
-    collision_depth: float | None = None
-    image_depth: NDArray[np.float32] | None = None
-    image_part: NDArray[np.uint8] | None = None
-    image_normal: NDArray[np.int8] | None = None
-    image_rgba: NDArray[np.uint8] | None = None
-    image_T_camera_world: Floats | None = None
-    image_intrinsics: Floats | None = None
-
-    def __post_init__(self) -> None:
-        J = len(self.joint_kind)
-        known = {"N": 1, "J": J, "P": J + 1}
-        for described in FIELDS:
-            if not described.is_grid and described.dtype != "S" and described.shape != ("N",):
-                self._freeze_as(described, known)
-        for name in GRIDS:
-            for resolution, grid in getattr(self, name).items():
-                if grid.shape != (resolution,) * 3 or grid.dtype != np.uint8:
-                    raise ValueError(f"Instance.{name}[{resolution}]: {grid.shape} {grid.dtype}")
-        for name, count in (("joint_name", J), ("part_name", J + 1), ("part_semantic", J + 1)):
-            texts = getattr(self, name)
-            if texts is not None and len(texts) != count:
-                raise ValueError(f"Instance.{name}: {len(texts)} names, not {count}")
-
-    def _freeze_as(self, described: Field, known: dict[str, int]) -> None:
-        """Set an array read-only, as the schema describes it, if it is there."""
-        given = getattr(self, described.name)
-        if given is None and described.optional:
-            return
-        array = np.array(given, described.dtype, order="C")
-        if not described.fits(described.name, (1, *array.shape), known):
-            wanted = f"{written_shape(described)} with {known}"
-            raise ValueError(f"Instance.{described.name}: shape {(1, *array.shape)}, not {wanted}")
-        array.flags.writeable = False
-        object.__setattr__(self, described.name, array)
-
-    def arrays(self) -> dict[str, Any]:
-        """Every field that it has, by its name in a shard; grids as `occupancy_<resolution>`."""
-        all_fields = {f.name: getattr(self, f.name) for f in fields(self)}
-        grids = {
-            f"{name}_{r}": grid
-            for name in GRIDS
-            for r, grid in sorted(all_fields.pop(name).items())
-        }
-        return {name: value for name, value in all_fields.items() if value is not None} | grids
-
-
-GRIDS = ("occupancy", "coverage")
-"""Those fields of `Instance` that have an array for each of several resolutions."""
-
-
-def stored_name(name: str) -> str:
-    """A name as it fits into a shard: whole characters of at most MAX_NAME bytes of UTF-8.
-
-    What UTF-8 or a text padded with zero bytes cannot hold becomes U+FFFD.
-    """
-    whole = name.encode("utf-16", "surrogatepass").decode("utf-16", "replace")
-    return whole.replace("\0", "\ufffd").encode()[:MAX_NAME].decode(errors="ignore")
 
 
 def quantize(points: NDArray[np.floating]) -> NDArray[np.uint16]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from articugen.core.errors import ArticugenError
-from articugen.core.records import Instance
+from articugen.core.schema import Instance
 from articugen.store.dataset import DataSet, open
 from articugen.store.rows import Row
 

@@ -22,7 +22,6 @@ from articugen.core.records import (
     ArticulatedObject,
     DepthMaps,
     Floats,
-    Instance,
     JointKind,
     JointState,
     LabelledMesh,
@@ -32,8 +31,8 @@ from articugen.core.records import (
     Views,
     dequantize,
     quantize,
-    stored_name,
 )
+from articugen.core.schema import Instance, stored_name
 from articugen.core.seeding import generator
 from articugen.instance import articulation, sampling
 from articugen.instance.sharp import SharpEdges, sharp_edges, sharp_points

@@ -19,13 +19,13 @@ from articugen.core.recipe import Recipe, load_recipe
 from articugen.core.records import (
     ArticulatedObject,
     Floats,
-    Instance,
     Joint,
     JointKind,
     JointState,
     LabelledMesh,
     Mesh,
 )
+from articugen.core.schema import Instance
 from articugen.core.seeding import generator
 from articugen.core.yaml_files import nearest
 from articugen.fusion.isosurface import extract_mesh

@@ -4,7 +4,8 @@ from pathlib import Path
 from typing import Any
 
 from articugen.core.errors import InvalidSource, UnfitData
-from articugen.core.records import Floats, Instance, dequantize
+from articugen.core.records import Floats, dequantize
+from articugen.core.schema import Instance
 from articugen.core.seeding import generator
 from articugen.meshes.points import Cloud, checked
 from articugen.store.shards import Shard, open_shard

@@ -15,7 +15,8 @@ except ImportError:
     raise MissingExtra("torch", "ppd") from None
 
 from articugen.core.files import write_atomically
-from articugen.core.records import Instance, JointKind, dequantize
+from articugen.core.records import JointKind, dequantize
+from articugen.core.schema import Instance
 from articugen.core.yaml_files import with_settings
 from articugen.learning import loop, tensorboard
 from articugen.learning.clouds import cloud_of_shard, seen_by_a_camera

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from articugen.core.colours import colour_of
 from articugen.core.errors import ArticugenError, InvalidArgument
 from articugen.core.files import check_place
-from articugen.core.records import Instance, JointKind, dequantize
+from articugen.core.records import JointKind, dequantize
+from articugen.core.schema import Instance
 from articugen.pictures.layout import TILE, Caption, Row, save, sheet
 from articugen.pictures.portrait import best_azimuth, pooled, portrait, tile_camera
 from articugen.pictures.shading import Picture

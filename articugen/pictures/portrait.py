@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from articugen.core.colours import colour_of
 from articugen.core.geometry import apply, invert_rigid, rotation_about, transform
-from articugen.core.records import Instance, JointKind, dequantize
+from articugen.core.records import JointKind, dequantize
+from articugen.core.schema import Instance
 from articugen.pictures.camera import Camera, framed
 from articugen.pictures.layout import TILE
 from articugen.pictures.light import SurfaceCloud

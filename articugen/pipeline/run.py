@@ -33,7 +33,7 @@ from articugen.core.errors import (
 from articugen.core.files import megabytes, room_at, write_atomically
 from articugen.core.memory import give_back
 from articugen.core.recipe import Recipe, check_category
-from articugen.core.records import Instance
+from articugen.core.schema import Instance
 from articugen.instance.again import generator_of
 from articugen.pipeline import sharing
 from articugen.pipeline.estimate import instance_bytes, run_seconds

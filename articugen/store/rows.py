@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from articugen.core import schema
 from articugen.core.errors import InvalidArgument
+from articugen.core.fields import resolution_of
 from articugen.core.geometry import apply, invert_rigid
 from articugen.core.records import JointKind
 
@@ -22,17 +23,6 @@ Floats = NDArray[np.float64]
 Labels = NDArray[np.uint8]
 
 _NORMALS = "1/127"
-_WANTED_BY = {
-    "image": "images.views",
-    "sharp": "sampling.sharp_points",
-    "coverage": "sampling.coverage",
-    "occupancy": "sampling.grids",
-    "collision": "articulation.collision",
-    "uniform": "sampling.signed_distance",
-    "near": "sampling.signed_distance",
-}
-"""The recipe's key that brings fields which not all data have, by how their names begin."""
-
 _UNITS = {"1/65535": (1 / 65535, -0.5), _NORMALS: (1 / 127, 0.0), "1/255": (1 / 255, 0.0)}
 """For numbers that are stored whole, by the schema's unit: x = stored * step + first."""
 
@@ -110,22 +100,31 @@ class RowPart:
 
 
 class _Group:
-    """Fields whose names begin alike."""
+    """The fields whose names begin alike, each read when it is asked for, and once.
+
+    Classes name those that come with a type; the schema decides which there are.
+    """
 
     def __init__(self, row: "Row", stem: str) -> None:
-        self._row, self.stem = row, stem
+        self._row, self._stem = row, stem
 
-    def _floats(self, name: str) -> Float32:
-        name = f"{self.stem}_{name}"
-        return in_units(name, self._row.stored(name))
+    def __getattr__(self, name: str) -> Any:
+        field = "" if name.startswith("_") else f"{self._stem}_{name}"
+        if schema.field_of(field) is None:
+            raise AttributeError(f"{type(self).__name__} has no {name!r}")
+        value = self._row.stored(field)
+        if is_scaled(field) and field != "image_rgba":  # people want bytes of colours
+            value = in_units(field, value)
+        self.__dict__[name] = value
+        return value
 
-    def _plain(self, name: str) -> NDArray[Any]:
-        return self._row.stored(f"{self.stem}_{name}")
+    def __dir__(self) -> list[str]:
+        names = (name.partition(f"{self._stem}_") for name in self._row.fields)
+        return [*super().__dir__(), *(name for empty, _, name in names if not empty)]
 
-    @cached_property
-    def points(self) -> Float32:
-        """(..., 3) float32, unit frame."""
-        return self._floats("points")
+
+class _Cloud(_Group):
+    points: Float32
 
     def __len__(self) -> int:
         return len(self.points)
@@ -134,82 +133,44 @@ class _Group:
         return f"{type(self).__name__}(points {_span(self.points)})"
 
 
-class RowSurface(_Group):
+class RowSurface(_Cloud):
     """Surface points: `points` (S, 3) float32, unit frame, uniform by area; their `normals` (S, 3)
     float32, outward, of unit length; the `part` (S,) each belongs to."""
 
-    @cached_property
-    def normals(self) -> Float32:
-        return self._floats("normals")
-
-    @property
-    def part(self) -> Labels:
-        return self._plain("part")
+    normals: Float32
+    part: Labels
 
 
-class RowQueries(_Group):
+class RowQueries(_Cloud):
     """Query points: `points` (U, 3) float32, unit frame; `label` (U,) uint8: 0 free, k + 1 material
     of part k, 255 enclosed; where the recipe asks for it, `distance` (U,) float32 from the surface,
     below 0 inside."""
 
-    @property
-    def label(self) -> Labels:
-        return self._plain("label")
-
-    @property
-    def distance(self) -> Float32:
-        return self._plain("distance")
+    label: Labels
+    distance: Float32
 
 
-class RowPartial(_Group):
+class RowPartial(_Cloud):
     """What C depth cameras see: `points` (C, M, 3) float32, unit frame; the `part` (C, M) of each;
     `T_camera_world` (C, 4, 4) from the unit frame to the camera's; `intrinsics` (C, 4): fx, fy, cx,
     cy in pixels."""
 
-    @property
-    def part(self) -> Labels:
-        return self._plain("part")
-
-    @property
-    def T_camera_world(self) -> Floats:  # noqa: N802 - T_a_b is a name here
-        return self._plain("T_camera_world")
-
-    @property
-    def intrinsics(self) -> Floats:
-        return self._plain("intrinsics")
+    part: Labels
+    T_camera_world: Floats
+    intrinsics: Floats
 
 
-class RowImages:
+class RowImages(_Group):
     """What V cameras see, as far as it is stored: `depth` (V, H, H) float32, 0 where nothing is;
     `part` (V, H, H), k + 1 for part k; `normal` (V, H, H, 3) float32; `rgba` (V, H, H, 4) uint8;
     `T_camera_world` (V, 4, 4) from the unit frame; `intrinsics` (V, 4): fx, fy, cx, cy."""
 
-    def __init__(self, row: "Row") -> None:
-        self._row = row
-
-    @property
-    def depth(self) -> Float32:
-        return self._row.stored("image_depth")
-
-    @property
-    def part(self) -> Labels:
-        return self._row.stored("image_part")
-
-    @cached_property
-    def normal(self) -> Float32:
-        return in_units("image_normal", self._row.stored("image_normal"))
-
-    @property
-    def rgba(self) -> NDArray[np.uint8]:
-        return self._row.stored("image_rgba")
-
-    @property
-    def T_camera_world(self) -> Floats:  # noqa: N802 - T_a_b is a name here
-        return self._row.stored("image_T_camera_world")
-
-    @property
-    def intrinsics(self) -> Floats:
-        return self._row.stored("image_intrinsics")
+    depth: Float32
+    part: Labels
+    normal: Float32
+    rgba: NDArray[np.uint8]
+    T_camera_world: Floats
+    intrinsics: Floats
 
 
 class RowGrids(Mapping[int, NDArray[Any]]):
@@ -218,7 +179,7 @@ class RowGrids(Mapping[int, NDArray[Any]]):
     def __init__(self, row: "Row", stem: str) -> None:
         self._row, self._stem = row, stem
         names = (name for name in row.fields if name.rpartition("_")[0] == stem)
-        self._resolutions = sorted(map(schema.resolution_of, names))
+        self._resolutions = sorted(map(resolution_of, names))
 
     def __getitem__(self, resolution: int) -> NDArray[Any]:
         if resolution not in self._resolutions:
@@ -281,11 +242,11 @@ class Row:
         return self._known[name]
 
     def _why_not(self, name: str) -> str:
-        group = name.partition("_")[0]
-        if schema.field_of(name) is None or group not in _WANTED_BY:
+        field = schema.field_of(name)
+        if field is None or not field.asked_by:
             return f"no field {name!r} is stored; there are: {', '.join(self.fields)}"
-        some = group == "image" and "image_intrinsics" in self.fields
-        key = "images.fields" if some else _WANTED_BY[group]
+        none = field.asked_by == "images.fields" and "image_intrinsics" not in self.fields
+        key = "images.views" if none else field.asked_by
         return f"{name} is not stored; ask for it with {key} in the recipe, and make the data again"
 
     def _learn(self, names: Sequence[str]) -> None:
@@ -353,7 +314,7 @@ class Row:
     def images(self) -> RowImages:
         """What V cameras see, (V, H, H) each: `depth`, `part`, `normal`, `rgba`; where the recipe
         asks for images.views."""
-        return RowImages(self)
+        return RowImages(self, "image")
 
     @property
     def collision_depth(self) -> float:
@@ -434,7 +395,7 @@ class Row:
         split = f", {self.split}" if self.split else ""
         head = f"{type(self).__name__}({self.object_id} {self._which()}{split})"
         clouds = [g for g in (self.surface, self.uniform, self.near) if len(g)]
-        lines = [f"  {group.stem:8} {_span(group.points)}" for group in clouds]
+        lines = [f"  {group._stem:8} {_span(group.points)}" for group in clouds]
         return "\n".join([head, *(f"  {joint!r}" for joint in self.joints), *lines])
 
     def _repr_html_(self) -> str | None:

@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 
 from articugen.core import schema
 from articugen.core.errors import ArticugenError, CorruptShard
+from articugen.core.fields import MAX_TEXT, Field, resolution_of
 from articugen.core.files import UnfitFile, check_regular, sha256_of, sync, written_atomically
-from articugen.core.records import Instance
-from articugen.core.schema import Field
+from articugen.core.schema import Instance
 from articugen.store import chunks
 from articugen.store.bucket import Remote
 from articugen.store.remote import RangeFile
@@ -279,8 +279,8 @@ class Shard:
         row: dict[str, Any] = dict(stored)
         for field in schema.FIELDS:
             if field.is_grid:
-                names = sorted(filter(field.matches, self.fields), key=schema.resolution_of)
-                grids = {schema.resolution_of(name): row.pop(name) for name in names}
+                names = sorted(filter(field.matches, self.fields), key=resolution_of)
+                grids = {resolution_of(name): row.pop(name) for name in names}
                 row[field.stem] = MappingProxyType(grids)
             elif field.dtype == "S" and field.name in row:
                 row[field.name] = self._texts(row[field.name])
@@ -589,9 +589,9 @@ def _field(name: str) -> Field:
 def _stored_texts(texts: str | tuple[str, ...]) -> NDArray[Any]:
     """Text in UTF-8 of a fixed length, which is the same in every shard."""
     text = np.char.encode(np.asarray(texts, np.str_), "utf-8")
-    if text.itemsize > schema.MAX_TEXT:
-        raise ValueError(f"a text of more than {schema.MAX_TEXT} bytes ({text.itemsize})")
-    return text.astype(f"S{schema.MAX_TEXT}")
+    if text.itemsize > MAX_TEXT:
+        raise ValueError(f"a text of more than {MAX_TEXT} bytes ({text.itemsize})")
+    return text.astype(f"S{MAX_TEXT}")
 
 
 def _new_dataset(file: h5py.File, name: str, row: NDArray[Any]) -> h5py.h5d.DatasetID:
@@ -609,7 +609,7 @@ def _new_dataset(file: h5py.File, name: str, row: NDArray[Any]) -> h5py.h5d.Data
         track_times=False,
     )
     described = {
-        "shape": schema.written_shape(field),
+        "shape": field.written_shape,
         "unit": field.unit,
         "frame": field.frame,
         "meaning": field.meaning,
@@ -771,4 +771,4 @@ def _is_dtype(dataset: h5py.h5d.DatasetID, field: Field) -> bool:
         return dataset.dtype == np.dtype(field.dtype)
     stored = dataset.get_type()
     fixed = isinstance(stored, h5py.h5t.TypeStringID) and not stored.is_variable_str()
-    return fixed and 1 <= stored.get_size() <= schema.MAX_TEXT
+    return fixed and 1 <= stored.get_size() <= MAX_TEXT

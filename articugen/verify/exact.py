@@ -10,11 +10,11 @@ from articugen.core.records import (
     ENCLOSED,
     STORED_KINDS,
     Floats,
-    Instance,
     JointKind,
     dequantize,
     is_material,
 )
+from articugen.core.schema import Instance
 from articugen.verify.bounds import (
     FEWEST_FOR_EXTENT,
     FIXED_POINT,
@@ -48,22 +48,18 @@ def _numbers(row: Instance, _: Recipe) -> Iterator[str]:
 
 
 def _counts(row: Instance, recipe: Recipe) -> Iterator[str]:
-    ask = recipe.sampling
-    wanted = {
-        "surface_points": (ask.surface_points,),
-        "uniform_points": (ask.uniform_points,),
-        "near_points": (ask.near_points,),
-        "partial_points": (ask.partial_views, ask.partial_points),
-    }
-    for name, shape in wanted.items():
-        have = getattr(row, name).shape[:-1]
-        if have != shape:
-            yield f"{name} has {have} points where the recipe asks for {shape}"
-    grids = {"occupancy": ask.grids, "coverage": ask.grids if ask.coverage else ()}
-    for name, resolutions in grids.items():
-        have = sorted(getattr(row, name))
-        if have != sorted(resolutions):
-            yield f"{name} has grids {have}, not {sorted(resolutions)}"
+    """Every field that the recipe asks for is there, in its numbers, and no other."""
+    have = {name: np.shape(value) for name, value in row.arrays().items()}
+    fields, shapes = recipe.fields(), recipe.instance_shapes()
+    for name in sorted(have.keys() - shapes.keys()):
+        yield f"{name} is there, which the recipe does not ask for"
+    for name, asked in shapes.items():
+        if name not in have and fields[name].asked_by:  # older shards lack names
+            yield f"{name} is missing, which the recipe asks for"
+        shape = have.get(name, asked)
+        if any(n not in (None, size) for n, size in zip(asked, shape, strict=True)):
+            numbers = ", ".join(map(str, asked)).replace("None", "any")
+            yield f"{name} has shape {shape} where the recipe asks for ({numbers})"
 
 
 def _labels(row: Instance, recipe: Recipe) -> Iterator[str]:

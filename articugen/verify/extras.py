@@ -4,38 +4,15 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from articugen.core import schema
 from articugen.core.geometry import apply
 from articugen.core.near import by_cell, nearest_within
 from articugen.core.recipe import Recipe
-from articugen.core.records import Floats, Instance, dequantize
+from articugen.core.records import Floats, dequantize
+from articugen.core.schema import Instance
 from articugen.verify.bounds import TOLERANCES
 
 _LOOKED_AT = 500
 """Query points whose distance is compared with that to each surface point."""
-
-
-def asked_for(row: Instance, recipe: Recipe) -> Iterator[str]:
-    """What is optional is there where the recipe asks for it, in its numbers, and nowhere else."""
-    have, asked = row.arrays(), recipe.fields()
-    beside = {name for name, field in asked.items() if field.is_grid or field.dtype == "S"}
-    for name, field in asked.items():
-        if field.optional and name not in have and name not in beside:
-            yield f"{name} is missing, which the recipe asks for"
-    for name in have:
-        field = schema.field_of(name)
-        if name not in asked and not (field and field.is_grid):
-            yield f"{name} is there, which the recipe does not ask for"
-    sharp = 0 if row.sharp_points is None else len(row.sharp_points)
-    if sharp != recipe.sampling.sharp_points:
-        yield f"sharp_points has {sharp} points where the recipe asks for " + str(
-            recipe.sampling.sharp_points
-        )
-    size = (recipe.images.views, recipe.images.resolution, recipe.images.resolution)
-    for name in recipe.images.fields if recipe.images.views else ():
-        image = have.get(f"image_{name}")
-        if image is not None and image.shape[:3] != size:
-            yield f"image_{name} has shape {image.shape}, the recipe asks for {size}"
 
 
 def distances(row: Instance, recipe: Recipe) -> Iterator[str]:
@@ -107,7 +84,6 @@ def _seen_by(row: Instance, view: int) -> Floats:
 
 
 CHECKS: dict[str, Callable[[Instance, Recipe], Iterator[str]]] = {
-    "asked for": asked_for,
     "distances": distances,
     "sharp": sharp,
     "images": images,

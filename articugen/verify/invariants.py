@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from articugen.core.recipe import Recipe
-from articugen.core.records import Instance
+from articugen.core.schema import Instance
 from articugen.verify import extras
 from articugen.verify.exact import GEOMETRY_CHECKS, OBJECT_CHECKS, VALUE_CHECKS, InstanceCheck
 from articugen.verify.sampled import SHARE_CHECKS, Samples, Share, flow_shares

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from articugen.core.records import Instance, dequantize
+from articugen.core.records import dequantize
+from articugen.core.schema import Instance
 from articugen.core.seeding import generator
 from articugen.fusion import pixel_width
 from articugen.instance.again import prepared_again

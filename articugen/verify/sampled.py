@@ -13,7 +13,8 @@ from articugen.core.geometry import apply, invert_rigid, voxel_centres
 from articugen.core.jit import kernel
 from articugen.core.near import Sorted, any_within, by_cell, nearest_within
 from articugen.core.recipe import Recipe
-from articugen.core.records import FREE, Floats, Instance, dequantize, is_material
+from articugen.core.records import FREE, Floats, dequantize, is_material
+from articugen.core.schema import Instance
 from articugen.verify.bounds import (
     ANY_SURFACE,
     BOUNDS,

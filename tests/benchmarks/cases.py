@@ -21,14 +21,8 @@ from articugen.core.geometry import (
     voxel_centres,
 )
 from articugen.core.recipe import Recipe, load_recipe
-from articugen.core.records import (
-    ArticulatedObject,
-    Floats,
-    Instance,
-    LabelledMesh,
-    Views,
-    dequantize,
-)
+from articugen.core.records import ArticulatedObject, Floats, LabelledMesh, Views, dequantize
+from articugen.core.schema import Instance
 from articugen.fusion import reachable
 from articugen.instance import articulation, make
 from articugen.instance.make import Prepared

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from articugen import fusion
 from articugen.core.geometry import voxel_centres
 from articugen.core.recipe import Recipe
-from articugen.core.records import Floats, Instance, Views, dequantize, is_material
+from articugen.core.records import Floats, Views, dequantize, is_material
+from articugen.core.schema import Instance
 from articugen.instance import make
 from tests.benchmarks import cases
 from tests.benchmarks.cases import VOXEL, Bools, Model, Scene

@@ -12,7 +12,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from articugen.core.geometry import invert_rigid
-from articugen.core.records import FREE, Floats, Instance, dequantize
+from articugen.core.records import FREE, Floats, dequantize
+from articugen.core.schema import Instance
 from articugen.discovery import assign_material, discover
 from articugen.store.manifest import Manifest
 from articugen.store.shards import open_shard

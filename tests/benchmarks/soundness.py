@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from articugen.core.errors import InvalidSource, NotOfCategory
 from articugen.core.recipe import Recipe, load_recipe
-from articugen.core.records import Instance
+from articugen.core.schema import Instance
 from articugen.instance.make import Prepared, make_instance, prepare
 from articugen.instance.resolving import resolved
 from articugen.sources import registry

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from articugen.core.records import Floats, Instance, dequantize
+from articugen.core.records import Floats, dequantize
+from articugen.core.schema import Instance
 from articugen.instance import make
 from articugen.instance.make import Prepared
 from articugen.pipeline import run as pipeline

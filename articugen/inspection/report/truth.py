@@ -15,7 +15,8 @@ from articugen.core.errors import ArticugenError
 from articugen.core.geometry import fibonacci_sphere
 from articugen.core.portable import product
 from articugen.core.recipe import Recipe
-from articugen.core.records import Instance, Normalization, ResolvedObject, dequantize, is_material
+from articugen.core.records import Normalization, ResolvedObject, dequantize, is_material
+from articugen.core.schema import Instance
 from articugen.inspection.report.facts import ObjectFacts
 from articugen.instance import articulation
 from articugen.instance.resolving import resolved

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from articugen.core.colours import colour_of
 from articugen.core.geometry import invert_rigid
-from articugen.core.records import Instance, JointKind, dequantize
+from articugen.core.records import JointKind, dequantize
+from articugen.core.schema import Instance
 from articugen.inspection.report.facts import ObjectFacts
 from articugen.inspection.report.skin import Skin, skin
 from articugen.pictures.portrait import best_azimuth, oriented_points, swept

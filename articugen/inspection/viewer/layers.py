@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from articugen.core.colours import colour_of
 from articugen.core.geometry import apply, invert_rigid
-from articugen.core.records import ENCLOSED, FREE, Floats, Instance, JointKind, Mesh, dequantize
+from articugen.core.records import ENCLOSED, FREE, Floats, JointKind, Mesh, dequantize
+from articugen.core.schema import Instance
 from articugen.pictures.portrait import oriented_points
 
 Bytes = NDArray[np.uint8]

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from articugen.core.errors import InvalidSource, MissingExtra
-from articugen.core.records import Floats, Instance, JointKind, Mesh, dequantize
+from articugen.core.records import Floats, JointKind, Mesh, dequantize
+from articugen.core.schema import Instance
 from articugen.inspection.viewer.layers import Drawn, Solid, axes, rgb
 
 RESOLUTION = 64

@@ -15,7 +15,8 @@ import numpy as np
 
 from articugen.core.errors import ArticugenError
 from articugen.core.geometry import box_corners
-from articugen.core.records import Floats, Instance
+from articugen.core.records import Floats
+from articugen.core.schema import Instance
 from articugen.inspection.report.markup import Markup, join
 from articugen.inspection.viewer import layers, words
 from articugen.inspection.viewer.layers import Drawn

@@ -8,7 +8,8 @@ import numpy as np
 
 from articugen.core.errors import InvalidArgument, MissingExtra
 from articugen.core.geometry import apply, invert_rigid
-from articugen.core.records import Floats, Instance, JointKind, Mesh
+from articugen.core.records import Floats, JointKind, Mesh
+from articugen.core.schema import Instance
 from articugen.instance import again
 from articugen.instance.maker import Maker
 from articugen.meshes.marching_cubes import zero_level

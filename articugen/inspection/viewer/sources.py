@@ -9,7 +9,8 @@ import numpy as np
 
 from articugen.core.errors import ArticugenError, InvalidSource, NotOfCategory
 from articugen.core.recipe import Recipe
-from articugen.core.records import Instance, JointKind
+from articugen.core.records import JointKind
+from articugen.core.schema import Instance
 from articugen.inspection.viewer.shown import Joint, Shown
 from articugen.instance import again
 from articugen.instance.maker import Maker, Model, load, models

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from articugen.core.errors import printable
-from articugen.core.records import Instance
+from articugen.core.schema import Instance
 from articugen.inspection.report.markup import Markup, el, join
 from articugen.inspection.viewer.shown import Joint, Seen, Shown
 from articugen.pictures.portrait import colour_of

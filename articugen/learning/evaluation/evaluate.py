@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.errors import UnfitData
-from articugen.core.records import Floats, Instance, JointKind, dequantize, is_material
+from articugen.core.records import Floats, JointKind, dequantize, is_material
+from articugen.core.schema import Instance
 from articugen.core.seeding import generator
 from articugen.learning.evaluation import metrics
 from articugen.learning.evaluation.matched import Matching, joint_errors, matching, pose_errors

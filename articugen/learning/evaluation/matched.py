@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from articugen.core.geometry import apply
-from articugen.core.records import Floats, Instance, JointKind, dequantize
+from articugen.core.records import Floats, JointKind, dequantize
+from articugen.core.schema import Instance
 from articugen.learning.evaluation import metrics
 from articugen.learning.evaluation.metrics import DIAGONAL, NO_LABEL, Ints
 from articugen.learning.evaluation.reconstruction import Reconstruction

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.geometry import invert_rigid, rotation_about, transform
-from articugen.core.records import Floats, Instance, JointKind, dequantize
+from articugen.core.records import Floats, JointKind, dequantize
+from articugen.core.schema import Instance
 
 
 @dataclass(frozen=True, eq=False)

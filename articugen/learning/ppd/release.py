@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from articugen.core.records import Floats, Instance
+from articugen.core.records import Floats
+from articugen.core.schema import Instance
 from articugen.core.seeding import generator
 from articugen.learning.evaluation import metrics
 from articugen.learning.evaluation.evaluate import (

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from articugen.core.colours import COLOURS
-from articugen.core.records import Floats, Instance, JointKind, dequantize
+from articugen.core.records import Floats, JointKind, dequantize
+from articugen.core.schema import Instance
 from articugen.learning.evaluation.evaluate import objects_of, tested
 from articugen.learning.evaluation.figures import plots
 from articugen.learning.evaluation.figures.shapes import (

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from articugen.core.colours import colour_of
-from articugen.core.records import Floats, Instance, JointKind, dequantize
+from articugen.core.records import Floats, JointKind, dequantize
+from articugen.core.schema import Instance
 from articugen.learning.evaluation.figures.colours import part_colours, shaded
 from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.pictures.layout import Caption, Row, sheet
