@@ -84,6 +84,7 @@ FOREIGN: dict[str, set[str]] = {
         "core.tables",
         "inspection.summary",
     },
+    "safetensors": {"learning.commands", "learning.tensors"},
     "submitit": {"pipeline.executors.slurm"},
     "tensorboard": {"learning.tensorboard"},
     "trimesh": {"export.inertia", "meshes.mesh_file", "meshes.points", "meshes.scenes"},

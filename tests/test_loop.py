@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from digests import digest
 from ppd_data import write_boxes
 
 from articugen.core.errors import InvalidCheckpoint, InvalidRecipe, TrainingDiverged
@@ -38,7 +39,6 @@ from articugen.learning.run_folder import (
     RunFolder,
     read_checkpoint,
 )
-from articugen.learning.tensors import digest
 
 torch.set_num_threads(1)
 
@@ -235,7 +235,7 @@ def test_another_recipe_or_seed_cannot_resume(boxes, tmp_path):
     for options in ({"recipe": other}, {"seed": 3}):
         with pytest.raises(InvalidCheckpoint, match="another recipe"):
             start(boxes, tmp_path, resume=run.path, **options)
-    with pytest.raises(InvalidCheckpoint, match=r"has no latest\.pt"):
+    with pytest.raises(InvalidCheckpoint, match=r"has no latest\.safetensors"):
         start(boxes, tmp_path, resume=tmp_path / "nothing")
 
 

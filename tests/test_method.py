@@ -4,6 +4,7 @@ through the same functions and commands as PPD."""
 import json
 
 import pytest
+from digests import digest
 from ppd_data import write_boxes
 from typer.testing import CliRunner
 
@@ -17,7 +18,6 @@ torch = pytest.importorskip("torch", reason="learning needs torch")
 from articugen.learning import commands
 from articugen.learning.evaluation.results import read_evaluation
 from articugen.learning.run_folder import BEST, LATEST, read_checkpoint
-from articugen.learning.tensors import digest
 
 torch.set_num_threads(1)
 

@@ -4,6 +4,7 @@ import dataclasses
 import shutil
 
 import pytest
+from digests import digest
 from ppd_data import write_boxes
 
 from articugen.core.errors import InvalidCheckpoint, InvalidRecipe, UnfitData
@@ -23,7 +24,6 @@ from articugen.learning.data.split import load_split, unpacked
 from articugen.learning.loop import train
 from articugen.learning.ppd.depth import latents
 from articugen.learning.run_folder import LATEST, RunFolder, read_checkpoint
-from articugen.learning.tensors import digest
 
 torch.set_num_threads(1)
 

@@ -327,7 +327,7 @@ def test_what_was_found_is_kept_and_read_again(boxes, tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         discovered(split, tmp_path, WAYS, kill)
     (folder,) = tmp_path.glob(".joints-*")
-    kept, missing = (folder / f"{i}-{'-'.join(map(str, KINDS))}.pt" for i in range(2))
+    kept, missing = (folder / f"{i}-{'-'.join(map(str, KINDS))}.safetensors" for i in range(2))
     before = kept.stat().st_mtime_ns
     missing.write_bytes(b"lost with the power")
     times, said = [], []
@@ -352,7 +352,7 @@ def test_what_was_found_is_kept_and_read_again(boxes, tmp_path, monkeypatch):
             for a, b in zip(one.joints, other.joints, strict=True):
                 np.testing.assert_array_equal(a.states, b.states)
                 assert a.kind == b.kind
-    (path,) = tmp_path.glob("joints-*.pt")
+    (path,) = tmp_path.glob("joints-*.safetensors")
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(InvalidCheckpoint, match="joints-"):
         discovered(split, tmp_path, WAYS)

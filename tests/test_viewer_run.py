@@ -111,10 +111,10 @@ def test_other_data_than_the_run_s_are_refused(folder: Path, tmp_path: Path) -> 
         what_to_show(path, data=tmp_path / "nowhere")
     again = tmp_path / "runs"
     shutil.copytree(folder / "runs" / "box", again)
-    (again / "000" / "latest.pt").write_bytes(b"cut")
+    (again / "000" / "latest.safetensors").write_bytes(b"cut")
     done = run("view", again)
     assert done.exit_code == 1
-    assert "latest.pt" in done.stderr
+    assert "latest.safetensors" in done.stderr
 
 
 @pytest.fixture

@@ -10,9 +10,11 @@ from typing import Any
 from articugen.core.errors import ArticugenError, InvalidCheckpoint, MissingExtra
 
 try:
+    import safetensors  # noqa: F401 - what checkpoints are written with
     import torch
-except ImportError:
-    raise MissingExtra("torch", "ppd") from None
+except ImportError as error:
+    name = "safetensors" if error.name == "safetensors" else "torch"
+    raise MissingExtra(name, "ppd") from None
 
 from articugen.core.files import write_atomically
 from articugen.core.records import JointKind, dequantize

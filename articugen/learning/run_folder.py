@@ -1,7 +1,7 @@
 """Run folders: the recipe, what it ran on, metrics as JSON lines, checkpoints without pickled code.
 
-<runs>/<category>/<number>/recipe.yaml, run.json, metrics.jsonl, latest.pt, best.pt; what
-TensorBoard reads.
+<runs>/<category>/<number>/recipe.yaml, run.json, metrics.jsonl,
+latest.safetensors, best.safetensors; what TensorBoard reads.
 
 Everything is believed only if it is as it was written: a file that is not gives one sentence.
 
@@ -39,8 +39,8 @@ from articugen.learning.recipe import TrainRecipe
 from articugen.learning.tensors import CURE, check_like, read_tensors, write_tensors
 from articugen.store.manifest import this_commit, this_machine
 
-FORMAT = "articugen checkpoint 3"
-LATEST, BEST, METRICS = "latest.pt", "best.pt", "metrics.jsonl"
+FORMAT = "articugen checkpoint 4"
+LATEST, BEST, METRICS = "latest.safetensors", "best.safetensors", "metrics.jsonl"
 MOST_BYTES = 1 << 28
 """That a recipe, run.json or metrics may have."""
 

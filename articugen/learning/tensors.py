@@ -1,19 +1,18 @@
-"""Tensors and plain data in files that are sealed: no pickled code, no flipped bit, no NaN.
+"""Tensors and plain data in safetensors files that are sealed: no code, no flipped bit, no NaN.
 
-A file is what torch.save writes, a zip archive, with the SHA-256 of all that comes before it as the
-archive's comment: torch.load(path, weights_only=True) reads it as it is.
+Any reader of safetensors opens a file: tensors have the path of their keys for a name, and the
+metadata's one entry is the SHA-256 of the file (in which that digest is zeros) and, as JSON, all
+that is no tensor.
 """
 
 import hashlib
-import io
-import pickletools
-import struct
-import zipfile
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import safetensors.torch as safetensors
 import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
@@ -26,65 +25,93 @@ MOST_BYTES = 1 << 31
 
 CURE = "restore it from a copy, or train again"
 
-_LONGEST_NAME = 200  # of what a pickle asks for
+_ENTRY = "articugen"
+_LABEL = f'{{"__metadata__":{{"{_ENTRY}":"'.encode()
+_AT = slice(8 + len(_LABEL), 8 + len(_LABEL) + 64)
+"""Where the digest stands: a file begins with its header's length in 8 bytes, and the metadata."""
 
-_END_RECORD, _END_BYTES = b"PK\x05\x06", 22
-_LABEL = b"sha256:"
-_SEAL_BYTES = len(_LABEL) + 64
+_UNSEALED = b"0" * 64
 
 
 def write_tensors(path: Path, data: dict[str, Any], form: str) -> None:
-    """Write tensors and plain data in one step, sealed.
+    """Write nested dicts of tensors and plain data in one step, sealed.
 
     Raises:
         MachineFault: the disk is full, or the like.
     """
-    buffer = io.BytesIO()
-    torch.save({"format": form, **data}, buffer)
-    write_atomically(path, sealed(buffer.getvalue()))
+    write_atomically(path, sealed(image_of({"format": form, **data})))
 
 
-def sealed(archive: bytes) -> bytes:
-    """A zip archive without a comment, given its digest as one."""
-    end = archive[-_END_BYTES:]  # its last two bytes are the comment's length
-    if not (end.startswith(_END_RECORD) and end.endswith(b"\0\0")):
-        raise ValueError("not a zip archive without a comment")
-    body = archive[:-2] + struct.pack("<H", _SEAL_BYTES)
-    return body + _LABEL + hashlib.sha256(body).hexdigest().encode()
+def image_of(data: dict[str, Any]) -> bytes:
+    """Pack nested dicts into a file that is not sealed yet; their keys are texts without a `/`."""
+    tensors: dict[str, Tensor] = {}
+    rest = json.dumps(_without_tensors(data, "", tensors))
+    return safetensors.save(tensors, {_ENTRY: _UNSEALED.decode() + rest})
+
+
+def _without_tensors(
+    data: dict[str, Any], above: str, tensors: dict[str, Tensor]
+) -> dict[str, Any]:
+    """Give what is no tensor; the tensors go into `tensors`, by the path of their keys."""
+    rest: dict[str, Any] = {}
+    for key, value in data.items():
+        if isinstance(value, Tensor):
+            tensors[f"{above}{key}"] = value.cpu().clone(memory_format=torch.contiguous_format)
+        elif isinstance(value, dict):
+            rest[key] = _without_tensors(value, f"{above}{key}/", tensors)
+        else:
+            rest[key] = value
+    return rest
+
+
+def sealed(image: bytes) -> bytes:
+    """Give the image of a file its digest."""
+    if image[8 : _AT.start] != _LABEL or len(image) < _AT.stop:
+        raise ValueError("not a file of ours")
+    digest = hashlib.sha256(image[: _AT.start] + _UNSEALED + image[_AT.stop :]).hexdigest()
+    return image[: _AT.start] + digest.encode() + image[_AT.stop :]
 
 
 def read_tensors(path: Path, wanted: str) -> dict[str, Any]:
-    """What was written to `path` in the format `wanted`, all of it finite but plain infinities.
+    """Read what was written to `path` in the format `wanted`: finite but for plain infinities.
 
     Raises:
         InvalidCheckpoint: there is none, it is damaged, or not one of ours.
     """
     image = _unsealed(path)
     try:
-        _check_names(image)
-        data = torch.load(io.BytesIO(image), map_location="cpu", weights_only=True)
+        header = json.loads(image[8 : 8 + int.from_bytes(image[:8], "little")])
+        rest = header["__metadata__"][_ENTRY][len(_UNSEALED) :]
+        data = json.loads(rest, parse_constant=_infinity)
+        tensors = safetensors.load(image)
+        finite = all(bool(tensor.isfinite().all()) for tensor in tensors.values())
+        for name, tensor in tensors.items():
+            _put(data, name.split("/"), tensor)
     except MemoryError:
         raise
-    except Exception:  # torch's reader raises whatever it stumbles over
+    except Exception:  # the library raises whatever it stumbles over
         raise InvalidCheckpoint(f"{path}: not a checkpoint, or damaged; {CURE}") from None
     if not isinstance(data, dict) or data.pop("format", None) != wanted:
         raise InvalidCheckpoint(f"{path}: not a checkpoint of this version; {CURE}")
-    for value in _values(data):
-        if not _is_sound(value):
-            raise InvalidCheckpoint(f"{path}: holds numbers that are not finite; {CURE}")
+    if not finite:
+        raise InvalidCheckpoint(f"{path}: holds numbers that are not finite; {CURE}")
     return data
 
 
-def _check_names(image: bytes) -> None:
-    """Refuse a pickle that asks for something of a long name: torch would look for words in what
-    it says of it, for minutes where the name has 100 kB."""
-    with zipfile.ZipFile(io.BytesIO(image)) as archive:
-        (name,) = (n for n in archive.namelist() if n.endswith("/data.pkl"))
-        if archive.getinfo(name).file_size > len(image):
-            raise ValueError("unpacks to more than the file has")
-        for operation, argument, _ in pickletools.genops(archive.read(name)):
-            if operation.name == "GLOBAL" and len(str(argument)) > _LONGEST_NAME:
-                raise ValueError("a long name")
+def _infinity(text: str) -> float:
+    if text == "NaN":
+        raise ValueError(text)
+    return float(text)
+
+
+def _put(data: dict[str, Any], keys: list[str], tensor: Tensor) -> None:
+    """Put a tensor where it was among nested dicts, and nothing was left in its place."""
+    *above, last = keys
+    for key in above:
+        data = data[key]
+    if last in data:
+        raise KeyError(last)
+    data[last] = tensor
 
 
 def _unsealed(path: Path) -> bytes:
@@ -93,38 +120,18 @@ def _unsealed(path: Path) -> bytes:
     except UnfitFile as error:
         raise InvalidCheckpoint(f"{path}: {error.strerror}; {CURE}") from None
     except OSError as error:
+        if path.with_suffix(".pt").is_file():
+            raise InvalidCheckpoint(
+                f"{path}: is not there, only a .pt of an earlier version; train again"
+            ) from None
         raise InvalidCheckpoint(f"{path}: cannot be read ({error.strerror}); {CURE}") from None
-    body, seal = memoryview(image)[:-_SEAL_BYTES], image[-_SEAL_BYTES:]
-    if not seal.startswith(_LABEL):
-        raise InvalidCheckpoint(
-            f"{path}: not a checkpoint with a digest: damaged, or of an earlier version; {CURE}"
-        )
-    if seal != _LABEL + hashlib.sha256(body).hexdigest().encode():
+    try:
+        is_whole = sealed(image) == image
+    except ValueError:
+        raise InvalidCheckpoint(f"{path}: not a checkpoint of ours, or damaged; {CURE}") from None
+    if not is_whole:
         raise InvalidCheckpoint(f"{path}: damaged, not the bytes that were written; {CURE}")
     return image
-
-
-def _values(data: Any) -> Iterator[Any]:
-    """Every tensor and plain value, however deep; what holds itself is looked into once."""
-    waiting, seen = [data], set[int]()
-    while waiting:
-        value = waiting.pop()
-        if isinstance(value, dict | list | tuple | set):
-            if id(value) not in seen:
-                seen.add(id(value))
-                waiting += [*value, *value.values()] if isinstance(value, dict) else value
-        else:
-            yield value
-
-
-def _is_sound(value: Any) -> bool:
-    if not isinstance(value, Tensor):
-        return value == value or not isinstance(value, float)  # noqa: PLR0124 - NaN alone differs
-    if value.layout != torch.strided or value.is_quantized or value.device.type != "cpu":
-        return False
-    if value.numel() * value.element_size() > value.untyped_storage().nbytes():
-        return False  # a view of a few numbers that pretends to be many
-    return bool(value.isfinite().all())
 
 
 def check_like(found: Any, wanted: Any, path: Path, name: str = "") -> None:
@@ -143,27 +150,6 @@ def check_like(found: Any, wanted: Any, path: Path, name: str = "") -> None:
     if isinstance(wanted, dict):
         for key, value in wanted.items():
             check_like(found[key], value, path, f"{name}.{key}" if name else key)
-
-
-def digest(state: dict[str, Any]) -> str:
-    """The SHA-256 of all in nested dicts."""
-    hashed = hashlib.sha256()
-
-    def tell(name: str, value: Any) -> None:
-        if isinstance(value, dict):
-            for key in sorted(value):
-                tell(f"{name}.{key}", value[key])
-        else:
-            hashed.update(f"{name}\0".encode())
-            if isinstance(value, Tensor):
-                hashed.update(
-                    value.cpu().contiguous().reshape(-1).view(torch.uint8).numpy().tobytes()
-                )
-            else:
-                hashed.update(repr(value).encode())
-
-    tell("", state)
-    return hashed.hexdigest()
 
 
 @contextmanager

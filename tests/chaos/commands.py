@@ -114,7 +114,7 @@ def trained(runs: Path) -> Result:
     """The weights, and the curve without its seconds, of the newest run."""
     from articugen.learning.commands import newest  # noqa: PLC0415 - imports torch
     from articugen.learning.run_folder import LATEST, RunFolder, read_checkpoint  # noqa: PLC0415
-    from articugen.learning.tensors import digest  # noqa: PLC0415
+    from tests.digests import digest  # noqa: PLC0415
 
     run = RunFolder(newest(runs))
     point = read_checkpoint(run.path / LATEST)

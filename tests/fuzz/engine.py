@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _HEAD = struct.Struct("<QI")
 _INSTRUMENTED = (
     *("articugen", "collada", "trimesh.exchange", "yourdfpy", "yaml", "numpy.lib"),
-    *("torch._weights_only_unpickler", "tarfile", "zipfile", "json"),
+    *("tarfile", "zipfile", "json"),
 )
 _NOT_INSTRUMENTED = ["articugen.core.jit", "articugen.meshes.obj_kernel", "articugen.core.portable"]
 """numba compiles these, and knows nothing of what atheris puts in."""

@@ -3,11 +3,9 @@
 import functools
 import gzip
 import hashlib
-import io
 import json
 import struct
 import tempfile
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -40,29 +38,13 @@ def glb(data: bytes) -> bytes:
 
 
 def checkpoint(data: bytes) -> bytes:
-    """An archive, with the digest that our files end with."""
+    """The digest that is in our files of tensors."""
     from articugen.learning.tensors import sealed
 
     try:
         return sealed(data)
     except ValueError:
         return data
-
-
-def pickle(data: bytes) -> bytes:
-    """A checkpoint whose archive is sound, but for what says what is in it."""
-    buffer = io.BytesIO()
-    (image,) = _archive()
-    with zipfile.ZipFile(io.BytesIO(image)) as old, zipfile.ZipFile(buffer, "w") as new:
-        for name in old.namelist():
-            content = data if name.endswith("data.pkl") else old.read(name)
-            new.writestr(zipfile.ZipInfo(name), content)
-    return checkpoint(buffer.getvalue())
-
-
-@functools.cache
-def _archive() -> tuple[bytes, ...]:
-    return tuple(making.checkpoints())
 
 
 def gzipped(data: bytes) -> bytes:

@@ -403,11 +403,8 @@ TARGETS = {
             made=making.journals, tokens=_IN_JSON,
         ),
         _of_a_run(
-            "checkpoint", "latest.pt", _read_checkpoint, made=making.checkpoints,
-            mended=mending.checkpoint,
-        ),
-        _of_a_run(
-            "pickle", "latest.pt", _read_checkpoint, made=making.pickles, mended=mending.pickle,
+            "checkpoint", "latest.safetensors", _read_checkpoint, made=making.checkpoints,
+            mended=mending.checkpoint, tokens=_IN_JSON,
         ),
         _of_a_run("run", "run.json", _read_run_json, made=making.runs, tokens=_IN_JSON),
         _of_a_run("metrics", "metrics.jsonl", _read_metrics, made=making.metrics, tokens=_IN_JSON),

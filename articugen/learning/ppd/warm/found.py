@@ -24,7 +24,7 @@ from articugen.discovery import KINDS, Directions, Discovery, FoundJoint, discov
 from articugen.learning.data.split import PackedSplit, unpacked
 from articugen.learning.tensors import read_tensors, write_tensors
 
-FORMAT = "articugen joints 4"
+FORMAT = "articugen joints 5"
 """Of the files that keep what was found; to be raised when something else would be found."""
 
 MOST_POSES = 128
@@ -66,10 +66,10 @@ def discovered(
     names = list(dict.fromkeys(training.object_id.tolist()))
     rows = [training.poses_of(name)[:MOST_POSES] for name in names]
     clouds = [_Clouds.of(training, mine) for mine in rows]
-    path = beside / f"joints-{_digest(clouds, directions)}.pt"
+    path = beside / f"joints-{_digest(clouds, directions)}.safetensors"
     if path.is_file():
         kept = read_tensors(path, FORMAT)["objects"]
-        return [_read(each, cloud) for each, cloud in zip(kept, clouds, strict=True)], rows
+        return [_read(kept[str(i)], cloud) for i, cloud in enumerate(clouds)], rows
     looked = beside / f".{path.stem}"
     make_folder(looked)
     found = _looked_for(clouds, directions, looked, tell)
@@ -78,7 +78,7 @@ def discovered(
             f"{beside}: the poses of no training object tell what moves in it; make the data set "
             "with more states, or set warm_start.share=0"
         )
-    write_tensors(path, {"objects": [_plain(each) for each in found]}, FORMAT)
+    write_tensors(path, {"objects": {str(i): _plain(x) for i, x in enumerate(found)}}, FORMAT)
     shutil.rmtree(looked, ignore_errors=True)
     return found, rows
 
@@ -124,7 +124,7 @@ def _looked_for(
     have: a drawer that is shallow may as well turn a little."""
 
     def asked(i: int, kinds: tuple[JointKind, ...]) -> _Asked:
-        path = folder / f"{i}-{'-'.join(map(str, kinds))}.pt"
+        path = folder / f"{i}-{'-'.join(map(str, kinds))}.safetensors"
         return _Asked(clouds[i], kinds, directions, path)
 
     found: Found = []
@@ -180,16 +180,16 @@ def _plain(found: Discovery | None) -> dict[str, Any]:
     """As `write_tensors` wants it."""
     if found is None:
         return {}
-    joints = [
-        {
+    joints = {
+        str(i): {
             "kind": int(joint.kind),
             "axis": torch.from_numpy(joint.axis),
             "pivot": torch.from_numpy(joint.pivot),
             "states": torch.from_numpy(joint.states),
             "score": float(joint.score),
         }
-        for joint in found.joints
-    ]
+        for i, joint in enumerate(found.joints)
+    }
     return {"part": torch.from_numpy(found.part.astype(np.uint8)), "joints": joints}
 
 
@@ -204,6 +204,6 @@ def _read(kept: dict[str, Any], poses: _Clouds) -> Discovery | None:
             states=joint["states"].numpy(),
             score=joint["score"],
         )
-        for joint in kept["joints"]
+        for joint in kept["joints"].values()
     )
     return Discovery(joints, poses.unpacked()[0], kept["part"].numpy().astype(np.int64))
