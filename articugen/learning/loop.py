@@ -173,7 +173,7 @@ def train(
         runs: where a new, numbered run folder is made.
         seed: of the weights, the batches and everything drawn.
         resume: the folder of a run to go on with instead.
-        stop_after: stop after so many iterations, as an interruption would.
+        stop_after: stop at this iteration, as an interruption would.
         name: of the new run's folder, instead of a number.
         on_progress: called after each iteration.
 
