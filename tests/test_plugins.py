@@ -204,7 +204,7 @@ def test_of_two_packages_with_one_name_the_first_counts(
 def test_a_reader_that_raises_as_it_looks_is_one_sentence(install: Install, tmp_path: Path) -> None:
     install("clumsy", "clumsy", "load = find = detect = lambda path: 1 / 0", clumsy="clumsy")
     (tmp_path / "a.txt").write_text("")
-    with pytest.raises(InvalidSource, match=r"a\.txt: the reader 'clumsy' cannot examine .*ZeroDiv"):
+    with pytest.raises(InvalidSource, match=r"a\.txt: the reader 'clumsy' cannot .*ZeroDiv"):
         readers.detect(tmp_path / "a.txt")
     with pytest.raises(InvalidSource, match="the reader 'clumsy' cannot examine it"):
         readers.find("clumsy", tmp_path)

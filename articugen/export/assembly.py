@@ -57,7 +57,7 @@ def bodies(item: Item, target: Target) -> tuple[Body, ...]:
     row = canonical(item.rows)
     joints = metric_joints(row)
     at = [np.zeros(3), *(joint.pivot for joint in joints)]
-    made = []
+    built = []
     for part, unit_mesh in enumerate(target.meshes.of(item.rows)):
         placed = in_metres(unit_mesh, row)
         mesh = Mesh(placed.vertices - at[part], placed.faces)
@@ -65,8 +65,8 @@ def bodies(item: Item, target: Target) -> tuple[Body, ...]:
         hulls = convex_parts(mesh) if target.options.collision else ()
         origin = at[part] - at[joint.parent] if joint else at[0]
         name, solid = part_names(row)[part], inertia(mesh, DENSITY)
-        made.append(Body(name, origin, mesh, hulls, solid, joint))
-    return tuple(made)
+        built.append(Body(name, origin, mesh, hulls, solid, joint))
+    return tuple(built)
 
 
 def damping(parts: Sequence[Body], part: int) -> float:
@@ -110,7 +110,7 @@ def convex_parts(mesh: Mesh) -> tuple[Mesh, ...]:
     size = float(np.ptp(mesh.vertices, axis=0).max())
     rough = simpler(mesh, _ROUGH * size)
     coacd.set_log_level("error")
-    found = coacd.run_coacd(
+    pieces = coacd.run_coacd(
         coacd.Mesh(rough.vertices, rough.faces),
         threshold=_CONCAVITY,
         preprocess_mode="off",  # which would swell it, and it is watertight already
@@ -119,7 +119,7 @@ def convex_parts(mesh: Mesh) -> tuple[Mesh, ...]:
         mcts_max_depth=2,
         seed=0,
     )
-    return tuple(Mesh(vertices, faces) for vertices, faces in found)
+    return tuple(Mesh(vertices, faces) for vertices, faces in pieces)
 
 
 def numbers(values: Sequence[float] | Floats) -> str:

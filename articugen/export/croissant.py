@@ -18,16 +18,16 @@ def write(data: DataSet, to: str, target: Target) -> None:
         distribution = [*croissant.objects(files), *croissant.file_sets(columns)]
         records = [_records(data)]
     name, about = f"{data.category}-{to}", _description(data, to)
-    told = croissant.document(name, about, data.manifest, distribution, records)
-    target.write(croissant.NAME, told)
+    record = croissant.document(name, about, data.manifest, distribution, records)
+    target.write(croissant.NAME, record)
 
 
 def _description(data: DataSet, to: str) -> str:
     splits = ", ".join(f"{count} {name}" for name, count in data.splits.items())
-    made = f" (content {data.manifest.content_sha256})" if data.manifest else ""
+    content = f" (content {data.manifest.content_sha256})" if data.manifest else ""
     return (
         f"{len(data)} instances ({splits}) of {len(data.objects)} objects of the category "
-        f"{data.category}, each an object at one joint state{made}: {format_named(to).what}."
+        f"{data.category}, each an object at one joint state{content}: {format_named(to).what}."
     )
 
 

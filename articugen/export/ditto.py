@@ -42,7 +42,7 @@ def _write(item: Item, target: Target) -> None:
 def _scene(start: Row, end: Row) -> dict[str, NDArray]:
     (joint,) = start.joints
     axis = np.asarray(joint.axis)
-    told: dict[str, NDArray] = {
+    fields: dict[str, NDArray] = {
         "screw_axis": axis,
         "screw_moment": np.cross(joint.pivot, axis),
         "joint_type": np.array(0 if joint.kind == "revolute" else 1),
@@ -54,7 +54,7 @@ def _scene(start: Row, end: Row) -> dict[str, NDArray]:
         cloud = here.partial.points.reshape(-1, 3)
         part = here.partial.part.reshape(-1)
         label = np.concatenate([here.uniform.label, here.near.label])
-        told |= {
+        fields |= {
             f"pc_{word}": cloud,
             f"pc_{word}_{other}": _carried(cloud, part, here, there),
             f"pc_seg_{word}": part == joint.part,
@@ -62,7 +62,7 @@ def _scene(start: Row, end: Row) -> dict[str, NDArray]:
             f"{word}_occ_list": np.stack([label == k + 1 for k in range(len(here.parts))]),
             f"{word}_occ_density": np.ones((len(label), 1)),
         }
-    return told
+    return fields
 
 
 def _carried(

@@ -50,13 +50,13 @@ def format_named(name: str) -> Format:
     return import_module(f"articugen.export.{name}").FORMAT
 
 
-def options_for(name: str, **given: object) -> Options:
+def options_for(name: str, **options: object) -> Options:
     """Return the options that a format takes; those that are None are not given.
 
     Raises:
         InvalidArgument: one that it does not take.
     """
-    chosen = {key: value for key, value in given.items() if value is not None}
+    chosen = {key: value for key, value in options.items() if value is not None}
     for key in chosen:
         if key not in (takes := format_named(name).takes):
             there = f"it takes {', '.join(takes)}" if takes else "it takes no option"

@@ -20,5 +20,5 @@ def inertia(mesh: Mesh, density: float) -> Inertia:
     """Compute mass and inertia of a watertight mesh in metres, filled with `density` kg/m^3."""
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     solid.density = density
-    own = solid.mass_properties
-    return Inertia(float(own.mass), own.center_mass, own.inertia)
+    moments = solid.mass_properties
+    return Inertia(float(moments.mass), moments.center_mass, moments.inertia)

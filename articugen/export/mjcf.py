@@ -39,8 +39,8 @@ def _write(item: Item, target: Target) -> None:
         placed[part] = ET.SubElement(above, "body", name=names[part], pos=numbers(body.origin))
         if body.joint is not None:
             _add_joint(placed[part], body.joint, damping(parts, part))
-        seen = _asset(item, target, assets, f"part_{part}", body.mesh, inertia="exact")
-        ET.SubElement(placed[part], "geom", {**_SEEN, "mesh": seen, "density": f"{DENSITY:g}"})
+        visual = _asset(item, target, assets, f"part_{part}", body.mesh, inertia="exact")
+        ET.SubElement(placed[part], "geom", {**_SEEN, "mesh": visual, "density": f"{DENSITY:g}"})
         for k, hull in enumerate(body.hulls):
             felt = _asset(item, target, assets, f"part_{part}_convex_{k}", hull)
             ET.SubElement(placed[part], "geom", {**_FELT, "mesh": felt})

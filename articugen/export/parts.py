@@ -36,8 +36,10 @@ class PartMeshes:
         """
         row = rows[0]
         if self._last[0] != row.object_id:
-            made = self._from_grid(canonical(rows)) if self._options.from_grids else self._made(row)
-            self._last = (row.object_id, made)
+            meshes = (
+                self._from_grid(canonical(rows)) if self._options.from_grids else self._made(row)
+            )
+            self._last = (row.object_id, meshes)
         return self._last[1]
 
     def _made(self, row: Row) -> tuple[Mesh, ...]:
@@ -55,8 +57,8 @@ class PartMeshes:
                 f"{error}; or take the parts from the stored grids, with --from-grids"
             ) from error
         try:
-            made = again.part_meshes(prepared, self._options.resolution)
-            return tuple(simpler(mesh, _WITHIN) for mesh in made)
+            meshes = again.part_meshes(prepared, self._options.resolution)
+            return tuple(simpler(mesh, _WITHIN) for mesh in meshes)
         except RejectedInstance as error:
             raise LeftOut(f"{row.object_id}: {error}") from error
 

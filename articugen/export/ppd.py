@@ -59,17 +59,17 @@ def _check(row: Row) -> None:
 
 
 def _motion(row: Row) -> dict[str, NDArray]:
-    told: dict[str, NDArray] = {}
+    fields: dict[str, NDArray] = {}
     for kind, word in _PRIMITIVES.items():
         joints = [joint for joint in row.joints if joint.kind == kind]
-        told[f"{word}_primitives_num"] = np.array(len(joints))
+        fields[f"{word}_primitives_num"] = np.array(len(joints))
         for i, joint in enumerate(joints):
-            told[f"{word}_anchor_point_{i}"] = np.asarray(joint.pivot)
-            told[f"{word}_direction_{i}"] = np.asarray(joint.axis)
-            told[f"{word}_amount_{i}"] = np.array([joint.state_unit])
-            told[f"{word}_amount_min_{i}"] = np.array([joint.lower_unit])
-            told[f"{word}_amount_max_{i}"] = np.array([joint.upper_unit])
-    return told
+            fields[f"{word}_anchor_point_{i}"] = np.asarray(joint.pivot)
+            fields[f"{word}_direction_{i}"] = np.asarray(joint.axis)
+            fields[f"{word}_amount_{i}"] = np.array([joint.state_unit])
+            fields[f"{word}_amount_min_{i}"] = np.array([joint.lower_unit])
+            fields[f"{word}_amount_max_{i}"] = np.array([joint.upper_unit])
+    return fields
 
 
 def _pose(row: Row) -> str:

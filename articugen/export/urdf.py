@@ -37,10 +37,10 @@ def _add_mesh(link: ET.Element, kind: str, file: str) -> None:
 
 
 def _add_inertial(link: ET.Element, body: Body) -> None:
-    own = body.inertia
+    inertia = body.inertia
     inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=numbers(own.center), rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=numbers([own.mass]))
+    ET.SubElement(inertial, "origin", xyz=numbers(inertia.center), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=numbers([inertia.mass]))
     names = {
         "ixx": (0, 0),
         "ixy": (0, 1),
@@ -50,7 +50,7 @@ def _add_inertial(link: ET.Element, body: Body) -> None:
         "izz": (2, 2),
     }
     ET.SubElement(
-        inertial, "inertia", {name: f"{own.tensor[at]:.12g}" for name, at in names.items()}
+        inertial, "inertia", {name: f"{inertia.tensor[at]:.12g}" for name, at in names.items()}
     )
 
 

@@ -84,14 +84,14 @@ def _add_body(stage: Any, path: str, part: int, body: Body, place: Floats) -> No
     prim.SetDisplayName(body.name)
     UsdPhysics.RigidBodyAPI.Apply(prim)
     mass = UsdPhysics.MassAPI.Apply(prim)
-    own = body.inertia
-    mass.CreateMassAttr(own.mass)
-    mass.CreateCenterOfMassAttr(Gf.Vec3f(*own.center.tolist()))
-    moments, turn = _principal(own.tensor)
+    inertia = body.inertia
+    mass.CreateMassAttr(inertia.mass)
+    mass.CreateCenterOfMassAttr(Gf.Vec3f(*inertia.center.tolist()))
+    moments, turn = _principal(inertia.tensor)
     mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*moments))
     mass.CreatePrincipalAxesAttr(Gf.Quatf(*turn))
-    seen = _add_mesh(stage, f"{path}/visual", body.mesh)
-    seen.CreateDisplayColorAttr([Gf.Vec3f(*linear_of_part(part)[:3])])
+    visual = _add_mesh(stage, f"{path}/visual", body.mesh)
+    visual.CreateDisplayColorAttr([Gf.Vec3f(*linear_of_part(part)[:3])])
     for k, hull in enumerate(body.hulls):
         felt = _add_mesh(stage, f"{path}/convex_{k}", hull)
         felt.CreatePurposeAttr(UsdGeom.Tokens.guide)
@@ -103,14 +103,14 @@ def _add_body(stage: Any, path: str, part: int, body: Body, place: Floats) -> No
 def _add_mesh(stage: Any, path: str, mesh: Mesh) -> Any:
     UsdGeom, Vt = _pxr("UsdGeom", "Vt")
 
-    made = UsdGeom.Mesh.Define(stage, path)
+    prim = UsdGeom.Mesh.Define(stage, path)
     points = Vt.Vec3fArray.FromNumpy(mesh.vertices.astype(np.float32))
-    made.CreatePointsAttr(points)
-    made.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.faces), 3, np.int32)))
-    made.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(mesh.faces.ravel()))
-    made.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(points))
-    made.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-    return made
+    prim.CreatePointsAttr(points)
+    prim.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.faces), 3, np.int32)))
+    prim.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(mesh.faces.ravel()))
+    prim.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(points))
+    prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    return prim
 
 
 def _add_joint(stage: Any, path: str, part: int, parts: tuple[Body, ...]) -> None:

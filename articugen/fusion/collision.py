@@ -52,10 +52,10 @@ class Colliding:
         return out
 
     def _deepest(self, posed: Floats, part: int, solids: PosedSolids) -> float:
-        asked = np.ascontiguousarray(posed, np.float32)
-        held = solids.holds(part, asked, np.arange(len(asked)))
+        probes = np.ascontiguousarray(posed, np.float32)
+        inside = solids.holds(part, probes, np.arange(len(probes)))
         motion = solids.part_motion
-        far = distances(posed[held], self.faces, motion, DEEPEST, part=part)
+        far = distances(posed[inside], self.faces, motion, DEEPEST, part=part)
         return float(far.max(initial=0.0))
 
 

@@ -25,8 +25,8 @@ def distances(
     """
     to_part = np.ascontiguousarray(invert_rigid(part_motion)[:, :3])
     first, end = (0, len(to_part)) if part is None else (part, part + 1)
-    given = np.ascontiguousarray(points, np.float64)
-    return _distances(given, to_part, first, end, most, faces)
+    queries = np.ascontiguousarray(points, np.float64)
+    return _distances(queries, to_part, first, end, most, faces)
 
 
 @kernel

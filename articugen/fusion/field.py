@@ -170,10 +170,10 @@ class OwnSolid:
             left = left[~self.field.is_seen_free(points, left, views=GLANCES)]
         sure = surely_inside(points[left], self.closed)
         rest = left[~sure]
-        held = np.zeros(len(points), np.bool_)
-        held[left[sure]] = True
-        held[rest] = ~self.field.is_free(points, rest)
-        return held
+        inside = np.zeros(len(points), np.bool_)
+        inside[left[sure]] = True
+        inside[rest] = ~self.field.is_free(points, rest)
+        return inside
 
     def value(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return (n,) as `FusedField.value`, negative where it holds the points (n, 3)."""
@@ -207,9 +207,9 @@ class PosedSolids:
         glance: bool = False,
     ) -> NDArray[np.intp]:
         """Those of `which`, indices into `points` (n, 3), that the part's own solid holds."""
-        own, to_canonical = self.own[part], invert_rigid(self.part_motion[part])
-        near = kernels.in_box(points, which, to_canonical, own.box)
-        return near[own.holds(apply(to_canonical, points[near]), glance=glance)]
+        solid, to_canonical = self.own[part], invert_rigid(self.part_motion[part])
+        near = kernels.in_box(points, which, to_canonical, solid.box)
+        return near[solid.holds(apply(to_canonical, points[near]), glance=glance)]
 
     def labels(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
         """Return (n,) k + 1 in the material of part k, else FREE, for `points` (n, 3).
@@ -226,29 +226,29 @@ class PosedSolids:
         self, points: NDArray[np.floating], which: NDArray[np.intp] | None = None
     ) -> NDArray[np.bool_]:
         """Return which of `points` (n, 3), or of points[which], no part's own solid holds."""
-        asked = np.ascontiguousarray(points if which is None else points[which], np.float32)
-        free = np.ones(len(asked), np.bool_)
+        queries = np.ascontiguousarray(points if which is None else points[which], np.float32)
+        free = np.ones(len(queries), np.bool_)
         for part in range(len(self.own)):
-            free[self.holds(part, asked, np.flatnonzero(free), glance=True)] = False
+            free[self.holds(part, queries, np.flatnonzero(free), glance=True)] = False
         return free
 
     def surely_holds(
         self, points: NDArray[np.floating], part: NDArray[np.uint8]
     ) -> NDArray[np.bool_]:
         """(n,) whether closed pieces of the part (n,) of each of `points` (n, 3) wind around it."""
-        held = np.zeros(len(points), np.bool_)
+        inside = np.zeros(len(points), np.bool_)
         for k, T in enumerate(invert_rigid(self.part_motion)):
             closed = self.own[k].closed
             if closed is not None:
-                mine = np.flatnonzero(part == k)
-                held[mine] = surely_inside(apply(T, points[mine]), closed)
-        return held
+                indices = np.flatnonzero(part == k)
+                inside[indices] = surely_inside(apply(T, points[indices]), closed)
+        return inside
 
     def value(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
         """(n,) the least of the parts' own values at `points` (n, 3), see `FusedField.value`."""
         value = np.full(len(points), self.settings.truncation)
-        for own, T in zip(self.own, invert_rigid(self.part_motion), strict=True):
-            value = np.minimum(value, own.value(apply(T, points)))
+        for solid, T in zip(self.own, invert_rigid(self.part_motion), strict=True):
+            value = np.minimum(value, solid.value(apply(T, points)))
         return value
 
 
@@ -284,8 +284,8 @@ class PosedFields:
         if isinstance(self.whole, PosedSolids):
             return self.whole.is_free(points)
         free = ~self.material.surely_holds(points, part)
-        asked = np.flatnonzero(free)
-        free[asked] = self.whole.is_free(points, asked)
+        indices = np.flatnonzero(free)
+        free[indices] = self.whole.is_free(points, indices)
         return free
 
     def with_enclosed(

@@ -55,11 +55,11 @@ def _bisected(
 ) -> Floats:
     """Vertices (n, 3) of marching cubes, in voxels, moved along their edges to where it becomes
     free: to a voxel's 2^-steps, however the field was interpolated."""
-    each, axis = np.arange(len(vertices)), np.abs(vertices - np.round(vertices)).argmax(1)
+    index, axis = np.arange(len(vertices)), np.abs(vertices - np.round(vertices)).argmax(1)
     inside = np.round(vertices)
-    inside[each, axis] = np.floor(vertices[each, axis])
+    inside[index, axis] = np.floor(vertices[index, axis])
     outside = inside.copy()
-    outside[each, axis] += 1.0
+    outside[index, axis] += 1.0
     wrong = is_free(inside)
     inside[wrong], outside[wrong] = outside[wrong], inside[wrong]
     for _ in range(steps):

@@ -188,7 +188,7 @@ def _voxel(x, n, first):
 @kernel
 def in_box(points, which, T, box):
     """Those of `which`, indices into `points` (n, 3), that T (4, 4) takes into the box (2, 3)."""
-    found = np.empty(which.shape[0], np.int64)
+    hits = np.empty(which.shape[0], np.int64)
     count = 0
     for n in range(which.shape[0]):
         i = which[n]
@@ -198,9 +198,9 @@ def in_box(points, which, T, box):
             at = T[axis, 0] * x + T[axis, 1] * y + T[axis, 2] * z + T[axis, 3]
             inside = inside and box[0, axis] < at < box[1, axis]
         if inside:
-            found[count] = i
+            hits[count] = i
             count += 1
-    return found[:count]
+    return hits[:count]
 
 
 @kernel

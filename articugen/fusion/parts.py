@@ -64,8 +64,8 @@ def solid_part(soup: LabelledMesh, settings: Fusion, render: Render) -> SolidPar
     thickness = settings.sheet_thickness
     where = solidify.probes(soup, max(thickness, 1e-3) / 3.0, together=True)
     free = np.stack([~alone.holds(where.points[0]), np.zeros(len(where.face), np.bool_)])
-    asked = np.flatnonzero(~(closed[where.face] & _deep(soup, where, field.bvh)))
-    free[1, asked] = ~alone.holds(where.points[1][asked])
+    probes = np.flatnonzero(~(closed[where.face] & _deep(soup, where, field.bvh)))
+    free[1, probes] = ~alone.holds(where.points[1][probes])
     shown = solidify.shown_sides(soup, field.maps)
     mesh, seen = solidify.solidified(soup, where, free, shown, thickness, closed)
     if np.array_equal(mesh.faces, soup.faces):
@@ -85,8 +85,8 @@ def seen_alone(part: SolidPart, settings: Fusion, render: Render) -> OwnSolid:
         maps = render(part.mesh, part.box)
         field = fuse(maps, part.mesh, settings, bvh=part.tree, part_motion=np.eye(4)[None])
     thin = thin_voxels(part.mesh, pixel_width(field.maps.views), field.bvh)
-    own = flooded(replace(field, thin=thin), part.mesh)
-    return OwnSolid(own, part.box, part.pieces)
+    alone = flooded(replace(field, thin=thin), part.mesh)
+    return OwnSolid(alone, part.box, part.pieces)
 
 
 def seen_by(maps: DepthMaps, part: SolidPart, settings: Fusion) -> OwnSolid:
@@ -127,13 +127,13 @@ def _slit(
 ) -> float:
     """Compute `SolidPart.slit`: of those probes that are of a `sheet`, seen free on both sides,
     the area of which another face lies before them, nearer than `thickness`."""
-    asked = np.flatnonzero(sheet)
-    normals = solidify.face_normals(mesh.vertices, mesh.faces)[where.face[asked]]
+    probes = np.flatnonzero(sheet)
+    normals = solidify.face_normals(mesh.vertices, mesh.faces)[where.face[probes]]
     reach = np.float32(thickness - 0.5 * norm(where.points[0] - where.points[1]).max(initial=0.0))
-    narrow = np.zeros(len(asked), np.bool_)
+    narrow = np.zeros(len(probes), np.bool_)
     for points, way in ((where.points[0], normals), (where.points[1], -normals)):
-        narrow |= way_meets(points[asked].astype(np.float32), way.astype(np.float32), reach, tree)
-    face = where.face[asked[narrow]]
+        narrow |= way_meets(points[probes].astype(np.float32), way.astype(np.float32), reach, tree)
+    face = where.face[probes[narrow]]
     count = np.bincount(where.face, minlength=len(mesh.faces))
     return float((solidify.face_areas(mesh.vertices, mesh.faces)[face] / count[face]).sum())
 

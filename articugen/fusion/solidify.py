@@ -253,13 +253,13 @@ def _smooth_pairs(weld: NDArray[np.intp], normals: NDArray[np.float64]) -> NDArr
     ends = np.sort(ends, axis=1)
     key = ends[:, 0] * (int(weld.max(initial=0)) + 1) + ends[:, 1]
     order = np.argsort(key, kind="stable")
-    found = [np.zeros((0, 2), np.intp)]
+    pairs = [np.zeros((0, 2), np.intp)]
     for step in range(1, MOST_AT_AN_EDGE):  # each edge with the next ones that lie in its place
         same = np.flatnonzero(key[order[step:]] == key[order[: len(order[step:])]])
         if len(same) == 0:
             break
-        found.append(np.stack([order[same], order[same + step]], axis=1))
-    one, other = np.concatenate(found).T
+        pairs.append(np.stack([order[same], order[same + step]], axis=1))
+    one, other = np.concatenate(pairs).T
     smooth = np.abs(dot(normals[one // 3], normals[other // 3])) > SMOOTH_COSINE
     one, other = one[smooth & (one // 3 != other // 3)], other[smooth & (one // 3 != other // 3)]
     rows = np.stack([one // 3, one % 3, other // 3, other % 3], axis=1)
@@ -279,15 +279,15 @@ def _mitres(
     back = -np.roll(sides, 1, axis=1)
     angle = arctan2(norm(cross(sides, back)), dot(sides, back))
     group, side = _groups(len(normals), pairs, normals)
-    own = np.repeat(normals, 3, axis=0)
+    normal = np.repeat(normals, 3, axis=0)
     mean = np.zeros((3 * len(normals), 3))
-    np.add.at(mean, group, (side * angle.reshape(-1))[:, None] * own)
+    np.add.at(mean, group, (side * angle.reshape(-1))[:, None] * normal)
     mean = side[:, None] * mean[group]
     length = norm(mean)
-    along = dot(mean, own) / np.maximum(length, 1e-30)
+    along = dot(mean, normal) / np.maximum(length, 1e-30)
     leans = along > 1.0 / LONGEST_MITRE  # or faces that cannot be told up from down meet here
     ways = mean / np.maximum(length * np.maximum(along, 1e-30), 1e-30)[:, None]
-    return np.where(leans[:, None], ways, own).reshape(-1, 3, 3)
+    return np.where(leans[:, None], ways, normal).reshape(-1, 3, 3)
 
 
 @kernel
@@ -336,9 +336,9 @@ def _settle(parent, side, c):
         turn *= side[root]
         root = parent[root]
     while parent[c] != root and parent[c] != c:
-        onward, own = parent[c], side[c]
+        onward, side_here = parent[c], side[c]
         parent[c], side[c] = root, turn
-        turn *= own
+        turn *= side_here
         c = onward
     return root
 

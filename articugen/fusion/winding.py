@@ -100,23 +100,23 @@ def _planes(corners, normals, first):
     counts = np.zeros(first.shape[0] - 1, np.int64)
     end = 0
     for k in range(counts.shape[0]):
-        own = end
+        stop = end
         if first[k + 1] - first[k] > _MOST_FACES:
             continue
         for f in range(first[k], first[k + 1]):
             x, y, z = normals[f, 0], normals[f, 1], normals[f, 2]
             offset = x * corners[f, 0, 0] + y * corners[f, 0, 1] + z * corners[f, 0, 2]
             if _farthest(corners, first[k], first[k + 1], x, y, z) - offset > _FLAT:
-                end = own
+                end = stop
                 break
             known = False
-            for q in range(own, end):
+            for q in range(stop, end):
                 apart = max(abs(planes[q, 0] - x), abs(planes[q, 1] - y), abs(planes[q, 2] - z))
                 known |= max(apart, abs(planes[q, 3] - offset)) < _FLAT
             if not known:
                 planes[end, 0], planes[end, 1], planes[end, 2], planes[end, 3] = x, y, z, offset
                 end += 1
-        counts[k] = end - own
+        counts[k] = end - stop
     return planes[:end].copy(), counts
 
 
@@ -143,18 +143,18 @@ def _surely_inside(points, closed):
     inside = np.zeros(points.shape[0], np.bool_)
     for i in range(points.shape[0]):
         p = (points[i, 0], points[i, 1], points[i, 2])
-        held = _convex_around(p, box, skip, leaf, piece, first_plane, planes)
-        tree = closed.every if held == _DOUBT else closed.others
+        count = _convex_around(p, box, skip, leaf, piece, first_plane, planes)
+        tree = closed.every if count == _DOUBT else closed.others
         turns = _turns(p, whole, tree.box, tree.skip, tree.leaf, tree.triangles)
         if turns != _DOUBT:
-            inside[i] = turns != 0 if held == _DOUBT else turns + held != 0
+            inside[i] = turns != 0 if count == _DOUBT else turns + count != 0
     return inside
 
 
 @helper
 def _convex_around(p, box, skip, leaf, piece, first_plane, planes):
     """Return how many convex pieces hold `p`; `_DOUBT` where it is near a plane of one."""
-    held = node = 0
+    count = node = 0
     doubt = False
     while node < skip.shape[0]:
         n = np.uintp(node)  # unsigned: numba does not ask whether to count from the end
@@ -171,10 +171,10 @@ def _convex_around(p, box, skip, leaf, piece, first_plane, planes):
                 most = max(most, ahead - planes[t, 3])
                 if most > _NEAR:
                     break
-            held += most < -_NEAR
+            count += most < -_NEAR
             doubt |= abs(most) <= _NEAR
         node += 1
-    return _DOUBT if doubt else held
+    return _DOUBT if doubt else count
 
 
 @helper

@@ -63,10 +63,10 @@ def build(corners: NDArray[np.float64], part_of_face: NDArray[np.uint8], parts: 
 
 def tree_of(corners: NDArray[np.float64]) -> Bvh:
     """Return the tree of one part."""
-    own = np.ascontiguousarray(corners)
-    order, box, skip, leaf, count = ordered(own)
+    faces = np.ascontiguousarray(corners)
+    order, box, skip, leaf, count = ordered(faces)
     roots = np.array([0, count], np.int32)
-    return Bvh(box[:count], skip[:count], leaf[:count], triangle_table(own[order]), roots)
+    return Bvh(box[:count], skip[:count], leaf[:count], triangle_table(faces[order]), roots)
 
 
 def joined(trees: Sequence[Bvh]) -> Bvh:

@@ -82,9 +82,9 @@ def _distances(points, corners, boxes):  # pragma: no cover - compiled
             if node >= leaves:
                 first = (node - leaves) * len(corners) // leaves
                 for f in range(first, (node - leaves + 1) * len(corners) // leaves):
-                    found = _to_triangle(p, corners, f)
-                    if found < best:
-                        best, nearest = found, f
+                    square = _to_triangle(p, corners, f)
+                    if square < best:
+                        best, nearest = square, f
                 beyond = best * best * (1.0 + 1e-9)
                 continue
             one, two = 2 * node, 2 * node + 1

@@ -143,12 +143,12 @@ def _text(vector: Floats) -> str:
 def _ply(data: bytes) -> Any:
     """Vertices; where there are faces, points spread over them."""
     claimed = claimed_rows(data)
-    found: Any = trimesh.load(io.BytesIO(data), file_type="ply", process=False)
-    if len(getattr(found, "faces", ())):
-        return sample(np.asarray(found.triangles), _POINTS_ON_A_MESH, generator(0, "cloud of mesh"))
-    if len(found.vertices) < claimed.get("vertex", 1):
+    cloud: Any = trimesh.load(io.BytesIO(data), file_type="ply", process=False)
+    if len(getattr(cloud, "faces", ())):
+        return sample(np.asarray(cloud.triangles), _POINTS_ON_A_MESH, generator(0, "cloud of mesh"))
+    if len(cloud.vertices) < claimed.get("vertex", 1):
         raise ValueError("cut short")
-    return found.vertices
+    return cloud.vertices
 
 
 def _npy(data: bytes) -> Any:

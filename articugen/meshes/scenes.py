@@ -226,10 +226,10 @@ def _buffer(name: str, path: Path, files: ModelFiles) -> bytes:
     inside = unquote(name)
     if "\0" not in inside:
         inside = os.path.relpath(path.resolve().parent / inside, files.folder)
-    found = files.find(inside, f"{path}: buffer {quoted(name)}")
-    if found is None:
+    file = files.find(inside, f"{path}: buffer {quoted(name)}")
+    if file is None:
         raise InvalidSource(f"{path}: its buffer {quoted(name)} is missing; put it beside it")
-    return files.read(found)
+    return files.read(file)
 
 
 def _check_triangles(document: dict[str, Any], path: Path) -> list[int]:

@@ -12,5 +12,5 @@ def simpler(mesh: Mesh, tolerance: float) -> Mesh:
     solid = manifold3d.Manifold(manifold3d.Mesh64(vertices, faces))
     if solid.status() != manifold3d.Error.NoError:
         return mesh
-    made = solid.simplify(tolerance).to_mesh64()
-    return Mesh(made.vert_properties[:, :3], made.tri_verts.astype(np.int32))
+    mesh64 = solid.simplify(tolerance).to_mesh64()
+    return Mesh(mesh64.vert_properties[:, :3], mesh64.tri_verts.astype(np.int32))

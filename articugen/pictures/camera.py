@@ -51,8 +51,8 @@ def framed(points: Array, azimuth: float, elevation: float, size: int, *, fill: 
     )
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     T_camera_world = look_along(-toward_eye, middle + 3.5 * toward_eye)
-    seen = apply(T_camera_world, points)
-    flat = seen[:, :2] / seen[:, 2:]
+    in_camera = apply(T_camera_world, points)
+    flat = in_camera[:, :2] / in_camera[:, 2:]
     low, high = flat.min(axis=0), flat.max(axis=0)
     focal = fill * size / (high - low).max()
     cx, cy = 0.5 * size - focal * 0.5 * (low + high)

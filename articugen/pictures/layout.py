@@ -73,8 +73,8 @@ def _lines(caption: Caption) -> list[Caption]:
     if sum(widths) + GAP * (len(widths) - 1) <= TILE:
         most = len(caption)
     count = -(-len(caption) // most) if caption else 1
-    each = -(-len(caption) // count)
-    return [caption[k * each : (k + 1) * each] for k in range(count)]
+    width = -(-len(caption) // count)
+    return [caption[k * width : (k + 1) * width] for k in range(count)]
 
 
 def _width(entry: tuple[str, str]) -> float:

@@ -156,12 +156,12 @@ def _near(at, facing, columns, cells, detail):
 def _carried(at, facing, points, normals, values, cells, reach):
     """The mean of the values at the points around each place that face as it does; nan if none."""
     means = np.empty(len(at))
-    found = np.empty(len(points), np.int64)
+    nearest = np.empty(len(points), np.int64)
     for i in range(len(at)):
         x, y, z = at[i, 0], at[i, 1], at[i, 2]
         total = weight = 0.0
-        for n in range(near(cells, points, (x, y, z), reach, found)):
-            j = found[n]
+        for n in range(near(cells, points, (x, y, z), reach, nearest)):
+            j = nearest[n]
             alike = (
                 facing[i, 0] * normals[j, 0]
                 + facing[i, 1] * normals[j, 1]

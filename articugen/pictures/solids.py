@@ -132,9 +132,9 @@ def _corner_normals(triangles: Array, group: NDArray[np.int64]) -> Array:
     total = np.zeros((vertex.max() + 1, 3))
     np.add.at(total, vertex, np.repeat(normal, 3, axis=0))
     mean = _unit(total)[vertex].reshape(-1, 3, 3)
-    own = _unit(normal)[:, None]
-    sharp = (mean * own).sum(2, keepdims=True) < CREASE
-    return np.where(sharp, own, mean)
+    facing = _unit(normal)[:, None]
+    sharp = (mean * facing).sum(2, keepdims=True) < CREASE
+    return np.where(sharp, facing, mean)
 
 
 def _unit(vectors: Array) -> Array:

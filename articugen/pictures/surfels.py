@@ -53,9 +53,9 @@ class OrientedPoints:
     def spacing(self) -> float:
         """Return the side of the square that each point stands for."""
         rank = min(NEIGHBOURS, len(self.points) - 1)
-        asked = np.linspace(0, len(self.points) - 1, min(64, len(self.points))).astype(np.int64)
+        indices = np.linspace(0, len(self.points) - 1, min(64, len(self.points))).astype(np.int64)
         # On a plane, rank = pi * distance^2 / spacing^2.
-        away = _distance_of_rank(self.points, self.normals, self.part, asked, rank)
+        away = _distance_of_rank(self.points, self.normals, self.part, indices, rank)
         return float(np.median(away) * np.sqrt(np.pi / rank))
 
 
@@ -182,7 +182,7 @@ def draw(discs: Surfels, values: Array, camera: Camera) -> tuple[Array, Array, A
 @kernel
 def _distance_of_rank(points, normals, part, asked, rank):
     """From each point asked for, to its neighbour of this rank on the same side of its part."""
-    found = np.empty(len(asked))
+    distances = np.empty(len(asked))
     nearest = np.empty(rank + 1)
     for s in range(len(asked)):
         i = asked[s]
@@ -196,8 +196,8 @@ def _distance_of_rank(points, normals, part, asked, rank):
                 and _dot(normal, _row(normals, j)) > SAME_FACE
             ):
                 _insert(nearest, squared)
-        found[s] = np.sqrt(nearest[rank])
-    return found
+        distances[s] = np.sqrt(nearest[rank])
+    return distances
 
 
 @helper
@@ -250,7 +250,7 @@ def _outline(points, normals, across, part, spacing, cells, rank):
     reaches = np.empty((len(points), DIRECTIONS))
     ends = np.empty((len(points), 2), np.int64)
     clip, clipped = np.empty(len(points), np.int32), 0
-    found = np.empty(len(points), np.int64)
+    neighbours = np.empty(len(points), np.int64)
     others = np.empty(len(points), np.int32)
     face = np.empty(len(points), np.int32)
     nearest = np.empty(rank + 1)
@@ -260,8 +260,8 @@ def _outline(points, normals, across, part, spacing, cells, rank):
         reach, slack = 3.0 * spacing[i], 0.15 * spacing[i]
         behind = level = 0
         nearest[:] = np.inf
-        for n in range(near(cells, points, at, 1.5 * reach, found)):
-            j = found[n]
+        for n in range(near(cells, points, at, 1.5 * reach, neighbours)):
+            j = neighbours[n]
             if part[j] != part[i]:
                 continue
             ahead = _ahead(_row(points, j), at, normal)
@@ -351,8 +351,8 @@ def _is_known(points, normals, planes, first, end, at, normal, slack):
     """Return whether one of the planes is that through `at`."""
     for n in range(first, end):
         k = planes[n]
-        own = _row(normals, k)
-        if abs(_ahead(at, _row(points, k), own)) < slack and _dot(normal, own) > 0.99:
+        facing = _row(normals, k)
+        if abs(_ahead(at, _row(points, k), facing)) < slack and _dot(normal, facing) > 0.99:
             return True
     return False
 

@@ -29,9 +29,9 @@ def import_library(library: str, extra: str, system_packages: str) -> ModuleType
 
 def missing_driver(library: str, system_packages: str, error: Exception) -> MissingDriver:
     """Return the sentence that names what `library` said and the Debian packages that mend it."""
-    said = " ".join(str(error.args[0] if error.args else type(error).__name__).split())
+    message = " ".join(str(error.args[0] if error.args else type(error).__name__).split())
     return MissingDriver(
-        f"{library} cannot run on this machine ({said}); "
+        f"{library} cannot run on this machine ({message}); "
         f"on Debian, run: apt-get install {system_packages}"
     )
 

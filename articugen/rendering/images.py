@@ -66,7 +66,7 @@ def _towards_cameras(
     corners = mesh.vertices[mesh.faces[face]]
     across = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     R, t = views.T_camera_world[:, :3, :3], views.T_camera_world[:, :3, 3]
-    eyes = -np.stack([turned(own.T, at) for own, at in zip(R, t, strict=True)])
+    eyes = -np.stack([turned(rotation.T, at) for rotation, at in zip(R, t, strict=True)])
     away = dot(across, eyes[view] - corners[:, 0]) < 0.0
     return np.where(away[:, None], -across, across) / norm(across)[:, None]
 

@@ -218,13 +218,13 @@ def _around_a_centre(faces, centres, kept):
     """Into `kept` the faces whose box holds the centre of a pixel, and how many they are: of a
     finely cut model few. The others' corners lie in one place between two rows or columns, or on
     one line through centres, where they have no area."""
-    found = 0
+    hits = 0
     for f in range(faces.shape[0]):
         a = centres[np.uintp(faces[f, 0])]
         unlike = (a ^ centres[np.uintp(faces[f, 1])]) | (a ^ centres[np.uintp(faces[f, 2])])
-        kept[np.uintp(found)] = f
-        found += ((unlike & 0xFFFF) != 0) & ((unlike >> 16) != 0)
-    return found
+        kept[np.uintp(hits)] = f
+        hits += ((unlike & 0xFFFF) != 0) & ((unlike >> 16) != 0)
+    return hits
 
 
 @helper

@@ -162,14 +162,14 @@ class Pull:
     def on(self, rect: Rect, x: float = 0.0) -> list[Solid]:
         """Near the upper edge of a door whose back is at `x`."""
         z = rect.z1 - max(0.07 * rect.height, 1.3 * self.girth)
-        made = handle(self.kind, self.share * rect.width, self.reach, self.girth)
-        return [s.shifted(x + 0.6 * self.face, rect.center[0], z) for s in made]
+        solids = handle(self.kind, self.share * rect.width, self.reach, self.girth)
+        return [s.shifted(x + 0.6 * self.face, rect.center[0], z) for s in solids]
 
     def low(self, rect: Rect) -> list[Solid]:
         """On a drawer below the door, far enough down and short enough for the door to pass."""
         z = rect.z0 + 0.35 * rect.height
-        made = handle("flat", 0.6 * self.share * rect.width, 0.6 * self.reach, self.girth)
-        return [s.shifted(self.face, rect.center[0], z) for s in made]
+        solids = handle("flat", 0.6 * self.share * rect.width, 0.6 * self.reach, self.girth)
+        return [s.shifted(self.face, rect.center[0], z) for s in solids]
 
 
 def _pull(rng: np.random.Generator, oven: Oven) -> Pull:

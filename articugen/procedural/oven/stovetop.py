@@ -64,8 +64,8 @@ def _column_of_controls(rng: np.random.Generator, oven: Oven, rect: Rect) -> lis
             shown = _display(rng, 0.36 * rect.width, 0.7 * radius, 0.012 * oven.extent)
             solids += [s.shifted(oven.thickness, y, height) for s in shown]
             continue
-        made = knob(kind, radius, 0.8 * radius)
-        solids += [s.shifted(oven.thickness, y, height) for s in made]
+        control = knob(kind, radius, 0.8 * radius)
+        solids += [s.shifted(oven.thickness, y, height) for s in control]
     return solids
 
 
