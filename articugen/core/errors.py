@@ -92,7 +92,7 @@ class MissingDriver(ArticugenError):
 
 
 class BrokenPlugin(ArticugenError):
-    """What another package adds to articugen cannot be used."""
+    """Plugin of another package that cannot be used."""
 
 
 class InvalidCheckpoint(ArticugenError):

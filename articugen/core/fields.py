@@ -77,13 +77,13 @@ class Field:
         return f"({', '.join(map(str, self.shape))}{',' if len(self.shape) == 1 else ''})"
 
     def matches(self, name: str) -> bool:
-        """Whether a data set of this name is described by this field."""
+        """Return whether a data set of this name is described by this field."""
         if not self.is_grid:
             return name == self.name
         return re.fullmatch(f"{self.stem}_[1-9][0-9]{{0,2}}", name) is not None
 
     def fits(self, name: str, shape: tuple[int, ...], known: dict[str, int]) -> bool:
-        """Whether `shape` is this field's; the letters it settles are added to `known`."""
+        """Return whether `shape` is this field's; the letters it settles are added to `known`."""
         if len(shape) != len(self.shape):
             return False
         for want, size in zip(self.shape, shape, strict=True):
@@ -155,7 +155,7 @@ def fields_of(row: type) -> tuple[Field, ...]:
 
 
 def _dtype_in(hint: Any) -> str:
-    """The text that is annotated to a type, or to one of a union's."""
+    """Return the text that is annotated to a type, or to one of a union's."""
     if hasattr(hint, "__metadata__"):
         return hint.__metadata__[0]
     return next(_dtype_in(kind) for kind in get_args(hint) if kind is not type(None))

@@ -47,7 +47,7 @@ _STOPPING = {signal.SIGINT, signal.SIGTERM}
 
 @dataclass(frozen=True)
 class Limit:
-    """What one task may take: seconds of the clock, and resident memory of its worker."""
+    """Limits of one task: seconds of the clock, and resident memory of its worker."""
 
     seconds: float = math.inf
     megabytes: float = math.inf
@@ -55,7 +55,7 @@ class Limit:
 
 @dataclass(frozen=True)
 class Ended(Generic[R]):
-    """How a task ended: with a value, over the limit, or with its worker lost twice.
+    """End of a task: with a value, over the limit, or with its worker lost twice.
 
     Attributes:
         number: the task's place among the tasks.

@@ -38,7 +38,7 @@ _Metres = Annotated[float, Field(ge=-1000.0, le=1000.0)]
 
 
 class Articulation(_Section):
-    """How joint states are chosen.
+    """Choice of joint states.
 
     Attributes:
         states: random joint states per object, besides instance 0, the canonical pose.
@@ -105,7 +105,7 @@ class ViewSettings(_Section):
 
 
 class Fusion(_Section):
-    """How depth maps become a field; docs/conventions.md states the rules.
+    """Fusion of depth maps into a field; docs/conventions.md states the rules.
 
     Attributes:
         rule: `seen`: outside is what at least one view sees free; `reachable`: and what lies open
@@ -125,7 +125,7 @@ class Fusion(_Section):
 
 
 class Sampling(_Section):
-    """How many samples an instance gets. Lengths are in the unit frame.
+    """Numbers of samples of an instance. Lengths are in the unit frame.
 
     Attributes:
         grids: resolutions of the grids of labels.
@@ -262,7 +262,7 @@ class Recipe(_Section):
         return json.dumps(told, sort_keys=True, separators=(",", ":"))
 
     def fields(self) -> dict[str, Described]:
-        """The data sets of a shard by this recipe, by name."""
+        """Return the data sets of a shard by this recipe, by name."""
         return {
             f"{described.stem}_{r}" if described.is_grid else described.name: described
             for described in schema.FIELDS
@@ -279,7 +279,7 @@ class Recipe(_Section):
         return self.at(described.asked_by) not in (0, "ignore")
 
     def at(self, key: str) -> Any:
-        """The value of a key, "sampling.grids" say."""
+        """Return the value of a key, "sampling.grids" say."""
         section, name = key.split(".")
         return getattr(getattr(self, section), name)
 
@@ -294,8 +294,8 @@ class Recipe(_Section):
         return shapes
 
     def instance_bytes(self) -> dict[str, int]:
-        """The bytes of each field of one instance before compression, with as many parts as a shard
-        can hold."""
+        """Return the bytes of each field of one instance before compression, with as many parts as
+        a shard can hold."""
         sizes = {name: described.itemsize for name, described in self.fields().items()}
         return {
             name: sizes[name] * math.prod(MOST_PARTS if n is None else n for n in shape)
@@ -373,8 +373,8 @@ def check_category(name: str) -> None:
 def load_recipe(
     given: "str | Path | Mapping[str, Any] | Recipe | None", category: str, source: str = ""
 ) -> Recipe:
-    """The recipe `given`: a name under recipes/, a path, the keys of such a file, a recipe, which
-    is taken as it is, or None for the category's own.
+    """Return the recipe `given`: a name under recipes/, a path, the keys of such a file, a recipe,
+    which is taken as it is, or None for the category's own.
 
     A category's own is recipes/<category>-<source>.yaml, where that source has one to itself, else
     recipes/<category>.yaml, else recipes/default.yaml.

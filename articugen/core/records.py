@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 
 class JointKind(IntEnum):
-    """How a joint moves. The words are URDF's, the numbers those that shards store."""
+    """Kind of a joint's motion. The words are URDF's, the numbers those that shards store."""
 
     FIXED = 0
     REVOLUTE = 1
@@ -36,7 +36,7 @@ class JointKind(IntEnum):
 
     @staticmethod
     def named(word: str) -> "JointKind":
-        """The kind that URDF calls `word`; KeyError where there is none."""
+        """Return the kind that URDF calls `word`; KeyError where there is none."""
         return JointKind[word.upper()]
 
 
@@ -49,7 +49,7 @@ of part k has label k + 1."""
 
 
 def is_material(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Where labels name the material of some part."""
+    """Return where labels name the material of some part."""
     return (label != FREE) & (label != ENCLOSED)
 
 
@@ -267,7 +267,7 @@ class Normalization:
         return points * self.scale + self.center
 
     def rigid_to_unit(self, T_world: Floats) -> Floats:
-        """A rigid motion (..., 4, 4) of world points, as it acts on unit-frame points."""
+        """Return a rigid motion (..., 4, 4) of world points, as it acts on unit-frame points."""
         T = np.array(T_world)
         moved = turned(T[..., :3, :3], self.center)
         T[..., :3, 3] = (T[..., :3, 3] + moved - self.center) / self.scale
@@ -307,19 +307,19 @@ class LabelledMesh:
         )
 
     def part(self, part: int) -> "LabelledMesh":
-        """The faces of one part, with the vertices they use."""
+        """Return the faces of one part, with the vertices they use."""
         mine = self.part_of_face == part
         return LabelledMesh(self.vertices, self.faces[mine], self.part_of_face[mine]).compact()
 
     def compact(self) -> "LabelledMesh":
-        """The same faces without the vertices that none of them uses."""
+        """Return the same faces without the vertices that none of them uses."""
         used = np.zeros(len(self.vertices), np.bool_)
         used[self.faces] = True
         number = np.cumsum(used, dtype=np.int32) - np.int32(1)
         return LabelledMesh(self.vertices[used], number[self.faces], self.part_of_face)
 
     def moved(self, T_part: Floats) -> "LabelledMesh":
-        """The mesh with each part moved by its own transform; `T_part` (P, 4, 4).
+        """Return the mesh with each part moved by its own transform; `T_part` (P, 4, 4).
 
         Every vertex must belong to one part only.
         """
@@ -370,7 +370,7 @@ class Views:
 
 @dataclass(frozen=True, eq=False)
 class DepthMaps:
-    """What K cameras see.
+    """Depth and faces that K cameras see.
 
     Attributes:
         depth: (K, H, W) float32: z along the optical axis at the pixel's centre, inf where nothing
@@ -402,5 +402,5 @@ def quantize(points: NDArray[np.floating]) -> NDArray[np.uint16]:
 
 
 def dequantize(stored: NDArray[np.uint16]) -> Floats:
-    """The inverse of `quantize`: x = stored / 65535 - 0.5, exact to 7.7e-6."""
+    """Return the inverse of `quantize`: x = stored / 65535 - 0.5, exact to 7.7e-6."""
     return stored / 65535.0 - 0.5

@@ -312,12 +312,12 @@ ATTRIBUTES: Mapping[str, tuple[type, str]] = {
 
 @lru_cache(1024)
 def field_of(name: str) -> Field | None:
-    """The field that describes the data set `name`, or None."""
+    """Return the field that describes the data set `name`, or None."""
     return next((field for field in FIELDS if field.matches(name)), None)
 
 
 def misfit(names_and_shapes: Mapping[str, tuple[int, ...]]) -> str | None:
-    """Why data sets of these names and shapes are not one shard; None where they are."""
+    """Return why data sets of these names and shapes are not one shard; None where they are."""
     known: dict[str, int] = {}
     for name, shape in names_and_shapes.items():
         field = field_of(name)
@@ -336,7 +336,7 @@ def misfit(names_and_shapes: Mapping[str, tuple[int, ...]]) -> str | None:
 
 
 def stored_name(name: str) -> str:
-    """A name as it fits into a shard: whole characters of at most MAX_TEXT bytes of UTF-8.
+    """Return a name as it fits into a shard: whole characters of at most MAX_TEXT bytes of UTF-8.
 
     What UTF-8 or a text padded with zero bytes cannot hold becomes U+FFFD.
     """
@@ -345,7 +345,7 @@ def stored_name(name: str) -> str:
 
 
 def markdown() -> str:
-    """The tables of docs/format.md."""
+    """Return the tables of docs/format.md."""
     rows = [
         f"| `{f.name}`{'?' if f.optional else ''} | `{f.dtype}`{' gzip' if f.compressed else ''} "
         f"| {f.written_shape} | {f.unit} | {f.frame} | {f.meaning} |"

@@ -164,7 +164,7 @@ class Cells:
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What the poses of an object say, in the cube.
+    """Evidence of an object's poses, in the cube.
 
     Attributes:
         frame: leads from the clouds' own frame to the cube's.

@@ -101,7 +101,7 @@ class FoundJoint:
 
 @dataclass(frozen=True, eq=False)
 class Discovery:
-    """What was found.
+    """Joints and parts of an object, as found.
 
     Attributes:
         joints: that with most points first.

@@ -67,7 +67,7 @@ def _voter(x):
 
 @helper
 def is_void(within, pose, x, y, z):
-    """Whether a pose surely has no point within reach of (x, y, z): one bit says so.
+    """Return whether a pose surely has no point within reach of (x, y, z): one bit says so.
 
     `within` (G, VOTES^3): bit k % 8 of byte `[k // 8, cell]` is 1 where pose k has a point within
     reach of any place in the cell. A place outside the cube is no nearer to what is in it than the

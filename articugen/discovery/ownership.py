@@ -41,7 +41,7 @@ MOST_DOUBT = 0.2
 
 @dataclass(frozen=True, eq=False)
 class Ownership:
-    """Where the material of each part lies, in its rest frame. P parts, part 0 is fixed.
+    """Material of each part, in its rest frame. P parts, part 0 is fixed.
 
     Attributes:
         owns: (P,) whether it is known where; of a moving part too few points may be sure.

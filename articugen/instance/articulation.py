@@ -176,7 +176,7 @@ def part_motions(posed: PosedObject, canonical_posed: PosedObject) -> Floats:
 
 @dataclass(frozen=True)
 class _Plan:
-    """What becomes of one joint.
+    """Fate of one joint.
 
     Attributes:
         value: the URDF's joint value that becomes q = 0.

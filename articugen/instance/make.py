@@ -76,7 +76,7 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """What all instances of an object share, in the unit frame.
+    """Work that all instances of an object share, in the unit frame.
 
     Attributes:
         obj: with the recipe's joints, see `articulation.resolve`.
@@ -120,7 +120,7 @@ class Prepared:
 
 @dataclass(frozen=True, eq=False)
 class Extras:
-    """What only some recipes ask for; None where it is not asked for.
+    """Fields that only some recipes ask for; None if not.
 
     Attributes:
         visible: the faces that can be seen at all, for distances.
@@ -257,7 +257,7 @@ def _slit_note(
 
 
 def make_instance(p: Prepared, state_index: int) -> Instance:
-    """The instance of the object at its `state_index`-th joint state.
+    """Return the instance of the object at its `state_index`-th joint state.
 
     Raises:
         RejectedInstance: nothing of it can be seen.
@@ -291,7 +291,7 @@ def make_instance(p: Prepared, state_index: int) -> Instance:
 def pose(
     p: Prepared, state_index: int, *, overlay: Overlay | None = None
 ) -> tuple[LabelledMesh, fusion.PosedFields]:
-    """The object's surface and its fields at its `state_index`-th joint state, unit frame.
+    """Return the object's surface and its fields at its `state_index`-th joint state, unit frame.
 
     With `overlay` the fields hold until the next call that is given the same; without, for good.
     """
@@ -325,8 +325,8 @@ def _joint_states(obj: ArticulatedObject, count: int, seed: int) -> tuple[JointS
 
 
 def _states_apart(p: Prepared) -> tuple[tuple[JointState, ...], int]:
-    """The states of `p`, those in which parts are too deep in one another drawn again, and how many
-    were."""
+    """Return the states of `p`, those in which parts are too deep in one another drawn again, and
+    how many were."""
     assert p.extras.colliding is not None
     bound = p.recipe.articulation.collision_depth
     canonical = _depths(p, p.states[0])
@@ -349,7 +349,7 @@ def _states_apart(p: Prepared) -> tuple[tuple[JointState, ...], int]:
 
 
 def _depths(p: Prepared, state: JointState) -> Floats:
-    """(P, P) how deep the parts are in one another in a state."""
+    """Return (P, P) how deep the parts are in one another in a state."""
     assert p.extras.colliding is not None
     posed = articulation.forward_kinematics(p.obj, state)
     motion = p.unit.rigid_to_unit(articulation.part_motions(posed, p.canonical))
@@ -404,7 +404,7 @@ def _normalization(box: Floats, padding: float) -> Normalization:
 
 
 def solid_part(soup: LabelledMesh, recipe: Recipe) -> fusion.SolidPart:
-    """One part alone in the canonical pose, judged by the recipe's views of it."""
+    """Return one part alone in the canonical pose, judged by the recipe's views of it."""
     return fusion.solid_part(soup, recipe.fusion, partial(_render_alone, recipe))
 
 
@@ -500,7 +500,7 @@ def _joint_fields(p: Prepared, state_index: int) -> dict[str, NDArray]:
 
 
 def _names(obj: ArticulatedObject) -> tuple[tuple[str, ...], ...]:
-    """(J,) names of the joints, (P,) names and (P,) semantics of each part's first link."""
+    """Return (J,) names of the joints, (P,) names and (P,) semantics of each part's first link."""
     joints = obj.moving_joints
     first = [obj.links[0], *(obj.links[obj.link_index[joint.child]] for joint in joints)]
     return (

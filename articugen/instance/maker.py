@@ -106,7 +106,7 @@ def load(source: str | Path, object_id: str | None = None, *, category: str | No
 def models(
     source: str | Path, category: str | None = None, object_id: str | None = None
 ) -> tuple[registry.ObjectRef, ...]:
-    """The models that a source holds, all of them or the one that is asked for.
+    """Return the models that a source holds, all of them or the one that is asked for.
 
     Args:
         source, category, object_id: as in `load`.
@@ -135,7 +135,7 @@ def models(
 
 
 def _found(source: str | Path, object_id: str | None, category: str | None) -> registry.ObjectRef:
-    """The one model that is meant."""
+    """Return the one model that is meant."""
     first, *others = models(source, category, object_id)
     if others:
         raise InvalidSource(
@@ -206,8 +206,8 @@ class Made(Row):
         return pose(self._prepared, self._index)
 
     def labels(self, points: NDArray[Any]) -> NDArray[np.uint8]:
-        """(n,) at `points` (n, 3), unit frame: 0 free, k + 1 material of part k, 255 enclosed,
-        which no view sees and no part holds.
+        """Return (n,) at `points` (n, 3), unit frame: 0 free, k + 1 material of part k, 255
+        enclosed, which no view sees and no part holds.
 
         Raises:
             InvalidArgument: they are not points, or not in the unit cube.
@@ -223,8 +223,8 @@ class Made(Row):
         return self._posed[1].labels(points)
 
     def mesh(self, resolution: int = 128) -> MadeMesh:
-        """The surface of what is inside as a watertight mesh, unit frame, from `resolution`^3
-        voxels.
+        """Return the surface of what is inside as a watertight mesh, unit frame, from
+        `resolution`^3 voxels.
 
         Raises:
             InvalidArgument: that is no number from 8 to 1,024.
@@ -294,7 +294,7 @@ class Maker(Sequence[Made]):
         return prepare(self.obj, self.recipe, self.seed)
 
     def __len__(self) -> int:
-        """The recipe's states, and the canonical one."""
+        """Return the recipe's states, and the canonical one."""
         return self.recipe.articulation.states + 1
 
     @overload
@@ -313,7 +313,7 @@ class Maker(Sequence[Made]):
         return (self[i] for i in range(len(self)))
 
     def at(self, state: Mapping[str, float] | None = None, /, **joints: float) -> Made:
-        """The object at a joint state.
+        """Return the object at a joint state.
 
         Args:
             state, joints: values by joint name, rad or m from the canonical pose, as
@@ -345,7 +345,7 @@ class Maker(Sequence[Made]):
         return self._made(driven)
 
     def random(self, count: int = 1, *, rng: int | np.random.Generator | None = None) -> list[Made]:
-        """The object at random joint states, as the recipe's are drawn.
+        """Return the object at random joint states, as the recipe's are drawn.
 
         Args:
             rng: the same seed draws the same; None draws others each time.
@@ -421,7 +421,7 @@ class Maker(Sequence[Made]):
 
 
 def _box(p: Prepared, states: Iterable[JointState]) -> Floats:
-    """(2, 3) the box of the object in all these states, unit frame."""
+    """Return (2, 3) the box of the object in all these states, unit frame."""
     posed = (articulation.forward_kinematics(p.obj, state) for state in states)
     motions = np.stack([articulation.part_motions(each, p.canonical) for each in posed])
     return swept_box(p.mesh, p.unit.rigid_to_unit(motions))

@@ -14,7 +14,7 @@ from articugen.store.shards import Shard, open_shard
 def cloud_of_shard(
     path: Path, row: int = 0, *, category: str | None = None, camera: int | None = None
 ) -> Cloud:
-    """The surface points of a shard's instance.
+    """Return the surface points of a shard's instance.
 
     Args:
         category: what the shard must be of.
@@ -43,7 +43,7 @@ def _stored(shard: Shard, row: int, camera: int | None) -> Any:
 
 
 def seen_by_a_camera(instance: Instance) -> Floats:
-    """(M, 3) what one of the instance's depth cameras sees, always the same one.
+    """Return (M, 3) what one of the instance's depth cameras sees, always the same one.
 
     Raises:
         UnfitData: it has none.

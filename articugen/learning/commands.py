@@ -221,7 +221,7 @@ def evaluate(
 def evaluation_folder(
     run: FolderLike, protocol: str = "paper", on: FolderLike | None = None
 ) -> Path:
-    """Where `evaluate` writes to."""
+    """Return where `evaluate` writes to."""
     parts = ["evaluation", *([] if protocol == "paper" else [protocol])]
     return newest(run) / "-".join([*parts, *([] if on is None else ["on", Path(on).name])])
 
@@ -244,7 +244,7 @@ def draw(run: FolderLike, data: FolderLike, result: RunEvaluation) -> Iterator[P
 
 
 def tables(runs: Sequence[FolderLike]) -> str:
-    """The paper's tables over several evaluated runs: categories, ablations, inputs."""
+    """Return the paper's tables over several evaluated runs: categories, ablations, inputs."""
     return written([read_evaluation(newest(run)) for run in runs])
 
 
@@ -383,7 +383,7 @@ def _folders(data: FolderLike | Sequence[FolderLike]) -> tuple[Path, ...]:
 
 
 def newest(run: FolderLike) -> Path:
-    """The run itself, or the newest of the numbered runs in a folder.
+    """Return the run itself, or the newest of the numbered runs in a folder.
 
     Raises:
         InvalidCheckpoint: there is none.

@@ -18,7 +18,7 @@ Recipe = TypeVar("Recipe", bound="TrainRecipe")
 
 
 class DataSettings(Section):
-    """What one sample of a batch is made of.
+    """Content of one sample of a batch.
 
     Attributes:
         surface_points: the encoder's input.
@@ -57,7 +57,7 @@ class Stage(Section):
 
 
 class Schedule(Section):
-    """How long and how fast.
+    """Length and rate of training.
 
     Attributes:
         optimiser: `adam`, the paper's; or `soap` (Vyas et al. 2024), see

@@ -112,7 +112,7 @@ class Checkpoint:
 
     @staticmethod
     def of(learner: Learner, category: str, seed: int, iteration: int, best: float) -> "Checkpoint":
-        """Where a learner stands."""
+        """Return where a learner stands."""
         recipe, state = learner.settings, learner.state()
         return Checkpoint(recipe, category, seed, iteration, best, state)
 
@@ -140,7 +140,7 @@ class Checkpoint:
 
 
 def read_checkpoint(path: Path) -> Checkpoint:
-    """A checkpoint; only tensors and plain data are read, never pickled code.
+    """Return a checkpoint; only tensors and plain data are read, never pickled code.
 
     Raises:
         InvalidCheckpoint: there is none, it is damaged, or not one of ours.
@@ -152,7 +152,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
 
 
 def _read_checkpoint(path: Path) -> Checkpoint:
-    """A checkpoint whose state nobody has looked at yet."""
+    """Return a checkpoint whose state nobody has looked at yet."""
     data = read_tensors(path, FORMAT)
     recipe = data.pop("recipe", None)
     try:
@@ -217,7 +217,7 @@ class RunFolder:
 
     @staticmethod
     def existing(path: Path) -> "RunFolder":
-        """A run's folder that is there already, perhaps without a checkpoint as yet.
+        """Return a run's folder that is there already, perhaps without a checkpoint as yet.
 
         Raises:
             InvalidCheckpoint: it has nothing to go on from.
@@ -254,7 +254,7 @@ class RunFolder:
                 path.unlink(missing_ok=True)
 
     def recipe(self) -> TrainRecipe:
-        """The recipe that the run was started with.
+        """Return the recipe that the run was started with.
 
         Raises:
             InvalidCheckpoint: there is none, or it is another.
@@ -326,7 +326,7 @@ class RunFolder:
         point.write(self.path / name)
 
     def metrics(self) -> list[dict[str, Any]]:
-        """The lines of the metrics; a last one that was cut short is none.
+        """Return the lines of the metrics; a last one that was cut short is none.
 
         Raises:
             InvalidCheckpoint: a line is damaged.
@@ -351,7 +351,7 @@ def _next_number(runs: Path) -> Path:
 
 
 def _read(path: Path) -> bytes:
-    """A file of a run's folder."""
+    """Return a file of a run's folder."""
     try:
         return read_regular(path, MOST_BYTES)
     except UnfitFile as error:

@@ -28,7 +28,7 @@ _UNITS = {"1/65535": (1 / 65535, -0.5), _NORMALS: (1 / 127, 0.0), "1/255": (1 / 
 
 
 def is_scaled(name: str) -> bool:
-    """Whether a field is stored in whole numbers that `in_units` makes floats of."""
+    """Return whether a field is stored in whole numbers that `in_units` makes floats of."""
     field = schema.field_of(name)
     return field is not None and field.unit in _UNITS
 
@@ -48,7 +48,7 @@ def in_units(name: str, stored: NDArray[Any], out: Float32 | None = None) -> Flo
 
 
 def texts(stored: Any) -> Any:
-    """A text as str, an array of them as a tuple, whatever they are stored as."""
+    """Return a text as str, an array of them as a tuple, whatever they are stored as."""
     if isinstance(stored, np.ndarray):
         return tuple(map(texts, stored)) if stored.ndim else texts(stored[()])
     return stored.decode() if isinstance(stored, bytes) else stored
@@ -151,7 +151,7 @@ class RowQueries(_Cloud):
 
 
 class RowPartial(_Cloud):
-    """What C depth cameras see: `points` (C, M, 3) float32, unit frame; the `part` (C, M) of each;
+    """Clouds of C depth cameras: `points` (C, M, 3) float32, unit frame; the `part` (C, M) of each;
     `T_camera_world` (C, 4, 4) from the unit frame to the camera's; `intrinsics` (C, 4): fx, fy, cx,
     cy in pixels."""
 
@@ -161,7 +161,7 @@ class RowPartial(_Cloud):
 
 
 class RowImages(_Group):
-    """What V cameras see, as far as it is stored: `depth` (V, H, H) float32, 0 where nothing is;
+    """Stored images of V cameras: `depth` (V, H, H) float32, 0 where nothing is;
     `part` (V, H, H), k + 1 for part k; `normal` (V, H, H, 3) float32; `rgba` (V, H, H, 4) uint8;
     `T_camera_world` (V, 4, 4) from the unit frame; `intrinsics` (V, 4): fx, fy, cx, cy."""
 
@@ -229,7 +229,7 @@ class Row:
         self.split, self.category = split, category
 
     def stored(self, name: str) -> Any:
-        """A field as it is stored: an array, read-only, or text; see docs/format.md.
+        """Return a field as it is stored: an array, read-only, or text; see docs/format.md.
 
         Raises:
             InvalidArgument: there is no such field.
@@ -368,8 +368,8 @@ class Row:
         return tuple(map(RowPart, *named, motion))
 
     def flow_to(self, other: "Row") -> Float32:
-        """(S, 3) float32: where each of its surface points moves to when the object takes the joint
-        state of `other`, less where it is; unit frame.
+        """Return (S, 3) float32: where each of its surface points moves to when the object takes
+        the joint state of `other`, less where it is; unit frame.
 
         Raises:
             InvalidArgument: `other` is of another object or in another unit frame.

@@ -18,7 +18,7 @@ Sample = dict[str, Any]
 
 
 class Batches(Protocol):
-    """What batches come from: a `store.dataset.DataSet`."""
+    """Source of batches: a `store.dataset.DataSet`."""
 
     def __len__(self) -> int: ...
     def batch(

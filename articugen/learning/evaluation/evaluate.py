@@ -44,7 +44,7 @@ LENGTHS = (0.025, 0.05, 0.1, 0.2)
 
 @dataclass(frozen=True)
 class Protocol:
-    """How much is measured, and against what.
+    """Extent and protocol of an evaluation.
 
     Attributes:
         points: surface points a true part.
@@ -167,7 +167,7 @@ def check_splits(data: Path, category: str | None, on: Path | None = None) -> No
 
 
 def tested(data: Path, on: Path | None, states: int | None) -> Iterator[list[Instance]]:
-    """The test objects of `data`, or all objects of `on`, as `objects_of` gives them."""
+    """Return the test objects of `data`, or all objects of `on`, as `objects_of` gives them."""
     return objects_of(data, "test", states) if on is None else objects_of(on, None, states)
 
 
@@ -189,7 +189,7 @@ def label_votes(
 
 
 def objects_of(data: Path, split: str | None, states: int | None) -> Iterator[list[Instance]]:
-    """The instances of each object of a split, or of all, the canonical one first."""
+    """Yield the instances of each object of a split, or of all, the canonical one first."""
     names = sorted({o.shard for o in Manifest.read(data).objects if split in (None, o.key.split)})
     for name in names:
         with open_shard(data / name) as shard:
@@ -204,7 +204,7 @@ def objects_of(data: Path, split: str | None, states: int | None) -> Iterator[li
 
 
 def surface_of(instance: Instance, count: int) -> tuple[Floats, Ints]:
-    """((n, 3), (n,)): up to `count` surface points of each part, and their parts."""
+    """Return ((n, 3), (n,)): up to `count` surface points of each part, and their parts."""
     part = instance.surface_part.astype(np.int64)
     kept = np.concatenate([np.flatnonzero(part == k)[:count] for k in np.unique(part)])
     return dequantize(instance.surface_points[kept]), part[kept]
@@ -254,8 +254,8 @@ def _label_iou(tally: Tally, near: Ints, true: Ints) -> float:
 
 
 def _voxels_label_iou(grid: NDArray[np.uint8], points: Floats, true: Ints) -> float:
-    """The label IoU of a reconstruction that knows the true label of every voxel's centre, and
-    nothing in between: what is thinner than a voxel is missing there."""
+    """Return the label IoU of a reconstruction that knows the true label of every voxel's centre,
+    and nothing in between: what is thinner than a voxel is missing there."""
     parts = int(true.max(initial=0)) + 1
     surfaces = [zero_level(np.where(grid == k + 1, 1.0, -1.0)).triangles for k in range(parts)]
     part = np.repeat(np.arange(parts), [len(surface) for surface in surfaces])
@@ -291,8 +291,8 @@ def _measure_motion(
 def carriers(
     points: Floats, true: Ints, T_true: Floats, found: Reconstruction, label: Ints
 ) -> Ints:
-    """(n,) the predicted part of a point's own label that is nearest to where the point has moved;
-    NO_LABEL if there is none.
+    """Return (n,) the predicted part of a point's own label that is nearest to where the point has
+    moved; NO_LABEL if there is none.
 
     Args:
         points: (n, 3) in the canonical pose; `true` (n,) their parts, which T_true (K, 4, 4) moves.
@@ -320,7 +320,7 @@ def _note_joint_states(tally: Tally, instance: Instance, found: Reconstruction) 
 
 
 def _which(instance: Instance, joint: int) -> dict[str, Any]:
-    """Whose record it is, of a joint of an instance."""
+    """Return whose record it is, of a joint of an instance."""
     kind = KINDS[int(instance.joint_kind[joint])]
     place = {"object": instance.object_id, "state_index": instance.state_index}
     return {**place, "joint": joint, "kind": kind}

@@ -91,7 +91,7 @@ def joint_errors(
     found: tuple[Reconstruction, Reconstruction],
     matched: Matching,
 ) -> Iterator[tuple[str, float]]:
-    """How far each joint's direction, pivot and state since the canonical pose are off.
+    """Yield how far each joint's direction, pivot and state since the canonical pose are off.
 
     Args:
         instances, matched: as `pose_errors` takes them.

@@ -26,8 +26,8 @@ class PartJoints:
     direction: Floats
 
     def change_since(self, before: "PartJoints", part: int, axis: Floats) -> float:
-        """How far a part has moved, positive about `axis`: a line has two directions, and by the
-        other one states count the other way."""
+        """Return how far a part has moved, positive about `axis`: a line has two directions, and by
+        the other one states count the other way."""
         change = float(self.state[part] - before.state[part])
         return change if np.dot(self.direction[part], axis) >= 0 else -change
 
@@ -55,7 +55,7 @@ class Reconstruction:
     joints: PartJoints | None = None
 
     def motion_to(self, posed: "Reconstruction") -> Floats | None:
-        """How parts moved by their transforms, T(posed) T(here)^-1: (P, 4, 4)."""
+        """Return how parts moved by their transforms, T(posed) T(here)^-1: (P, 4, 4)."""
         if self.T_part is None or posed.T_part is None:
             return None
         return posed.T_part @ invert_rigid(self.T_part)
@@ -75,7 +75,7 @@ class Reconstruction:
 
 
 def truth(instance: Instance, resolution: int = 32) -> Reconstruction:
-    """The ground truth in the place of a prediction; its surfaces are the stored points.
+    """Return the ground truth in the place of a prediction; its surfaces are the stored points.
 
     Args:
         resolution: of the stored grid that tells what is occupied, if there is such a grid.

@@ -38,7 +38,7 @@ class JointState(_OfJoint):
 
 
 class JointError(_OfJoint):
-    """How far a predicted joint is off since the canonical pose; None where the joint failed.
+    """Error of a predicted joint since the canonical pose; None where the joint failed.
 
     `direction` is the angle between the axes, `axis` the distance between those of revolute joints.
     """
@@ -72,7 +72,7 @@ class LeftOut(_Record):
 
 
 class Evaluation(_Record):
-    """What was measured on the test objects of a data set.
+    """Measures on the test objects of a data set.
 
     Attributes:
         means: of every metric over all test instances; what a method does not know is not there.

@@ -43,7 +43,7 @@ _OUTSIDE = -1e6
 
 
 def release_meshes(logits: Floats) -> tuple[list[Floats], Floats]:
-    """The triangles of each part and of the whole, from logits (P, R, R, R).
+    """Return the triangles of each part and of the whole, from logits (P, R, R, R).
 
     Occupancies, not logits, are interpolated, and every vertex is 1 / R too low on each axis.
     """
@@ -103,7 +103,7 @@ def evaluate(
 
 
 def as_points(found: Reconstruction, count: int, rng: np.random.Generator) -> Reconstruction:
-    """The same with `count` points in the place of each part's surface, uniform by area."""
+    """Return the same with `count` points in the place of each part's surface, uniform by area."""
     drawn = [
         (i, sample(found.triangles[found.part == i], count, rng))
         for i in np.unique(found.part).tolist()

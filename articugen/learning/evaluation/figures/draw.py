@@ -188,7 +188,7 @@ def _fields(path: Path, model: Drawable, instance: Instance, names: Names) -> No
 
 
 def cutting_plane(instance: Instance) -> tuple[int, float]:
-    """(k, c): the plane where coordinate k is c, on which the first joint's motion shows.
+    """Return (k, c): the plane where coordinate k is c, on which the first joint's motion shows.
 
     Across a revolute axis, upright along a slide; through the middle of the parts that move.
     """

@@ -33,8 +33,8 @@ class Names:
         return part_colours(self.labels, self.dominant)
 
     def part_of(self, joint: int, shape: Reconstruction) -> int | None:
-        """The predicted part of what a true joint moves: of several the one that is there in the
-        shape, by its surface, as doors that are hinged left and right have a part each."""
+        """Return the predicted part of what a true joint moves: of several the one that is there in
+        the shape, by its surface, as doors that are hinged left and right have a part each."""
         corners = shape.triangles
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         area = np.bincount(shape.part, np.linalg.norm(across, axis=1), minlength=shape.parts)
@@ -43,7 +43,7 @@ class Names:
 
 
 def by_opening(instances: Sequence[Instance]) -> list[Instance]:
-    """The canonical instance, then the others by how far their joints have moved."""
+    """Return the canonical instance, then the others by how far their joints have moved."""
 
     def moved(i: Instance) -> float:
         limits = np.where(i.joint_upper == 0.0, 1.0, i.joint_upper)
@@ -110,8 +110,8 @@ def _solid(found: Reconstruction, names: Names) -> ColouredMesh:
 def _changes(
     instance: Instance, first: Reconstruction, found: Reconstruction, names: Names
 ) -> list[float | None]:
-    """How far each joint has moved by the prediction, positive about the true axis; None where no
-    part stands for it, and nothing at all where the method knows no joints."""
+    """Return how far each joint has moved by the prediction, positive about the true axis; None
+    where no part stands for it, and nothing at all where the method knows no joints."""
     changes: list[float | None] = []
     if first.joints is None or found.joints is None:
         return changes
@@ -149,7 +149,7 @@ def _true_axes(instance: Instance) -> ColouredMesh:
 
 
 def _predicted_axes(instance: Instance, found: Reconstruction, names: Names) -> ColouredMesh:
-    """The axes of the parts that joints move, as long as the true ones would be there."""
+    """Return the axes of the parts that joints move, as long as the true ones would be there."""
     points, part = dequantize(instance.surface_points), instance.surface_part
     joints, axes = found.joints, []
     for j in range(len(instance.joint_kind)):

@@ -84,7 +84,7 @@ def discovered(
 
 
 def kinds_of(found: Found) -> set[JointKind]:
-    """The kinds of joints that more than a few of the objects have."""
+    """Return the kinds of joints that more than a few of the objects have."""
     own = [{joint.kind for joint in each.joints} for each in found if each]
     return {k for k in KINDS if sum(k in kinds for kinds in own) >= FEW_OBJECTS * len(own) > 0}
 
@@ -102,7 +102,7 @@ class _Clouds:
         return _Clouds(split.surface[at].cpu().numpy(), split.normals[at].cpu().numpy())
 
     def unpacked(self) -> NDArray[np.float64]:
-        """(K, n, 3) the points, in the unit frame."""
+        """Return (K, n, 3) the points, in the unit frame."""
         return unpacked(torch.from_numpy(self.points)).double().numpy()
 
 
