@@ -86,7 +86,6 @@ FOREIGN: dict[str, set[str]] = {
     },
     "safetensors": {"learning.commands", "learning.tensors"},
     "submitit": {"pipeline.executors.slurm"},
-    "tensorboard": {"learning.tensorboard"},
     "trimesh": {"export.inertia", "meshes.mesh_file", "meshes.points", "meshes.scenes"},
     "typer": {
         "cli.discover",

@@ -339,10 +339,11 @@ def test_the_adversary_s_shortcut_is_exact(boxes):
         torch.testing.assert_close(a, b)
 
 
-def test_the_curve_is_the_one_that_was_committed(tmp_path, monkeypatch):
-    """Of the paper's recipe, both stages, in steps so small that it is the same on any processor:
-    in larger ones Adam makes much of how sums are rounded. Points are drawn as they are where many
-    are wanted, as the paper's recipe does."""
+@pytest.mark.parametrize("name", ["ppd_paper", "ppd_release"])
+def test_the_curve_is_the_one_that_was_committed(tmp_path, monkeypatch, name):
+    """Of the paper's recipe and the release's, both stages, in steps so small that they are the
+    same on any processor: in larger ones Adam makes much of how sums are rounded. Points are drawn
+    as they are where many are wanted, as the paper's recipe does."""
     monkeypatch.setattr(split, "FEW", 10**9)
     data = write_boxes(tmp_path / "data", train=4, test=1, states=2)
     plan = {"batch": 4, "learning_rate": 1e-6, "final_learning_rate": 1e-7, "log_every": 1}
@@ -352,9 +353,9 @@ def test_the_curve_is_the_one_that_was_committed(tmp_path, monkeypatch):
         {"resolution": 16, "iterations": 5, "residual_direction": True},
     ]
     points = {"surface_points": 300, "grid_points": 150, "near_points": 50, "validation_objects": 1}
-    recipe = load_recipe({"extends": "ppd_paper", "data": points, "schedule": plan})
+    recipe = load_recipe({"extends": name, "data": points, "schedule": plan})
     drawn = start(data, tmp_path / "runs", recipe).metrics()
-    committed = Path(__file__).parent / "data" / "ppd_curve.jsonl"
+    committed = Path(__file__).parent / "data" / f"{name}_curve.jsonl"
     for have, line in zip(drawn, committed.read_text().splitlines(), strict=True):
         want = json.loads(line)
         assert have.keys() - {"seconds"} == want.keys()

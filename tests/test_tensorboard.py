@@ -1,5 +1,8 @@
 """What TensorBoard reads is what the JSON lines say, also after a resume."""
 
+import itertools
+import time
+
 import pytest
 
 pytest.importorskip("torch", reason="PPD needs torch")
@@ -23,7 +26,9 @@ def records(first: int, last: int, shift: float = 0.0) -> list[dict]:
     ] + [{"iteration": last, "validation": {"iou": 0.25 + shift}}]
 
 
-def test_tensorboard_shows_the_json_lines(tmp_path):
+def test_tensorboard_shows_the_json_lines(tmp_path, monkeypatch):
+    clock = itertools.count(1_000_000_000)  # files are read in the order of the seconds they name
+    monkeypatch.setattr(time, "time", lambda: float(next(clock)))
     run = RunFolder(tmp_path)
     with run.metrics_from(0) as log:
         for record in records(1, 4, shift=9.0):
