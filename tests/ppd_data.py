@@ -7,7 +7,7 @@ from instances import SMALL, hinged_box
 
 from articugen.core.recipe import Recipe
 from articugen.store.manifest import Key, Manifest, Outcome, Timings
-from articugen.store.shards import write_shard
+from articugen.store.writer import write_shard
 
 RECIPE_SHA256 = SMALL.for_one_object().sha256()
 

@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 
 from articugen.pipeline import door, ranks
 from articugen.pipeline.rank_journal import RankJournal, Share
-from articugen.store import shards
+from articugen.store import writer
 from tests.test_pipeline import TINY, job
 
 
@@ -25,7 +25,7 @@ def die(*_: object) -> None:
 
 def be(share: Share, out: Path, objects: int, moment: str) -> None:
     if moment == "shard":
-        shards.sha256_of = die
+        writer.sha256_of = die
     if moment == "record":
         RankJournal.record = die
     with ranks.started(job(out, recipe=TINY.with_counts(objects=objects, states=0)), share) as rank:

@@ -12,7 +12,8 @@ from ppd_data import write_boxes
 
 from articugen.core.errors import UnfitData
 from articugen.core.records import is_material
-from articugen.store.shards import Shard, open_shard, write_shard
+from articugen.store.shards import Shard, open_shard
+from articugen.store.writer import write_shard
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 

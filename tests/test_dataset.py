@@ -9,7 +9,8 @@ from ppd_data import write_boxes
 from articugen.core import schema
 from articugen.core.errors import CorruptShard, UnfitData
 from articugen.core.records import dequantize
-from articugen.store.shards import open_shard, write_shard
+from articugen.store.shards import open_shard
+from articugen.store.writer import write_shard
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 

@@ -31,7 +31,8 @@ from articugen.inspection.report.skin import skin
 from articugen.inspection.report.truth import measured
 from articugen.pictures.surfels import OrientedPoints
 from articugen.store.manifest import Manifest
-from articugen.store.shards import open_shard, write_shard
+from articugen.store.shards import open_shard
+from articugen.store.writer import write_shard
 
 STATES = ((0.0, 0.0), (0.5, 0.1), (1.2, 0.25), (1.7, 0.02))
 HOSTILE = "</title><img src=x onerror=alert(1)><script>alert(2)</script>\u202e'\"&"

@@ -46,9 +46,7 @@ LONG_FILES = {
     "pipeline.journal": 491,
     "pipeline.run": 763,
     "procedural.eyeglasses": 456,
-    "store.dataset": 642,
     "store.manifest": 642,
-    "store.shards": 774,
 }
 """Files that are longer yet, and how long they may be: no line more is let in."""
 
@@ -64,7 +62,7 @@ FOREIGN: dict[str, set[str]] = {
     "coacd": {"export.assembly"},
     "distributed": {"pipeline.executors.dask"},
     "fsspec": {"store.remote"},
-    "h5py": {"export.hdf5", "store.shards"},
+    "h5py": {"export.hdf5", "store.columns", "store.writer"},
     "llvmlite": {"core.compiling"},
     "lxml": {"meshes.xml_strict", "sources.urdf"},
     "manifold3d": {"meshes.simpler"},

@@ -28,7 +28,7 @@ from articugen.pictures.layout import CAPTION, MARGIN, TILE, Row, sheet
 from articugen.pictures.light import SurfaceCloud, occlusion, occlusion_in_detail
 from articugen.pictures.shading import PAPER
 from articugen.pictures.surfels import OrientedPoints, draw, surfels
-from articugen.store.shards import write_shard
+from articugen.store.writer import write_shard
 
 
 def one_part(points: np.ndarray, normals: np.ndarray) -> OrientedPoints:

@@ -21,7 +21,8 @@ from articugen.learning.ppd.settings import (
     PPDStage,
 )
 from articugen.learning.recipe import DataSettings
-from articugen.store.shards import open_shard, write_shard
+from articugen.store.shards import open_shard
+from articugen.store.writer import write_shard
 
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 

@@ -26,7 +26,7 @@ from articugen.store.manifest import (
     this_commit,
     this_machine,
 )
-from articugen.store.shards import write_shard
+from articugen.store.writer import write_shard
 
 TIMINGS = Timings(seconds=1.7, instances_per_second=3 / 1.7, peak_memory_bytes=10, workers=1)
 STATES = ((0.0, 0.0), (0.9, 0.1))

@@ -19,8 +19,10 @@ from articugen.core.errors import CorruptShard, InvalidArgument, MissingExtra
 from articugen.core.geometry import apply, invert_rigid
 from articugen.core.records import dequantize
 from articugen.store import dataset as data_sets
+from articugen.store import shelf
 from articugen.store.rows import Row, in_units
-from articugen.store.shards import open_shard, write_shard
+from articugen.store.shards import open_shard
+from articugen.store.writer import write_shard
 
 POINTS = ("surface_points", "surface_normals", "surface_part")
 
@@ -105,13 +107,13 @@ def test_joints_and_parts(data):
 
 def test_a_row_reads_a_field_when_it_is_asked_for_and_once(data, monkeypatch):
     asked: list[str] = []
-    read = data_sets._Shelf.read
+    read = shelf.Shelf.read
 
     def noted(shelf, shard, row, names):
         asked.extend(names)
         return read(shelf, shard, row, names)
 
-    monkeypatch.setattr(data_sets._Shelf, "read", noted)
+    monkeypatch.setattr(shelf.Shelf, "read", noted)
     row = data[3]
     assert asked == []
     for _ in range(2):
@@ -345,7 +347,7 @@ def test_damage_and_other_files_are_noticed(folder, tmp_path):
 
 
 def test_few_files_are_open_and_threads_share_them(folder, monkeypatch):
-    monkeypatch.setattr(data_sets, "_OPEN_FILES", 2)
+    monkeypatch.setattr(shelf, "_OPEN_FILES", 2)
     data = ag.open(folder)
     data.batch(24, rng=0)  # where rows lie is known from here on
     before = len(os.listdir("/proc/self/fd")) if Path("/proc/self/fd").exists() else 0

@@ -13,7 +13,7 @@ from articugen.core.errors import InvalidRecipe, MachineFault
 from articugen.core.recipe import Recipe, Sampling, load_recipe
 from articugen.core.yaml_files import known, with_settings
 from articugen.learning.method import load_recipe as load_train_recipe
-from articugen.store import shards
+from articugen.store import columns
 
 CATEGORIES = ("drawer", "eyeglasses", "laptop", "oven", "washing_machine")
 
@@ -137,7 +137,7 @@ def test_a_bad_recipe_is_refused_in_one_sentence(tmp_path: Path, text: str, sent
 
 def test_whatever_recipe_is_read_a_shard_can_hold_it() -> None:
     """The largest of each field that is accepted, against the limits of the writer."""
-    assert recipe_module.MAX_TEXT_BYTES <= shards._MAX_ATTRIBUTE_BYTES
+    assert recipe_module.MAX_TEXT_BYTES <= columns.MAX_ATTRIBUTE_BYTES
     most = Sampling(
         grids=(256,),
         surface_points=1_000_000,

@@ -25,7 +25,7 @@ from articugen.pipeline.journal import JOURNAL_NAME
 from articugen.pipeline.run import Job
 from articugen.store import chunks, croissant
 from articugen.store.manifest import MANIFEST_NAME, Manifest
-from articugen.store.shards import copy_user_group
+from articugen.store.writer import copy_user_group
 from articugen.verify.dataset import Finding, Repair, Report, verify
 from articugen.verify.repair import Asked, repair
 from tests.chaos.corruptions import RECIPE

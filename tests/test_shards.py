@@ -28,7 +28,8 @@ from articugen.core import schema
 from articugen.core.errors import ArticugenError, CorruptShard, MachineFault, RejectedInstance
 from articugen.core.files import whole_name
 from articugen.core.schema import Instance, stored_name
-from articugen.store.shards import content_sha256, instance_sha256, open_shard, write_shard
+from articugen.store.shards import content_sha256, instance_sha256, open_shard
+from articugen.store.writer import write_shard
 from tests.fuzz.mending import lookup3
 
 VERSION_1 = Path(__file__).parent / "data" / "shard_version_1.h5"
@@ -690,7 +691,7 @@ import sys
 sys.path.insert(0, {tests!r})
 from test_shards import ABOUT, ROWS
 from articugen.core.errors import ArticugenError
-from articugen.store.shards import write_shard
+from articugen.store.writer import write_shard
 from pathlib import Path
 """
 

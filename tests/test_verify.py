@@ -31,7 +31,7 @@ from articugen.core.schema import CHECKED_ATTRIBUTES
 from articugen.pictures import layout
 from articugen.pipeline.journal import Journal
 from articugen.store.manifest import MANIFEST_NAME, Manifest, Outcome, Rejection
-from articugen.store.shards import write_shard
+from articugen.store.writer import write_shard
 from articugen.verify import dataset as verification
 from articugen.verify.dataset import Report, verify
 

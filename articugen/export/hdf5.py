@@ -7,7 +7,7 @@ from typing import Any, BinaryIO
 import h5py
 from numpy.typing import NDArray
 
-from articugen.store.shards import Disk, new_hdf5
+from articugen.store.writer import Disk, new_hdf5
 
 
 def packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:

@@ -51,7 +51,7 @@ from articugen.store.manifest import (
     Timings,
     code_version,
 )
-from articugen.store.shards import Check, write_shard
+from articugen.store.writer import Check, write_shard
 
 if TYPE_CHECKING:
     from articugen.instance.make import Prepared

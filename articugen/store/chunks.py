@@ -82,3 +82,8 @@ def fletcher32(data: bytes | memoryview) -> int:
 def _folded(total: int) -> int:
     """Modulo 65535 as carries that come round again leave it: 0 for 0 alone."""
     return (total - 1) % 65535 + 1 if total else 0
+
+
+def shape_of(shape: tuple[int, ...]) -> tuple[int, ...]:
+    """The shape of the chunks of a data set (N, ...): a row each."""
+    return (1, *(max(size, 1) for size in shape[1:]))

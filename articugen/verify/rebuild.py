@@ -26,6 +26,7 @@ from articugen.instance.resolving import resolved
 from articugen.pipeline.journal import is_journal
 from articugen.sources import registry
 from articugen.store import croissant
+from articugen.store.columns import Attribute
 from articugen.store.manifest import (
     LISTS,
     MANIFEST_NAME,
@@ -39,7 +40,7 @@ from articugen.store.manifest import (
     is_shard_name,
 )
 from articugen.store.manifest_pages import MOST_BYTES, is_page_name
-from articugen.store.shards import Attribute, ShardRecord, content_sha256, open_shard
+from articugen.store.shards import ShardRecord, content_sha256, open_shard
 from articugen.verify.replay import differences
 
 R = TypeVar("R", bound=BaseModel)

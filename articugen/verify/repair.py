@@ -21,7 +21,8 @@ from articugen.pipeline.run import Job, Plan, Run, Task, generator_of
 from articugen.sources import registry
 from articugen.store import croissant
 from articugen.store.manifest import MANIFEST_NAME, Manifest, ObjectEntry, Outcome, ShardEntry
-from articugen.store.shards import ShardRecord, content_sha256, copy_user_group, open_shard
+from articugen.store.shards import ShardRecord, content_sha256, open_shard
+from articugen.store.writer import copy_user_group
 from articugen.verify.dataset import MENDED, Finding, Repair, Report, text_findings, verify
 from articugen.verify.rebuild import rebuild
 from articugen.verify.replay import made_elsewhere

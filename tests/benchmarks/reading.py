@@ -22,7 +22,8 @@ import numpy as np
 
 from articugen.core.recipe import Sampling
 from articugen.store.dataset import open as open_data_set
-from articugen.store.shards import Shard, open_shard, write_shard
+from articugen.store.shards import Shard, open_shard
+from articugen.store.writer import write_shard
 from tests.instances import SMALL, hinged_box
 
 BATCH = 18

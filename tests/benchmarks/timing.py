@@ -13,7 +13,7 @@ from articugen.core.schema import Instance
 from articugen.instance import make
 from articugen.instance.make import Prepared
 from articugen.pipeline import run as pipeline
-from articugen.store.shards import write_shard
+from articugen.store.writer import write_shard
 from tests.benchmarks import ours, rows
 from tests.benchmarks.cases import Case, Model
 from tests.benchmarks.peers import Answer, Peer

@@ -58,7 +58,8 @@ def old_shards() -> Iterable[bytes]:
 @functools.cache
 def shards() -> tuple[bytes, ...]:
     """Shards of the instances of the old one: as small as shards are."""
-    from articugen.store.shards import open_shard, write_shard
+    from articugen.store.shards import open_shard
+    from articugen.store.writer import write_shard
 
     with open_shard(TESTS / "data" / "shard_version_1.h5") as old:
         rows = [old.instance(i) for i in range(len(old))]

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.records import ENCLOSED, JointKind, dequantize, is_material
-from articugen.store.shards import Attribute, Shard, open_shard
+from articugen.store.columns import Attribute
+from articugen.store.shards import Shard, open_shard
 
 Array = NDArray[np.float64]
 

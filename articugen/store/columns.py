@@ -1,0 +1,251 @@
+"""A shard opened distrustfully: its attributes, and its data sets once they are as the schema says.
+
+Nothing is read before its type and size are checked.
+"""
+
+import json
+import math
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import h5py
+import h5py.h5l
+import h5py.h5o
+import numpy as np
+from numpy.typing import NDArray
+
+from articugen.core import schema
+from articugen.core.errors import CorruptShard
+from articugen.core.fields import MAX_TEXT, Field
+from articugen.core.files import UnfitFile, check_regular
+from articugen.store import chunks
+from articugen.store.bucket import Remote
+from articugen.store.remote import RangeFile
+
+_GZIP, _FLETCHER32 = 1, 3
+_MAX_ATTRIBUTES = 64
+MAX_ATTRIBUTE_BYTES = 60_000
+"""An HDF5 object header has no room for more than 64 kB."""
+
+Attribute = str | int | float
+
+
+@dataclass(frozen=True)
+class Column:
+    """A data set that has been looked at: one chunk a row, which are read without HDF5's filters.
+
+    Attributes:
+        dataset: open for reading.
+        shape: (N, ...).
+        dtype: of what is stored.
+        compressed: whether with gzip.
+    """
+
+    dataset: h5py.h5d.DatasetID
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    compressed: bool
+
+    @property
+    def row_bytes(self) -> int:
+        return math.prod(self.shape[1:]) * self.dtype.itemsize
+
+    @cached_property
+    def places(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Where the chunks of the first rows begin, and their bytes; 0 bytes of one that was
+        stored without its checksum. As many as there are rows, unless one is missing.
+
+        HDF5 believes an index that says how many chunks there could be, and goes through 10^18 of
+        them where it finds none: it is stopped at the last row, once that is known to be there.
+        """
+        found: list[tuple[int, int]] = []
+
+        def note(chunk: Any) -> bool | None:
+            if chunk.chunk_offset[0] != len(found):
+                return True
+            found.append((chunk.byte_offset, 0 if chunk.filter_mask else chunk.size))
+            return True if len(found) == self.shape[0] else None
+
+        if self.row_bytes and self.shape[0] and self._has(self.shape[0] - 1):
+            self.dataset.chunk_iter(note)
+        offset, size = np.array(found, np.int64).reshape(-1, 2).T
+        return offset, size
+
+    def _has(self, row: int) -> bool:
+        try:
+            self.dataset.read_direct_chunk(self._at(row), out=self.buffer())
+        except (OSError, RuntimeError, ValueError):
+            return False
+        return True
+
+    def _at(self, row: int) -> tuple[int, ...]:
+        return (row, *(0,) * (len(self.shape) - 1))
+
+    def buffer(self) -> NDArray[np.uint8]:
+        """Room for one chunk. HDF5 refuses one that is larger, so no index can ask for more."""
+        return np.empty(chunks.most_bytes(self.row_bytes), np.uint8)
+
+    def row(self, row: int, buffer: NDArray[np.uint8]) -> NDArray[Any]:
+        """(...) in place in `buffer` where nothing had to be done to it.
+
+        Raises:
+            OSError, RuntimeError, ValueError: damaged.
+        """
+        return np.frombuffer(self._bytes(row, buffer), self.dtype).reshape(self.shape[1:])
+
+    def rows(self, rows: Sequence[int]) -> NDArray[Any]:
+        """(n, ...) in the order asked for.
+
+        Raises:
+            OSError, RuntimeError, ValueError: damaged.
+        """
+        array = np.empty((len(rows), *self.shape[1:]), self.dtype)
+        into, size = array.reshape(-1).view(np.uint8).data, self.row_bytes
+        buffer = self.buffer()
+        for place, row in enumerate(rows):
+            into[place * size : (place + 1) * size] = self._bytes(row, buffer)
+        return array
+
+    def _bytes(self, row: int, buffer: NDArray[np.uint8]) -> memoryview | bytes:
+        size = self.row_bytes
+        if not size:
+            return b""
+        skipped, chunk = self.dataset.read_direct_chunk(self._at(row), out=buffer)
+        if skipped:
+            raise ValueError("a chunk without its checksum")
+        return chunks.decoded(chunk, size, compressed=self.compressed)
+
+
+def opened(path: Path | Remote) -> h5py.File:
+    """Open a file without HDF5's lock, which network file systems lack: a shard never changes."""
+    try:
+        if isinstance(path, Remote):
+            return h5py.File(RangeFile(path), "r")
+        check_regular(path)
+        return h5py.File(path, "r", locking=False)
+    except UnfitFile as error:
+        raise CorruptShard(f"{path}: {error.strerror}; move it away") from None
+    except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
+        reason = os.strerror(error.errno or 0)
+        raise CorruptShard(f"{path}: cannot be opened ({reason})") from None
+    except OSError:
+        raise CorruptShard(
+            f"{path}: not an HDF5 file, or cut short; make it again or fetch it again"
+        ) from None
+
+
+def attributes_of(file: h5py.File) -> dict[str, Attribute]:
+    """Read the file's attributes; their types and sizes are checked before anything is read.
+
+    Text of variable length is left unread: HDF5 trusts the sizes it finds there, and no checksum
+    guards them. From version 2 on all is in one text of a fixed length as well.
+    """
+    if len(file.attrs) > _MAX_ATTRIBUTES:
+        raise CorruptShard(f"{len(file.attrs)} attributes")
+    version = _attribute(file, "schema_version") if "schema_version" in file.attrs else None
+    if not isinstance(version, int) or not 1 <= version <= schema.SCHEMA_VERSION:
+        if "schema_version" not in file.attrs and "format" not in file.attrs:
+            raise CorruptShard("an HDF5 file, but not an articugen shard")
+        raise CorruptShard(
+            f"schema version {version}, this articugen reads 1 to {schema.SCHEMA_VERSION}"
+        )
+    if version == 1:
+        attributes = {name: _attribute(file, name) for name in file.attrs}
+    else:
+        attributes = _unpacked(str(_attribute(file, schema.CHECKED_ATTRIBUTES)))
+    if attributes.get("format") != schema.FORMAT:
+        raise CorruptShard("an HDF5 file, but not an articugen shard")
+    for name, (kind, _) in schema.ATTRIBUTES.items():
+        if not isinstance(attributes.get(name), kind):
+            raise CorruptShard(f"attribute {name!r} is missing or not of its type")
+    if not re.fullmatch(schema.SPLIT, str(attributes["split"])):
+        raise CorruptShard(f"no split may be called {attributes['split']!r}")
+    if attributes["schema_version"] != version:
+        raise CorruptShard(f"schema version {version} or {attributes['schema_version']}")
+    return attributes
+
+
+def _unpacked(text: str) -> dict[str, Attribute]:
+    try:
+        attributes = json.loads(text)
+    except (ValueError, RecursionError):
+        raise CorruptShard(f"attribute {schema.CHECKED_ATTRIBUTES!r} is not JSON") from None
+    if not isinstance(attributes, dict) or len(attributes) > _MAX_ATTRIBUTES:
+        raise CorruptShard(f"attribute {schema.CHECKED_ATTRIBUTES!r} does not hold the others")
+    for name, value in attributes.items():
+        if isinstance(value, bool) or not isinstance(value, str | int | float):
+            raise CorruptShard(f"attribute {name!r} is neither a number nor a text")
+    return attributes
+
+
+def _attribute(file: h5py.File, name: str) -> Attribute:
+    if name not in file.attrs:
+        raise CorruptShard(f"attribute {name!r} is missing")
+    stored = h5py.h5a.open(file.id, name.encode("utf-8", "surrogateescape"))
+    is_text = isinstance(stored.get_type(), h5py.h5t.TypeStringID)
+    plain = stored.shape == () and stored.get_storage_size() <= MAX_ATTRIBUTE_BYTES
+    if is_text and plain and not stored.get_type().is_variable_str():
+        value = file.attrs[name]
+        return value.decode() if isinstance(value, bytes) else str(value)
+    if plain and not is_text and stored.dtype in (np.dtype("<i8"), np.dtype("<f8")):
+        return np.asarray(file.attrs[name]).item()
+    raise CorruptShard(f"attribute {name!r} is neither a number nor a text of a fixed length")
+
+
+def columns_of(file: h5py.File) -> dict[str, Column]:
+    """Check that all is as the schema says; every data set then.
+
+    Raises:
+        CorruptShard: it is not.
+    """
+    columns: dict[str, Column] = {}
+    for name in map(str, file):
+        field = schema.field_of(name)
+        if field is None and name != schema.USER_GROUP:
+            raise CorruptShard(f"{name!r} is not in the schema")
+        if file.id.links.get_info(name.encode()).type != h5py.h5l.TYPE_HARD:
+            raise CorruptShard(f"{name!r} is a link to elsewhere")
+        kind = h5py.h5o.get_info(file.id, name.encode()).type
+        if kind != (h5py.h5o.TYPE_DATASET if field else h5py.h5o.TYPE_GROUP):
+            raise CorruptShard(f"{name!r} is not a {'data set' if field else 'group'}")
+        if field is None:
+            continue
+        columns[name] = _checked_dataset(h5py.h5d.open(file.id, name.encode()), name, field)
+    fault = schema.misfit({name: column.shape for name, column in columns.items()})
+    if fault:
+        raise CorruptShard(fault)
+    return columns
+
+
+def _checked_dataset(dataset: h5py.h5d.DatasetID, name: str, field: Field) -> Column:
+    shape = dataset.shape
+    if shape is None or not _is_dtype(dataset, field):
+        raise CorruptShard(f"{name!r} is not of dtype {field.dtype}")
+    made = dataset.get_create_plist()
+    if made.get_layout() != h5py.h5d.CHUNKED or made.get_chunk() != chunks.shape_of(shape):
+        raise CorruptShard(f"{name!r} is not stored one instance a chunk")
+    filters = [made.get_filter(i)[0] for i in range(made.get_nfilters())]
+    if filters not in ([_GZIP, _FLETCHER32], [_FLETCHER32]):
+        raise CorruptShard(f"{name!r} has filters {filters}, not the schema's")
+    chunk_bytes = int(np.prod(chunks.shape_of(shape), dtype=float)) * dataset.dtype.itemsize
+    if chunk_bytes > schema.MAX_CHUNK_BYTES:
+        raise CorruptShard(f"{name!r} takes {chunk_bytes} bytes an instance")
+    dtype = np.dtype(f"S{dataset.get_type().get_size()}" if field.dtype == "S" else field.dtype)
+    column = Column(dataset, shape, dtype, compressed=filters[0] == _GZIP)
+    found = len(column.places[0])
+    if 0 not in shape and found != shape[0]:
+        raise CorruptShard(f"{name!r} has {found} chunks for shape {shape}")
+    return column
+
+
+def _is_dtype(dataset: h5py.h5d.DatasetID, field: Field) -> bool:
+    if field.dtype != "S":
+        return dataset.dtype == np.dtype(field.dtype)
+    stored = dataset.get_type()
+    fixed = isinstance(stored, h5py.h5t.TypeStringID) and not stored.is_variable_str()
+    return fixed and 1 <= stored.get_size() <= MAX_TEXT

@@ -1,0 +1,236 @@
+"""The shards of a data set, wherever they lie, and the files that are held to read from them."""
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from articugen.core import schema
+from articugen.core.errors import CorruptShard, InvalidArgument, machine_fault
+from articugen.core.yaml_files import nearest
+from articugen.store.bucket import Remote, is_url
+from articugen.store.columns import Attribute
+from articugen.store.manifest import MANIFEST_NAME, Manifest
+from articugen.store.remote import RangeFile, folder_at
+from articugen.store.shards import Stored, open_shard
+
+_OPEN_FILES = 64
+
+
+def shelf_at(path: str | Path) -> "Shelf":
+    """The shards of a folder, or one shard, on the disk or elsewhere.
+
+    Raises:
+        InvalidArgument, CorruptShard, MachineFault: as `dataset.open`.
+    """
+    if is_url(path):
+        return _remote_shelf(Remote(str(path)))
+    path = Path(path)
+    if path.is_file():
+        return Shelf(path, (_entry_of(path),), None)
+    if (path / MANIFEST_NAME).exists():
+        manifest = Manifest.read(path)
+        return Shelf(path, tuple(_entries(path, manifest)), manifest)
+    return Shelf(path, tuple(map(_entry_of, _shards_in(path))), None)
+
+
+def _remote_shelf(folder: Remote) -> "Shelf":
+    """
+    Raises:
+        CorruptShard: no data set is there, or none that is whole.
+    """
+    if folder.name.endswith(".h5"):
+        return Shelf(folder, (_entry_of(folder),), None)
+    manifest = Manifest.in_bucket(folder_at(folder.url))
+    if manifest is None:
+        raise CorruptShard(
+            f"{folder}: has no {MANIFEST_NAME}; make it with generate, and once more "
+            "where that was cut short"
+        )
+    return Shelf(folder, tuple(_entries(folder, manifest)), manifest)
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """A shard of a data set; `object_ids` of its rows."""
+
+    path: Path | Remote
+    split: str
+    object_ids: Sequence[str]
+
+    @property
+    def instances(self) -> int:
+        return len(self.object_ids)
+
+
+def _entries(folder: Path | Remote, manifest: Manifest) -> Iterator[_Entry]:
+    """As the manifest tells; a shard of one object need not be opened for it."""
+    inside: dict[str, list[Any]] = {}
+    for entry in manifest.objects:
+        inside.setdefault(entry.shard, []).append(entry.key)
+    for shard in manifest.shards:
+        keys = inside[shard.name]
+        if len(keys) == 1:
+            ids = Same(keys[0].object_id, shard.instances)
+            yield _Entry(folder / shard.name, keys[0].split, ids)
+        else:
+            yield _entry_of(folder / shard.name)
+
+
+class Same(Sequence[str]):
+    """One text, so many times."""
+
+    def __init__(self, text: str, count: int) -> None:
+        self._text, self._count = text, count
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._text
+
+
+def _entry_of(path: Path | Remote) -> _Entry:
+    with open_shard(path) as shard:
+        return _Entry(path, str(shard.attributes["split"]), shard.object_ids())
+
+
+def _shards_in(folder: Path) -> list[Path]:
+    """
+    Raises:
+        InvalidArgument: there is none.
+    """
+    if not folder.is_dir():
+        raise InvalidArgument(f"{folder}: there is no such shard or folder; correct its path")
+    shards = sorted(folder.glob("*.h5"))
+    if not shards:
+        inside = sorted(path.parent.name for path in folder.glob(f"*/{MANIFEST_NAME}"))
+        cure = f"open one of: {', '.join(inside)}" if inside else "make one with generate"
+        raise InvalidArgument(f"{folder}: holds no shard; {cure}")
+    return shards
+
+
+def _kind(name: str) -> str:
+    """What a field is of: surface, joint, ...; "" for what there is one of in an instance."""
+    field = schema.field_of(name)
+    return name.partition("_")[0] if field and len(field.shape) > 1 and field.shape[1] != 3 else ""
+
+
+class _Handle:
+    """A file that is open for reading until nobody holds this."""
+
+    def __init__(self, path: Path) -> None:
+        """
+        Raises:
+            OSError: it cannot be opened.
+        """
+        self.number = os.open(path, os.O_RDONLY)
+        about = os.fstat(self.number)
+        self.seen = (about.st_ino, about.st_size, about.st_mtime_ns)
+
+    def read(self, spans: Sequence[tuple[int, int]]) -> list[bytes]:
+        return [os.pread(self.number, size, at) for at, size in spans]
+
+    def __del__(self, close: Callable[[int], None] = os.close) -> None:
+        if hasattr(self, "number"):
+            close(self.number)
+
+
+class _RemoteHandle:
+    """The same, of a file in an object store."""
+
+    def __init__(self, path: Remote) -> None:
+        self._file = RangeFile(path)
+        self.seen = (self._file.size,)
+
+    def read(self, spans: Sequence[tuple[int, int]]) -> list[bytes]:
+        parts = iter(self._file.read_spans([span for span in spans if span[1]]))
+        return [next(parts) if size else b"" for _, size in spans]
+
+
+class Shelf:
+    """The shards of a data set, shared by all that is taken from it."""
+
+    def __init__(
+        self, path: Path | Remote, entries: tuple[_Entry, ...], manifest: Manifest | None
+    ) -> None:
+        self.path, self.entries, self.manifest = path, entries, manifest
+        self._forget()
+
+    def _forget(self) -> None:
+        self._about: dict[int, tuple[Mapping[str, tuple[int, ...]], Mapping[str, Attribute]]] = {}
+        self._stored: dict[tuple[int, str], Stored] = {}
+        self._seen: dict[int, tuple[int, ...]] = {}
+        self._handles: dict[int, _Handle | _RemoteHandle] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"path": self.path, "entries": self.entries, "manifest": self.manifest}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._forget()
+
+    def about(self, shard: int) -> tuple[Mapping[str, tuple[int, ...]], Mapping[str, Attribute]]:
+        """Return (N, ...) shapes of the data sets of a shard, and its attributes."""
+        if shard not in self._about:
+            self._learn(shard, ())
+        return self._about[shard]
+
+    def read(self, shard: int, row: int, names: Sequence[str]) -> list[NDArray[Any]]:
+        """Some fields of an instance as they are stored, read-only.
+
+        Raises:
+            InvalidArgument: there is no such field.
+            CorruptShard: damaged, or another shard since it was first read.
+        """
+        if not all((shard, name) in self._stored for name in names):
+            self._learn(shard, names)
+        handle = self._handle(shard)
+        try:
+            stored = [self._stored[shard, name] for name in names]
+            parts = handle.read([each.span(row) for each in stored])
+            return [each.row(part) for each, part in zip(stored, parts, strict=True)]
+        except (OSError, ValueError) as error:
+            raise machine_fault(error) or CorruptShard(
+                f"{self.entries[shard].path}: damaged ({error}); make it again or fetch it again"
+            ) from error
+
+    def _learn(self, shard: int, names: Iterable[str]) -> None:
+        """Note where the rows of some fields lie, and of those that are mostly read with them; of a
+        remote shard, of all: opening it is what takes time."""
+        path = self.entries[shard].path
+        with open_shard(path) as opened:
+            self._about[shard] = (dict(opened.fields), dict(opened.attributes))
+            for name in names:
+                if name not in opened.fields:
+                    known = list(opened.fields)
+                    raise InvalidArgument(
+                        f"{path}: no field {name!r}{nearest(name, known)}; there are: "
+                        f"{', '.join(known)}"
+                    )
+            kinds = set(map(_kind, names))
+            for name in opened.fields:
+                if isinstance(path, Remote) or _kind(name) in kinds:
+                    self._stored[shard, name] = opened.stored(name)
+        if len(opened) != self.entries[shard].instances:
+            raise CorruptShard(f"{path}: not the shard that the manifest tells of; see verify")
+
+    def _handle(self, shard: int) -> "_Handle | _RemoteHandle":
+        handle = self._handles.get(shard)
+        if handle is None:
+            path = self.entries[shard].path
+            try:
+                handle = _RemoteHandle(path) if isinstance(path, Remote) else _Handle(path)
+            except OSError as error:
+                raise machine_fault(error) or CorruptShard(
+                    f"{path}: cannot be opened ({error.strerror})"
+                ) from error
+            if self._seen.setdefault(shard, handle.seen) != handle.seen:
+                raise CorruptShard(f"{path}: was made again since; open the data set again")
+            while len(self._handles) >= _OPEN_FILES:
+                self._handles.pop(next(iter(self._handles)), None)
+            self._handles[shard] = handle
+        return handle
