@@ -27,7 +27,7 @@ from articugen.core.records import LabelledMesh, Views
 WARM_UPS = {
     "generate": (
         "fusion.warm:views", "rendering.warm:drawing", "fusion.warm:rays", "fusion.warm:solids",
-        "fusion.warm:boxes", "instance.warm:swept", "meshes.warm:files",
+        "fusion.warm:boxes", "instance.warm:swept",
     ),
     "inspect": (
         "pictures.warm:discs", "pictures.warm:light", "inspection.warm:skins",

@@ -1,4 +1,4 @@
-"""Mesh files and primitive shapes to `Mesh`: OBJ and STL read here, other formats by mesh_formats.
+"""Mesh files and primitive shapes to `Mesh`: OBJ and STL read here, other formats by `scenes`.
 
 OBJ has a reader of its own because a real model has up to 270 small OBJ files, and STL because
 trimesh accepts headers that lie. Whatever reads a file, `checked` sees the result.
@@ -6,10 +6,10 @@ trimesh accepts headers that lie. Whatever reads a file, `checked` sees the resu
 
 import codecs
 import re
-from array import array
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,6 @@ from articugen.core.portable import cos, sin
 from articugen.core.records import Mesh
 from articugen.meshes import scenes
 from articugen.meshes.model_files import ModelFiles, quoted
-from articugen.meshes.scenes import MAX_FACES, MAX_VERTICES
 
 MAX_LINE_BYTES = 2**20
 """Of an OBJ: a face with so many corners is none."""
@@ -225,72 +224,80 @@ def _lathe(radii: NDArray[np.float64], heights: NDArray[np.float64], sections: i
     return Mesh(np.concatenate([*rings, poles]), np.concatenate(faces).astype(np.int32))
 
 
-_LONG_OBJ = 2**14
-"""Bytes: shorter ones are not worth the import of a compiled reader."""
-
-_OBJ_LINE = re.compile(rb"^[ \t\v\f]*[vf](?:[ \t\v\f].*)?$", re.MULTILINE)
+_OBJ_VERTEX = re.compile(rb"\nv(?=\s)" + 3 * rb"[ \t\v\f]*(\S*)")
+_OBJ_POLYGON = re.compile(rb"\nf(?=\s)([^\n#]*)")
 
 
 def _read_obj(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
     """Wavefront OBJ: `v` and `f` lines, also with texture and normal indices, polygons, negative
     (relative) indices, continued lines and comments. Everything else is ignored."""
-    data = _obj_text(data, path)
-    if len(data) >= _LONG_OBJ:
-        from articugen.meshes.obj_kernel import read_plain  # noqa: PLC0415 - imports numba
-
-        plain = read_plain(data, vertices=MAX_VERTICES, faces=MAX_FACES, line=MAX_LINE_BYTES)
-        if plain is not None:
-            faces = int(np.maximum(plain[2] - 2, 0).sum())
-            scenes.check_size(path, faces=faces, vertices=len(plain[0]))
-            return plain[0], fans(*plain[1:])
-    coordinates, corners, counts = array("d"), array("q"), array("q")
-    faces = 0
-    line = b""
+    data = _obj_text(data)
+    if data.count(b"\nv") > scenes.MAX_VERTICES or data.count(b"\nf") > scenes.MAX_FACES:
+        vertices, faces = (
+            sum(data.count(b"\n%b%c" % (kind, blank)) for blank in _BLANKS) for kind in (b"v", b"f")
+        )
+        scenes.check_size(path, faces=faces, vertices=vertices)
+    vertices, lines = _OBJ_VERTEX.findall(data), _OBJ_POLYGON.findall(data)
+    text = b"\n" + b"\n".join(lines)
+    counts = _words(text, path)
+    words = text.split()
+    if b"/" in text:
+        words = [word.partition(b"/")[0] for word in words]
     try:
-        for line in _obj_lines(data, path):
-            words = line.split()
-            if words[0] == b"v":
-                x, y, z = words[1:4]
-                coordinates.extend((float(x), float(y), float(z)))
-                continue
-            if b"#" in line:
-                words = line.partition(b"#")[0].split()
-            known = len(coordinates) // 3
-            polygon = [int(word.partition(b"/")[0]) for word in words[1:]]
-            corners.extend([i - 1 if i > 0 else known + i if i else -1 for i in polygon])
-            counts.append(len(polygon))
-            faces += max(len(polygon) - 2, 0)
-            if faces > MAX_FACES:
-                break
+        coordinates = np.fromiter(map(float, chain.from_iterable(vertices)), np.float64)
+        corners = np.fromiter(map(int, words), np.int64)
     except (ValueError, OverflowError):
-        text = quoted(line[:60].decode(errors="replace"))
-        raise InvalidSource(f"{path}: the line {text} is not OBJ; export it again") from None
-    scenes.check_size(path, faces=faces, vertices=len(coordinates) // 3)
-    return np.array(coordinates, np.float64).reshape(-1, 3), fans(
-        np.array(corners, np.int64), np.array(counts, np.int64)
-    )
+        line = quoted(_odd_line(data)[:60].decode(errors="replace"))
+        raise InvalidSource(f"{path}: the line {line} is not OBJ; export it again") from None
+    known = np.zeros(len(counts), np.int64)
+    if lines and (corners < 0).any():
+        begins = [[m.start() for m in kind.finditer(data)] for kind in (_OBJ_VERTEX, _OBJ_POLYGON)]
+        known = np.searchsorted(*begins)
+    corners = np.where(corners < 0, corners + np.repeat(known, counts), corners - 1)
+    return coordinates.reshape(-1, 3), fans(corners, counts)
 
 
-def _obj_text(data: bytes, path: Path) -> bytes:
-    """Lines that end with a newline, none continued; of no more than a mesh may have."""
+_BLANKS = b" \t\v\f\n"
+_IS_BLANK = np.isin(np.arange(256), list(_BLANKS))
+
+
+def _obj_text(data: bytes) -> bytes:
+    """Lines that begin and end with a newline: none continued, none indented."""
     data = data.removeprefix(codecs.BOM_UTF8)
     if b"\\" in data:
         data = re.sub(rb"\\\r?\n", b" ", data)
-    if b"\r" in data:
-        data = data.replace(b"\r", b"\n")
-    scenes.check_size(path, faces=data.count(b"\nf "), vertices=data.count(b"\nv "))
-    return data
+    return re.sub(rb"\n[ \t\v\f]+", b"\n", b"\n%b\n" % data.replace(b"\r", b"\n"))
 
 
-def _obj_lines(data: bytes, path: Path) -> Iterator[bytes]:
-    """The `v` and `f` lines; no more than a mesh may have, and none too long."""
-    for number, match in enumerate(_OBJ_LINE.finditer(data)):
-        line = match.group()
-        if len(line) > MAX_LINE_BYTES:
-            raise InvalidSource(f"{path}: a line has {len(line):,} bytes; export it again")
-        if number > MAX_FACES + MAX_VERTICES:
-            scenes.check_size(path, faces=number)
-        yield line
+def _words(text: bytes, path: Path) -> NDArray[np.int64]:
+    """How many words each line has; refused where their polygons are too large, before room is made
+    for any."""
+    letters = np.frombuffer(text, np.uint8)
+    first = np.flatnonzero(letters == ord("\n"))
+    longest = int(np.diff(first, append=len(letters)).max())
+    if longest > MAX_LINE_BYTES:
+        raise InvalidSource(f"{path}: a line has {longest:,} bytes; export it again")
+    blank = _IS_BLANK[letters]
+    begins = blank & ~np.append(blank[1:], True)
+    counts = np.add.reduceat(begins, first, dtype=np.int64)
+    scenes.check_size(path, faces=int(np.maximum(counts - 2, 0).sum()))
+    return counts
+
+
+def _odd_line(data: bytes) -> bytes:
+    """The first line of a vertex or polygon that is none."""
+    for line in re.findall(rb"\n([vf](?=\s)[^\n]*)", data):
+        words = line.split()[1:4]
+        if line.startswith(b"f"):
+            words = [w.partition(b"/")[0] for w in line.partition(b"#")[0].split()[1:]]
+        try:
+            if line.startswith(b"f"):
+                np.fromiter(map(int, words), np.int64)
+            elif len([float(word) for word in words]) < 3:
+                return line
+        except (ValueError, OverflowError):
+            return line
+    return b""
 
 
 _STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])

@@ -19,13 +19,13 @@ from articugen.core.errors import InvalidSource
 from articugen.core.geometry import apply, rotation_from_rpy, transform
 from articugen.core.portable import norm
 from articugen.core.records import ArticulatedObject, Floats, Joint, JointKind, Link, Mesh, Mimic
-from articugen.meshes import read
+from articugen.meshes import read, scenes
 from articugen.meshes.model_files import MAX_TEXT_BYTES, ModelFiles, quoted
 from articugen.meshes.xml_strict import tostring
 from articugen.sources.urdf_check import MAX_NUMBER, checked_robot
 
-MAX_OBJECT_FACES = read.MAX_FACES
-MAX_OBJECT_VERTICES = read.MAX_VERTICES
+MAX_OBJECT_FACES = scenes.MAX_FACES
+MAX_OBJECT_VERTICES = scenes.MAX_VERTICES
 """Of all visuals of an object: a small URDF can name one large mesh many times."""
 
 
