@@ -7,15 +7,12 @@ but only where a number of `articugen/core/content.py` was raised for what chang
 import argparse
 import hashlib
 import json
-import os
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 from articugen import procedural
 from articugen.core import content
@@ -25,7 +22,6 @@ from articugen.export.formats import NAMES, format_named
 from articugen.export.run import export
 from articugen.pipeline import door
 from articugen.pipeline.run import Job
-from articugen.procedural.cache import SEAL_NAME
 from articugen.store.manifest import library_versions
 
 GOLDEN = Path(__file__).with_name("data") / "golden.json"
@@ -103,16 +99,6 @@ CABINET = """\
 """
 
 
-@contextmanager
-def own_models(folder: Path) -> Iterator[None]:
-    """Meanwhile bundled models are written to `folder` and read from there alone: those on the disk
-    are as their code was when they were written."""
-    for source in ("procedural", *(f"procedural_{how}" for how in WRITTEN)):
-        (folder / source).mkdir(parents=True)
-    with mock.patch.dict(os.environ, ARTICUGEN_SOURCES=str(folder)):
-        yield
-
-
 def data(name: str, folder: Path) -> str:
     """The content hash of one of the SETS; `folder`, to work in, does not exist yet."""
     folder.mkdir(parents=True)
@@ -134,10 +120,8 @@ def shapes(category: str, folder: Path) -> str:
         object_id = f"{category}_{number:04d}"
         urdf = procedural.write_object(category, object_id, folder / object_id)
         for path in sorted(urdf.parent.iterdir()):
-            if path.name != SEAL_NAME:  # which tells of the version, too
-                digest.update(
-                    f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode()
-                )
+            content = hashlib.sha256(path.read_bytes()).hexdigest()
+            digest.update(f"{path.name} {content}\n".encode())
     return digest.hexdigest()
 
 
@@ -167,15 +151,14 @@ def _exported(data: Path, name: str, out: Path) -> str:
 
 def made(folder: Path) -> dict[str, Any]:
     """What golden.json must hold: the declared versions, and what this code makes."""
-    with own_models(folder / "models"):
-        return {
-            "stages": dict(content.STAGES),
-            "models": dict(content.MODELS),
-            "data": {name: data(name, folder / "data" / name) for name in SETS},
-            "shapes": {name: shapes(name, folder / "shapes" / name) for name in CATEGORIES},
-            "exports": exports(folder / "exports"),
-            "libraries": {name: library_versions()[name] for name in ("numba", "numpy")},
-        }
+    return {
+        "stages": dict(content.STAGES),
+        "models": dict(content.MODELS),
+        "data": {name: data(name, folder / "data" / name) for name in SETS},
+        "shapes": {name: shapes(name, folder / "shapes" / name) for name in CATEGORIES},
+        "exports": exports(folder / "exports"),
+        "libraries": {name: library_versions()[name] for name in ("numba", "numpy")},
+    }
 
 
 def read() -> dict[str, Any]:

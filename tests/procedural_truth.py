@@ -11,7 +11,8 @@ from articugen.instance.articulation import forward_kinematics
 from articugen.procedural import write_object
 from articugen.procedural.kit.model import Model
 from articugen.procedural.kit.solids import Solid
-from articugen.procedural.truth import Truth, load_truth
+from articugen.procedural.kit.writer import TRUTH_NAME
+from articugen.procedural.truth import Truth, read_truth
 from articugen.sources.urdf import load_urdf
 
 CONTACT = 1e-9
@@ -30,7 +31,8 @@ def written(
 ) -> tuple[ArticulatedObject, Truth]:
     """An object written to `folder`, read back, and its truth."""
     path = write_object(category, object_id, folder, messy=messy, varied=varied)
-    return load_urdf(path, object_id=object_id, category=category), load_truth(folder)
+    truth = read_truth((folder / TRUTH_NAME).read_bytes())
+    return load_urdf(path, object_id=object_id, category=category), truth
 
 
 def link_frames(obj: ArticulatedObject, q: Floats) -> dict[str, Floats]:

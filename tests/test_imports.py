@@ -37,7 +37,7 @@ LARGEST_ROOM = 0.2
 """Its share of the lines."""
 LONGEST_FILE = 450
 LONG_FILES = {
-    "cli.generate": 538,
+    "cli.generate": 526,
     "core.processes": 534,
     "discovery.discover": 467,
     "inspection.report.sections": 509,

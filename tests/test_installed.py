@@ -1,6 +1,5 @@
 """The wheel holds all that the package needs: it works from an empty folder, by itself."""
 
-import os
 import subprocess
 import sys
 import zipfile
@@ -51,14 +50,3 @@ def test_an_installed_package_finds_its_sources_and_plans(installed: Path, tmp_p
     assert "86" in run(installed, tmp_path, "generate", "-c", "laptop", "-j", "0", "--dry-run")
     quick = ("-c", "oven", "-j", "0", "-r", "quick")
     assert "110" in run(installed, tmp_path, "generate", *quick, "--dry-run")
-
-
-def test_models_of_an_installed_package_go_to_the_cache(installed: Path, tmp_path: Path) -> None:
-    code = "from articugen.core.bundled import model_folder; print(model_folder('procedural'))"
-    own = {"PYTHONPATH": str(installed), "XDG_CACHE_HOME": str(tmp_path), "HOME": str(tmp_path)}
-    told = subprocess.check_output(
-        [sys.executable, "-c", code], cwd=tmp_path, env={**os.environ, **own}, text=True
-    )
-    folder = Path(told.strip())
-    assert folder.is_relative_to(tmp_path)
-    assert not folder.is_relative_to(installed)

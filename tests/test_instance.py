@@ -42,7 +42,8 @@ from articugen.fusion.field import OwnSolid, PosedSolids
 from articugen.instance import articulation
 from articugen.instance.make import Prepared, make_instance, pose, prepare
 from articugen.procedural import CATEGORIES
-from articugen.procedural.truth import Truth, load_truth
+from articugen.procedural.truth import Truth
+from articugen.procedural.truth import truth_of as exact_truth
 from articugen.rendering import rasterizer
 from articugen.sources import registry
 from tests.procedural_truth import heights, object_id, written
@@ -141,7 +142,7 @@ def make(tmp_path_factory: pytest.TempPathFactory) -> Maker:
             prepared = prepare(obj, recipe_for(category), seed=0)
             instances = tuple(make_instance(prepared, s) for s in range(STATES + 1))
             thickness = prepared.recipe.fusion.sheet_thickness * prepared.unit.scale
-            truth = load_truth(own, sheet_thickness=thickness)
+            truth = exact_truth(category, name, messy=messy, sheet_thickness=thickness)
             kept[key] = Made(obj, truth, prepared, instances)
         return kept[key]
 

@@ -249,8 +249,6 @@ def test_any_model_that_a_source_reads(folder, tmp_path, monkeypatch):
     (tmp_path / "12" / "meta.json").write_text('{"model_cat": "StorageFurniture"}')
     furniture = ag.load(tmp_path / "12")
     assert furniture.movable  # what PartNet-Mobility's source.yaml says of storage furniture
-    (tmp_path / "own" / "procedural").mkdir(parents=True)
-    monkeypatch.setenv("ARTICUGEN_SOURCES", str(tmp_path / "own"))
     drawer = ag.load("procedural", "drawer_0003")
     assert (drawer.category, drawer.clips_to_limits) == ("drawer", False)
     for wrong, error, sentence in (

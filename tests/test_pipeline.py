@@ -482,16 +482,13 @@ def test_a_folder_without_permission_is_one_sentence(tmp_path: Path) -> None:
     assert "locked/out: not written: the folder cannot be written to; change its perm" in said
 
 
-@pytest.mark.parametrize("taken", ["out", "models/procedural/eyeglasses"])
 def test_a_file_where_a_folder_must_be_stops_the_run_and_rejects_nothing(
-    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taken: str
+    whole: Path, tmp_path: Path
 ) -> None:
-    (tmp_path / "models" / "procedural").mkdir(parents=True)
-    monkeypatch.setenv("ARTICUGEN_SOURCES", str(tmp_path / "models"))
-    (tmp_path / taken).write_text("in the way")
+    (tmp_path / "out").write_text("in the way")
     with pytest.raises(MachineFault, match="a file is in the way; move it away or"):
         made(job(tmp_path / "out"))
-    (tmp_path / taken).unlink()
+    (tmp_path / "out").unlink()
     assert [task.why for task in planned(job(tmp_path / "out")).tasks] == [NEVER_MADE] * 4
     assert made(job(tmp_path / "out"))[0].rejected == ()
     assert contents(tmp_path / "out") == contents(whole)
@@ -704,15 +701,14 @@ def made_under(
 def test_too_small_a_limit_of_files_stops_the_run_and_rejects_nothing(
     whole: Path, tmp_path: Path
 ) -> None:
-    out, models = tmp_path / "out", tmp_path / "models"
-    (models / "procedural").mkdir(parents=True)
+    out = tmp_path / "out"
     small = "resource.setrlimit(resource.RLIMIT_FSIZE, (20_000,) * 2)"
-    for _ in range(2):  # models over 20 kB cannot be written
-        said = made_under(small, out, 1, ARTICUGEN_SOURCES=str(models))
+    for _ in range(2):  # shards over 20 kB cannot be written
+        said = made_under(small, out, 1)
         assert "articugen.core.errors.MachineFault: " in said
         assert "File too large" in said or "files may not grow so large" in said
         assert "finished objects are kept, the same command goes on after them" in said
-    assert made_under("", out, 1, ARTICUGEN_SOURCES=str(models)) == ""
+    assert made_under("", out, 1) == ""
     assert contents(out) == contents(whole)
 
 
@@ -723,17 +719,6 @@ def test_too_little_memory_rejects_nothing(whole: Path, tmp_path: Path) -> None:
     assert "MachineFault: " in said or "failed through no fault of theirs" in said
     assert made_under("", tmp_path / "out", 1) == ""
     assert contents(tmp_path / "out") == contents(whole)
-
-
-def test_a_full_disk_stops_the_run_and_rejects_nothing(whole: Path, tmp_path: Path) -> None:
-    with small_disk(tmp_path / "disk", "200k") as disk:
-        (disk / "procedural").mkdir()
-        out = tmp_path / "out"
-        said = made_under("", out, 0, ARTICUGEN_SOURCES=str(disk))  # models do not fit
-        assert "MachineFault: " in said
-        assert "No space left" in said or "the disk is full" in said
-        assert made_under("", out, 0) == ""
-        assert contents(out) == contents(whole)
 
 
 def test_what_a_run_needs_is_compared_with_what_is_free(whole: Path, tmp_path: Path) -> None:

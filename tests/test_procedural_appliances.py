@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from articugen.core.geometry import Array, apply, bounds, rotation_about, transform
 from articugen.procedural import build_model, drawer, oven, washing_machine, write_object
+from articugen.procedural import truth as exact
 from articugen.procedural.kit.model import Model, ModelJoint
-from articugen.procedural.truth import Truth, load_truth
+from articugen.procedural.truth import Truth
 from tests.procedural_truth import crossings, written
 
 CATEGORIES = ("oven", "washing_machine", "drawer")
@@ -26,15 +27,7 @@ def model_of(category: str, name: str) -> Model:
     return build_model(category, name)
 
 
-@pytest.fixture(scope="module")
-def truth_of(tmp_path_factory: pytest.TempPathFactory):
-    folder = tmp_path_factory.mktemp("objects")
-
-    @cache
-    def read(category: str, name: str) -> Truth:
-        return load_truth(write_object(category, name, folder / name).parent)
-
-    return read
+truth_of = cache(exact.truth_of)
 
 
 def link_motions(model: Model, q: list[float]) -> dict[str, Array]:
@@ -180,7 +173,7 @@ def test_parts_keep_clear_of_each_other(category: str, name: str, tmp_path: Path
 
 
 @pytest.mark.parametrize("name", [name for category, name in CASES if category == "drawer"])
-def test_drawers_are_hollow_boxes_open_above(name: str, truth_of):
+def test_drawers_are_hollow_boxes_open_above(name: str):
     model, truth = model_of("drawer", name), truth_of("drawer", name)
     rng = np.random.default_rng(1)
     q = [rng.uniform(0.0, joint.upper) for joint in model.joints]
@@ -195,7 +188,7 @@ def test_drawers_are_hollow_boxes_open_above(name: str, truth_of):
 
 
 @pytest.mark.parametrize("name", [name for category, name in CASES if category == "oven"])
-def test_an_ovens_cavity_is_empty_but_for_its_racks(name: str, truth_of):
+def test_an_ovens_cavity_is_empty_but_for_its_racks(name: str):
     model, truth, rng = model_of("oven", name), truth_of("oven", name), np.random.default_rng(2)
     (joint,) = model.joints
     low, high = box_of(model, joint)
@@ -214,7 +207,7 @@ def test_an_ovens_cavity_is_empty_but_for_its_racks(name: str, truth_of):
 
 
 @pytest.mark.parametrize("name", [name for category, name in CASES if category[0] == "w"])
-def test_a_washing_machines_drum_is_round_and_empty(name: str, truth_of):
+def test_a_washing_machines_drum_is_round_and_empty(name: str):
     model, truth = model_of("washing_machine", name), truth_of("washing_machine", name)
     (joint,) = model.joints
     frames = world_links(model, [joint.upper])

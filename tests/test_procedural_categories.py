@@ -116,11 +116,7 @@ def chest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return "chest"
 
 
-def test_the_category_of_the_docs_is_like_any_other(
-    chest: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "procedural_messy").mkdir()  # where its models are written
-    monkeypatch.setenv("ARTICUGEN_SOURCES", str(tmp_path))
+def test_the_category_of_the_docs_is_like_any_other(chest: str, tmp_path: Path) -> None:
     for index in range(10):
         assert_sound(build_model(chest, object_id(chest, index)))
     assert_parts_keep_clear(chest, object_id(chest, 1), tmp_path)

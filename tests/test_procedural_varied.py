@@ -84,11 +84,8 @@ def test_what_is_not_varied_is_not_offered() -> None:
     assert ", ".join(registry.categories(SOURCE, ["all"])) == offered
 
 
-def test_they_are_a_source_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_they_are_a_source_of_their_own(tmp_path: Path) -> None:
     """Beside the plain ones: one id is another object in either."""
-    monkeypatch.setenv("ARTICUGEN_SOURCES", str(tmp_path))
-    (tmp_path / SOURCE).mkdir()
-    (tmp_path / "procedural").mkdir()
     fewer = next(name for name in DRAWERS if len(drawers_of(name)) == 1)
     (plain,) = registry.object_refs("procedural", "drawer", ids=[fewer])
     (varied,) = registry.object_refs(SOURCE, "drawer", ids=[fewer])

@@ -9,15 +9,16 @@ import pytest
 import yourdfpy
 from numpy.typing import NDArray
 
-from articugen.core.errors import InvalidSource
+from articugen.core.errors import InvalidSource, MachineFault
 from articugen.core.geometry import apply
 from articugen.core.records import Floats
 from articugen.core.seeding import generator
 from articugen.meshes.model_text import Visual, urdf_text
-from articugen.procedural import build_model, write_object
+from articugen.procedural import build_model, object_files, write_object
 from articugen.procedural.kit import writer
 from articugen.procedural.kit.model import Model, ModelJoint, ModelLink
 from articugen.procedural.kit.solids import box, prism
+from articugen.sources import registry
 from tests.procedural_truth import (
     L_SHAPE,
     assert_sound,
@@ -205,6 +206,30 @@ def test_same_id_same_bytes_other_id_other_bytes(tmp_path: Path, *, messy: bool)
     other = _bytes(tmp_path / "c" / "laptop_0004")
     assert first["solids.json"] != other["solids.json"]
     assert first["model.urdf"] != other["model.urdf"]
+
+
+def test_an_object_in_memory_is_the_one_that_is_written(tmp_path: Path) -> None:
+    name = object_id("eyeglasses", 2)
+    (ref,) = registry.object_refs("procedural_messy", "eyeglasses", ids=[name])
+    for category, number in registry.write_bundled(tmp_path, categories=("eyeglasses",)):
+        assert category.parent.parent == tmp_path
+        assert number == len(list(category.iterdir())) == 42
+    folder = tmp_path / "procedural_messy" / "eyeglasses" / name
+    (again,) = registry.object_refs(folder, "eyeglasses")
+    one, other = registry.load(ref), registry.load(again)
+    assert one.sha256 == other.sha256
+    for a, b in zip(one.links, other.links, strict=True):
+        assert a.mesh.vertices.tobytes() == b.mesh.vertices.tobytes()
+    contents = object_files("eyeglasses", name, messy=True)
+    assert {path.name for path in folder.iterdir()} == {*contents, "solids.json"}
+
+
+def test_a_model_is_written_nowhere_else(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "front.obj").symlink_to(tmp_path / "other")
+    with pytest.raises(MachineFault, match="symbolic link"):
+        write_object("eyeglasses", "eyeglasses_0000", tmp_path / "out")
+    assert not (tmp_path / "other").exists()
 
 
 def test_unknown_category_is_refused() -> None:

@@ -19,9 +19,8 @@ from tests.python_process import printed
 MAKE = """
 import json, sys
 from pathlib import Path
-from tests.golden import data, own_models
-with own_models(Path("models")):
-    made = {name: data(name, Path(name).absolute()) for name in sys.argv[1:]}
+from tests.golden import data
+made = {name: data(name, Path(name).absolute()) for name in sys.argv[1:]}
 print(json.dumps(made))
 """
 
@@ -44,7 +43,7 @@ x86 = pytest.mark.skipif(platform.machine() != "x86_64", reason="names of x86-64
 def made_under(
     folder: Path, names: Collection[str], code: str = MAKE, **settings: str
 ) -> dict[str, str]:
-    """The content hash of each tiny set; the models are written anew as well."""
+    """The content hash of each tiny set."""
     folder.mkdir(exist_ok=True)
     path = os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])
     own = {"PYTHONPATH": path, **settings}

@@ -1,4 +1,4 @@
-"""The command `fetch`: it calls `articugen.sources.fetch`, shows the terms and lists what came."""
+"""The commands `sources` and `fetch`: they list models, write the bundled ones, bring others."""
 
 # Everything heavy is imported where it is used: --help should not wait for yourdfpy.
 # ruff: noqa: PLC0415
@@ -17,7 +17,11 @@ if TYPE_CHECKING:
 
 
 def register(app: typer.Typer) -> None:
-    """Add the command to the command line."""
+    """Add the commands to the command line."""
+    app.command(
+        "sources",
+        epilog="Examples:\n\narticugen sources\n\narticugen sources --write models",
+    )(list_sources)
     app.command(
         "fetch",
         epilog="Examples:\n\n"
@@ -25,6 +29,27 @@ def register(app: typer.Typer) -> None:
         "articugen fetch partnet-mobility --ids 10040,10101 --via sapien --out models/partnet\n\n"
         "articugen fetch shape2motion --from Shape2Motion.zip --out models/shape2motion",
     )(fetch_models)
+
+
+def list_sources(
+    write: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the bundled models below this folder as URDFs, to look at.",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    """List the sources of models, their categories and how many objects there are."""
+    with said():
+        from articugen.cli.console import sources_table
+        from articugen.sources.registry import source_names, write_bundled
+
+        if write is None:
+            stdout.print(sources_table(source_names()))
+            return
+        for folder, count in write_bundled(write):
+            stdout.print(f"{folder}: {count} models", soft_wrap=True, markup=False)
 
 
 def fetch_models(

@@ -125,18 +125,6 @@ def _common(
 
 
 @app.command(
-    epilog="Example: articugen sources",
-)
-def sources() -> None:
-    """List the sources of models, their categories and how many objects there are."""
-    with said():
-        from articugen.cli.console import sources_table
-        from articugen.sources.registry import source_names
-
-        stdout.print(sources_table(source_names()))
-
-
-@app.command(
     epilog="Examples:\n\n"
     "articugen generate --category laptop --recipe quick\n\n"
     "articugen generate -c laptop,oven --objects 6 --states 10 --out /tmp/data\n\n"

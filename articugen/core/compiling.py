@@ -118,7 +118,7 @@ def _folder() -> Path:
         return Path(asked)
     beside = _PACKAGE / "__pycache__"
     writable = os.access(beside if beside.exists() else _PACKAGE, os.W_OK)
-    return beside if writable else CACHE.parent / "kernels"
+    return beside if writable else CACHE / "kernels"
 
 
 def _processor() -> tuple[str, str]:

@@ -10,6 +10,7 @@ import errno
 import hashlib
 import os
 import stat
+from collections.abc import Mapping
 from pathlib import Path
 
 from articugen.core.errors import InvalidSource, machine_fault
@@ -164,6 +165,22 @@ class ModelFiles:
             f"package.xml of the name {quoted(name)}, and there is no such folder in {self.root}; "
             "put the package there, or name its folder as the source"
         )
+
+
+class FilesInMemory(ModelFiles):
+    """The files of a model that is in no folder, by their names."""
+
+    def __init__(self, contents: Mapping[str, bytes]) -> None:
+        super().__init__(Path())
+        self._contents = contents
+
+    def find(self, name: str, by: str = "") -> Path | None:
+        return Path(name) if name in self._contents else None
+
+    def read(self, path: Path, most_bytes: int | None = None) -> bytes:
+        data = self._contents[path.name]
+        self._digests[path.name] = hashlib.sha256(data).digest()
+        return data
 
 
 def read_source(path: Path, most_bytes: int) -> bytes:

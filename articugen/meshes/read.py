@@ -251,8 +251,8 @@ def _read_obj(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
         raise InvalidSource(f"{path}: the line {line} is not OBJ; export it again") from None
     known = np.zeros(len(counts), np.int64)
     if lines and (corners < 0).any():
-        begins = [[m.start() for m in kind.finditer(data)] for kind in (_OBJ_VERTEX, _OBJ_POLYGON)]
-        known = np.searchsorted(*begins)
+        begins = ([m.start() for m in kind.finditer(data)] for kind in (_OBJ_VERTEX, _OBJ_POLYGON))
+        known = np.searchsorted(np.array(next(begins)), np.array(next(begins)))
     corners = np.where(corners < 0, corners + np.repeat(known, counts), corners - 1)
     return coordinates.reshape(-1, 3), fans(corners, counts)
 

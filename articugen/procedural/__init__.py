@@ -1,7 +1,7 @@
 """The bundled objects: parametric models whose exact occupancy is known.
 
-`write_object` makes one as an ordinary URDF with OBJ meshes; `truth.load_truth` reads its exact
-solids back. An object depends on its id, and whether it is a varied one, alone. A category is a
+`object_files` makes one as an ordinary URDF with OBJ meshes, in memory; `truth.truth_of` gives its
+exact solids. An object depends on its id, and whether it is a varied one, alone. A category is a
 module of its own here and a line of `CATEGORIES`; docs/extending.md shows how to add one.
 """
 
@@ -12,12 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from articugen.core.content import model_version
 from articugen.core.errors import InvalidSource
 from articugen.core.seeding import generator
-from articugen.procedural.cache import stored
 from articugen.procedural.kit.model import Model
-from articugen.procedural.kit.writer import URDF_NAME, write_model
+from articugen.procedural.kit.writer import URDF_NAME, model_files, write_model
 
 CATEGORIES = {
     "drawer": {"train": 24, "test": 6},
@@ -56,29 +54,34 @@ def _builder(category: str, *, varied: bool) -> Callable[[np.random.Generator], 
     return getattr(module, "build_varied" if varied else "build", None)
 
 
-def write_object(
-    category: str, object_id: str, folder: Path, *, messy: bool = False, varied: bool = False
-) -> Path:
-    """Write one object as `folder`, unless it is there as it should be, and return its URDF's path.
-
-    Where `folder` cannot be written to, the URDF is elsewhere (see `cache.stored`).
+def object_files(
+    category: str, object_id: str, *, messy: bool = False, varied: bool = False
+) -> dict[str, bytes]:
+    """The files of one object, by name: `model.urdf`, OBJ meshes and `semantics.txt`.
 
     Args:
-        folder: the object's own folder, for instance urdf_sources/procedural/laptop/laptop_0003.
-        messy: the same object as real data come (see `writer.write_model`).
+        messy: the same object as real data come (see `writer.model_files`).
         varied: another object, see `build_model`.
 
     Raises:
         InvalidSource: no such category or object.
-        MachineFault: the disk is full or broken, or no memory is left.
     """
+    model = build_model(category, object_id, varied=varied)
+    return model_files(model, object_id=object_id, category=category, messy=messy)
 
-    def write(work: Path) -> None:
-        model = build_model(category, object_id, varied=varied)
-        write_model(model, work, object_id=object_id, category=category, messy=messy)
 
-    identity = {"object_id": object_id, "category": category, "messy": messy}
-    if varied:
-        identity["varied"] = True
-    identity["content_version"] = model_version(category)
-    return stored(folder, identity, write) / URDF_NAME
+def write_object(
+    category: str, object_id: str, folder: Path, *, messy: bool = False, varied: bool = False
+) -> Path:
+    """Write one object as `folder`, for other programs and to look at; return its URDF's path.
+
+    Args:
+        messy, varied: as in `object_files`.
+
+    Raises:
+        InvalidSource: no such category or object.
+        MachineFault: the folder cannot be written to.
+    """
+    model = build_model(category, object_id, varied=varied)
+    write_model(model, folder, object_id=object_id, category=category, messy=messy)
+    return folder / URDF_NAME

@@ -8,7 +8,6 @@ counts as the slab that it stands for.
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,8 @@ from numpy.typing import NDArray
 
 from articugen.core.geometry import Array, cross
 from articugen.core.portable import norm, turned
-from articugen.procedural.kit.writer import TRUTH_NAME
+from articugen.procedural import build_model
+from articugen.procedural.kit.writer import truth_file
 
 _Cells = tuple[Array, NDArray[np.int64], Array]
 """What the kernels read: planes, first_plane and boxes of `Truth`, all in one frame."""
@@ -103,14 +103,29 @@ class Truth:
         return np.c_[normals, offsets], self.first_plane, boxes
 
 
-def load_truth(folder: Path, *, sheet_thickness: float | None = None) -> Truth:
-    """The truth of the object that `write_object` made as `folder`.
+def truth_of(
+    category: str,
+    object_id: str,
+    *,
+    messy: bool = False,
+    varied: bool = False,
+    sheet_thickness: float | None = None,
+) -> Truth:
+    """The truth of one bundled object; see `procedural.object_files` and `read_truth`."""
+    model = build_model(category, object_id, varied=varied)
+    data = truth_file(model, object_id=object_id, category=category, messy=messy)
+    return read_truth(data, sheet_thickness=sheet_thickness)
+
+
+def read_truth(data: bytes, *, sheet_thickness: float | None = None) -> Truth:
+    """The truth that a `solids.json` tells.
 
     Args:
+        data: its bytes.
         sheet_thickness: metres given to sheets that are drawn without any; by default that of the
             panels they stand for.
     """
-    content = json.loads((folder / TRUTH_NAME).read_text())
+    content = json.loads(data)
     links = {name: _cells(link, sheet_thickness) for name, link in content["links"].items()}
     cells = [cell for of_link in links.values() for cell in of_link]
     counts = [len(of_link) for of_link in links.values()]

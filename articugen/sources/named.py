@@ -4,7 +4,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from articugen.core.bundled import SOURCES, model_folder
+from articugen.core.bundled import SOURCES
 from articugen.core.errors import InvalidSource
 from articugen.sources.categories import own_name, unknown
 from articugen.sources.source_file import SourceFile, read_source_file
@@ -59,8 +59,6 @@ def source_named(name: str) -> NamedSource | None:
         folder = path.parent / file.path
     elif own and (own / name).is_dir():
         folder = own / name
-    elif file.maker and path.is_relative_to(SOURCES):
-        folder = model_folder(name)
     else:
         folder = path.parent
     return NamedSource(name, path, file, folder)

@@ -1,10 +1,11 @@
-"""The bundled objects as a source: made on demand, then read like any other URDF."""
+"""The bundled objects as a source: made in memory on demand, then read like any other URDF."""
 
 import re
 from pathlib import Path
 
 from articugen import procedural
 from articugen.core.records import ArticulatedObject
+from articugen.meshes.model_files import FilesInMemory
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.urdf import load_urdf
 
@@ -33,14 +34,24 @@ def index_of(category: str, object_id: str) -> int | None:
 
 
 def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
-    """Read one object, which is written first where it is not there yet."""
-    path = procedural.write_object(
-        ref.category, ref.object_id, ref.location, messy=ref.messy, varied=ref.varied
+    """Make one object's files in memory and read them as those of any other URDF."""
+    contents = procedural.object_files(
+        ref.category, ref.object_id, messy=ref.messy, varied=ref.varied
     )
     return load_urdf(
-        path,
+        Path(ref.object_id, procedural.URDF_NAME),
         object_id=ref.object_id,
         category=ref.category,
         source=ref.source,
+        files=FilesInMemory(contents),
         T_world_root=settings.turn,
     )
+
+
+def write(ref: ObjectRef, folder: Path) -> None:
+    """Write one object's files, its exact solids among them, as `folder`.
+
+    Raises:
+        MachineFault: the folder cannot be written to.
+    """
+    procedural.write_object(ref.category, ref.object_id, folder, messy=ref.messy, varied=ref.varied)

@@ -6,7 +6,7 @@ just hold the models of a named source), or a path to any folder of models, or t
 
 import hashlib
 import os
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -15,7 +15,7 @@ from pathlib import Path
 from articugen.core.errors import InvalidSource, printable
 from articugen.core.records import ArticulatedObject
 from articugen.core.yaml_files import nearest
-from articugen.sources import pool, readers
+from articugen.sources import pool, procedural, readers
 from articugen.sources.by_joints import of_joints
 from articugen.sources.categories import kinds_there, own_name
 from articugen.sources.named import NamedSource, common_categories, source_files, source_named
@@ -61,6 +61,25 @@ def source_names() -> list[SourceInfo]:
         InvalidSource: a source.yaml is wrong.
     """
     return [_info(named) for name in sorted(source_files()) if (named := source_named(name))]
+
+
+def write_bundled(
+    folder: Path, categories: Sequence[str] = tuple(procedural.CATEGORIES)
+) -> Iterator[tuple[Path, int]]:
+    """Write the models that come with articugen below a folder; the folder of each category, once
+    it is written, and how many models it has.
+
+    Raises:
+        MachineFault: the folder cannot be written to.
+    """
+    for named in filter(None, map(source_named, sorted(source_files()))):
+        if named.file.maker is not procedural:
+            continue
+        for category in (name for name in named.file.categories if name in categories):
+            refs, place = object_refs(named.name, category), folder / named.name / category
+            for ref in refs:
+                procedural.write(ref, place / ref.object_id)
+            yield place, len(refs)
 
 
 def categories(source: str | Path, asked: Sequence[str]) -> tuple[str, ...]:

@@ -37,6 +37,7 @@ def load_urdf(
     source: str = "",
     root: Path | None = None,
     top: Path | None = None,
+    files: ModelFiles | None = None,
     missing_ok: str = "",
     semantics: Mapping[str, str] | None = None,
     T_world_root: Floats | None = None,
@@ -55,6 +56,7 @@ def load_urdf(
         root: the folder that meshes may not leave (see `ModelFiles`); by default the URDF's own, or
             the one above where that is called urdf, as in ROS packages, unless it is above `top`.
         top: the highest folder that may be the package of a `package://`; by default `root`.
+        files: reads all files; by default those in `root`.
         missing_ok: pattern with * and ? of mesh file names that are left out, with a note, where
             they are missing or hold no triangle.
         semantics: what each link is, by link name.
@@ -64,10 +66,7 @@ def load_urdf(
         InvalidSource: anything amiss with the file, its tree or a mesh; see `urdf_check`.
     """
     path = Path(path)
-    above = path.parent.parent if path.parent.name == "urdf" else path.parent
-    if top and not above.resolve().is_relative_to(top.resolve()):
-        above = path.parent
-    files = ModelFiles(path.parent, root or above, top)
+    files = files or _files_around(path, root, top)
     checked, unseen = checked_robot(files.read(path, MAX_TEXT_BYTES), path)
     visuals = _Visuals(path, files, missing_ok, _take_visuals(checked))
     origins = {j.get("name"): _take_origin(j) for j in checked.findall("joint")}
@@ -89,6 +88,13 @@ def load_urdf(
     if not any(len(link.mesh.faces) for link in obj.links):
         raise InvalidSource(f"{path}: no link has a <visual> with a shape; add one")
     return obj
+
+
+def _files_around(path: Path, root: Path | None, top: Path | None) -> ModelFiles:
+    above = path.parent.parent if path.parent.name == "urdf" else path.parent
+    if top and not above.resolve().is_relative_to(top.resolve()):
+        above = path.parent
+    return ModelFiles(path.parent, root or above, top)
 
 
 def _take_visuals(checked: Any) -> dict[str, list[tuple[Any, Floats]]]:

@@ -47,9 +47,6 @@ def main() -> None:
 
 
 def _measured(options: Options, folder: Path, console: Console) -> Row:
-    for source in ("procedural", "procedural_messy"):
-        (folder / source).mkdir()
-    os.environ["ARTICUGEN_SOURCES"] = str(folder)  # children make their objects there, too
     results, started = Results(), time.perf_counter()
     all_peers = peers(dense(options.quick)) if options.peers else ()
     present = [peer for peer in all_peers if not _absent(peer, options.quick)]

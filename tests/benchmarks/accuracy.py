@@ -7,7 +7,6 @@ forms.py (shapes), open_space.py (the rule `reachable`).
 
 import argparse
 import json
-import os
 import statistics
 import tempfile
 import time
@@ -74,9 +73,6 @@ def main() -> None:
 
 
 def _measured(size: Size, jobs: int, folder: Path, console: Console) -> Row:
-    for source in ("procedural", "procedural_messy"):
-        (folder / source).mkdir()
-    os.environ["ARTICUGEN_SOURCES"] = str(folder)  # children make their objects there, too
     report: Row = {"objects": [], "reachable": [], "rigid": [], "shapes": []}
     started = time.perf_counter()
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:

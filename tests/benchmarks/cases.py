@@ -27,7 +27,7 @@ from articugen.fusion import reachable
 from articugen.instance import articulation, make
 from articugen.instance.make import Prepared
 from articugen.instance.resolving import resolved
-from articugen.procedural.truth import Truth, _meets_box, _meets_cell, load_truth
+from articugen.procedural.truth import Truth, _meets_box, _meets_cell, truth_of
 from articugen.sources import registry
 from articugen.sources.refs import ObjectRef
 
@@ -219,7 +219,9 @@ def link_frames(prepared: Prepared, state: int) -> dict[str, Floats]:
 def scene(model: Model, prepared: Prepared, state: int) -> Scene:
     """The exact solids of the posed object, sheets of no thickness as thick as the recipe says."""
     thickness = model.recipe.fusion.sheet_thickness * prepared.unit.scale
-    truth = load_truth(model.ref.location, sheet_thickness=thickness)
+    truth = truth_of(
+        model.ref.category, model.ref.object_id, messy=model.messy, sheet_thickness=thickness
+    )
     return Scene(truth, link_frames(prepared, state), prepared)
 
 

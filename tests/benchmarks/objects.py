@@ -26,8 +26,8 @@ from articugen.core.recipe import load_recipe
 from articugen.core.seeding import generator
 from articugen.instance.articulation import resolve
 from articugen.procedural import build_model
-from articugen.procedural.kit.writer import URDF_NAME, write_model
-from articugen.procedural.truth import load_truth
+from articugen.procedural.kit.writer import TRUTH_NAME, URDF_NAME, write_model
+from articugen.procedural.truth import read_truth
 from articugen.sources import registry
 from articugen.sources.urdf import load_urdf
 from tests.procedural_truth import assert_sound, crossings, link_frames, object_id
@@ -57,7 +57,7 @@ def _faults(source: str, category: str, name: str, folder: Path) -> Iterator[Fau
     assert_sound(model)
     write_model(model, folder, object_id=name, category=category)
     obj = load_urdf(folder / URDF_NAME, object_id=name, category=category)
-    truth = load_truth(folder)
+    truth = read_truth((folder / TRUTH_NAME).read_bytes())
     obj = resolve(obj, load_recipe(None, category, source).articulation, clip=False)
     upper = np.array([joint.upper for joint in obj.moving_joints])
     between = generator(0, name, "between").uniform(0.0, upper)

@@ -4,7 +4,7 @@ import hashlib
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from tests.ppd_data import write_boxes
@@ -42,14 +42,12 @@ class Command:
         begin: its arguments.
         result: what it came to.
         again: the arguments that go on with it; as `begin` where None.
-        environment: of the process.
     """
 
     name: str
     begin: tuple[str, ...]
     result: Callable[[], Result]
     again: Callable[[], tuple[str, ...]] | None = None
-    environment: dict[str, str] = field(default_factory=dict)
 
     def resumed(self) -> tuple[str, ...]:
         return self.again() if self.again else self.begin
@@ -76,12 +74,7 @@ def commands(inputs: Path, work: Path, *, jobs: int, objects: int = 2) -> dict[s
     export = ("export", str(data), "--to", "ply", "--out", str(work / "ply"))
     fetch = ("fetch", "partnet-mobility", "--from", str(inputs / "models.zip"), "-o", str(work))
     return {
-        "generate": Command(
-            "generate",
-            generate,
-            lambda: generated(work / "eyeglasses"),
-            environment={"ARTICUGEN_SOURCES": str(work / "models")},
-        ),
+        "generate": Command("generate", generate, lambda: generated(work / "eyeglasses")),
         "export": Command("export", export, lambda: files(work / "ply")),
         "train": Command("train", train, lambda: trained(work / "box"), lambda: resumed(train)),
         "fetch": Command("fetch", fetch, lambda: files(work, without=".fetch")),

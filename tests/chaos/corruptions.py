@@ -26,7 +26,6 @@ from articugen.store import croissant
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.verify.dataset import Report, verify
 from articugen.verify.repair import Asked, repair
-from tests.golden import own_models
 
 Rng = np.random.Generator
 Corruption = Callable[[Path, Path, Rng], set[str]]
@@ -253,19 +252,18 @@ class Trial:
 def trials(work: Path, count: int, *, repaired: int) -> Iterator[Trial]:
     """`count` corruptions in turn of a small real data set, which is made in `work`; the first
     `repaired` of them are repaired."""
-    with own_models(work / "models"):
-        sound, other = (_made(work / f"seed-{seed}", seed) for seed in (0, 1))
-        assert verify(sound).ok
-        content = Manifest.read(sound).content_sha256
-        names = list(CORRUPTIONS)
-        for number in range(count):
-            fault = names[number % len(names)]
-            folder = Path(shutil.copytree(sound, work / f"trial-{number}"))
-            harmed = CORRUPTIONS[fault](folder, other, np.random.default_rng(number))
-            report = verify(folder)
-            same = _mended(folder) == content if number < repaired else None
-            yield Trial(fault, number, harmed, report, same)
-            shutil.rmtree(folder)
+    sound, other = (_made(work / f"seed-{seed}", seed) for seed in (0, 1))
+    assert verify(sound).ok
+    content = Manifest.read(sound).content_sha256
+    names = list(CORRUPTIONS)
+    for number in range(count):
+        fault = names[number % len(names)]
+        folder = Path(shutil.copytree(sound, work / f"trial-{number}"))
+        harmed = CORRUPTIONS[fault](folder, other, np.random.default_rng(number))
+        report = verify(folder)
+        same = _mended(folder) == content if number < repaired else None
+        yield Trial(fault, number, harmed, report, same)
+        shutil.rmtree(folder)
 
 
 def _made(folder: Path, seed: int) -> Path:

@@ -30,14 +30,10 @@ from pathlib import Path
 from articugen.pipeline import door as api
 from articugen.pipeline.run import Job
 from tests.chaos.corruptions import RECIPE
-from tests.golden import own_models
 jobs, die = map(int, sys.argv[1:])
 def told(report):
     if die and not report.reused:
         os.kill(os.getpid(), signal.SIGKILL)
-Path("models").mkdir(exist_ok=True)
-os.environ["ARTICUGEN_SOURCES"] = str(Path("models").absolute())
-Path("models/procedural").mkdir(exist_ok=True)
 job = Job("procedural", "eyeglasses", RECIPE, 0, Path("made").absolute(), jobs)
 print(api.make(job, on_object=told).content_sha256)
 """
@@ -45,9 +41,8 @@ print(api.make(job, on_object=told).content_sha256)
 MAKE_GOLDEN = """
 import json, sys
 from pathlib import Path
-from tests.golden import data, own_models
-with own_models(Path("models")):
-    print(json.dumps({name: data(name, Path(name).absolute()) for name in sys.argv[1:]}))
+from tests.golden import data
+print(json.dumps({name: data(name, Path(name).absolute()) for name in sys.argv[1:]}))
 """
 
 

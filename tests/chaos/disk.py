@@ -51,9 +51,9 @@ class Disk:
     def __init__(self, process: "subprocess.Popen[str]") -> None:
         self._process = process
 
-    def warm(self, arguments: Sequence[str], environment: dict[str, str]) -> None:
+    def warm(self, arguments: Sequence[str]) -> None:
         """Call articugen in the server itself: what is loaded then is there in all runs."""
-        told = self._ask({"warm": True, "arguments": arguments, "environment": environment})
+        told = self._ask({"warm": True, "arguments": list(arguments)})
         assert told["status"] == 0, told["said"]
 
     def run(
@@ -63,7 +63,6 @@ class Disk:
         *,
         at: int = 0,
         mode: Mode = Mode.ONLY_COUNT,
-        environment: dict[str, str] | None = None,
         log: Path | None = None,
     ) -> Ended:
         """Call articugen; changes below a folder are counted, and logged where `log` is named."""
@@ -72,7 +71,6 @@ class Disk:
             "below": str(below),
             "at": at,
             "mode": int(mode),
-            "environment": environment or {},
             "log": str(log) if log else None,
         }
         return Ended(**self._ask(asked))
@@ -129,7 +127,6 @@ def _serve(library: ctypes.CDLL) -> None:
 
 
 def _called(main: Callable[[], None], asked: dict[str, Any]) -> int:
-    os.environ |= asked["environment"]
     sys.argv = ["articugen", *asked["arguments"]]
     try:
         main()

@@ -18,14 +18,10 @@ from tests.chaos.disk import ROOT
 def main(instances: int) -> None:
     with tempfile.TemporaryDirectory(prefix="articugen-endurance-") as name:
         folder = Path(name)
-        (folder / "models" / "procedural").mkdir(parents=True)
         (folder / "recipe.yaml").write_text(RECIPE.format(objects=1))
         command = [*PYTHON, "generate", "-c", "eyeglasses", "-r", str(folder / "recipe.yaml")]
         command += ["--states", str(instances - 1), "-j", "1", "-o", name]
-        environment = os.environ | {
-            "PYTHONPATH": str(ROOT),
-            "ARTICUGEN_SOURCES": str(folder / "models"),
-        }
+        environment = os.environ | {"PYTHONPATH": str(ROOT)}
         with subprocess.Popen(command, cwd=ROOT, env=environment) as process:
             _watched(process, folder)
         sys.exit(process.returncode)

@@ -20,7 +20,7 @@ class Failures:
 
     def __init__(self, command: Command, disk: Disk, work: Path) -> None:
         self.command, self._disk, self._work = command, disk, work
-        disk.warm(self._fresh(), command.environment)
+        disk.warm(self._fresh())
         log = work.with_name(f"{command.name}.log")
         self._fresh()
         sound = self._run(command.begin, log=log)
@@ -69,8 +69,7 @@ class Failures:
         return self.command.begin
 
     def _run(self, arguments: Sequence[str], **fault: object) -> Ended:
-        environment = self.command.environment
-        return self._disk.run(arguments, self._work, environment=environment, **fault)  # type: ignore[arg-type]
+        return self._disk.run(arguments, self._work, **fault)  # type: ignore[arg-type]
 
     def _wrong(self, ended: Ended, mode: Mode) -> str:
         """What such an end should not be."""

@@ -92,7 +92,7 @@ class Kills:
         return subprocess.Popen(
             [*PYTHON, *arguments],
             cwd=ROOT,
-            env=os.environ | self.command.environment | {"PYTHONPATH": str(ROOT)},
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,

@@ -23,7 +23,7 @@ def told(folder: Path, disk: Disk, *, stories: int, steps: int, seed: int = 0) -
     command = commands(folder / "inputs", work, jobs=0)["generate"]
     shutil.rmtree(work, ignore_errors=True)
     prepare(work)
-    disk.warm(command.begin, command.environment)
+    disk.warm(command.begin)
     whole = command.result()
     machine = _machine(command, disk, work, whole)
     limits = settings(
@@ -106,7 +106,7 @@ def _machine(
             assert not self.sound or command.result() == whole
 
         def goes_on(self, at: int, mode: Mode) -> None:
-            ended = disk.run(command.begin, work, at=at, mode=mode, environment=command.environment)
+            ended = disk.run(command.begin, work, at=at, mode=mode)
             if ended.status == 0:
                 self.sound = True
             elif (data / "manifest.json").exists():  # it was there already, or all but the end is

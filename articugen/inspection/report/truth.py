@@ -20,7 +20,7 @@ from articugen.core.schema import Instance
 from articugen.inspection.report.facts import ObjectFacts
 from articugen.instance import articulation
 from articugen.instance.resolving import resolved
-from articugen.procedural.truth import Truth, load_truth
+from articugen.procedural.truth import Truth, truth_of
 from articugen.sources import registry
 from articugen.sources.refs import ObjectRef
 from articugen.store.manifest import Manifest
@@ -120,7 +120,14 @@ def _model(manifest: Manifest, recipe: Recipe, object_id: str) -> _Model:
 
 def _compared(model: _Model, each: ObjectFacts, recipe: Recipe) -> list[Agreement]:
     thickness = recipe.fusion.sheet_thickness * each.scale
-    truth = load_truth(model.ref.location, sheet_thickness=thickness)
+    ref = model.ref
+    truth = truth_of(
+        ref.category,
+        ref.object_id,
+        messy=ref.messy,
+        varied=ref.varied,
+        sheet_thickness=thickness,
+    )
     parts = np.array([model.obj.part_of_link[model.obj.link_index[n]] for n in truth.links])
     alone = [truth.of(parts == part) for part in range(len(each.parts))]
     rows = np.linspace(0, len(each.rows) - 1, min(STATES, len(each.rows)) + 1)[1:]

@@ -1,6 +1,6 @@
 """A `Model` as files: `model.urdf`, OBJ meshes, `semantics.txt` and the exact `solids.json`.
 
-The same model gives the same bytes; `cache` sees to it that a folder is whole.
+The same model gives the same bytes.
 
 `solids.json` holds the truth, in the frame of each link of the URDF beside it:
 
@@ -17,13 +17,15 @@ middle, which has no thickness at all: `thickness` is then that of the panel it 
 """
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.errors import MachineFault
+from articugen.core.files import cannot_write, make_folder, within
 from articugen.core.geometry import Array, apply, cross, invert_rigid, rotation_from_rpy, transform
 from articugen.core.portable import norm, product, turned
 from articugen.meshes.model_text import Joint, Visual, obj_text, urdf_text
@@ -40,32 +42,70 @@ _SHEET_LIMIT = 0.013
 """Panels thinner than this part of the object's longest side become sheets in messy models."""
 
 
+def model_files(
+    model: Model, *, object_id: str, category: str, messy: bool = False
+) -> dict[str, bytes]:
+    """The files of `model`, by name, without the truth.
+
+    Args:
+        messy: the same object as real data come: triangles twice with both windings, one visual a
+            solid, y-up meshes turned by a fixed joint, the body as the last link, hidden faces left
+            open, thin panels as sheets.
+    """
+    contents: dict[str, str] = {}
+    visuals: dict[str, list[str]] = {}
+    for link, sheets, T_link_object in _posed(model, messy):
+        # Messy meshes stay in the object's frame: each visual's origin takes the pivot away.
+        T_mesh_object = transform(_turn(messy).T) if messy else T_link_object
+        meshes = _meshes(link, sheets, T_mesh_object, messy)
+        visuals[link.name] = list(meshes)
+        contents |= meshes
+    contents[URDF_NAME] = _urdf(model, object_id, visuals, _turn(messy), messy)
+    contents["semantics.txt"] = _semantics(model)
+    return {name: text.encode() for name, text in contents.items()}
+
+
 def write_model(
     model: Model, folder: Path, *, object_id: str, category: str, messy: bool = False
 ) -> None:
-    """Write the files of `model` into an empty folder.
+    """Write the files of `model` and its truth into a folder.
 
     Args:
-        messy: write the same object as real data come: triangles twice with both windings, one
-            visual a solid, y-up meshes turned by a fixed joint, the body as the last link, hidden
-            faces left open, thin panels as sheets.
+        messy: as in `model_files`.
+
+    Raises:
+        MachineFault: the folder cannot be written to.
     """
-    R = rotation_from_rpy(_YUP_RPY).round() if messy else np.eye(3)
+    contents = model_files(model, object_id=object_id, category=category, messy=messy)
+    contents[TRUTH_NAME] = truth_file(model, object_id=object_id, category=category, messy=messy)
+    try:
+        make_folder(folder)
+        for name, data in contents.items():
+            within(folder, name).write_bytes(data)
+    except OSError as error:
+        raise MachineFault(cannot_write(folder, error)) from error
+
+
+def truth_file(model: Model, *, object_id: str, category: str, messy: bool = False) -> bytes:
+    """What `solids.json` holds."""
+    truth = {link.name: _link_truth(link, sheets, T) for link, sheets, T in _posed(model, messy)}
+    header = {"object_id": object_id, "category": category, "messy": messy, "links": truth}
+    return f"{json.dumps(header, separators=(',', ':'))}\n".encode()
+
+
+def _turn(messy: bool) -> Array:
+    """(3, 3) from the object's frame to that of its root link."""
+    return rotation_from_rpy(_YUP_RPY).round() if messy else np.eye(3)
+
+
+def _posed(model: Model, messy: bool) -> Iterator[tuple[ModelLink, list[bool], Array]]:
+    """The links, which of their solids are sheets, and T_link_object."""
     pivot = {joint.child: np.asarray(joint.origin, np.float64) for joint in model.joints}
     limit = _SHEET_LIMIT * float(np.max(model.bounds[1] - model.bounds[0]))
-    truth: dict[str, dict[str, list]] = {}
-    files: dict[str, list[str]] = {}
     for link in model.links:
-        T_link_object = invert_rigid(transform(R, pivot.get(link.name, np.zeros(3))))
         sheets = [messy and s.sheet is not None and s.sheet.thickness <= limit for s in link.solids]
-        truth[link.name] = _link_truth(link, sheets, T_link_object)
-        # Messy meshes stay in the object's frame: each visual's origin takes the pivot away.
-        T_mesh_object = transform(R.T) if messy else T_link_object
-        files[link.name] = _write_meshes(folder, link, sheets, T_mesh_object, messy)
-    (folder / URDF_NAME).write_text(_urdf(model, object_id, files, R, messy))
-    (folder / "semantics.txt").write_text(_semantics(model))
-    header = {"object_id": object_id, "category": category, "messy": messy, "links": truth}
-    (folder / TRUTH_NAME).write_text(json.dumps(header, separators=(",", ":")) + "\n")
+        at = pivot.get(link.name, np.zeros(3))
+        yield link, sheets, invert_rigid(transform(_turn(messy), at))
 
 
 def _link_truth(link: ModelLink, sheets: list[bool], T_link_object: Array) -> dict[str, list]:
@@ -87,16 +127,14 @@ def _rounded(array: Array) -> list:
     return (array.round(12) + 0.0).tolist()
 
 
-def _write_meshes(
-    folder: Path, link: ModelLink, sheets: list[bool], T_mesh_object: Array, messy: bool
-) -> list[str]:
-    """The link's OBJ files: one of all solids, or one a solid where `messy`."""
+def _meshes(
+    link: ModelLink, sheets: list[bool], T_mesh_object: Array, messy: bool
+) -> dict[str, str]:
+    """The link's OBJ files by name: one of all solids, or one a solid where `messy`."""
     if not messy:
-        name = f"{link.name}.obj"
         meshes = [(s.moved(T_mesh_object).vertices, s.faces) for s in link.solids]
-        (folder / name).write_text(obj_text(meshes))
-        return [name]
-    names = []
+        return {f"{link.name}.obj": obj_text(meshes)}
+    texts = {}
     cells = _Cells.of(s for s, as_sheet in zip(link.solids, sheets, strict=True) if not as_sheet)
     for k, (solid, as_sheet) in enumerate(zip(link.solids, sheets, strict=True)):
         if as_sheet and solid.sheet is not None:
@@ -108,9 +146,8 @@ def _write_meshes(
         if len(faces) == 0:
             continue
         both = np.stack([faces, faces[:, ::-1]], axis=1).reshape(-1, 3)
-        names.append(f"{link.name}-{k}.obj")
-        (folder / names[-1]).write_text(obj_text([(apply(T_mesh_object, vertices), both)]))
-    return names
+        texts[f"{link.name}-{k}.obj"] = obj_text([(apply(T_mesh_object, vertices), both)])
+    return texts
 
 
 @dataclass(frozen=True, eq=False)
