@@ -35,7 +35,7 @@ def list_sources(
     write: Annotated[
         Path | None,
         typer.Option(
-            help="Write the bundled models below this folder as URDFs, to look at.",
+            help="Write the bundled models below this folder as URDFs.",
             show_default=False,
         ),
     ] = None,

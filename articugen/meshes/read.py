@@ -229,8 +229,8 @@ _OBJ_POLYGON = re.compile(rb"\nf(?=\s)([^\n#]*)")
 
 
 def _read_obj(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
-    """Wavefront OBJ: `v` and `f` lines, also with texture and normal indices, polygons, negative
-    (relative) indices, continued lines and comments. Everything else is ignored."""
+    """Read `v` and `f` lines, also with texture and normal indices, polygons, negative (relative)
+    indices, continued lines and comments. Everything else is ignored."""
     data = _obj_text(data)
     if data.count(b"\nv") > scenes.MAX_VERTICES or data.count(b"\nf") > scenes.MAX_FACES:
         vertices, faces = (
@@ -262,7 +262,7 @@ _IS_BLANK = np.isin(np.arange(256), list(_BLANKS))
 
 
 def _obj_text(data: bytes) -> bytes:
-    """Lines that begin and end with a newline: none continued, none indented."""
+    """Return lines that begin and end with a newline: none continued, none indented."""
     data = data.removeprefix(codecs.BOM_UTF8)
     if b"\\" in data:
         data = re.sub(rb"\\\r?\n", b" ", data)
@@ -270,7 +270,7 @@ def _obj_text(data: bytes) -> bytes:
 
 
 def _words(text: bytes, path: Path) -> NDArray[np.int64]:
-    """How many words each line has; refused where their polygons are too large, before room is made
+    """Count the words of each line; refused where their polygons are too large, before room is made
     for any."""
     letters = np.frombuffer(text, np.uint8)
     first = np.flatnonzero(letters == ord("\n"))
@@ -285,7 +285,7 @@ def _words(text: bytes, path: Path) -> NDArray[np.int64]:
 
 
 def _odd_line(data: bytes) -> bytes:
-    """The first line of a vertex or polygon that is none."""
+    """Return the first line of a vertex or polygon that is none."""
     for line in re.findall(rb"\n([vf](?=\s)[^\n]*)", data):
         words = line.split()[1:4]
         if line.startswith(b"f"):

@@ -57,7 +57,7 @@ def _builder(category: str, *, varied: bool) -> Callable[[np.random.Generator], 
 def object_files(
     category: str, object_id: str, *, messy: bool = False, varied: bool = False
 ) -> dict[str, bytes]:
-    """The files of one object, by name: `model.urdf`, OBJ meshes and `semantics.txt`.
+    """Return the files of one object, by name: `model.urdf`, OBJ meshes and `semantics.txt`.
 
     Args:
         messy: the same object as real data come (see `writer.model_files`).
@@ -73,7 +73,7 @@ def object_files(
 def write_object(
     category: str, object_id: str, folder: Path, *, messy: bool = False, varied: bool = False
 ) -> Path:
-    """Write one object as `folder`, for other programs and to look at; return its URDF's path.
+    """Write one object as `folder`, for other programs; return its URDF's path.
 
     Args:
         messy, varied: as in `object_files`.

@@ -45,7 +45,7 @@ _SHEET_LIMIT = 0.013
 def model_files(
     model: Model, *, object_id: str, category: str, messy: bool = False
 ) -> dict[str, bytes]:
-    """The files of `model`, by name, without the truth.
+    """Return the files of `model`, by name, without the truth.
 
     Args:
         messy: the same object as real data come: triangles twice with both windings, one visual a
@@ -87,19 +87,19 @@ def write_model(
 
 
 def truth_file(model: Model, *, object_id: str, category: str, messy: bool = False) -> bytes:
-    """What `solids.json` holds."""
+    """Return what `solids.json` holds."""
     truth = {link.name: _link_truth(link, sheets, T) for link, sheets, T in _posed(model, messy)}
     header = {"object_id": object_id, "category": category, "messy": messy, "links": truth}
     return f"{json.dumps(header, separators=(',', ':'))}\n".encode()
 
 
 def _turn(messy: bool) -> Array:
-    """(3, 3) from the object's frame to that of its root link."""
+    """Return the rotation (3, 3) from the object's frame to that of its root link."""
     return rotation_from_rpy(_YUP_RPY).round() if messy else np.eye(3)
 
 
 def _posed(model: Model, messy: bool) -> Iterator[tuple[ModelLink, list[bool], Array]]:
-    """The links, which of their solids are sheets, and T_link_object."""
+    """Yield the links, which of their solids are sheets, and T_link_object."""
     pivot = {joint.child: np.asarray(joint.origin, np.float64) for joint in model.joints}
     limit = _SHEET_LIMIT * float(np.max(model.bounds[1] - model.bounds[0]))
     for link in model.links:
