@@ -213,11 +213,28 @@ def test_stop_and_resume_gives_the_same_curve_and_weights(boxes, tmp_path, whole
     assert digest(one.state) == digest(two.state)
 
 
-def test_so_it_does_with_soap(boxes, tmp_path, whole):
+def with_soap():
     plan = TINY.schedule.model_copy(update={"optimiser": "soap"})
-    recipe = TINY.model_copy(update={"schedule": plan})
+    return TINY.model_copy(update={"schedule": plan})
+
+
+def of_bae():
+    """A learner of fields, whose optimiser starts afresh in the second stage."""
+    few = {"surface_points": 60, "grid_points": 32, "band_points": 32, "validation_objects": 1}
+    stages = [{"resolution": 16, "iterations": 3}, {"resolution": 32, "iterations": 2}]
+    plan = {"batch": 2, "stages": stages, "log_every": 1, "validate_every": 3}
+    model = {"voxels": 16, "code": 8, "widths": [32, 16], "branches": 3}
+    return load_recipe({"extends": "bae", "model": model, "data": few, "schedule": plan})
+
+
+@pytest.mark.parametrize(
+    ("recipe", "stop"),
+    [(with_soap(), 2), (of_bae(), 2), (of_bae(), 3)],
+    ids=["soap", "bae", "stage"],
+)
+def test_so_it_does_with_another_optimiser_and_method(boxes, tmp_path, whole, recipe, stop):
     full = start(boxes, tmp_path, recipe)
-    part = start(boxes, tmp_path, recipe, stop_after=2)
+    part = start(boxes, tmp_path, recipe, stop_after=stop)
     resumed = start(boxes, tmp_path, recipe, resume=part.path)
     assert curve(resumed) == curve(full) != curve(whole)
     one, two = (read_checkpoint(run.path / LATEST) for run in (full, resumed))

@@ -1,10 +1,11 @@
 """What networks of several methods are made of, and the step that all of them make.
 
-A PointNet, an encoder of the grid that a cloud fills, and steps down the sum of some terms, none of
-them with a number that is not finite.
+A PointNet, two encoders of the grid that a cloud fills, and steps down the sum of some terms, none
+of them with a number that is not finite.
 """
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import torch
@@ -168,6 +169,47 @@ class BothEncoders(nn.Module):
     def forward(self, cloud: Tensor) -> Tensor:
         """The latent (B, code) of clouds (B, n, 3)."""
         return self.points(cloud[:, :: max(cloud.shape[1] // _FEW, 1)]) + self.grid(cloud)
+
+
+class VoxelEncoder(nn.Module):
+    """The encoder of BAE-Net and BSP-Net: the voxels that a cloud fills, halved until 4 are left.
+
+    Each convolution but the last has kernels of 4, stride 2 and twice as many channels as the one
+    before, from 32 on; the last takes all 4^3 voxels that are left to a code in (0, 1).
+
+    Args:
+        voxels: along an edge, 8 or a larger power of two.
+        code: the length of the latent.
+        slope: of the leaky ReLUs.
+        normalised: whether each channel of each shape is normalised, without learned factors.
+    """
+
+    def __init__(self, voxels: int, code: int, *, slope: float, normalised: bool) -> None:
+        super().__init__()
+        self.voxels = voxels
+        channels = [1, *(32 << i for i in range(voxels.bit_length() - 3))]
+        layers: list[nn.Module] = []
+        for before, after in pairwise(channels):
+            layers.append(nn.Conv3d(before, after, 4, stride=2, padding=1))
+            layers += [nn.InstanceNorm3d(after, eps=1e-6)] * normalised
+            layers.append(nn.LeakyReLU(slope))
+        self.layers = nn.Sequential(*layers, nn.Conv3d(channels[-1], code, 4), nn.Sigmoid())
+        for layer in self.layers:
+            if isinstance(layer, nn.Conv3d):
+                nn.init.xavier_uniform_(layer.weight)
+                torch.nn.init.zeros_(layer.bias)  # pyright: ignore[reportArgumentType]
+
+    def forward(self, cloud: Tensor) -> Tensor:
+        """Return the code (B, code) of clouds (B, n, 3), whatever the order of their points."""
+        return self.layers(occupied_voxels(cloud, self.voxels)[:, None]).flatten(1)
+
+
+@torch.no_grad()
+def occupied_voxels(cloud: Tensor, voxels: int) -> Tensor:
+    """Return (B, R, R, R): 1 where a cell of the unit frame holds a point of clouds (B, n, 3)."""
+    x, y, z = ((cloud + 0.5) * voxels).long().clamp(0, voxels - 1).unbind(2)
+    grid = cloud.new_zeros(len(cloud), voxels**3)
+    return grid.scatter(1, (x * voxels + y) * voxels + z, 1.0).view(-1, *3 * [voxels])
 
 
 @torch.no_grad()

@@ -49,7 +49,7 @@ class Fields(Protocol):
     """The fields of one shape."""
 
     def __call__(self, points: Tensor, parts: NDArray[np.int64] = ..., /) -> Floats:
-        """Return (P, n): the field of each part, or of these `parts`, at points (n, 3)."""
+        """Return (P, n), the field of each part, or of these `parts`, at points (n, 3)."""
         ...
 
 
@@ -86,7 +86,7 @@ def reconstruction_of(
 
 
 def fields_on_grid(fields: Fields, resolution: int) -> Floats:
-    """Return (P, R, R, R): the field of each part at the voxel centres."""
+    """Return (P, R, R, R), the field of each part at the voxel centres."""
     return _on_grid(fields(grid_centres(resolution)))
 
 
@@ -98,12 +98,12 @@ def _on_grid(values: Floats) -> Floats:
 
 @cache
 def grid_centres(resolution: int) -> Tensor:
-    """Return (R^3, 3) the centres of a grid's voxels."""
+    """Return (R^3, 3), the centres of a grid's voxels."""
     return voxel_centres(torch.arange(resolution**3), resolution)
 
 
 def in_blocks(points: Tensor, parts: int) -> tuple[Tensor, ...]:
-    """Points (n, 3), so few at a time as is fastest for so many parts."""
+    """Split points (n, 3) into blocks that are fastest for a number of parts."""
     return points.split((_BLOCK if points.device.type == "cpu" else _LARGE_BLOCK) // parts)
 
 
@@ -113,7 +113,7 @@ def fields_near_surfaces(
     dense: int = DENSE,
     looked_for: Callable[[], Floats] | None = None,
 ) -> tuple[NDArray[np.int64], Floats]:
-    """Return ((k,), (k, R, R, R)): some parts, and their fields as `fields_on_grid` gives them.
+    """Return some parts (k,), and their fields (k, R, R, R) as `fields_on_grid` gives them.
 
     Parts that are nowhere are left out. Grids of twice `dense` and finer are evaluated near
     surfaces only, and of parts alone that are anywhere on the grid that is half as fine: what is
@@ -139,7 +139,7 @@ def fields_near_surfaces(
 def _on_the_whole_grid(
     fields: Fields, resolution: int, looked_for: Callable[[], Floats] | None
 ) -> tuple[NDArray[np.int64], Floats]:
-    """Parts and their fields, without those that `_ABSENT` says are nowhere."""
+    """Return parts and their fields, without those that `_ABSENT` says are nowhere."""
     if looked_for:
         sought = looked_for()
     elif resolution >= DENSE:
@@ -152,14 +152,14 @@ def _on_the_whole_grid(
 
 
 def _somewhere_above(level: float, logits: Floats) -> NDArray[np.bool_]:
-    """Return (P,) whether fields (P, ...) are above a level anywhere; the first, if none is."""
+    """Return (P,), whether fields (P, ...) are above a level anywhere; the first, if none is."""
     there = logits.reshape(len(logits), -1).max(1) > level
     there[0] |= not there.any()
     return there
 
 
 def _doubled(grids: NDArray[Any]) -> NDArray[Any]:
-    """Grids (P, R, R, R), each voxel as eight."""
+    """Return grids (P, R, R, R) with each voxel as eight."""
     P, R = grids.shape[:2]
     fine = np.empty((P, R, 2, R, 2, R, 2), grids.dtype)
     fine[:] = grids[:, :, None, :, None, :, None]
@@ -167,7 +167,7 @@ def _doubled(grids: NDArray[Any]) -> NDArray[Any]:
 
 
 def _beside_surfaces(logits: Floats) -> NDArray[np.bool_]:
-    """Return (R, R, R): whether any voxel around, corners included, is of another part, or none."""
+    """Return (R, R, R), whether any voxel around, corners included, is of another part or none."""
     owner = np.pad(np.where(logits.max(0) > 0.0, logits.argmax(0), -1), 1, mode="edge")
     least = most = owner
     for axis in range(3):
@@ -179,7 +179,7 @@ def _beside_surfaces(logits: Floats) -> NDArray[np.bool_]:
 
 
 def meshes_of_greatest(logits: Floats) -> tuple[list[Floats], Floats]:
-    """Part i is where its field is above 0, and exceeds every other part's."""
+    """Draw part i where its field is above 0, and exceeds every other part's."""
     first, second = logits[0].copy(), np.full_like(logits[0], -np.inf)  # the greatest two
     for field in logits[1:]:
         np.maximum(second, np.minimum(first, field), out=second)
@@ -199,7 +199,7 @@ def meshes_of_greatest(logits: Floats) -> tuple[list[Floats], Floats]:
 def held_out_fit(
     fields: Callable[[Tensor, Tensor], Tensor], clouds: Tensor, held_out: PackedSplit
 ) -> dict[str, float]:
-    """How well unseen objects are reconstructed on their 32^3 grid, parts composed by the maximum.
+    """Measure how unseen objects are reconstructed on their 32^3 grid, by the greatest field.
 
     `rec` is the mean binary cross-entropy, `iou` the mean over instances of |A and B| / |A or B|,
     `parts` how many parts are the greatest anywhere inside, on average: where that is 1 a method
@@ -227,7 +227,7 @@ def held_out_fit(
 
 
 class PartFields(nn.Module):
-    """What `FieldLearner` asks of a network.
+    """Network of part fields, as `FieldLearner` takes it.
 
     Attributes:
         parts: how many fields there are.
@@ -245,7 +245,7 @@ class PartFields(nn.Module):
 
 
 class FieldLearner(Learner):
-    """A learner of part fields: a method of its own adds settings, a network and a loss.
+    """Learner of part fields: a method adds settings, a network and a loss.
 
     Args:
         network: makes it; `seed` decides its weights, whatever the device.
@@ -271,11 +271,11 @@ class FieldLearner(Learner):
         self._begin_stage()
 
     def loss(self, batch: Batch) -> Terms:
-        """What is minimised for a batch; `iteration` says at which iteration."""
+        """Return the terms to minimise for a batch, at `self.iteration`."""
         raise NotImplementedError
 
     def _begin_stage(self) -> None:
-        """Let the optimiser start again, as in each stage."""
+        """Make a new optimiser, as at the start of each stage."""
         optimiser = self.settings.schedule.optimiser
         self.descent = Descent(self.network, optimiser, betas=self.betas)
 
@@ -292,7 +292,7 @@ class FieldLearner(Learner):
         self.descent.check()
 
     def validate(self, held_out: PackedSplit) -> dict[str, float]:
-        """`rec`, `iou` and `parts`, see `held_out_fit`."""
+        """Return `rec`, `iou` and `parts`, see `held_out_fit`."""
 
         def fields(cloud: Tensor, points: Tensor) -> Tensor:
             code = self.network.encode(cloud)
@@ -322,7 +322,7 @@ class FieldLearner(Learner):
 
     @torch.no_grad()
     def fields_of(self, cloud: Floats) -> Fields:
-        """Return the fields of what is seen in one cloud (n, 3)."""
+        """Return the fields of one cloud (n, 3)."""
         few = torch.as_tensor(cloud[: self.inputs.surface_points], dtype=torch.float32)
         code = self.network.encode(few[None].to(self.device))
 
@@ -335,7 +335,7 @@ class FieldLearner(Learner):
         return fields
 
     def reconstruct(self, cloud: Floats, *, resolution: int) -> Reconstruction:
-        """Parts without motions or joints."""
+        """Return parts without motions or joints."""
         return reconstruction_of(self.fields_of(cloud), self.parts, resolution)
 
     def drawable(self, resolution: int) -> Drawable:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from articugen.learning.evaluation.results import Evaluation
 
 METHODS = {
+    "bae": "articugen.learning.bae:METHOD",
     "ppd": "articugen.learning.ppd.method:PPD_METHOD",
     "ppd_depth": "articugen.learning.ppd.method:DEPTH_METHOD",
 }

@@ -219,7 +219,7 @@ class PPDLearner(Predictor):
 def validation(
     model: PPD, clouds: Tensor, held_out: PackedSplit, residual_direction: bool
 ) -> dict[str, float]:
-    """`rec` and `iou` of `held_out_fit`, from clouds (I, n, 3) as they are stored."""
+    """Return `rec` and `iou` of `held_out_fit`, from clouds (I, n, 3) as they are stored."""
 
     def fields(cloud: Tensor, points: Tensor) -> Tensor:
         predicted = model(cloud, residual_direction=residual_direction)
