@@ -225,6 +225,10 @@ class RunFolder:
         """
         if not (path / "run.json").is_file() and not (path / LATEST).is_file():
             raise InvalidCheckpoint(f"{path}: has no {LATEST} to go on from; start a new run")
+        if not (path / LATEST).is_file() and (path / LATEST).with_suffix(".pt").is_file():
+            raise InvalidCheckpoint(
+                f"{path}: has only a .pt checkpoint of an earlier version; start a new run"
+            )
         run = RunFolder(path)
         with run.locked():
             run.remove_temporary()
