@@ -21,7 +21,7 @@ from articugen.core.yaml_files import with_settings
 from articugen.export.formats import NAMES, format_named
 from articugen.export.run import export
 from articugen.pipeline import door
-from articugen.pipeline.run import Job
+from articugen.pipeline.job import Job
 from articugen.store.manifest import library_versions
 
 GOLDEN = Path(__file__).with_name("data") / "golden.json"

@@ -3,7 +3,7 @@
 python rank_processes.py <out> <objects> <how many ranks>[:<rank>=<moment>,...] ...
 
 A moment is what a rank is at when SIGKILL comes: "shard", with a temporary file half checked;
-"record", with a shard that no journal tells of; "object", with one of its objects recorded. The
+"record", with a shard that no record tells of; "object", with one of its objects recorded. The
 others work on; the next so many ranks are started when all have ended.
 """
 
@@ -13,8 +13,11 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from articugen.pipeline import door, ranks
-from articugen.pipeline.rank_journal import RankJournal, Share
+from articugen.pipeline import door
+from articugen.pipeline.executors.local import Local
+from articugen.pipeline.job import Share
+from articugen.pipeline.records import Records
+from articugen.pipeline.run import started
 from articugen.store import writer
 from tests.test_pipeline import TINY, job
 
@@ -27,9 +30,10 @@ def be(share: Share, out: Path, objects: int, moment: str) -> None:
     if moment == "shard":
         writer.sha256_of = die
     if moment == "record":
-        RankJournal.record = die
-    with ranks.started(job(out, recipe=TINY.with_counts(objects=objects, states=0)), share) as rank:
-        rank.finish(die if moment == "object" else lambda _: None)
+        Records.record = die
+    recipe = TINY.with_counts(objects=objects, states=0)
+    with started(job(out, recipe=recipe, share=share)) as run:
+        run.finish(Local(0), die if moment == "object" else lambda _: None)
 
 
 if __name__ == "__main__":

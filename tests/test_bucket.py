@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +24,14 @@ from articugen.core.errors import (
     MachineFault,
     MissingExtra,
 )
-from articugen.pipeline import bucket_runs
-from articugen.pipeline.bucket_journal import ObjectClaims
-from articugen.pipeline.rank_journal import Share
-from articugen.pipeline.run import Job, ObjectReport
+from articugen.core.ledger import Ledger
+from articugen.pipeline import run as pipeline
+from articugen.pipeline.executors.local import Local
+from articugen.pipeline.job import Job, Share
+from articugen.pipeline.run import ObjectReport, started
 from articugen.store import bucket as bucket_module
 from articugen.store import manifest_pages, remote
-from articugen.store.bucket import Bucket
+from articugen.store.bucket import Bucket, Remote
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.manifest_pages import is_page_name
 
@@ -42,7 +44,7 @@ pytest.importorskip("flask_cors", reason="moto's server is not installed")
 def server() -> Iterator[Trouble]:
     with pytest.MonkeyPatch.context() as patch, bucket_server(patch) as trouble:
         patch.setattr(bucket_module, "PAUSE", 0.01)
-        patch.setattr(bucket_runs, "POLL_SECONDS", 0.2)
+        patch.setattr(pipeline, "POLL_SECONDS", 0.2)
         yield trouble
 
 
@@ -65,13 +67,13 @@ def stored(server: Trouble, own_models: None) -> str:  # noqa: F811
 
 
 def into(url: str, **changes: object) -> Job:
-    return job(Path(), bucket=url, **changes)
+    return replace(job(Path(), **changes), out=Remote(url))
 
 
 def finished(job: Job, share: str | None = None) -> tuple[Manifest | None, list[ObjectReport]]:
     told: list[ObjectReport] = []
-    with bucket_runs.started(job, Share.of_text(share) if share else None) as run:
-        _, manifest = run.finish(told.append)
+    with started(replace(job, share=Share.of_text(share) if share else None)) as run:
+        manifest = run.finish(Local(0), told.append).manifest
     return manifest, told
 
 
@@ -126,8 +128,8 @@ def test_an_interrupted_run_and_shares_go_on(server: Trouble, whole: Path) -> No
     def interrupt(report: ObjectReport) -> None:
         raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt), bucket_runs.started(into(url)) as run:
-        run.finish(interrupt)
+    with pytest.raises(KeyboardInterrupt), started(into(url)) as run:
+        run.finish(Local(0), interrupt)
     with pytest.raises(CorruptShard, match=r"has no manifest.json; make it with generate"):
         ag.open(url)
     manifest, told = finished(into(url), "1/2")
@@ -173,19 +175,16 @@ def test_what_another_process_is_at_is_left_to_it(
 ) -> None:
     """Two were killed at an object each; their claims run out, once one has been told on."""
     url = f"s3://{BUCKET}/claimed/eyeglasses"
-    theirs = ObjectClaims(Bucket(url), "theirs", 600.0)
-    assert theirs.take("train-00000.h5")
-    assert theirs.take("test-00000.h5")
-    mine = ObjectClaims(Bucket(url), "mine", 600.0)
-    assert not mine.take("train-00000.h5")
-    assert not mine.is_free("train-00000.h5")
-    assert theirs.take("train-00000.h5")  # another worker of the same run
+    with started(into(url)) as run:
+        names = [f"{key.split}/{key.object_id}" for key in run.plan.keys[:2]]
+    theirs = Ledger(Bucket(url), who="theirs", lease=600.0)
+    assert all(map(theirs.claim, names))
     recipe = TINY.model_copy(update={"seconds_per_object": 13.0})
-    monkeypatch.setattr(bucket_runs, "MARGIN_SECONDS", -10.0)  # so claims hold for 3 s
+    monkeypatch.setattr(pipeline, "MARGIN_SECONDS", -10.0)  # so claims hold for 3 s
     told: list[str] = []
     began = time.monotonic()
-    with bucket_runs.started(into(url, recipe=recipe)) as run:
-        _, manifest = run.finish(on_notice=told.append)
+    with started(into(url, recipe=recipe)) as run:
+        manifest = run.finish(Local(0), on_notice=told.append).manifest
     assert time.monotonic() - began > 1.0  # clocks of stores tell whole seconds
     assert told == ["other processes are at 2 of the objects; waiting"]  # once, however long
     assert manifest is not None
@@ -220,9 +219,9 @@ def test_a_shard_that_is_removed_during_the_run_is_told_of_and_made_again(
     for gone in ("train-00001.h5", "test-00000.h5"):
         with (
             pytest.raises(ArticugenError, match=f"1 shards were removed or .* \\({gone}"),
-            bucket_runs.started(into(url), chosen) as run,
+            started(into(url, share=chosen)) as run,
         ):
-            run.finish(lambda report, gone=gone: Bucket(url).delete([gone]))
+            run.finish(Local(0), lambda report, gone=gone: Bucket(url).delete([gone]))
         assert MANIFEST_NAME not in files(url)
     manifest, told = finished(into(url))
     assert manifest is not None

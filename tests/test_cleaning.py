@@ -1,19 +1,20 @@
 """What killed runs left is removed, and nothing else."""
 
-import json
 import shutil
 from pathlib import Path
 
 import pytest
-from test_manifest import COMPLETE, keys, make, names_in, run
+from test_manifest import COMPLETE, about, key, keys, make, names_in, run
 from trouble import held_by_another_run
 from typer.testing import CliRunner
 
 from articugen.cli import app
 from articugen.core.errors import ArticugenError, CorruptShard
 from articugen.core.files import partial_name
+from articugen.core.ledger import LEDGER, Ledger
+from articugen.core.place import Folder
 from articugen.pipeline.clean import clean
-from articugen.pipeline.journal import JOURNAL_NAME, data_sets
+from articugen.pipeline.folder import data_sets
 from articugen.store.manifest import MANIFEST_NAME
 from articugen.verify.dataset import verify
 
@@ -41,7 +42,7 @@ def test_nothing_is_left_of_a_whole_run(complete):
 
 
 def test_temporary_files_of_ours_go_and_others_stay(folder):
-    ours = ("train-00001.h5", "gone.h5", MANIFEST_NAME, JOURNAL_NAME, "croissant.json")
+    ours = ("train-00001.h5", "gone.h5", MANIFEST_NAME, "croissant.json")
     parts = [partial_name(name) for name in ours]
     others = ["notes.txt", "mine.h5", ".train-00000.h5.partial", partial_name("thesis.tex")]
     for name in (*parts, *others):
@@ -61,64 +62,62 @@ def test_a_shard_that_was_not_recorded_goes_and_the_run_goes_on(tmp_path):
     make(tmp_path, keys()[1], "train-00001.h5")
     (tmp_path / "mine.h5").write_bytes(b"claimed by nobody")
     assert removed(tmp_path) == ["train-00001.h5"]
-    assert names_in(tmp_path) == [JOURNAL_NAME, "mine.h5", "train-00000.h5"]
+    assert names_in(tmp_path) == [LEDGER, "mine.h5", "train-00000.h5"]
     (tmp_path / "mine.h5").unlink()
     assert run(tmp_path, keys()) == ["box-1", "box-2", "box-3"]
     assert names_in(tmp_path) == COMPLETE
 
 
-def test_killed_between_manifest_and_journal(folder):
-    claims = {"claims": [*COMPLETE[1:], "train-00007.h5"]}
-    (folder / JOURNAL_NAME).write_text(json.dumps(claims) + "\n")
-    make(folder, keys(seed=7)[1], "train-00007.h5")
-    assert removed(folder) == ["train-00007.h5", JOURNAL_NAME]
+def test_killed_between_manifest_and_ledger(folder):
+    planned(folder)
+    make(folder, key("box-9"), "train-00003.h5")
+    assert removed(folder) == ["train-00003.h5", "plan.json"]
     assert names_in(folder) == COMPLETE
     assert verify(folder).ok
 
 
-def test_names_in_a_journal_are_not_believed(tmp_path):
-    folder = tmp_path / "box"
-    folder.mkdir()
-    (tmp_path / "x.h5").write_text("precious")
-    (folder / JOURNAL_NAME).write_text('{"claims": ["../x.h5"]}\n')
-    with pytest.raises(CorruptShard, match="line 1 is damaged"):
+def planned(folder: Path, seed: int = 0) -> None:
+    """A run for all objects has been cut short here."""
+    Ledger(Folder(folder)).agree(about(keys(seed=seed)).model_dump_json().encode())
+
+
+def test_no_link_is_followed_to_a_ledger(folder, tmp_path):
+    run(tmp_path / "other", keys(), stop_after=2)
+    (folder / LEDGER).symlink_to(tmp_path / "other" / LEDGER)
+    with pytest.raises(ArticugenError, match="is a symbolic link, which nobody follows"):
         clean(folder)
-    assert (tmp_path / "x.h5").read_text() == "precious"
-
-
-def planted(folder: Path, names: list[str]) -> dict[str, bytes]:
-    """A journal that claims somebody's own files, and what they are."""
-    claims = {"claims": sorted([*COMPLETE[1:], *names])}
-    (folder / JOURNAL_NAME).write_text(json.dumps(claims) + "\n")
-    return {name: (folder / name).read_bytes() for name in names}
+    assert run(tmp_path / "other", keys()) == ["box-2", "box-3"]
 
 
 @pytest.mark.parametrize("act", ["clean", "generate"])
-def test_what_a_journal_claims_is_removed_only_where_it_is_what_runs_write(complete, folder, act):
+def test_what_a_plan_names_is_removed_only_where_it_is_what_runs_write(complete, folder, act):
     """Results of one's own, whole shards by a name of one's own, links, files of another split."""
-    names = ["results.h5", "train-00004.h5", "kept.h5", "train-00005.h5", "test-00006.h5"]
+    names = ["results.h5", "train-00003.h5", "kept.h5", "train-00002.h5", "test-00002.h5"]
+    names.append("train-00007.h5")
     for name in names[:2]:
         (folder / name).write_bytes(b"of months of work")
     shutil.copyfile(complete / "train-00000.h5", folder / "kept.h5")
-    (folder / "train-00005.h5").symlink_to(complete / "train-00000.h5")
-    shutil.copyfile(complete / "train-00000.h5", folder / "test-00006.h5")
-    before = planted(folder, names)
+    (folder / "train-00002.h5").symlink_to(complete / "train-00000.h5")
+    shutil.copyfile(complete / "train-00000.h5", folder / "test-00002.h5")
+    shutil.copyfile(complete / "train-00000.h5", folder / "train-00007.h5")
+    planned(folder)
+    before = {name: (folder / name).read_bytes() for name in names}
     if act == "clean":
-        assert removed(folder) == [JOURNAL_NAME]
+        assert removed(folder) == ["plan.json"]
     else:
         run(folder, keys(seed=7))
     assert {name: (folder / name).read_bytes() for name in names} == before
-    assert (folder / "train-00005.h5").is_symlink()
+    assert (folder / "train-00002.h5").is_symlink()
 
 
-def test_a_run_writes_over_no_file_that_only_a_journal_claims(folder):
+def test_a_run_writes_over_no_file_that_only_a_plan_names(folder):
     for name in (MANIFEST_NAME, "train-00000.h5"):
         (folder / name).unlink()
     (folder / "train-00000.h5").write_bytes(b"of months of work")
-    before = planted(folder, ["train-00000.h5"])
+    planned(folder)
     with pytest.raises(ArticugenError, match=r"train-00000\.h5: exists and was not made by"):
         run(folder, keys())
-    assert (folder / "train-00000.h5").read_bytes() == before["train-00000.h5"]
+    assert (folder / "train-00000.h5").read_bytes() == b"of months of work"
 
 
 def test_links_are_followed_neither_in_a_data_set_nor_to_one(folder, tmp_path):
@@ -142,7 +141,7 @@ def test_pages_stay_where_the_manifest_is_lost(folder):
     (page := folder / "manifest-00000-0123456789abcdef.json").write_text("all that is left")
     (folder / MANIFEST_NAME).unlink()
     assert removed(folder) == []
-    (folder / JOURNAL_NAME).write_text('{"claims": []}\n')
+    planned(folder, seed=7)
     assert removed(folder) == []
     assert page.exists()
 
@@ -164,7 +163,7 @@ def test_all_data_sets_of_a_folder(folder):
     other = folder.parent / "new"
     other.mkdir()
     (folder.parent / "empty").mkdir()
-    (other / partial_name(JOURNAL_NAME)).write_bytes(b"killed before anything was whole")
+    (other / partial_name(MANIFEST_NAME)).write_bytes(b"killed before anything was whole")
     (folder / partial_name("test-00000.h5")).write_bytes(b"half")
     assert len(removed(folder.parent)) == 2
     assert names_in(other) == []
@@ -173,7 +172,7 @@ def test_all_data_sets_of_a_folder(folder):
             clean(nothing)
 
 
-def test_a_folder_that_has_only_a_manifest_or_a_journal_is_verified_as_well(folder):
+def test_a_folder_that_has_only_a_manifest_or_a_ledger_is_verified_as_well(folder):
     for path in folder.glob("*.h5"):
         path.unlink()
     other = folder.parent / "cut short"

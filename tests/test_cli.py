@@ -336,7 +336,7 @@ def test_inspect_prints_the_schema_and_draws(made: Path, tmp_path: Path) -> None
 
 INTERRUPTED = """
 import os, signal
-from articugen.pipeline import run as pipeline
+from articugen.pipeline.executors import work as pipeline
 from articugen.cli import main
 make, begun = pipeline.make_object, []
 def make_object(*given, **more):
@@ -377,14 +377,14 @@ def test_ctrl_c_keeps_finished_work_and_the_next_run_goes_on(
 
 TWICE = """
 import os, signal
-from articugen.pipeline import journal
-close = journal.Journal.close
+from articugen.pipeline.records import Records
+close = Records.close
 def closed(self):
     for _ in range(3):  # again and again while all is put in order
         os.kill(os.getpid(), signal.SIGINT)
         os.kill(os.getpid(), signal.SIGTERM)
     close(self)
-journal.Journal.close = closed
+Records.close = closed
 """
 
 

@@ -13,10 +13,11 @@ import pytest
 from test_pipeline import TINY, contents, job, made, own_models  # noqa: F401
 
 from articugen.core.errors import ArticugenError, MachineFault, MissingExtra
+from articugen.core.ledger import LEDGER
 from articugen.pipeline import door
 from articugen.pipeline.executors import dask as cluster
-from articugen.pipeline.journal import JOURNAL_NAME
-from articugen.pipeline.run import Job, ObjectReport
+from articugen.pipeline.job import Job
+from articugen.pipeline.run import ObjectReport
 from articugen.store.manifest import code_version
 
 dask = pytest.importorskip("dask", reason="dask is not installed")
@@ -91,7 +92,7 @@ def test_one_worker_is_killed_and_one_is_cut_off(address: str, tmp_path: Path) -
     assert manifest.content_sha256 == here.content_sha256
     assert contents(out) == contents(tmp_path / "here")
     assert len(told) == 6
-    assert not (out / JOURNAL_NAME).exists()
+    assert not (out / LEDGER).exists()
 
 
 def test_a_scheduler_that_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,5 @@
-"""The manifest is read strictly; the journal resumes, replaces only its own, trusts nothing."""
+"""The manifest is read strictly; a run resumes, replaces only its own, trusts nothing."""
 
-import errno
 import json
 import os
 import subprocess
@@ -10,9 +9,12 @@ import pytest
 from instances import SMALL, hinged_box
 from trouble import held_by_another_run, unfit
 
-from articugen.core.errors import ArticugenError, CorruptShard, MachineFault
+from articugen.core.errors import ArticugenError, CorruptShard
 from articugen.core.files import partial_name, sha256_of
-from articugen.pipeline.journal import JOURNAL_NAME, Journal
+from articugen.core.ledger import LEDGER, Ledger
+from articugen.core.place import Folder
+from articugen.pipeline.common import CommonPlan
+from articugen.pipeline.records import Records
 from articugen.store.manifest import (
     MANIFEST_NAME,
     MOST_BYTES,
@@ -63,23 +65,37 @@ def attributes(k: Key) -> dict[str, str | int]:
     return {**about, "generator": k.generator, "seed": k.seed}
 
 
+def about(wanted: list[Key]) -> CommonPlan:
+    return CommonPlan(
+        source="tests", category="box", recipe=SMALL.text(), seed=wanted[0].seed, ids=(),
+        exclude=(), joints=(), objects=len(wanted), listing="0" * 64, generator=GENERATOR,
+        command="the command",
+    )  # fmt: skip
+
+
+def records_in(folder: Path, wanted: list[Key] | None = None) -> Records:
+    records = Records(Folder(folder))
+    records.expect(about(wanted or keys()), [], [])
+    return records
+
+
 def run(folder: Path, wanted: list[Key], *, stop_after: int | None = None) -> list[str]:
     """What the pipeline does, in one process; returns the objects it made."""
     made = []
-    with Journal(folder) as journal:
-        todo = [k for k in wanted if journal.finished(k) is None]
-        names = journal.shard_names(wanted)
+    with records_in(folder, wanted) as records:
+        todo = [k for k in wanted if records.finished(k) is None]
+        names = records.shard_names(wanted)
         if todo:
-            journal.claim(names[k] for k in todo)
+            records.begin(names[k] for k in todo)
         for k in todo:
             if stop_after == len(made):
                 return made
-            journal.record(make(folder, k, names[k]))
+            records.record(make(folder, k, names[k]))
             made.append(k.object_id)
-        if not journal.is_complete(wanted):
-            outcomes = [done for k in wanted if (done := journal.finished(k))]
+        if not records.is_complete(wanted):
+            outcomes = [done for k in wanted if (done := records.finished(k))]
             assert len(outcomes) == len(wanted)
-            journal.finish(manifest_of(outcomes))
+            records.finish(manifest_of(outcomes))
     return made
 
 
@@ -205,7 +221,7 @@ def test_commit_is_the_one_checked_out():
         assert commit.removesuffix("+changes") == done.stdout.strip()
 
 
-# The journal.
+# The records.
 
 
 def test_complete_folder_is_left_alone(complete):
@@ -225,30 +241,52 @@ def test_stopped_run_goes_on(complete, tmp_path, stop_after):
     assert Manifest.read(tmp_path).shards == Manifest.read(complete).shards
 
 
-@pytest.mark.parametrize("moment", ["before its line", "in its line", "in its shard"])
+@pytest.mark.parametrize("moment", ["before its record", "a torn record", "in its shard"])
 def test_killed_run_goes_on(complete, tmp_path, moment):
     run(tmp_path, keys(), stop_after=1)
-    journal = tmp_path / JOURNAL_NAME
     if moment == "in its shard":
         (tmp_path / partial_name("train-00001.h5")).write_bytes(b"half")
     else:
         make(tmp_path, keys()[1], "train-00001.h5")
-    if moment == "in its line":
-        with journal.open("a") as file:
-            file.write('{"made": {"key": {"split": "tra')
+    if moment == "a torn record":
+        Ledger(Folder(tmp_path)).record("train/box-1", b"{}")
+        (done,) = (tmp_path / LEDGER / "done").glob("*box-1*")
+        done.write_bytes(done.read_bytes()[:-9])
+        with records_in(tmp_path) as records:
+            assert records.why(keys()[1]) == "its record is damaged"
     assert run(tmp_path, keys()) == ["box-1", "box-2", LAST]
     assert names_in(tmp_path) == COMPLETE
     assert Manifest.read(tmp_path).content_sha256 == Manifest.read(complete).content_sha256
 
 
-def test_killed_between_manifest_and_journal(folder):
+def test_killed_between_manifest_and_ledger(folder):
     run(folder.parent / "other", keys(), stop_after=2)
-    (folder / JOURNAL_NAME).write_bytes((folder.parent / "other" / JOURNAL_NAME).read_bytes())
-    make(folder, key(seed=7), "train-00007.h5")
-    text = (folder / JOURNAL_NAME).read_text()
-    (folder / JOURNAL_NAME).write_text(text.replace('"test-', '"train-00007.h5", "test-', 1))
+    (folder.parent / "other" / LEDGER).rename(folder / LEDGER)
+    make(folder, key("box-9"), "train-00003.h5")
     assert run(folder, keys()) == []
     assert names_in(folder) == COMPLETE
+
+
+def test_killed_where_the_manifest_is_taken_away(complete, folder, monkeypatch):
+    """What was finished before is known still, and goes once the next manifest is written."""
+    fewer = keys(seed=7)[1:]
+    remove = Records.remove
+    for steps in range(3):
+        left = iter(range(steps))
+
+        def die(records, names, left=left):
+            if next(left, None) is None:
+                raise KeyboardInterrupt
+            remove(records, names)
+
+        monkeypatch.setattr(Records, "remove", die)
+        with pytest.raises(KeyboardInterrupt):
+            run(folder, fewer)
+        with records_in(folder) as records:
+            assert (records.finished(keys()[0]) is None) == (steps == 2)
+    monkeypatch.undo()
+    run(folder, fewer)
+    assert names_in(folder) == ["manifest.json", "test-00000.h5", "train-00000.h5"]
 
 
 @pytest.mark.parametrize(
@@ -262,13 +300,13 @@ def test_killed_between_manifest_and_journal(folder):
 )
 def test_stale_data_are_named_and_replaced(folder, change, why):
     (folder / "mine.h5").write_bytes(b"not of ours")
-    with Journal(folder) as journal:
-        assert [journal.why(k) for k in keys(**change)] == [why] * 4
-        assert [journal.finished(k) for k in keys(**change)] == [None] * 4
-        told = journal.conflict(keys(**change))
+    with records_in(folder) as records:
+        assert [records.why(k) for k in keys(**change)] == [why] * 4
+        assert [records.finished(k) for k in keys(**change)] == [None] * 4
+        told = records.conflict(keys(**change))
         assert told is not None
         assert f"3 shards of an earlier run will be replaced or removed (3 since {why})" in told
-        assert journal.conflict(keys()) is None
+        assert records.conflict(keys()) is None
     assert len(run(folder, keys(**change))) == 4
     assert names_in(folder) == sorted([*COMPLETE, "mine.h5"])
     assert all(
@@ -277,9 +315,9 @@ def test_stale_data_are_named_and_replaced(folder, change, why):
 
 
 def test_never_made(tmp_path):
-    with Journal(tmp_path / "new") as journal:
-        assert journal.why(key()) == "it has not been made yet"
-        assert journal.conflict(keys()) is None
+    with records_in(tmp_path / "new") as records:
+        assert records.why(key()) == "it has not been made yet"
+        assert records.conflict(keys()) is None
     assert not (tmp_path / "new").exists()  # a plan writes nothing
 
 
@@ -291,16 +329,16 @@ def test_damaged_shard_is_made_again(complete, folder, harm):
     path.unlink()
     if harm != "missing":
         path.write_bytes(data if harm == "altered" else data + b"x")
-    with Journal(folder) as journal:
-        assert journal.why(key("box-1")) == "its shard train-00001.h5 is missing or altered"
+    with records_in(folder) as records:
+        assert records.why(key("box-1")) == "its shard train-00001.h5 is missing or altered"
     assert run(folder, keys()) == ["box-1"]
     assert sha256_of(path) == sha256_of(complete / path.name)
 
 
 def test_fewer_and_more_objects(complete, folder):
     few = [k for k in keys() if k.object_id in ("box-1", "box-2")]
-    with Journal(folder) as journal:
-        assert "1 since this run does not ask for it" in (journal.conflict(few) or "")
+    with records_in(folder) as records:
+        assert "1 since this run does not ask for it" in (records.conflict(few) or "")
     run(folder, [*few, key("box-9")])
     assert run(folder, few) == []
     assert names_in(folder) == ["manifest.json", "test-00000.h5", "train-00001.h5"]
@@ -323,26 +361,15 @@ def test_foreign_file_is_never_replaced(tmp_path):
 
 
 def test_one_run_at_a_time(tmp_path):
-    with Journal(tmp_path), pytest.raises(ArticugenError, match="another run is writing here"):
-        Journal(tmp_path)
-    Journal(tmp_path).close()
+    with records_in(tmp_path), pytest.raises(ArticugenError, match="another run is writing here"):
+        records_in(tmp_path)
+    records_in(tmp_path).close()
 
 
 def test_dead_run_does_not_keep_the_folder(tmp_path):
     with held_by_another_run(tmp_path), pytest.raises(ArticugenError, match="another run"):
-        Journal(tmp_path)
-    Journal(tmp_path).close()
-
-
-def test_damaged_journal(tmp_path):
-    run(tmp_path, keys(), stop_after=2)
-    path = tmp_path / JOURNAL_NAME
-    lines = path.read_text().split("\n")
-    path.write_text("\n".join([lines[0], lines[1][:-9], *lines[2:]]))
-    with pytest.raises(CorruptShard, match="line 2 is damaged; delete that file"):
-        Journal(tmp_path)
-    path.unlink()
-    Journal(tmp_path).close()
+        records_in(tmp_path)
+    records_in(tmp_path).close()
 
 
 @pytest.mark.parametrize(
@@ -350,7 +377,7 @@ def test_damaged_journal(tmp_path):
     ["../x.txt", "{tmp}/x.txt", "sub/x.h5", "..", "", ".hidden.h5", "x.txt", "x.h5\n", "x.h5\0",
      "a" * 198 + ".h5", None, 7, ["x.h5"], {}],
 )  # fmt: skip
-def test_a_journal_removes_nothing_outside_its_folder(tmp_path, name):
+def test_a_record_removes_nothing_outside_its_folder(tmp_path, name):
     """Names in our own files are as hostile as anyone's: these once deleted any file."""
     folder = tmp_path / "out" / "box"
     (folder / "sub").mkdir(parents=True)
@@ -358,44 +385,63 @@ def test_a_journal_removes_nothing_outside_its_folder(tmp_path, name):
     for path in precious:
         path.write_text("precious")
     name = name.format(tmp=tmp_path) if isinstance(name, str) else name
-    (folder / JOURNAL_NAME).write_text(json.dumps({"claims": ["train-00000.h5", name]}) + "\n")
-    with pytest.raises(CorruptShard, match="line 1 is damaged; delete that file"):
-        run(folder, keys())
+    outcome = make(tmp_path, key(), "train-00000.h5").model_dump(mode="json")
+    outcome["made"]["shard"] = outcome["shard"]["name"] = name
+    Ledger(Folder(folder)).record("train/box-0", json.dumps(outcome).encode())
+    assert run(folder, keys()) == ["box-0", "box-1", "box-2", LAST]
     assert [path.read_text() for path in precious] == ["precious"] * 4
 
 
 @pytest.mark.parametrize(
     "line",
     [
-        b"null", b"5", b"[]", b"{}", b'"x"', b"\0", b"", b"\xff\xfe", b"{\"claims\": null}",
-        b'{"claims": "train-00000.h5"}', b'{"claims": [], "more": 1}', b'{"claims": {"a.h5": 1}}',
-        b'{"claims": ["\\ud800.h5"]}', b"[" * 100_000, b'{"claims":' * 10_000,
-        b'{"claims": [' + b"9" * 5_000 + b"]}", b"NaN", b'{"claims": [], "claims": 1}',
+        b"null", b"5", b"[]", b"{}", b'"x"', b"\0", b"", b"\xff\xfe", b"[" * 100_000,
+        b'{"made": null}', b"9" * 5_000, b"NaN", b'{"rejected": {"reason": "\\ud800"}}',
     ],
 )  # fmt: skip
-@pytest.mark.parametrize("number", [1, 2])
-def test_a_line_of_a_journal_may_hold_anything(tmp_path, line, number):
-    head = b'{"claims": []}\n' * (number - 1)
-    (tmp_path / JOURNAL_NAME).write_bytes(head + line + b"\n")
-    with pytest.raises(CorruptShard, match=f"line {number} is damaged") as caught:
-        Journal(tmp_path)
+def test_a_record_and_a_plan_may_hold_anything(tmp_path, line):
+    ledger = Ledger(Folder(tmp_path))
+    ledger.record("train/box-0", line)
+    with records_in(tmp_path) as records:
+        assert records.finished(key()) is None
+    ledger.agree(line)
+    with pytest.raises(ArticugenError, match="its run is of another version") as caught:
+        records_in(tmp_path)
     assert "\n" not in str(caught.value)
-    (tmp_path / JOURNAL_NAME).unlink()
-    Journal(tmp_path).close()  # the lock was given back
+    (tmp_path / LEDGER / "plan.json").write_bytes(line)
+    with pytest.raises(ArticugenError, match=r"plan\.json: damaged; delete it"):
+        records_in(tmp_path)
+    (tmp_path / LEDGER / "plan.json").unlink()
+    assert run(tmp_path, keys()) == ["box-0", "box-1", "box-2", LAST]
 
 
-@pytest.mark.parametrize("name", [JOURNAL_NAME, MANIFEST_NAME])
+@pytest.mark.parametrize(
+    "name",
+    [
+        ".articugen-plan.json",
+        ".articugen-journal.jsonl",
+        ".articugen-journal.1-of-2.0a0b0c0d.jsonl",
+    ],
+)
+def test_what_an_earlier_version_left_unfinished_is_refused(tmp_path, name):
+    (tmp_path / name).write_text("{}")
+    with pytest.raises(ArticugenError, match=f"earlier version .* delete {name} and the shards"):
+        run(tmp_path, keys())
+    (tmp_path / name).unlink()
+    assert len(run(tmp_path, keys())) == 4
+
+
 @pytest.mark.parametrize("kind", ["FIFO", "folder", "device", "link", "round link", "too large"])
-def test_kind_and_size_are_looked_at_before_reading(tmp_path, name, kind):
-    path = tmp_path / "box" / name
+def test_kind_and_size_are_looked_at_before_reading(tmp_path, kind):
+    path = tmp_path / "box" / MANIFEST_NAME
     path.parent.mkdir()
     if kind == "link":
-        (tmp_path / "elsewhere").write_text('{"claims": ["train-00000.h5"]}\n')
+        (tmp_path / "elsewhere").write_text('{"objects": []}\n')
         path.symlink_to(tmp_path / "elsewhere")
     else:
         unfit(path, kind, MOST_BYTES)
-    with pytest.raises(CorruptShard, match=f"{name}: ") as caught:
-        Journal(path.parent)
+    with pytest.raises(CorruptShard, match=f"{MANIFEST_NAME}: ") as caught:
+        records_in(path.parent)
     assert "\n" not in str(caught.value)
     with pytest.raises(CorruptShard):
         Manifest.read(path.parent)
@@ -436,7 +482,7 @@ def test_a_shard_s_name_may_be_a_link_or_a_folder(folder):
 
 def test_a_smaller_run_removes_what_a_killed_larger_one_left(folder):
     left = [partial_name(n) for n in ("train-00001.h5", "test-00000.h5", MANIFEST_NAME)]
-    left += [partial_name("train-00001.h5"), partial_name(JOURNAL_NAME)]
+    left += [partial_name("train-00001.h5"), partial_name("croissant.json")]
     for name in left:
         (folder / name).write_bytes(b"half")
     others = [partial_name("thesis.tex"), ".train-00000.h5.partial"]
@@ -446,42 +492,23 @@ def test_a_smaller_run_removes_what_a_killed_larger_one_left(folder):
     assert names_in(folder) == sorted([*others, "manifest.json", "train-00000.h5"])
 
 
-def test_a_line_that_could_not_be_written_leaves_no_torn_one(tmp_path, monkeypatch):
-    """The disk is full for a moment: what is recorded after it is still read."""
-    write = os.write
-
-    def half(handle, data):
-        write(handle, data[: len(data) // 2])
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    with Journal(tmp_path) as journal:
-        journal.claim(["train-00000.h5", "train-00001.h5"])
-        with monkeypatch.context() as full:
-            full.setattr(os, "write", half)
-            with pytest.raises(MachineFault, match="the disk is full"):
-                journal.record(make(tmp_path, key(), "train-00000.h5"))
-        journal.record(make(tmp_path, key("box-1"), "train-00001.h5"))
-    with Journal(tmp_path) as journal:
-        assert journal.finished(key("box-1"))
-
-
-def test_record_needs_a_claim(tmp_path):
-    with Journal(tmp_path) as journal, pytest.raises(ValueError, match="claim"):
-        journal.record(Outcome(rejected=Rejection(key=key(), reason="x")))
+def test_a_record_needs_a_begin(tmp_path):
+    with records_in(tmp_path) as records, pytest.raises(ValueError, match="begin"):
+        records.record(Outcome(rejected=Rejection(key=key(), reason="x")))
 
 
 def test_unwritable_folder(tmp_path):
     (tmp_path / "file").write_text("")
     with (
         pytest.raises(ArticugenError, match="file/box: not written: "),
-        Journal(tmp_path / "file" / "box") as journal,
+        records_in(tmp_path / "file" / "box") as records,
     ):
-        journal.claim(["train-00000.h5"])
+        records.begin(["train-00000.h5"])
     if os.geteuid() != 0:
         tmp_path.chmod(0o500)
         with (
             pytest.raises(ArticugenError, match="cannot be written to"),
-            Journal(tmp_path) as journal,
+            records_in(tmp_path) as records,
         ):
-            journal.claim(["train-00000.h5"])
+            records.begin(["train-00000.h5"])
         tmp_path.chmod(0o700)

@@ -19,8 +19,9 @@ from trouble import unfit
 import articugen as ag
 from articugen.core import files
 from articugen.core.errors import CorruptShard, MachineFault
-from articugen.pipeline import journal, ranks
+from articugen.core.ledger import LEDGER
 from articugen.pipeline.clean import clean
+from articugen.pipeline.merge import merge
 from articugen.store import manifest, manifest_pages
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.manifest_pages import MOST_BYTES, is_page_name
@@ -105,7 +106,7 @@ def test_a_data_set_with_pages_is_like_any_other(whole: Path, folder: Path) -> N
 def test_ranks_are_merged_into_pages(whole: Path, tmp_path: Path) -> None:
     out = tmp_path / "ranks"
     assert len(rank(out, "0/2") + rank(out, "1/2")) == 4
-    merged = ranks.merge(out)
+    merged = merge(out)
     assert merged.content_sha256 == Manifest.read(whole).content_sha256
     assert Manifest.read(out) == merged
     assert len(pages(out)) == 2
@@ -139,7 +140,7 @@ def test_a_run_that_is_killed_between_pages_goes_on(tmp_path: Path, written: int
     with dying_after(written), pytest.raises(Killed):
         run(tmp_path, keys())
     assert len(pages(tmp_path)) == written
-    assert journal.JOURNAL_NAME in names_in(tmp_path)
+    assert LEDGER in names_in(tmp_path)
     with pytest.raises(CorruptShard, match="goes on when it is started again"):
         Manifest.read(tmp_path)
     assert clean(tmp_path, dry_run=True) == []  # they are the next run's to remove

@@ -26,13 +26,17 @@ from articugen.core.errors import (
     MachineFault,
     NotOfCategory,
 )
+from articugen.core.ledger import LEDGER
 from articugen.core.recipe import Articulation, Recipe, Sampling, ViewSettings, load_recipe
 from articugen.instance import articulation
 from articugen.instance.make import make_instance, prepare
 from articugen.meshes import read as meshes
 from articugen.pipeline import door
-from articugen.pipeline.journal import JOURNAL_NAME, is_temporary
-from articugen.pipeline.run import Job, ObjectReport, Plan, started
+from articugen.pipeline.executors.local import Local
+from articugen.pipeline.folder import is_temporary
+from articugen.pipeline.job import Job
+from articugen.pipeline.plan import Plan
+from articugen.pipeline.run import ObjectReport, started
 from articugen.sources import registry
 from articugen.store import croissant
 from articugen.store import manifest as manifest_module
@@ -183,7 +187,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(
 import os, signal
 from pathlib import Path
 from articugen.pipeline import door as api
-from articugen.pipeline.run import Job
+from articugen.pipeline.job import Job
 from articugen.core.recipe import Recipe
 # A shell that runs the tests in the background has its children ignore Ctrl-C.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -206,7 +210,7 @@ api.make(job, on_object=told)
     assert first, said
     assert process.returncode != 0
     assert not (out / MANIFEST_NAME).exists()
-    assert (out / JOURNAL_NAME).exists()
+    assert (out / LEDGER).exists()
     assert_nobody_left(process.pid)
 
     tasks = planned(cut).tasks
@@ -285,7 +289,8 @@ def test_a_changed_recipe_or_seed_is_why_all_are_made_again(mine: Path) -> None:
 
 PLANNED = """
 from pathlib import Path
-from articugen.pipeline.run import Job, started
+from articugen.pipeline.job import Job
+from articugen.pipeline.run import started
 from articugen.core.recipe import Recipe
 from articugen.store.manifest import code_version
 recipe = Recipe.model_validate_json({recipe!r})
@@ -673,7 +678,7 @@ FULL = """
 import resource, sys
 from pathlib import Path
 from articugen.pipeline import door as api
-from articugen.pipeline.run import Job
+from articugen.pipeline.job import Job
 from articugen.core.recipe import Recipe
 {before}
 recipe = Recipe.model_validate_json({recipe!r})
@@ -729,7 +734,7 @@ def test_what_a_run_needs_is_compared_with_what_is_free(whole: Path, tmp_path: P
         ours = job(disk / "out", recipe=many, jobs=2)
         both = r"about \d+\.\d MB on the disk, 0\.\d MB are free"
         with started(ours) as run, pytest.raises(MachineFault, match=both):
-            run.finish(lambda _: None)
+            run.finish(Local(2))
         assert not (disk / "out").exists()
     with small_disk(tmp_path / "larger", "1m") as disk:
         ours, told = replace(ours, out=disk / "out"), list[str]()
@@ -737,13 +742,13 @@ def test_what_a_run_needs_is_compared_with_what_is_free(whole: Path, tmp_path: P
             assert 1 << 20 < run.plan.bytes < 4 << 20
             both = r"the disk is full .* takes about \d\.\d MB, 0\.\d MB are free; finished objects"
             with pytest.raises(MachineFault, match=both):
-                run.finish(lambda _: None, told.append)
+                run.finish(Local(2), on_notice=told.append)
         assert "MB are free; free some space, choose another folder, or ask for fewer" in told[0]
         assert [p.name for p in (disk / "out").iterdir() if is_temporary(p.name)] == []
         subprocess.run(["mount", "-o", "remount,size=9m", str(disk)], check=True)
         with started(ours) as run:
             assert 0 < len(run.plan.done) < 6
-            assert run.finish(lambda _: None).shortfall is None
+            assert run.finish(Local(2)).manifest.shortfall is None
         assert verify(disk / "out").ok
 
 

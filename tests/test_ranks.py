@@ -14,13 +14,17 @@ from trouble import held_by_another_run
 from typer.testing import CliRunner
 
 from articugen.cli import app
-from articugen.core.errors import ArticugenError, CorruptShard, InvalidArgument, InvalidRecipe
+from articugen.core.errors import ArticugenError, InvalidArgument, InvalidRecipe
 from articugen.core.files import partial_name
-from articugen.pipeline import ranks
-from articugen.pipeline import run as pipeline
+from articugen.core.ledger import LEDGER, Ledger
+from articugen.core.place import Folder
+from articugen.pipeline import plan
 from articugen.pipeline.clean import clean
-from articugen.pipeline.journal import COMMON_PLAN, JOURNAL_NAME, Journal, is_journal
-from articugen.pipeline.rank_journal import Following, Share
+from articugen.pipeline.executors.local import Local
+from articugen.pipeline.job import Share
+from articugen.pipeline.merge import merge
+from articugen.pipeline.records import Records
+from articugen.pipeline.run import started
 from articugen.sources.splits import TEST_FRACTION
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.verify.dataset import verify
@@ -35,8 +39,10 @@ def share(text: str) -> Share:
 def rank(out: Path, text: str, **changes: object) -> list[str]:
     """Let a rank finish here; the objects that it made itself."""
     told: list[str] = []
-    with ranks.started(job(out, **changes), share(text), command="the command") as started:
-        started.finish(lambda report: None if report.reused else told.append(report.object_id))
+    with started(job(out, share=share(text), **changes), command="the command") as run:
+        run.finish(
+            Local(0), lambda report: None if report.reused else told.append(report.object_id)
+        )
     return told
 
 
@@ -64,10 +70,10 @@ def test_eight_ranks_of_which_three_are_killed_make_what_one_process_makes(tmp_p
     left = [p.name for p in out.iterdir() if p.name.endswith(".partial")]
     assert len(left) == 2  # nobody removes what may be another's
     with pytest.raises(ArticugenError, match=r"1 of 9 objects are missing .*--shard i/8, i = 1;"):
-        ranks.merge(out)
+        merge(out)
     all_of_them = TINY.with_counts(objects=OBJECTS, states=0)
     assert len(rank(out, "1/8", recipe=all_of_them)) == 1
-    merged = ranks.merge(out, jobs=2)
+    merged = merge(out, jobs=2)
 
     one, _ = made(job(tmp_path / "one", recipe=all_of_them))
     assert merged.content_sha256 == one.content_sha256
@@ -92,27 +98,6 @@ def test_a_plain_run_goes_on_with_what_ranks_have_made(tmp_path: Path) -> None:
     assert verify(tmp_path).findings == ()
 
 
-def test_who_follows_ranks_hears_of_each_object_once_and_when_its_line_is_whole(
-    tmp_path: Path,
-) -> None:
-    following = Following(tmp_path)
-    assert following.news() == []
-    first = rank(tmp_path, "0/2")
-    assert [outcome.key.object_id for outcome in following.news()] == first
-    second = rank(tmp_path, "1/2")
-    (journal,) = tmp_path.glob(".articugen-journal.1-of-2.*")
-    whole = journal.read_bytes()
-    journal.write_bytes(whole[:-20])  # being written
-    told = [outcome.key.object_id for outcome in following.news()]
-    journal.write_bytes(whole)
-    assert told + [outcome.key.object_id for outcome in following.news()] == second
-    assert following.news() == []
-    fifo = tmp_path / ".articugen-journal.0-of-9.0123abcd.jsonl"
-    os.mkfifo(fifo)
-    with pytest.raises(CorruptShard, match="it is a FIFO, not a regular file; delete it"):
-        following.news()
-
-
 def test_a_killed_plain_run_and_a_finished_one_are_gone_on_with(tmp_path: Path) -> None:
     few = TINY.with_counts(objects=2)
     made(job(tmp_path, recipe=few))
@@ -120,19 +105,19 @@ def test_a_killed_plain_run_and_a_finished_one_are_gone_on_with(tmp_path: Path) 
     assert rank(tmp_path, "0/2") + rank(tmp_path, "1/2")
     assert Manifest.read(tmp_path) == before  # what was whole is whole until the merge
     assert [left.path.name for left in clean(tmp_path)] == []
-    assert len(ranks.merge(tmp_path).objects) == 4
+    assert len(merge(tmp_path).objects) == 4
     assert verify(tmp_path).findings == ()
 
 
 def test_ranks_share_a_folder_and_with_nobody_else(tmp_path: Path) -> None:
-    with ranks.started(job(tmp_path), share("0/2")) as one:
-        one.run.journal.claim(["train-00000.h5"])
-        with ranks.started(job(tmp_path), share("1/2")):
+    with started(job(tmp_path, share=share("0/2"))) as one:
+        one.records.begin(["train-00000.h5"])
+        with started(job(tmp_path, share=share("1/2"))):
             pass
         with pytest.raises(ArticugenError, match="another run is writing here"):
-            Journal(tmp_path)
+            Records(Folder(tmp_path))
         with pytest.raises(ArticugenError, match="another run is writing here"):
-            ranks.merge(tmp_path)
+            merge(tmp_path)
     with held_by_another_run(tmp_path), pytest.raises(ArticugenError, match="another run"):
         rank(tmp_path, "0/2")
 
@@ -156,11 +141,11 @@ def test_ranks_that_want_something_else_are_told(tmp_path: Path) -> None:
 def test_the_same_object_made_twice_is_one(tmp_path: Path) -> None:
     """As where ranks of another number are started while some of the first are still at work."""
     out = tmp_path / "twice"
-    with ranks.started(job(out), share("0/2")) as slow:  # has seen an empty folder
+    with started(job(out, share=share("0/2"))) as slow:  # has seen an empty folder
         assert len(rank(out, "0/1")) == 4
-        slow.finish()
-    assert len([name for name in os.listdir(out) if is_journal(name)]) == 2
-    ranks.merge(out)
+        slow.finish(Local(0))
+    assert len(Ledger(Folder(out)).recorded()) == 4
+    merge(out)
     assert verify(out).findings == ()
 
 
@@ -171,28 +156,19 @@ def test_a_merge_names_what_is_altered_and_a_rank_makes_it_again(tmp_path: Path)
     data[len(data) // 2] ^= 1
     shard.write_bytes(data)
     with pytest.raises(ArticugenError, match=r"1 of 4 .*train-00001.h5 is missing or altered"):
-        ranks.merge(tmp_path)
+        merge(tmp_path)
     copied = tmp_path.parent / "copied"
     shutil.copytree(tmp_path, copied)
-    assert len(ranks.merge(copied, sizes_only=True).objects) == 4
+    assert len(merge(copied, sizes_only=True).objects) == 4
     assert {f.shard for f in verify(copied).findings} == {"train-00001.h5"}
     assert len(rank(tmp_path, "1/2")) + len(rank(tmp_path, "0/2")) == 1
-    ranks.merge(tmp_path)
+    merge(tmp_path)
 
 
 @pytest.mark.parametrize("text", ["8/8", "3", "-1/2", "1/0", "a/b", "1/2/3", ""])
 def test_a_share_is_one_of_so_many(text: str) -> None:
     with pytest.raises(InvalidArgument, match="counted from 0"):
         Share.of_text(text)
-
-
-@pytest.mark.parametrize("of", [1, 2, 5, 8])
-@pytest.mark.parametrize("other", [1, 3, 6, 8])
-def test_a_rank_reads_all_journals_that_may_tell_of_its_objects(of: int, other: int) -> None:
-    for a in range(of):
-        for b in range(other):
-            common = any(p % of == a and p % other == b for p in range(of * other))
-            assert share(f"{a}/{of}").meets((b, other)) == common
 
 
 def test_the_command_line_makes_shares_and_merges_them(tmp_path: Path) -> None:
@@ -212,13 +188,13 @@ def test_the_command_line_makes_shares_and_merges_them(tmp_path: Path) -> None:
     folder = tmp_path / "data" / "eyeglasses"
     assert done.exit_code == 0, done.output
     assert f"articugen merge {folder}" in done.stdout
-    assert (folder / COMMON_PLAN).exists()
+    assert (folder / LEDGER / "plan.json").exists()
     refused = run("merge", folder)
     assert refused.exit_code == 1
     assert "2 of 3 objects are missing" in refused.stderr
     assert run(*command, "--shard", "0/2").exit_code == 0
     assert run("merge", tmp_path / "data").exit_code == 0
-    assert not (folder / JOURNAL_NAME).exists()
+    assert not (folder / LEDGER).exists()
     again = run("merge", folder)
     assert (again.exit_code, "nothing to merge" in again.stdout) == (0, True)
     (folder / "train-00000.h5").unlink()
@@ -229,17 +205,18 @@ def test_the_command_line_makes_shares_and_merges_them(tmp_path: Path) -> None:
 
 def test_a_plan_of_another_version_is_told_of(tmp_path: Path) -> None:
     rank(tmp_path, "0/2")
-    path = tmp_path / COMMON_PLAN
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"recipe": '{"name": 5}'}))
+    ledger = Ledger(Folder(tmp_path))
+    about = json.loads(ledger.agreed() or b"") | {"recipe": '{"name": 5}'}
+    ledger.agree(json.dumps(about).encode(), anew=True)
     with pytest.raises(ArticugenError, match="recipe is of another version of articugen"):
-        ranks.merge(tmp_path)
+        merge(tmp_path)
 
 
 def test_no_more_objects_than_a_manifest_can_tell_of(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Said before the first is made, not after the last."""
-    monkeypatch.setattr(pipeline, "MOST_OBJECTS", 3)
+    monkeypatch.setattr(plan, "MOST_OBJECTS", 3)
     with pytest.raises(InvalidRecipe, match="4 objects of eyeglasses: a data set has at most 3"):
         rank(tmp_path, "0/2")
 
@@ -260,7 +237,7 @@ def test_ranks_and_chosen_ids_agree_on_splits_that_no_hash_decides(tmp_path: Pat
     many = tmp_path / "many"
     for text in ("2/3", "0/3", "1/3"):
         rank(many, text, **few)
-    assert ranks.merge(many).content_sha256 == plain.content_sha256
+    assert merge(many).content_sha256 == plain.content_sha256
     chosen = next(name for name, split in splits.items() if split == "test")
     alone = planned(job(tmp_path / "alone", ids=(chosen,), jobs=1, **few))
     assert alone.keys == tuple(e.key for e in plain.objects if e.key.split == "test")

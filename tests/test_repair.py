@@ -19,10 +19,10 @@ import articugen as ag
 from articugen.cli import app
 from articugen.core import content
 from articugen.core.errors import ArticugenError, CorruptShard, InvalidArgument
+from articugen.core.ledger import LEDGER
 from articugen.instance import make
 from articugen.pipeline import door
-from articugen.pipeline.journal import JOURNAL_NAME
-from articugen.pipeline.run import Job
+from articugen.pipeline.job import Job
 from articugen.store import chunks, croissant
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.writer import copy_user_group
@@ -265,7 +265,7 @@ def test_not_while_a_run_is_at_work_or_can_go_on(folder):
     with held_by_another_run(folder), pytest.raises(ArticugenError, match="another run is writing"):
         mended(folder)
     (folder / MANIFEST_NAME).unlink()
-    (folder / JOURNAL_NAME).write_text('{"claims": []}\n')
+    (folder / LEDGER).mkdir()
     before = contents(folder)
     (done,) = mended(folder)
     assert not done.ok

@@ -15,7 +15,7 @@ from articugen.instance import articulation
 from articugen.instance.again import prepared_again, write_mesh
 from articugen.instance.make import make_instance, prepare
 from articugen.pipeline import door
-from articugen.pipeline.run import Job
+from articugen.pipeline.job import Job
 from articugen.sources import registry
 from articugen.store.manifest import Manifest
 from articugen.verify import replay as replaying

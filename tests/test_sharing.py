@@ -17,7 +17,8 @@ from test_pipeline import TINY, job
 from articugen.core.processes import Crew, each
 from articugen.core.recipe import Articulation
 from articugen.pipeline import door, sharing
-from articugen.pipeline.run import help_make, started
+from articugen.pipeline.making import help_make
+from articugen.pipeline.run import started
 from articugen.store.manifest import Manifest
 from articugen.store.shards import open_shard
 
@@ -169,9 +170,9 @@ def test_a_shared_object_has_the_same_bytes(tmp_path: Path) -> None:
 MAKE = """
 import pickle, sys
 from pathlib import Path
-from articugen.pipeline.run import make_object
+from articugen.pipeline.making import make_object
 job, task, common = pickle.loads(Path(sys.argv[1]).read_bytes())
-print(make_object(job, task, common=common).made.content_sha256)
+print(make_object(job, job.folder, task, common=common).made.content_sha256)
 """
 
 

@@ -18,9 +18,14 @@ from typer.testing import CliRunner
 import articugen as ag
 from articugen.cli import app
 from articugen.core.errors import ArticugenError, InvalidArgument, MachineFault, MissingExtra
+from articugen.core.ledger import Ledger
+from articugen.core.place import Folder
+from articugen.pipeline import door
 from articugen.pipeline.executors import slurm as slurm_module
 from articugen.pipeline.executors.slurm import Array
-from articugen.pipeline.run import Job, ObjectReport
+from articugen.pipeline.job import Job
+from articugen.pipeline.plan import objects_of
+from articugen.pipeline.run import ObjectReport
 from articugen.store.manifest import Manifest
 
 MANY = TINY.with_counts(objects=9, states=2)
@@ -46,8 +51,8 @@ def on_slurm(out: Path, query: str = "tasks=3&cpus=1", **changes: object) -> Job
 def finished(job: Job) -> tuple[Manifest, list[ObjectReport], list[str]]:
     reports: list[ObjectReport] = []
     notices: list[str] = []
-    with slurm_module.started(job) as run:
-        return run.finish(reports.append, notices.append), reports, notices
+    manifest = door.make(job, on_object=reports.append, on_notice=notices.append)
+    return manifest, reports, notices
 
 
 def running() -> dict[int, tuple[str, str]]:
@@ -55,6 +60,13 @@ def running() -> dict[int, tuple[str, str]]:
     told = said("squeue", "-h", "-r", "-t", "R", "-o", "%K %F %N").split("\n")
     rows = [line.split() for line in told if line]
     return {int(task): (array, node) for task, array, node in rows}
+
+
+def recorded_by(out: Path, task: int) -> bool:
+    """Whether one of three tasks has recorded an object."""
+    refs = objects_of(on_slurm(out, recipe=LONG))
+    names = [f"{ref.split}/{ref.object_id}" for ref in refs[task::3]]
+    return bool(Ledger(Folder(out)).known(names))
 
 
 def harm(out: Path, nodes: dict[str, Daemon]) -> None:
@@ -65,7 +77,7 @@ def harm(out: Path, nodes: dict[str, Daemon]) -> None:
     array, node = tasks[1]
 
     def wait_for(task: int) -> None:
-        while not list(out.glob(f".articugen-journal.{task}-of-3.*")):
+        while not recorded_by(out, task):
             time.sleep(0.01)
 
     wait_for(0)
@@ -101,9 +113,8 @@ def test_it_is_followed_again_and_interrupted(cluster: dict[str, Daemon], tmp_pa
     out = tmp_path / "eyeglasses"
     script = (
         "import os, sys; from pathlib import Path; from test_slurm import finished, on_slurm\n"
-        "from articugen.pipeline.executors import slurm\n"
-        "with slurm.started(on_slurm(Path(sys.argv[1]))) as run:\n"
-        "    run.finish(on_notice=lambda _: os.kill(os.getpid(), 9))"
+        "from articugen.pipeline import door\n"
+        "door.make(on_slurm(Path(sys.argv[1])), on_notice=lambda _: os.kill(os.getpid(), 9))"
     )
     path = os.pathsep.join([str(Path(__file__).parent), str(PACKAGE.parent)])
     killed = subprocess.run(
@@ -115,8 +126,8 @@ def test_it_is_followed_again_and_interrupted(cluster: dict[str, Daemon], tmp_pa
     def interrupt(report: ObjectReport) -> None:
         raise KeyboardInterrupt
 
-    with slurm_module.started(on_slurm(out)) as run, pytest.raises(KeyboardInterrupt):
-        run.finish(interrupt, pytest.fail)  # nothing is submitted
+    with pytest.raises(KeyboardInterrupt):  # nothing is submitted
+        door.make(on_slurm(out), on_object=interrupt, on_notice=pytest.fail)
     while said("squeue", "-h", "-j", first):
         time.sleep(0.1)
     manifest, reports, _ = finished(on_slurm(out))

@@ -20,16 +20,16 @@ from PIL import Image
 from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
-from test_manifest import STATES, TIMINGS, attributes, key, keys, make, manifest_of, run
+from test_manifest import STATES, TIMINGS, attributes, key, keys, make, manifest_of, records_in, run
 from typer.testing import CliRunner
 
 import articugen as ag
 from articugen.cli import app, saying
 from articugen.core.errors import CorruptShard
 from articugen.core.files import partial_name
+from articugen.core.ledger import LEDGER
 from articugen.core.schema import CHECKED_ATTRIBUTES
 from articugen.pictures import layout
-from articugen.pipeline.journal import Journal
 from articugen.store.manifest import MANIFEST_NAME, Manifest, Outcome, Rejection
 from articugen.store.writer import write_shard
 from articugen.verify import dataset as verification
@@ -87,13 +87,13 @@ def test_no_manifest(folder):
 
 
 def test_unfinished_run(folder):
-    with Journal(folder) as journal:
-        journal.claim(["train-00000.h5"])
+    with records_in(folder) as records:
+        records.begin(["train-00000.h5"])
         assert found(verify(folder)) == {("", "manifest"), ("", "unfinished")}
 
 
 def test_what_killed_runs_left_is_named_with_the_cure(folder):
-    (folder / ".articugen-journal.jsonl").write_text('{"claims": []}\n')
+    (folder / LEDGER).mkdir()
     part = partial_name("train-00000.h5")
     (folder / part).write_bytes(b"half")
     report = verify(folder)
@@ -343,9 +343,9 @@ def test_what_users_add_is_left_alone_and_told_of(folder):
     add_scores(folder / "train-00000.h5")
     report = verify(folder)
     assert report == Report((), 3, 6, ("train-00000.h5",))
-    with Journal(folder) as journal:  # a run has nothing to do, and replaces nothing
-        assert [journal.why(k) for k in keys()] == [None] * 4
-        assert journal.is_complete(keys())
+    with records_in(folder) as records:  # a run has nothing to do, and replaces nothing
+        assert [records.why(k) for k in keys()] == [None] * 4
+        assert records.is_complete(keys())
     with h5py.File(folder / "train-00000.h5") as shard:
         assert shard["user/score"][:].tolist() == [0.0, 1.0]
     done = CliRunner().invoke(app, ["verify", str(folder)])
@@ -374,8 +374,8 @@ def test_a_group_of_ones_own_excuses_nothing_else(folder, alter, checks):
     assert {check for _, check in found(report)} >= checks
     assert report.extended == ()
     if checks != {"checksum", "attributes"}:
-        with Journal(folder) as journal:
-            assert "is missing or altered" in (journal.why(keys()[0]) or "")
+        with records_in(folder) as records:
+            assert "is missing or altered" in (records.why(keys()[0]) or "")
 
 
 def _reword(file: h5py.File, name: str) -> None:
@@ -446,8 +446,8 @@ def test_fault_in_an_intact_file(folder):
 
 
 def test_object_in_two_splits(folder):
-    with Journal(folder) as journal:
-        outcomes = [o for k in keys() if (o := journal.finished(k))]
+    with records_in(folder) as records:
+        outcomes = [o for k in keys() if (o := records.finished(k))]
     twice = key("box-0", "test")
     outcomes.append(make(folder, twice, "test-00001.h5"))
     about = {"category": "box", "source": "tests", "licence": "MIT", "seed": 0}

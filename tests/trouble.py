@@ -14,8 +14,9 @@ import pytest
 _HOLD = """
 import sys, time
 from pathlib import Path
-from articugen.pipeline.journal import Journal
-journal = Journal(Path(sys.argv[1]))
+from articugen.core.place import Folder
+from articugen.pipeline.records import Records
+records = Records(Folder(Path(sys.argv[1])))
 print("held", flush=True)
 time.sleep(60)
 """

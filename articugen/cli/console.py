@@ -1,7 +1,7 @@
 """What the commands show while they work and when they are done."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +13,13 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, Task, TextColumn, 
 from rich.table import Table
 from rich.text import Text
 
+from articugen.cli.saying import REJECTED, command, stdout
+from articugen.core.errors import ArticugenError
 from articugen.core.files import room_at
 from articugen.core.tables import counted, duration, facts, size
-from articugen.pipeline.run import Job, ObjectReport, Plan
+from articugen.pipeline.job import Job
+from articugen.pipeline.plan import Plan
+from articugen.pipeline.run import ObjectReport
 from articugen.sources.registry import SourceInfo
 from articugen.store.manifest import MANIFEST_NAME, Manifest, Outcome
 
@@ -51,7 +55,7 @@ def _indented(text: RenderableType) -> Padding:
 
 
 def plan_table(job: Job, plan: Plan) -> RenderableType:
-    """What a run would do, and why."""
+    """Return what a run would do, and why."""
     table = facts()
     reasons: dict[str, list[str]] = {}
     for task in plan.tasks:
@@ -65,17 +69,17 @@ def plan_table(job: Job, plan: Plan) -> RenderableType:
     table.add_row("instances", f"{plan.instances:,}")
     room = ""
     with suppress(OSError):
-        room = "" if job.bucket else f"; {size(room_at(job.out))} are free"
+        room = f"; {size(room_at(job.out))} are free" if isinstance(job.out, Path) else ""
     table.add_row("disk", f"about {size(plan.bytes)}: an estimate{room}")
     on = f"on {counted(max(job.jobs, 1), 'worker')}"
     table.add_row("time", f"about {duration(round(plan.seconds))} {on}: an estimate")
-    lines: list[RenderableType] = [_title(job.category, job.bucket or job.out), table]
+    lines: list[RenderableType] = [_title(job.category, job.out), table]
     if plan.conflict:
         lines.append(Text(plan.conflict, "yellow"))
     return Group(*lines)
 
 
-def made_table(manifest: Manifest, folder: Path | str) -> RenderableType:
+def made_table(manifest: Manifest, folder: object) -> RenderableType:
     """One screen at the end of a run: what was made, how fast, how large, what was rejected."""
     splits = Counter(entry.key.split for entry in manifest.objects)
     counts = ", ".join(f"{n} {split}" for split, n in sorted(splits.items(), reverse=True))
@@ -103,7 +107,7 @@ def made_table(manifest: Manifest, folder: Path | str) -> RenderableType:
 
 
 def share_table(outcomes: Iterable[Outcome]) -> RenderableType:
-    """What a rank leaves: how much of its share is made, and what is not and why."""
+    """Return what a rank leaves: how much of its share is made, and what is not and why."""
     outcomes = tuple(outcomes)
     shards = [outcome.shard for outcome in outcomes if outcome.shard]
     table = facts()
@@ -119,7 +123,7 @@ def share_table(outcomes: Iterable[Outcome]) -> RenderableType:
 
 
 def left_out(folder: Path) -> RenderableType:
-    """The objects that are not in a data set, and why; nothing where there is no manifest.
+    """Return the objects that are not in a data set, and why; nothing where there is no manifest.
 
     Raises:
         CorruptShard: its manifest is damaged.
@@ -207,5 +211,36 @@ class _Rate(TextColumn):
         return Text(f"{rate:.1f} instances/s" if made else "starting", "bright_black")
 
 
-def _title(category: str, folder: Path | str) -> Text:
+def _title(category: str, folder: object) -> Text:
     return Text.assemble((category, "bold"), f" in {folder}")
+
+
+def tell(manifest: Manifest, where: object) -> int:
+    """Say what has become of a data set; the exit status.
+
+    Raises:
+        ArticugenError: it is not what its recipe asks for.
+    """
+    stdout.print(made_table(manifest, where))
+    if manifest.shortfall:
+        raise ArticugenError(manifest.shortfall)
+    return REJECTED if manifest.rejected else 0
+
+
+def tell_share(outcomes: Sequence[Outcome], job: Job) -> int:
+    """Say what has become of a share, and what comes next; the exit status.
+
+    Raises:
+        ArticugenError: some objects have failed.
+    """
+    stdout.print(share_table(outcomes))
+    failed = [outcome.failed for outcome in outcomes if outcome.failed]
+    if failed:
+        raise ArticugenError(
+            f"{len(failed)} of {len(outcomes)} objects failed through no fault of theirs, and are "
+            f"tried again by the same command; the first, {failed[0].sentence}"
+        )
+    in_folder = isinstance(job.out, Path)
+    then = command("merge", job.out) if in_folder else "the command without --shard"
+    stdout.print(f"when all shards are made: {then}", soft_wrap=True, markup=False)
+    return 0

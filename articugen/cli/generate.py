@@ -27,10 +27,10 @@ from articugen.cli.fetch import register as register_fetch
 from articugen.cli.learn import Changes
 from articugen.cli.learn import register as register_learning
 from articugen.cli.listed import listed
+from articugen.cli.merge import register as register_merge
 from articugen.cli.saying import (
     FAILED,
     KEPT,
-    REJECTED,
     STOPPED,
     UNHEARD,
     Stopped,
@@ -41,15 +41,13 @@ from articugen.cli.saying import (
     say_error,
     stderr,
     stdout,
+    whole_command,
 )
-from articugen.cli.shares import made_by_array, made_in_bucket, made_share, share_of
-from articugen.cli.shares import register as register_merge
 from articugen.cli.view import register as register_view
 from articugen.core.content import VERSION
-from articugen.core.errors import ArticugenError
 
 if TYPE_CHECKING:
-    from articugen.pipeline.run import Job
+    from articugen.pipeline.job import Job
     from articugen.verify.dataset import Repair
 
 app = typer.Typer(
@@ -269,49 +267,50 @@ def generate(
     """Make a data set, or what is missing of it: run it again to resume."""
     with said(KEPT):
         from articugen.pipeline.door import check_replaces, jobs_of
+        from articugen.pipeline.job import Share
 
         todo = jobs_of(
             category, source, folder, recipe,
             changes=changes or (), seed=seed, objects=objects, ids=listed(ids),
             exclude=listed(exclude), joints=listed(joints), states=states,
             movable=listed(movable), canonical=canonical, max_rejected=max_rejected, jobs=jobs,
-            scheduler=scheduler,
+            scheduler=scheduler, share=None if shard is None else Share.of_text(shard),
         )  # fmt: skip
-        share = share_of(shard)
-        check_replaces(todo[0], replace=replace, shared=share is not None)
-        from articugen.pipeline.executors.slurm import is_array
-    one = partial(made_share, share=share) if share else partial(_made, replace=replace)
-    one = partial(made_in_bucket, share=share) if todo[0].bucket else one
-    if is_array(todo[0].scheduler):
-        one = partial(made_by_array, share=share)
-    make = one if len(todo) == 1 else partial(_made_each, one)
-    status = make(*todo, dry_run=dry_run)
+        check_replaces(todo[0], replace=replace)
+    make = _made if len(todo) == 1 else _made_each
+    status = make(*todo, dry_run=dry_run, replace=replace)
     if status:
         raise typer.Exit(status)
 
 
 def _made(job: "Job", *, dry_run: bool, replace: bool) -> int:
-    """Make one data set and tell of it; the exit status."""
+    """Make one data set, or a share of it, and tell of it; the exit status."""
     with said(KEPT):
         from articugen.cli import console
-        from articugen.pipeline import run as pipeline
+        from articugen.pipeline.door import executor_of
+        from articugen.pipeline.run import started
 
-        with pipeline.started(job) as run:
+        whole = whole_command(sys.argv)
+        executor = executor_of(job, whole)
+        with started(job, command=whole) as run:
+            if job.share:
+                count = f"{len(run.plan.keys)} of {run.objects} objects"
+                stdout.print(f"shard {job.share}: {count}", soft_wrap=True)
             if dry_run:
                 stdout.print(console.plan_table(job, run.plan))
                 return 0
-            if run.plan.conflict and not replace:
-                cure = "REPLACE=1" if called_by_make() else "--replace"
-                raise ArticugenError(f"{run.plan.conflict}, or add {cure}")
+            cure = "REPLACE=1" if called_by_make() else "--replace"
+            run.check_replaces(replace=replace, cure=f"add {cure}")
             with console.progress(stderr, run.plan) as bar:
-                manifest = run.finish(bar.of_object, bar.of_notice)
+                finished = run.finish(executor, bar.of_object, bar.of_notice)
+        if finished.manifest is None:
+            return console.tell_share(finished.outcomes, job)
         if not run.plan.tasks:
             stdout.print("nothing to do, all of it was there already")
-        stdout.print(console.made_table(manifest, job.out))
-        if manifest.shortfall:
-            raise ArticugenError(manifest.shortfall)
-        stdout.print(f"next: {escape(_looking(job.out))}", soft_wrap=True)
-    return REJECTED if manifest.rejected else 0
+        status = console.tell(finished.manifest, job.out)
+        if isinstance(job.out, Path):
+            stdout.print(f"next: {escape(_looking(job.out))}", soft_wrap=True)
+    return status
 
 
 def _looking(folder: Path) -> str:
@@ -322,12 +321,12 @@ def _looking(folder: Path) -> str:
     return shlex.join(["make", "inspect", f"CATEGORY={folder.name}", *where])
 
 
-def _made_each(one: Callable[..., int], *todo: "Job", dry_run: bool) -> int:
+def _made_each(*todo: "Job", dry_run: bool, replace: bool) -> int:
     """Make several data sets: one that fails does not stop the others; the worst exit status."""
     ended: dict[str, int] = {}
     for job in todo:
         try:
-            ended[job.category] = one(job, dry_run=dry_run)
+            ended[job.category] = _made(job, dry_run=dry_run, replace=replace)
         except typer.Exit as left:
             if left.exit_code in STOPPED.values():
                 raise
@@ -434,7 +433,7 @@ def verify(
     """Check checksums, schema, value ranges and geometry of data sets, and mend them."""
     sound = True
     with said():
-        from articugen.pipeline.journal import data_sets
+        from articugen.pipeline.folder import data_sets
         from articugen.verify.check import check
 
         for folder in data_sets(path, follow=not repair):

@@ -63,6 +63,17 @@ def command(*words: object) -> str:
     return shlex.join([*program, *map(str, words)])
 
 
+def whole_command(argv: list[str]) -> str:
+    """Return the command as it was typed, without its `--shard`: all shares have it in common."""
+    words, left = iter(argv[1:]), list[str]()
+    for word in words:
+        if word == "--shard":
+            next(words, None)
+        elif not word.startswith("--shard="):
+            left.append(word)
+    return shlex.join(["articugen", *left])
+
+
 class Stopped(KeyboardInterrupt):
     """Somebody, or a batch system, wants the work to end: `number` is the signal."""
 

@@ -38,6 +38,9 @@ class Ledger:
     """What is made in a place, what of it is finished, and who is at what.
 
     Several ledgers of one place, in as many processes, see each other's records and claims.
+
+    Attributes:
+        claims: `who` and `lease`, for a ledger of another process of the same run.
     """
 
     def __init__(self, place: Place, *, who: str = "", lease: float = math.inf) -> None:
@@ -48,8 +51,10 @@ class Ledger:
             lease: seconds after which a claim has run out: nobody is at a thing for so long.
         """
         self.place = place
-        self._who, self._lease = (who or uuid4().hex).encode(), lease
+        self.claims = (who or uuid4().hex, lease)
+        self._who, self._lease = self.claims[0].encode(), lease
         self._damaged: set[str] = set()
+        self._marked: Mapping[str, Listed] = {}
         self._ahead: float | None = None
 
     # --- what is made
@@ -73,7 +78,7 @@ class Ledger:
         return about
 
     def agreed(self) -> bytes | None:
-        """What is made here; None where nobody has said so.
+        """Return what is made here; None where nobody has said so.
 
         Raises:
             ArticugenError: it is damaged.
@@ -82,7 +87,7 @@ class Ledger:
             data = self.place.read(_PLAN)
         except UnfitFile as error:
             raise self._damage(f"({error.strerror})") from None
-        about = data and _opened("", data)
+        about = None if data is None else _opened("", data)
         if data is not None and about is None:
             raise self._damage("")
         return about
@@ -98,13 +103,30 @@ class Ledger:
     def known(self, keys: Iterable[str] | None = None) -> dict[str, bytes]:
         """The records of these things, or of all; see `is_damaged` for those that say nothing."""
         if keys is None:
-            names: Mapping[str, str | None] = dict.fromkeys(self.recorded())
-        else:
-            names = {_file_of(key): key for key in keys}
+            return self._values(dict.fromkeys(self.recorded()))
+        names: dict[str, str | None] = {_file_of(key): key for key in keys}
+        if len(names) > self.place.at_once > 1:  # one listing tells which are there
+            there = self.recorded()
+            names = {name: key for name, key in names.items() if name in there}
+        return self._values(names)
+
+    def news(self) -> dict[str, bytes]:
+        """Return the records that were written since this was called last, or `mark`."""
+        before = self._marked
+        self.mark()
+        names = [name for name, about in self._marked.items() if before.get(name) != about]
+        return self._values(dict.fromkeys(names))
+
+    def mark(self) -> None:
+        """Have `news` tell of what is recorded from now on."""
+        self._marked = self.recorded()
+
+    def _values(self, names: Mapping[str, str | None]) -> dict[str, bytes]:
+        """Return the records in these files, whose keys are known, or stand in them."""
         records: dict[str, bytes] = {}
         read = read_all(self.place, [f"{_DONE}/{name}" for name in names])
-        for name, data in zip(names, read, strict=True):
-            key = names[name] if keys is not None else _key_in(data)
+        for (name, wanted), data in zip(names.items(), read, strict=True):
+            key = _key_in(data) if wanted is None else wanted
             value = None if data is None or key is None else _opened(key, data)
             if value is not None and key is not None and _file_of(key) == name:
                 self._damaged.discard(name)
@@ -114,12 +136,12 @@ class Ledger:
         return records
 
     def recorded(self) -> Mapping[str, Listed]:
-        """The files of all records: a record written again is another size or time."""
+        """Return the files of all records: a record written again is another size or time."""
         listed = self.place.list(_DONE)
         return {name: about for name, about in listed.items() if whole_name(name) is None}
 
     def is_damaged(self, key: str) -> bool:
-        """Whether a record was read that is torn, or another thing's."""
+        """Return whether a record was read that is torn, or another thing's."""
         return _file_of(key) in self._damaged
 
     def record(self, key: str, value: bytes) -> None:
@@ -134,19 +156,19 @@ class Ledger:
         folder = _claims_of(key)
         if self.place.write_new(f"{folder}/0", self._who):
             return True
-        written = self._claims(key)
+        written = self._written(key)
         if written and self._age(written[max(written)]) < self._lease:
             return False
         return self.place.write_new(f"{folder}/{max(written, default=-1) + 1}", self._who)
 
     def is_free(self, key: str) -> bool:
-        """Whether nobody is at a thing."""
-        written = self._claims(key)
+        """Return whether nobody is at a thing."""
+        written = self._written(key)
         return not written or self._age(written[max(written)]) >= self._lease
 
     def free(self, key: str) -> None:
         """Give up one's claim of a thing, after its record was written."""
-        self.place.delete(f"{_claims_of(key)}/{number}" for number in self._claims(key))
+        self.place.delete(f"{_claims_of(key)}/{number}" for number in self._written(key))
 
     def free_all(self) -> None:
         """Give up whatever this run still claims: its processes are no more."""
@@ -154,7 +176,7 @@ class Ledger:
         texts = read_all(self.place, names)
         self.place.delete(n for n, text in zip(names, texts, strict=True) if text == self._who)
 
-    def _claims(self, key: str) -> dict[int, float]:
+    def _written(self, key: str) -> dict[int, float]:
         """When each claim of a thing was written; a later one has taken over an earlier."""
         listed = self.place.list(_claims_of(key))
         return {int(name): about.written for name, about in listed.items() if name.isdecimal()}
@@ -172,12 +194,12 @@ class Ledger:
     # --- the end
 
     def files(self) -> list[str]:
-        """All files of the ledger, in the order to remove them: the plan last."""
+        """Return all files of the ledger, in the order to remove them: the plan last."""
         names = [f"{LEDGER}/{name}" for name in self.place.list(LEDGER)]
         return sorted(names, key=lambda name: (name == _PLAN, name))
 
     def leftovers(self) -> list[str]:
-        """Those that a killed process was writing; no other may be at work."""
+        """Return those that a killed process was writing; no other may be at work."""
         return [name for name in self.files() if whole_name(name.rpartition("/")[2]) is not None]
 
     def seal(self, report: Iterable[tuple[str, bytes]], *, keep: bool = False) -> None:
@@ -194,7 +216,7 @@ class Ledger:
 
 
 def _file_of(key: str) -> str:
-    """The name of a record's file, another for each key on any file system."""
+    """Return the name of a record's file, another for each key on any file system."""
     readable = _UNSAFE.sub("-", key)[-_LONGEST:]
     return f"{readable}.{hashlib.sha256(_bytes(key)).hexdigest()[:16]}.json"
 
@@ -210,7 +232,7 @@ def _sealed(key: str, value: bytes) -> bytes:
 
 
 def _opened(key: str, data: bytes) -> bytes | None:
-    """The record in a file; None where it is damaged or another thing's."""
+    """Return the record in a file; None where it is damaged or another thing's."""
     value = data.partition(b"\n")[2]
     return value[:-1] if value and data == _sealed(key, value[:-1]) else None
 

@@ -115,7 +115,7 @@ class Folder:
 
     def write(self, name: str, data: bytes) -> None:
         for tries_left in reversed(range(_TRIES)):
-            path = self._made(name, data)
+            path = self._path_for(name, data)
             try:
                 write_atomically(path, data)
             except MachineFault:
@@ -125,7 +125,7 @@ class Folder:
                 return
 
     def write_new(self, name: str, data: bytes) -> bool:
-        path = self._made(name, data)
+        path = self._path_for(name, data)
         aside = path.with_name(partial_name(path.name))
         try:
             try:
@@ -174,7 +174,7 @@ class Folder:
         before: Path | None = None
         try:
             for name in names:
-                path = within(self.path, name)
+                path = self._path(name)
                 if before not in (None, path.parent):
                     _sync_if_there(before)
                 before = path.parent
@@ -189,14 +189,25 @@ class Folder:
         except OSError as error:
             raise MachineFault(cannot_write(self.path, error)) from None
 
-    def _made(self, name: str, data: bytes) -> Path:
-        """The path of a file to write, once its folder is there."""
+    def _path_for(self, name: str, data: bytes) -> Path:
+        """Return the path of a file to write, once its folder is there."""
         try:
-            path = within(self.path, name)
+            path = self._path(name)
             make_folder(path.parent)
         except OSError as error:
             raise MachineFault(cannot_write(self.path / name, error, len(data))) from None
         return path
+
+    def _path(self, name: str) -> Path:
+        """Return the path of a file to replace or remove: a link itself, not where it leads.
+
+        Raises:
+            UnfitFile: as `within`.
+        """
+        above, _, last = name.rpartition("/")
+        if "\0" in last or not last.strip("."):
+            raise UnfitFile(errno.EINVAL, f"{name!r} is no name of a file in it")
+        return (within(self.path, above) if above else self.path) / last
 
 
 def _sync_if_there(folder: Path) -> None:

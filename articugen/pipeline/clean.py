@@ -4,7 +4,9 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from articugen.pipeline.journal import Journal, data_sets
+from articugen.core.place import Folder
+from articugen.pipeline.folder import data_sets
+from articugen.pipeline.records import Records
 
 
 @dataclass(frozen=True)
@@ -26,8 +28,8 @@ def clean(path: Path, *, dry_run: bool = False) -> list[Leftover]:
     """Remove what killed runs left in a data set, or in the data sets of a folder.
 
     That is temporary files, shards that were written but not recorded, pages that a manifest does
-    not list, and a journal beside a whole manifest. What is recorded as finished stays, and so does
-    the journal of a run that can go on, and whatever is not what its name tells. No link is
+    not list, and a ledger beside a whole manifest. What is recorded as finished stays, and so does
+    the ledger of a run that can go on, and whatever is not what its name tells. No link is
     followed or removed.
 
     Args:
@@ -35,18 +37,18 @@ def clean(path: Path, *, dry_run: bool = False) -> list[Leftover]:
         dry_run: only say what would be removed.
 
     Raises:
-        CorruptShard: there is no data set, or its manifest or journal is damaged.
+        CorruptShard: there is no data set, or its manifest or plan is damaged.
         ArticugenError: a run is at work there.
         MachineFault: something cannot be read or removed.
     """
     found: list[Leftover] = []
     for folder in data_sets(path, follow=False):
-        with Journal(folder) as journal:
-            leftovers = journal.leftovers()
+        with Records(Folder(folder)) as records:
+            leftovers = records.leftovers()
             found += [
                 Leftover(folder / name, why, os.lstat(folder / name).st_size)
                 for name, why in leftovers.items()
             ]
             if not dry_run:
-                journal.remove(leftovers)
+                records.remove(leftovers)
     return found

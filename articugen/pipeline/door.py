@@ -8,10 +8,12 @@ from typing import Any
 from articugen.core.errors import ArticugenError, InvalidArgument
 from articugen.core.recipe import Recipe, load_recipe
 from articugen.core.yaml_files import with_settings
-from articugen.pipeline import bucket_runs
-from articugen.pipeline import run as pipeline
-from articugen.pipeline.executors import slurm
-from articugen.pipeline.run import Job, ObjectReport
+from articugen.pipeline.executors.dask import Dask
+from articugen.pipeline.executors.local import Local
+from articugen.pipeline.executors.slurm import Slurm
+from articugen.pipeline.executors.work import Executor
+from articugen.pipeline.job import Job, Share
+from articugen.pipeline.run import ObjectReport, default_jobs, started
 from articugen.sources import registry
 from articugen.store.bucket import Remote, is_url
 from articugen.store.dataset import DataSet
@@ -40,8 +42,9 @@ def jobs_of(
     max_rejected: float | None = None,
     jobs: int | None = None,
     scheduler: str | None = None,
+    share: Share | None = None,
 ) -> list[Job]:
-    """The data sets that are asked for, one a category; see `generate` for what each means.
+    """Return the data sets that are asked for, one a category; see `generate` for what each means.
 
     Raises:
         ArticugenError: no such source, category, object or recipe.
@@ -53,7 +56,7 @@ def jobs_of(
             f"{out} with a scheduler: run the same command on each machine instead, they share out "
             "the objects among them"
         )
-    return [
+    jobs_asked = [
         Job(
             source=source,
             category=name,
@@ -61,16 +64,19 @@ def jobs_of(
             .with_counts(objects=objects, states=states, max_rejected=max_rejected)
             .with_articulation(movable=movable, canonical=canonical),
             seed=seed,
-            out=Path() if is_url(out) else Path(out) / name,
-            bucket=str(Remote(str(out)) / name) if is_url(out) else "",
-            jobs=pipeline.default_jobs() if jobs is None else jobs,
+            out=Remote(str(out)) / name if is_url(out) else Path(out) / name,
+            jobs=default_jobs() if jobs is None else jobs,
             ids=own,
             exclude=out_of,
             joints=tuple(joints),
             scheduler=scheduler or "",
+            share=share,
         )
         for name, (own, out_of) in registry.share_out(source, names, ids, exclude).items()
     ]
+    if share and any(job.on_slurm for job in jobs_asked):
+        raise InvalidArgument("--scheduler slurm shares out the objects by itself: no --shard")
+    return jobs_asked
 
 
 def generate(
@@ -131,7 +137,7 @@ def generate(
         raise InvalidArgument(f"{category!r} means {len(todo)} data sets; make one after the other")
     (job,) = todo
     make(job, replace=replace, on_object=on_object)
-    return open_data_set(job.bucket or job.out)
+    return open_data_set(str(job.out))
 
 
 def make(
@@ -151,34 +157,39 @@ def make(
             of a `shortfall`, too.
     """
     check_replaces(job, replace=replace)
-    if job.bucket:
-        with bucket_runs.started(job) as run:
-            _, manifest = run.finish(on_object, on_notice)
-        assert manifest is not None  # it was asked for all of it
-    elif slurm.is_array(job.scheduler):
-        with slurm.started(job) as array:
-            manifest = array.finish(on_object, on_notice)
-    else:
-        with pipeline.started(job) as run:
-            if run.plan.conflict and not replace:
-                raise ArticugenError(f"{run.plan.conflict}, or pass replace=True")
-            manifest = run.finish(on_object, on_notice)
+    executor = executor_of(job)
+    with started(job) as run:
+        run.check_replaces(replace=replace, cure="pass replace=True")
+        manifest = run.finish(executor, on_object, on_notice).manifest
+    assert manifest is not None  # it was asked for all of it
     if manifest.shortfall:
         first = (*manifest.failed, *manifest.rejected, *manifest.skipped)[0]
-        raise ArticugenError(
-            f"{job.bucket or job.out}: {manifest.shortfall}; the first, {first.sentence}"
-        )
+        raise ArticugenError(f"{job.out}: {manifest.shortfall}; the first, {first.sentence}")
     return manifest
 
 
-def check_replaces(job: Job, *, replace: bool, shared: bool = False) -> None:
+def executor_of(job: Job, command: str = "") -> Executor:
+    """Return who makes a data set: this machine, unless the job names a scheduler.
+
+    Args:
+        command: that makes all of it, as people write it.
+
+    Raises:
+        InvalidArgument: the scheduler's address makes no sense.
+    """
+    if job.on_slurm:
+        return Slurm.of(job, command)
+    return Dask(job.scheduler) if job.scheduler else Local(job.jobs)
+
+
+def check_replaces(job: Job, *, replace: bool) -> None:
     """See to it that nobody counts on `replace` where processes share out the objects.
 
     Raises:
-        InvalidArgument: it is asked for, and they do: by `shared`, or in what way else.
+        InvalidArgument: it is asked for, and they do.
     """
-    way = "an object store" if job.bucket else "slurm" if slurm.is_array(job.scheduler) else ""
-    way = way or ("--shard" if shared else "")
+    way = "an object store" if isinstance(job.out, Remote) else "slurm" if job.on_slurm else ""
+    way = way or ("--shard" if job.share else "")
     if replace and way:
         raise InvalidArgument(
             f"--replace (replace=True) with {way}: processes that share out objects replace "

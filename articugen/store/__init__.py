@@ -1,1 +1,1 @@
-"""What is on the disk, and that it is whole: shards, manifests, journals, and reading them."""
+"""What is on the disk, and that it is whole: shards, manifests, and reading them."""

@@ -1,7 +1,7 @@
 """The manifest: what was made, from what, by which version, and what was not and why.
 
-It is written last: a folder with a manifest is complete. journal.py tells of the others. One of
-very many objects has their entries in files beside it: see manifest_pages.py.
+It is written last: a folder with a manifest is complete. `pipeline.records` tells of the others.
+One of very many objects has their entries in files beside it: see manifest_pages.py.
 """
 
 import errno
@@ -450,13 +450,13 @@ class Manifest(_Record):
         yield MANIFEST_NAME, text.encode()
 
     @staticmethod
-    def read(folder: Path) -> "Manifest":
-        """The manifest of a data set.
+    def read(folder: Path, name: str = MANIFEST_NAME) -> "Manifest":
+        """The manifest of a data set; `name` is that of its file, whose pages lie in the folder.
 
         Raises:
             CorruptShard: there is none, it is of another version, or not as it was written.
         """
-        path = folder / MANIFEST_NAME
+        path = folder / name
         try:
             text = read_regular(path, MOST_BYTES)
         except UnfitFile as error:

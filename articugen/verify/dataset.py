@@ -25,7 +25,7 @@ from articugen.core import processes
 from articugen.core.errors import CorruptShard, spelt_out
 from articugen.core.files import read_regular
 from articugen.core.recipe import Recipe
-from articugen.pipeline.journal import COMMON_PLAN, is_journal, is_temporary
+from articugen.pipeline.folder import is_temporary, is_unfinished
 from articugen.store import croissant
 from articugen.store.manifest import (
     MANIFEST_NAME,
@@ -232,7 +232,7 @@ def _splits(manifest: Manifest) -> Iterator[Finding]:
 
 
 def _strays(folder: Path, manifest: Manifest) -> Iterator[Finding]:
-    ours = {MANIFEST_NAME, COMMON_PLAN, croissant.NAME}
+    ours = {MANIFEST_NAME, croissant.NAME}
     known = ours | {shard.name for shard in manifest.shards} | listed_pages(folder / MANIFEST_NAME)
     stale = stale_pages(folder / MANIFEST_NAME)
     for name in sorted(set(os.listdir(folder)) - known):
@@ -241,7 +241,7 @@ def _strays(folder: Path, manifest: Manifest) -> Iterator[Finding]:
         if name in stale:
             sentence = f"a page that no manifest lists; remove it with: articugen clean {folder}"
             yield Finding("leftover", sentence, name)
-        elif not (welcome or is_temporary(name) or is_journal(name)):
+        elif not (welcome or is_temporary(name) or is_unfinished(name)):
             what = "folder" if path.is_dir() else "file"
             sentence = f"the manifest does not know this {what}; move it elsewhere"
             yield Finding("surplus", sentence, name)
@@ -250,7 +250,7 @@ def _strays(folder: Path, manifest: Manifest) -> Iterator[Finding]:
 def _leftovers(folder: Path) -> Iterator[Finding]:
     """What a run that was cut short has left."""
     for name in sorted(os.listdir(folder)) if folder.is_dir() else []:
-        if is_journal(name):
+        if is_unfinished(name):
             yield Finding(
                 "unfinished",
                 "a run is at work here or was cut short; start it again, merge what ranks have "

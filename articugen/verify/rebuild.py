@@ -23,7 +23,7 @@ from articugen.core.recipe import Recipe
 from articugen.instance.again import generator_of
 from articugen.instance.make import prepare
 from articugen.instance.resolving import resolved
-from articugen.pipeline.journal import is_journal
+from articugen.pipeline.folder import is_unfinished
 from articugen.sources import registry
 from articugen.store import croissant
 from articugen.store.columns import Attribute
@@ -59,7 +59,7 @@ def rebuild(folder: Path, *, jobs: int) -> str:
     """
     lock = lock_folder(folder)
     try:
-        if any(map(is_journal, os.listdir(folder))):
+        if any(map(is_unfinished, os.listdir(folder))):
             raise ArticugenError(
                 "a run was cut short here; start it again: it goes on, and makes damaged shards "
                 "again"

@@ -15,9 +15,15 @@ from pydantic import ValidationError
 
 from articugen.core.errors import ArticugenError, CorruptShard, RejectedInstance
 from articugen.core.files import write_atomically
+from articugen.core.place import Folder
 from articugen.core.recipe import Recipe
-from articugen.pipeline.journal import Journal
-from articugen.pipeline.run import Job, Plan, Run, Task, generator_of
+from articugen.instance.again import generator_of
+from articugen.pipeline.executors.local import Local
+from articugen.pipeline.executors.work import Work
+from articugen.pipeline.job import Job
+from articugen.pipeline.making import Task
+from articugen.pipeline.records import Records
+from articugen.pipeline.run import outcomes_of
 from articugen.sources import registry
 from articugen.store import croissant
 from articugen.store.manifest import MANIFEST_NAME, Manifest, ObjectEntry, Outcome, ShardEntry
@@ -69,7 +75,7 @@ def _repairs(folder: Path, report: Report, asked: Asked) -> Iterator[Repair]:
         if not rebuilt.ok:
             return
         report = verify(folder, jobs=asked.jobs)
-    with Journal(folder) as journal:
+    with Records(Folder(folder)) as records:
         manifest, wrong = Manifest.read(folder), _damaged(report)
         if _is_of_another_run(manifest, wrong):
             sentence = "not one of the shards is what it records"
@@ -78,7 +84,7 @@ def _repairs(folder: Path, report: Report, asked: Asked) -> Iterator[Repair]:
             )
             yield Repair(MANIFEST_NAME, sentence, cure, ok=False)
             return
-        yield from _shards(folder, manifest, wrong, journal, asked)
+        yield from _shards(folder, manifest, wrong, records, asked)
         yield from _texts(folder)
 
 
@@ -121,7 +127,7 @@ def _texts(folder: Path) -> Iterator[Repair]:
 
 
 def _shards(
-    folder: Path, manifest: Manifest, wrong: Damaged, journal: Journal, asked: Asked
+    folder: Path, manifest: Manifest, wrong: Damaged, records: Records, asked: Asked
 ) -> Iterator[Repair]:
     tasks: list[Task] = []
     for name, findings in wrong.items():
@@ -129,7 +135,7 @@ def _shards(
             tasks.append(_task(manifest, name))
         except ArticugenError as error:
             yield Repair(name, _in_words(findings), f"left as it is: {error}", ok=False)
-    yield from _made_again(folder, manifest, journal, tasks, wrong, asked)
+    yield from _made_again(folder, manifest, records, tasks, wrong, asked)
 
 
 def _in_words(findings: Sequence[Finding]) -> str:
@@ -174,7 +180,7 @@ def _recipe(manifest: Manifest) -> Recipe:
 def _made_again(
     folder: Path,
     manifest: Manifest,
-    journal: Journal,
+    records: Records,
     tasks: Sequence[Task],
     wrong: Damaged,
     asked: Asked,
@@ -184,9 +190,6 @@ def _made_again(
     job = Job(
         manifest.source, manifest.category, _recipe(manifest), manifest.seed, folder, asked.jobs
     )
-    plan = Plan(
-        keys=(), tasks=tuple(tasks), done=(), instances=0, bytes=0, seconds=0.0, conflict=None
-    )
     objects, shards = ({e.shard: e for e in manifest.objects}, {s.name: s for s in manifest.shards})
     again = {task.shard: objects[task.shard] for task in tasks}
     sizes = {name: shards[name].bytes for name in again}
@@ -195,15 +198,17 @@ def _made_again(
         _is_as_recorded, folder, again, sizes, made_elsewhere(manifest), asked.drop_user
     )
     try:
-        with closing(Run(job, journal, plan, check).made(asked.on_notice)) as made:
-            for outcome in made:
+        work = Work(job, len(manifest.objects), check, records.handles)
+        with closing(outcomes_of(work, tasks, Local(asked.jobs), asked.on_notice)) as ends:
+            for _, outcome, _ in ends:
+                assert outcome is not None  # nothing is claimed here
                 name = next(n for n, entry in again.items() if entry.key == outcome.key)
                 if outcome.shard and outcome.shard != shards[name]:
                     other[name] = outcome.shard
                 done = _in_place(folder / name, outcome, same_file=name not in other)
                 yield Repair(name, _in_words(wrong[name]), done, ok=outcome.shard is not None)
     finally:
-        journal.tidy()
+        records.tidy()
         if other:
             _record(folder, manifest, other)
 

@@ -1,8 +1,8 @@
 """What very many objects cost: python -m tests.benchmarks.manifests [--objects 1000000] [FOLDER]
 
 Prints seconds of CPU, the memory held and the most that was taken, of writing, reading and opening
-a manifest, of planning a rank of a thousand, and of a plain run's journal: each in a process of its
-own. Objects are made up, 101 instances each; shards are there only where something looks at them.
+a manifest, of planning a share of a thousand, and of all records: each in a process of its own.
+Objects are made up, 101 instances each; shards are there only where something looks at them.
 With --files it measures making, listing and removing so many files in one folder instead.
 """
 
@@ -15,20 +15,22 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from articugen.core.ledger import Ledger
+from articugen.core.place import Folder
 from articugen.core.recipe import load_recipe
-from articugen.pipeline import ranks
-from articugen.pipeline import run as pipeline
-from articugen.pipeline.journal import COMMON_PLAN, JOURNAL_NAME, Journal
-from articugen.pipeline.rank_journal import Share, shard_names
-from articugen.pipeline.ranks import common_plan, names_of
-from articugen.pipeline.run import Job, generator_of, objects_of
+from articugen.instance.again import generator_of
+from articugen.pipeline.common import record_in, shard_names
+from articugen.pipeline.job import Job, Share
+from articugen.pipeline.plan import as_its_source_is, name_of_ref, objects_of
+from articugen.pipeline.records import Records
+from articugen.pipeline.run import common_plan, manifest_of, started
 from articugen.sources.refs import ObjectRef
 from articugen.store.dataset import open as open_data_set
 from articugen.store.manifest import (
-    Claims,
     Key,
     Manifest,
     ObjectEntry,
@@ -64,7 +66,7 @@ def main() -> None:
 
 def job(folder: Path, objects: int) -> Job:
     recipe = load_recipe("quick", "laptop").with_counts(objects=objects, states=100)
-    return pipeline.as_its_source_is(Job("procedural", "laptop", recipe, 0, folder, 1))
+    return as_its_source_is(Job("procedural", "laptop", recipe, 0, folder, 1))
 
 
 def outcomes(job: Job, refs: Sequence[ObjectRef]) -> Iterator[Outcome]:
@@ -73,7 +75,7 @@ def outcomes(job: Job, refs: Sequence[ObjectRef]) -> Iterator[Outcome]:
         job.recipe.for_one_object().sha256(),
         generator_of(refs[0], job.recipe.text()),
     )
-    for (split, object_id), shard in shard_names(names_of(refs)).items():
+    for (split, object_id), shard in shard_names(map(name_of_ref, refs)).items():
         key = Key(
             split=split, object_id=object_id, ref=f"procedural/{object_id}", seed=job.seed,
             recipe_sha256=recipe_sha256, generator=generator,
@@ -111,10 +113,10 @@ def write(folder: Path, objects: int) -> Clock:
     done = list(outcomes(mine, refs))
     tell("(make up what became of them)")
     timings = Timings(seconds=1.0, instances_per_second=1.0, peak_memory_bytes=1, workers=1)
-    manifest = pipeline.manifest_of(mine, done, timings, "MIT")
+    manifest = manifest_of(mine, done, timings, "MIT")
     tell("Manifest.of")
-    mine.out.mkdir()
-    manifest.write(mine.out)
+    mine.folder.mkdir()
+    manifest.write(mine.folder)
     tell("Manifest.write")
     return tell
 
@@ -138,30 +140,27 @@ def opened(folder: Path, objects: int) -> Clock:
     return tell
 
 
-def journals(folder: Path, objects: int) -> Clock:
-    """Of a thousand ranks that have made everything, and the shards that two others look at."""
+def records(folder: Path, objects: int) -> Clock:
+    """Of shares that have made everything, and the shards that two others look at."""
     mine, tell = job(folder / "ranks", objects), Clock()
     refs = objects_of(mine)
-    mine.out.mkdir()
-    (mine.out / COMMON_PLAN).write_text(common_plan(mine, refs, "").model_dump_json())
+    ledger = Ledger(Folder(mine.folder))
+    share = replace(mine, share=Share(0, RANKS))
+    ledger.agree(common_plan(share, refs, "").model_dump_json().encode())
     every = list(outcomes(mine, refs))
-    for number in range(RANKS):
-        theirs = every[number::RANKS]
-        names = tuple(o.shard.name for o in theirs if o.shard)
-        lines = [Claims(claims=names), *theirs]
-        name = f".articugen-journal.{number}-of-{RANKS}.00000000.jsonl"
-        (mine.out / name).write_text("".join(line.model_dump_json() + "\n" for line in lines))
+    for outcome in every:
+        record_in(ledger, outcome)
     for outcome in (*every[7::RANKS], *every[7 :: RANKS - 1]):
         assert outcome.shard
-        (mine.out / outcome.shard.name).write_bytes(CONTENT)
-    tell("(write journals of 1,000 ranks)")
+        (mine.folder / outcome.shard.name).write_bytes(CONTENT)
+    tell("record all objects")
     return tell
 
 
 def plan_all(folder: Path, objects: int) -> Clock:
     """In an empty folder."""
     mine, tell = job(folder / "empty", objects), Clock()
-    with pipeline.started(mine) as run:
+    with started(mine) as run:
         assert len(run.plan.tasks) == objects
     tell("plan all in an empty folder")
     return tell
@@ -169,28 +168,18 @@ def plan_all(folder: Path, objects: int) -> Clock:
 
 def plan_rank(folder: Path, objects: int, of: int = RANKS) -> Clock:
     mine, tell = job(folder / "ranks", objects), Clock()
-    with ranks.started(mine, Share(number=7, of=of)) as rank:
-        assert not rank.plan.tasks
+    with started(replace(mine, share=Share(7, of))) as run:
+        assert not run.plan.tasks
     tell(f"rank 7/{of} plans")
     return tell
 
 
 def plain(folder: Path, objects: int) -> Clock:
-    """The journal of one process that makes all."""
-    mine = job(folder / "plain", objects)
-    done = list(outcomes(mine, objects_of(mine)))
+    """What one process reads that is to make all of it."""
     tell = Clock()
-    with Journal(mine.out) as journal:
-        journal._take(done)
-        journal.claim(o.shard.name for o in done if o.shard)
-        tell("claim and write the journal")
-        for outcome in done[:1000]:
-            journal.record(outcome)
-        tell("record 1,000 objects more")
-    size = (mine.out / JOURNAL_NAME).stat().st_size
-    del done, journal, outcome
-    with Journal(mine.out):
-        tell(f"read a journal of {size / 1e6:,.0f} MB")
+    with Records(Folder(folder / "ranks")) as read:
+        assert len(read.outcomes) == objects
+    tell("read all records")
     return tell
 
 
@@ -199,7 +188,7 @@ STEPS: dict[str, Callable[[Path, int], Clock]] = {
     "read": read,
     "open": opened,
     "plan all": plan_all,
-    "journals": journals,
+    "records": records,
     "plan": plan_rank,
     "plan otherwise": partial(plan_rank, of=RANKS - 1),
     "plain": plain,

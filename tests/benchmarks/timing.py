@@ -11,8 +11,10 @@ import numpy as np
 from articugen.core.records import Floats, dequantize
 from articugen.core.schema import Instance
 from articugen.instance import make
+from articugen.instance.again import generator_of
 from articugen.instance.make import Prepared
-from articugen.pipeline import run as pipeline
+from articugen.pipeline import making, plan
+from articugen.pipeline.job import Job
 from articugen.store.writer import write_shard
 from tests.benchmarks import ours, rows
 from tests.benchmarks.cases import Case, Model
@@ -78,9 +80,9 @@ def time_many(
 def _written(instances: list[Instance], model: Model, folder: Path) -> tuple[float, float]:
     """Seconds an instance, on the clock and of all cores."""
     ref = model.ref
-    job = pipeline.Job(ref.source, ref.category, model.recipe, 0, folder, 1)
-    key = pipeline._key(job, ref, "", pipeline.generator_of(ref, job.recipe.text()))
-    attributes = pipeline._attributes(job, pipeline.Task(ref, key, "bench.h5", "measured"))
+    job = Job(ref.source, ref.category, model.recipe, 0, folder, 1)
+    key = plan._key(job, ref, "", generator_of(ref, job.recipe.text()))
+    attributes = making._attributes(job, making.Task(ref, key, "bench.h5", "measured"))
     _, wall, cpu = timed(lambda: write_shard(folder / "bench.h5", instances, attributes))
     return wall / len(instances), cpu / len(instances)
 

@@ -21,7 +21,7 @@ import numpy as np
 from articugen.core.recipe import Recipe
 from articugen.core.schema import CHECKED_ATTRIBUTES
 from articugen.pipeline import door
-from articugen.pipeline.run import Job
+from articugen.pipeline.job import Job
 from articugen.store import croissant
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.verify.dataset import Report, verify

@@ -28,7 +28,7 @@ MAKE = """
 import json, os, signal, sys
 from pathlib import Path
 from articugen.pipeline import door as api
-from articugen.pipeline.run import Job
+from articugen.pipeline.job import Job
 from tests.chaos.corruptions import RECIPE
 jobs, die = map(int, sys.argv[1:])
 def told(report):

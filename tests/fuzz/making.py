@@ -122,8 +122,7 @@ def _manifest_of(outcomes: list[Any]) -> Any:
 
 
 def journals() -> Iterable[bytes]:
-    lines = [json.dumps({"claims": ["train-00000.h5"]})]
-    lines += [outcome.model_dump_json() for outcome in _outcomes()]
+    lines = [outcome.model_dump_json() for outcome in _outcomes()]
     yield ("\n".join(lines) + "\n").encode()
 
 

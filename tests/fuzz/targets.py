@@ -228,11 +228,16 @@ def _read_manifest(path: Path) -> object:
     return _parsed(head, path, lambda page: beside.get(page.name)).outcomes
 
 
-def _read_journal(path: Path) -> object:
-    from articugen.pipeline.journal import Journal
+def _read_records(path: Path) -> object:
+    from articugen.core.ledger import Ledger
+    from articugen.core.place import Folder
+    from articugen.pipeline.records import Records
 
-    with Journal(path.parent) as journal:
-        return journal
+    place = Folder(path.parent)
+    for line in path.read_bytes().splitlines():  # sealed, as whoever means harm would
+        Ledger(place).record("train/a", line)
+    with Records(place) as records:
+        return records
 
 
 # --- learning
@@ -399,7 +404,7 @@ TARGETS = {
             mended=mending.manifest, tokens=_IN_JSON,
         ),
         Target(
-            "journal", ".articugen-journal.jsonl", _read_journal, (CorruptShard,),
+            "journal", "records.jsonl", _read_records, (CorruptShard,),
             made=making.journals, tokens=_IN_JSON,
         ),
         _of_a_run(

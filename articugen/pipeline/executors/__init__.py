@@ -1,1 +1,1 @@
-"""Who makes the objects of a run, beside this machine."""
+"""Who makes the objects of a run: this machine, a Dask cluster, an array of SLURM."""

@@ -1,6 +1,6 @@
 """Tasks on a Dask cluster: many machines instead of this one's processes (alone in knowing Dask).
 
-As `workers.each`, with the cluster's workers in place of our own. Each thread of theirs keeps a
+As `processes.each`, with the cluster's workers in place of our own. Each thread of theirs keeps a
 process of ours, which is watched as it would be here: a task that exceeds its limit, or takes its
 process along, costs nobody else's. What is sent back is small; data go to a folder that all
 machines see.
@@ -14,12 +14,18 @@ import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 from uuid import uuid4
 
 from articugen.core.errors import ArticugenError, MachineFault, MissingExtra
+from articugen.core.ledger import LEDGER
 from articugen.core.processes import Crew, Ended, Limit
+from articugen.pipeline.executors.work import Notice, Work
+from articugen.pipeline.job import Job
+from articugen.pipeline.making import Task, import_stages, limit_of, name_of
+from articugen.store.manifest import Outcome, code_version
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -35,11 +41,44 @@ _IN_FLIGHT = 4
 
 
 @dataclass(frozen=True)
+class Dask:
+    """The workers of a cluster, by its scheduler's address, tcp://host:8786."""
+
+    address: str
+    is_here = False
+    records = False
+
+    def get_ready(self, job: Job, notice: Notice) -> None:
+        """
+        Raises:
+            MissingExtra, MachineFault: as `each`.
+        """
+        threads(self.address)
+
+    def width(self, tasks: int) -> int:
+        return threads(self.address)
+
+    def ends(
+        self, work: Work, tasks: Sequence[Task], notice: Notice
+    ) -> Generator[Ended[Outcome | None], None, None]:
+        folder = work.job.folder.resolve()
+        duty = Duty(
+            partial(Work.done, replace(work, job=replace(work.job, out=folder), handles=())),
+            limit_of(work.job.recipe),
+            import_stages,
+            name_of,
+            code_version(),
+            folder / LEDGER,
+        )
+        return each(duty, tasks, address=self.address, notice=notice)
+
+
+@dataclass(frozen=True)
 class Duty:
     """What workers of the cluster are to do with every task.
 
     Attributes:
-        function, limit, ready, name: as of `workers.each`.
+        function, limit, ready, name: as of `processes.each`.
         code: whoever has other code must not take part.
         sees: a file that must be there: it tells whether the folder is a common one.
         patience: seconds after which a network's file system shows a new file everywhere.
@@ -114,7 +153,7 @@ class _Width:
 
 
 def threads(address: str) -> int:
-    """How many tasks the cluster does at once.
+    """Return how many tasks the cluster does at once.
 
     Raises:
         MissingExtra, MachineFault: as `each`.
@@ -148,7 +187,7 @@ def _threads(client: Any) -> int:
 
 
 def _ended(future: Any, number: int, address: str) -> Ended[Any]:
-    """How a task has ended."""
+    """Return how a task has ended."""
     distributed = _distributed()
     try:
         return replace(future.result(), number=number)
@@ -166,7 +205,7 @@ _mine = threading.local()
 
 
 def _do(duty: Duty, task: Any) -> Ended[Any]:
-    """One task in this thread's own process."""
+    """Return one task in this thread's own process."""
     crew = _crew(duty)
     try:
         (ended,) = crew.each([task])
@@ -177,7 +216,7 @@ def _do(duty: Duty, task: Any) -> Ended[Any]:
 
 
 def _crew(duty: Duty) -> Crew[Any, Any]:
-    """The process that this thread keeps for a duty, which is looked at once."""
+    """Return the process that this thread keeps for a duty, which is looked at once."""
     what = pickle.dumps(duty)
     if getattr(_mine, "duty", None) != what:
         _dismiss()
@@ -200,8 +239,6 @@ def _check(duty: Duty) -> None:
     Raises:
         ArticugenError: this worker would make other data, or put them elsewhere.
     """
-    from articugen.store.manifest import code_version  # noqa: PLC0415 - slow to import
-
     here = socket.gethostname()
     if code_version() != duty.code:
         raise ArticugenError(

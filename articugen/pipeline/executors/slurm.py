@@ -1,8 +1,8 @@
 """A data set by an array of SLURM jobs, from one command (alone in knowing submitit).
 
-The array's tasks are ranks, see `ranks`, and know nothing of the process that submits them. That
-one follows their journals, submits again what was lost, and merges at the end. Where it is killed
-they go on, and the same command follows them.
+The array's tasks are runs of a share each, and know nothing of the process that submits them. That
+one follows the ledger, submits again what was lost, and writes the manifest at the end. Where it is
+killed they go on, and the same command follows them.
 """
 
 import hashlib
@@ -11,8 +11,8 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stderr
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import redirect_stderr
 from dataclasses import dataclass, field, replace
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
@@ -25,11 +25,15 @@ from articugen.core.errors import (
     MissingExtra,
     printable,
 )
-from articugen.pipeline import ranks
-from articugen.pipeline import run as pipeline
-from articugen.pipeline.rank_journal import CommonPlan, Following, Name, Share
-from articugen.pipeline.run import Job, ObjectReport, Plan, report_of, timings_of
-from articugen.store.manifest import Manifest
+from articugen.core.ledger import Ledger
+from articugen.core.place import Folder
+from articugen.core.processes import Ended
+from articugen.pipeline.executors.local import Local
+from articugen.pipeline.executors.work import Notice, Work
+from articugen.pipeline.job import Job, Share
+from articugen.pipeline.making import Task
+from articugen.pipeline.run import started
+from articugen.store.manifest import Outcome
 
 POLL_SECONDS = 5.0
 IN_VAIN = 3
@@ -83,118 +87,89 @@ class Array:
         return array
 
 
-def is_array(address: str) -> bool:
-    """Whether a scheduler's address is SLURM's."""
-    return address == "slurm" or address.startswith("slurm:")
-
-
-@contextmanager
-def started(job: Job, *, command: str = "") -> Iterator["ArrayRun"]:
-    """A run that has a plan, and has submitted nothing yet.
-
-    Args:
-        job: the data set; its `scheduler` says what is asked of SLURM.
-        command: that makes it, as people write it.
-
-    Raises:
-        InvalidArgument: the scheduler's address makes no sense.
-        ArticugenError: a run that is no rank is at work in the folder, or ranks that make something
-            else.
-    """
-    array = Array.of_address(job.scheduler)
-    job = replace(pipeline.as_its_source_is(job), out=job.out.resolve(), scheduler="")
-    following = Following(job.out)
-    following.news()  # what the plan knows
-    with ranks.started(job, Share(number=0, of=1), command=command) as rank:
-        plan = rank.plan
-    yield ArrayRun(job, array, plan, command, following)
-
-
 @dataclass(frozen=True)
-class ArrayRun:
-    """A run with a plan; see `started`."""
+class Slurm:
+    """An array of SLURM for a data set in a folder that all of its nodes see.
 
-    job: Job
+    Attributes:
+        command: that makes the data set, as people write it.
+        ledger: in which the array's tasks record what they have made.
+    """
+
     array: Array
-    plan: Plan
     command: str
-    following: Following
+    ledger: Ledger
+    is_here = False
+    records = True
 
-    def finish(
-        self,
-        on_object: Callable[[ObjectReport], None] = lambda _: None,
-        on_notice: Callable[[str], None] = lambda _: None,
-    ) -> Manifest:
-        """Have what is missing made, as often as it takes, and write the manifest.
+    @staticmethod
+    def of(job: Job, command: str = "") -> "Slurm":
+        """
+        Raises:
+            InvalidArgument: the scheduler's address makes no sense.
+        """
+        array, ledger = Array.of_address(job.scheduler), Ledger(Folder(job.folder.resolve()))
+        ledger.mark()  # before the run plans: what is recorded from now on, it may not know
+        return Slurm(array, command, ledger)
 
+    def get_ready(self, job: Job, notice: Notice) -> None:
+        """
         Raises:
             MissingExtra: submitit is not installed.
-            ArticugenError: the folder holds another data set; no object can be made; SLURM is not
-                here, or refuses the array.
+            ArticugenError: SLURM is not here.
+        """
+        _submitit()
+        if not all(map(shutil.which, ("sbatch", "squeue", "srun"))):
+            raise ArticugenError(
+                "there is no sbatch here; run this where jobs of SLURM are submitted, or give each "
+                "machine a --shard"
+            )
+        compile_kernels("generate", jobs=job.jobs, notice=notice)
+
+    def width(self, tasks: int) -> int:
+        return self.array.cpus * min(self.array.tasks, tasks)
+
+    def ends(
+        self, work: Work, tasks: Sequence[Task], notice: Notice
+    ) -> Generator[Ended[Outcome | None], None, None]:
+        """Have objects made until all are recorded.
+
+        Raises:
+            ArticugenError: SLURM refuses the array; no object can be made.
             MachineFault: what was submitted again and again made nothing.
             KeyboardInterrupt: the array is cancelled; finished objects are kept.
         """
-        if self.plan.conflict:
-            raise ArticugenError(self.plan.conflict)
-        self.plan.check_room(self.job.out, on_notice)
-        began = time.perf_counter()
-        for outcome in self.plan.done:
-            on_object(report_of(outcome, reused=True))
-        instances = self._make(on_object, on_notice) if self.plan.tasks else 0
-        if CommonPlan.read(self.job.out) is None:  # no rank was needed
-            with pipeline.started(self.job) as run:
-                return run.finish(lambda _: None, on_notice)
-        width = self.array.cpus * min(self.array.tasks, len(self.plan.keys))
-        timings = timings_of(instances, time.perf_counter() - began, width)
-        jobs = max(1, self.job.jobs)
-        manifest = ranks.merge(self.job.out, jobs=jobs, sizes_only=True, timings=timings)
-        shutil.rmtree(self.job.out / _LOGS, ignore_errors=True)
-        return manifest
-
-    def _make(
-        self, on_object: Callable[[ObjectReport], None], on_notice: Callable[[str], None]
-    ) -> int:
-        """Until all objects are recorded; how many instances were made."""
-        places = {(k.split, k.object_id): place for place, k in enumerate(self.plan.keys)}
-        missing = {(task.key.split, task.key.object_id) for task in self.plan.tasks}
-        instances = in_vain = 0
-        with _Queue(self.job, self.array, on_notice) as queue:
-            compile_kernels("generate", jobs=self.job.jobs, notice=on_notice)
+        job = replace(work.job, out=work.job.folder.resolve(), scheduler="", jobs=self.array.cpus)
+        missing = {(task.key.split, task.key.object_id): n for n, task in enumerate(tasks)}
+        in_vain = 0
+        with _Queue(job, self.array, notice) as queue:
             while missing:
-                before = len(missing)
-                tasks = [] if queue.listed() else self._submitted(queue, missing, places)
+                before, submitted = len(missing), list[Any]()
+                if not queue.listed():
+                    of = min(self.array.tasks, work.objects)
+                    numbers = sorted({tasks[number].place % of for number in missing.values()})
+                    shares = [replace(job, share=Share(number, of)) for number in numbers]
+                    submitted = list(queue.submit([_Rank(one, self.command) for one in shares]))
                 for outcome in self._recorded(queue):
-                    name = (outcome.key.split, outcome.key.object_id)
-                    if name in missing:
-                        missing.remove(name)
-                        instances += outcome.made.instances if outcome.made else 0
-                        on_object(report_of(outcome, reused=False))
-                said = _sentence_of(tasks)
+                    number = missing.pop((outcome.key.split, outcome.key.object_id), None)
+                    if number is not None:
+                        yield Ended(number, outcome)
+                said = _sentence_of(submitted)
                 in_vain = 0 if len(missing) < before else in_vain + 1
                 if in_vain == IN_VAIN:
                     raise MachineFault(
-                        f"{self.job.out}: {in_vain} arrays, one after the other, have ended and "
-                        f"made nothing{said}; {len(missing)} of {len(places)} objects are missing, "
-                        f"logs are in {self.job.out / _LOGS}"
+                        f"{job.out}: {in_vain} arrays, one after the other, have ended and "
+                        f"made nothing{said}; {len(missing)} of {work.objects} objects are "
+                        f"missing, logs are in {job.folder / _LOGS}"
                     )
-        return instances
+        shutil.rmtree(job.folder / _LOGS, ignore_errors=True)
 
-    def _submitted(
-        self, queue: "_Queue", missing: set[Name], places: Mapping[Name, int]
-    ) -> Sequence[Any]:
-        """submitit's jobs, one a share that has missing objects."""
-        of = min(self.array.tasks, len(places))
-        numbers = sorted({places[name] % of for name in missing})
-        job = replace(self.job, jobs=self.array.cpus)
-        shares = [Share(number=number, of=of) for number in numbers]
-        return queue.submit([_Rank(job, share, self.command) for share in shares])
-
-    def _recorded(self, queue: "_Queue") -> Iterator[Any]:
-        """What ranks record, until SLURM lists none of them."""
+    def _recorded(self, queue: "_Queue") -> Iterator[Outcome]:
+        """Return what ranks record, until SLURM lists none of them."""
         while queue.listed():
-            yield from self.following.news()
+            yield from map(Outcome.model_validate_json, self.ledger.news().values())
             time.sleep(POLL_SECONDS)
-        yield from self.following.news()
+        yield from map(Outcome.model_validate_json, self.ledger.news().values())
 
 
 @dataclass(frozen=True)
@@ -202,14 +177,13 @@ class _Rank:
     """What a task of the array does. At its limit of time submitit queues it again."""
 
     job: Job
-    share: Share
     command: str
 
     def __call__(self) -> ArticugenError | None:
-        """What ended it, where that was a sentence of ours."""
+        """Return what ended it, where that was a sentence of ours."""
         try:
-            with ranks.started(self.job, self.share, command=self.command) as rank:
-                rank.finish(on_notice=_log)
+            with started(self.job, command=self.command) as run:
+                run.finish(Local(self.job.jobs), on_notice=_log)
         except ArticugenError as error:
             _log(f"error: {error}")
             kind = MachineFault if isinstance(error, MachineFault) else ArticugenError
@@ -228,19 +202,10 @@ class _Queue:
     """The data set's jobs in SLURM's queue: they are known by their name."""
 
     def __init__(self, job: Job, array: Array, notice: Callable[[str], None]) -> None:
-        """
-        Raises:
-            MissingExtra, ArticugenError: neither submitit nor SLURM may be here.
-        """
         submitit = _submitit()
-        if not all(map(shutil.which, ("sbatch", "squeue", "srun"))):
-            raise ArticugenError(
-                "there is no sbatch here; run this where jobs of SLURM are submitted, or give each "
-                "machine a --shard"
-            )
-        self._name = f"articugen-{hashlib.sha256(bytes(job.out)).hexdigest()[:12]}"
+        self._name = f"articugen-{hashlib.sha256(bytes(job.folder)).hexdigest()[:12]}"
         self._notice, self._heard, self._ids = notice, True, set[str]()
-        self._executor = submitit.SlurmExecutor(job.out / _LOGS, max_num_timeout=_REQUEUES)
+        self._executor = submitit.SlurmExecutor(job.folder / _LOGS, max_num_timeout=_REQUEUES)
         self._executor.update_parameters(
             job_name=self._name,
             partition=array.partition or None,
@@ -272,7 +237,7 @@ class _Queue:
         return jobs
 
     def listed(self) -> bool:
-        """Whether any is waiting or at work; also where SLURM does not answer."""
+        """Return whether any is waiting or at work; also where SLURM does not answer."""
         command = ["squeue", "--me", "--noheader", f"--name={self._name}", "--format=%F"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode == 0:

@@ -1,0 +1,177 @@
+"""What processes that make one data set agree on: its objects, and what their shards are called."""
+
+import hashlib
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import count
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from articugen.core.errors import ArticugenError
+from articugen.core.ledger import Ledger
+from articugen.core.recipe import Recipe
+from articugen.store.bucket import Bucket
+from articugen.store.manifest import Key, Outcome, Sha256
+
+NEVER_MADE = "it has not been made yet"
+
+Name = tuple[str, str]
+"""(split, object_id)."""
+
+
+class CommonPlan(BaseModel):
+    """What is made in a place; processes that share out the objects are all asked for the same.
+
+    Attributes:
+        objects: how many.
+        listing: a digest of their splits and ids, in order: what decides the shards' names.
+        generator: of an object's `Key`.
+        command: that makes all of it, for people.
+        shares: how many the process that wrote it was one of; 0 where it was alone.
+    """
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+
+    source: str
+    category: str
+    recipe: str
+    seed: int
+    ids: tuple[str, ...]
+    exclude: tuple[str, ...]
+    joints: tuple[str, ...]
+    objects: int
+    listing: Sha256
+    generator: str
+    command: str
+    shares: int = 0
+
+    def check_like(self, theirs: "CommonPlan", place: object) -> None:
+        """
+        Raises:
+            ArticugenError: processes that make `theirs` in this place were asked for another set.
+        """
+        words = {
+            "listing": "list of objects",
+            "objects": "number of objects",
+            "ids": "choice of ids",
+        }
+        ours = self.model_dump(exclude={"command", "shares"})
+        other = [words.get(n, n) for n, value in ours.items() if value != getattr(theirs, n)]
+        if other:
+            raise ArticugenError(
+                f"{place}: other ranks make another data set here (another {', '.join(other)}), "
+                f"by: {theirs.command}; do as they do, or choose another output folder"
+            )
+
+    def recipe_of_objects(self) -> str:
+        """The digest that shards of it have of their recipe; "" if it is of another version."""
+        try:
+            return Recipe.model_validate_json(self.recipe).for_one_object().sha256()
+        except ValidationError:
+            return ""
+
+
+def listing_of(names: Iterable[Name]) -> str:
+    """Return the digest of objects in their order."""
+    return hashlib.sha256("\n".join("\x1f".join(name) for name in names).encode()).hexdigest()
+
+
+def shard_names(names: Iterable[Name]) -> dict[Name, str]:
+    """`<split>-<place among the objects of its split>.h5`, as in a new folder."""
+    place, shards = Counter[str](), dict[Name, str]()
+    for split, object_id in names:
+        shards[split, object_id] = f"{split}-{place[split]:05d}.h5"
+        place[split] += 1
+    return shards
+
+
+def key_of(name: Name) -> str:
+    """Return what an object is called in the ledger."""
+    return "/".join(name)
+
+
+def with_free_names(names: dict[Key, str], keys: Sequence[Key]) -> dict[Key, str]:
+    """Add a shard's name for each other key: that of its place, or one that is free."""
+    names, taken, place = dict(names), set(names.values()), Counter[str]()
+    homeless: list[Key] = []
+    for key in keys:
+        new = f"{key.split}-{place[key.split]:05d}.h5"
+        place[key.split] += 1
+        if key in names:
+            continue
+        if new in taken:
+            homeless.append(key)
+        else:
+            names[key] = new
+            taken.add(new)
+    free = {split: _numbered(split) for split in place}
+    for key in homeless:
+        names[key] = next(name for name in free[key.split] if name not in taken)
+        taken.add(names[key])
+    return names
+
+
+def _numbered(split: str) -> Iterator[str]:
+    return (f"{split}-{number:05d}.h5" for number in count())
+
+
+def reasons_to_replace(
+    outcomes: Mapping[Name, Outcome], wanted: Mapping[Name, Key]
+) -> Counter[str]:
+    """Count why shards of an earlier run are not what a run for these keys wants."""
+    reasons = Counter[str]()
+    for name, outcome in outcomes.items():
+        if outcome.shard is None:
+            continue
+        key = wanted.get(name)
+        reason = key.difference(outcome.key) if key else "this run does not ask for it"
+        if reason is not None:
+            reasons[reason] += 1
+    return reasons
+
+
+def what_differs(
+    outcomes: Mapping[Name, Outcome], wanted: Mapping[Name, Key], names: Mapping[Name, str]
+) -> str | None:
+    """Name a shard that is another than those who share out the objects would make."""
+    for name, outcome in outcomes.items():
+        if outcome.shard is None:
+            continue
+        why = "its shard is called otherwise than ranks call it"
+        if outcome.shard.name == names.get(name):
+            why = wanted[name].difference(outcome.key) if name in wanted else None
+        if why is not None:
+            return f"{name[1]}, for one: {why}"
+    return None
+
+
+def record_in(ledger: Ledger, outcome: Outcome) -> None:
+    """Write down what has become of an object; its shard must be in place."""
+    name = key_of((outcome.key.split, outcome.key.object_id))
+    ledger.record(name, outcome.model_dump_json().encode())
+
+
+def recorded(ledger: Ledger, bucket: Bucket, key: Key) -> Outcome | None:
+    """What another process has just recorded of an object in a store; None where that is not of
+    the same object, made in the same way, and there."""
+    name = key_of((key.split, key.object_id))
+    try:
+        outcome = Outcome.model_validate_json(ledger.known([name]).get(name, b""))
+    except ValidationError:
+        return None
+    shard = outcome.shard
+    if outcome.fault is not None or key.difference(outcome.key):
+        return None
+    return outcome if not shard or bucket.size(shard.name) == shard.bytes else None
+
+
+def why_again(key: Key, outcome: Outcome | None, is_whole: Callable[[Outcome], bool]) -> str | None:
+    """Why an object must be made (again) of which `outcome` is known; None where that will do."""
+    if outcome is None:
+        return NEVER_MADE
+    if outcome.fault is not None:
+        return f"it failed ({outcome.fault.reason})"
+    difference = key.difference(outcome.key)
+    if difference is not None or outcome.shard is None:
+        return difference
+    return None if is_whole(outcome) else f"its shard {outcome.shard.name} is missing or altered"

@@ -1,0 +1,178 @@
+"""The folder of a data set: what of it runs have put there, by name and by content."""
+
+import os
+import re
+from collections.abc import Collection, Iterable
+from pathlib import Path
+
+from articugen.core.errors import ArticugenError, CorruptShard, MachineFault
+from articugen.core.files import is_no_folder, is_plain_file, whole_name
+from articugen.core.ledger import LEDGER
+from articugen.pipeline.common import CommonPlan
+from articugen.store.croissant import NAME as CROISSANT_NAME
+from articugen.store.manifest import MANIFEST_NAME, Outcome, is_shard_name
+from articugen.store.manifest_pages import is_page_name, stale_pages
+from articugen.store.shards import content_sha256, open_shard
+
+_SHARD = re.compile(r"(?P<split>.+)-(?P<number>\d{5,})\.h5")
+_EARLIER = re.compile(r"\.articugen-(plan\.json|journal\..*jsonl)")
+"""What unfinished runs of the version before had in place of a ledger."""
+
+
+def listed(folder: Path) -> list[str]:
+    """Return what a folder itself holds.
+
+    Raises:
+        MachineFault: it cannot be read.
+    """
+    try:
+        return sorted(os.listdir(folder))
+    except OSError as error:
+        raise MachineFault(f"{folder}: cannot be read ({error.strerror})") from None
+
+
+def pages_left(folder: Path) -> list[str]:
+    """Pages that the folder's manifest does not list.
+
+    Raises:
+        MachineFault: the folder cannot be read.
+    """
+    try:
+        return stale_pages(folder / MANIFEST_NAME)
+    except OSError as error:
+        raise MachineFault(f"{folder}: cannot be read ({error.strerror})") from None
+
+
+def is_shard_of_ours(folder: Path, name: str, about: CommonPlan | None = None) -> bool:
+    """Whether a file is what runs write, a shard of the split that it is called by, and made for
+    `about`: a record is a file like any other, and may name what is somebody's own."""
+    called = _SHARD.fullmatch(name)
+    if called is None or not is_plain_file(folder / name):
+        return False
+    wanted: dict[str, str | int] = {"split": called["split"]}
+    if about:
+        wanted |= {"category": about.category, "seed": about.seed}
+        wanted["recipe_sha256"] = about.recipe_of_objects()
+    try:
+        with open_shard(folder / name) as shard:
+            return all(shard.attributes[key] == value for key, value in wanted.items())
+    except CorruptShard:
+        return False
+
+
+def is_whole(folder: Path, outcome: Outcome, *, sizes_only: bool) -> bool:
+    """Check that a shard is the file that was recorded, or that with a group `user` besides."""
+    assert outcome.shard
+    assert outcome.made
+    path = folder / outcome.shard.name
+    try:
+        if sizes_only:
+            return path.stat().st_size == outcome.shard.bytes
+        if outcome.shard.is_of(path):
+            return True
+        with open_shard(path) as shard:
+            content = [row for row in shard.content() if row[0] == outcome.key.object_id]
+            return shard.extended and content_sha256(content) == outcome.made.content_sha256
+    except (OSError, CorruptShard):
+        return False
+
+
+def is_of_plan(folder: Path, name: str, about: CommonPlan | None) -> bool:
+    """Whether a shard that no record names was made for the plan of a run that was killed."""
+    called = _SHARD.fullmatch(name)
+    if called is None or about is None or int(called["number"]) >= about.objects:
+        return False
+    return is_shard_of_ours(folder, name, about)
+
+
+def unrecorded(folder: Path, recorded: Collection[str], about: CommonPlan | None) -> list[str]:
+    """List the shards of a plan that no record names."""
+    names = [name for name in listed(folder) if name not in recorded]
+    return [name for name in names if is_of_plan(folder, name, about)]
+
+
+def foreign_files(
+    folder: Path,
+    names: Iterable[str],
+    trusted: Collection[str],
+    recorded: Collection[str],
+    about: CommonPlan | None,
+) -> list[str]:
+    """List those of the names where something is that no run of ours has put there.
+
+    Args:
+        trusted: names of shards that count: a damaged one, or a link, is itself replaced.
+        recorded: all names of shards that were recorded.
+    """
+    return [
+        name
+        for name in names
+        if os.path.lexists(folder / name)
+        and not (name in trusted and is_no_folder(folder / name))
+        and not (name in recorded and is_shard_of_ours(folder, name))
+        and not is_of_plan(folder, name, about)
+    ]
+
+
+def check_is_not_of_before(folder: Path) -> None:
+    """
+    Raises:
+        ArticugenError: a run of the version before was cut short here.
+    """
+    names = list(filter(_EARLIER.fullmatch, listed(folder)))
+    if names:
+        raise ArticugenError(
+            f"{folder}: a run of an earlier version of articugen was cut short here; finish it "
+            f"with that version, or delete {names[0]} and the shards beside it to start afresh"
+        )
+
+
+def temporary_files(folder: Path) -> list[str]:
+    """Return the names of files that killed runs were writing, the ledger's apart."""
+    names = filter(is_temporary, listed(folder))
+    return [name for name in names if is_plain_file(folder / name)]
+
+
+def data_sets(path: Path, *, follow: bool = True) -> list[Path]:
+    """Return the data set in `path`, or those in its folders, whole or not.
+
+    Args:
+        path: a folder; the link to one is followed, since it was named.
+        follow: whether links in it are; not where something is written or removed.
+
+    Raises:
+        CorruptShard: there is none.
+        ArticugenError: a data set would have to be followed to.
+    """
+    folders = [path]
+    if not _is_data_set(path):
+        inside = sorted(path.iterdir()) if path.is_dir() else []
+        folders = [folder for folder in inside if _is_data_set(folder)]
+        links = [] if follow else [folder for folder in folders if folder.is_symlink()]
+        if links:
+            raise ArticugenError(f"{links[0]}: a link to elsewhere; name that folder itself")
+    if not folders:
+        raise CorruptShard(f"{path}: holds no data set; make one with: articugen generate")
+    return folders
+
+
+def _is_data_set(folder: Path) -> bool:
+    """Return whether a run has been at work in a folder, or shards lie there."""
+    names = os.listdir(folder) if folder.is_dir() else []
+    return any(
+        name == MANIFEST_NAME or is_unfinished(name) or is_temporary(name) or is_shard_name(name)
+        for name in names
+    )
+
+
+def is_unfinished(name: str) -> bool:
+    """Return whether what is called so tells of a run that is at work or was cut short."""
+    return name == LEDGER or _EARLIER.fullmatch(name) is not None
+
+
+def is_temporary(name: str) -> bool:
+    """Return whether a run gives a file this name until it is whole."""
+    whole = whole_name(name)
+    if whole is None:
+        return False
+    return is_shard_name(whole) or is_page_name(whole) or whole in (MANIFEST_NAME, CROISSANT_NAME)

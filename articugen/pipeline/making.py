@@ -1,0 +1,266 @@
+"""One object of a job made into a shard, and whose fault it is where that fails."""
+
+import os
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from articugen.core import processes
+from articugen.core.content import VERSION
+from articugen.core.errors import (
+    ArticugenError,
+    InvalidSource,
+    MachineFault,
+    NotOfCategory,
+    RejectedInstance,
+    machine_fault,
+    printable,
+)
+from articugen.core.memory import give_back
+from articugen.core.recipe import Recipe
+from articugen.core.schema import Instance
+from articugen.pipeline import sharing
+from articugen.pipeline.job import Job
+from articugen.sources import registry
+from articugen.sources.refs import ObjectRef
+from articugen.store.manifest import Key, Outcome, Rejection
+from articugen.store.writer import Check, write_shard
+
+if TYPE_CHECKING:
+    from articugen.instance.make import Prepared
+
+SECONDS_FOR_ANY_OBJECT = 600.0
+SECONDS_FOR_ANY_INSTANCE = 5.0
+"""What an object may take where its recipe says nothing of it: a hundred times what most do."""
+
+_DEPTH_MAPS = 8 << 20
+"""Bytes: what is as large as they are goes back to the system once it is freed."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """An object to make.
+
+    Attributes:
+        shard: the name of its file.
+        why: it is to be made, in a few words.
+        known: what has become of it, where that is known without making it.
+        place: its number in the plan.
+    """
+
+    ref: ObjectRef
+    key: Key
+    shard: str
+    why: str
+    known: Outcome | None = None
+    place: int = 0
+
+
+def make_object(
+    job: Job, folder: Path, task: Task, check: Check | None = None, common: Path | None = None
+) -> Outcome:
+    """Make one object and write its shard into a folder; a fault of the object becomes its
+    rejection, and so does what `check` raises of the shard. Other workers may help in the folder
+    `common`, if any.
+
+    Raises:
+        MachineFault, MemoryError: it says nothing about the object.
+        ArticugenError: no object can be made, for want of a library say.
+    """
+    started = time.perf_counter()
+    give_back(_DEPTH_MAPS)
+    elsewhere = 0.0
+
+    def here(made: _Made) -> Instance:
+        nonlocal elsewhere
+        elsewhere += made.seconds if made.process != os.getpid() else 0.0
+        return made.instance
+
+    try:
+        with sharing.owned(common and common / task.shard) as owner:
+            prepared = _prepared(job, task)
+            obj = prepared.obj
+            if _is_other(task, obj.sha256):
+                return _changed(task)
+            made = owner.in_order(len(prepared.states), partial(_made, prepared))
+            attributes = _attributes(job, task)
+            record = write_shard(folder / task.shard, map(here, made), attributes, check)
+    except Exception as error:  # an object must not take the others down with it
+        verdict = verdict_on(error, task.ref, job.recipe)
+        if verdict is None:
+            return Outcome(failed=Rejection.of_fault(task.key, error))
+        if _is_other(task, source_digest(job.recipe, task.ref)):
+            return _changed(task)
+        unmade = _unmade(task.key, verdict)
+        is_skipped = isinstance(verdict, NotOfCategory)
+        return Outcome(skipped=unmade) if is_skipped else Outcome(rejected=unmade)
+    return Outcome.of_shard(
+        task.key,
+        record,
+        input_sha256=obj.sha256,
+        notes=obj.notes,
+        seconds=time.perf_counter() - started + elsewhere,
+    )
+
+
+def help_make(job: Job, common: Path, task: Task) -> int:
+    """Make instances of an object that another worker makes, until none is left; how many."""
+    give_back(_DEPTH_MAPS)
+    prepared = _prepared(job, task)
+    if _is_other(task, prepared.obj.sha256):
+        return 0
+    count = len(prepared.states)
+    return sharing.help_with(common / task.shard, count, partial(_made, prepared))
+
+
+def _is_other(task: Task, digest: str) -> bool:
+    """Return whether an object's files are no longer those that the run was planned with."""
+    return digest != task.key.ref and not _is_made_here(task.ref)
+
+
+def _is_made_here(ref: ObjectRef) -> bool:
+    """Return whether our code makes the object; of a folder that is gone that is not so."""
+    with suppress(InvalidSource):
+        return registry.is_procedural(ref.source)
+    return False
+
+
+def _changed(task: Task) -> Outcome:
+    """Of an object whose files are others now, or gone, as with a disk: that is no fault of it."""
+    reason = "its files changed, or are gone, since the run began; run it again once they are there"
+    return Outcome(failed=Rejection(key=task.key, reason=reason))
+
+
+class _OverLimit(RejectedInstance):
+    """An object takes more than the recipe allows: `over` is the recipe's key and value."""
+
+    def __init__(self, takes: str, key: str, value: float) -> None:
+        super().__init__(f"it {takes}; raise the recipe's {key} ({value:,g}) if it may")
+        self.over = (key, value)
+
+
+def _unmade(key: Key, error: Exception) -> Rejection:
+    over = error.over if isinstance(error, _OverLimit) else ()
+    return Rejection(key=key, reason=printable(str(error)), over=over)
+
+
+def verdict_on(error: Exception, ref: ObjectRef, recipe: Recipe) -> Exception | None:
+    """Return what `error` says of the object; None where it is a fault of our code.
+
+    Raises:
+        Exception: it says nothing of the object, and ends the run or has the object tried again.
+    """
+    fault = machine_fault(error)
+    asked = getattr(fault, "_total_size", 0) / 1e6  # of numpy's own MemoryError
+    if asked > recipe.memory_per_object_mb:
+        takes = f"asks for {asked:,.0f} MB of memory at once"
+        return _OverLimit(takes, "memory_per_object_mb", recipe.memory_per_object_mb)
+    if fault is not None:
+        raise fault
+    if isinstance(error, InvalidSource | RejectedInstance | NotOfCategory):
+        return error
+    if isinstance(error, ArticugenError):
+        raise error
+    if isinstance(error, OSError) and _is_made_here(ref):
+        raise MachineFault(printable(f"{ref.object_id}: {error}; see to it")) from error
+    if isinstance(error, OSError) and error.errno is not None:
+        return error
+    return None
+
+
+@dataclass(frozen=True)
+class _Made:
+    """An instance, which process made it and in how many seconds."""
+
+    instance: Instance
+    process: int
+    seconds: float
+
+
+def _made(prepared: "Prepared", index: int) -> _Made:
+    from articugen.instance.make import make_instance  # noqa: PLC0415
+
+    began = time.perf_counter()
+    instance = make_instance(prepared, index)
+    return _Made(instance, os.getpid(), time.perf_counter() - began)
+
+
+def _prepared(job: Job, task: Task) -> "Prepared":
+    # numba and the mesh readers take a second to import: the command line should not wait for them
+    from articugen.instance.make import prepare  # noqa: PLC0415
+    from articugen.instance.resolving import resolved  # noqa: PLC0415
+
+    return prepare(resolved(task.ref, job.recipe), job.recipe, job.seed)
+
+
+def source_digest(recipe: Recipe, ref: ObjectRef) -> str:
+    """Of an object's files; where they cannot be read, why: making it will tell the same.
+
+    Raises:
+        MachineFault, MemoryError: it says nothing about the object.
+    """
+    try:
+        return registry.digest(ref)
+    except Exception as error:  # an object must not take the others down with it
+        verdict = verdict_on(error, ref, recipe) or f"{type(error).__name__}: {error}"
+        return printable(f"unreadable: {verdict}")
+
+
+def import_stages() -> None:
+    """What takes a worker seconds once, and is no object's fault; before its clock starts."""
+    import articugen.instance.articulation  # noqa: PLC0415
+    import articugen.instance.make  # noqa: PLC0415, F401
+
+
+def import_readers() -> None:
+    """Return the same, for planning alone."""
+    import articugen.sources.urdf  # noqa: PLC0415, F401
+
+
+def not_made(key: Key, ended: processes.Ended, limit: processes.Limit) -> Outcome:
+    """Return the outcome of an object whose worker was killed, by us or by others."""
+    over = {
+        "seconds": _OverLimit("takes too many seconds", "seconds_per_object", limit.seconds),
+        "megabytes": _OverLimit("takes too many MB", "memory_per_object_mb", limit.megabytes),
+    }
+    if ended.over:
+        return Outcome(rejected=_unmade(key, over[ended.over]))
+    reason = (
+        f"its worker {ended.lost} when it was tried alone as well; use fewer --jobs, or end other "
+        "programs, and run it again; if it stays so, report it, and leave it out with --exclude"
+    )
+    return Outcome(failed=Rejection(key=key, reason=reason))
+
+
+def limit_of(recipe: Recipe) -> processes.Limit:
+    seconds = recipe.seconds_per_object
+    if seconds is None:
+        seconds = SECONDS_FOR_ANY_OBJECT + SECONDS_FOR_ANY_INSTANCE * instances_each(recipe)
+    return processes.Limit(seconds, recipe.memory_per_object_mb)
+
+
+def instances_each(recipe: Recipe) -> int:
+    return recipe.articulation.states + 1
+
+
+def _attributes(job: Job, task: Task) -> dict[str, str | int]:
+    recipe, ref = job.recipe.for_one_object(), task.ref
+    return {
+        "category": job.category,
+        "split": ref.split,
+        "source": ref.source,
+        "licence": registry.licence(ref.source),
+        "recipe": recipe.text(),
+        "recipe_sha256": recipe.sha256(),
+        "seed": job.seed,
+        "articugen_version": VERSION,
+        "generator": task.key.generator,
+    }
+
+
+def name_of(task: Task) -> str:
+    """Return what a task is called in what is said of it."""
+    return task.key.object_id

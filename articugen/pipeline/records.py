@@ -1,0 +1,449 @@
+"""What a place holds of a data set: how a run goes on where an earlier one stopped, and what it may
+replace.
+
+While a run is under way the ledger (`.articugen/`) has a record of each finished object, written
+once its shard is in place, and the folder has no manifest; the one that a plain run takes away
+waits in the ledger until the next one is written.
+"""
+
+import fcntl
+import math
+import os
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from types import TracebackType
+
+from pydantic import ValidationError
+
+from articugen.core.errors import ArticugenError, MachineFault
+from articugen.core.files import (
+    cannot_write,
+    is_plain_file,
+    lock_folder,
+    make_folder,
+    read_regular,
+)
+from articugen.core.ledger import LEDGER, Ledger
+from articugen.core.place import Folder, Listed
+from articugen.pipeline.common import (
+    CommonPlan,
+    Name,
+    key_of,
+    reasons_to_replace,
+    record_in,
+    recorded,
+    shard_names,
+    what_differs,
+    why_again,
+    with_free_names,
+)
+from articugen.pipeline.folder import (
+    check_is_not_of_before,
+    foreign_files,
+    is_shard_of_ours,
+    is_whole,
+    pages_left,
+    temporary_files,
+    unrecorded,
+)
+from articugen.store.bucket import Bucket
+from articugen.store.manifest import MANIFEST_NAME, Key, Manifest, Outcome, ShardEntry
+from articugen.store.manifest_pages import MOST_BYTES
+
+_BEFORE = f"{LEDGER}/{MANIFEST_NAME}"
+"""The manifest of what was there before a run began that may replace it."""
+
+
+class Records:
+    """What a place holds already, and the record of a run in it.
+
+    Nothing is believed that is not there as it was recorded: a shard in a folder counts only with
+    the size and digest that its record states, or, where somebody has added a group `user`, with
+    the content that it states; one in a store with its size, as the store keeps what it was given.
+
+    A plain run has the folder to itself, and replaces shards of ours that are out of date.
+    Processes that share out the objects, in a folder or a store, replace nothing. Files that no run
+    of ours made are never touched, nor anything outside the folder.
+
+    Attributes:
+        agreed: what is made here, as the ledger says; None where no run has been cut short.
+        manifest: of the data set as it is, if it is whole.
+        outcomes: what was recorded of each object that anybody has asked for.
+    """
+
+    def __init__(
+        self,
+        place: Folder | Bucket,
+        *,
+        is_shared: bool = False,
+        sizes_only: bool = False,
+        lease: float = math.inf,
+    ) -> None:
+        """Read what a place holds, and keep other runs out of a folder. Nothing is written yet.
+
+        Args:
+            place: of the data set.
+            is_shared: whether other processes may be at work on the same.
+            sizes_only: believe a shard that has the recorded size.
+            lease: seconds that a claim holds: see `Ledger`.
+
+        Raises:
+            ArticugenError: another run is at work in it, or an earlier version's was cut short.
+            MachineFault: it cannot be read.
+            CorruptShard: its manifest is damaged.
+        """
+        self.place, self.is_shared = place, is_shared
+        self.ledger = Ledger(place, lease=lease)
+        self.agreed: CommonPlan | None = None
+        self.manifest: Manifest | None = None
+        self._folder = place.path if isinstance(place, Folder) else None
+        self._sizes_only = sizes_only
+        self._about: CommonPlan | None = None
+        self._names: dict[Name, str] = {}
+        self.outcomes: dict[Name, Outcome] = {}
+        self._recorded: set[str] = set()
+        self._trusted: dict[str, tuple[ShardEntry, bool]] = {}
+        self._stored: dict[str, Listed] = {}
+        self._has_begun = self._has_news = False
+        self._lock: int | None = None
+        if self._folder is None or self._folder.exists():
+            self._take_lock()
+            try:
+                self._load()
+            except BaseException:
+                self.close()
+                raise
+
+    def __enter__(self) -> "Records":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let other runs into the folder."""
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    @property
+    def handles(self) -> tuple[int, ...]:
+        """The open file that keeps other runs out; whoever holds it does so as well."""
+        return () if self._lock is None else (self._lock,)
+
+    # --- what is there
+
+    def expect(self, about: CommonPlan, names: Sequence[Name], ours: Sequence[Name]) -> None:
+        """Say what is to be made: all of it, the names of all objects, and those of this share.
+
+        Raises:
+            ArticugenError: other processes make something else here.
+        """
+        self._about = about
+        if not self.is_shared:
+            return
+        self._names = shard_names(names)
+        if self.agreed:
+            about.check_like(self.agreed, self.place)
+        self.look(ours)
+
+    def look(self, names: Iterable[Name]) -> None:
+        """Read the records of some objects."""
+        wanted = list(names)
+        if self._folder is None:
+            wanted = [name for name in wanted if not self._is_settled(self.outcomes.get(name))]
+        self._add(self.ledger.known(map(key_of, wanted)).values())
+
+    def why(self, key: Key) -> str | None:
+        """Return why the object must be made (again); None where what is there will do."""
+        name = (key.split, key.object_id)
+        if name not in self.outcomes and self.ledger.is_damaged(key_of(name)):
+            return "its record is damaged"
+        return why_again(key, self.outcomes.get(name), self._is_trusted)
+
+    def finished(self, key: Key) -> Outcome | None:
+        """Return what became of the object, where that still holds: see `why`."""
+        return None if self.why(key) else self.outcomes[key.split, key.object_id]
+
+    def is_complete(self, keys: Sequence[Key]) -> bool:
+        """Whether a run for `keys` has nothing to do: all made, and the manifest says just that."""
+        if self.manifest is None or self._has_news:
+            return False
+        if self._folder is not None and self.ledger.files():
+            return False
+        return set(self.manifest.keys) == set(keys) and all(self.why(key) is None for key in keys)
+
+    def conflict(self, keys: Sequence[Key]) -> str | None:
+        """Return one sentence, where the place holds data that a run for `keys` would replace."""
+        wanted = {(key.split, key.object_id): key for key in keys}
+        if self.is_shared:
+            why = what_differs(self.outcomes, wanted, self._names)
+            return why and (
+                f"{self.place}: holds shards of another data set ({why}), and processes that share "
+                "out objects replace nothing; choose another output folder"
+            )
+        reasons = reasons_to_replace(self.outcomes, wanted)
+        if not reasons:
+            return None
+        why = ", ".join(f"{count} since {reason}" for reason, count in reasons.most_common())
+        return (
+            f"{self.place}: {reasons.total()} shards of an earlier run will be replaced or "
+            f"removed ({why}); choose another output folder, which keeps them"
+        )
+
+    def shard_names(self, keys: Sequence[Key]) -> dict[Key, str]:
+        """A shard's name for each object: the one it has where it is finished, else a free one.
+
+        In a new folder that is `<split>-<place among the keys of its split>.h5`; shares take these
+        names, whatever they have seen of the others' work.
+        """
+        if self.is_shared:
+            return {key: self._names[key.split, key.object_id] for key in keys}
+        names = {
+            key: done.shard.name for key in keys if (done := self.finished(key)) and done.shard
+        }
+        return with_free_names(names, keys)
+
+    # --- a run
+
+    def begin(self, names: Iterable[str]) -> None:
+        """Say that shards of these names are about to be written; a plain run takes the manifest
+        away, if there is one.
+
+        Raises:
+            ArticugenError: a file of that name is there and not ours; other processes make
+                something else here.
+            MachineFault: the place cannot be written.
+        """
+        assert self._about is not None, "say what is expected before anything is begun"
+        names = sorted(set(names))
+        if self._lock is None:
+            self._take_lock()
+        trusted = {o.shard.name for o in self.outcomes.values() if o.shard}
+        foreign = (
+            []
+            if self._folder is None
+            else foreign_files(
+                self._folder, names, trusted, self._recorded, self.agreed or self._about
+            )
+        )
+        if foreign:
+            raise ArticugenError(
+                f"{self.place}/{foreign[0]}: exists and was not made by an earlier run here; "
+                "move it away or choose another output folder"
+            )
+        about = self._about.model_dump_json().encode()
+        if self.is_shared:
+            self.agreed = self._plan_in(self.ledger.agree(about))
+            self._about.check_like(self.agreed, self.place)
+        else:
+            self.remove([*self._unrecorded(), *self._temporary()])  # by the plan before this one
+            if self.manifest and self._folder:
+                text = read_regular(self._folder / MANIFEST_NAME, MOST_BYTES)
+                self.place.write(_BEFORE, text)
+            self.ledger.agree(about, anew=True)
+            self.agreed, self.manifest = self._about, None
+            self.remove([MANIFEST_NAME])
+        self._has_begun = True
+
+    def record(self, outcome: Outcome) -> None:
+        """Add a finished object. Its shard must be in place."""
+        if not self._has_begun:
+            raise ValueError("begin, with the shards' names, before the first record")
+        name = (outcome.key.split, outcome.key.object_id)
+        record_in(self.ledger, outcome)
+        self.outcomes[name] = outcome
+        if outcome.shard is not None:
+            self._recorded.add(outcome.shard.name)
+            self._trusted[outcome.shard.name] = outcome.shard, True
+
+    def recorded(self, key: Key) -> Outcome | None:
+        """What another process has recorded of an object; None where its shard is not there."""
+        assert isinstance(self.place, Bucket)
+        return recorded(self.ledger, self.place, key)
+
+    def is_free(self, key: Key) -> bool:
+        """Return whether nobody is at an object."""
+        return self.ledger.is_free(key_of((key.split, key.object_id)))
+
+    def free(self, key: Key) -> None:
+        """Give up the claim of an object."""
+        self.ledger.free(key_of((key.split, key.object_id)))
+
+    def check_there(self, outcomes: Sequence[Outcome]) -> None:
+        """See to it that the shards of these outcomes are there still, where others are at work.
+
+        Raises:
+            ArticugenError: some were removed or replaced meanwhile.
+        """
+        if not self.is_shared:
+            return
+        self._sizes_only = True
+        self._stored = {} if self._folder else dict(self.place.list())
+        gone = [o.shard.name for o in outcomes if o.shard and not self._is_whole(o)]
+        if gone:
+            raise ArticugenError(
+                f"{self.place}: {len(gone)} shards were removed or replaced during the run "
+                f"({gone[0]}, for one); see who writes there, and run the same command again"
+            )
+
+    def finish(self, manifest: Manifest) -> None:
+        """Write the manifest, then remove the ledger and those of our shards it does not name; in a
+        store, where others may be reading it, the ledger stays.
+
+        Raises:
+            ArticugenError: another process is at work in the folder.
+        """
+        if self._lock is None or self.is_shared:
+            self.close()
+            self._take_lock(fcntl.LOCK_EX)
+        self.ledger.seal(manifest.files(), keep=True)
+        self.manifest = manifest
+        if self._folder is not None:
+            self.remove(self._leftovers(manifest))
+        self._has_begun = False
+
+    # --- what is left over
+
+    def leftovers(self) -> dict[str, str]:
+        """What killed runs left in a folder, in the order to remove it, and why it is not needed.
+
+        No worker may be at work. Shards that are recorded, and the records of a run that can go on,
+        are none.
+        """
+        return self._leftovers(self.manifest if self._tells_all() else None)
+
+    def _leftovers(self, whole: Manifest | None) -> dict[str, str]:
+        """As `leftovers`; `whole` is a manifest that tells of all that is recorded."""
+        found = dict.fromkeys(self._temporary(), "a temporary file")
+        orphans = self._unrecorded()
+        if whole and self._folder:
+            names = sorted(self._recorded - {shard.name for shard in whole.shards})
+            orphans += [name for name in names if is_shard_of_ours(self._folder, name)]
+        found |= dict.fromkeys(orphans, "a shard that is not recorded")
+        if self.manifest and self._folder:  # without one, pages are all that tells of the shards
+            found |= dict.fromkeys(pages_left(self._folder), "a page that no manifest lists")
+        if whole:
+            files = [name for name in self.ledger.files() if name not in found]
+            found |= dict.fromkeys(files, "the manifest says it all")
+        return found
+
+    def _tells_all(self) -> bool:
+        """Whether the manifest tells of what shares have recorded, too; if not, merge them."""
+        if self.manifest is None:
+            return False
+        is_of_shares = self.agreed is not None and self.agreed.shares > 0
+        return not is_of_shares or set(self.outcomes.values()) <= set(self.manifest.outcomes)
+
+    def remove(self, names: Iterable[str]) -> None:
+        """Remove files of this folder, in this order; what is not there is no fault."""
+        self.place.delete(names)
+
+    def tidy(self) -> None:
+        """Remove what workers of a plain run were writing as it ended early, none of which is left;
+        where the disk does not let us, the next run does."""
+        if not self.is_shared:
+            with suppress(MachineFault):
+                self.remove(self._temporary())
+
+    def _temporary(self) -> list[str]:
+        names = temporary_files(self._folder) if self._folder else []
+        return names + self.ledger.leftovers()
+
+    def _unrecorded(self) -> list[str]:
+        """List the shards that a killed run has left without a record."""
+        folder = self._folder
+        return unrecorded(folder, self._recorded, self.agreed) if folder else []
+
+    def _take_lock(self, kind: int | None = None) -> None:
+        if self._folder is None:
+            return
+        kind = kind or (fcntl.LOCK_SH if self.is_shared else fcntl.LOCK_EX)
+        try:
+            make_folder(self._folder)
+            self._lock = lock_folder(self._folder, kind)
+        except OSError as error:
+            raise MachineFault(cannot_write(self._folder, error)) from None
+
+    def _load(self) -> None:
+        if isinstance(self.place, Bucket):
+            self.manifest = Manifest.in_bucket(self.place)
+            self._stored = dict(self.place.list())
+            self._take(self.manifest)
+            self.agreed = self._agreed()
+            return
+        assert self._folder is not None
+        check_is_not_of_before(self._folder)
+        if os.path.lexists(self._folder / MANIFEST_NAME):
+            self.manifest = Manifest.read(self._folder)
+        self.agreed = self._agreed()
+        ledger = self._folder / LEDGER
+        if is_plain_file(self._folder / _BEFORE) and not ledger.is_symlink():
+            earlier = Manifest.read(self._folder, _BEFORE)
+            self._recorded = {shard.name for shard in earlier.shards}
+            if self.manifest is None:
+                self._take(earlier)
+        self._take(self.manifest)
+        if not self.is_shared:
+            self._add(self.ledger.known().values())
+        self._recorded |= {o.shard.name for o in self.outcomes.values() if o.shard}
+
+    def _agreed(self) -> CommonPlan | None:
+        try:
+            text = self.ledger.agreed()
+            return None if text is None else self._plan_in(text)
+        except ArticugenError:
+            if self.manifest is None:
+                raise
+            return None  # a whole set needs no plan
+
+    def _plan_in(self, text: bytes) -> CommonPlan:
+        try:
+            return CommonPlan.model_validate_json(text)
+        except ValidationError:
+            raise ArticugenError(
+                f"{self.place}/{LEDGER}: its run is of another version of articugen; finish it "
+                "there, or choose another output folder"
+            ) from None
+
+    def _take(self, manifest: Manifest | None) -> None:
+        for outcome in manifest.outcomes if manifest else ():
+            self.outcomes[outcome.key.split, outcome.key.object_id] = outcome
+
+    def _add(self, texts: Iterable[bytes]) -> None:
+        """Take what records say: of a thing that is known already, anything but a fault."""
+        for text in texts:
+            with suppress(ValidationError):  # of another version: it says nothing
+                outcome = Outcome.model_validate_json(text)
+                name = (outcome.key.split, outcome.key.object_id)
+                known = self.outcomes.get(name)
+                if known is None or known.fault or not outcome.fault:
+                    self._has_news = self._has_news or outcome != known
+                    self.outcomes[name] = outcome
+
+    def _is_settled(self, outcome: Outcome | None) -> bool:
+        """Return whether no record can say more of an object."""
+        return outcome is not None and outcome.fault is None and self._is_trusted(outcome)
+
+    def _is_trusted(self, outcome: Outcome) -> bool:
+        """Return whether its shard, if any, is whole: looked at once."""
+        if outcome.shard is None:
+            return True
+        shard, trusted = self._trusted.get(outcome.shard.name, (None, False))
+        if shard != outcome.shard:
+            trusted = self._is_whole(outcome)
+            self._trusted[outcome.shard.name] = outcome.shard, trusted
+        return trusted
+
+    def _is_whole(self, outcome: Outcome) -> bool:
+        """Whether a shard is the file that was recorded, or that with a group `user` besides."""
+        assert outcome.shard
+        if self._folder is not None:
+            return is_whole(self._folder, outcome, sizes_only=self._sizes_only)
+        there = self._stored.get(outcome.shard.name)
+        return there is not None and there.bytes == outcome.shard.bytes
