@@ -265,7 +265,7 @@ def test_not_while_a_run_is_at_work_or_can_go_on(folder):
     with held_by_another_run(folder), pytest.raises(ArticugenError, match="another run is writing"):
         mended(folder)
     (folder / MANIFEST_NAME).unlink()
-    (folder / LEDGER).mkdir()
+    (folder / LEDGER).write_text("")
     before = contents(folder)
     (done,) = mended(folder)
     assert not done.ok
