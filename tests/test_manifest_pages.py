@@ -17,7 +17,7 @@ from test_ranks import rank
 from trouble import unfit
 
 import articugen as ag
-from articugen.core import files
+from articugen.core import files, place
 from articugen.core.errors import CorruptShard, MachineFault
 from articugen.core.ledger import LEDGER
 from articugen.pipeline.clean import clean
@@ -126,12 +126,14 @@ def dying_after(writes: int, error: type[BaseException] = Killed) -> Iterator[No
     left = iter(range(writes))
 
     def write(path: Path, data: bytes) -> None:
-        if next(left, None) is None:
+        is_of_manifest = path.name == MANIFEST_NAME or is_page_name(path.name)
+        if is_of_manifest and path.parent.name != LEDGER and next(left, None) is None:
             raise error
         files.write_atomically(path, data)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(manifest, "write_atomically", write)
+        patch.setattr(place, "write_atomically", write)
         yield
 
 
