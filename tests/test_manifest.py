@@ -512,3 +512,16 @@ def test_unwritable_folder(tmp_path):
         ):
             records.begin(["train-00000.h5"])
         tmp_path.chmod(0o700)
+
+
+def test_shards_that_another_process_has_recorded_are_no_orphans(complete, tmp_path):
+    """As with an array of SLURM, whose tasks record what the run that ends it has not made."""
+    with Records(Folder(tmp_path), is_shared=True) as records:
+        names = [(k.split, k.object_id) for k in keys()]
+        records.expect(about(keys()), names, names)
+        shards = records.shard_names(keys())
+        records.begin(shards.values())
+        outcomes = [make(tmp_path, k, shards[k]) for k in keys()]
+        records.finish(manifest_of(outcomes))
+    assert names_in(tmp_path) == COMPLETE
+    assert Manifest.read(tmp_path).content_sha256 == Manifest.read(complete).content_sha256

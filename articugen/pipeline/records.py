@@ -321,9 +321,10 @@ class Records:
     def _leftovers(self, whole: Manifest | None) -> dict[str, str]:
         """As `leftovers`; `whole` is a manifest that tells of all that is recorded."""
         found = dict.fromkeys(self._temporary(), "a temporary file")
-        orphans = self._unrecorded()
+        named = {shard.name for shard in whole.shards} if whole else set[str]()
+        orphans = [name for name in self._unrecorded() if name not in named]
         if whole and self._folder:
-            names = sorted(self._recorded - {shard.name for shard in whole.shards})
+            names = sorted(self._recorded - named)
             orphans += [name for name in names if is_shard_of_ours(self._folder, name)]
         found |= dict.fromkeys(orphans, "a shard that is not recorded")
         if self.manifest and self._folder:  # without one, pages are all that tells of the shards
