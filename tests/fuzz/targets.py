@@ -6,6 +6,7 @@ import os
 import shutil
 import signal
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -228,16 +229,39 @@ def _read_manifest(path: Path) -> object:
     return _parsed(head, path, lambda page: beside.get(page.name)).outcomes
 
 
-def _read_records(path: Path) -> object:
-    from articugen.core.ledger import Ledger
-    from articugen.core.place import Folder
-    from articugen.pipeline.records import Records
+class _InMemory:
+    """A ledger's place that holds one file, as its plan and as a record."""
 
-    place = Folder(path.parent)
-    for line in path.read_bytes().splitlines():  # sealed, as whoever means harm would
-        Ledger(place).record("train/a", line)
-    with Records(place) as records:
-        return records
+    at_once = 1
+
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+
+    def read(self, name: str) -> bytes:
+        return self.data
+
+    def list(self, under: str = "") -> dict[str, object]:
+        return {"a.0123456789abcdef.json": None}
+
+
+def _read_records(path: Path) -> object:
+    from pydantic import ValidationError
+
+    from articugen.core.errors import ArticugenError
+    from articugen.core.ledger import Ledger
+    from articugen.pipeline.common import CommonPlan
+    from articugen.store.manifest import Outcome
+
+    data = path.read_bytes()
+    ledger = Ledger(_InMemory(data))  # type: ignore[arg-type]
+    with suppress(ArticugenError):
+        ledger.agreed()
+    read = list(ledger.known().values())
+    for line in data.splitlines():  # sealed, as whoever means harm would
+        for kind in (Outcome, CommonPlan):
+            with suppress(ValidationError):
+                read.append(kind.model_validate_json(line))
+    return read
 
 
 # --- learning
