@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bucket_server import BUCKET, Trouble, bucket_server
-from test_pipeline import TINY, contents, job, made, own_models  # noqa: F401
+from test_pipeline import TINY, contents, job, made
 from typer.testing import CliRunner
 
 import articugen as ag
@@ -49,7 +49,7 @@ def server() -> Iterator[Trouble]:
 
 
 @pytest.fixture(scope="module")
-def whole(own_models: None, tmp_path_factory: pytest.TempPathFactory) -> Path:  # noqa: F811
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four eyeglasses on the disk. Look, do not touch."""
     out = tmp_path_factory.mktemp("whole") / "eyeglasses"
     made(job(out))
@@ -57,7 +57,7 @@ def whole(own_models: None, tmp_path_factory: pytest.TempPathFactory) -> Path:  
 
 
 @pytest.fixture(scope="module")
-def stored(server: Trouble, own_models: None) -> str:  # noqa: F811
+def stored(server: Trouble) -> str:
     """The same in the store, made while one of five requests fails. Look, do not touch."""
     url = f"s3://{BUCKET}/data/eyeglasses"
     server.every = 5

@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
-from test_pipeline import TINY, contents, job, made, own_models  # noqa: F401
+from test_pipeline import TINY, contents, job, made
 
 from articugen.core.errors import ArticugenError, MachineFault, MissingExtra
 from articugen.core.ledger import LEDGER

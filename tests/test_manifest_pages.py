@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from test_manifest import keys, names_in, run
-from test_pipeline import contents, job, made, own_models, planned  # noqa: F401
+from test_pipeline import contents, job, made, planned
 from test_ranks import rank
 from trouble import unfit
 
@@ -35,7 +35,7 @@ def small_pages(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def whole(own_models: None, tmp_path_factory: pytest.TempPathFactory) -> Path:  # noqa: F811
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four eyeglasses, two a page. Look, do not touch."""
     out = tmp_path_factory.mktemp("whole") / "eyeglasses"
     with pytest.MonkeyPatch.context() as patch:
@@ -51,7 +51,7 @@ def folder(whole: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def other(own_models: None, tmp_path_factory: pytest.TempPathFactory) -> Path:  # noqa: F811
+def other(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same of another seed."""
     out = tmp_path_factory.mktemp("other") / "eyeglasses"
     with pytest.MonkeyPatch.context() as patch:

@@ -6,7 +6,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -80,16 +80,6 @@ PACKAGE = Path(articugen.__file__).parent
 NEVER_MADE = "it has not been made yet"
 
 
-@pytest.fixture(scope="module", autouse=True)
-def own_models(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Procedural models are written to a folder of these tests."""
-    root = tmp_path_factory.mktemp("models")
-    (root / "procedural").mkdir()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ARTICUGEN_SOURCES", str(root))
-        yield
-
-
 def job(out: Path, **changes: object) -> Job:
     return replace(Job("procedural", "eyeglasses", TINY, 0, out, 0), **changes)  # type: ignore[arg-type]
 
@@ -110,7 +100,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope="module")
-def whole(own_models: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four eyeglasses, seed 0, made in this process. Look, do not touch."""
     out = tmp_path_factory.mktemp("whole") / "eyeglasses"
     made(job(out))

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from test_pipeline import BOX, TINY, contents, job, made, own_models, planned  # noqa: F401
+from test_pipeline import BOX, TINY, contents, job, made, planned
 from trouble import held_by_another_run
 from typer.testing import CliRunner
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_pipeline import TINY, job, made, own_models  # noqa: F401
+from test_pipeline import TINY, job, made
 from typer.testing import CliRunner
 from web_server import Site, site
 
@@ -22,7 +22,7 @@ ONE = TINY.with_counts(objects=1, states=5)
 
 
 @pytest.fixture(scope="module")
-def whole(own_models: None, tmp_path_factory: pytest.TempPathFactory) -> Path:  # noqa: F811
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One object. Look, do not touch."""
     out = tmp_path_factory.mktemp("whole") / "eyeglasses"
     made(job(out, recipe=ONE))

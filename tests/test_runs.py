@@ -143,9 +143,7 @@ def test_a_checkpoint_of_an_earlier_version_is_refused(run):
     path = run.path / LATEST
     path.rename(run.path / "latest.pt")
     assert "only a .pt of an earlier version; train again" in refused(read_checkpoint, path)
-    assert "has only a .pt checkpoint of an earlier version" in refused(
-        RunFolder.existing, run.path
-    )
+    assert "only a .pt of an earlier version" in refused(RunFolder.existing, run.path)
 
 
 def changed(key: str, change):

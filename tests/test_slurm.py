@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from slurm_cluster import Daemon, processes_of, said, slurm
-from test_pipeline import PACKAGE, TINY, contents, job, made, own_models  # noqa: F401
+from test_pipeline import PACKAGE, TINY, contents, job, made
 from typer.testing import CliRunner
 
 import articugen as ag

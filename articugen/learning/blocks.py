@@ -244,7 +244,6 @@ class Descent:
     Args:
         optimiser: as recipes call it.
         patient: note instead of asking; what a GPU gets if not given.
-        rate: the recipe's key of the learning rate, which errors name.
         betas: of Adam.
     """
 
@@ -253,10 +252,9 @@ class Descent:
         network: nn.Module,
         optimiser: str = "adam",
         patient: bool | None = None,
-        rate: str = "schedule.learning_rate",
         betas: Betas = BETAS,
     ) -> None:
-        self.network, self.rate = network, rate
+        self.network = network
         device = next(network.parameters()).device.type
         self.optimiser = optimiser_of(optimiser, network, betas)
         self._parameters = list(network.parameters())  # found once: to walk a network takes long
@@ -307,8 +305,8 @@ class Descent:
 
     def _diverged(self, iteration: int, what: str) -> TrainingDiverged:
         return TrainingDiverged(
-            f"iteration {iteration + 1}: {what} is not a finite number; lower {self.rate} or that "
-            "term's weight, and resume from the last checkpoint"
+            f"iteration {iteration + 1}: {what} is not a finite number; lower "
+            "schedule.learning_rate or that term's weight, and resume from the last checkpoint"
         )
 
     def state(self) -> dict[str, Tensor]:

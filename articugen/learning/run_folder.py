@@ -36,7 +36,13 @@ from articugen.core.yaml_files import resolved
 from articugen.learning import tensorboard
 from articugen.learning.method import Learner, find_method, parse_recipe
 from articugen.learning.recipe import TrainRecipe
-from articugen.learning.tensors import CURE, check_like, read_tensors, write_tensors
+from articugen.learning.tensors import (
+    CURE,
+    check_is_of_this_version,
+    check_like,
+    read_tensors,
+    write_tensors,
+)
 from articugen.store.manifest import this_commit, this_machine
 
 FORMAT = "articugen checkpoint 4"
@@ -225,10 +231,7 @@ class RunFolder:
         """
         if not (path / "run.json").is_file() and not (path / LATEST).is_file():
             raise InvalidCheckpoint(f"{path}: has no {LATEST} to go on from; start a new run")
-        if not (path / LATEST).is_file() and (path / LATEST).with_suffix(".pt").is_file():
-            raise InvalidCheckpoint(
-                f"{path}: has only a .pt checkpoint of an earlier version; start a new run"
-            )
+        check_is_of_this_version(path / LATEST)
         run = RunFolder(path)
         with run.locked():
             run.remove_temporary()

@@ -11,7 +11,6 @@ import math
 import os
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from types import TracebackType
 
 from pydantic import ValidationError
 
@@ -117,12 +116,7 @@ class Records:
     def __enter__(self) -> "Records":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
