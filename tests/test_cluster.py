@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from test_pipeline import TINY, contents, job, made
@@ -41,16 +42,17 @@ def address() -> Iterator[str]:
 @contextmanager
 def worker(address: str, name: str) -> Iterator[subprocess.Popen[bytes]]:
     """One of one thread, as `dask worker` starts it."""
-    command = [
-        sys.executable, "-m", "distributed.cli.dask_worker", address, "--name", name, "--nthreads",
-        "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1", "--local-directory",
-        os.environ["ARTICUGEN_SOURCES"],
-    ]  # fmt: skip
-    with subprocess.Popen(command, stderr=subprocess.DEVNULL, env=os.environ) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
+    with TemporaryDirectory(ignore_cleanup_errors=True) as scratch:
+        command = [
+            sys.executable, "-m", "distributed.cli.dask_worker", address, "--name", name,
+            "--nthreads", "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1",
+            "--local-directory", scratch,
+        ]  # fmt: skip
+        with subprocess.Popen(command, stderr=subprocess.DEVNULL, env=os.environ) as process:
+            try:
+                yield process
+            finally:
+                process.kill()
 
 
 def wait_for(found: Callable[[], bool], seconds: float = 60.0) -> None:
