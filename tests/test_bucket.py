@@ -28,7 +28,8 @@ from articugen.core.ledger import Ledger
 from articugen.pipeline import run as pipeline
 from articugen.pipeline.executors.local import Local
 from articugen.pipeline.job import Job, Share
-from articugen.pipeline.run import ObjectReport, started
+from articugen.pipeline.options import ObjectReport
+from articugen.pipeline.run import started
 from articugen.store import bucket as bucket_module
 from articugen.store import manifest_pages, remote
 from articugen.store.bucket import Bucket, Remote

@@ -18,7 +18,7 @@ from articugen.core.ledger import LEDGER
 from articugen.pipeline import door
 from articugen.pipeline.executors import dask as cluster
 from articugen.pipeline.job import Job
-from articugen.pipeline.run import ObjectReport
+from articugen.pipeline.options import ObjectReport
 from articugen.store.manifest import code_version
 
 dask = pytest.importorskip("dask", reason="dask is not installed")

@@ -73,6 +73,15 @@ def test_the_page_of_commands_has_all_of_them_with_options_that_they_take() -> N
     makefile = (CHECKOUT / "Makefile").read_text("utf-8")
     for target in re.findall(r"`make ([a-z-]+)", page):
         assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
+    options = {option for p in commands["generate"].params for option in p.opts} - {"--help"}
+    passed = dict(re.findall(r"\b([A-Z_]+):([a-z-]+)", makefile))
+    said = {"--category", "--source", "--out", "--set", "--replace"}
+    elsewhere = {"--dry-run", "--scheduler", "--shard"}
+    assert {f"--{name}" for name in passed.values()} | said | elsewhere == {
+        option for option in options if option.startswith("--")
+    }
+    listed = (page + makefile.partition("help:")[2].partition("dataset:")[0]).split()
+    assert {f"{name}=" for name in passed} <= {word.strip('[]`"') for word in listed}
     statuses = set(re.findall(r"(?:^|, )(\d+) ", (group.epilog or "").partition("status: ")[2]))
     assert statuses
     assert statuses <= set(re.findall(r"^\| (\d+) \|", page, re.MULTILINE))

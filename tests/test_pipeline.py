@@ -35,8 +35,9 @@ from articugen.pipeline import door
 from articugen.pipeline.executors.local import Local
 from articugen.pipeline.folder import is_temporary
 from articugen.pipeline.job import Job
+from articugen.pipeline.options import ObjectReport
 from articugen.pipeline.plan import Plan
-from articugen.pipeline.run import ObjectReport, started
+from articugen.pipeline.run import started
 from articugen.sources import registry
 from articugen.store import croissant
 from articugen.store import manifest as manifest_module

@@ -24,8 +24,8 @@ from articugen.pipeline import door
 from articugen.pipeline.executors import slurm as slurm_module
 from articugen.pipeline.executors.slurm import Array
 from articugen.pipeline.job import Job
+from articugen.pipeline.options import ObjectReport
 from articugen.pipeline.plan import objects_of
-from articugen.pipeline.run import ObjectReport
 from articugen.store.manifest import Manifest
 
 MANY = TINY.with_counts(objects=9, states=2)

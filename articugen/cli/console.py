@@ -1,9 +1,8 @@
 """What the commands show while they work and when they are done."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console, Group, RenderableType
@@ -18,8 +17,8 @@ from articugen.core.errors import ArticugenError
 from articugen.core.files import room_at
 from articugen.core.tables import counted, duration, facts, size
 from articugen.pipeline.job import Job
+from articugen.pipeline.options import ObjectReport, OnNotice, OnObject
 from articugen.pipeline.plan import Plan
-from articugen.pipeline.run import ObjectReport
 from articugen.sources.registry import SourceInfo
 from articugen.store.manifest import MANIFEST_NAME, Manifest, Outcome
 
@@ -144,17 +143,10 @@ def _add_left_out(table: Table, manifest: Manifest) -> None:
         table.add_row("skipped", escape(f"{count}, such as {first.sentence}"))
 
 
-@dataclass(frozen=True)
-class Teller:
-    """What a run calls while it works."""
-
-    of_object: Callable[[ObjectReport], None]
-    of_notice: Callable[[str], None]
-
-
 @contextmanager
-def progress(console: Console, plan: Plan) -> Iterator[Teller]:
-    """A bar with the rate and the time left; one line an object where `console` is no terminal."""
+def progress(console: Console, plan: Plan) -> Iterator[tuple[OnObject, OnNotice]]:
+    """A bar with the rate and the time left; one line an object where `console` is no terminal.
+    Yields what a run calls while it works."""
     bar = Progress(
         SpinnerColumn(),
         BarColumn(),
@@ -168,7 +160,6 @@ def progress(console: Console, plan: Plan) -> Iterator[Teller]:
     )
     wanted = len(plan.tasks)
     running = bar.add_task("", total=plan.instances or None, objects=0, wanted=wanted, made=0)
-    each = plan.instances / max(wanted, 1)
 
     def on_object(report: ObjectReport) -> None:
         if report.reused:
@@ -176,7 +167,7 @@ def progress(console: Console, plan: Plan) -> Iterator[Teller]:
         state = bar.tasks[running].fields
         bar.update(
             running,
-            advance=each,
+            advance=plan.instances / max(wanted, 1),
             objects=state["objects"] + 1,
             made=state["made"] + report.instances,
         )
@@ -196,7 +187,7 @@ def progress(console: Console, plan: Plan) -> Iterator[Teller]:
         console.print(f"[yellow]{escape(sentence)}[/]", soft_wrap=True)
 
     with bar:
-        yield Teller(on_object, on_notice)
+        yield on_object, on_notice
 
 
 class _Rate(TextColumn):

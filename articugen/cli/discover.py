@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.markup import escape
 
-from articugen.cli.listed import listed
+from articugen.cli.app import app
+from articugen.cli.options import listed
 from articugen.cli.saying import said, stderr, stdout
 
 if TYPE_CHECKING:
@@ -21,14 +22,10 @@ if TYPE_CHECKING:
     from articugen.discovery.objects import ObjectJoints
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command to the command line."""
-    app.command(
-        epilog="Examples:\n\narticugen discover data/laptop\n\n"
-        "articugen discover closed.ply ajar.ply open.ply --json joints.json"
-    )(discover)
-
-
+@app.command(
+    epilog="Examples:\n\narticugen discover data/laptop\n\n"
+    "articugen discover closed.ply ajar.ply open.ply --json joints.json"
+)
 def discover(
     paths: Annotated[
         list[Path],

@@ -9,6 +9,7 @@ import typer
 from rich.markup import escape
 from typer.core import TyperCommand
 
+from articugen.cli.app import app
 from articugen.cli.saying import REJECTED, counting_bar, said, say_error, stdout
 
 if TYPE_CHECKING:
@@ -25,16 +26,12 @@ class _ListsFormats(TyperCommand):
         return super().parse_args(ctx, args)
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command to the command line."""
-    app.command(
-        cls=_ListsFormats,
-        epilog="Examples:\n\narticugen export --to\n\n"
-        "articugen export data/laptop --to onet --out onet/laptop --split train\n\n"
-        "articugen export data/laptop --to mjcf --out mjcf/laptop --collision",
-    )(export)
-
-
+@app.command(
+    cls=_ListsFormats,
+    epilog="Examples:\n\narticugen export --to\n\n"
+    "articugen export data/laptop --to onet --out onet/laptop --split train\n\n"
+    "articugen export data/laptop --to mjcf --out mjcf/laptop --collision",
+)
 def export(
     data: Annotated[
         Path | None,

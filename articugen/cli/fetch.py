@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.markup import escape
 
-from articugen.cli.listed import listed
+from articugen.cli.app import app
+from articugen.cli.options import listed
 from articugen.cli.saying import REJECTED, command, counting_bar, said, stderr, stdout
 from articugen.core.errors import printable
 
@@ -16,21 +17,10 @@ if TYPE_CHECKING:
     from articugen.sources.fetch.outcome import Fetched
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands to the command line."""
-    app.command(
-        "sources",
-        epilog="Examples:\n\narticugen sources\n\narticugen sources --write models",
-    )(list_sources)
-    app.command(
-        "fetch",
-        epilog="Examples:\n\n"
-        "articugen fetch partnet-mobility --category Laptop --out models/partnet\n\n"
-        "articugen fetch partnet-mobility --ids 10040,10101 --via sapien --out models/partnet\n\n"
-        "articugen fetch shape2motion --from Shape2Motion.zip --out models/shape2motion",
-    )(fetch_models)
-
-
+@app.command(
+    "sources",
+    epilog="Examples:\n\narticugen sources\n\narticugen sources --write models",
+)
 def list_sources(
     write: Annotated[
         Path | None,
@@ -52,6 +42,13 @@ def list_sources(
             stdout.print(f"{folder}: {count} models", soft_wrap=True, markup=False)
 
 
+@app.command(
+    "fetch",
+    epilog="Examples:\n\n"
+    "articugen fetch partnet-mobility --category Laptop --out models/partnet\n\n"
+    "articugen fetch partnet-mobility --ids 10040,10101 --via sapien --out models/partnet\n\n"
+    "articugen fetch shape2motion --from Shape2Motion.zip --out models/shape2motion",
+)
 def fetch_models(
     source: Annotated[
         str,

@@ -1,7 +1,4 @@
-"""The commands of learning: each calls one function of `learning.commands` and prints what it says.
-
-articugen/cli/generate.py registers them.
-"""
+"""The commands of learning: each calls one function of `learning.commands`, prints what it says."""
 
 # Everything heavy is imported where it is used: --help should not wait for torch.
 # ruff: noqa: PLC0415
@@ -13,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.markup import escape
 
+from articugen.cli.app import app
+from articugen.cli.options import Changes, Data, Device, Run, Threads
 from articugen.cli.saying import command, loading, said, stderr, stdout
 
 if TYPE_CHECKING:
@@ -20,35 +19,12 @@ if TYPE_CHECKING:
 
     from articugen.learning.loop import Progress
 
-Changes = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="SECTION.KEY=VALUE",
-        help="Another value than the recipe's, as YAML; may be given several times.",
-        show_default="none",
-    ),
-]
-"""An option of every command that takes a recipe."""
 
-
-def register(app: typer.Typer) -> None:
-    """Add the commands to the command line."""
-    app.command(
-        epilog="Examples:\n\narticugen train --category laptop --data data/laptop\n\n"
-        "articugen train --category laptop --data data/laptop --set losses.vol=500\n\n"
-        "articugen train --category laptop --data data/laptop --resume runs/laptop/000"
-    )(train)
-    app.command(epilog="Example: articugen train-depth runs/laptop --data data/laptop")(train_depth)
-    app.command(epilog="Example: articugen evaluate runs/laptop --data data/laptop")(evaluate)
-    app.command(epilog="Example: articugen tables runs/* --figure examples.png")(tables)
-    app.command(
-        epilog="Examples:\n\narticugen predict runs/laptop data/laptop/test-00000.h5 --row 3\n\n"
-        "articugen predict runs/laptop cloud.ply --fit --out rig\n\n"
-        "articugen predict runs-depth/laptop view.ply"
-    )(predict)
-
-
+@app.command(
+    epilog="Examples:\n\narticugen train --category laptop --data data/laptop\n\n"
+    "articugen train --category laptop --data data/laptop --set losses.vol=500\n\n"
+    "articugen train --category laptop --data data/laptop --resume runs/laptop/000"
+)
 def train(
     category: Annotated[str, typer.Option("--category", "-c", help="What the data set holds.")],
     data: Annotated[
@@ -92,8 +68,8 @@ def train(
     resume: Annotated[
         Path | None, typer.Option(help="Go on with this run instead; its recipe and seed hold.")
     ] = None,
-    device: Annotated[str, typer.Option(help="cpu, cuda or cuda:1.")] = "cpu",
-    threads: Annotated[int, typer.Option(min=0, help="CPU threads; 0 leaves it to torch.")] = 0,
+    device: Device = "cpu",
+    threads: Threads = 0,
 ) -> None:
     """Train a method on a data set, or go on with a run."""
     run_folder = resume or f"{runs / category}/<the newest number>"
@@ -129,9 +105,10 @@ def train(
         _say_next(run.path, data[0])
 
 
+@app.command(epilog="Example: articugen train-depth runs/laptop --data data/laptop")
 def train_depth(
-    run: Annotated[Path, typer.Argument(help="A run's folder, or that of a category's runs.")],
-    data: Annotated[Path, typer.Option("--data", "-d", help="The folder of the data set.")],
+    run: Run,
+    data: Data,
     recipe: Annotated[
         str, typer.Option("--recipe", "-r", help="ppd_depth is longer; or a YAML file.")
     ] = "ppd_depth_quick",
@@ -140,8 +117,8 @@ def train_depth(
         "runs-depth"
     ),
     resume: Annotated[Path | None, typer.Option(help="Go on with this run instead.")] = None,
-    device: Annotated[str, typer.Option(help="cpu, cuda or cuda:1.")] = "cpu",
-    threads: Annotated[int, typer.Option(min=0, help="CPU threads; 0 leaves it to torch.")] = 0,
+    device: Device = "cpu",
+    threads: Threads = 0,
 ) -> None:
     """Train an encoder for what one camera sees, beside a run: train, with that run as teacher."""
     with said():
@@ -162,9 +139,10 @@ def _say_next(run: Path, data: Path) -> None:
     stdout.print(f"next: {escape(what)}", soft_wrap=True)
 
 
+@app.command(epilog="Example: articugen evaluate runs/laptop --data data/laptop")
 def evaluate(
-    run: Annotated[Path, typer.Argument(help="A run's folder, or that of a category's runs.")],
-    data: Annotated[Path, typer.Option("--data", "-d", help="The folder of the data set.")],
+    run: Run,
+    data: Data,
     protocol: Annotated[
         str, typer.Option(help="paper, or release: as the authors' code measures.")
     ] = "paper",
@@ -218,6 +196,7 @@ def evaluate(
                     stdout.print(f"drawn: {path}", soft_wrap=True)
 
 
+@app.command(epilog="Example: articugen tables runs/* --figure examples.png")
 def tables(
     runs: Annotated[list[Path], typer.Argument(help="Folders of runs that were evaluated.")],
     figure: Annotated[
@@ -247,8 +226,13 @@ def tables(
             stdout.print(f"drawn: {figure}", soft_wrap=True)
 
 
+@app.command(
+    epilog="Examples:\n\narticugen predict runs/laptop data/laptop/test-00000.h5 --row 3\n\n"
+    "articugen predict runs/laptop cloud.ply --fit --out rig\n\n"
+    "articugen predict runs-depth/laptop view.ply"
+)
 def predict(
-    run: Annotated[Path, typer.Argument(help="A run's folder, or that of a category's runs.")],
+    run: Run,
     cloud: Annotated[Path, typer.Argument(help="A shard, or points as .ply, .npy, .npz or .xyz.")],
     row: Annotated[int, typer.Option(min=0, help="Which instance of the shard.")] = 0,
     camera: Annotated[

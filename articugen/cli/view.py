@@ -9,17 +9,14 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
+from articugen.cli.app import app
 from articugen.cli.saying import said, stderr, stdout
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command to the command line."""
-    app.command(
-        epilog="Examples:\n\narticugen view data/laptop\n\narticugen view cabinet.urdf --open\n\n"
-        "articugen view urdfs --category drawer --recipe quick\n\narticugen view runs/laptop"
-    )(view)
-
-
+@app.command(
+    epilog="Examples:\n\narticugen view data/laptop\n\narticugen view cabinet.urdf --open\n\n"
+    "articugen view urdfs --category drawer --recipe quick\n\narticugen view runs/laptop"
+)
 def view(
     path: Annotated[
         str,

@@ -11,7 +11,7 @@ import random
 import resource
 import sys
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,13 +25,8 @@ from articugen.pipeline.common import NEVER_MADE, CommonPlan, listing_of
 from articugen.pipeline.executors.work import Executor, Work
 from articugen.pipeline.job import Job
 from articugen.pipeline.making import Task, limit_of, not_made
-from articugen.pipeline.plan import (
-    Plan,
-    as_its_source_is,
-    name_of_ref,
-    objects_of,
-    plan_for,
-)
+from articugen.pipeline.options import ObjectReport, OnNotice, OnObject, ignore
+from articugen.pipeline.plan import Plan, as_its_source_is, name_of_ref, objects_of, plan_for
 from articugen.pipeline.records import Records
 from articugen.sources import registry
 from articugen.sources.refs import ObjectRef
@@ -48,37 +43,6 @@ MARGIN_SECONDS = 60.0
 
 _NAMED, _NUMBERS = 5, 100
 """Missing objects, and shares, that a sentence names."""
-
-
-@dataclass(frozen=True)
-class ObjectReport:
-    """What became of one object.
-
-    Attributes:
-        shard: its file, "" where there is none.
-        instances: 0 where there is no shard.
-        seconds: of one worker.
-        rejected, skipped, failed: why there is none, or None: see `Outcome`.
-        reused: whether it was there already, or another process made it.
-    """
-
-    object_id: str
-    split: str
-    shard: str
-    instances: int
-    seconds: float
-    rejected: str | None
-    reused: bool
-    skipped: str | None = None
-    failed: str | None = None
-
-
-OnObject = Callable[[ObjectReport], None]
-OnNotice = Callable[[str], None]
-
-
-def _nothing(_: object) -> None:
-    pass
 
 
 @dataclass(frozen=True)
@@ -145,8 +109,8 @@ class Run:
     def finish(
         self,
         executor: Executor | None,
-        on_object: OnObject = _nothing,
-        on_notice: OnNotice = _nothing,
+        on_object: OnObject = ignore,
+        on_notice: OnNotice = ignore,
     ) -> Finished:
         """Make the data set, or what is missing of it, and write its manifest, which tells of a
         `shortfall`, if any; of a share, make what is missing.

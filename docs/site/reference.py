@@ -36,7 +36,10 @@ _ON = {
     )),
     "commands": ("What commands do", (
         "generate", "verify", "export", "discover", "train", "evaluate", "fetch",
-    ), ("export.run.Exported", "export.items.Options", "sources.fetch.outcome.Fetched")),
+    ), (
+        "pipeline.options.Options", "export.run.Exported", "export.items.Options",
+        "sources.fetch.outcome.Fetched",
+    )),
     "recipes": ("Recipes", ("Recipe",), (
         "core.recipe.Articulation", "core.recipe.ViewSettings", "core.recipe.Fusion",
         "core.recipe.Sampling", "core.recipe.Images",
