@@ -32,7 +32,7 @@ FLOORS = (
 FLOOR = {room: level for level, rooms in enumerate(FLOORS, start=1) for room in rooms}
 
 MOST_ARROWS = 70
-MOST_LINES = 51_960
+MOST_LINES = 52380
 """Of the whole package; it is lowered as the package shrinks."""
 LARGEST_ROOM = 0.2
 """Its share of the lines."""
@@ -294,7 +294,7 @@ def test_the_core_needs_no_optional_library() -> None:
     printed("-c", code)
 
 
-@pytest.mark.parametrize("recipe", ["bae", "ppd_quick", "ppd_paper"])
+@pytest.mark.parametrize("recipe", ["bae", "bsp", "ppd_quick", "ppd_paper"])
 def test_a_checkpoint_is_read_without_torch_s_compiler(recipe: str) -> None:
     """Which is imported where something is computed on `meta`, and takes longer than the rest."""
     pytest.importorskip("torch", reason="learners need torch")

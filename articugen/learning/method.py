@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 METHODS = {
     "bae": "articugen.learning.bae:METHOD",
+    "bsp": "articugen.learning.bsp:METHOD",
     "ppd": "articugen.learning.ppd.method:PPD_METHOD",
     "ppd_depth": "articugen.learning.ppd.method:DEPTH_METHOD",
 }
