@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 METHODS = {
     "bae": "articugen.learning.bae:METHOD",
     "bsp": "articugen.learning.bsp:METHOD",
+    "one_part": "articugen.learning.one_part:METHOD",
     "ppd": "articugen.learning.ppd.method:PPD_METHOD",
     "ppd_depth": "articugen.learning.ppd.method:DEPTH_METHOD",
 }

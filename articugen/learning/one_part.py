@@ -1,0 +1,62 @@
+"""One part for everything: learns nothing, and is the floor that methods have to beat.
+
+With as many points on each of K true parts, the one that is named has a label IoU of 1 / K and the
+others 0: a mean of 1 / K^2, which is what the PPD paper has for methods that found no parts. The
+shape is the box of its cloud.
+"""
+
+from typing import Any, Literal
+
+import numpy as np
+import torch
+
+from articugen.core.records import Floats
+from articugen.learning.data.batch import Batch, BatchSpec
+from articugen.learning.data.split import PackedSplit
+from articugen.learning.evaluation.reconstruction import Reconstruction
+from articugen.learning.method import Learner, Method, Terms
+from articugen.learning.recipe import TrainRecipe
+from articugen.meshes.read import box
+
+
+class OnePartRecipe(TrainRecipe):
+    method: Literal["one_part"] = "one_part"  # pyright: ignore[reportIncompatibleVariableOverride]
+
+
+class OnePartLearner(Learner):
+    def __init__(self, settings: OnePartRecipe) -> None:
+        self.settings = settings
+        self.inputs = BatchSpec.of(settings.data)
+
+    def learn(self, batch: Batch, rng: torch.Generator | None, *, iteration: int) -> Terms:
+        return {"nothing": batch.cloud.new_zeros(())}
+
+    def validate(self, held_out: PackedSplit) -> dict[str, float]:
+        return {"nothing": 0.0}
+
+    def state(self) -> dict[str, Any]:
+        return {"nothing": 0}
+
+    def load(self, state: dict[str, Any]) -> None:
+        pass
+
+    def reconstruct(self, cloud: Floats, *, resolution: int) -> Reconstruction:
+        low, high = cloud.min(0), cloud.max(0)
+        mesh = box(np.maximum(high - low, 1e-6))
+        surface = (mesh.vertices + (low + high) / 2.0)[mesh.faces]
+        centres = np.moveaxis(np.indices(3 * [resolution]), 0, 3)
+        centres = (centres + 0.5) / resolution - 0.5
+        occupied = ((low <= centres) & (centres <= high)).all(-1)
+        return Reconstruction(surface, np.zeros(len(surface), int), surface, occupied, parts=1)
+
+
+class OnePart(Method):
+    name = "one_part"
+    recipe = "one_part"
+    Settings = OnePartRecipe
+
+    def start(self, settings: OnePartRecipe, *, seed: int, device: torch.device) -> OnePartLearner:
+        return OnePartLearner(settings)
+
+
+METHOD = OnePart()
