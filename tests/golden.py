@@ -18,7 +18,7 @@ from articugen import procedural
 from articugen.core import content
 from articugen.core.recipe import load_recipe
 from articugen.core.yaml_files import with_settings
-from articugen.export.formats import NAMES, format_named
+from articugen.export.formats import FORMATS, format_named
 from articugen.export.run import export
 from articugen.pipeline import door
 from articugen.pipeline.job import Job
@@ -134,7 +134,7 @@ def exports(folder: Path) -> dict[str, str]:
         "procedural", "laptop", recipe.with_counts(objects=1), seed=0, out=folder / "out", jobs=0
     )
     door.make(job)
-    there = [n for n in NAMES if all(find_spec(library) for library, _ in format_named(n).needs)]
+    there = [n for n in FORMATS if all(find_spec(library) for library, _ in format_named(n).needs)]
     return {name: _exported(folder / "out", name, folder / name) for name in there}
 
 

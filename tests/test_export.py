@@ -22,7 +22,7 @@ from articugen.cli import app
 from articugen.core.errors import ArticugenError, InvalidArgument, MissingExtra
 from articugen.core.ledger import LEDGER, Ledger
 from articugen.core.place import Folder
-from articugen.export.formats import NAMES, format_named
+from articugen.export.formats import FORMATS, format_named
 from articugen.export.items import file_name
 from articugen.export.joints import unique
 from articugen.export.target import REPORT_NAME
@@ -44,7 +44,7 @@ def files_in(folder: Path) -> dict[str, bytes]:
 
 def test_all_formats_say_what_they_are_and_the_page_has_them() -> None:
     page = (Path(__file__).parents[1] / "docs" / "exports.md").read_text(encoding="utf-8")
-    for name in NAMES:
+    for name in FORMATS:
         assert format_named(name).what
         assert f"`{name}`" in page
 

@@ -195,7 +195,7 @@ def test_core_holds_what_is_named_here() -> None:
 
 def test_rooms_and_files_keep_their_measure() -> None:
     total = sum(LINES.values())
-    assert total <= MOST_LINES
+    assert total <= MOST_LINES, f"{total} lines: take out as many as you add (CONTRIBUTING.md)"
     for room in FLOOR:
         lines = sum(n for module, n in LINES.items() if _room(module) == room)
         assert lines <= LARGEST_ROOM * total, f"{room} has {lines} of {total} lines"

@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from articugen.core import plugins
-from articugen.core.errors import BrokenPlugin, InvalidSource
+from articugen.core.errors import BrokenPlugin, InvalidArgument, InvalidSource
 from articugen.core.recipe import ViewSettings
 from articugen.core.records import LabelledMesh
+from articugen.export import formats
 from articugen.rendering import render
 from articugen.rendering.views import fusion_views
 from articugen.sources import readers, registry
@@ -240,6 +241,21 @@ def test_a_package_adds_a_renderer(install: Install) -> None:
     install("no-renderer", "dull", "render = 1", group="backends", dull="dull")
     with pytest.raises(BrokenPlugin, match=r"package no-renderer: .* has no render_parts"):
         render(mesh, views, backend="dull")
+
+
+def test_a_package_adds_an_export_format(install: Install) -> None:
+    code = "from dataclasses import replace\nfrom articugen.export.ply import FORMAT\n"
+    install(
+        "plain", "plain", f"{code}OWN = replace(FORMAT, what='x')", "formats", plain="plain:OWN"
+    )
+    assert formats.names() == (*formats.FORMATS, "plain")
+    assert formats.format_named("plain").what == "x"
+    install("dull", "dull", "items = write = 1", "formats", dull="dull", ply="dull")
+    with pytest.raises(BrokenPlugin, match=r"package dull: .* has no what"):
+        formats.format_named("dull")
+    assert formats.format_named("ply").what != "x"
+    with pytest.raises(InvalidArgument, match=r"no format 'plian'; did you mean 'plain'.*artgs, "):
+        formats.format_named("plian")
 
 
 # --- any one model by its path

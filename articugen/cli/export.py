@@ -66,10 +66,10 @@ def export(
 ) -> None:
     """Write a data set in a format that others read; called again it goes on."""
     with said("interrupted; the same command goes on"):
-        from articugen.export.formats import NAMES
+        from articugen.export.formats import names
         from articugen.export.run import export as run
 
-        if data is None or out is None or to not in NAMES:
+        if data is None or out is None or to not in names():
             _list_formats(data, to, out)
         assert data is not None
         assert to is not None
@@ -94,7 +94,7 @@ def export(
 def _list_formats(data: Path | None, to: str | None, out: Path | None) -> None:
     """Say what is missing, or which formats there are where nothing is named; and leave."""
     from articugen.core.tables import quiet_table
-    from articugen.export.formats import NAMES, format_named
+    from articugen.export.formats import format_named, names
 
     if to is not None:
         format_named(to)  # or says what there is
@@ -104,7 +104,7 @@ def _list_formats(data: Path | None, to: str | None, out: Path | None) -> None:
         say_error("name a format with --to; --to alone lists them")
         raise typer.Exit(2)
     table = quiet_table("format", "what it is")
-    for name in NAMES:
+    for name in names():
         table.add_row(name, format_named(name).what)
     stdout.print(table)
     raise typer.Exit

@@ -2,19 +2,25 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from importlib import import_module
+from importlib.metadata import EntryPoint
 
+from articugen.core import plugins
 from articugen.core.errors import InvalidArgument
 from articugen.core.yaml_files import nearest
 from articugen.export.items import Item, Options
 from articugen.export.target import Target
 from articugen.store.dataset import DataSet
 
-NAMES = (
-    "ply", "glb", "urdf", "mjcf", "usd", "parquet", "webdataset", "onet", "imnet", "ppd", "ditto",
-    "npcs", "particulate", "opalign", "vecset", "artgs",
-)  # fmt: skip
-"""Each is a file of this folder, which holds one `FORMAT`."""
+FORMATS = {
+    name: f"articugen.export.{name}:FORMAT"
+    for name in (
+        "ply", "glb", "urdf", "mjcf", "usd", "parquet", "webdataset", "onet", "imnet", "ppd",
+        "ditto", "npcs", "particulate", "opalign", "vecset", "artgs",
+    )
+}  # fmt: skip
+"""Where each format is, by the name that `--to` takes."""
+
+_OTHERS = plugins.Group("articugen.formats", ("what", "items", "write", "takes", "needs"))
 
 
 @dataclass(frozen=True)
@@ -38,16 +44,25 @@ class Format:
     needs: tuple[tuple[str, str], ...] = field(default=())
 
 
+def names() -> tuple[str, ...]:
+    """Return the names of all formats, ours and other packages'."""
+    return (*FORMATS, *_OTHERS.names(tuple(FORMATS)))
+
+
 def format_named(name: str) -> Format:
-    """
+    """Return the format of that name.
+
     Raises:
-        InvalidArgument: there is none of that name; the sentence lists them.
+        InvalidArgument: there is none; the sentence lists them.
+        BrokenPlugin: it is another package's and cannot be used.
     """
-    if name not in NAMES:
+    if name in FORMATS:
+        return EntryPoint(name, FORMATS[name], _OTHERS.name).load()
+    if name not in names():
         raise InvalidArgument(
-            f"no format {name!r}{nearest(name, list(NAMES))}; there are: {', '.join(NAMES)}"
+            f"no format {name!r}{nearest(name, list(names()))}; there are: {', '.join(names())}"
         )
-    return import_module(f"articugen.export.{name}").FORMAT
+    return _OTHERS.load(name)
 
 
 def options_for(name: str, **options: object) -> Options:

@@ -54,10 +54,10 @@ def export(
 
     Args:
         data: a data set's folder, a shard, or an open data set, which may be some of the instances.
-        to: the format's name, one of `formats.NAMES`.
+        to: the format's name, one of `formats.names()`.
         out: a folder that is empty, not there yet, or holds a part of this very export.
         split: the instances of this split alone.
-        resolution, from_grids, collision, occupancy: see `formats.Options`; only some formats take
+        resolution, from_grids, collision, occupancy: see `items.Options`; only some formats take
             them.
         on_item: called after each item, with the number that are done and that of all.
 
