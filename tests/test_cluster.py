@@ -7,8 +7,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import cast
 
 import pytest
 from test_pipeline import TINY, contents, job, made
@@ -17,9 +19,10 @@ from articugen.core.errors import ArticugenError, MachineFault, MissingExtra
 from articugen.core.ledger import LEDGER
 from articugen.pipeline import door
 from articugen.pipeline.executors import dask as cluster
+from articugen.pipeline.executors.work import Elsewhere, Work
 from articugen.pipeline.job import Job
+from articugen.pipeline.making import Task
 from articugen.pipeline.options import ObjectReport
-from articugen.store.manifest import code_version
 
 dask = pytest.importorskip("dask", reason="dask is not installed")
 distributed = pytest.importorskip("distributed", reason="distributed is not installed")
@@ -72,7 +75,7 @@ def test_one_worker_is_killed_and_one_is_cut_off(address: str, tmp_path: Path) -
     with ExitStack() as stack:
         names = ("killed", "cut off", "left")
         workers = [stack.enter_context(worker(address, name)) for name in names]
-        wait_for(lambda: cluster.threads(address) == 3)
+        wait_for(lambda: cluster.Dask(address).width(0) == 3)
 
         def on_object(report: ObjectReport) -> None:
             told.append(report)
@@ -82,14 +85,16 @@ def test_one_worker_is_killed_and_one_is_cut_off(address: str, tmp_path: Path) -
 
         manifest = door.make(on(address, out), replace=True, on_object=on_object)
         assert manifest.timings.workers == 1
-        nothing = {"function": str, "limit": cluster.Limit(), "ready": str, "name": str}
-        for code, sees, sentence in (
-            ("1.0+other", "/", r"has articugen .*, this is 1.0\+other; install the same"),
-            (code_version(), "/nowhere/at/all", "does not see /nowhere/at; --out must be on"),
+        nobody = cast(Task, None)
+        work = Elsewhere.of(Work(on(address, out), 6))
+        for code, folder, sentence in (
+            ("1.0+other", out, r"has articugen .*, this is 1.0\+other; install the same"),
+            (work.code, tmp_path / "nowhere", r"does not see .*nowhere; --out must be on"),
         ):
-            duty = cluster.Duty(**nothing, code=code, sees=Path(sees), patience=0.0)
+            job_there = replace(work.work.job, out=folder)
+            other = Elsewhere(replace(work.work, job=job_there), code, patience=0.0)
             with pytest.raises(ArticugenError, match=sentence):
-                list(cluster.each(duty, [1], address=address, notice=lambda _: None))
+                list(cluster.each(other, [nobody], address=address, notice=lambda _: None))
     here, _ = made(job(tmp_path / "here", recipe=MANY))
     assert manifest.content_sha256 == here.content_sha256
     assert contents(out) == contents(tmp_path / "here")

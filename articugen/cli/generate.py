@@ -82,11 +82,10 @@ def _made(job: "Job", *, dry_run: bool, replace: bool) -> int:
     """Make one data set, or a share of it, and tell of it; the exit status."""
     with said(KEPT):
         from articugen.cli import console
-        from articugen.pipeline.door import executor_of
         from articugen.pipeline.run import started
 
         whole = whole_command(sys.argv)
-        executor = executor_of(job, whole)
+        executor = job.executor.of(job, whole)
         with started(job, command=whole) as run:
             if job.share:
                 count = f"{len(run.plan.keys)} of {run.objects} objects"

@@ -6,10 +6,6 @@ from pathlib import Path
 from articugen.core.errors import ArticugenError, InvalidArgument
 from articugen.core.recipe import load_recipe
 from articugen.core.yaml_files import with_settings
-from articugen.pipeline.executors.dask import Dask
-from articugen.pipeline.executors.local import Local
-from articugen.pipeline.executors.slurm import Slurm
-from articugen.pipeline.executors.work import Executor
 from articugen.pipeline.job import Job, Share
 from articugen.pipeline.options import OnNotice, OnObject, Options, ignore, takes
 from articugen.pipeline.run import default_jobs, started
@@ -56,7 +52,7 @@ def jobs_of(options: Options, share: Share | None = None) -> list[Job]:
             source, names, options.ids, options.exclude
         ).items()
     ]
-    if share and any(job.on_slurm for job in jobs):
+    if share and any(job.executor.records for job in jobs):
         raise InvalidArgument("--scheduler slurm shares out the objects by itself: no --shard")
     check_replaces(jobs[0], replace=options.replace)
     return jobs
@@ -99,7 +95,7 @@ def make(
             of a `shortfall`, too.
     """
     check_replaces(job, replace=replace)
-    executor = executor_of(job)
+    executor = job.executor.of(job, "")
     with started(job) as run:
         run.check_replaces(replace=replace, cure="pass replace=True")
         manifest = run.finish(executor, on_object, on_notice).manifest
@@ -110,28 +106,14 @@ def make(
     return manifest
 
 
-def executor_of(job: Job, command: str = "") -> Executor:
-    """Return who makes a data set: this machine, unless the job names a scheduler.
-
-    Args:
-        command: that makes all of it, as people write it.
-
-    Raises:
-        InvalidArgument: the scheduler's address makes no sense.
-    """
-    if job.on_slurm:
-        return Slurm.of(job, command)
-    return Dask(job.scheduler) if job.scheduler else Local(job.jobs)
-
-
 def check_replaces(job: Job, *, replace: bool) -> None:
     """See to it that nobody counts on `replace` where processes share out the objects.
 
     Raises:
         InvalidArgument: it is asked for, and they do.
     """
-    way = "an object store" if isinstance(job.out, Remote) else "slurm" if job.on_slurm else ""
-    way = way or ("--shard" if job.share else "")
+    way = "an object store" if isinstance(job.out, Remote) else ""
+    way = way or ("--shard" if job.share else job.scheduler if job.executor.records else "")
     if replace and way:
         raise InvalidArgument(
             f"--replace (replace=True) with {way}: processes that share out objects replace "

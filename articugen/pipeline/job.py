@@ -2,12 +2,29 @@
 
 import re
 from dataclasses import dataclass
+from importlib.metadata import EntryPoint
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from articugen.core import plugins
 from articugen.core.errors import InvalidArgument, InvalidRecipe, printable
 from articugen.core.place import Folder
 from articugen.core.recipe import Recipe, check_category
+from articugen.core.yaml_files import nearest
 from articugen.store.bucket import Bucket, Remote
+
+if TYPE_CHECKING:
+    from articugen.pipeline.executors.work import Executor
+
+_HERE = "articugen.pipeline.executors"
+EXECUTORS = {
+    "": f"{_HERE}.local:Local",
+    "slurm": f"{_HERE}.slurm:Slurm",
+    **dict.fromkeys(("tcp", "tls", "ucx", "ws", "wss"), f"{_HERE}.dask:Dask"),
+}
+"""The classes of executors, by the scheme of `--scheduler`; "" is this machine."""
+
+_OTHERS = plugins.Group("articugen.executors", ("of", "records", "width", "ends"))
 
 
 @dataclass(frozen=True)
@@ -90,11 +107,25 @@ class Job:
         return self.out
 
     @property
-    def on_slurm(self) -> bool:
-        """Whether an array of SLURM makes it."""
-        return self.scheduler == "slurm" or self.scheduler.startswith("slurm:")
+    def executor(self) -> type["Executor"]:
+        """The class of who makes it.
+
+        Raises:
+            InvalidArgument: there is none of that scheme; names those that there are.
+            BrokenPlugin: it is another package's and cannot be used.
+        """
+        scheme = self.scheduler.partition(":")[0]
+        if scheme in EXECUTORS:
+            return EntryPoint(scheme, EXECUTORS[scheme], _OTHERS.name).load()
+        schemes = [*filter(None, EXECUTORS), *_OTHERS.names(tuple(EXECUTORS))]
+        if scheme not in schemes:
+            raise InvalidArgument(
+                f"no scheduler {self.scheduler!r}{nearest(scheme, schemes)}; an address begins "
+                f"with one of: {', '.join(schemes)}"
+            )
+        return _OTHERS.load(scheme)
 
     @property
     def is_shared(self) -> bool:
         """Whether other processes, which this one does not know, may be at work on the same."""
-        return self.share is not None or isinstance(self.out, Remote) or self.on_slurm
+        return bool(self.share or isinstance(self.out, Remote) or self.executor.records)

@@ -8,27 +8,20 @@ machines see.
 
 import math
 import pickle
-import socket
 import threading
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from functools import partial
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 from uuid import uuid4
 
-from articugen.core.errors import ArticugenError, MachineFault, MissingExtra
-from articugen.core.ledger import LEDGER
-from articugen.core.processes import Crew, Ended, Limit
-from articugen.pipeline.executors.work import Notice, Work
+from articugen.core.errors import MachineFault, MissingExtra
+from articugen.core.processes import Ended
+from articugen.pipeline.executors.work import Elsewhere, Executor, Notice, Work
 from articugen.pipeline.job import Job
-from articugen.pipeline.making import Task, import_stages, limit_of, name_of
-from articugen.store.manifest import Outcome, code_version
-
-T = TypeVar("T")
-R = TypeVar("R")
+from articugen.pipeline.making import Task
+from articugen.store.manifest import Outcome
 
 CONNECT_SECONDS = 20.0
 WIDTH_SECONDS = 2.0
@@ -41,74 +34,43 @@ _IN_FLIGHT = 4
 
 
 @dataclass(frozen=True)
-class Dask:
+class Dask(Executor):
     """The workers of a cluster, by its scheduler's address, tcp://host:8786."""
 
     address: str
-    is_here = False
-    records = False
+
+    @classmethod
+    def of(cls, job: Job, command: str) -> "Dask":
+        return cls(job.scheduler)
 
     def get_ready(self, job: Job, notice: Notice) -> None:
         """
         Raises:
-            MissingExtra, MachineFault: as `each`.
+            MissingExtra: distributed is not installed.
+            MachineFault: no scheduler answers.
         """
-        threads(self.address)
+        self.width(0)
 
     def width(self, tasks: int) -> int:
-        return threads(self.address)
+        with _client(self.address) as client:
+            return _threads(client)
 
     def ends(
         self, work: Work, tasks: Sequence[Task], notice: Notice
     ) -> Generator[Ended[Outcome | None], None, None]:
-        folder = work.job.folder.resolve()
-        duty = Duty(
-            partial(Work.done, replace(work, job=replace(work.job, out=folder), handles=())),
-            limit_of(work.job.recipe),
-            import_stages,
-            name_of,
-            code_version(),
-            folder / LEDGER,
-        )
-        return each(duty, tasks, address=self.address, notice=notice)
-
-
-@dataclass(frozen=True)
-class Duty:
-    """What workers of the cluster are to do with every task.
-
-    Attributes:
-        function, limit, ready, name: as of `processes.each`.
-        code: whoever has other code must not take part.
-        sees: a file that must be there: it tells whether the folder is a common one.
-        patience: seconds after which a network's file system shows a new file everywhere.
-    """
-
-    function: Callable[[Any], Any]
-    limit: Limit
-    ready: Callable[[], None]
-    name: Callable[[Any], str]
-    code: str
-    sees: Path
-    patience: float = 10.0
+        """
+        Raises:
+            MissingExtra: distributed is not installed.
+            MachineFault: no scheduler answers, or it has gone.
+            ArticugenError: a worker has other code, or does not see the folder.
+        """
+        return each(Elsewhere.of(work), tasks, address=self.address, notice=notice)
 
 
 def each(
-    duty: Duty, tasks: Sequence[T], *, address: str, notice: Callable[[str], None]
-) -> Generator[Ended[Any], None, None]:
-    """The function of each task, as they end; raises what it raises. Closing this ends all tasks.
-
-    Args:
-        duty: what to do.
-        tasks: picklable.
-        address: of the scheduler, tcp://host:8786.
-        notice: called with one sentence where nobody is there to work.
-
-    Raises:
-        MissingExtra: distributed is not installed.
-        MachineFault: no scheduler answers, or it has gone.
-        ArticugenError: a worker has other code, or does not see the folder.
-    """
+    work: Elsewhere, tasks: Sequence[Task], *, address: str, notice: Notice
+) -> Generator[Ended[Outcome | None], None, None]:
+    """Yield how tasks end, as they do; see `Dask.ends`."""
     with _client(address) as client:
         if not _threads(client):
             notice(f"{address} has no workers yet; start some with: dask worker {address}")
@@ -124,7 +86,7 @@ def each(
                 if number is None:
                     return
                 future = client.submit(
-                    _do, duty, tasks[number], key=(of, number), pure=False, retries=RETRIES
+                    _do, work, tasks[number], key=(of, number), pure=False, retries=RETRIES
                 )
                 running[future] = number
                 queue.add(future)
@@ -150,16 +112,6 @@ class _Width:
         if time.monotonic() - self._asked > WIDTH_SECONDS:
             self._found, self._asked = _threads(self._client), time.monotonic()
         return self._found
-
-
-def threads(address: str) -> int:
-    """Return how many tasks the cluster does at once.
-
-    Raises:
-        MissingExtra, MachineFault: as `each`.
-    """
-    with _client(address) as client:
-        return _threads(client)
 
 
 @contextmanager
@@ -204,52 +156,20 @@ def _ended(future: Any, number: int, address: str) -> Ended[Any]:
 _mine = threading.local()
 
 
-def _do(duty: Duty, task: Any) -> Ended[Any]:
-    """Return one task in this thread's own process."""
-    crew = _crew(duty)
+def _do(work: Elsewhere, task: Task) -> Ended[Outcome | None]:
+    """Do one task in this thread's own process, which it keeps for the next one."""
     try:
-        (ended,) = crew.each([task])
+        if getattr(_mine, "work", None) != (what := pickle.dumps(work)):
+            _dismiss()
+            _mine.crew, _mine.work = work.worker(), what
+        (ended,) = _mine.crew.each([task])
     except BaseException:
         _dismiss()
         raise
     return ended
 
 
-def _crew(duty: Duty) -> Crew[Any, Any]:
-    """Return the process that this thread keeps for a duty, which is looked at once."""
-    what = pickle.dumps(duty)
-    if getattr(_mine, "duty", None) != what:
-        _dismiss()
-        _check(duty)
-        _mine.crew = Crew(
-            duty.function, workers=1, limit=duty.limit, ready=duty.ready, name=duty.name
-        )
-        _mine.duty = what
-    return _mine.crew
-
-
 def _dismiss() -> None:
-    crew, _mine.crew, _mine.duty = getattr(_mine, "crew", None), None, None
+    crew, _mine.crew, _mine.work = getattr(_mine, "crew", None), None, None
     if crew is not None:
         crew.__exit__()
-
-
-def _check(duty: Duty) -> None:
-    """
-    Raises:
-        ArticugenError: this worker would make other data, or put them elsewhere.
-    """
-    here = socket.gethostname()
-    if code_version() != duty.code:
-        raise ArticugenError(
-            f"the worker on {here} has articugen {code_version()}, this is {duty.code}; install "
-            "the same there"
-        )
-    patience = time.monotonic() + duty.patience
-    while not duty.sees.exists():
-        if time.monotonic() > patience:
-            raise ArticugenError(
-                f"the worker on {here} does not see {duty.sees.parent}; --out must be on a file "
-                "system that all machines have under the same path"
-            )
-        time.sleep(0.1)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from articugen.core import processes
 from articugen.core.compiling import compile_kernels
-from articugen.pipeline.executors.work import Notice, Work
+from articugen.pipeline.executors.work import Executor, Notice, Work
 from articugen.pipeline.job import Job
 from articugen.pipeline.making import (
     Task,
@@ -26,12 +26,15 @@ _FEWEST_SHARED = 8
 
 
 @dataclass(frozen=True)
-class Local:
+class Local(Executor):
     """So many worker processes; with 0, this one."""
 
     jobs: int
     is_here = True
-    records = False
+
+    @classmethod
+    def of(cls, job: Job, command: str) -> "Local":
+        return cls(job.jobs)
 
     def get_ready(self, job: Job, notice: Notice) -> None:
         compile_kernels("generate", jobs=self.jobs, notice=notice)

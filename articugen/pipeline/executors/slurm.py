@@ -29,7 +29,7 @@ from articugen.core.ledger import Ledger
 from articugen.core.place import Folder
 from articugen.core.processes import Ended
 from articugen.pipeline.executors.local import Local
-from articugen.pipeline.executors.work import Notice, Work
+from articugen.pipeline.executors.work import Executor, Notice, Work
 from articugen.pipeline.job import Job, Share
 from articugen.pipeline.making import Task
 from articugen.pipeline.run import started
@@ -88,7 +88,7 @@ class Array:
 
 
 @dataclass(frozen=True)
-class Slurm:
+class Slurm(Executor):
     """An array of SLURM for a data set in a folder that all of its nodes see.
 
     Attributes:
@@ -99,18 +99,13 @@ class Slurm:
     array: Array
     command: str
     ledger: Ledger
-    is_here = False
     records = True
 
-    @staticmethod
-    def of(job: Job, command: str = "") -> "Slurm":
-        """
-        Raises:
-            InvalidArgument: the scheduler's address makes no sense.
-        """
+    @classmethod
+    def of(cls, job: Job, command: str) -> "Slurm":
         array, ledger = Array.of_address(job.scheduler), Ledger(Folder(job.folder.resolve()))
         ledger.mark()  # before the run plans: what is recorded from now on, it may not know
-        return Slurm(array, command, ledger)
+        return cls(array, command, ledger)
 
     def get_ready(self, job: Job, notice: Notice) -> None:
         """

@@ -1,17 +1,21 @@
 """What an executor does: a piece of work for each of many tasks."""
 
+import socket
+import time
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from articugen.core.ledger import Ledger
-from articugen.core.processes import Ended
+from articugen.core.errors import ArticugenError
+from articugen.core.ledger import LEDGER, Ledger
+from articugen.core.processes import Crew, Ended
 from articugen.pipeline.common import key_of, record_in, recorded
 from articugen.pipeline.job import Job
-from articugen.pipeline.making import Task, make_object
+from articugen.pipeline.making import Task, import_stages, limit_of, make_object, name_of
 from articugen.store.bucket import Bucket
-from articugen.store.manifest import Outcome
+from articugen.store.manifest import Outcome, code_version
 from articugen.store.writer import Check
 
 Notice = Callable[[str], None]
@@ -70,20 +74,87 @@ class Work:
         return replace(self, aside=aside)
 
 
-class Executor(Protocol):
-    """Who makes objects: it yields how each task ended, as they do.
+@dataclass(frozen=True)
+class Elsewhere:
+    """Work as it is sent to other machines, which see the data set's folder under the same path.
 
     Attributes:
-        is_here: whether its workers end with this process.
-        records: whether what it yields is in the ledger already.
+        work: without this process's files; a relative source needs the same working folder there.
+        code: the version of articugen here.
+        patience: seconds after which a network's file system shows a new file everywhere.
     """
 
-    is_here: bool
-    records: bool
+    work: Work
+    code: str
+    patience: float = 10.0
+
+    @staticmethod
+    def of(work: Work) -> "Elsewhere":
+        job = replace(work.job, out=work.job.folder.resolve(), scheduler="")
+        return Elsewhere(replace(work, job=job, handles=()), code_version())
+
+    def worker(self) -> Crew[Task, Outcome | None]:
+        """Return a process on this machine that does tasks, by `worker.each([task])`.
+
+        It is watched as it would be in a run here: a task that exceeds the recipe's limits, or
+        takes its process along, costs no other. Leaving it as a context ends it.
+
+        Raises:
+            ArticugenError: this machine would make other data, or put them elsewhere.
+        """
+        here, folder = socket.gethostname(), self.work.job.folder
+        if code_version() != self.code:
+            raise ArticugenError(
+                f"the worker on {here} has articugen {code_version()}, this is {self.code}; "
+                "install the same there"
+            )
+        end = time.monotonic() + self.patience
+        while not (folder / LEDGER).exists():
+            if time.monotonic() > end:
+                raise ArticugenError(
+                    f"the worker on {here} does not see {folder}; --out must be on a file system "
+                    "that all machines have under the same path"
+                )
+            time.sleep(0.1)
+        return Crew(
+            partial(Work.done, self.work),
+            workers=1,
+            limit=limit_of(self.work.job.recipe),
+            ready=import_stages,
+            name=name_of,
+        )
+
+
+class Executor(Protocol):
+    """Who makes objects. Inherit from this: what has a body need not be given.
+
+    Attributes:
+        is_here: whether its workers end with this process. If so, an interrupted run tidies up.
+        records: whether its workers are runs of a share of their own (`generate --shard`): what
+            `ends` yields is in the ledger already, and the folder is open to other processes.
+    """
+
+    is_here: bool = False
+    records: bool = False
+
+    @classmethod
+    def of(cls, job: Job, command: str) -> "Executor":
+        """Return the executor that `job.scheduler` names.
+
+        Args:
+            command: that makes the whole data set, as people write it.
+
+        Raises:
+            InvalidArgument: the address makes no sense.
+        """
+        ...
 
     def get_ready(self, job: Job, notice: Notice) -> None:
-        """Do what is not the data's time: compile kernels, find a cluster."""
-        ...
+        """Do what is not the data's time: compile kernels, find a cluster.
+
+        Raises:
+            ArticugenError: it cannot work.
+        """
 
     def width(self, tasks: int) -> int:
         """Return how many of so many tasks are worked on at the same time."""
@@ -92,6 +163,16 @@ class Executor(Protocol):
     def ends(
         self, work: Work, tasks: Sequence[Task], notice: Notice
     ) -> Generator[Ended[Outcome | None], None, None]:
-        """How each task ends; closing this ends all of them. A value of None stands for an object
-        that another process is at."""
+        """Yield how each task ends, in any order; closing the generator ends all of them.
+
+        An `Ended` has the task's index in `tasks`. A value of None stands for an object that
+        another process is at. A worker that died is given its task again, as often as makes sense,
+        and then yielded as `lost`. The folder's ledger is there already.
+
+        Args:
+            notice: called with one sentence where a worker was lost, and the like.
+
+        Raises:
+            MachineFault: nobody can go on; what was yielded is kept.
+        """
         ...
