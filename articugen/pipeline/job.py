@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from articugen.core import plugins
 from articugen.core.errors import InvalidArgument, InvalidRecipe, printable
@@ -12,9 +12,6 @@ from articugen.core.place import Folder
 from articugen.core.recipe import Recipe, check_category
 from articugen.core.yaml_files import nearest
 from articugen.store.bucket import Bucket, Remote
-
-if TYPE_CHECKING:
-    from articugen.pipeline.executors.work import Executor
 
 _HERE = "articugen.pipeline.executors"
 EXECUTORS = {
@@ -107,8 +104,8 @@ class Job:
         return self.out
 
     @property
-    def executor(self) -> type["Executor"]:
-        """The class of who makes it.
+    def executor(self) -> type[Any]:
+        """The class of who makes it, an `executors.work.Executor`.
 
         Raises:
             InvalidArgument: there is none of that scheme; names those that there are.
