@@ -26,6 +26,10 @@ _C0, _C1, _C2 = _f(0.9999999997774724), _f(-0.49999999351356206), _f(0.041666636
 _C3, _C4, _C5 = _f(-0.0013888358287423022), _f(2.476000572997337e-05), _f(-2.604878710231237e-07)
 _ONE, _TWO, _ZERO = _f(1.0), _f(2.0), _f(0.0)
 
+_SUMS = {"fastmath": {"contract", "reassoc", "nsz"}, "forceinline": True}
+"""Of helpers whose sums may be taken in another order. Inlined, or the process that compiles a
+kernel would call the helper's first copy, and one that loads it a copy that adds otherwise."""
+
 
 @helper(fastmath={"contract"})
 def _reduced(z):
@@ -92,7 +96,7 @@ def _affine(W, b, x, z):
             i += 1
 
 
-@helper(fastmath={"contract", "reassoc", "nsz"})
+@helper(**_SUMS)
 def _gathered(d, x, n_out, n_in, gW, gb):
     """Add what a layer's weights get from d, the gradient of W x + b."""
     for o in range(n_out):
@@ -264,7 +268,7 @@ def backward(  # noqa: PLR0912, PLR0915 - one pass, in the order of the layers
                 _gathered(d, x, c, 3, g_moved[b, p], g_shift[b, p])
 
 
-@helper(fastmath={"contract", "reassoc", "nsz"})
+@helper(**_SUMS)
 def _added(d, count, to):
     """Add the sums over the points."""
     for o in range(count):
