@@ -15,6 +15,7 @@ from articugen.store.writer import write_shard
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen.core import geometry
+from articugen.learning.data import split
 from articugen.learning.data.batch import BatchSpec
 from articugen.learning.data.split import _places, load_split, unpacked, voxel_centres
 
@@ -52,6 +53,33 @@ def test_everything_of_the_split_is_there(packed):
     assert sorted(set(packed.object_id)) == [f"box-{i}" for i in range(4)]
     assert packed.state_index.tolist() == [0, 1, 2, 3] * 4
     assert packed.bytes == 16 * (2048 * 6 + 512 + 1024 * 7 + 2048 * 7 + 2 * 8)
+
+
+def test_points_are_carried_to_the_canonical_pose_and_joints_are_those_of_the_shards(folder):
+    """What a supervised learner asks for, against the rows of the shards."""
+    spec = BatchSpec(surface_points=2048, parts=True, motions=True)
+    packed = load_split(folder, "train", spec, [], category="box")
+    batch = packed.batch([5, 0], spec, 8, rng())
+    assert batch.rest is not None
+    assert set(batch.joints) == {"kind", "state", "axis", "pivot"}
+    with open_shard(sorted(folder.glob("train-*.h5"))[1]) as shard:
+        instance = shard.instance(1)
+    points, part = dequantize(instance.surface_points), instance.surface_part
+    back = geometry.invert_rigid(instance.part_motion)[part]
+    rest = (back[:, :3, :3] @ points[..., None])[..., 0] + back[:, :3, 3]
+    np.testing.assert_allclose(batch.rest[0], rest, atol=1e-6)
+    assert (batch.part[0].numpy() == part).all()
+    for name, values in batch.joints.items():
+        np.testing.assert_allclose(values[0], getattr(instance, f"joint_{name}"), atol=1e-6)
+    assert torch.equal(batch.rest[1], batch.cloud[1])  # the canonical pose itself
+
+
+def test_an_object_with_fewer_joints_has_zeros_in_their_place():
+    one, two = np.ones((3, 2, 4, 4)), np.ones((1, 3, 4, 4))
+    joined = split._joined("part_motion", [one, two])
+    assert joined.shape == (4, 3, 4, 4)
+    assert not joined[:3, 2].any()
+    assert joined[3].all()
 
 
 def test_fixed_point_is_unpacked_exactly():

@@ -3,7 +3,7 @@
 A method is one folder beside this file, or another package: one loop trains it, one kind of run
 folder keeps it, seeds race, evaluation judges it, and the commands take it by name. Nothing here
 imports a method; METHODS and entry points of the group `articugen.methods` say where they are, as
-`<module>:<attribute>`, and what is named there is imported when it is asked for.
+`<module>:<attribute>`, and what is named there is imported when it is needed.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ METHODS = {
     "bae": "articugen.learning.bae:METHOD",
     "bsp": "articugen.learning.bsp:METHOD",
     "one_part": "articugen.learning.one_part:METHOD",
-    "ppd": "articugen.learning.ppd.method:PPD_METHOD",
-    "ppd_depth": "articugen.learning.ppd.method:DEPTH_METHOD",
+    "ppd": "articugen.learning.ppd:METHOD",
+    "ppd_depth": "articugen.learning.ppd:DEPTH_METHOD",
 }
 """Ours by name; those of other packages are found by their entry points."""
 
@@ -136,15 +136,19 @@ class Method(Protocol):
     Settings: type[TrainRecipe]
     """Its recipes: a TrainRecipe with sections of its own, stages and their flags included."""
 
+    learner: str = ""
+    """The class of its learners, as `<module>:<class>`, so that torch is imported late. It takes
+    (settings, seed, device), which `start` names."""
+
     def start(self, settings: Any, *, seed: int, device: torch.device) -> Learner:
-        """A new learner.
+        """Return a new learner.
 
         Args:
             settings: a recipe, of the kind `Settings`.
             seed: decides its weights, whatever the device; any integer below 2^63.
             device: `meta` asks for shapes alone, to compare a stored state with.
         """
-        ...
+        return _at(self.learner)(settings, seed, device)
 
     def yardsticks(self) -> Mapping[str, Yardstick]:
         """How it is measured elsewhere, by the protocol's name; `paper` is there for all."""
@@ -170,8 +174,13 @@ def find_method(name: str) -> Method:
             f"no method {name!r}{nearest(name, names)}; there are: {', '.join(names)}"
         )
     if name in METHODS:
-        return EntryPoint(name, METHODS[name], _OTHERS.name).load()
+        return _at(METHODS[name])
     return _OTHERS.load(name)
+
+
+def _at(place: str) -> Any:
+    """Import what is at a place, `<module>:<attribute>`."""
+    return EntryPoint("", place, _OTHERS.name).load()
 
 
 def load_recipe(

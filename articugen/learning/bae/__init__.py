@@ -5,28 +5,15 @@ the authors' program, since every method here is given the same: the encoder see
 the points of a cloud fill, and query points are centres of cells, half of them near the surface.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from articugen.learning.bae.settings import BAERecipe
 from articugen.learning.method import Method
-
-if TYPE_CHECKING:
-    import torch
-
-    from articugen.learning.bae.learner import BAELearner
 
 
 class BAEMethod(Method):
     name = "bae"
     recipe = "bae"
     Settings = BAERecipe
-
-    def start(self, settings: BAERecipe, *, seed: int, device: torch.device) -> BAELearner:
-        from articugen.learning.bae.learner import BAELearner  # noqa: PLC0415
-
-        return BAELearner(settings, seed, device)
+    learner = "articugen.learning.bae.learner:BAELearner"
 
 
 METHOD = BAEMethod()

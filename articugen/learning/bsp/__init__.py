@@ -5,28 +5,15 @@ so a convex of the same number tends to be the same part everywhere. Voxels and 
 those of `learning/bae`, not those of the authors' program.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from articugen.learning.bsp.settings import BSPRecipe
 from articugen.learning.method import Method
-
-if TYPE_CHECKING:
-    import torch
-
-    from articugen.learning.bsp.learner import BSPLearner
 
 
 class BSPMethod(Method):
     name = "bsp"
     recipe = "bsp"
     Settings = BSPRecipe
-
-    def start(self, settings: BSPRecipe, *, seed: int, device: torch.device) -> BSPLearner:
-        from articugen.learning.bsp.learner import BSPLearner  # noqa: PLC0415
-
-        return BSPLearner(settings, seed, device)
+    learner = "articugen.learning.bsp.learner:BSPLearner"
 
 
 METHOD = BSPMethod()

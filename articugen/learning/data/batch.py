@@ -1,6 +1,6 @@
 """What a learner asks for, and what it is given in one step."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from torch import Tensor
@@ -22,6 +22,7 @@ class BatchSpec:
         poses: whether several poses of each object are compared; for `varying_points` they are.
         hidden: whether it is wanted which voxels of the finest grid are not free.
         normals: whether the normals of surface points are wanted.
+        motions: whether it is wanted how the true parts have moved, for `Batch.rest` and `joints`.
         chances: so many random numbers the learner asks for each sample.
     """
 
@@ -39,6 +40,7 @@ class BatchSpec:
     poses: bool = False
     hidden: bool = False
     normals: bool = False
+    motions: bool = False
     chances: int = 0
 
     @staticmethod
@@ -60,6 +62,10 @@ class Batch:
         spread: the first so many query points are spread evenly over the cube, the others lie near
             the surface, in the band around it, and where the object's poses differ, in this order.
         chance: (B, k) random numbers in [0, 1), for whatever the learner does with the samples.
+        rest: (B, n, 3) where the cloud's points lie in the canonical pose, if motions were asked
+            for; a cloud that a depth camera sees has no parts, and so none.
+        joints: `kind` (B, J), `state` (B, J), `axis` and `pivot` (B, J, 3) likewise, as a shard has
+            them; J of the object with most, 0 where another has no such joint.
     """
 
     rows: Tensor
@@ -69,3 +75,5 @@ class Batch:
     occupied: Tensor
     spread: int
     chance: Tensor
+    rest: Tensor | None = None
+    joints: dict[str, Tensor] = field(default_factory=dict)

@@ -6,7 +6,7 @@ many of each, however few there are; that a moving part fills one voxel in a tho
 more.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,10 +43,6 @@ class LabelledCells:
     resolution: int
     index: Tensor
     count: Tensor
-
-    def changed(self, change: Callable[[Tensor], Tensor]) -> "LabelledCells":
-        """Return the same with both tensors changed."""
-        return LabelledCells(self.resolution, change(self.index), change(self.count))
 
     def draw(self, at: Tensor, count: int, rng: torch.Generator | None) -> tuple[Tensor, Tensor]:
         """Voxels' centres (B, count, 3) of the instances `at` (B,), and whether each is occupied.

@@ -5,7 +5,7 @@ worker process is needed, and a batch depends on nothing but its generator and i
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,9 @@ from articugen.learning.data.cells import LabelledCells, uniform, voxel_centres
 from articugen.learning.data.fitness import check_fixed_part, check_shard, check_varies
 from articugen.store.manifest import Manifest
 from articugen.store.shards import Shard, open_shard
+
+JOINTS = ("kind", "state", "axis", "pivot")
+"""The fields of joints that are packed for a learner which asks for motions."""
 
 FEW = 4
 """Where at most one in so many stored points is taken, one comes from each of equal stretches."""
@@ -44,6 +47,9 @@ class PackedSplit:
             the recipe calls occupied; R is `band.resolution`. (I, 0) unless asked for.
         band, varying: voxels around this pose's material, and those that differ between poses.
         partial: (I, C, M, 3) what each of C depth cameras sees; C = 0 unless asked for.
+        motion: (I, P, 4, 4) float32 of each part from the canonical pose; (I, 0, 4, 4) unless asked
+            for. P parts of the object with most, zeros where another has no such part.
+        joints: as `Batch.joints`, of all instances.
     """
 
     object_id: NDArray[Any]
@@ -58,6 +64,8 @@ class PackedSplit:
     band: LabelledCells
     varying: LabelledCells
     partial: Tensor
+    motion: Tensor
+    joints: dict[str, Tensor]
 
     def __len__(self) -> int:
         return len(self.object_id)
@@ -65,11 +73,9 @@ class PackedSplit:
     @property
     def bytes(self) -> int:
         """What the tensors take."""
-        tensors = [self.surface, self.part, self.normals, *self.grids.values()]
-        tensors += [*self.uniform, *self.near, self.hidden, self.partial]
-        for some in (self.band, self.varying):
-            tensors += [some.index, some.count]
-        return sum(t.numel() * t.element_size() for t in tensors)
+        sizes = []
+        self._with(lambda tensor: sizes.append(tensor.nbytes) or tensor)
+        return sum(sizes)
 
     def poses_of(self, name: str) -> NDArray[np.intp]:
         """Return the rows of an object, by their state: its canonical pose, where it is there,
@@ -93,19 +99,7 @@ class PackedSplit:
         return self._with(lambda tensor: tensor.to(device))
 
     def _with(self, change: Callable[[Tensor], Tensor]) -> "PackedSplit":
-        return replace(
-            self,
-            surface=change(self.surface),
-            part=change(self.part),
-            normals=change(self.normals),
-            grids={resolution: change(grid) for resolution, grid in self.grids.items()},
-            uniform=(change(self.uniform[0]), change(self.uniform[1])),
-            near=(change(self.near[0]), change(self.near[1])),
-            hidden=change(self.hidden),
-            band=self.band.changed(change),
-            varying=self.varying.changed(change),
-            partial=change(self.partial),
-        )
+        return _changed(self, change)
 
     def batch(
         self, rows: Sequence[int], spec: BatchSpec, resolution: int, rng: torch.Generator | None
@@ -120,7 +114,7 @@ class PackedSplit:
         at = index_on(self.surface.device, rows)
         each = at[:, None]
         cloud, where = self._clouds(at, spec, rng)
-        part = self.part[each, where] if spec.parts else self.part[at]
+        part = self.part[each, where] if self.part.shape[1] else self.part[at]
         points: list[Tensor] = []
         occupied: list[Tensor] = []
         if spec.grid_points:
@@ -142,9 +136,12 @@ class PackedSplit:
                 occupied.append(inside)
         spread = spec.grid_points + spec.uniform_points
         chance = uniform(rng, len(at), spec.chances, at.device)
+        cloud = unpacked(cloud)
         return Batch(
-            at, unpacked(cloud), part, torch.cat(points, 1), torch.cat(occupied, 1), spread, chance
-        )
+            at, cloud, part, torch.cat(points, 1), torch.cat(occupied, 1), spread, chance,
+            at_rest(cloud, part, self.motion[at]) if spec.motions and not spec.partial else None,
+            {name: values[at] for name, values in self.joints.items()},
+        )  # fmt: skip
 
     def _clouds(
         self, at: Tensor, spec: BatchSpec, rng: torch.Generator | None
@@ -157,6 +154,27 @@ class PackedSplit:
             return seen, torch.arange(seen.shape[1], device=at.device).expand(B, -1)
         where = _places(at, self.surface.shape[1], spec.surface_points, rng)
         return self.surface[at[:, None], where], where
+
+
+def at_rest(points: Tensor, part: Tensor, motion: Tensor) -> Tensor:
+    """Return (B, n, 3) points of parts (B, n) in the canonical pose; `motion` (B, P, 4, 4) is how
+    each part has moved since."""
+    T = motion[torch.arange(len(part), device=part.device)[:, None], part.long()]
+    return ((points - T[..., :3, 3])[..., None, :] @ T[..., :3, :3])[..., 0, :]
+
+
+def _changed(value: Any, change: Callable[[Tensor], Tensor]) -> Any:
+    """Return the same with every tensor in it changed."""
+    if isinstance(value, Tensor):
+        return change(value)
+    if isinstance(value, tuple):
+        return tuple(_changed(item, change) for item in value)
+    if isinstance(value, dict):
+        return {key: _changed(item, change) for key, item in value.items()}
+    if is_dataclass(value):
+        names = [field.name for field in fields(value)]
+        return replace(value, **{n: _changed(getattr(value, n), change) for n in names})  # pyright: ignore[reportArgumentType]
+    return value
 
 
 def index_on(device: torch.device, rows: Sequence[int]) -> Tensor:
@@ -233,7 +251,7 @@ def load_split(
         shards += [_read(folder / name, about, spec, wanted, finest) for name in names]
     try:
         # what is joined is let go: there is never much more than all of it at a time
-        joined = {name: np.concatenate([s.pop(name) for s in shards]) for name in list(shards[0])}
+        joined = {name: _joined(name, [s.pop(name) for s in shards]) for name in list(shards[0])}
     except ValueError:
         where = ", ".join(map(str, folders))
         raise UnfitData(
@@ -253,7 +271,18 @@ def load_split(
         LabelledCells(finest, _tensor(joined["band"]), _tensor(joined["band_count"])),
         LabelledCells(finest, _tensor(joined["varying"]), _tensor(joined["varying_count"])),
         _tensor(joined["partial_points"]),
+        _tensor(joined["part_motion"]),
+        {name: _tensor(joined[f"joint_{name}"]) for name in JOINTS if spec.motions},
     )
+
+
+def _joined(name: str, arrays: list[NDArray[Any]]) -> NDArray[Any]:
+    """Return one array of those of all shards; objects have parts and joints in any number."""
+    if name == "part_motion" or name.startswith("joint_"):
+        most = max(array.shape[1] for array in arrays)
+        beyond = [((0, 0), (0, most - a.shape[1]), *((0, 0),) * (a.ndim - 2)) for a in arrays]
+        arrays = [np.pad(array, more) for array, more in zip(arrays, beyond, strict=True)]
+    return np.concatenate(arrays)
 
 
 def _shards_of(
@@ -296,13 +325,15 @@ def _read(
         check_shard(shard, spec, sorted({*resolutions, finest} - {0}))
         row = {name: shard.read(name) for name in ("state_index", "surface_points")}
         wanted = {
-            "surface_part": spec.parts,
+            "surface_part": spec.parts or spec.motions,
             "surface_normals": spec.normals,
             "uniform_points": spec.uniform_points,
             "uniform_label": spec.uniform_points,
             "near_points": spec.near_points,
             "near_label": spec.near_points,
             "partial_points": spec.partial,
+            "part_motion": spec.motions,
+            **{f"joint_{name}": spec.motions for name in JOINTS},
         }
         row |= {name: shard.read(name) if w else _none(shard, name) for name, w in wanted.items()}
         for name in ("uniform_label", "near_label"):
@@ -396,5 +427,7 @@ def _fill_empty(grid: NDArray[np.uint8], surface: NDArray[np.uint16], resolution
 
 
 def _tensor(array: NDArray[Any]) -> Tensor:
-    """Torch has few functions for uint16: their bits as int16."""
+    """Return a tensor: of uint16 the bits as int16, for which torch has more functions, and of
+    double precision the nearest float32."""
+    array = array.astype(np.float32) if array.dtype == np.float64 else array
     return torch.from_numpy(array.view(np.int16) if array.dtype == np.uint16 else array)
