@@ -11,7 +11,7 @@ from articugen.learning.bae.settings import BAERecipe, ModelSettings
 from articugen.learning.blocks import VoxelEncoder, occupied_voxels
 from articugen.learning.commands import evaluate
 from articugen.learning.data.batch import Batch
-from articugen.learning.loop import split_for, train
+from articugen.learning.loop import Training, train
 from articugen.learning.method import find_method, load_recipe
 
 torch.set_num_threads(1)
@@ -151,10 +151,10 @@ def boxes(tmp_path_factory):
 def test_it_learns_and_is_judged_as_all_are(boxes, tmp_path):
     cpu = torch.device("cpu")
     learner = find_method("bae").start(TINY, seed=0, device=cpu)
-    training, held_out = split_for(learner, boxes, "box", cpu)
+    training, held_out = Training(TINY, "box", boxes, tmp_path).split(learner, "cpu")
     rng = torch.Generator().manual_seed(0)
     labels = training.batch(range(len(training)), learner.inputs, 16, rng).occupied.float()
-    run = train(TINY, category="box", data=boxes, runs=tmp_path)
+    run = train(Training(TINY, "box", boxes, tmp_path))
     rec = [r["terms"]["rec"] for r in run.metrics() if "terms" in r]
     assert np.mean(rec[-5:]) < 0.95 * float(labels.var())  # what the best constant comes to
     last = [r["validation"] for r in run.metrics() if "validation" in r][-1]

@@ -1,5 +1,6 @@
 """BSP-Net: its layers, losses and polygons against a literal reading, and that it learns."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -18,7 +19,7 @@ from articugen.learning.bsp.polytopes import cut, reconstruction_of_polytopes
 from articugen.learning.bsp.settings import BSPRecipe, ModelSettings
 from articugen.learning.commands import evaluate
 from articugen.learning.data.batch import Batch
-from articugen.learning.loop import train
+from articugen.learning.loop import Training, train
 from articugen.learning.method import load_recipe
 from articugen.learning.run_folder import LATEST, read_checkpoint
 
@@ -316,11 +317,11 @@ def test_it_separates_two_boxes():
 def test_it_resumes_as_if_it_had_not_stopped_and_is_judged(tmp_path):
     boxes = write_boxes(tmp_path / "boxes", train=3, test=1, states=1)
     plan = recipe(("continuous", 10), ("hard", 8))
-    about = {"category": "box", "data": boxes, "runs": tmp_path / "runs"}
-    whole = train(plan, **about)
+    what = Training(plan, "box", boxes, tmp_path / "runs")
+    whole = train(what)
     for stop in (6, 14):  # within each stage
-        part = train(plan, **about, stop_after=stop)
-        part = train(plan, **about, resume=part.path)
+        part = train(what, stop_after=stop)
+        part = train(replace(what, resume=part.path))
         ours, theirs = (read_checkpoint(run.path / LATEST).state for run in (part, whole))
         assert digest(ours) == digest(theirs)
     found = evaluate(whole.path, boxes, resolution=16)

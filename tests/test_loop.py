@@ -29,7 +29,7 @@ torch = pytest.importorskip("torch", reason="PPD needs torch")
 from articugen.learning.data import split
 from articugen.learning.data.batch import BatchSpec
 from articugen.learning.data.split import load_split
-from articugen.learning.loop import batch_rows, split_objects, train
+from articugen.learning.loop import Training, batch_rows, split_objects, train
 from articugen.learning.ppd import losses, objective
 from articugen.learning.ppd.discriminator import Discriminator
 from articugen.learning.ppd.network import PPD
@@ -68,8 +68,8 @@ def boxes(tmp_path_factory):
     return write_boxes(tmp_path_factory.mktemp("boxes"))
 
 
-def start(boxes, runs, recipe=TINY, **options):
-    return train(recipe, category="box", data=boxes, runs=runs, **options)
+def start(boxes, runs, recipe=TINY, *, stop_after=None, **options):
+    return train(Training(recipe, "box", boxes, runs, **options), stop_after=stop_after)
 
 
 @pytest.fixture(scope="module")

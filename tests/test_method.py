@@ -107,8 +107,8 @@ def test_the_same_commands_train_judge_and_rig(boxes, tmp_path, monkeypatch):
 
 def test_stop_and_resume_comes_to_the_same(boxes, tmp_path):
     recipe = load_recipe(tmp_path / "mine.yaml")
-    told = {"category": "box", "data": boxes, "runs": tmp_path / "runs"}
-    whole, part = (commands.loop.train(recipe, **told, stop_after=stop) for stop in (None, 3))
+    what = commands.loop.Training(recipe, "box", boxes, tmp_path / "runs")
+    whole, part = (commands.loop.train(what, stop_after=stop) for stop in (None, 3))
     articugen("train", "-c", "box", "-d", boxes, "--resume", part.path)
     one, two = (read_checkpoint(run.path / LATEST).state for run in (whole, part))
     assert digest(one) == digest(two)

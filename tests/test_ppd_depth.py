@@ -21,7 +21,7 @@ from articugen.learning.clouds import seen_by_a_camera
 from articugen.learning.commands import train as trained
 from articugen.learning.data.batch import BatchSpec
 from articugen.learning.data.split import load_split, unpacked
-from articugen.learning.loop import train
+from articugen.learning.loop import Training, train
 from articugen.learning.ppd.depth import latents
 from articugen.learning.run_folder import LATEST, RunFolder, read_checkpoint
 
@@ -57,12 +57,12 @@ def boxes(tmp_path_factory):
 @pytest.fixture(scope="module")
 def base(boxes, tmp_path_factory):
     """A run whose first two stages are done."""
-    return train(TINY, category="box", data=boxes, runs=tmp_path_factory.mktemp("runs")).path
+    return train(Training(TINY, "box", boxes, tmp_path_factory.mktemp("runs"))).path
 
 
-def third_stage(boxes, base, runs, **more) -> RunFolder:
+def third_stage(boxes, base, runs, *, stop_after=None, **more) -> RunFolder:
     recipe = load_recipe({"extends": "ppd_depth", "teacher": str(base), "schedule": PLAN})
-    return train(recipe, category="box", data=boxes, runs=runs, **more)
+    return train(Training(recipe, "box", boxes, runs, **more), stop_after=stop_after)
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +113,7 @@ def test_a_teacher_that_was_trained_by_another_recipe_meanwhile_is_refused(base,
     taught = recipe.taught.model_copy(update={"losses": LossSettings(vol=1.0)})
     other = recipe.model_copy(update={"taught": taught})
     with pytest.raises(InvalidCheckpoint, match="is of another recipe than `taught`"):
-        train(other, category="box", data=boxes, runs=tmp_path)
+        train(Training(other, "box", boxes, tmp_path))
 
 
 def test_a_recipe_takes_model_and_data_from_its_teacher(base, whole, tmp_path):
@@ -121,7 +121,7 @@ def test_a_recipe_takes_model_and_data_from_its_teacher(base, whole, tmp_path):
     assert (recipe.taught, recipe.data) == (TINY, TINY.data)
     assert recipe.variant == TINY.variant
     with pytest.raises(InvalidRecipe, match="names no teacher; set teacher to a run's folder"):
-        train(load_recipe("ppd_depth"), category="box", data=tmp_path, runs=tmp_path)
+        train(Training(load_recipe("ppd_depth"), "box", tmp_path, tmp_path))
     for teacher, said in ((whole.path, "is of method ppd_depth; name a run of PPD"),
                           (tmp_path, "cannot be read")):  # fmt: skip
         with pytest.raises(InvalidRecipe, match=said):

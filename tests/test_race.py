@@ -12,7 +12,7 @@ from articugen.learning.recipe import DataSettings, Seeds
 torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen.learning import race as race_module
-from articugen.learning.loop import train
+from articugen.learning.loop import Training, train
 from articugen.learning.race import RACE, best_half, race
 from articugen.learning.run_folder import BEST, LATEST, METRICS, read_checkpoint
 
@@ -42,7 +42,7 @@ def boxes(tmp_path_factory):
 @pytest.fixture(scope="module")
 def whole(boxes, tmp_path_factory):
     """A race that nothing interrupted, in this process."""
-    return race(TINY, category="box", data=boxes, runs=tmp_path_factory.mktemp("race"), seed=1)
+    return race(Training(TINY, "box", boxes, tmp_path_factory.mktemp("race"), seed=1))
 
 
 def told(run) -> dict:
@@ -73,15 +73,13 @@ def test_the_worse_half_drops_out_and_the_best_is_kept(whole):
 
 def test_the_winner_is_what_its_seed_alone_would_be(boxes, whole, tmp_path):
     winner = told(whole)["winner"]
-    alone = train(TINY, category="box", data=boxes, runs=tmp_path, seed=winner)
+    alone = train(Training(TINY, "box", boxes, tmp_path, seed=winner))
     assert same_weights(alone.path / LATEST, whole.path / LATEST)
 
 
 def test_processes_change_nothing(boxes, whole, tmp_path):
     seen = []
-    run = race(
-        TINY, category="box", data=boxes, runs=tmp_path, seed=1, jobs=2, on_progress=seen.append
-    )
+    run = race(Training(TINY, "box", boxes, tmp_path, seed=1), jobs=2, on_progress=seen.append)
     assert told(run) == told(whole)
     assert same_weights(run.path / LATEST, whole.path / LATEST)
     assert {p.seed for p in seen} == {1, 2, 3}
@@ -93,47 +91,43 @@ def test_an_interrupted_race_goes_on(boxes, whole, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        race(TINY, category="box", data=boxes, runs=tmp_path, seed=1, on_progress=interrupt)
+        race(Training(TINY, "box", boxes, tmp_path, seed=1), on_progress=interrupt)
     seen = []
     path = tmp_path / "000"
     run = race(
-        TINY, category="box", data=boxes, runs=tmp_path, seed=1, resume=path,
+        Training(TINY, "box", boxes, tmp_path, seed=1, resume=path),
         on_progress=lambda p: seen.append((p.seed, p.iteration)),
-    )  # fmt: skip
+    )
     assert told(run) == told(whole)
     assert same_weights(run.path / LATEST, whole.path / LATEST)
     assert (1, 1) not in seen  # the first seed's first heat was done
     other = TINY.with_seeds(2)
     with pytest.raises(InvalidCheckpoint, match="another recipe"):
-        race(other, category="box", data=boxes, runs=tmp_path, seed=1, resume=path)
+        race(Training(other, "box", boxes, tmp_path, seed=1, resume=path))
 
 
 def test_a_seed_that_diverges_loses(boxes, tmp_path, monkeypatch):
-    def train_or_diverge(recipe, *, seed, **options):
-        if seed in bad:
+    def train_or_diverge(what, **options):
+        if what.seed in bad:
             raise TrainingDiverged("no number")
-        return train(recipe, seed=seed, **options)
+        return train(what, **options)
 
     monkeypatch.setattr(race_module, "train", train_or_diverge)
     bad = {0, 1}
-    run = race(TINY, category="box", data=boxes, runs=tmp_path)
+    run = race(Training(TINY, "box", boxes, tmp_path))
     assert told(run)["rounds"][0]["validation"]["0"] is None
     assert told(run)["winner"] == 2
     bad = {0, 1, 2}
     with pytest.raises(TrainingDiverged, match="all seeds diverged before iteration 2"):
-        race(TINY, category="box", data=boxes, runs=tmp_path)
+        race(Training(TINY, "box", boxes, tmp_path))
 
 
 def test_data_that_cannot_be_learnt_from_leave_no_run(tmp_path):
     data = write_boxes(tmp_path / "data", train=2, test=0, states=0)
     settings = DataSettings(surface_points=100, grid_points=100, varying_points=20)
+    recipe = TINY.model_copy(update={"data": settings})
     with pytest.raises(UnfitData, match="holds one pose of box-0"):
-        race(
-            TINY.model_copy(update={"data": settings}),
-            category="box",
-            data=data,
-            runs=tmp_path / "runs",
-        )
+        race(Training(recipe, "box", data, tmp_path / "runs"))
     assert not (tmp_path / "runs").exists()
 
 

@@ -26,7 +26,7 @@ import safetensors.torch as safetensors
 
 from articugen.learning import tensors
 from articugen.learning.commands import newest
-from articugen.learning.loop import train
+from articugen.learning.loop import Training, train
 from articugen.learning.ppd.settings import (
     PPDRecipe,
     PPDSchedule,
@@ -66,7 +66,7 @@ def boxes(tmp_path_factory):
 def sound(boxes, tmp_path_factory):
     """A run that was stopped after two iterations. Look, do not touch."""
     runs = tmp_path_factory.mktemp("runs")
-    return train(TINY, category="box", data=boxes, runs=runs, stop_after=2).path
+    return train(Training(TINY, "box", boxes, runs), stop_after=2).path
 
 
 @pytest.fixture
@@ -314,7 +314,7 @@ def test_a_last_line_that_was_cut_short_is_none(run, boxes):
     for cut in (1, 10):
         path.write_bytes(path.read_bytes()[:-cut])
         assert run.metrics() == before[:-1]
-    again = train(TINY, category="box", data=boxes, runs=run.path.parent, resume=run.path)
+    again = train(Training(TINY, "box", boxes, run.path.parent, resume=run.path))
     lines = path.read_text().splitlines()
     assert all(json.loads(line)["iteration"] for line in lines)
     assert again.metrics()[-1]["iteration"] == 3
@@ -344,13 +344,13 @@ def test_what_a_killed_process_left_is_removed(run):
 
 
 def test_a_run_that_was_killed_before_its_first_checkpoint_goes_on(boxes, tmp_path):
-    whole = train(TINY, category="box", data=boxes, runs=tmp_path / "whole")
+    whole = train(Training(TINY, "box", boxes, tmp_path / "whole"))
     killed = tmp_path / "killed"
     killed.mkdir()
     for name in ("recipe.yaml", "run.json"):
         shutil.copy(whole.path / name, killed)
     (killed / METRICS).write_text('{"iteration": 1, "terms": {"rec": 0.5}}\n{"itera')
-    done = train(TINY, category="box", data=boxes, runs=tmp_path, resume=killed)
+    done = train(Training(TINY, "box", boxes, tmp_path, resume=killed))
     left, right = (read_checkpoint(run.path / LATEST) for run in (whole, done))
     assert digest(left.state) == digest(right.state)
     assert [r["iteration"] for r in done.metrics()] == [r["iteration"] for r in whole.metrics()]
@@ -359,7 +359,7 @@ def test_a_run_that_was_killed_before_its_first_checkpoint_goes_on(boxes, tmp_pa
 def test_a_folder_whose_making_was_cut_short_is_no_run(boxes, tmp_path):
     (tmp_path / "004").mkdir()
     (tmp_path / "004" / "recipe.yaml").write_text("name: tiny\n")
-    done = train(TINY, category="box", data=boxes, runs=tmp_path, stop_after=1)
+    done = train(Training(TINY, "box", boxes, tmp_path), stop_after=1)
     assert done.path.name == "005"
     (tmp_path / "006").mkdir()
     assert newest(tmp_path) == done.path
@@ -368,12 +368,12 @@ def test_a_folder_whose_making_was_cut_short_is_no_run(boxes, tmp_path):
 def test_two_do_not_train_in_one_folder(run, boxes):
     busy = pytest.raises(ArticugenError, match="another run is writing here; wait for it")
     with run.locked(), busy:
-        train(TINY, category="box", data=boxes, runs=run.path.parent, resume=run.path)
+        train(Training(TINY, "box", boxes, run.path.parent, resume=run.path))
 
 
 def test_runs_with_other_names_are_no_numbers(boxes, tmp_path):
     (tmp_path / "²").mkdir()  # a digit, says Python, but no number
-    made = train(TINY, category="box", data=boxes, runs=tmp_path, stop_after=1)
+    made = train(Training(TINY, "box", boxes, tmp_path), stop_after=1)
     assert made.path.name == "000"
 
 

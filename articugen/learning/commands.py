@@ -118,22 +118,15 @@ def train(
         seeds = None
     if seeds is not None:
         settings = settings.with_seeds(seeds)
-    run_training = loop.train
-    if settings.seeds.count > 1:
-        at_once = (jobs or os.cpu_count() or 1) if device == "cpu" else 1
-        run_training = partial(race, jobs=min(at_once, settings.seeds.count))
     folders = _folders(data)
     category = category or Manifest.read(folders[0]).category
-    return run_training(
-        settings,
-        category=category,
-        data=folders,
-        runs=Path(runs) / category,
-        seed=seed,
-        resume=resume,
-        device=device,
-        on_progress=on_progress,
+    what = loop.Training(
+        settings, category, folders, Path(runs) / category, seed, resume=resume, device=device
     )
+    if settings.seeds.count == 1:
+        return loop.train(what, on_progress=on_progress)
+    at_once = (jobs or os.cpu_count() or 1) if device == "cpu" else 1
+    return race(what, jobs=min(at_once, settings.seeds.count), on_progress=on_progress)
 
 
 def evaluate(

@@ -59,6 +59,101 @@ Tell = Callable[[Progress], None]
 Log = Callable[[dict[str, Any]], None]
 
 
+@dataclass(frozen=True)
+class Training:
+    """A run to be: what is trained, on what, and where it is kept.
+
+    Attributes:
+        recipe: everything that decides the run, besides the data and the seed.
+        data: the data set's folder, or those of several that are learned from together.
+        runs: where a new, numbered run folder is made.
+        seed: of the weights, the batches and everything drawn.
+        resume: the folder of a run to resume instead.
+        device: cpu, cuda or cuda:1.
+        name: of the new run's folder, instead of a number.
+    """
+
+    recipe: TrainRecipe
+    category: str
+    data: Folders
+    runs: Path
+    seed: int = 0
+    resume: Path | None = None
+    device: str = "cpu"
+    name: str | None = None
+
+    def split(self, learner: Learner, device: str) -> tuple[PackedSplit, PackedSplit]:
+        """Return the training instances, and those of the objects that are held out."""
+        spec, where = learner.inputs, torch.device(device)
+        grids = {stage.resolution for stage in self.recipe.schedule.stages if spec.grid_points}
+        with given_back(SHARDS):
+            everything = load_split(
+                self.data, "train", spec, {*grids, *spec.grids}, category=self.category
+            )
+            count = self.recipe.data.validation_objects
+            kept, held_out = split_objects(everything.object_id, count)
+            return everything.of(kept).to(where), everything.of(held_out).to(where)
+
+    def look(self) -> Callable[[Path, Callable[[str], None]], None]:
+        """Raise UnfitData where `train` would, before a run's folder is made.
+
+        Returns:
+            `Learner.begin` on the training instances, for all seeds of a race at once.
+        """
+        learner = find_method(self.recipe.method).start(self.recipe, seed=0, device=META)
+        return partial(learner.begin, self.split(learner, "cpu")[0])
+
+    def new_run(self) -> RunFolder:
+        """Return a new run's folder, which says what it is trained on."""
+        first, *others = [
+            {"folder": str(folder), "content_sha256": Manifest.read(folder).content_sha256}
+            for folder in folders_of(self.data)
+        ]
+        return RunFolder.new(
+            self.runs,
+            self.recipe,
+            category=self.category,
+            seed=self.seed,
+            data=first | ({"also": others} if others else {}),
+            name=self.name,
+        )
+
+    def resumed(self, path: Path) -> tuple[RunFolder, Checkpoint | None]:
+        """Return a run's folder, and where it stands if it has a checkpoint yet.
+
+        Raises:
+            InvalidCheckpoint: the run is not one of this training, or of other data.
+            ArticugenError: another process trains there.
+        """
+        run = RunFolder.existing(path)
+        point = read_checkpoint(path / LATEST) if (path / LATEST).is_file() else None
+        about, folders = run.about(), folders_of(self.data)
+        started = [(about["recipe_sha256"], about["category"], about["seed"])]
+        if point:
+            started.append((point.recipe.sha256(), point.category, point.seed))
+        if set(started) != {(self.recipe.sha256(), self.category, self.seed)}:
+            raise InvalidCheckpoint(
+                f"{path}: was started with another recipe, category or seed; start a new run"
+            )
+        source = about["data"]
+        digests = [part["content_sha256"] for part in (source, *source.get("also", ()))]
+        if digests != [Manifest.read(folder).content_sha256 for folder in folders]:
+            raise InvalidCheckpoint(
+                f"{path}: was started on other data than {', '.join(map(str, folders))}; start a "
+                "new run"
+            )
+        return run, point
+
+    def course(self, learner: Learner, training: PackedSplit, held_out: PackedSplit) -> "Course":
+        """Return the course of a new run, or of one to resume."""
+        run, point = self.resumed(self.resume) if self.resume else (self.new_run(), None)
+        course = Course(learner, training, held_out, run, self.category, self.seed)
+        if point:
+            learner.load(point.state)
+            course.iteration, course.best = point.iteration, point.best
+        return course
+
+
 @dataclass
 class Course:
     """A learner, what it learns from and where it is kept.
@@ -77,11 +172,6 @@ class Course:
     iteration: int = 0
     best: float = math.inf
     since: float = field(default_factory=time.perf_counter)
-
-    def go_on_from(self, point: Checkpoint) -> None:
-        """Continue where a checkpoint has left it."""
-        self.learner.load(point.state)
-        self.iteration, self.best = point.iteration, point.best
 
     def keep(self, name: str) -> None:
         """Write a checkpoint of where it stands."""
@@ -153,28 +243,12 @@ class Due:
 
 
 def train(
-    recipe: TrainRecipe,
-    *,
-    category: str,
-    data: Folders,
-    runs: Path,
-    seed: int = 0,
-    resume: Path | None = None,
-    stop_after: int | None = None,
-    device: str = "cpu",
-    name: str | None = None,
-    on_progress: Tell = lambda _: None,
+    what: Training, *, stop_after: int | None = None, on_progress: Tell = lambda _: None
 ) -> RunFolder:
     """Train a model of one category.
 
     Args:
-        recipe: everything that decides the run, besides the data and the seed.
-        data: the data set's folder, or those of several that are learned from together.
-        runs: where a new, numbered run folder is made.
-        seed: of the weights, the batches and everything drawn.
-        resume: the folder of a run to go on with instead.
         stop_after: stop at this iteration, as an interruption would.
-        name: of the new run's folder, instead of a number.
         on_progress: called after each iteration.
 
     Raises:
@@ -182,13 +256,11 @@ def train(
         InvalidCheckpoint: the run cannot be resumed with this recipe.
         TrainingDiverged: a term is no longer a finite number; the message says which.
     """
-    where = torch.device(device)
-    method = find_method(recipe.method)
-    learner = method.start(recipe, seed=draw(seed, recipe.method, "weights"), device=where)
-    splits = split_for(learner, data, category, where)
-    course = begun(learner, *splits, category, data, runs, seed, resume, name)
-    del splits  # the course lets go of what batches do not hold
-    return follow(course, stop_after, on_progress)
+    recipe, device = what.recipe, torch.device(what.device)
+    seed = draw(what.seed, recipe.method, "weights")
+    learner = find_method(recipe.method).start(recipe, seed=seed, device=device)
+    # the course alone holds the instances, and lets go of what batches do not hold
+    return follow(what.course(learner, *what.split(learner, what.device)), stop_after, on_progress)
 
 
 def follow(course: Course, stop_after: int | None, on_progress: Tell) -> RunFolder:
@@ -226,31 +298,6 @@ def shared_folder(run: RunFolder) -> Path:
     return above.parent.parent if above.name == SEEDS else above
 
 
-def split_for(
-    learner: Learner, data: Folders, category: str, device: torch.device
-) -> tuple[PackedSplit, PackedSplit]:
-    """Return the training instances, and those of the objects that are held out."""
-    spec, recipe = learner.inputs, learner.settings
-    grids = {stage.resolution for stage in recipe.schedule.stages if spec.grid_points}
-    with given_back(SHARDS):
-        everything = load_split(data, "train", spec, {*grids, *spec.grids}, category=category)
-        kept, held_out = split_objects(everything.object_id, recipe.data.validation_objects)
-        return everything.of(kept).to(device), everything.of(held_out).to(device)
-
-
-def look(
-    recipe: TrainRecipe, category: str, data: Folders
-) -> Callable[[Path, Callable[[str], None]], None]:
-    """Raise UnfitData where `train` would, before a run's folder is made.
-
-    Returns:
-        `Learner.begin` on the training instances, for all seeds of a race at once.
-    """
-    learner = find_method(recipe.method).start(recipe, seed=0, device=META)
-    training, _ = split_for(learner, data, category, torch.device("cpu"))
-    return partial(learner.begin, training)
-
-
 def split_objects(object_ids: Iterable[str], held_out: int) -> tuple[list[str], list[str]]:
     """Return (for training, held out): the same whatever the seed; at most a quarter is held out.
 
@@ -261,74 +308,6 @@ def split_objects(object_ids: Iterable[str], held_out: int) -> tuple[list[str], 
     chosen = seeded(0, "validation").permutation(len(objects))[:count]
     out = {objects[i] for i in chosen}
     return [o for o in objects if o not in out], sorted(out)
-
-
-def new_run(
-    recipe: TrainRecipe, category: str, data: Folders, runs: Path, seed: int,
-    name: str | None = None,
-) -> RunFolder:  # fmt: skip
-    """Return a new run's folder, which says what it is trained on."""
-    first, *others = [
-        {"folder": str(folder), "content_sha256": Manifest.read(folder).content_sha256}
-        for folder in folders_of(data)
-    ]
-    source = first | ({"also": others} if others else {})
-    return RunFolder.new(runs, recipe, category=category, seed=seed, data=source, name=name)
-
-
-def begun(
-    learner: Learner,
-    training: PackedSplit,
-    held_out: PackedSplit,
-    category: str,
-    data: Folders,
-    runs: Path,
-    seed: int,
-    resume: Path | None = None,
-    name: str | None = None,
-) -> Course:
-    """Return the course of a new run, or of one to go on with, as `train` takes them."""
-    run, start = _run_and_start(learner.settings, category, data, runs, seed, resume, name)
-    course = Course(learner, training, held_out, run, category, seed)
-    if start:
-        course.go_on_from(start)
-    return course
-
-
-def _run_and_start(
-    recipe: TrainRecipe,
-    category: str,
-    data: Folders,
-    runs: Path,
-    seed: int,
-    resume: Path | None,
-    name: str | None,
-) -> tuple[RunFolder, Checkpoint | None]:
-    if resume is None:
-        return new_run(recipe, category, data, runs, seed, name), None
-    run = RunFolder.existing(resume)
-    about = run.about()
-    told = [(about["recipe_sha256"], about["category"], about["seed"])]
-    start = read_checkpoint(run.path / LATEST) if (run.path / LATEST).is_file() else None
-    if start:
-        told.append((start.recipe.sha256(), start.category, start.seed))
-    if any(each != (recipe.sha256(), category, seed) for each in told):
-        raise InvalidCheckpoint(
-            f"{resume}: was started with another recipe, category or seed; start a new run"
-        )
-    check_data(run, data)
-    return run, start
-
-
-def check_data(run: RunFolder, data: Folders) -> None:
-    """Raise InvalidCheckpoint where a run was started on another data set, or others."""
-    told, folders = run.about()["data"], folders_of(data)
-    started_on = [each["content_sha256"] for each in (told, *told.get("also", ()))]
-    if started_on != [Manifest.read(folder).content_sha256 for folder in folders]:
-        given = ", ".join(map(str, folders))
-        raise InvalidCheckpoint(
-            f"{run.path}: was started on other data than {given}; start a new run"
-        )
 
 
 def _values(terms: Mapping[str, Tensor]) -> dict[str, float]:

@@ -12,7 +12,6 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,19 +21,15 @@ from articugen.core.errors import InvalidCheckpoint, TrainingDiverged
 from articugen.core.files import write_atomically
 from articugen.core.memory import given_back
 from articugen.core.processes import Crew, report
-from articugen.learning.data.split import Folders
 from articugen.learning.loop import (
     SEEDS,
     SHARDS,
     Progress,
     Tell,
-    check_data,
-    look,
-    new_run,
+    Training,
     shared_folder,
     train,
 )
-from articugen.learning.recipe import TrainRecipe
 from articugen.learning.run_folder import BEST, LATEST, METRICS, RunFolder, read_checkpoint
 
 RACE = "race.json"
@@ -44,30 +39,23 @@ RACE = "race.json"
 class Heat:
     """One seed's way to an iteration; validation is what it reached there, None if it diverged."""
 
-    recipe: TrainRecipe
-    category: str
-    data: Folders
-    folder: Path
-    seed: int
+    what: Training
     stop: int
-    device: str
+
+    @property
+    def path(self) -> Path:
+        """The folder of the seed's run."""
+        return self.what.runs / str(self.what.seed)
 
     def run(self) -> dict[str, float] | None:
-        """Train from where the seed stands to `stop`; returns the validation there."""
+        """Train from where the seed stands to `stop`; return the validation there."""
         if not self.is_done():
-            path, started = self.folder / str(self.seed), self.is_started()
+            resume = self.path if self.is_started() else None
             try:
                 train(
-                    self.recipe,
-                    category=self.category,
-                    data=self.data,
-                    runs=self.folder,
-                    seed=self.seed,
-                    name=str(self.seed),
-                    resume=path if started else None,
+                    replace(self.what, name=str(self.what.seed), resume=resume),
                     stop_after=self.stop,
-                    device=self.device,
-                    on_progress=lambda progress: report(replace(progress, seed=self.seed)),
+                    on_progress=lambda now: report(replace(now, seed=self.what.seed)),
                 )
             except TrainingDiverged:
                 return None
@@ -77,18 +65,17 @@ class Heat:
         """Return whether the seed stands at `stop`, or beyond."""
         if not self.is_started():
             return False
-        return read_checkpoint(self.folder / str(self.seed) / LATEST).iteration >= self.stop
+        return read_checkpoint(self.path / LATEST).iteration >= self.stop
 
     def is_started(self) -> bool:
-        """Whether there is a checkpoint to go on from; without one nothing is left of the seed."""
-        path = self.folder / str(self.seed)
-        if not (path / LATEST).is_file():
-            shutil.rmtree(path, ignore_errors=True)
-        return (path / LATEST).is_file()
+        """Return whether there is a checkpoint to resume; without one, remove what is there."""
+        if not (self.path / LATEST).is_file():
+            shutil.rmtree(self.path, ignore_errors=True)
+        return (self.path / LATEST).is_file()
 
     def reached(self) -> dict[str, float]:
         """Return the validation at `stop`."""
-        path = self.folder / str(self.seed)
+        path = self.path
         there = [r for r in RunFolder(path).metrics() if r["iteration"] == self.stop]
         found = [r["validation"] for r in there if r.get("validation")]
         if not found:
@@ -100,23 +87,15 @@ class Heat:
 
 
 def race(
-    recipe: TrainRecipe,
+    what: Training,
     *,
-    category: str,
-    data: Folders,
-    runs: Path,
-    seed: int = 0,
-    resume: Path | None = None,
     stop_after: int | None = None,
-    device: str = "cpu",
     jobs: int = 1,
     on_progress: Tell = lambda _: None,
 ) -> RunFolder:
-    """Train `recipe.seeds.count` seeds from `seed` on, halving them, and keep the best.
+    """Train `recipe.seeds.count` seeds from the training's on, halving them, and keep the best.
 
     Args:
-        recipe, category, data, runs, device: as `train` takes them.
-        resume: the folder of a race to go on with instead of a new one.
         stop_after: stop when who goes on after this iteration is decided, as an interruption would.
         jobs: seeds that are trained at a time, each in a process and on one thread of its own. The
             outcome is the same whatever it is.
@@ -130,24 +109,24 @@ def race(
         ArticugenError: another process races there.
         Others as `train`.
     """
-    begin = look(recipe, category, data)
-    run = _run_to_race_in(recipe, category, data, runs, seed, resume)
+    recipe, begin = what.recipe, what.look()
+    run = what.resumed(what.resume)[0] if what.resume else what.new_run()
     total = recipe.schedule.iterations
-    heat = partial(Heat, recipe, category, data, run.path / SEEDS, device=device)
+    alone = replace(what, runs=run.path / SEEDS)
     with run.locked():
         with given_back(SHARDS):
             begin(shared_folder(run), lambda said: on_progress(Progress(0, total, said=said)))
         del begin  # it holds all instances
         with _crew(jobs, on_progress) as crew:
-            racing = list(range(seed, seed + recipe.seeds.count))
+            racing = list(range(what.seed, what.seed + recipe.seeds.count))
             rounds: list[dict[str, Any]] = []
             for stop in (*recipe.seeds.halve_at, total):
                 if stop_after is not None and stop > stop_after:
                     return run
-                reached = crew.in_order([heat(seed=s, stop=stop) for s in racing])
+                reached = crew.in_order([Heat(replace(alone, seed=s), stop) for s in racing])
                 score = dict(zip(racing, reached, strict=True))
                 racing = best_half(score, last=stop == total)
-                reached_by = {str(s): found for s, found in score.items()}
+                reached_by = {str(seed): validation for seed, validation in score.items()}
                 rounds.append({"iteration": stop, "validation": reached_by, "go_on": racing})
                 _note(run, rounds)
                 if not racing:
@@ -155,22 +134,9 @@ def race(
                         f"all seeds diverged before iteration {stop}; lower schedule.learning_rate"
                     )
         for name in (LATEST, BEST, METRICS):
-            own = run.path / SEEDS / str(racing[0]) / name
-            write_atomically(run.path / name, own.read_bytes())
+            winner = run.path / SEEDS / str(racing[0]) / name
+            write_atomically(run.path / name, winner.read_bytes())
         _note(run, rounds, winner=racing[0])
-    return run
-
-
-def _run_to_race_in(
-    recipe: TrainRecipe, category: str, data: Folders, runs: Path, seed: int, resume: Path | None
-) -> RunFolder:
-    """Return a new run, or the one to go on with, as `race` takes them."""
-    if resume is None:
-        return new_run(recipe, category, data, runs, seed)
-    run = RunFolder(resume)
-    if run.recipe().sha256() != recipe.sha256():
-        raise InvalidCheckpoint(f"{resume}: was started with another recipe; start a new run")
-    check_data(run, data)
     return run
 
 
@@ -207,7 +173,7 @@ def _crew(jobs: int, tell: Tell) -> Iterator[Crew[Heat, dict[str, float] | None]
             workers=0 if jobs == 1 else jobs,
             ready=_use_one_thread,
             on_report=tell,
-            name=lambda heat: f"seed {heat.seed}",
+            name=lambda heat: f"seed {heat.what.seed}",
         ) as crew:
             yield crew
     finally:

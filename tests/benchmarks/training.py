@@ -137,10 +137,8 @@ def _clocked(
             begun.extend((time.perf_counter(), time.process_time()))
 
     with tempfile.TemporaryDirectory() as runs:
-        loop.train(
-            recipe, category="box", data=Path(folder), runs=Path(runs), device=device,
-            on_progress=on_progress,
-        )  # fmt: skip
+        what = loop.Training(recipe, "box", Path(folder), Path(runs), device=device)
+        loop.train(what, on_progress=on_progress)
         wait()
         return time.perf_counter() - begun[0], time.process_time() - begun[1]
 
