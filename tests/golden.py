@@ -22,7 +22,7 @@ from articugen.export.formats import FORMATS, format_named
 from articugen.export.run import export
 from articugen.pipeline import door
 from articugen.pipeline.job import Job
-from articugen.store.manifest import library_versions
+from articugen.store.provenance import library_versions
 
 GOLDEN = Path(__file__).with_name("data") / "golden.json"
 

@@ -6,7 +6,8 @@ import numpy as np
 from instances import SMALL, hinged_box
 
 from articugen.core.recipe import Recipe
-from articugen.store.manifest import Key, Manifest, Outcome, Timings
+from articugen.store.manifest import Manifest, Timings
+from articugen.store.outcome import Key, Outcome
 from articugen.store.writer import write_shard
 
 RECIPE_SHA256 = SMALL.for_one_object().sha256()

@@ -31,7 +31,7 @@ from articugen.pipeline.job import Job, Share
 from articugen.pipeline.options import ObjectReport
 from articugen.pipeline.run import started
 from articugen.store import bucket as bucket_module
-from articugen.store import manifest_pages, remote
+from articugen.store import remote
 from articugen.store.bucket import Bucket, Remote
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.manifest_pages import is_page_name
@@ -146,7 +146,7 @@ def test_an_interrupted_run_and_shares_go_on(server: Trouble, whole: Path) -> No
 
 
 def test_a_manifest_in_pages(server: Trouble, whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(manifest_pages, "PAGE_ENTRIES", 2)
+    monkeypatch.setattr("articugen.store.manifest.PAGE_ENTRIES", 2)
     url = f"s3://{BUCKET}/pages/eyeglasses"
     server.every = 5
     manifest, _ = finished(into(url))

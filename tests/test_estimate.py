@@ -4,7 +4,7 @@ import pytest
 
 from articugen.core.recipe import Articulation, Recipe, Sampling, ViewSettings
 from articugen.pipeline.plan import STARTUP, instance_bytes, object_seconds, run_seconds
-from articugen.store.manifest import Key, ObjectEntry
+from articugen.store.outcome import Key, ObjectEntry
 
 PAPER = Recipe(name="paper")
 

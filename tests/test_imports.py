@@ -32,7 +32,7 @@ FLOORS = (
 FLOOR = {room: level for level, rooms in enumerate(FLOORS, start=1) for room in rooms}
 
 MOST_ARROWS = 70
-MOST_LINES = 52_410
+MOST_LINES = 52_390
 """Of the whole package; it is lowered as the package shrinks."""
 LARGEST_ROOM = 0.2
 """Its share of the lines."""
@@ -41,10 +41,9 @@ LONG_FILES = {
     "core.processes": 534,
     "discovery.discover": 467,
     "inspection.report.sections": 509,
-    "instance.make": 630,
+    "instance.make": 629,
     "pictures.surfels": 504,
     "procedural.eyeglasses": 456,
-    "store.manifest": 642,
 }
 """Files that are longer yet, and how long they may be: no line more is let in."""
 

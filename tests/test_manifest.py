@@ -15,19 +15,9 @@ from articugen.core.ledger import LEDGER, Ledger
 from articugen.core.place import Folder
 from articugen.pipeline.common import CommonPlan
 from articugen.pipeline.records import Records
-from articugen.store.manifest import (
-    MANIFEST_NAME,
-    MOST_BYTES,
-    Key,
-    Manifest,
-    Outcome,
-    Rejection,
-    Timings,
-    content_of,
-    library_versions,
-    this_commit,
-    this_machine,
-)
+from articugen.store.manifest import MANIFEST_NAME, MOST_BYTES, Manifest, Timings, content_of
+from articugen.store.outcome import Key, Outcome, Rejection
+from articugen.store.provenance import library_versions, this_commit, this_machine
 from articugen.store.writer import write_shard
 
 TIMINGS = Timings(seconds=1.7, instances_per_second=3 / 1.7, peak_memory_bytes=10, workers=1)

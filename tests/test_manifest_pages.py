@@ -31,7 +31,7 @@ from articugen.verify.repair import Asked, repair
 
 @pytest.fixture(autouse=True)
 def small_pages(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(manifest_pages, "PAGE_ENTRIES", 2)
+    monkeypatch.setattr(manifest, "PAGE_ENTRIES", 2)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four eyeglasses, two a page. Look, do not touch."""
     out = tmp_path_factory.mktemp("whole") / "eyeglasses"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(manifest_pages, "PAGE_ENTRIES", 2)
+        patch.setattr(manifest, "PAGE_ENTRIES", 2)
         made(job(out))
     return out
 
@@ -55,7 +55,7 @@ def other(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same of another seed."""
     out = tmp_path_factory.mktemp("other") / "eyeglasses"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(manifest_pages, "PAGE_ENTRIES", 2)
+        patch.setattr(manifest, "PAGE_ENTRIES", 2)
         made(job(out, seed=1))
     return out
 
@@ -79,7 +79,7 @@ def test_pages_and_one_file_say_the_same(
     assert [page["name"] for page in listed] == pages(whole)
     assert [page["entries"] for page in listed] == [4, 4]
     assert not head(whole).keys() & {"objects", "shards", "rejected", "skipped", "failed"}
-    monkeypatch.setattr(manifest_pages, "PAGE_ENTRIES", 4)  # as many as there are
+    monkeypatch.setattr(manifest, "PAGE_ENTRIES", 4)  # as many as there are
     told.write(tmp_path)
     assert names_in(tmp_path) == [MANIFEST_NAME]
     assert (tmp_path / MANIFEST_NAME).read_text() == told.model_dump_json(indent=1) + "\n"
@@ -325,7 +325,7 @@ def test_a_head_may_say_anything(
 def sealed(folder: Path, number: int, text: str) -> None:
     """Write a page anew, and the head that lists it."""
     data = text.encode()
-    page = manifest_pages.Page.of(number, data, 4)
+    page = manifest_pages.page_of(number, data, 4)
     told = head(folder)
     (folder / told["pages"][number]["name"]).unlink()
     (folder / page.name).write_bytes(data)

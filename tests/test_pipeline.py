@@ -41,13 +41,9 @@ from articugen.pipeline.run import started
 from articugen.sources import registry
 from articugen.store import croissant
 from articugen.store import manifest as manifest_module
-from articugen.store.manifest import (
-    MANIFEST_NAME,
-    Manifest,
-    Rejection,
-    code_version,
-    content_of,
-)
+from articugen.store.manifest import MANIFEST_NAME, Manifest, content_of
+from articugen.store.outcome import Rejection
+from articugen.store.provenance import code_version
 from articugen.store.shards import open_shard
 from articugen.verify.dataset import verify
 
@@ -283,7 +279,7 @@ from pathlib import Path
 from articugen.pipeline.job import Job
 from articugen.pipeline.run import started
 from articugen.core.recipe import Recipe
-from articugen.store.manifest import code_version
+from articugen.store.provenance import code_version
 recipe = Recipe.model_validate_json({recipe!r})
 with started(Job("procedural", "eyeglasses", recipe, 0, Path({out!r}), 0)) as run:
     found = run.plan

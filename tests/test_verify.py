@@ -30,7 +30,8 @@ from articugen.core.files import partial_name
 from articugen.core.ledger import LEDGER
 from articugen.core.schema import CHECKED_ATTRIBUTES
 from articugen.pictures import layout
-from articugen.store.manifest import MANIFEST_NAME, Manifest, Outcome, Rejection
+from articugen.store.manifest import MANIFEST_NAME, Manifest
+from articugen.store.outcome import Outcome, Rejection
 from articugen.store.writer import write_shard
 from articugen.verify import dataset as verification
 from articugen.verify.dataset import Report, verify

@@ -20,7 +20,8 @@ from articugen.pipeline.job import Job
 from articugen.pipeline.options import ObjectReport, OnNotice, OnObject
 from articugen.pipeline.plan import Plan
 from articugen.sources.registry import SourceInfo
-from articugen.store.manifest import MANIFEST_NAME, Manifest, Outcome
+from articugen.store.manifest import MANIFEST_NAME, Manifest
+from articugen.store.outcome import Outcome
 
 
 def sources_table(sources: Iterable[SourceInfo]) -> RenderableType:

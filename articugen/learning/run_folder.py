@@ -43,7 +43,7 @@ from articugen.learning.tensors import (
     read_tensors,
     write_tensors,
 )
-from articugen.store.manifest import this_commit, this_machine
+from articugen.store.provenance import this_commit, this_machine
 
 FORMAT = "articugen checkpoint 4"
 LATEST, BEST, METRICS = "latest.safetensors", "best.safetensors", "metrics.jsonl"

@@ -11,7 +11,7 @@ from articugen.core.errors import ArticugenError
 from articugen.core.ledger import Ledger
 from articugen.core.recipe import Recipe
 from articugen.store.bucket import Bucket
-from articugen.store.manifest import Key, Outcome, Sha256
+from articugen.store.outcome import Key, Outcome, Sha256
 
 NEVER_MADE = "it has not been made yet"
 

@@ -10,8 +10,9 @@ from articugen.core.files import is_no_folder, is_plain_file, whole_name
 from articugen.core.ledger import LEDGER
 from articugen.pipeline.common import CommonPlan
 from articugen.store.croissant import NAME as CROISSANT_NAME
-from articugen.store.manifest import MANIFEST_NAME, Outcome, is_shard_name
+from articugen.store.manifest import MANIFEST_NAME
 from articugen.store.manifest_pages import is_page_name, stale_pages
+from articugen.store.outcome import Outcome, is_shard_name
 from articugen.store.shards import content_sha256, open_shard
 
 _SHARD = re.compile(r"(?P<split>.+)-(?P<number>\d{5,})\.h5")

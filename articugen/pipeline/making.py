@@ -26,7 +26,7 @@ from articugen.pipeline import sharing
 from articugen.pipeline.job import Job
 from articugen.sources import registry
 from articugen.sources.refs import ObjectRef
-from articugen.store.manifest import Key, Outcome, Rejection
+from articugen.store.outcome import Key, Outcome, Rejection
 from articugen.store.writer import Check, write_shard
 
 if TYPE_CHECKING:

@@ -32,7 +32,8 @@ from articugen.pipeline.making import (
 from articugen.pipeline.records import Records
 from articugen.sources import registry
 from articugen.sources.refs import ObjectRef
-from articugen.store.manifest import MOST_OBJECTS, Key, ObjectEntry, Outcome, Rejection, ShardEntry
+from articugen.store.manifest import MOST_OBJECTS
+from articugen.store.outcome import Key, ObjectEntry, Outcome, Rejection, ShardEntry
 
 STARTUP = 3.0
 """Seconds until a worker has imported what it needs; once a run."""

@@ -46,8 +46,9 @@ from articugen.pipeline.folder import (
     unrecorded,
 )
 from articugen.store.bucket import Bucket
-from articugen.store.manifest import MANIFEST_NAME, Key, Manifest, Outcome, ShardEntry
+from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.manifest_pages import MOST_BYTES
+from articugen.store.outcome import Key, Outcome, ShardEntry
 
 _BEFORE = f"{LEDGER}/{MANIFEST_NAME}"
 """The manifest of what was there before a run began that may replace it."""

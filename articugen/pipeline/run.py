@@ -32,7 +32,8 @@ from articugen.sources import registry
 from articugen.sources.refs import ObjectRef
 from articugen.store import croissant
 from articugen.store.bucket import Remote, check_can_be_shared
-from articugen.store.manifest import Manifest, Outcome, Timings
+from articugen.store.manifest import Manifest, Timings
+from articugen.store.outcome import Outcome
 
 _KEPT = "finished objects are kept, the same command goes on after them"
 

@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 from articugen.core.content import VERSION
-from articugen.store.manifest import Manifest, code_version
+from articugen.store.manifest import Manifest
+from articugen.store.provenance import code_version
 
 NAME = "croissant.json"
 

@@ -8,20 +8,12 @@ come first and the manifest last, and until then the one that was there stays wh
 import hashlib
 import os
 import re
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError, model_validator
 
 from articugen.core.files import UnfitFile, is_plain_file, read_regular
-
-T = TypeVar("T")
-Data = bytes
-"""Where a record has a field called so."""
-
-PAGE_ENTRIES = 50_000
-"""Of each list that a page holds at most; a manifest that has no more of any is one file."""
 
 MOST_BYTES = 1 << 28
 """That a manifest or a page may have."""
@@ -50,15 +42,12 @@ class Page(BaseModel):
     bytes: int = Field(gt=0, le=MOST_BYTES)
     sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
 
-    @staticmethod
-    def of(number: int, data: Data, entries: int) -> "Page":
-        sha256 = hashlib.sha256(data).hexdigest()
-        return Page(
-            name=_page_name(number, sha256), entries=entries, bytes=len(data), sha256=sha256
-        )
 
-    def is_whole(self, data: Data) -> bool:
-        return len(data) == self.bytes and hashlib.sha256(data).hexdigest() == self.sha256
+def page_of(number: int, data: bytes, entries: int) -> Page:
+    """Return a page as a manifest lists it."""
+    sha256 = hashlib.sha256(data).hexdigest()
+    name = _page_name(number, sha256)
+    return Page(name=name, entries=entries, bytes=len(data), sha256=sha256)
 
 
 class Head(BaseModel):
@@ -79,34 +68,23 @@ class Head(BaseModel):
             raise ValueError(f"pages of more than the {MOST_PAGED_BYTES:,} bytes they may have")
         return self
 
-    @staticmethod
-    def of(text: bytes) -> "Head | None":
-        """None where a manifest lists no pages, but has its entries in it.
 
-        Raises:
-            ValidationError: it lists them wrongly.
-        """
-        if len(text) > MOST_HEAD_BYTES:
-            return None
-        try:
-            if _Probe.model_validate_json(text).pages is None:
-                return None
-        except ValidationError:
-            return None
-        return Head.model_validate_json(text)
-
-
-class _Probe(BaseModel):
+class _Pages(BaseModel):
     pages: Any = None
 
 
-def slices(lists: Mapping[str, Sequence[T]]) -> list[dict[str, Sequence[T]]]:
-    """What each page holds: of each list as many entries as it may; one page may be enough."""
-    longest = max(map(len, lists.values()))
-    starts = range(0, max(longest, 1), PAGE_ENTRIES)
-    return [
-        {name: entries[at : at + PAGE_ENTRIES] for name, entries in lists.items()} for at in starts
-    ]
+def head_in(text: bytes) -> Head | None:
+    """Return what a manifest says that lists pages; None where it has its entries in it.
+
+    Raises:
+        ValidationError: it lists them wrongly.
+    """
+    try:
+        if len(text) > MOST_HEAD_BYTES or _Pages.model_validate_json(text).pages is None:
+            return None
+    except ValidationError:
+        return None
+    return Head.model_validate_json(text)
 
 
 def is_page_name(name: str) -> bool:
@@ -133,7 +111,7 @@ def listed_pages(manifest: Path) -> set[str]:
         OSError: it cannot be read.
     """
     try:
-        head = Head.of(read_regular(manifest, MOST_HEAD_BYTES))
+        head = head_in(read_regular(manifest, MOST_HEAD_BYTES))
     except (FileNotFoundError, UnfitFile, ValidationError):
         return set()
     return {page.name for page in head.pages} if head else set()

@@ -27,13 +27,9 @@ from articugen.core.files import read_regular
 from articugen.core.recipe import Recipe
 from articugen.pipeline.folder import is_temporary, is_unfinished
 from articugen.store import croissant
-from articugen.store.manifest import (
-    MANIFEST_NAME,
-    Manifest,
-    ObjectEntry,
-    ShardEntry,
-)
+from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.manifest_pages import MOST_BYTES, listed_pages, stale_pages
+from articugen.store.outcome import ObjectEntry, ShardEntry
 from articugen.store.shards import Shard, content_sha256, instance_sha256, open_shard
 from articugen.verify.invariants import faults
 

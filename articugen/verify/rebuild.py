@@ -27,19 +27,9 @@ from articugen.pipeline.folder import is_unfinished
 from articugen.sources import registry
 from articugen.store import croissant
 from articugen.store.columns import Attribute
-from articugen.store.manifest import (
-    LISTS,
-    MANIFEST_NAME,
-    Key,
-    Manifest,
-    ObjectEntry,
-    Outcome,
-    Rejection,
-    ShardEntry,
-    Timings,
-    is_shard_name,
-)
+from articugen.store.manifest import LISTS, MANIFEST_NAME, Manifest, Timings
 from articugen.store.manifest_pages import MOST_BYTES, is_page_name
+from articugen.store.outcome import Key, ObjectEntry, Outcome, Rejection, ShardEntry, is_shard_name
 from articugen.store.shards import ShardRecord, content_sha256, open_shard
 from articugen.verify.replay import differences
 

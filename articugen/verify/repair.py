@@ -26,7 +26,8 @@ from articugen.pipeline.records import Records
 from articugen.pipeline.run import outcomes_of
 from articugen.sources import registry
 from articugen.store import croissant
-from articugen.store.manifest import MANIFEST_NAME, Manifest, ObjectEntry, Outcome, ShardEntry
+from articugen.store.manifest import MANIFEST_NAME, Manifest
+from articugen.store.outcome import ObjectEntry, Outcome, ShardEntry
 from articugen.store.shards import ShardRecord, content_sha256, open_shard
 from articugen.store.writer import copy_user_group
 from articugen.verify.dataset import MENDED, Finding, Repair, Report, text_findings, verify

@@ -12,7 +12,9 @@ from articugen.core.seeding import generator
 from articugen.fusion import pixel_width
 from articugen.instance.again import prepared_again
 from articugen.instance.make import Prepared, make_instance, pose
-from articugen.store.manifest import Manifest, ObjectEntry, library_versions, this_machine
+from articugen.store.manifest import Manifest
+from articugen.store.outcome import ObjectEntry
+from articugen.store.provenance import library_versions, this_machine
 from articugen.store.shards import open_shard
 from articugen.verify.bounds import BEHIND, IN_FRONT, on_level
 from articugen.verify.dataset import Finding

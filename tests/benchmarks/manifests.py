@@ -30,14 +30,8 @@ from articugen.pipeline.records import Records
 from articugen.pipeline.run import common_plan, manifest_of, started
 from articugen.sources.refs import ObjectRef
 from articugen.store.dataset import open as open_data_set
-from articugen.store.manifest import (
-    Key,
-    Manifest,
-    ObjectEntry,
-    Outcome,
-    ShardEntry,
-    Timings,
-)
+from articugen.store.manifest import Manifest, Timings
+from articugen.store.outcome import Key, ObjectEntry, Outcome, ShardEntry
 
 RANKS = 1000
 CONTENT = b"a shard" * 100

@@ -33,7 +33,7 @@ from articugen.learning.method import load_recipe
 from articugen.learning.ppd import objective
 from articugen.learning.ppd.network import PPD
 from articugen.learning.recipe import TrainRecipe
-from articugen.store.manifest import this_commit, this_machine
+from articugen.store.provenance import this_commit, this_machine
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 from instances import SMALL

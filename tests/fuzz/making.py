@@ -74,7 +74,7 @@ def shards() -> tuple[bytes, ...]:
 
 
 def _outcomes() -> list[Any]:
-    from articugen.store.manifest import Key, Outcome, Rejection
+    from articugen.store.outcome import Key, Outcome, Rejection
     from articugen.store.shards import ShardRecord
 
     def key(name: str) -> Key:
@@ -93,14 +93,14 @@ def _outcomes() -> list[Any]:
 
 def manifests() -> Iterable[bytes]:
     """Two in one file, then one in pages."""
-    from articugen.store import manifest_pages
+    from articugen.store import manifest
 
     for outcomes in (_outcomes(), _outcomes()[:1]):
         yield _manifest_of(outcomes).model_dump_json().encode()
     another = _outcomes()[1]
     key = another.key.model_copy(update={"object_id": "e"})
     two = another.model_copy(update={"rejected": another.rejected.model_copy(update={"key": key})})
-    with mock.patch.object(manifest_pages, "PAGE_ENTRIES", 1):
+    with mock.patch.object(manifest, "PAGE_ENTRIES", 1):
         *pages, head = (data for _, data in _manifest_of([*_outcomes(), two]).files())
     yield BETWEEN.join([head, *pages])
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from articugen.store.chunks import CHECKSUM_BYTES, fletcher32
 from articugen.store.manifest import LISTS
-from articugen.store.manifest_pages import Page
+from articugen.store.manifest_pages import page_of
 from articugen.store.shards import open_shard
 from tests.fuzz import making
 
@@ -80,7 +80,7 @@ def manifest(data: bytes) -> bytes:
 def _page(number: int, data: bytes) -> dict[str, Any]:
     """As a manifest lists it."""
     told = json.loads(data)
-    return Page.of(number, data, sum(len(told[name]) for name in LISTS)).model_dump()
+    return page_of(number, data, sum(len(told[name]) for name in LISTS)).model_dump()
 
 
 def shard(data: bytes) -> bytes:

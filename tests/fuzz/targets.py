@@ -220,12 +220,12 @@ def _read_apart(path: Path) -> object:
 def _read_manifest(path: Path) -> object:
     """What follows lines of dashes are its pages, under the names that they would have."""
     from articugen.store.manifest import Manifest, _parsed
-    from articugen.store.manifest_pages import Page
+    from articugen.store.manifest_pages import page_of
 
     head, *pages = path.read_bytes().split(making.BETWEEN)
     if not pages:
         return Manifest.read(path.parent).outcomes
-    beside = {Page.of(n, data, 1).name: data for n, data in enumerate(pages) if data}
+    beside = {page_of(n, data, 1).name: data for n, data in enumerate(pages) if data}
     return _parsed(head, path, lambda page: beside.get(page.name)).outcomes
 
 
@@ -250,7 +250,7 @@ def _read_records(path: Path) -> object:
     from articugen.core.errors import ArticugenError
     from articugen.core.ledger import Ledger
     from articugen.pipeline.common import CommonPlan
-    from articugen.store.manifest import Outcome
+    from articugen.store.outcome import Outcome
 
     data = path.read_bytes()
     ledger = Ledger(_InMemory(data))  # type: ignore[arg-type]

@@ -21,7 +21,7 @@ from articugen.core.processes import Ended
 from articugen.pipeline.executors.work import Elsewhere, Executor, Notice, Work
 from articugen.pipeline.job import Job
 from articugen.pipeline.making import Task
-from articugen.store.manifest import Outcome
+from articugen.store.outcome import Outcome
 
 CONNECT_SECONDS = 20.0
 WIDTH_SECONDS = 2.0

@@ -19,7 +19,7 @@ from articugen.pipeline.making import (
     limit_of,
     name_of,
 )
-from articugen.store.manifest import Outcome
+from articugen.store.outcome import Outcome
 
 _FEWEST_SHARED = 8
 """Instances of an object that others may help with: fewer are made before they are ready."""

@@ -33,7 +33,7 @@ from articugen.pipeline.executors.work import Executor, Notice, Work
 from articugen.pipeline.job import Job, Share
 from articugen.pipeline.making import Task
 from articugen.pipeline.run import started
-from articugen.store.manifest import Outcome
+from articugen.store.outcome import Outcome
 
 POLL_SECONDS = 5.0
 IN_VAIN = 3

@@ -15,7 +15,8 @@ from articugen.pipeline.common import key_of, record_in, recorded
 from articugen.pipeline.job import Job
 from articugen.pipeline.making import Task, import_stages, limit_of, make_object, name_of
 from articugen.store.bucket import Bucket
-from articugen.store.manifest import Outcome, code_version
+from articugen.store.outcome import Outcome
+from articugen.store.provenance import code_version
 from articugen.store.writer import Check
 
 Notice = Callable[[str], None]
