@@ -1,4 +1,4 @@
-"""Objects of a data set made again from their source: for verify, export, mesh and the viewer."""
+"""Objects read from a source, and those of a data set made again from it."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,11 +9,11 @@ from articugen.core import content
 from articugen.core.errors import ArticugenError, InvalidSource, RejectedInstance
 from articugen.core.files import check_place
 from articugen.core.recipe import Recipe
-from articugen.core.records import ArticulatedObject, Mesh
+from articugen.core.records import ArticulatedObject, Mesh, ResolvedObject
 from articugen.fusion import PosedSolids
 from articugen.fusion.isosurface import extract_mesh
 from articugen.instance import articulation
-from articugen.instance.make import Prepared, pose, prepare
+from articugen.instance.preparing import Prepared, pose, prepare
 from articugen.meshes.mesh_file import check_format, export
 from articugen.sources import registry
 from articugen.sources.refs import ObjectRef
@@ -24,6 +24,23 @@ def generator_of(ref: ObjectRef, recipe: str) -> str:
     """What of our code decides the data of an object by a recipe of this text: see `content`."""
     models = ref.category if registry.is_procedural(ref.source) else None
     return content.declared(models, recipe)
+
+
+def resolved(ref: ObjectRef, recipe: Recipe) -> ResolvedObject:
+    """Read a model and settle which of its joints move, how far, and from which pose on.
+
+    Raises:
+        InvalidSource: it cannot be read; the sentence says why.
+        NotOfCategory: nothing of it moves in the recipe's sense.
+    """
+    return _resolved(registry.load(ref), registry.settings(ref), recipe)
+
+
+def _resolved(
+    obj: ArticulatedObject, settings: registry.CategorySettings, recipe: Recipe
+) -> ResolvedObject:
+    own = {"canonical": settings.canonical, "movable": settings.movable}
+    return articulation.resolve(obj, recipe.articulation, **own)
 
 
 def source_again(
@@ -52,17 +69,10 @@ def source_again(
 
 
 def prepared_again(manifest: Manifest, object_id: str) -> Prepared:
-    """What the instances of one object of the data set share, made again.
-
-    Raises:
-        ArticugenError: as `source_again`.
-    """
+    """Make again what the instances of one object of the data set share; see `source_again`."""
     recipe = Recipe.model_validate_json(manifest.recipe)
     obj, settings = source_again(manifest, object_id)
-    resolved = articulation.resolve(
-        obj, recipe.articulation, canonical=settings.canonical, movable=settings.movable
-    )
-    return prepare(resolved, recipe.for_one_object(), manifest.seed)
+    return prepare(_resolved(obj, settings, recipe), recipe.for_one_object(), manifest.seed)
 
 
 def write_mesh(folder: Path, object_id: str, state_index: int, resolution: int, path: Path) -> int:
@@ -83,11 +93,7 @@ def write_mesh(folder: Path, object_id: str, state_index: int, resolution: int, 
 
 
 def part_meshes(prepared: Prepared, resolution: int) -> Iterator[Mesh]:
-    """The own solid of each part as a watertight mesh, canonical pose, unit frame; part 0 first.
-
-    Raises:
-        RejectedInstance: no voxel centre lies in one of them.
-    """
+    """Yield each part's own solid, watertight, canonical pose, unit frame; or RejectedInstance."""
     for part, own in enumerate(prepared.own):
         alone = PosedSolids((own,), np.eye(4)[None], prepared.recipe.fusion)
         try:

@@ -5,20 +5,20 @@ ranges. Everything after it sees joints that are 0 in the canonical pose. All fu
 """
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from fnmatch import fnmatchcase
 from typing import Literal
 
 import numpy as np
 
+from articugen.core.arrays import Floats
 from articugen.core.errors import NotOfCategory, RejectedInstance
 from articugen.core.geometry import apply, bounds, invert_rigid, rotation_about, transform
 from articugen.core.portable import product, turned
 from articugen.core.recipe import Articulation
 from articugen.core.records import (
     ArticulatedObject,
-    Floats,
     Joint,
     JointKind,
     JointState,
@@ -32,9 +32,7 @@ Canonical = Literal["zero", "lower", "upper"]
 _TIE = 1e-6
 """Rooms (rad or m) on the two sides of the canonical pose that differ by less count as equal."""
 
-_FARTHEST = 1e6
-"""Rad or m: beyond it, joints lose the digits that a pose needs."""
-
+_FARTHEST = 1e6  # rad or m: beyond it, joints lose the digits that a pose needs
 _LEVEL = 0.02
 """Parts whose middles differ by less than this share of the object's length are in one row."""
 
@@ -174,6 +172,14 @@ def part_motions(posed: PosedObject, canonical_posed: PosedObject) -> Floats:
     return motions
 
 
+def motions_of(
+    obj: ArticulatedObject, states: Iterable[JointState], canonical: PosedObject
+) -> Floats:
+    """Return (N, P, 4, 4) the `part_motions` in N states, world frame, metres."""
+    posed = (forward_kinematics(obj, state) for state in states)
+    return np.stack([part_motions(one, canonical) for one in posed])
+
+
 @dataclass(frozen=True)
 class _Plan:
     """Fate of one joint.
@@ -197,10 +203,7 @@ class _Plan:
 
 
 def _plan_driver(
-    obj: ArticulatedObject,
-    joint: Joint,
-    patterns: tuple[str, ...],
-    settings: Articulation,
+    obj: ArticulatedObject, joint: Joint, patterns: tuple[str, ...], settings: Articulation
 ) -> _Plan:
     canonical = settings.canonical
     value = {"zero": 0.0, "lower": joint.lower, "upper": joint.upper}[canonical]
@@ -337,8 +340,7 @@ def _part_order(obj: ArticulatedObject, patterns: tuple[str, ...]) -> tuple[str,
 
 
 def _part_boxes(obj: ArticulatedObject) -> Floats:
-    """Return (P, 2, 3) the box of each part in the canonical pose, world frame; of an empty one,
-    its pivot or the origin."""
+    """Return (P, 2, 3) canonical boxes, world frame; of an empty part its pivot or the origin."""
     posed = forward_kinematics(obj, canonical_state(obj))
     pivots = np.concatenate([posed.T_world_part[:1, :3, 3], posed.pivots])
     at: list[list[Floats]] = [[] for _ in pivots]

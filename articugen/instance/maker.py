@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen import fusion
+from articugen.core.arrays import Bytes, Floats
 from articugen.core.errors import InvalidArgument, InvalidSource
 from articugen.core.recipe import Recipe, load_recipe
 from articugen.core.records import (
     ArticulatedObject,
-    Floats,
     Joint,
     JointKind,
     JointState,
@@ -31,15 +31,14 @@ from articugen.core.yaml_files import nearest
 from articugen.fusion.isosurface import extract_mesh
 from articugen.instance import articulation
 from articugen.instance.articulation import Canonical
-from articugen.instance.make import Prepared, make_instance, pose, prepare
+from articugen.instance.make import make_instance
+from articugen.instance.preparing import Prepared, pose, prepare
 from articugen.instance.swept import swept_box
 from articugen.meshes.mesh_file import export
 from articugen.sources import registry
 from articugen.store.rows import Row, RowJoint
 
-ANY_CATEGORY = "object"
-"""Of a model that does not tell what it is."""
-
+ANY_CATEGORY = "object"  # of a model that does not tell what it is
 MOST_VOXELS = 1024
 """Along an edge of what a mesh is made from: the field of more takes 8 GiB and up."""
 
@@ -97,7 +96,12 @@ def load(source: str | Path, object_id: str | None = None, *, category: str | No
     Raises:
         InvalidSource: there is no such model, or it cannot be read; the sentence says why.
     """
-    ref = _found(source, object_id, category)
+    ref, *others = models(source, category, object_id)
+    if others:
+        raise InvalidSource(
+            f"{source}: holds {1 + len(others)} models; name one, as in "
+            f"load({str(source)!r}, {ref.object_id!r})"
+        )
     own = registry.settings(ref)
     clips = registry.clips_to_limits(ref.source)
     return Model(registry.load(ref), own.canonical, tuple(own.movable), clips)
@@ -132,17 +136,6 @@ def models(
         for name, (own, out_of) in registry.share_out(source, categories, ids, ()).items()
         for ref in registry.object_refs(source, name, ids=own, exclude=out_of)
     )
-
-
-def _found(source: str | Path, object_id: str | None, category: str | None) -> registry.ObjectRef:
-    """Return the one model that is meant."""
-    first, *others = models(source, category, object_id)
-    if others:
-        raise InvalidSource(
-            f"{source}: holds {1 + len(others)} models; name one, as in "
-            f"load({str(source)!r}, {first.object_id!r})"
-        )
-    return first
 
 
 class MadeMesh(Mesh):
@@ -205,7 +198,7 @@ class Made(Row):
     def _posed(self) -> tuple[LabelledMesh, fusion.PosedFields]:
         return pose(self._prepared, self._index)
 
-    def labels(self, points: NDArray[Any]) -> NDArray[np.uint8]:
+    def labels(self, points: NDArray[Any]) -> Bytes:
         """Return (n,) at `points` (n, 3), unit frame: 0 free, k + 1 material of part k, 255
         enclosed, which no view sees and no part holds.
 
@@ -276,10 +269,7 @@ class Maker(Sequence[Made]):
         self.recipe = recipe.for_source(clips_to_limits=model.clips_to_limits)
         self.seed = seed
         self.obj = articulation.resolve(
-            model.obj,
-            self.recipe.articulation,
-            canonical=model.canonical,
-            movable=model.movable,
+            model.obj, self.recipe.articulation, canonical=model.canonical, movable=model.movable
         )
 
     @property
@@ -388,8 +378,10 @@ class Maker(Sequence[Made]):
         p = self.prepared
         box = _box(p, [state])
         if np.abs(box).max() > 0.5 + _TIE:
+            pairs = zip(self.joints, state.q.tolist(), strict=True)
+            values = ", ".join(f"{joint.name}={q:g}" for joint, q in pairs)
             raise InvalidArgument(
-                f"{self.obj.object_id}: at {_values(self.obj, state)} it sticks out of the unit "
+                f"{self.obj.object_id}: at {values} it sticks out of the unit "
                 f"frame, which the recipe's {len(p.states)} states span; raise padding or "
                 "articulation.states in the recipe"
             )
@@ -422,15 +414,9 @@ class Maker(Sequence[Made]):
 
 def _box(p: Prepared, states: Iterable[JointState]) -> Floats:
     """Return (2, 3) the box of the object in all these states, unit frame."""
-    posed = (articulation.forward_kinematics(p.obj, state) for state in states)
-    motions = np.stack([articulation.part_motions(each, p.canonical) for each in posed])
+    motions = articulation.motions_of(p.obj, states, p.canonical)
     return swept_box(p.mesh, p.unit.rigid_to_unit(motions))
 
 
 def _holds(box: Floats, other: Floats) -> bool:
     return bool((box[0] <= other[0] + _TIE).all() and (other[1] <= box[1] + _TIE).all())
-
-
-def _values(obj: ArticulatedObject, state: JointState) -> str:
-    pairs = zip(obj.moving_joints, state.q.tolist(), strict=True)
-    return ", ".join(f"{joint.name}={q:g}" for joint, q in pairs)

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from articugen.core.arrays import Bools, Bytes, Floats, Indices, Ints
 from articugen.core.errors import RejectedInstance
 from articugen.core.geometry import apply, cross, invert_rigid, points_on_triangles
-from articugen.core.records import DepthMaps, Floats, LabelledMesh
+from articugen.core.records import DepthMaps, LabelledMesh
 
-IsFree = Callable[[Floats, NDArray[np.intp]], NDArray[np.bool_]]
+IsFree = Callable[[Floats, Indices], Bools]
 """Whether points (n, 3), right in front of the faces (n,), are free: (n,)."""
 
 SURFACE_OFFSET = 1e-4
@@ -22,8 +22,7 @@ SURFACE_OFFSET = 1e-4
 
 SURFACE_ROUNDS = 40
 
-SUB_CELLS = 64
-"""So many sub-cells along the cube's edge, at least, have a sample where faces are."""
+SUB_CELLS = 64  # so many sub-cells along the cube's edge, at least, have a sample where faces are
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +31,8 @@ class SurfacePoints:
 
     points: Floats
     normals: Floats
-    part: NDArray[np.uint8]
-    face: NDArray[np.intp]
+    part: Bytes
+    face: Indices
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,16 +40,12 @@ class PartialClouds:
     """Per view: `points` (C, m, 3) unit frame, `part` (C, m)."""
 
     points: Floats
-    part: NDArray[np.uint8]
+    part: Bytes
 
 
 def solid_counts(
-    inside: NDArray[np.bool_],
-    touched: NDArray[np.bool_],
-    is_inside: Callable[[Floats], NDArray[np.bool_]],
-    *,
-    rng: np.random.Generator,
-) -> tuple[NDArray[np.int64], int]:
+    inside: Bools, touched: Bools, is_inside: Callable[[Floats], Bools], *, rng: np.random.Generator
+) -> tuple[Ints, int]:
     """Return how many of the sub-samples of each cell of a grid are inside, and how many there are.
 
     A cell that no face touches is all inside or all outside, as its centre is. The others have one
@@ -91,12 +86,7 @@ def near_points(
 
 
 def surface_points(
-    mesh: LabelledMesh,
-    seen: NDArray[np.bool_],
-    is_free: IsFree,
-    count: int,
-    *,
-    rng: np.random.Generator,
+    mesh: LabelledMesh, seen: Bools, is_free: IsFree, count: int, *, rng: np.random.Generator
 ) -> SurfacePoints:
     """`count` points uniform by area over the visible surface.
 
@@ -117,7 +107,7 @@ def surface_points(
     if not weights.any():
         raise RejectedInstance("no face of the object can be seen; is its mesh empty?")
     normals = across / np.maximum(doubled, 1e-30)[:, None]
-    kept: list[tuple[Floats, NDArray[np.intp]]] = []
+    kept: list[tuple[Floats, Indices]] = []
     have = drawn = 0
     for _ in range(SURFACE_ROUNDS):
         share = max(have / drawn, 0.02) if drawn else 0.6
@@ -136,12 +126,7 @@ def surface_points(
 
 
 def partial_clouds(
-    maps: DepthMaps,
-    part_of_face: NDArray[np.uint8],
-    count: int,
-    noise: float,
-    *,
-    rng: np.random.Generator,
+    maps: DepthMaps, part_of_face: Bytes, count: int, noise: float, *, rng: np.random.Generator
 ) -> PartialClouds:
     """`count` points of each view's depth map, without repeats where it has that many.
 

@@ -8,11 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from articugen.core.arrays import Bools, Bytes, Floats, Indices
 from articugen.core.geometry import apply, cross, pick_by_weight
 from articugen.core.portable import cos, dot, norm, turned
-from articugen.core.records import Floats, LabelledMesh
+from articugen.core.records import LabelledMesh
 from articugen.instance.sampling import SurfacePoints
 
 OFFSET = 2e-4
@@ -23,8 +23,7 @@ _ROUNDS = 8
 _STEPS = range(1, 8)
 """From one face at an edge to those that it is compared with, where they are wound in no order."""
 
-_SAME = 1e6
-"""Faces whose direction from an edge differs by less than one part in this coincide."""
+_SAME = 1e6  # faces whose direction from an edge differs by less than one part in this coincide
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +33,7 @@ class SharpEdges:
 
     ends: Floats
     normals: Floats
-    part: NDArray[np.uint8]
+    part: Bytes
 
     def moved(self, part_motion: Floats) -> "SharpEdges":
         """With each part moved by its own motion (P, 4, 4)."""
@@ -81,9 +80,7 @@ def sharp_edges(mesh: LabelledMesh, degrees: float) -> SharpEdges:
     return SharpEdges(place[sides[pair[found, 0]]], middle, part[one])
 
 
-def _facing(
-    edge: NDArray[np.intp], normals: Floats, ends: Floats, apex: Floats
-) -> NDArray[np.intp]:
+def _facing(edge: Indices, normals: Floats, ends: Floats, apex: Floats) -> Indices:
     """Return (m, 2) the rows of faces between which there is space before both, in the order around
     their edge; of edges where no two are wound so, each two. The rows (n,) of an edge follow one
     another; `ends` (n, 2, 3) and `apex` (n, 3) are the corners of their faces."""
@@ -107,9 +104,7 @@ def _facing(
     )
 
 
-def _widest(
-    edge: NDArray[np.intp], normals: Floats, pairs: NDArray[np.intp]
-) -> tuple[Floats, NDArray[np.intp]]:
+def _widest(edge: Indices, normals: Floats, pairs: Indices) -> tuple[Floats, Indices]:
     """For each edge the least cosine between the normals of its pairs of rows, and that pair."""
     one, other = pairs.T
     cosine = dot(normals[one], normals[other])
@@ -122,7 +117,7 @@ def _widest(
 
 def sharp_points(
     edges: SharpEdges,
-    is_free: Callable[[Floats, NDArray[np.uint8]], NDArray[np.bool_]],
+    is_free: Callable[[Floats, Bytes], Bools],
     count: int,
     surface: SurfacePoints,
     *,
@@ -139,7 +134,7 @@ def sharp_points(
         surface: visible, more than none.
     """
     length = norm(edges.ends[:, 1] - edges.ends[:, 0])
-    kept: list[tuple[Floats, NDArray[np.intp]]] = []
+    kept: list[tuple[Floats, Indices]] = []
     have = 0
     for _ in range(_ROUNDS if length.any() else 0):
         draw = 2 * (count - have) + 64

@@ -6,20 +6,17 @@ moving all points.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from articugen.core.arrays import Floats, Indices
 from articugen.core.geometry import bounds
 from articugen.core.jit import kernel
 from articugen.core.records import LabelledMesh
 
-_CELLS = 24
-"""Along an edge of the points' box."""
-
-_ROUNDING = 1e-12
-"""Of a bound, relative to the largest number in it: what lies as near is examined."""
+_CELLS = 24  # along an edge of the points' box
+_ROUNDING = 1e-12  # of a bound, relative to the largest number in it: what lies as near is examined
 
 
-def swept_box(mesh: LabelledMesh, motions: NDArray[np.float64]) -> NDArray[np.float64]:
+def swept_box(mesh: LabelledMesh, motions: Floats) -> Floats:
     """Return the box (2, 3) of the mesh's faces in all poses; `motions` (N, P, 4, 4)."""
     boxes = []
     for part in np.unique(mesh.part_of_face):
@@ -31,11 +28,8 @@ def swept_box(mesh: LabelledMesh, motions: NDArray[np.float64]) -> NDArray[np.fl
     return np.stack([lower.min(axis=0), upper.max(axis=0)])
 
 
-def _cells(
-    points: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.float64]]:
-    """Return the points in the order of their cells; where each cell begins, and the end; (C, 2, 3)
-    the boxes of the cells."""
+def _cells(points: Floats) -> tuple[Floats, Indices, Floats]:
+    """Return the points by cell, where each begins and the end, (C, 2, 3) the cells' boxes."""
     low, high = bounds(points)
     at = ((points - low) * (_CELLS * 0.999 / np.maximum(high - low, 1e-300))).astype(np.intp)
     key = (at[:, 0] * _CELLS + at[:, 1]) * _CELLS + at[:, 2]

@@ -30,7 +30,7 @@ from articugen.store.outcome import Key, Outcome, Rejection
 from articugen.store.writer import Check, write_shard
 
 if TYPE_CHECKING:
-    from articugen.instance.make import Prepared
+    from articugen.instance.preparing import Prepared
 
 SECONDS_FOR_ANY_OBJECT = 600.0
 SECONDS_FOR_ANY_INSTANCE = 5.0
@@ -190,8 +190,8 @@ def _made(prepared: "Prepared", index: int) -> _Made:
 
 def _prepared(job: Job, task: Task) -> "Prepared":
     # numba and the mesh readers take a second to import: the command line should not wait for them
-    from articugen.instance.make import prepare  # noqa: PLC0415
-    from articugen.instance.resolving import resolved  # noqa: PLC0415
+    from articugen.instance.again import resolved  # noqa: PLC0415
+    from articugen.instance.preparing import prepare  # noqa: PLC0415
 
     return prepare(resolved(task.ref, job.recipe), job.recipe, job.seed)
 

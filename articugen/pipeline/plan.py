@@ -125,7 +125,7 @@ def objects_of(job: Job) -> tuple[ObjectRef, ...]:
 def _is_of_category(recipe: Recipe, ref: ObjectRef) -> bool:
     """Whether something of an object moves in the recipe's sense; no mesh is read. One that cannot
     be read counts: its turn comes to be refused, with the reason."""
-    from articugen.instance.resolving import resolved  # noqa: PLC0415 - slow to import
+    from articugen.instance.again import resolved  # noqa: PLC0415 - slow to import
     from articugen.meshes.read import unread  # noqa: PLC0415
 
     try:

@@ -20,9 +20,8 @@ from articugen.core import processes
 from articugen.core.errors import ArticugenError, CorruptShard
 from articugen.core.files import lock_folder, read_regular, sha256_of, write_atomically
 from articugen.core.recipe import Recipe
-from articugen.instance.again import generator_of
-from articugen.instance.make import prepare
-from articugen.instance.resolving import resolved
+from articugen.instance.again import generator_of, resolved
+from articugen.instance.preparing import prepare
 from articugen.pipeline.folder import is_unfinished
 from articugen.sources import registry
 from articugen.store import croissant

@@ -11,7 +11,8 @@ from articugen.core.schema import Instance
 from articugen.core.seeding import generator
 from articugen.fusion import pixel_width
 from articugen.instance.again import prepared_again
-from articugen.instance.make import Prepared, make_instance, pose
+from articugen.instance.make import make_instance
+from articugen.instance.preparing import Prepared, pose
 from articugen.store.manifest import Manifest
 from articugen.store.outcome import ObjectEntry
 from articugen.store.provenance import library_versions, this_machine
