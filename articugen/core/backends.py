@@ -8,13 +8,12 @@ docs/extending.md.
 import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import ModuleType
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from articugen.core import plugins
+from articugen.core.arrays import Bools
 from articugen.core.errors import BrokenPlugin
 from articugen.core.records import DepthMaps, LabelledMesh, Views
 from articugen.core.yaml_files import nearest
@@ -23,13 +22,12 @@ from articugen.core.yaml_files import nearest
 class Overlay(Protocol):
     """Keeps the maps of what never moves and draws over them what does, again and again."""
 
-    def draw(self, mesh: LabelledMesh, *, closed: NDArray[np.bool_], first_face: int) -> DepthMaps:
+    def draw(self, mesh: LabelledMesh, *, closed: Bools, first_face: int) -> DepthMaps:
         """The faces seen, which hold until the next call; face f of `mesh` is `first_face + f`."""
         ...
 
 
-HINTS = ("closed", "keep_depth")
-"""What a module's `render` may take besides; see `Backend.render`."""
+HINTS = ("closed", "keep_depth")  # what a module's `render` may take besides; see `Backend.render`
 
 
 @dataclass(frozen=True)
@@ -56,7 +54,7 @@ class Backend:
         mesh: LabelledMesh,
         views: Views,
         *,
-        closed: NDArray[np.bool_] | None = None,
+        closed: Bools | None = None,
         keep_depth: bool = True,
     ) -> DepthMaps:
         """What each of `views` sees of `mesh`.
@@ -72,7 +70,17 @@ class Backend:
             ValueError: a part of the mesh does not lie in front of a pinhole camera.
         """
         offered = {"closed": closed, "keep_depth": keep_depth}
-        maps = self._module().render(mesh, views, **{k: offered[k] for k in self.takes})
+        try:
+            module = importlib.import_module(self.module)
+        except ModuleNotFoundError as error:
+            if error.name != self.module:
+                raise
+            raise BrokenPlugin(
+                f"renderer {self.module}: there is no such module; correct its line in the table"
+            ) from None
+        if not hasattr(module, "render"):
+            raise BrokenPlugin(f"renderer {self.module}: has no function render; add one")
+        maps = module.render(mesh, views, **{k: offered[k] for k in self.takes})
         if self.tells_faces and maps.face is None:
             raise BrokenPlugin(
                 f"renderer {self.module}: gives no faces though its line in the table says "
@@ -81,7 +89,7 @@ class Backend:
         return maps
 
     def render_parts(
-        self, mesh: LabelledMesh, views: Views, *, closed: NDArray[np.bool_] | None = None
+        self, mesh: LabelledMesh, views: Views, *, closed: Bools | None = None
     ) -> DepthMaps:
         """As `render`, with faces in any case: of a backend that does not tell them each part is
         drawn alone, and its first face stands for all of the part where that is the nearest."""
@@ -104,19 +112,6 @@ class Backend:
     def __post_init__(self) -> None:
         if unknown := set(self.takes) - set(HINTS):
             raise ValueError(f"takes={self.takes}: there is no {unknown}, only {HINTS}")
-
-    def _module(self) -> ModuleType:
-        try:
-            module = importlib.import_module(self.module)
-        except ModuleNotFoundError as error:
-            if error.name != self.module:
-                raise
-            raise BrokenPlugin(
-                f"renderer {self.module}: there is no such module; correct its line in the table"
-            ) from None
-        if not hasattr(module, "render"):
-            raise BrokenPlugin(f"renderer {self.module}: has no function render; add one")
-        return module
 
 
 BACKENDS: dict[str, Backend] = {
@@ -141,10 +136,7 @@ def names() -> Sequence[str]:
 
 
 def check_name(name: str) -> None:
-    """
-    Raises:
-        ValueError: there is no backend of that name.
-    """
+    """Raise ValueError where there is no backend of that name."""
     if name not in BACKENDS and name not in names():
         hint = nearest(name, list(names()))
         there = [f"{n} (needs {b.needs})" if b.needs else n for n, b in BACKENDS.items()]
@@ -154,11 +146,6 @@ def check_name(name: str) -> None:
 
 
 def backend_named(name: str) -> Backend:
-    """Return the backend of that name, ours or another package's.
-
-    Raises:
-        ValueError: there is none.
-        BrokenPlugin: the other package's cannot be used.
-    """
+    """Return the backend of that name, ours or a package's; BrokenPlugin if that is unusable."""
     check_name(name)
     return BACKENDS[name] if name in BACKENDS else _OTHERS.load(name)

@@ -20,7 +20,7 @@ import llvmlite.binding as llvm
 import numpy as np
 
 from articugen.core import processes
-from articugen.core.bundled import CACHE
+from articugen.core.content import CACHE
 from articugen.core.geometry import look_along
 from articugen.core.records import LabelledMesh, Views
 
@@ -93,20 +93,13 @@ def two_views() -> Views:
     return Views("orthographic", sides, two, two, two, two, 4, 4)
 
 
-def _with_kernels() -> list[Path]:
-    """The files of the rooms that have kernels to be compiled."""
+def _stamp(command: str) -> Path:
+    """Return the file that is there once a command's kernels are compiled as they are now."""
+    known = [sys.version, version("numba"), *_processor()]
     modules = {name.partition(".warm:")[0] for names in WARM_UPS.values() for name in names}
     rooms = (_PACKAGE.joinpath(*module.split(".")) for module in sorted(modules))
     files = (file for room in rooms for file in sorted(room.rglob("*.py")))
-    return [_PACKAGE / "core" / "jit.py", *files]
-
-
-def _stamp(command: str) -> Path:
-    """The file that is there once a command's kernels are compiled as they are now, for this
-    processor; in the same folder as they, or where that cannot be written to in the user's cache.
-    """
-    known = [sys.version, version("numba"), *_processor()]
-    for file in _with_kernels():
+    for file in [_PACKAGE / "core" / "jit.py", _PACKAGE / "core" / "near.py", *files]:
         state = file.stat()  # numba, too, looks at no more than that
         known.append(f"{file.relative_to(_PACKAGE)} {state.st_mtime_ns} {state.st_size}")
     digest = hashlib.sha256("\n".join(known).encode()).hexdigest()

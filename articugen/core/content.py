@@ -5,13 +5,15 @@ Comments, tidied code and new backends change no data and raise nothing. `tests/
 digests of a tiny set: where they change and no number was raised, a test fails and says what to do.
 
 They stand in one light table, since a run is planned without importing numba and the stages.
+Bundled recipes and sources lie beside the package in a checkout, else inside of it.
 """
 
 import hashlib
 from pathlib import Path
 
-VERSION = "0.1.0"
-"""Of articugen; `articugen.__version__`."""
+from platformdirs import user_cache_path
+
+VERSION = "0.1.0"  # of articugen; `articugen.__version__`
 
 STAGES = {
     "sources": 1,  # how files become an object; not the shapes of bundled models
@@ -25,16 +27,16 @@ STAGES = {
     "vocabulary": 1,  # geometry, portable, records, seeding: what all of them compute with
 }
 
-MODELS = {
-    "drawer": 2,
-    "eyeglasses": 2,
-    "laptop": 2,
-    "oven": 1,
-    "washing_machine": 1,
-}
+MODELS = {"drawer": 2, "eyeglasses": 2, "laptop": 2, "oven": 1, "washing_machine": 1}
 """The same for the shapes of bundled models, by category: models and their data are made again."""
 
-_DRAWN_BY = Path(__file__).parents[1] / "procedural"
+_INSTALLED = Path(__file__).resolve().parents[1] / "_bundled"
+_ROOT = _INSTALLED if _INSTALLED.is_dir() else _INSTALLED.parent.parent
+
+RECIPES = _ROOT / "recipes"
+SOURCES = _ROOT / "urdf_sources"
+CACHE = user_cache_path("articugen", appauthor=False)  # of the user
+_DRAWN_BY = _INSTALLED.parent / "procedural"
 
 
 def model_version(category: str) -> int | str:

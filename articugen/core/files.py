@@ -125,12 +125,7 @@ def within(folder: Path, name: str) -> Path:
 
 
 def check_regular(path: Path) -> None:
-    """See to it that a library which opens files by name will not wait for a writer.
-
-    Raises:
-        UnfitFile: it is no regular file.
-        OSError: it is not there, or the like.
-    """
+    """Raise an OSError if a library that opens this would wait for a writer, or finds nothing."""
     found = os.stat(path)
     _check_regular(found, found.st_size)
 
@@ -148,11 +143,7 @@ def _check_regular(found: os.stat_result, most_bytes: int) -> None:
 def write_atomically(
     path: Path, data: bytes, *, check: Callable[[Path], None] | None = None
 ) -> None:
-    """Write `data` so that `path` is at any moment what it was before, or all of `data`.
-
-    Raises:
-        MachineFault: the disk is full, the folder cannot be written to, or the like.
-    """
+    """Write `data` so that `path` is what it was or all of it; MachineFault where that fails."""
     with written_atomically(path, check=check, size=len(data)) as file:
         file.write(data)
 
@@ -191,11 +182,7 @@ def written_atomically(
 
 
 def check_place(path: Path) -> None:
-    """See to it that a file can be written there, before there is much work for it.
-
-    Raises:
-        MachineFault: its folder is not there or cannot be written to, or a folder is in its place.
-    """
+    """Raise MachineFault where no file can be written there, before there is much work for it."""
     temporary = path.with_name(partial_name(path.name))
     try:
         if path.is_dir():
@@ -235,11 +222,7 @@ def cannot_write(path: Path, error: OSError, size: int = 0) -> str:
 
 
 def room_at(path: Path) -> int:
-    """Return the bytes that are free where a path is, or will be.
-
-    Raises:
-        OSError: nobody can tell.
-    """
+    """Return the bytes that are free where a path is, or will be; OSError if nobody can tell."""
     path = path.absolute()
     disk = shutil.disk_usage(next(p for p in (path, *path.parents) if p.exists()))
     if not disk.total:  # as file systems say that do not know
@@ -253,11 +236,7 @@ def megabytes(count: float) -> str:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder, and what is missing above it, as durable as what will be in it.
-
-    Raises:
-        OSError: it cannot be made.
-    """
+    """Make a folder, and what is missing above it, as durable as what will be in it; or OSError."""
     missing = [path for path in (folder, *folder.parents) if not path.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     for path in missing:

@@ -7,12 +7,13 @@ right-handed; angles are radians. Sums and angles go through portable.py: the sa
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from articugen.core.arrays import Floats, Indices
 from articugen.core.portable import norm, product, sin_cos, turned
 
-Array = NDArray[np.float64]
+Array = Floats
 
 
-def rotation_about(axis: ArrayLike, angle: float) -> Array:
+def rotation_about(axis: ArrayLike, angle: float) -> Floats:
     """Return the (3, 3) rotation by `angle` about the unit vector `axis` (Rodrigues' formula)."""
     x, y, z = np.asarray(axis, dtype=np.float64)
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -20,7 +21,7 @@ def rotation_about(axis: ArrayLike, angle: float) -> Array:
     return np.eye(3) + sine * K + (1.0 - cosine) * product(K, K)
 
 
-def rotation_from_rpy(rpy: ArrayLike) -> Array:
+def rotation_from_rpy(rpy: ArrayLike) -> Floats:
     """The (3, 3) rotation of URDF's fixed-axis roll, pitch, yaw: Rz(yaw) Ry(pitch) Rx(roll)."""
     roll, pitch, yaw = np.asarray(rpy, dtype=np.float64)
     return product(
@@ -30,7 +31,7 @@ def rotation_from_rpy(rpy: ArrayLike) -> Array:
     )
 
 
-def transform(rotation: ArrayLike | None = None, translation: ArrayLike | None = None) -> Array:
+def transform(rotation: ArrayLike | None = None, translation: ArrayLike | None = None) -> Floats:
     """A (4, 4) transform from a (3, 3) rotation and a (3,) translation; each defaults to none."""
     T = np.eye(4)
     if rotation is not None:
@@ -40,7 +41,7 @@ def transform(rotation: ArrayLike | None = None, translation: ArrayLike | None =
     return T
 
 
-def apply(T: Array, points: ArrayLike) -> Array:
+def apply(T: Floats, points: ArrayLike) -> Floats:
     """`T` (4, 4) applied to `points` (..., 3)."""
     points = np.asarray(points, dtype=np.float64)
     x, y, z = np.moveaxis(points, -1, 0)
@@ -50,7 +51,7 @@ def apply(T: Array, points: ArrayLike) -> Array:
     return moved
 
 
-def invert_rigid(T: Array) -> Array:
+def invert_rigid(T: Floats) -> Floats:
     """Return the inverse of rigid transforms (..., 4, 4), exact up to rounding and cheap."""
     inverse = np.zeros_like(T)
     rotation_t = np.swapaxes(T[..., :3, :3], -1, -2)
@@ -60,19 +61,19 @@ def invert_rigid(T: Array) -> Array:
     return inverse
 
 
-def bounds(points: ArrayLike) -> Array:
+def bounds(points: ArrayLike) -> Floats:
     """Return the axis-aligned box (2, 3) of `points` (n, 3): lower corner, upper corner."""
     columns = np.asarray(points, dtype=np.float64).T  # each by itself: rows of 3 take five times it
     return np.array([[x.min() for x in columns], [x.max() for x in columns]])
 
 
-def box_corners(box: Array) -> Array:
+def box_corners(box: Floats) -> Floats:
     """Return the 8 corners (8, 3) of a box (2, 3)."""
     pick = np.array([[(i >> k) & 1 for k in range(3)] for i in range(8)])
     return np.take_along_axis(box, pick, axis=0)
 
 
-def voxel_centres(resolution: int, which: NDArray[np.integer] | None = None) -> Array:
+def voxel_centres(resolution: int, which: NDArray[np.integer] | None = None) -> Floats:
     """Return the centres (i + 0.5) / R - 0.5 of the R^3 voxels of a grid: (R^3, 3), x slowest.
 
     Args:
@@ -84,8 +85,8 @@ def voxel_centres(resolution: int, which: NDArray[np.integer] | None = None) -> 
 
 
 def points_on_triangles(
-    corners: Array, count: int, *, rng: np.random.Generator, weights: ArrayLike | None = None
-) -> tuple[Array, NDArray[np.intp]]:
+    corners: Floats, count: int, *, rng: np.random.Generator, weights: ArrayLike | None = None
+) -> tuple[Floats, Indices]:
     """Points (count, 3) spread at random over triangles (F, 3, 3), and the face (count,) of each.
 
     Args:
@@ -100,14 +101,16 @@ def points_on_triangles(
     return points_in_triangles(corners[face], a, b), face
 
 
-def pick_by_weight(weights: ArrayLike, at: NDArray[np.floating]) -> NDArray[np.intp]:
+def pick_by_weight(weights: ArrayLike, at: NDArray[np.floating]) -> Indices:
     """(n,) the index at the share `at` (n,), each in [0, 1), of the sum of the weights (F,)."""
     cumulative = np.cumsum(weights)
     found = np.searchsorted(cumulative, at * cumulative[-1], side="right")
     return np.minimum(found, len(cumulative) - 1)
 
 
-def points_in_triangles(corners: Array, a: NDArray[np.floating], b: NDArray[np.floating]) -> Array:
+def points_in_triangles(
+    corners: Floats, a: NDArray[np.floating], b: NDArray[np.floating]
+) -> Floats:
     """Return (n, 3) the points of triangles (n, 3, 3) at places (n, 1) of the unit square, which is
     folded along its diagonal: what is uniform there is uniform by area."""
     folded = a + b > 1.0
@@ -115,7 +118,7 @@ def points_in_triangles(corners: Array, a: NDArray[np.floating], b: NDArray[np.f
     return corners[:, 0] * (1.0 - a - b) + corners[:, 1] * a + corners[:, 2] * b
 
 
-def fibonacci_sphere(count: int) -> Array:
+def fibonacci_sphere(count: int) -> Floats:
     """`count` unit directions (count, 3) spread evenly over the sphere.
 
     Spherical Fibonacci points: z at the midpoints of equal slices, which have equal areas, and
@@ -130,7 +133,7 @@ def fibonacci_sphere(count: int) -> Array:
     return np.stack([radius * cosine, radius * sine, z], axis=1)
 
 
-def cross(a: ArrayLike, b: ArrayLike) -> Array:
+def cross(a: ArrayLike, b: ArrayLike) -> Floats:
     """Return the cross products of (..., 3) and (..., 3); the same numbers as numpy's, at a tenth
     of its overhead, of which the procedural models' thousands of small polygons are most."""
     a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
@@ -143,7 +146,7 @@ def cross(a: ArrayLike, b: ArrayLike) -> Array:
     return out
 
 
-def look_along(direction: ArrayLike, eye: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
+def look_along(direction: ArrayLike, eye: ArrayLike = (0.0, 0.0, 0.0)) -> Floats:
     """`T_camera_world` (..., 4, 4) of cameras at `eye` (..., 3) that look along `direction`
     (..., 3).
 

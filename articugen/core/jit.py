@@ -8,6 +8,8 @@ but takes long to compile where there are many.
 Dear in a kernel, at one to four seconds each: assigning an array to a slice, np.cross and others
 that can raise errors, as numba compiles how those are worded; np.partition, np.append; arrays that
 differ from one caller to the next in being read-only, or in their layout.
+
+In kernels a vector is a tuple of three numbers, which costs nothing to hand on.
 """
 
 from contextlib import suppress
@@ -39,11 +41,25 @@ def kernel(function: Any = None, /, **options: Any) -> Any:
 
 
 def _drop_stale(code: CodeType, folder: Path) -> None:
-    """Remove numba's index of a kernel whose file has changed since: numba reads it before it
-    examines the date, and raises where a class that it names has moved to another module."""
+    """Remove numba's index of a kernel whose file changed: it is read before its date is."""
     source = Path(code.co_filename)
     with suppress(OSError):
         changed = source.stat().st_mtime_ns
         for index in folder.glob(f"{source.stem}.{code.co_name}-{code.co_firstlineno}.*.nbi"):
             if index.stat().st_mtime_ns < changed:
                 index.unlink(missing_ok=True)
+
+
+@helper
+def vector(rows, i):  # pragma: no cover - compiled
+    return rows[i, 0], rows[i, 1], rows[i, 2]
+
+
+@helper
+def minus(a, b):  # pragma: no cover - compiled
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@helper
+def dot(a, b):  # pragma: no cover - compiled
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -22,16 +22,14 @@ from articugen.core.errors import ArticugenError
 from articugen.core.files import UnfitFile, whole_name
 from articugen.core.place import Listed, Place, read_all
 
-LEDGER = ".articugen"
-"""The folder of every ledger."""
+LEDGER = ".articugen"  # the folder of every ledger
 _PLAN = f"{LEDGER}/plan.json"
 _DONE = f"{LEDGER}/done"
 _CLAIMS = f"{LEDGER}/claims"
 _CLOCKS = f"{LEDGER}/clocks"
 
 _UNSAFE = re.compile(r"[^A-Za-z0-9_-]+")
-_LONGEST = 60
-"""Letters of a key that its file is called by; a digest tells keys apart."""
+_LONGEST = 60  # letters of a key that its file is called by; a digest tells keys apart
 
 
 class Ledger:
@@ -78,11 +76,7 @@ class Ledger:
         return about
 
     def agreed(self) -> bytes | None:
-        """Return what is made here; None where nobody has said so.
-
-        Raises:
-            ArticugenError: it is damaged.
-        """
+        """Return what is made here, None where nobody has said so; ArticugenError if damaged."""
         try:
             data = self.place.read(_PLAN)
         except UnfitFile as error:

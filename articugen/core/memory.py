@@ -1,18 +1,18 @@
-"""What becomes of memory that is freed.
+"""The memory of processes: what becomes of what is freed, and how much they hold.
 
 glibc keeps blocks for later, by and by those of up to 32 MiB, and what else is in use between them
-keeps their room from ever going back to the system.
-
-Elsewhere than on glibc nothing changes.
+keeps their room from ever going back to the system. Elsewhere than on glibc nothing changes.
 """
 
 import ctypes
-from collections.abc import Iterator
-from contextlib import contextmanager
+import os
+import subprocess
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # of malloc.h
-_LARGEST = 32 << 20
-"""Of the blocks that glibc keeps."""
+_LARGEST = 32 << 20  # of the blocks that glibc keeps
 
 
 def give_back(block: int) -> None:
@@ -32,3 +32,18 @@ def given_back(block: int) -> Iterator[None]:
         yield
     finally:
         give_back(_LARGEST)
+
+
+def resident_bytes(pids: Sequence[int]) -> dict[int, int]:
+    """Return the memory that processes hold, by their id; without those that are gone."""
+    if Path("/proc/self/statm").exists():
+        held = {}
+        for pid in pids:
+            with suppress(OSError, IndexError):
+                pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+                held[pid] = pages * os.sysconf("SC_PAGE_SIZE")
+        return held
+    command = ["ps", "-o", "pid=,rss=", "-p", ",".join(map(str, pids))]
+    listed = subprocess.run(command, capture_output=True, text=True, check=False).stdout.split()
+    numbers = list(map(int, listed))
+    return {pid: 1024 * held for pid, held in zip(numbers[::2], numbers[1::2], strict=True)}

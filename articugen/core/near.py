@@ -1,7 +1,8 @@
 """Which points lie near others: exact, by sorting the points into cells.
 
-Cells along z lie in one piece, so that a query examines a few columns of them; there are about
-three times as many as points, of which a surface leaves most empty.
+`Sorted` answers thousands of questions about points of the unit cube, `Cells` is for kernels that
+walk around points of any box. Cells along z lie in one piece, so that a query examines a few
+columns; `Sorted` has about three times as many as points, of which a surface leaves most empty.
 """
 
 from typing import Any, NamedTuple
@@ -9,10 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Floats, Ints
 from articugen.core.jit import helper, inlined, kernel
 
-_ROUNDING = 1e-9
-"""Cells are chosen that much more generously; what is in them is compared exactly."""
+_ROUNDING = 1e-9  # cells are chosen that much more generously; what is in them is compared exactly
 
 
 class Sorted(NamedTuple):
@@ -31,10 +32,11 @@ class Sorted(NamedTuple):
     cells: int
 
 
-def by_cell(points: NDArray[np.float64]) -> Sorted:
+def by_cell(points: Floats) -> Sorted:
     """`points` (m, 3), sorted once for however many questions."""
     cells = max(1, int(1.5 * len(points) ** (1.0 / 3.0)))
-    number, start = _by_cell(points, cells)
+    x, y, z = np.clip(((points + 0.5) * cells).astype(np.int64), 0, cells - 1).T
+    number, start = _sorted((x * cells + y) * cells + z, cells**3)
     return Sorted(points[number], number, start, cells)
 
 
@@ -101,23 +103,6 @@ def _cell_of(point, cells):  # pragma: no cover - compiled
     return (x * cells + y) * cells + z
 
 
-@kernel
-def _by_cell(points, cells):  # pragma: no cover - compiled
-    """The numbers of the points (m, 3) in the order of their cells, and where each cell's begin."""
-    start = np.zeros(cells**3 + 1, np.int32)
-    cell = np.empty(len(points), np.int32)
-    for i in range(len(points)):
-        cell[i] = _cell_of((points[i, 0], points[i, 1], points[i, 2]), cells)
-        start[cell[i] + 1] += 1
-    for j in range(cells**3):
-        start[j + 1] += start[j]
-    free, number = start.copy(), np.empty(len(points), np.int64)
-    for i in range(len(points)):
-        number[free[cell[i]]] = i
-        free[cell[i]] += 1
-    return number, start
-
-
 @helper
 def _off(cell, cells, at):  # pragma: no cover - compiled
     """The squared distance of a coordinate from a slab of cells, and rather less; 0 inside."""
@@ -128,8 +113,7 @@ def _off(cell, cells, at):  # pragma: no cover - compiled
 
 @inlined
 def _nearest(points, first, last, query, most):  # pragma: no cover - compiled
-    """Return (i, d): which of points[first:last] is nearest, and its squared distance; (-1, most)
-    where none is within the root of `most`."""
+    """Return (i, d): nearest of points[first:last], its squared distance; (-1, most) if too far."""
     found, least = -1, most
     for i in range(first, last):
         n = np.uintp(i)  # unsigned: numba does not ask whether to count from the end
@@ -138,3 +122,81 @@ def _nearest(points, first, last, query, most):  # pragma: no cover - compiled
         if d < least or (d == least and found < 0):
             found, least = i, d
     return found, least
+
+
+@kernel
+def _sorted(cell, count):  # pragma: no cover - compiled
+    """Return the numbers of points by their `cell` (m,), and where each of `count` cells begins."""
+    start = np.zeros(count + 1, np.int32)
+    for i in range(len(cell)):
+        start[cell[i] + 1] += 1
+    for j in range(count):
+        start[j + 1] += start[j]
+    free, number = start.copy(), np.empty(len(cell), np.int64)
+    for i in range(len(cell)):
+        number[free[cell[i]]] = i
+        free[cell[i]] += 1
+    return number, start
+
+
+MOST_CELLS = 128  # along one axis; a grid that fine takes 16 MiB
+
+
+class Cells(NamedTuple):
+    """A grid of cubes over the box of some points.
+
+    Attributes:
+        low: the box's lower corner.
+        side: of a cube.
+        shape: how many cubes along each axis.
+        first: cube c, counted with z fastest, holds points first[c] to first[c + 1] of `order`.
+        order: (n,) the points' indices, cube by cube.
+    """
+
+    low: tuple[float, float, float]
+    side: float
+    shape: tuple[int, int, int]
+    first: NDArray[np.int32]
+    order: Ints
+
+
+def cells_of(points: Floats, side: float) -> Cells:
+    """The `points` (n, 3) in cubes of this side, or larger ones if there would be too many."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    side = max(side, float((high - low).max()) / (MOST_CELLS - 1))
+    shape = ((high - low) / side).astype(np.int64) + 1
+    x, y, z = ((points - low) / side).astype(np.int64).T
+    cell = (x * shape[1] + y) * shape[2] + z
+    order, first = _sorted(cell, int(shape.prod()))
+    corner, cubes = (float(low[0]), float(low[1]), float(low[2])), tuple(int(n) for n in shape)
+    return Cells(corner, side, cubes, first, order)  # type: ignore[arg-type]
+
+
+@helper
+def reached(cells, axis, at, reach):
+    """Return where the cubes within `reach` of the coordinate `at` begin and end along an axis."""
+    first = int(np.floor((at - reach - cells.low[axis]) / cells.side))
+    last = int(np.floor((at + reach - cells.low[axis]) / cells.side))
+    begin = min(max(first, 0), cells.shape[axis])
+    return begin, max(min(last + 1, cells.shape[axis]), begin)
+
+
+@helper
+def near(cells, points, at, reach, found):
+    """Write the indices of the points within `reach` of `at` to `found` (n,); how many they are."""
+    x, y, z = at[0], at[1], at[2]
+    order, first = cells.order, cells.first
+    x_low, x_end = reached(cells, 0, x, reach)
+    y_low, y_end = reached(cells, 1, y, reach)
+    z_low, z_end = reached(cells, 2, z, reach)
+    count = 0
+    for i in range(x_low, x_end):
+        for j in range(y_low, y_end):
+            row = (i * cells.shape[1] + j) * cells.shape[2]
+            for n in range(first[row + z_low], first[row + z_end]):
+                k = order[n]
+                dx, dy, dz = points[k, 0] - x, points[k, 1] - y, points[k, 2] - z
+                if dx**2 + dy**2 + dz**2 < reach * reach:
+                    found[count] = k
+                    count += 1
+    return count

@@ -21,10 +21,8 @@ from articugen.core.files import (
     write_atomically,
 )
 
-_MOST_BYTES = 1 << 28
-"""Of a file that is read as a whole."""
-_TRIES = 5
-"""Of a write whose folder somebody else has just emptied and removed."""
+_MOST_BYTES = 1 << 28  # of a file that is read as a whole
+_TRIES = 5  # of a write whose folder somebody else has just emptied and removed
 
 
 @dataclass(frozen=True)
@@ -199,11 +197,7 @@ class Folder:
         return path
 
     def _path(self, name: str) -> Path:
-        """Return the path of a file to replace or remove: a link itself, not where it leads.
-
-        Raises:
-            UnfitFile: as `within`.
-        """
+        """Return the path of a file to replace or remove: a link itself, not where it leads."""
         above, _, last = name.rpartition("/")
         if "\0" in last or not last.strip("."):
             raise UnfitFile(errno.EINVAL, f"{name!r} is no name of a file in it")

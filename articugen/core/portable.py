@@ -12,9 +12,9 @@ from math import factorial
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from articugen.core.arrays import Floats
 
 # pi / 2 and ln 2 in pieces; all but the last have 33 bits, so that their small multiples are exact.
 _HALF_PI = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21)
@@ -24,10 +24,10 @@ _TURNS = 2.0**20
 """So many quarter turns `sin_cos` takes; more would lose digits that callers think they have."""
 
 
-def product(*matrices: ArrayLike) -> Array:
+def product(*matrices: ArrayLike) -> Floats:
     """Return the matrix product of (..., a, b), (..., b, c), ... from the left to the right."""
 
-    def times(A: Array, B: Array) -> Array:
+    def times(A: Floats, B: Floats) -> Floats:
         total = A[..., :, 0, None] * B[..., 0, None, :]
         for k in range(1, A.shape[-1]):
             total = total + A[..., :, k, None] * B[..., k, None, :]
@@ -36,7 +36,7 @@ def product(*matrices: ArrayLike) -> Array:
     return reduce(times, (np.asarray(matrix, np.float64) for matrix in matrices))
 
 
-def turned(matrix: ArrayLike, vectors: ArrayLike) -> Array:
+def turned(matrix: ArrayLike, vectors: ArrayLike) -> Floats:
     """`matrix` (..., a, b) times each of `vectors` (..., b): (..., a)."""
     return product(matrix, np.asarray(vectors, np.float64)[..., None])[..., 0]
 
@@ -125,7 +125,7 @@ def power(base: ArrayLike, exponent: ArrayLike) -> Any:
     return np.where(base > 0.0, result, 0.0)[()]
 
 
-def _series(x: Array, coefficients: list[float]) -> Array:
+def _series(x: Floats, coefficients: list[float]) -> Floats:
     """The polynomial in `x` with these coefficients, the constant one first (Horner's rule)."""
     total = np.full_like(x, coefficients[-1])
     for coefficient in reversed(coefficients[:-1]):

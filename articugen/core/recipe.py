@@ -15,10 +15,10 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from articugen.core import backends, schema
-from articugen.core.bundled import RECIPES
+from articugen.core.content import RECIPES
 from articugen.core.errors import InvalidRecipe, printable
-from articugen.core.fields import SYMBOLS, resolution_of
-from articugen.core.fields import Field as Described
+from articugen.core.schema import SYMBOLS, resolution_of
+from articugen.core.schema import Field as Described
 from articugen.core.yaml_files import Section as _Section
 from articugen.core.yaml_files import find, resolved, resolved_mapping, validated
 
@@ -26,10 +26,8 @@ _CATEGORY = re.compile(r"\w(?:[\w .+-]{0,98}[\w+-])?")
 
 MAX_TEXT_BYTES = 32_000
 """Of a resolved recipe: it is kept in an attribute of each shard, which can hold 60,000."""
-MAX_INSTANCE_BYTES = 1 << 27
-"""Of an instance in memory: some are held at once."""
-MAX_PIXELS = 1 << 28
-"""Of all views together, 4 bytes each."""
+MAX_INSTANCE_BYTES = 1 << 27  # of an instance in memory: some are held at once
+MAX_PIXELS = 1 << 28  # of all views together, 4 bytes each
 MOST_PARTS = 255
 
 _Pattern = Annotated[str, Field(min_length=1, max_length=255)]
@@ -161,13 +159,9 @@ class Sampling(_Section):
     depth_noise: float = Field(default=0.0, ge=0.0, le=0.1)
 
     @model_validator(mode="after")
-    def _has_what_near_points_lie_around(self) -> "Sampling":
+    def _makes_sense(self) -> "Sampling":
         if self.near_sharp and not self.sharp_points:
             raise ValueError("near_sharp wants sharp_points to draw around; ask for some")
-        return self
-
-    @model_validator(mode="after")
-    def _grids_are_sizes(self) -> "Sampling":
         if any(not 1 <= r <= 256 for r in self.grids) or len(set(self.grids)) != len(self.grids):
             raise ValueError("grids are different sizes from 1 to 256")
         return self
@@ -236,10 +230,6 @@ class Recipe(_Section):
                 f"sampling: an instance would take {sum(sizes.values()) / 2**20:,.0f} MiB, more "
                 f"than {MAX_INSTANCE_BYTES >> 20}; ask for fewer points, smaller grids or images"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _fits_an_attribute(self) -> "Recipe":
         length = len(self.text())
         if length > MAX_TEXT_BYTES:
             raise ValueError(
@@ -319,12 +309,7 @@ class Recipe(_Section):
         states: int | None = None,
         max_rejected: float | None = None,
     ) -> "Recipe":
-        """This recipe with other numbers of objects and of random states, or another
-        `max_rejected_fraction`; None keeps its own.
-
-        Raises:
-            InvalidRecipe: there cannot be so many.
-        """
+        """Return it with other numbers, where given; InvalidRecipe if there cannot be so many."""
         data = self.model_dump()
         if max_rejected is not None:
             data["max_rejected_fraction"] = max_rejected
@@ -337,11 +322,7 @@ class Recipe(_Section):
     def with_articulation(
         self, *, movable: Sequence[str] = (), canonical: str | None = None
     ) -> "Recipe":
-        """This recipe with other moving joints or another canonical pose; nothing keeps its own.
-
-        Raises:
-            InvalidRecipe: there is no such canonical pose.
-        """
+        """Return it with other moving joints or canonical pose, where given; or InvalidRecipe."""
         data = self.model_dump()
         if movable:
             data["articulation"]["movable"] = list(movable)
@@ -358,11 +339,7 @@ class Recipe(_Section):
 
 
 def check_category(name: str) -> None:
-    """Categories name recipes and folders: letters, digits and _, within also space, - . and +.
-
-    Raises:
-        InvalidRecipe: another name.
-    """
+    """Raise InvalidRecipe for other signs than letters, digits, _, and within space - . +."""
     if not _CATEGORY.fullmatch(name):
         raise InvalidRecipe(
             f"{printable(name)!r} cannot be a category's name; use up to 100 letters, digits, _ "
@@ -385,21 +362,15 @@ def load_recipe(
     if isinstance(given, Recipe):
         return given
     check_category(category)
-    own = _category_recipe(category, source)
+    names = [f"{category}-{source}"] if _CATEGORY.fullmatch(source) else []  # else it is a path
+    paths = [RECIPES / f"{name}.yaml" for name in (*names, category, "default")]
+    own = next((path for path in paths if path.is_file()), paths[-1])
 
     def base_of(base: str) -> Path:
         return own if base == "category" else find(base, learner=False)
 
     if isinstance(given, Mapping):
-        where = "the recipe that is given"
         data = {"name": "own"} | resolved_mapping(given, base_of)
-        return validated(Recipe, data, where)
+        return validated(Recipe, data, "the recipe that is given")
     path = own if given is None else find(str(given), learner=False)
-    data = resolved(path, base_of)
-    return validated(Recipe, {"name": path.stem} | data, str(path))
-
-
-def _category_recipe(category: str, source: str) -> Path:
-    names = [f"{category}-{source}"] if _CATEGORY.fullmatch(source) else []  # else it is a path
-    paths = [RECIPES / f"{name}.yaml" for name in (*names, category, "default")]
-    return next((path for path in paths if path.is_file()), paths[-1])
+    return validated(Recipe, {"name": path.stem} | resolved(path, base_of), str(path))

@@ -12,10 +12,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Bools, Bytes, Floats
 from articugen.core.geometry import apply
 from articugen.core.portable import turned
-
-Floats = NDArray[np.float64]
 
 
 class JointKind(IntEnum):
@@ -48,14 +47,14 @@ FREE, ENCLOSED = 0, 255
 of part k has label k + 1."""
 
 
-def is_material(label: NDArray[np.uint8]) -> NDArray[np.bool_]:
+def is_material(label: Bytes) -> Bools:
     """Return where labels name the material of some part."""
     return (label != FREE) & (label != ENCLOSED)
 
 
-def _freeze(record: Any, **wanted: tuple[type, tuple[int | None, ...]]) -> None:
-    """Set each named array read-only with its dtype; raise ValueError where its shape differs."""
-    for name, (dtype, shape) in wanted.items():
+def _freeze(record: Any, dtype: type = np.float64, **wanted: tuple[int | None, ...]) -> None:
+    """Set each named array read-only with this dtype; raise ValueError where its shape differs."""
+    for name, shape in wanted.items():
         array = np.array(getattr(record, name), dtype=dtype, order="C")
         fits = array.ndim == len(shape) and all(
             want is None or want == have for want, have in zip(shape, array.shape, strict=True)
@@ -74,7 +73,8 @@ class Mesh:
     faces: NDArray[np.int32]
 
     def __post_init__(self) -> None:
-        _freeze(self, vertices=(np.float64, (None, 3)), faces=(np.int32, (None, 3)))
+        _freeze(self, vertices=(None, 3))
+        _freeze(self, np.int32, faces=(None, 3))
 
     @property
     def triangles(self) -> Floats:
@@ -117,7 +117,7 @@ class Joint:
     def __post_init__(self) -> None:
         if not isinstance(self.kind, JointKind):
             raise ValueError(f"joint {self.name}: its kind is {self.kind!r}, not a JointKind")
-        _freeze(self, T_parent_joint=(np.float64, (4, 4)), axis=(np.float64, (3,)))
+        _freeze(self, T_parent_joint=(4, 4), axis=(3,))
         if self.kind != JointKind.FIXED and abs(np.linalg.norm(self.axis) - 1.0) > 1e-9:
             raise ValueError(f"joint {self.name}: axis {self.axis} is not of unit length")
 
@@ -165,7 +165,7 @@ class ArticulatedObject:
     part_order: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        _freeze(self, T_world_root=(np.float64, (4, 4)))
+        _freeze(self, T_world_root=(4, 4))
 
     @property
     def link_index(self) -> dict[str, int]:
@@ -182,8 +182,7 @@ class ArticulatedObject:
         moving = [j for j in self.joints if j.kind != JointKind.FIXED]
         return tuple(
             sorted(
-                moving,
-                key=lambda j: (j.kind == JointKind.PRISMATIC, rank.get(j.name, len(rank))),
+                moving, key=lambda j: (j.kind == JointKind.PRISMATIC, rank.get(j.name, len(rank)))
             )
         )
 
@@ -219,7 +218,7 @@ class JointState:
     q: Floats
 
     def __post_init__(self) -> None:
-        _freeze(self, q=(np.float64, (None,)))
+        _freeze(self, q=(None,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,13 +238,8 @@ class PosedObject:
     axes: Floats
 
     def __post_init__(self) -> None:
-        _freeze(
-            self,
-            T_world_link=(np.float64, (None, 4, 4)),
-            T_world_part=(np.float64, (None, 4, 4)),
-            pivots=(np.float64, (None, 3)),
-            axes=(np.float64, (None, 3)),
-        )
+        _freeze(self, T_world_link=(None, 4, 4), T_world_part=(None, 4, 4))
+        _freeze(self, pivots=(None, 3), axes=(None, 3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,7 +250,7 @@ class Normalization:
     scale: float
 
     def __post_init__(self) -> None:
-        _freeze(self, center=(np.float64, (3,)))
+        _freeze(self, center=(3,))
 
     def to_unit(self, points: Floats) -> Floats:
         """World points (..., 3) in metres to the unit frame."""
@@ -286,15 +280,12 @@ class LabelledMesh:
 
     vertices: Floats
     faces: NDArray[np.int32]
-    part_of_face: NDArray[np.uint8]
+    part_of_face: Bytes
 
     def __post_init__(self) -> None:
-        _freeze(
-            self,
-            vertices=(np.float64, (None, 3)),
-            faces=(np.int32, (None, 3)),
-            part_of_face=(np.uint8, (len(self.faces),)),
-        )
+        _freeze(self, vertices=(None, 3))
+        _freeze(self, np.int32, faces=(None, 3))
+        _freeze(self, np.uint8, part_of_face=(len(self.faces),))
 
     @staticmethod
     def joined(meshes: Sequence["LabelledMesh"]) -> "LabelledMesh":
@@ -359,13 +350,18 @@ class Views:
 
     def __post_init__(self) -> None:
         count = len(self.T_camera_world)
-        _freeze(self, T_camera_world=(np.float64, (count, 4, 4)))
-        _freeze(self, **dict.fromkeys(("fx", "fy", "cx", "cy"), (np.float64, (count,))))
+        _freeze(self, T_camera_world=(count, 4, 4))
+        _freeze(self, fx=(count,), fy=(count,), cx=(count,), cy=(count,))
         if self.projection not in ("orthographic", "pinhole"):
             raise ValueError(f"Views.projection: {self.projection!r}")
 
     def __len__(self) -> int:
         return len(self.T_camera_world)
+
+    @property
+    def intrinsics(self) -> Floats:
+        """(K, 4) fx, fy, cx, cy."""
+        return np.stack([self.fx, self.fy, self.cx, self.cy], axis=1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,37 +1,23 @@
 """A row of a shard, declared once: each field of `Instance` says its dtype, shape, unit, frame and
 meaning. The writer, the recipe's sizes, every check and docs/format.md follow from it."""
 
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from functools import lru_cache
-from typing import Annotated, Any
+from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache, partial
+from types import MappingProxyType
+from typing import Annotated, Any, get_args, get_type_hints
 
 import numpy as np
+from numpy.typing import NDArray
 
-from articugen.core.fields import (
-    MAX_TEXT,
-    SYMBOLS,
-    Field,
-    f4,
-    f8,
-    fields_of,
-    grids,
-    i1,
-    number,
-    stored,
-    text,
-    texts,
-    u1,
-    u2,
-)
+from articugen.core.arrays import Bytes, Floats
 
 SCHEMA_VERSION = 3
 """Of what is written. Readers take every version up to it: a later one only adds optional fields,
 and tells apart what an earlier one did not (docs/format.md says what)."""
 
-FORMAT = "articugen shard"
-"""The attribute `format` of every shard."""
-
+FORMAT = "articugen shard"  # the attribute `format` of every shard
 MAX_INSTANCES = 65_536
 MAX_CHUNK_BYTES = 1 << 26
 """No field of one instance may take more than 64 MiB: what a reader risks on a hostile file."""
@@ -41,10 +27,180 @@ SPLIT = r"^[A-Za-z0-9_][A-Za-z0-9_-]{0,99}$"
 
 USER_GROUP = "user"
 """A group of this name belongs to whoever uses the data: everybody leaves it alone."""
+MAX_TEXT = 255  # bytes of a text in UTF-8: an object_id, the name of a joint or a part
+
+SYMBOLS: Mapping[str, tuple[str, str]] = {
+    "N": ("instances in the shard", ""),
+    "J": ("moving joints", ""),
+    "P": ("parts, J + 1: part 0 is the fixed one, joint j carries part j + 1", ""),
+    "R": ("resolution of the grid", ""),
+    "S": ("surface points", "sampling.surface_points"),
+    "U": ("uniform points", "sampling.uniform_points"),
+    "K": ("points near the surface", "sampling.near_points"),
+    "C": ("cameras", "sampling.partial_views"),
+    "M": ("points a camera", "sampling.partial_points"),
+    "E": ("points on sharp edges", "sampling.sharp_points"),
+    "V": ("images", "images.views"),
+    "H": ("pixels along the edge of an image", "images.resolution"),
+}
+"""The number that a letter in the fields' shapes stands for, one in a whole shard, and the recipe's
+key that decides it, if one does."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """One data set of a shard.
+
+    Attributes:
+        name: of the data set; <R> stands for a grid's resolution.
+        dtype: as numpy writes it, byte order included; "S" is UTF-8 of a fixed length of at most
+            MAX_TEXT bytes, padded with zero bytes.
+        shape: numbers, and letters from SYMBOLS; the first is always N.
+        unit: of one number.
+        frame: the coordinates it is given in, or "".
+        meaning: one sentence or two.
+        compressed: with gzip, for what gets smaller by it; random 16-bit coordinates do not.
+        optional: a shard may lack it.
+        asked_by: the recipe's key that asks for it, or "" where every recipe does.
+    """
+
+    name: str
+    dtype: str
+    shape: tuple[str | int, ...]
+    unit: str
+    frame: str
+    meaning: str
+    compressed: bool = False
+    optional: bool = False
+    asked_by: str = ""
+
+    @property
+    def stem(self) -> str:
+        """The name without a grid's resolution."""
+        return self.name.removesuffix("_<R>")
+
+    @property
+    def is_grid(self) -> bool:
+        return self.stem != self.name
+
+    @property
+    def itemsize(self) -> int:
+        """Bytes of one number, or of one text."""
+        return MAX_TEXT if self.dtype == "S" else np.dtype(self.dtype).itemsize
+
+    @property
+    def written_shape(self) -> str:
+        """The shape as people write it: (N, P, 4, 4)."""
+        return f"({', '.join(map(str, self.shape))}{',' if len(self.shape) == 1 else ''})"
+
+    def matches(self, name: str) -> bool:
+        """Return whether a data set of this name is described by this field."""
+        if not self.is_grid:
+            return name == self.name
+        return re.fullmatch(f"{self.stem}_[1-9][0-9]{{0,2}}", name) is not None
+
+    def fits(self, name: str, shape: tuple[int, ...], known: dict[str, int]) -> bool:
+        """Return whether `shape` is this field's; the letters it settles are added to `known`."""
+        if len(shape) != len(self.shape):
+            return False
+        for want, size in zip(self.shape, shape, strict=True):
+            if isinstance(want, int):
+                expected = want
+            elif want == "R":
+                expected = resolution_of(name)
+            else:
+                expected = known.setdefault(want, size)
+            if size != expected:
+                return False
+        return True
+
+
+f8 = Annotated[Floats, "<f8"]
+f4 = Annotated[NDArray[np.float32], "<f4"]
+u2 = Annotated[NDArray[np.uint16], "<u2"]
+u1 = Annotated[Bytes, "u1"]
+i1 = Annotated[NDArray[np.int8], "i1"]
+grids = Annotated[Mapping[int, Bytes], "u1"]
+number = Annotated[float, "<f8"]
+text = Annotated[str, "S"]
+texts = Annotated[tuple[str, ...], "S"]
+
+
+_NO_GRIDS: Mapping[int, NDArray[Any]] = MappingProxyType({})
+
+
+def stored(
+    shape: str,
+    meaning: str,
+    *,
+    unit: str = "",
+    frame: str = "",
+    gzip: bool = False,
+    optional: bool = False,
+    asked_by: str = "",
+) -> Any:
+    """Declare a field of `Instance`; its annotation says the dtype. See `Field` for the arguments.
+
+    One that not every recipe asks for is None by default, samples are none by default, grids too.
+    """
+    sizes = tuple(int(size) if size.isdigit() else size for size in shape.split())
+    optional = optional or bool(asked_by)
+    described = Field("", "", sizes, unit, frame, meaning, gzip, optional, asked_by)
+    about = {"described": described}
+    if "R" in sizes:
+        return field(default_factory=lambda: _NO_GRIDS, metadata=about)
+    if optional:
+        return field(default=None, metadata=about)
+    if any(SYMBOLS[size][1] for size in sizes if isinstance(size, str)):
+        none = tuple(size if isinstance(size, int) else 0 for size in sizes[1:])
+        return field(default_factory=lambda: np.zeros(none), metadata=about)
+    return field(metadata=about)
+
+
+def fields_of(row: type) -> tuple[Field, ...]:
+    """The fields that a dataclass declares by `stored`, with the dtypes of its annotations."""
+    hints = get_type_hints(row, include_extras=True)
+    declared = ((one.name, one.metadata["described"]) for one in fields(row))
+    return tuple(
+        replace(
+            described,
+            name=f"{name}_<R>" if "R" in described.shape else name,
+            dtype=_dtype_in(hints[name]),
+        )
+        for name, described in declared
+    )
+
+
+def _dtype_in(hint: Any) -> str:
+    """Return the text that is annotated to a type, or to one of a union's."""
+    if hasattr(hint, "__metadata__"):
+        return hint.__metadata__[0]
+    return next(_dtype_in(kind) for kind in get_args(hint) if kind is not type(None))
+
+
+def resolution_of(name: str) -> int:
+    """Of the grid that a data set of this name holds."""
+    return int(name.rpartition("_")[2])
+
 
 _STORED = "x = stored / 65535 - 0.5."
 _INTRINSICS = "fx, fy, cx, cy: u = fx x / z + cx, v = fy y / z + cy; pixel centres at + 0.5."
+_FAR = (
+    "to the nearest face that can be seen, below 0 where label > 0, no farther than the recipe's "
+    "signed_distance."
+)
 _LABEL = "0 free, k + 1 material of part k, 255 enclosed: no view sees it, no part holds it."
+
+_named = partial(stored, unit="UTF-8", gzip=True, optional=True)
+_states = partial(stored, unit="rad or unit")
+_placed = partial(stored, unit="unit", frame="unit")
+_points = partial(stored, unit="1/65535", frame="unit")
+_normals = partial(stored, unit="1/127", frame="unit", gzip=True)
+_parts = partial(stored, unit="part", gzip=True)
+_labels = partial(stored, unit="label", gzip=True)
+_distances = partial(stored, unit="unit", gzip=True, asked_by="sampling.signed_distance")
+_cameras = partial(stored, unit="unit", frame="camera from unit")
+_image = partial(stored, gzip=True, asked_by="images.fields")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -56,28 +212,23 @@ class Instance:
     of part k, 255 enclosed; parts: k. What a shard lacks is None.
     """
 
-    object_id: text = stored("N", "Which object it is.", unit="UTF-8", gzip=True)
+    object_id: text = _named("N", "Which object it is.", optional=False)
     state_index: Annotated[int, "<u4"] = stored(
         "N", "Counts an object's instances; 0 is canonical."
     )
     center: f8 = stored("N 3", "x_world = x_unit * scale + center.", unit="m", frame="world")
     scale: number = stored("N", "Length of the unit frame's unit; one an object.", unit="m")
     joint_kind: u1 = stored("N J", "1 revolute (or continuous), 2 prismatic.")
-    joint_name: texts | None = stored(
-        "N J", "What the model's file calls joint j.", unit="UTF-8", gzip=True, optional=True
-    )
+    joint_name: texts | None = _named("N J", "What the model's file calls joint j.")
     joint_parent: u1 = stored("N J", "The part that joint j and part j + 1 hang on.")
-    joint_state: f8 = stored(
+    joint_state: f8 = _states(
         "N J",
         "How far each joint is from the canonical pose; prismatic ones in the unit frame's unit.",
-        unit="rad or unit",
     )
-    joint_lower: f8 = stored(
-        "N J",
-        "Least joint state that is sampled; the canonical pose, 0, may lie below.",
-        unit="rad or unit",
+    joint_lower: f8 = _states(
+        "N J", "Least joint state that is sampled; the canonical pose, 0, may lie below."
     )
-    joint_upper: f8 = stored("N J", "Greatest joint state that is sampled.", unit="rad or unit")
+    joint_upper: f8 = _states("N J", "Greatest joint state that is sampled.")
     joint_axis: f8 = stored(
         "N J 3",
         "Unit direction, at this instance's joint state: a rotation is counter-clockwise about "
@@ -85,36 +236,23 @@ class Instance:
         unit="1",
         frame="unit",
     )
-    joint_pivot: f8 = stored(
-        "N J 3", "A point on the axis, at this instance's state.", unit="unit", frame="unit"
-    )
-    part_motion: f8 = stored(
+    joint_pivot: f8 = _placed("N J 3", "A point on the axis, at this instance's state.")
+    part_motion: f8 = _placed(
         "N P 4 4",
         "Rigid motion of each part from the canonical pose: x = motion @ x_canonical. motion[j "
         "+ 1] = (rotation about, or translation along, axis j) @ motion[joint_parent[j]].",
-        unit="unit",
-        frame="unit",
     )
-    part_name: texts | None = stored(
+    part_name: texts | None = _named(
         "N P",
         "What the model's file calls each part: the root link, or the one that joint j moves.",
-        unit="UTF-8",
-        gzip=True,
-        optional=True,
     )
-    part_semantic: texts | None = stored(
-        "N P",
-        "What that link is (door, lid, ...) where the source says so, else empty.",
-        unit="UTF-8",
-        gzip=True,
-        optional=True,
+    part_semantic: texts | None = _named(
+        "N P", "What that link is (door, lid, ...) where the source says so, else empty."
     )
-    occupancy: grids = stored(
+    occupancy: grids = _labels(
         "N R R R",
         f"Label at the voxel centres (i + 0.5) / R - 0.5, indexed [x, y, z]. {_LABEL}",
-        unit="label",
         frame="unit",
-        gzip=True,
         asked_by="sampling.grids",
     )
     coverage: grids = stored(
@@ -126,67 +264,35 @@ class Instance:
         gzip=True,
         asked_by="sampling.coverage",
     )
-    surface_points: u2 = stored(
-        "N S 3",
-        f"Uniform by area over the visible surface, on the field's zero level. {_STORED}",
-        unit="1/65535",
-        frame="unit",
+    surface_points: u2 = _points(
+        "N S 3", f"Uniform by area over the visible surface, on the field's zero level. {_STORED}"
     )
-    surface_normals: i1 = stored(
-        "N S 3",
-        "Outward unit normals there: n = stored / 127.",
-        unit="1/127",
-        frame="unit",
-        gzip=True,
-    )
-    surface_part: u1 = stored("N S", "The part each belongs to.", unit="part", gzip=True)
-    uniform_points: u2 = stored(
-        "N U 3", f"Uniform in the unit cube. {_STORED}", unit="1/65535", frame="unit"
-    )
-    uniform_label: u1 = stored("N U", f"Labels there. {_LABEL}", unit="label", gzip=True)
-    near_points: u2 = stored(
+    surface_normals: i1 = _normals("N S 3", "Outward unit normals there: n = stored / 127.")
+    surface_part: u1 = _parts("N S", "The part each belongs to.")
+    uniform_points: u2 = _points("N U 3", f"Uniform in the unit cube. {_STORED}")
+    uniform_label: u1 = _labels("N U", f"Labels there. {_LABEL}")
+    near_points: u2 = _points(
         "N K 3",
         "Surface points moved by Gaussian noise (recipe: near_sigma; where that is several, "
         "point k has the (k mod how many)-th); the last near_sharp of them are points of sharp "
         f"edges, moved so. {_STORED}",
-        unit="1/65535",
-        frame="unit",
     )
-    near_label: u1 = stored("N K", f"Labels there. {_LABEL}", unit="label", gzip=True)
-    uniform_distance: f4 | None = stored(
-        "N U",
-        "Of uniform_points to the nearest face that can be seen, below 0 where label > 0, no "
-        "farther than the recipe's signed_distance.",
-        unit="unit",
-        gzip=True,
-        asked_by="sampling.signed_distance",
-    )
-    near_distance: f4 | None = stored(
-        "N K",
-        "Of near_points to the nearest face that can be seen, below 0 where label > 0, no "
-        "farther than the recipe's signed_distance.",
-        unit="unit",
-        gzip=True,
-        asked_by="sampling.signed_distance",
-    )
-    sharp_points: u2 | None = stored(
+    near_label: u1 = _labels("N K", f"Labels there. {_LABEL}")
+    uniform_distance: f4 | None = _distances("N U", f"Of uniform_points {_FAR}")
+    near_distance: f4 | None = _distances("N K", f"Of near_points {_FAR}")
+    sharp_points: u2 | None = _points(
         "N E 3",
         "Uniform by length over the visible edges at which faces turn by the recipe's "
         f"sharp_degrees or more; where there are none, over the surface. {_STORED}",
-        unit="1/65535",
-        frame="unit",
         asked_by="sampling.sharp_points",
     )
-    sharp_normals: i1 | None = stored(
+    sharp_normals: i1 | None = _normals(
         "N E 3",
         "Unit normals half-way between those of the edge's two faces: n = stored / 127.",
-        unit="1/127",
-        frame="unit",
-        gzip=True,
         asked_by="sampling.sharp_points",
     )
-    sharp_part: u1 | None = stored(
-        "N E", "The part each belongs to.", unit="part", gzip=True, asked_by="sampling.sharp_points"
+    sharp_part: u1 | None = _parts(
+        "N E", "The part each belongs to.", asked_by="sampling.sharp_points"
     )
     collision_depth: number | None = stored(
         "N",
@@ -195,53 +301,36 @@ class Instance:
         unit="unit",
         asked_by="articulation.collision",
     )
-    partial_points: u2 = stored(
-        "N C M 3", f"What each of C depth cameras sees. {_STORED}", unit="1/65535", frame="unit"
-    )
-    partial_part: u1 = stored("N C M", "The part each belongs to.", unit="part", gzip=True)
-    partial_T_camera_world: f8 = stored(
-        "N C 4 4",
-        "x_camera = T @ x_unit; camera axes: x right, y down, z forward.",
-        unit="unit",
-        frame="camera from unit",
+    partial_points: u2 = _points("N C M 3", f"What each of C depth cameras sees. {_STORED}")
+    partial_part: u1 = _parts("N C M", "The part each belongs to.")
+    partial_T_camera_world: f8 = _cameras(
+        "N C 4 4", "x_camera = T @ x_unit; camera axes: x right, y down, z forward."
     )
     partial_intrinsics: f8 = stored("N C 4", _INTRINSICS, unit="pixel", frame="image")
-    image_depth: f4 | None = stored(
+    image_depth: f4 | None = _image(
         "N V H H",
         "z along the optical axis at the pixel's centre, rows from the top; 0 where nothing is.",
         unit="unit",
         frame="camera",
-        gzip=True,
-        asked_by="images.fields",
     )
-    image_part: u1 | None = stored(
-        "N V H H",
-        "k + 1 where part k is seen, 0 where nothing is.",
-        unit="part + 1",
-        gzip=True,
-        asked_by="images.fields",
+    image_part: u1 | None = _image(
+        "N V H H", "k + 1 where part k is seen, 0 where nothing is.", unit="part + 1"
     )
-    image_normal: i1 | None = stored(
+    image_normal: i1 | None = _image(
         "N V H H 3",
         "Unit normals of the faces that are seen, towards the camera: n = stored / 127; 0 where "
         "nothing is.",
         unit="1/127",
         frame="unit",
-        gzip=True,
-        asked_by="images.fields",
     )
-    image_rgba: u1 | None = stored(
+    image_rgba: u1 | None = _image(
         "N V H H 4",
         "sRGB of the parts' colours, shaded; opacity 255 where something is, else all 0.",
         unit="1/255",
-        gzip=True,
-        asked_by="images.fields",
     )
-    image_T_camera_world: f8 | None = stored(
+    image_T_camera_world: f8 | None = _cameras(
         "N V 4 4",
         "x_camera = T @ x_unit; the same in all instances of an object. Axes as above.",
-        unit="unit",
-        frame="camera from unit",
         asked_by="images.views",
     )
     image_intrinsics: f8 | None = stored(
@@ -283,9 +372,7 @@ class Instance:
         return {name: value for name, value in all_fields.items() if value is not None} | grids
 
 
-FIELDS = fields_of(Instance)
-"""Every data set; those with <R> once for each grid."""
-
+FIELDS = fields_of(Instance)  # every data set; those with <R> once for each grid
 GRIDS = tuple(described.stem for described in FIELDS if described.is_grid)
 """Those fields of `Instance` that have an array for each of several resolutions."""
 
@@ -342,32 +429,3 @@ def stored_name(name: str) -> str:
     """
     whole = name.encode("utf-16", "surrogatepass").decode("utf-16", "replace")
     return whole.replace("\0", "\ufffd").encode()[:MAX_TEXT].decode(errors="ignore")
-
-
-def markdown() -> str:
-    """Return the tables of docs/format.md."""
-    rows = [
-        f"| `{f.name}`{'?' if f.optional else ''} | `{f.dtype}`{' gzip' if f.compressed else ''} "
-        f"| {f.written_shape} | {f.unit} | {f.frame} | {f.meaning} |"
-        for f in FIELDS
-    ]
-    checked = f"| `{CHECKED_ATTRIBUTES}` | bytes | All the others as JSON; see below. |"
-    letters = [f"| {letter} | {meaning} |" for letter, (meaning, _) in SYMBOLS.items()]
-    attributes = [f"| `{n}` | {kind.__name__} | {what} |" for n, (kind, what) in ATTRIBUTES.items()]
-    return "\n".join(
-        [
-            "| data set | dtype | shape | unit | frame | meaning |",
-            "|---|---|---|---|---|---|",
-            *rows,
-            "",
-            "| letter | number of |",
-            "|---|---|",
-            *letters,
-            "",
-            "| attribute of the file | type | meaning |",
-            "|---|---|---|",
-            *attributes,
-            checked,
-            "",
-        ]
-    )

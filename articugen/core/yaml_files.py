@@ -10,7 +10,7 @@ from typing import Any, TypeVar, get_args
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 
-from articugen.core.bundled import RECIPES
+from articugen.core.content import RECIPES
 from articugen.core.errors import ArticugenError, InvalidRecipe, machine_fault
 from articugen.core.files import read_regular
 
@@ -19,8 +19,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 MAX_YAML_BYTES = 2**18
 MAX_YAML_DEPTH = 16
-MAX_EXTENDED = 16
-"""Files that a recipe may extend, one the other."""
+MAX_EXTENDED = 16  # files that a recipe may extend, one the other
 _MAX_DIGITS = 40  # of a number
 
 LEARNER_KEYS = {"method", "schedule"}
@@ -41,11 +40,7 @@ def _is_learner(path: Path) -> bool:
 
 
 def find(name: str, *, learner: bool) -> Path:
-    """Return the file that `name` stands for: a name under recipes/, or a path.
-
-    Raises:
-        InvalidRecipe: there is none.
-    """
+    """Return the file of a recipe, by its name under recipes/ or a path; InvalidRecipe if none."""
     for path in (RECIPES / f"{name}.yaml", Path(name)):
         if os.path.exists(path) and not os.path.isdir(path):
             return path
@@ -56,11 +51,7 @@ def find(name: str, *, learner: bool) -> Path:
 def resolved(
     path: Path, base_of: Callable[[str], Path], chain: tuple[Path, ...] = ()
 ) -> dict[str, Any]:
-    """Return the keys of a file over those of what it says it `extends`; `base_of` finds that.
-
-    Raises:
-        InvalidRecipe: it cannot be read, is not YAML, no mapping, or extends itself.
-    """
+    """Return the keys of a file over those of what it `extends`, by `base_of`; or InvalidRecipe."""
     if path in chain or len(chain) > MAX_EXTENDED:
         raise InvalidRecipe(f"{path}: extends itself, or too many others; extend fewer")
     data = read_yaml(path, InvalidRecipe) or {}
@@ -73,11 +64,7 @@ def resolved(
 
 
 def resolved_mapping(data: Mapping[str, Any], base_of: Callable[[str], Path]) -> dict[str, Any]:
-    """As `resolved`, of a mapping that is no file's: a notebook's recipe.
-
-    Raises:
-        InvalidRecipe: what it extends cannot be read.
-    """
+    """Do as `resolved`, with a mapping that is no file's: a notebook's recipe."""
     own = {key: value for key, value in data.items() if key != "extends"}
     return (
         _merged(resolved(base_of(str(data["extends"])), base_of), own) if "extends" in data else own
@@ -97,11 +84,7 @@ def read_yaml(path: Path, refusal: type[ArticugenError]) -> Any:
 
 
 def yaml_bytes(path: Path, refusal: type[ArticugenError]) -> bytes:
-    """Return the bytes of a YAML file, for `parsed_yaml`.
-
-    Raises:
-        refusal, MachineFault, MemoryError: as `read_yaml`.
-    """
+    """Return the bytes of a YAML file, for `parsed_yaml`; raises as `read_yaml`."""
     try:
         return read_regular(path, MAX_YAML_BYTES)
     except OSError as error:
@@ -111,11 +94,7 @@ def yaml_bytes(path: Path, refusal: type[ArticugenError]) -> bytes:
 
 
 def parsed_yaml(data: bytes | str, where: str, refusal: type[ArticugenError]) -> Any:
-    """What YAML holds, as `read_yaml` takes it; `where` is named in errors.
-
-    Raises:
-        refusal: it is not such YAML.
-    """
+    """Return what YAML holds, as `read_yaml` takes it; `where` is named in the `refusal`."""
     try:
         return yaml.load(data.decode() if isinstance(data, bytes) else data, _Loader)
     except (yaml.YAMLError, *_PYTHON_ERRORS) as error:
@@ -216,11 +195,7 @@ def with_settings(recipe: Model, texts: Sequence[str]) -> Model:
 
 
 def validated(model: type[Model], data: dict[str, Any], where: str) -> Model:
-    """`data` as a `model`; `where` is named in errors.
-
-    Raises:
-        InvalidRecipe: an unknown key (with the nearest valid one) or a bad value.
-    """
+    """Return `data` as a `model`; InvalidRecipe names `where`, and the nearest valid key."""
     try:
         return model.model_validate(data)
     except ValidationError as error:

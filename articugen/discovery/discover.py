@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Ints
 from articugen.core.records import Floats, JointKind
 from articugen.discovery import kernels
 from articugen.discovery.clouds import Cells, Change, Surface, cell_of, change, still
 from articugen.discovery.fitting import fitted, some, states_of
 from articugen.discovery.search import EVERY_WAY, Candidate, Search, motions
-
-Ints = NDArray[np.int64]
 
 Directions = Mapping[JointKind, Floats]
 

@@ -4,7 +4,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from articugen.core.bundled import SOURCES
+from articugen.core.content import SOURCES
 from articugen.core.errors import InvalidSource
 from articugen.sources.categories import own_name, unknown
 from articugen.sources.source_file import SourceFile, read_source_file

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from articugen.core import schema
 from articugen.core.errors import CorruptShard
-from articugen.core.fields import MAX_TEXT, Field
 from articugen.core.files import UnfitFile, check_regular
+from articugen.core.schema import MAX_TEXT, Field
 from articugen.store import chunks
 from articugen.store.bucket import Remote
 from articugen.store.remote import RangeFile

@@ -13,14 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core import schema
+from articugen.core.arrays import Bytes, Floats
 from articugen.core.errors import InvalidArgument
-from articugen.core.fields import resolution_of
 from articugen.core.geometry import apply, invert_rigid
 from articugen.core.records import JointKind
+from articugen.core.schema import resolution_of
 
 Float32 = NDArray[np.float32]
-Floats = NDArray[np.float64]
-Labels = NDArray[np.uint8]
 
 _NORMALS = "1/127"
 _UNITS = {"1/65535": (1 / 65535, -0.5), _NORMALS: (1 / 127, 0.0), "1/255": (1 / 255, 0.0)}
@@ -138,7 +137,7 @@ class RowSurface(_Cloud):
     float32, outward, of unit length; the `part` (S,) each belongs to."""
 
     normals: Float32
-    part: Labels
+    part: Bytes
 
 
 class RowQueries(_Cloud):
@@ -146,7 +145,7 @@ class RowQueries(_Cloud):
     of part k, 255 enclosed; where the recipe asks for it, `distance` (U,) float32 from the surface,
     below 0 inside."""
 
-    label: Labels
+    label: Bytes
     distance: Float32
 
 
@@ -155,7 +154,7 @@ class RowPartial(_Cloud):
     `T_camera_world` (C, 4, 4) from the unit frame to the camera's; `intrinsics` (C, 4): fx, fy, cx,
     cy in pixels."""
 
-    part: Labels
+    part: Bytes
     T_camera_world: Floats
     intrinsics: Floats
 
@@ -166,7 +165,7 @@ class RowImages(_Group):
     `T_camera_world` (V, 4, 4) from the unit frame; `intrinsics` (V, 4): fx, fy, cx, cy."""
 
     depth: Float32
-    part: Labels
+    part: Bytes
     normal: Float32
     rgba: NDArray[np.uint8]
     T_camera_world: Floats
@@ -323,7 +322,7 @@ class Row:
 
     @cached_property
     def grids(self) -> RowGrids:
-        """Labels at voxel centres by resolution: `row.grids[64]` (64, 64, 64) uint8."""
+        """Bytes at voxel centres by resolution: `row.grids[64]` (64, 64, 64) uint8."""
         return RowGrids(self, "occupancy")
 
     @cached_property

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from articugen.core import schema
 from articugen.core.errors import CorruptShard
-from articugen.core.fields import resolution_of
-from articugen.core.schema import Instance
+from articugen.core.schema import Instance, resolution_of
 from articugen.store import chunks
 from articugen.store.bucket import Remote
 from articugen.store.columns import Attribute, Column, attributes_of, columns_of, opened

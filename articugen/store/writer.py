@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 
 from articugen.core import schema
 from articugen.core.errors import ArticugenError, CorruptShard
-from articugen.core.fields import MAX_TEXT, Field
 from articugen.core.files import sha256_of, sync, written_atomically
-from articugen.core.schema import Instance
+from articugen.core.schema import MAX_TEXT, Field, Instance
 from articugen.store import chunks
 from articugen.store.columns import MAX_ATTRIBUTE_BYTES, Attribute, opened
 from articugen.store.shards import ShardRecord, instance_sha256, open_shard

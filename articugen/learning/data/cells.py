@@ -15,9 +15,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from articugen.core.arrays import Bools
 from articugen.core.seeding import generator
 
-Bools = NDArray[np.bool_]
 Packed = tuple[NDArray[np.int32], NDArray[np.int32]]
 
 KEPT = 2048

@@ -6,11 +6,9 @@ K ground-truth parts (0 is the fixed one), P predicted parts. Lengths are in the
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Floats, Ints
 from articugen.core.geometry import apply
 from articugen.meshes.distances import distance
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 NO_LABEL = -1
 """Of a predicted part that nothing voted for, and of a true part that none is assigned to."""
