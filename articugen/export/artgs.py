@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from articugen.core.arrays import Floats
 from articugen.core.geometry import invert_rigid
 from articugen.export.formats import Format
 from articugen.export.items import Item, LeftOut, canonical, file_name, of_objects
@@ -32,7 +33,10 @@ def _write(item: Item, target: Target) -> None:
             f"{start.object_id}: no images with depth and rgba of two cameras or more are stored; "
             "make the data with images.views"
         )
-    end = max(item.rows, key=_opened)
+    end = max(  # the joints farthest from the canonical pose, in shares of their ranges
+        item.rows,
+        key=lambda row: sum(abs(j.state) / max(j.upper - j.lower, 1e-9) for j in row.joints),
+    )
     if end.state_index == start.state_index:
         raise LeftOut(f"{start.object_id}: has one state, of two that are needed")
     folder = f"{file_name(start.split)}/{file_name(start.object_id)}"
@@ -41,7 +45,11 @@ def _write(item: Item, target: Target) -> None:
         frames = {word: _frames(row, f"{word}/{views}", time, cameras) for word, time, row in ends}
         for word, _, row in ends:
             _write_images(row, f"{folder}/{word}/{views}", cameras, views != "val", target)
-            _write_json(f"{folder}/{word}/camera_{views}.json", _cameras(row, cameras), target)
+            fx, fy, cx, cy = row.images.intrinsics[0].tolist()
+            poses = (_to_world(row.images.T_camera_world[k]).tolist() for k in cameras)
+            named = {f"{number:04d}": pose for number, pose in enumerate(poses)}
+            K = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
+            _write_json(f"{folder}/{word}/camera_{views}.json", {"K": K, **named}, target)
             if views != "val":
                 some = {**_angles(row), "frames": frames[word]}
                 _write_json(f"{folder}/transforms_{views}_{word}.json", some, target)
@@ -49,11 +57,6 @@ def _write(item: Item, target: Target) -> None:
             every = {**_angles(start), "frames": frames["start"] + frames["end"]}
             _write_json(f"{folder}/transforms_{views}.json", every, target)
     _write_json(f"{folder}/gt/trans.json", _truth(start, end), target)
-
-
-def _opened(row: Row) -> float:
-    """Return how far the joints are from the canonical pose, in shares of their ranges."""
-    return sum(abs(j.state) / max(j.upper - j.lower, 1e-9) for j in row.joints)
 
 
 def _splits(cameras: int) -> dict[str, list[int]]:
@@ -93,16 +96,6 @@ def _angles(row: Row) -> dict[str, float]:
     }
 
 
-def _cameras(row: Row, cameras: list[int]) -> dict[str, Any]:
-    """PARIS's: one matrix of intrinsics, and a pose for each image's name."""
-    fx, fy, cx, cy = row.images.intrinsics[0].tolist()
-    poses = (_to_world(row.images.T_camera_world[k]).tolist() for k in cameras)
-    return {
-        "K": [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]],
-        **{f"{number:04d}": pose for number, pose in enumerate(poses)},
-    }
-
-
 def _truth(start: Row, end: Row) -> dict[str, Any]:
     """Each joint's axis at the start and how far it moves, in degrees or the unit frame's unit."""
     moved = []
@@ -118,7 +111,7 @@ def _write_json(name: str, value: dict[str, Any], target: Target) -> None:
     target.write(name, json.dumps(value, indent=1).encode() + b"\n")
 
 
-def _to_world(T_camera_world: NDArray[np.float64]) -> NDArray[np.float64]:
+def _to_world(T_camera_world: Floats) -> Floats:
     """Return (4, 4) from a camera that looks along -z, y up, to the unit frame."""
     return invert_rigid(T_camera_world) @ _OPENGL
 

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import trimesh
 
+from articugen.core.arrays import Floats
 from articugen.core.errors import MissingExtra
-from articugen.core.records import Floats, Mesh
-from articugen.export.inertia import Inertia, inertia
+from articugen.core.records import Mesh
 from articugen.export.items import Item, canonical
-from articugen.export.joints import MetricJoint, metric_joints, part_names
-from articugen.export.parts import in_metres
+from articugen.export.parts import MetricJoint, in_metres, metric_joints, part_names
 from articugen.export.target import Target
 from articugen.meshes.simpler import simpler
 
@@ -27,8 +27,24 @@ sinks on its stop instead of hitting it. What friction is by material, models do
 _CONCAVITY = 0.05
 """CoACD's threshold: lower means more convex parts. 0.05 is its own default."""
 
-_ROUGH = 2e-3
-"""Of a part's size: CoACD takes minutes with faces that tell no more."""
+_ROUGH = 2e-3  # of a part's size: CoACD takes minutes with faces that tell no more
+
+
+@dataclass(frozen=True, eq=False)
+class Inertia:
+    """`mass` kg; `center` (3,) of mass, metres; `tensor` (3, 3) about it, kg m^2."""
+
+    mass: float
+    center: Floats
+    tensor: Floats
+
+
+def inertia(mesh: Mesh, density: float) -> Inertia:
+    """Compute mass and inertia of a watertight mesh in metres, filled with `density` kg/m^3."""
+    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    solid.density = density
+    moments = solid.mass_properties
+    return Inertia(float(moments.mass), moments.center_mass, moments.inertia)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,11 +114,7 @@ def from_the_root(parts: Sequence[Body], root: int = 0) -> list[int]:
 
 
 def convex_parts(mesh: Mesh) -> tuple[Mesh, ...]:
-    """Convex meshes that together fill about the same space as `mesh` (Wei et al. 2022, CoACD).
-
-    Raises:
-        MissingExtra: coacd is not installed.
-    """
+    """Fill `mesh` with convex meshes (Wei et al. 2022, CoACD); MissingExtra without it."""
     try:
         import coacd  # noqa: PLC0415 - optional
     except ImportError:

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Bytes
 from articugen.core.errors import InvalidArgument
 from articugen.core.geometry import apply, invert_rigid
 from articugen.export.formats import Format
@@ -65,9 +66,7 @@ def _scene(start: Row, end: Row) -> dict[str, NDArray]:
     return fields
 
 
-def _carried(
-    cloud: NDArray[np.float32], part: NDArray[np.uint8], here: Row, there: Row
-) -> NDArray[np.float32]:
+def _carried(cloud: NDArray[np.float32], part: Bytes, here: Row, there: Row) -> NDArray[np.float32]:
     """The points of `cloud` (n, 3), each with its part, where they are in the other state."""
     moved = np.empty_like(cloud)
     for k in range(len(here.parts)):

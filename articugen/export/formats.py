@@ -66,11 +66,7 @@ def format_named(name: str) -> Format:
 
 
 def options_for(name: str, **options: object) -> Options:
-    """Return the options that a format takes; those that are None are not given.
-
-    Raises:
-        InvalidArgument: one that it does not take.
-    """
+    """Return the options that are not None; InvalidArgument if the format does not take one."""
     chosen = {key: value for key, value in options.items() if value is not None}
     for key in chosen:
         if key not in (takes := format_named(name).takes):

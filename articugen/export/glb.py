@@ -11,20 +11,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.core.records import Floats, Mesh
-from articugen.export.colours import linear_of_part
+from articugen.core.arrays import Floats
+from articugen.core.colours import colour_of
+from articugen.core.records import Mesh
 from articugen.export.formats import Format
 from articugen.export.items import Item, canonical, of_objects
-from articugen.export.joints import MetricJoint, metric_joints
-from articugen.export.parts import in_metres
+from articugen.export.parts import MetricJoint, in_metres, metric_joints
 from articugen.export.target import Target
+from articugen.pictures.shading import linear
 
-_SECONDS = 2.0
-"""From one end of a joint's range to the other."""
-
+_SECONDS = 2.0  # from one end of a joint's range to the other
 _STEP = np.radians(15.0)
 """Between two keys of a rotation: shorter than half a turn, so that there is one way between."""
 
+_MATERIAL = {"metallicFactor": 0.0, "roughnessFactor": 0.8}
 _FLOAT, _UINT = 5126, 5125
 _VERTICES, _INDICES = 34962, 34963
 
@@ -79,13 +79,19 @@ def _write(item: Item, target: Target) -> None:
         "scenes": [{"nodes": [0]}],
         "nodes": nodes,
         "meshes": [_mesh(m, at[k], k, buffer) for k, m in enumerate(meshes)],
-        "materials": [_material(part) for part in range(len(meshes))],
+        "materials": [
+            {"pbrMetallicRoughness": {"baseColorFactor": colour, **_MATERIAL}}
+            for colour in ([*linear(colour_of(k)).tolist(), 1.0] for k in range(len(meshes)))
+        ],
         "animations": [_animation(j, nodes[j.part + 1], buffer) for j in joints],
         "accessors": buffer.accessors,
         "bufferViews": buffer.views,
         "buffers": [{"byteLength": len(buffer.data)}],
     }
-    target.write(f"{item.key}.glb", _packed(scene, bytes(buffer.data)))
+    text = json.dumps(scene, separators=(",", ":")).encode()
+    chunks = [_chunk(b"JSON", text, b" "), _chunk(b"BIN\0", bytes(buffer.data), b"\0")]
+    header = struct.pack("<4sII", b"glTF", 2, 12 + sum(map(len, chunks)))
+    target.write(f"{item.key}.glb", header + b"".join(chunks))
 
 
 def _mesh(mesh: Mesh, origin: Floats, part: int, buffer: _Buffer) -> dict[str, Any]:
@@ -95,14 +101,6 @@ def _mesh(mesh: Mesh, origin: Floats, part: int, buffer: _Buffer) -> dict[str, A
         "name": f"part_{part}",
         "primitives": [{"attributes": {"POSITION": place}, "indices": faces, "material": part}],
     }
-
-
-def _material(part: int) -> dict[str, Any]:
-    return {
-        "pbrMetallicRoughness": {
-            "baseColorFactor": linear_of_part(part), "metallicFactor": 0.0, "roughnessFactor": 0.8
-        }
-    }  # fmt: skip
 
 
 def _animation(joint: MetricJoint, node: dict[str, Any], buffer: _Buffer) -> dict[str, Any]:
@@ -128,12 +126,6 @@ def _animation(joint: MetricJoint, node: dict[str, Any], buffer: _Buffer) -> dic
         "channels": [{"sampler": 0, "target": target}],
         "extras": {"kind": joint.kind, "lower": joint.lower, "upper": joint.upper},
     }
-
-
-def _packed(scene: dict[str, Any], binary: bytes) -> bytes:
-    text = json.dumps(scene, separators=(",", ":")).encode()
-    chunks = [_chunk(b"JSON", text, b" "), _chunk(b"BIN\0", binary, b"\0")]
-    return struct.pack("<4sII", b"glTF", 2, 12 + sum(map(len, chunks))) + b"".join(chunks)
 
 
 def _chunk(kind: bytes, data: bytes, filler: bytes) -> bytes:

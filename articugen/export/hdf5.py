@@ -20,11 +20,7 @@ def packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
 
 
 def stack(file: BinaryIO, count: int, rows: Iterator[Mapping[str, NDArray[Any]]]) -> None:
-    """Write `count` rows into one data set a name, (count, ...), one row at a time.
-
-    Raises:
-        OSError: as the disk gave it; HDF5, told of it, would take the process with it.
-    """
+    """Write rows into one data set a name, (count, ...); OSError as the disk gave it, not HDF5."""
     disk = Disk(file)
     with new_hdf5(disk) as hdf5:
         stacks: dict[str, h5py.Dataset] = {}

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Bools, Ints
 from articugen.core.geometry import voxel_centres
 from articugen.core.seeding import generator
 from articugen.export.formats import Format
@@ -29,8 +30,7 @@ def _write(item: Item, target: Target) -> None:
     name = f"{file_name(row.category)}_{item.key}"
     with target.opened(f"{name}.hdf5") as file:
         stack(file, len(item.rows), _rows(item, target))
-    names = "".join(f"{instance_name(row)}\n" for row in item.rows)
-    target.write(f"{name}.txt", names.encode())
+    target.write_lines(f"{name}.txt", map(instance_name, item.rows))
 
 
 def _rows(item: Item, target: Target) -> Iterator[dict[str, NDArray]]:
@@ -53,7 +53,7 @@ def _rows(item: Item, target: Target) -> Iterator[dict[str, NDArray]]:
         }
 
 
-def _one_a_cell(row: Row, voxels: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _one_a_cell(row: Row, voxels: Bools) -> Ints:
     """(4096,) a voxel in each cell of the 16^3 grid: a random inside one, else a random one."""
     k = _FINE // _COARSE
     number = np.arange(_FINE**3).reshape((_COARSE, k) * 3).transpose(0, 2, 4, 1, 3, 5)

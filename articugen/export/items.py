@@ -97,11 +97,7 @@ def validation(train: DataSet) -> DataSet:
 
 
 def canonical(rows: DataSet) -> Row:
-    """Return the canonical pose among an object's instances.
-
-    Raises:
-        LeftOut: it is not among them.
-    """
+    """Return the canonical pose among an object's instances; LeftOut where it is not among them."""
     for row in rows:
         if row.state_index == 0:
             return row

@@ -10,13 +10,11 @@ from articugen.core.records import Mesh
 from articugen.export.assembly import DENSITY, bodies, damping, from_the_root, numbers
 from articugen.export.formats import Format
 from articugen.export.items import Item, of_objects
-from articugen.export.joints import MetricJoint, unique
+from articugen.export.parts import unique
 from articugen.export.target import Target
 from articugen.meshes.model_text import obj_text
 
-_WORLD = "world"
-"""MuJoCo's own body, whose name many URDFs give to their first link."""
-
+_WORLD = "world"  # MuJoCo's own body, whose name many URDFs give to their first link
 _STOP = "0.01 1"
 """A stop gives way for half as long as MuJoCo's own, and so half as far, and does not bounce."""
 
@@ -38,7 +36,11 @@ def _write(item: Item, target: Target) -> None:
         above = world if body.joint is None else placed[body.joint.parent]
         placed[part] = ET.SubElement(above, "body", name=names[part], pos=numbers(body.origin))
         if body.joint is not None:
-            _add_joint(placed[part], body.joint, damping(parts, part))
+            joint, kind = body.joint, "hinge" if body.joint.kind == "revolute" else "slide"
+            about = {"name": joint.name, "type": kind, "axis": numbers(joint.axis)}
+            about |= {"range": numbers([joint.lower, joint.upper]), "solreflimit": _STOP}
+            slowed = f"{damping(parts, part):.6g}"
+            ET.SubElement(placed[part], "joint", {**about, "damping": slowed})
         visual = _asset(item, target, assets, f"part_{part}", body.mesh, inertia="exact")
         ET.SubElement(placed[part], "geom", {**_SEEN, "mesh": visual, "density": f"{DENSITY:g}"})
         for k, hull in enumerate(body.hulls):
@@ -51,13 +53,6 @@ def _write(item: Item, target: Target) -> None:
             ET.SubElement(contact, "exclude", body1=above, body2=names[part])
     ET.indent(root)
     target.write(f"{item.key}/{name}.xml", ET.tostring(root, encoding="utf-8") + b"\n")
-
-
-def _add_joint(element: ET.Element, joint: MetricJoint, damping: float) -> None:
-    kind = "hinge" if joint.kind == "revolute" else "slide"
-    about = {"name": joint.name, "type": kind, "axis": numbers(joint.axis)}
-    about |= {"range": numbers([joint.lower, joint.upper]), "solreflimit": _STOP}
-    ET.SubElement(element, "joint", {**about, "damping": f"{damping:.6g}"})
 
 
 def _asset(

@@ -10,22 +10,19 @@ import pickle
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Floats
 from articugen.core.geometry import apply, bounds, box_corners, invert_rigid
-from articugen.core.records import Floats
-from articugen.export.cameras import camera_count, seen
 from articugen.export.formats import Format
 from articugen.export.hdf5 import packed
 from articugen.export.items import Item, canonical, file_name, of_objects
-from articugen.export.labels import need
+from articugen.export.labels import need, seen
 from articugen.export.parts import part_boxes
 from articugen.export.target import Target
 from articugen.meshes.model_text import Joint, Visual, obj_text, urdf_text
 from articugen.store.dataset import DataSet
 from articugen.store.rows import Row
 
-_SHARE = "all"
-"""Their folder names in splits/<category>/ tell how much of the data a list has."""
-
+_SHARE = "all"  # their folder names in splits/<category>/ tell how much of the data a list has
 _GREY = np.full((1, 1, 3), 128, np.uint8)
 """Its loader wants a picture of every view; shards hold no colours of points."""
 
@@ -41,8 +38,8 @@ def _write(item: Item, target: Target) -> None:
     for name, text in _model(rest, boxes).items():
         target.write(f"urdf/{place}/{name}", text.encode())
     for row in item.rows:
-        views = "".join(f"{camera}\n" for camera in range(camera_count(row)))
-        target.write(f"render/{place}/{row.state_index:04d}/all.txt", views.encode())
+        views = map(str, range(len(row.partial.part)))
+        target.write_lines(f"render/{place}/{row.state_index:04d}/all.txt", views)
         for camera, name in enumerate(_files(row)):
             points, part = seen(row, camera)
             cloud = row.partial.points[camera].astype(np.float64)
@@ -60,7 +57,7 @@ def _place(row: Row) -> str:
 
 def _files(row: Row) -> list[str]:
     folder = f"hdf5/{_place(row)}/{row.state_index:04d}"
-    return [f"{folder}/{camera}.h5" for camera in range(camera_count(row))]
+    return [f"{folder}/{camera}.h5" for camera in range(len(row.partial.part))]
 
 
 def _model(rest: Row, boxes: Floats) -> dict[str, str]:
@@ -107,8 +104,7 @@ def _finish(data: DataSet, target: Target) -> None:
     target.write(f"pickle/{category}.pkl", pickle.dumps(factors))
     target.write(f"pickle/{category}_corners.pkl", pickle.dumps(corners))
     for split, names in files.items():
-        lines = "".join(f"{name}\n" for name in names)
-        target.write(f"splits/{category}/{_SHARE}/{file_name(split)}.txt", lines.encode())
+        target.write_lines(f"splits/{category}/{_SHARE}/{file_name(split)}.txt", names)
 
 
 FORMAT = Format(

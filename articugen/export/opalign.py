@@ -9,12 +9,11 @@ import io
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Floats
 from articugen.core.geometry import apply
-from articugen.core.records import Floats
-from articugen.export.cameras import camera_count, seen
 from articugen.export.formats import Format
 from articugen.export.items import Item, file_name, of_objects
-from articugen.export.labels import need
+from articugen.export.labels import need, seen
 from articugen.export.parts import part_boxes
 from articugen.export.target import Target
 from articugen.store.rows import Row
@@ -27,7 +26,7 @@ def _write(item: Item, target: Target) -> None:
     boxes = part_boxes(item.rows)
     for row in item.rows:
         folder = f"{file_name(row.category)}/{file_name(row.split)}/{file_name(row.object_id)}"
-        for camera in range(camera_count(row)):
+        for camera in range(len(row.partial.part)):
             data = io.BytesIO()
             np.savez(data, np.array(_view(row, camera, boxes), dtype=object))
             target.write(
@@ -58,8 +57,4 @@ def _view(row: Row, camera: int, boxes: Floats) -> dict[str, NDArray]:
     }  # fmt: skip
 
 
-FORMAT = Format(
-    "OP-Align: single depth views with part poses and joints",
-    of_objects,
-    _write,
-)
+FORMAT = Format("OP-Align: single depth views with part poses and joints", of_objects, _write)

@@ -9,8 +9,8 @@ edges follow those of the surface; where shards hold none, its loader draws all 
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Floats
 from articugen.core.geometry import apply, bounds, invert_rigid
-from articugen.core.records import Floats
 from articugen.core.seeding import generator
 from articugen.export.formats import Format
 from articugen.export.items import Item, canonical, file_name, of_objects
@@ -18,8 +18,7 @@ from articugen.export.target import Target
 from articugen.store.dataset import DataSet
 from articugen.store.rows import Row
 
-_CELLS = 16
-"""Along the unit frame: coarse enough that the density of points does not count."""
+_CELLS = 16  # along the unit frame: coarse enough that the density of points does not count
 
 
 def _write(item: Item, target: Target) -> None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from articugen.export.colours import of_parts
+from articugen.core.colours import PALETTE
 from articugen.export.formats import Format
 from articugen.export.items import Item, of_instances
 from articugen.export.target import Target
@@ -18,8 +18,8 @@ def _write(item: Item, target: Target) -> None:
     kinds = [(name, kind) for _, kind, names in _PROPERTIES for name in names]
     table = np.empty(len(row.surface), kinds)
     columns = np.concatenate([row.surface.points, row.surface.normals], axis=1).T
-    colours = of_parts(row.surface.part).T
-    for (name, _), column in zip(kinds, [*columns, *colours, row.surface.part], strict=True):
+    part = row.surface.part
+    for (name, _), column in zip(kinds, [*columns, *PALETTE[part].T, part], strict=True):
         table[name] = column
     header = [
         "ply",

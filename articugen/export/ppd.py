@@ -87,9 +87,7 @@ def _finish(data: DataSet, target: Target) -> None:
     lists = {split: list(chain(*objects)) for split, objects in written.items()}
     lists["all"] = [pose for split in data.splits for pose in lists[split]]
     for name, poses in lists.items():
-        target.write(
-            f"data/list/{file_name(name)}.lst", "".join(f"{pose}\n" for pose in poses).encode()
-        )
+        target.write_lines(f"data/list/{file_name(name)}.lst", poses)
 
 
 FORMAT = Format(

@@ -1,4 +1,4 @@
-"""An export from its beginning to its end, or from where the last call got."""
+"""An export from its beginning to its end, or from where the last call got; Croissant beside it."""
 
 import hashlib
 import os
@@ -6,14 +6,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
+from articugen.core import schema
 from articugen.core.errors import InvalidArgument, MissingExtra
 from articugen.core.files import sha256_of
-from articugen.export import croissant
 from articugen.export.formats import format_named, options_for
 from articugen.export.items import Item, LeftOut, file_name, instance_name
 from articugen.export.parts import PartMeshes
 from articugen.export.target import Target
+from articugen.store import croissant
 from articugen.store.dataset import DataSet
 from articugen.store.dataset import open as open_data_set
 
@@ -111,17 +113,12 @@ def _write(
     if len(reasons) == len(items):
         raise InvalidArgument(f"{to} can hold nothing of {data.path}: {reasons[0]}")
     wanted.finish(data, target)
-    croissant.write(data, to, target)
+    _write_croissant(data, to, target)
     target.seal()
 
 
 def _digest(data: DataSet) -> str:
-    """Tells these instances from any others.
-
-    Raises:
-        InvalidArgument: two of them would be called alike: nothing may be lost, nor an object of
-            two splits end in one folder.
-    """
+    """Tell these instances from others; InvalidArgument where two would be called alike."""
     digest = hashlib.sha256()
     if data.manifest is not None:
         digest.update(data.manifest.content_sha256.encode())
@@ -141,3 +138,40 @@ def _digest(data: DataSet) -> str:
             )
         instances.add(name)
     return digest.hexdigest()
+
+
+def _write_croissant(data: DataSet, to: str, target: Target) -> None:
+    """Write croissant.json; of Parquet with a RecordSet for mlcroissant to read."""
+    files = target.written
+    distribution, records = croissant.listed(files), []
+    if to == "parquet":
+        columns = [file for file in files if file.name.endswith(".parquet")]
+        distribution = [*croissant.objects(files), *croissant.file_sets(columns)]
+        records = [_records(data)]
+    splits = ", ".join(f"{count} {name}" for name, count in data.splits.items())
+    content = f" (content {data.manifest.content_sha256})" if data.manifest else ""
+    about = (
+        f"{len(data)} instances ({splits}) of {len(data.objects)} objects of the category "
+        f"{data.category}, each an object at one joint state{content}: {format_named(to).what}."
+    )
+    name = f"{data.category}-{to}"
+    record = croissant.document(name, about, data.manifest, distribution, records)
+    target.write(croissant.NAME, record)
+
+
+def _records(data: DataSet) -> dict[str, Any]:
+    """Return the columns of Parquet."""
+    kinds = {"S": "sc:Text", "<f8": "sc:Float", "<f4": "sc:Float"}
+    fields = []
+    for name in sorted(data.fields):
+        field = schema.field_of(name)
+        assert field is not None
+        fields.append({
+            "@type": "cr:Field",
+            "@id": f"instances/{name}",
+            "name": name,
+            "description": field.meaning,
+            "dataType": kinds.get(field.dtype, "sc:Integer"),
+            "source": {"fileSet": {"@id": "parquet-files"}, "extract": {"column": name}},
+        })  # fmt: skip
+    return {"@type": "cr:RecordSet", "@id": "instances", "name": "instances", "field": fields}

@@ -4,7 +4,7 @@ import hashlib
 import io
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
@@ -187,17 +187,16 @@ class Target:
         np.savez(data, **plain)
         self.write(name, data.getvalue())
 
+    def write_lines(self, name: str, lines: Iterable[str]) -> None:
+        """Write a text file of lines."""
+        self.write(name, "".join(f"{line}\n" for line in lines).encode())
+
     @contextmanager
     def opened(self, name: str) -> Iterator[BinaryIO]:
         """A file of the item at hand, to write and read, for what is larger than one instance."""
         path = self._path(name)
         with written_atomically(path) as file:
             yield file
-        self.adopt(name)
-
-    def adopt(self, name: str) -> None:
-        """Count a file that a library wrote as one of the item at hand."""
-        path = self.folder / name
         self._files.append(Written(name, path.stat().st_size, sha256_of(path)))
 
     def _path(self, name: str) -> Path:

@@ -2,6 +2,8 @@
 
 from xml.etree import ElementTree as ET
 
+import numpy as np
+
 from articugen.core.records import Mesh
 from articugen.export.assembly import Body, bodies, damping, numbers
 from articugen.export.formats import Format
@@ -9,13 +11,20 @@ from articugen.export.items import Item, of_objects
 from articugen.export.target import Target
 from articugen.meshes.model_text import obj_text
 
+_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
 
 def _write(item: Item, target: Target) -> None:
     parts = bodies(item, target)
     robot = ET.Element("robot", name=item.key.rpartition("/")[2])
     for part, body in enumerate(parts):
         link = ET.SubElement(robot, "link", name=body.name)
-        _add_inertial(link, body)
+        inertia = body.inertia
+        inertial = ET.SubElement(link, "inertial")
+        ET.SubElement(inertial, "origin", xyz=numbers(inertia.center), rpy="0 0 0")
+        ET.SubElement(inertial, "mass", value=numbers([inertia.mass]))
+        upper = zip(_MOMENTS, inertia.tensor[np.triu_indices(3)], strict=True)
+        ET.SubElement(inertial, "inertia", {name: f"{moment:.12g}" for name, moment in upper})
         _add_mesh(link, "visual", _mesh_file(item, target, f"part_{part}", body.mesh))
         for k, hull in enumerate(body.hulls):
             _add_mesh(link, "collision", _mesh_file(item, target, f"part_{part}_convex_{k}", hull))
@@ -34,24 +43,6 @@ def _mesh_file(item: Item, target: Target, name: str, mesh: Mesh) -> str:
 def _add_mesh(link: ET.Element, kind: str, file: str) -> None:
     geometry = ET.SubElement(ET.SubElement(link, kind), "geometry")
     ET.SubElement(geometry, "mesh", filename=file)
-
-
-def _add_inertial(link: ET.Element, body: Body) -> None:
-    inertia = body.inertia
-    inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=numbers(inertia.center), rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=numbers([inertia.mass]))
-    names = {
-        "ixx": (0, 0),
-        "ixy": (0, 1),
-        "ixz": (0, 2),
-        "iyy": (1, 1),
-        "iyz": (1, 2),
-        "izz": (2, 2),
-    }
-    ET.SubElement(
-        inertial, "inertia", {name: f"{inertia.tensor[at]:.12g}" for name, at in names.items()}
-    )
 
 
 def _add_joint(robot: ET.Element, part: int, parts: tuple[Body, ...]) -> None:

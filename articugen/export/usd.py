@@ -11,13 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from articugen.core.records import Floats, Mesh
-from articugen.export.assembly import Body, bodies, damping
-from articugen.export.colours import linear_of_part
+from articugen.core.arrays import Floats
+from articugen.core.colours import colour_of
+from articugen.core.records import Mesh
+from articugen.export.assembly import Body, bodies, damping, from_the_root
 from articugen.export.formats import Format
 from articugen.export.items import Item, of_objects
-from articugen.export.joints import unique
+from articugen.export.parts import unique
 from articugen.export.target import Target
+from articugen.pictures.shading import linear
 
 
 def _pxr(*names: str) -> list[Any]:
@@ -44,9 +46,12 @@ def _fill(path: Path, name: str, parts: tuple[Body, ...]) -> None:
     root.GetPrim().SetDisplayName(name)
     stage.SetDefaultPrim(root.GetPrim())
     UsdPhysics.ArticulationRootAPI.Apply(root.GetPrim())
-    place = _places(parts)
+    places: dict[int, Floats] = {}
+    for part in from_the_root(parts):
+        body = parts[part]
+        places[part] = body.origin + (places[body.joint.parent] if body.joint else 0.0)
     for part, body in enumerate(parts):
-        _add_body(stage, f"{root.GetPath()}/part_{part}", part, body, place[part])
+        _add_body(stage, f"{root.GetPath()}/part_{part}", part, body, places[part])
     fixed = UsdPhysics.FixedJoint.Define(stage, f"{root.GetPath()}/to_world")
     fixed.CreateBody1Rel().SetTargets([f"{root.GetPath()}/part_0"])
     ours = [fixed.GetPrim().GetName(), *(f"part_{part}" for part in range(len(parts)))]
@@ -64,17 +69,6 @@ def _identifier(name: str) -> str:
     return Tf.MakeValidIdentifier(f"_{name}" if name[:1].isdigit() else name)
 
 
-def _places(parts: tuple[Body, ...]) -> list[Floats]:
-    """Return (3,) of each part's frame in the model's own."""
-
-    def place(body: Body) -> Floats:
-        if body.joint is None:
-            return np.asarray(body.origin)
-        return place(parts[body.joint.parent]) + body.origin
-
-    return [place(body) for body in parts]
-
-
 def _add_body(stage: Any, path: str, part: int, body: Body, place: Floats) -> None:
     Gf, UsdGeom, UsdPhysics = _pxr("Gf", "UsdGeom", "UsdPhysics")
 
@@ -87,11 +81,13 @@ def _add_body(stage: Any, path: str, part: int, body: Body, place: Floats) -> No
     inertia = body.inertia
     mass.CreateMassAttr(inertia.mass)
     mass.CreateCenterOfMassAttr(Gf.Vec3f(*inertia.center.tolist()))
-    moments, turn = _principal(inertia.tensor)
-    mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*moments))
-    mass.CreatePrincipalAxesAttr(Gf.Quatf(*turn))
+    moments, axes = np.linalg.eigh(inertia.tensor)  # about the principal axes
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    turn = Gf.Matrix3d(*axes.T.ravel().tolist()).ExtractRotation().GetQuat()
+    mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*moments.tolist()))
+    mass.CreatePrincipalAxesAttr(Gf.Quatf(turn.GetReal(), *turn.GetImaginary()))
     visual = _add_mesh(stage, f"{path}/visual", body.mesh)
-    visual.CreateDisplayColorAttr([Gf.Vec3f(*linear_of_part(part)[:3])])
+    visual.CreateDisplayColorAttr([Gf.Vec3f(*linear(colour_of(part)).tolist())])
     for k, hull in enumerate(body.hulls):
         felt = _add_mesh(stage, f"{path}/convex_{k}", hull)
         felt.CreatePurposeAttr(UsdGeom.Tokens.guide)
@@ -136,16 +132,6 @@ def _add_joint(stage: Any, path: str, part: int, parts: tuple[Body, ...]) -> Non
     drive = UsdPhysics.DriveAPI.Apply(joint.GetPrim(), "angular" if revolute else "linear")
     drive.CreateStiffnessAttr(0.0)
     drive.CreateDampingAttr(damping(parts, part) / unit)
-
-
-def _principal(tensor: Floats) -> tuple[list[float], list[float]]:
-    """Return the moments about the principal axes, and the rotation (w, x, y, z) to these."""
-    (Gf,) = _pxr("Gf")
-
-    moments, axes = np.linalg.eigh(tensor)
-    axes[:, 2] *= np.sign(np.linalg.det(axes))
-    turn = Gf.Matrix3d(*axes.T.ravel().tolist()).ExtractRotation().GetQuat()
-    return moments.tolist(), [turn.GetReal(), *turn.GetImaginary()]
 
 
 FORMAT = Format(

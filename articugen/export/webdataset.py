@@ -7,7 +7,6 @@ import io
 import json
 import tarfile
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -18,8 +17,7 @@ from articugen.export.target import Target
 from articugen.store.dataset import DataSet
 from articugen.store.rows import Row, in_units, is_scaled
 
-_PER_FILE = 256
-"""Samples of a tar: about 100 MB."""
+_PER_FILE = 256  # samples of a tar: about 100 MB
 
 
 def _items(data: DataSet) -> Iterator[Item]:
@@ -37,7 +35,17 @@ def _write(item: Item, target: Target) -> None:
         for row in item.rows:
             name = instance_name(row)
             _add(tar, f"{name}.npz", _arrays(row))
-            _add(tar, f"{name}.json", json.dumps(_about(row), ensure_ascii=False).encode())
+            about = {
+                "object_id": row.object_id,
+                "state_index": row.state_index,
+                "split": row.split,
+                "category": row.category,
+                "joint_name": [joint.name for joint in row.joints],
+                "joint_kind": [joint.kind for joint in row.joints],
+                "part_name": [part.name for part in row.parts],
+                "part_semantic": [part.semantic for part in row.parts],
+            }
+            _add(tar, f"{name}.json", json.dumps(about, ensure_ascii=False).encode())
 
 
 def _add(tar: tarfile.TarFile, name: str, data: bytes) -> None:
@@ -57,19 +65,6 @@ def _arrays(row: Row) -> bytes:
     data = io.BytesIO()
     np.savez_compressed(data, **arrays)
     return data.getvalue()
-
-
-def _about(row: Row) -> dict[str, Any]:
-    return {
-        "object_id": row.object_id,
-        "state_index": row.state_index,
-        "split": row.split,
-        "category": row.category,
-        "joint_name": [joint.name for joint in row.joints],
-        "joint_kind": [joint.kind for joint in row.joints],
-        "part_name": [part.name for part in row.parts],
-        "part_semantic": [part.semantic for part in row.parts],
-    }
 
 
 FORMAT = Format("tar files of samples, points in units; for webdataset", _items, _write)
