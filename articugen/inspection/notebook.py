@@ -21,8 +21,7 @@ from articugen.store.rows import Row
 
 __all__ = ["DataSet", "Row", "open"]
 
-OBJECTS, STATES = 2, 4
-"""Of a contact sheet: a glance, drawn in seconds."""
+OBJECTS, STATES = 2, 4  # of a contact sheet: a glance, drawn in seconds
 
 
 def of_data(data: DataSet) -> str:

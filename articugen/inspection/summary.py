@@ -7,30 +7,25 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from articugen.core import schema
+from articugen.core.arrays import Floats, Ints
 from articugen.core.errors import InvalidArgument
 from articugen.core.records import ENCLOSED, STORED_KINDS, JointKind
+from articugen.core.schema import resolution_of
 from articugen.core.tables import DIM, quiet_table, size
 from articugen.store.shards import Shard, open_shard
 
-LOOKED_AT = 256
-"""Points and grids of so many instances, spread evenly, stand for all of them."""
-
+LOOKED_AT = 256  # points and grids of so many instances, spread evenly, stand for all of them
 BARS = " ▁▂▃▄▅▆▇█"
 BINS = 24
 
 
 def shards_of(path: Path) -> list[Path]:
-    """Return the shards that `path`, a shard or the folder of a data set, stands for.
-
-    Raises:
-        InvalidArgument: there is none.
-    """
+    """Return the shards that a path, of one or of a folder, stands for; InvalidArgument if none."""
     if path.is_dir():
         shards = sorted(path.glob("*.h5"))
         if not shards:
@@ -42,18 +37,14 @@ def shards_of(path: Path) -> list[Path]:
 
 
 def summary(shards: Sequence[Path]) -> RenderableType:
-    """Summarise shards: fields with their sizes, joints with their states, parts.
-
-    Raises:
-        CorruptShard: one of them cannot be read.
-    """
+    """Summarise shards: fields with sizes, joints with states, parts; or CorruptShard."""
     some = -(-LOOKED_AT // len(shards))
     seen = [_seen(path, some) for path in shards]
     files = sum(path.stat().st_size for path in shards)
     return Group(_heading(seen), _fields(seen, files), _joints(seen), _parts(seen))
 
 
-_States = dict[tuple[int, JointKind], NDArray[np.float64]]
+_States = dict[tuple[int, JointKind], Floats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,20 +66,28 @@ class _Seen:
     shapes: Mapping[str, tuple[int, ...]]
     stored: Mapping[str, int]
     states: _States
-    counts: Mapping[str, NDArray[np.int64]]
+    counts: Mapping[str, Ints]
 
 
 def _seen(path: Path, some: int) -> _Seen:
     """Count the content of one shard, opened once, by `some` of its instances."""
     with open_shard(path) as shard:
         about = dict(shard.attributes)
+        kinds, scale = shard.read("joint_kind"), shard.read("scale")
+        columns = [shard.read(f"joint_{name}") for name in ("lower", "upper", "state")]
+        values = np.stack(columns, axis=-1)
+        states: _States = {}  # in degrees, or in the unit of their model
+        for joint, kind in product(range(kinds.shape[1]), STORED_KINDS):
+            here = kinds[:, joint] == kind
+            unit = np.degrees(1.0) if kind == JointKind.REVOLUTE else scale[here, None]
+            states[joint, kind] = values[here, joint] * unit
         return _Seen(
             about,
             frozenset((str(about["split"]), object_id) for object_id in shard.object_ids()),
             len(shard),
             {name: shape[1:] for name, shape in shard.fields.items()},
             {name: shard.stored_bytes(name) for name in shard.fields},
-            _states_of(shard),
+            states,
             _counts_of(shard, min(len(shard), some)),
         )
 
@@ -124,21 +123,8 @@ def _fields(seen: Sequence[_Seen], files: int) -> Table:
     return table
 
 
-def _states_of(shard: Shard) -> _States:
-    """Revolute joints in degrees, prismatic ones in the unit of their model."""
-    kinds, scale = shard.read("joint_kind"), shard.read("scale")
-    columns = [shard.read(f"joint_{name}") for name in ("lower", "upper", "state")]
-    values = np.stack(columns, axis=-1)
-    states: _States = {}
-    for joint, kind in product(range(kinds.shape[1]), STORED_KINDS):
-        here = kinds[:, joint] == kind
-        unit = np.degrees(1.0) if kind == JointKind.REVOLUTE else scale[here, None]
-        states[joint, kind] = values[here, joint] * unit
-    return states
-
-
 def _joints(seen: Sequence[_Seen]) -> Table:
-    states: dict[tuple[int, JointKind], list[NDArray[np.float64]]] = {}
+    states: dict[tuple[int, JointKind], list[Floats]] = {}
     for each in seen:
         for joint, values in each.states.items():
             states.setdefault(joint, []).append(values)
@@ -156,7 +142,7 @@ def _joints(seen: Sequence[_Seen]) -> Table:
     return table
 
 
-def histogram(values: NDArray[np.float64], low: float, high: float) -> str:
+def histogram(values: Floats, low: float, high: float) -> str:
     """`values` from `low` to `high` as a row of bars, the fullest of full height."""
     if not high > low:
         return ""
@@ -165,9 +151,9 @@ def histogram(values: NDArray[np.float64], low: float, high: float) -> str:
     return "".join(BARS[height] for height in heights)
 
 
-def _counts_of(shard: Shard, some: int) -> dict[str, NDArray[np.int64]]:
-    grids = sorted((n for n in shard.fields if n.startswith("occupancy_")), key=_resolution)
-    counts: dict[str, NDArray[np.int64]] = {}
+def _counts_of(shard: Shard, some: int) -> dict[str, Ints]:
+    grids = sorted((n for n in shard.fields if n.startswith("occupancy_")), key=resolution_of)
+    counts: dict[str, Ints] = {}
     for name in ("surface_part", "partial_part", "uniform_label", "near_label", *grids[-1:]):
         counts[name] = np.zeros(256, np.int64)
         for row in np.linspace(0, len(shard) - 1, some).astype(int):
@@ -177,7 +163,7 @@ def _counts_of(shard: Shard, some: int) -> dict[str, NDArray[np.int64]]:
 
 def _parts(seen: Sequence[_Seen]) -> Table:
     """Tabulate each part's share of the points and of the finest grid; enclosed space apart."""
-    counts: dict[str, NDArray[np.int64]] = {}
+    counts: dict[str, Ints] = {}
     for each in seen:
         for name, own in each.counts.items():
             counts[name] = counts.get(name, 0) + own
@@ -197,11 +183,7 @@ def _parts(seen: Sequence[_Seen]) -> Table:
     return table
 
 
-def _resolution(name: str) -> int:
-    return int(name.rpartition("_")[2])
-
-
-def _shares(name: str, counts: NDArray[np.int64]) -> NDArray[np.float64]:
+def _shares(name: str, counts: Ints) -> Floats:
     """Return (P,) the fraction of the points that lies in each part; label k + 1 is part k."""
     fractions = counts / max(int(counts.sum()), 1)
     parts = fractions if name.endswith("_part") else fractions[1:]

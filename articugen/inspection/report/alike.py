@@ -5,25 +5,17 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from articugen.core.arrays import Floats, Ints
 from articugen.inspection.report.facts import ObjectFacts
 
-Array = NDArray[np.float64]
-
-LOOKED_AT = 30
-"""Pairs whose coarse shapes are the nearest are compared in full."""
-
+LOOKED_AT = 30  # pairs whose coarse shapes are the nearest are compared in full
 SAME = 1.25
 """Two objects are near-duplicates where their clouds are apart by less than so many times what two
 halves of one cloud are."""
 
-UNLIKE = 3.5
-"""Modified z-scores above it make an outlier (Iglewicz and Hoaglin 1993)."""
-
-FEWEST = 8
-"""Objects, of which one can be unlike the others."""
-
+UNLIKE = 3.5  # modified z-scores above it make an outlier (Iglewicz and Hoaglin 1993)
+FEWEST = 8  # objects, of which one can be unlike the others
 _COARSE = 12
 _TURN = 0.2
 
@@ -66,7 +58,7 @@ def nearest_pairs(objects: Sequence[ObjectFacts], count: int) -> list[Pair]:
     return [pair for n, pair in enumerate(found) if n < count or pair.same]
 
 
-def _coarse(points: Array) -> Array:
+def _coarse(points: Floats) -> Floats:
     """Return how many points are in each of `_COARSE`^3 cells."""
     cell = np.clip((points + 0.5) * _COARSE, 0, _COARSE - 1).astype(np.int64)
     flat = cell @ (_COARSE * _COARSE, _COARSE, 1)
@@ -75,18 +67,15 @@ def _coarse(points: Array) -> Array:
 
 def _pair(a: ObjectFacts, b: ObjectFacts) -> Pair:
     """Return each compared by halves, so that the halves of one object have as many points."""
-    (a0, a1), (b0, b1) = (_halves(each) for each in (a, b))
+    (a0, a1), (b0, b1) = (  # stored points are in random order
+        [(each.cloud[first::2], each.normals[first::2]) for first in (0, 1)] for each in (a, b)
+    )
     apart = 0.25 * sum(_apart(x, y) for x in (a0, a1) for y in (b0, b1))
     floor = 0.5 * (_apart(a0, a1) + _apart(b0, b1))
     return Pair(a, b, apart, apart / max(floor, 1e-9))
 
 
-_Cloud = tuple[Array, Array]
-
-
-def _halves(each: ObjectFacts) -> tuple[_Cloud, _Cloud]:
-    """Stored points are in random order."""
-    return (each.cloud[0::2], each.normals[0::2]), (each.cloud[1::2], each.normals[1::2])
+_Cloud = tuple[Floats, Floats]
 
 
 def _apart(a: _Cloud, b: _Cloud) -> float:
@@ -97,7 +86,7 @@ def _apart(a: _Cloud, b: _Cloud) -> float:
     return 0.5 * (_to_planes(a, b, squared.argmin(1)) + _to_planes(b, a, squared.argmin(0)))
 
 
-def _to_planes(a: _Cloud, b: _Cloud, nearest: NDArray[np.int64]) -> float:
+def _to_planes(a: _Cloud, b: _Cloud, nearest: Ints) -> float:
     offset = a[0] - b[0][nearest]
     return float(np.abs((offset * b[1][nearest]).sum(axis=1)).mean())
 

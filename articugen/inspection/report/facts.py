@@ -8,14 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Bools, Floats
 from articugen.core.records import ENCLOSED, JointKind, dequantize, is_material
 from articugen.store.columns import Attribute
 from articugen.store.shards import Shard, open_shard
 
-Array = NDArray[np.float64]
-
-CLOUD = 1024
-"""Points that stand for an object's shape where objects are compared."""
+CLOUD = 1024  # points that stand for an object's shape where objects are compared
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +31,12 @@ class JointStates:
     kind: JointKind
     lower: float
     upper: float
-    drawn: Array
+    drawn: Floats
+
+    @property
+    def unit(self) -> str:
+        """The sign behind its states: lengths have none, not all models tell their unit."""
+        return "°" if self.kind == JointKind.REVOLUTE else ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +54,7 @@ class PartSize:
     semantic: str
     surface: float
     volume: float
-    box: Array
+    box: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,13 +76,13 @@ class ObjectFacts:
     scale: float
     joints: tuple[JointStates, ...]
     parts: tuple[PartSize, ...]
-    occupied: Array
+    occupied: Floats
     enclosed: float
-    cloud: Array
-    normals: Array
+    cloud: Floats
+    normals: Floats
 
     @property
-    def box(self) -> Array:
+    def box(self) -> Floats:
         """(3,) in the unit of its model, canonical pose; nan without surface points."""
         return _box(self.cloud, self.scale)
 
@@ -103,11 +106,7 @@ class Facts:
 
 
 def facts(shards: Sequence[Path]) -> Facts:
-    """Read all shards once.
-
-    Raises:
-        CorruptShard: one of them cannot be read.
-    """
+    """Read all shards once; CorruptShard if one cannot be read."""
     objects: list[ObjectFacts] = []
     fields: dict[str, tuple[str, int]] = {}
     about: Mapping[str, Attribute] = {}
@@ -117,12 +116,9 @@ def facts(shards: Sequence[Path]) -> Facts:
             objects += _objects(shard)
             for name, shape in shard.fields.items():
                 before = fields.get(name, ("", 0))[1]
-                fields[name] = (_written(shape[1:]), before + shard.stored_bytes(name))
+                written = " × ".join(map(str, shape[1:])) or "1"
+                fields[name] = (written, before + shard.stored_bytes(name))
     return Facts(tuple(objects), about, tuple(shards), fields)
-
-
-def _written(shape: tuple[int, ...]) -> str:
-    return " × ".join(map(str, shape)) or "1"
 
 
 def _objects(shard: Shard) -> Iterator[ObjectFacts]:
@@ -145,6 +141,7 @@ def _object(
     first, scale = shard.instance(rows[0]), float(small["scale"][rows[0]])
     labels = shard.batch(rows, ["uniform_label", "surface_part"])
     inside, parts = labels["uniform_label"], labels["surface_part"]
+    solid = is_material(inside) | (inside == ENCLOSED)
     points = dequantize(first.surface_points)
     return ObjectFacts(
         object_id=object_id,
@@ -163,7 +160,7 @@ def _object(
             )
             for k in range(len(first.part_motion))
         ),
-        occupied=_shares(is_material(inside) | (inside == ENCLOSED)),
+        occupied=solid.mean(axis=1) if solid.size else np.full(len(rows), np.nan),
         enclosed=_share(inside == ENCLOSED),
         cloud=points[:CLOUD],
         normals=first.surface_normals[:CLOUD] / 127.0,
@@ -186,16 +183,27 @@ def _joints(
         )
 
 
-def _share(which: NDArray[np.bool_]) -> float:
+def _share(which: Bools) -> float:
     return float(which.mean()) if which.size else float("nan")
 
 
-def _shares(which: NDArray[np.bool_]) -> Array:
-    """Return (n,) the share of each row."""
-    return which.mean(axis=1) if which.size else np.full(len(which), np.nan)
-
-
-def _box(points: Array, scale: float) -> Array:
+def _box(points: Floats, scale: float) -> Floats:
     if not len(points):
         return np.full(3, np.nan)
     return scale * np.ptp(points, axis=0)
+
+
+def range_text(low: float, high: float, unit: str) -> str:
+    """Write the two ends of a range of joint states."""
+    return f"{_number(low, unit)} to {_number(high, unit)}{unit}"
+
+
+def _number(value: float, unit: str) -> str:
+    return f"{value:.1f}" if unit else f"{value:.3g}"
+
+
+def spread_text(values: Sequence[float], unit: str) -> str:
+    """Write one number where all are alike, else the least and the greatest."""
+    low, high = min(values), max(values)
+    one, other = _number(low, unit), _number(high, unit)
+    return f"{one}{unit}" if one == other else f"{one} … {other}{unit}"

@@ -25,15 +25,9 @@ from articugen.inspection.report.turnable import Turnable, turnable
 from articugen.pictures.contact_sheet import Chosen, Portraits, portraits, some_of
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 
-OBJECTS, STATES = 12, 3
-"""Of the contact sheet, unless more are asked for."""
-
-PICTURE = 168
-"""Pixels along an edge of a picture on the sheet."""
-
-POOLED = 3
-"""The points of so many instances make a picture: it is smaller than a sheet's."""
-
+OBJECTS, STATES = 12, 3  # of the contact sheet, unless more are asked for
+PICTURE = 168  # pixels along an edge of a picture on the sheet
+POOLED = 3  # the points of so many instances make a picture: it is smaller than a sheet's
 PAIRS = 5
 """The most alike pairs of objects that are listed, even where they are not near-duplicates."""
 
@@ -58,12 +52,7 @@ class Report:
 
 
 def write_report(
-    path: Path,
-    shards: Sequence[Path],
-    html: Path,
-    *,
-    objects: int = OBJECTS,
-    states: int = STATES,
+    path: Path, shards: Sequence[Path], html: Path, *, objects: int = OBJECTS, states: int = STATES
 ) -> int:
     """Write the report of a data set, or of one shard, as an HTML file; its size in bytes.
 
@@ -82,13 +71,17 @@ def write_report(
     check_place(html)
     manifest = Manifest.read(path) if (path / MANIFEST_NAME).is_file() else None
     found = facts(shards)
+    category = str(found.about["category"])
+    drawable = [  # as is known without reading a shard again
+        Chosen(category, each.split, each.object_id, [(each.shard, row) for row in each.rows])
+        for each in found.objects
+        if len(each.cloud) > 1
+    ]
     report = Report(
         path=path,
         facts=found,
         manifest=manifest,
-        sheet=portraits(
-            some_of(_drawable(found), objects), states=states, pooling=POOLED, size=PICTURE
-        ),
+        sheet=portraits(some_of(drawable, objects), states=states, pooling=POOLED, size=PICTURE),
         turnable=turnable(found.objects),
         measured=measured(found.objects, manifest),
     )
@@ -97,19 +90,10 @@ def write_report(
     return len(data)
 
 
-def _drawable(found: Facts) -> list[Chosen]:
-    """Return the objects with a surface; which those are is known without reading a shard again."""
-    category = str(found.about["category"])
-    return [
-        Chosen(category, each.split, each.object_id, [(each.shard, row) for row in each.rows])
-        for each in found.objects
-        if len(each.cloud) > 1
-    ]
-
-
 def page(report: Report) -> str:
     """Return the report as a whole HTML document."""
-    style, script = (_asset(name) for name in ("page.css", "viewer.js"))
+    beside = files("articugen.inspection.report")
+    style, script = ((beside / name).read_text("utf-8") for name in ("page.css", "viewer.js"))
     policy = (
         f"default-src 'none'; img-src data:; style-src '{_digest(style)}'; "
         f"script-src '{_digest(script)}'; base-uri 'none'; form-action 'none'"
@@ -190,10 +174,6 @@ def _scene(shown: Turnable | None) -> Markup:
         return join()
     data = json.dumps(shown.scene, separators=(",", ":")).replace("<", "\\u003c")
     return el("script", Markup(data), type="application/json", id_="scene")
-
-
-def _asset(name: str) -> str:
-    return (files("articugen.inspection.report") / name).read_text(encoding="utf-8")
 
 
 def _digest(text: str) -> str:

@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,23 +10,27 @@ import numpy as np
 
 from articugen.core.colours import colour_of
 from articugen.core.records import JointKind
-from articugen.core.tables import duration, size
+from articugen.core.tables import counted, duration, size
 from articugen.inspection.report.alike import FEWEST, SAME, UNLIKE, Outlier, Pair
-from articugen.inspection.report.charts import dot, histogram, share_bar
-from articugen.inspection.report.facts import Facts, JointStates, ObjectFacts, PartSize
-from articugen.inspection.report.lengths import range_text, spread_text, unit_of
-from articugen.inspection.report.markup import SPACE, Markup, el, join
+from articugen.inspection.report.facts import (
+    Facts,
+    JointStates,
+    ObjectFacts,
+    PartSize,
+    range_text,
+    spread_text,
+)
+
+from articugen.inspection.report.markup import (  # isort: skip
+    MOST_ROWS, SPACE, Markup, card, dot, el, folded, hint, histogram, join, keys, share_bar, table,
+)  # fmt: skip
 from articugen.inspection.report.truth import Measured
 from articugen.inspection.report.turnable import Turnable
 from articugen.pictures.contact_sheet import Portraits
 from articugen.pictures.portrait import AJAR
 from articugen.store.manifest import Manifest, Rejection
 
-MOST_JOINTS = 24
-"""Joints of one number whose histograms are drawn."""
-
-MOST_ROWS = 1000
-"""Of a table; a page of more helps nobody."""
+MOST_JOINTS = 24  # joints of one number whose histograms are drawn
 
 
 def header(path: Path, found: Facts, manifest: Manifest | None) -> Markup:
@@ -34,12 +38,9 @@ def header(path: Path, found: Facts, manifest: Manifest | None) -> Markup:
     where = f" of {path.name}" if path.suffix == ".h5" else ""
     if manifest:
         where = f" from {_source(manifest)}"
-    said = f"{_count(len(found.objects), 'object')} in {_count(found.instances, 'joint state')}"
-    return el(
-        "header",
-        el("h1", str(found.about["category"])),
-        el("p", said + where, class_="lead"),
-    )
+    said = f"{counted(len(found.objects), 'object')} in {counted(found.instances, 'joint state')}"
+    title = el("h1", str(found.about["category"]))
+    return el("header", title, el("p", said + where, class_="lead"))
 
 
 def overview(found: Facts, manifest: Manifest | None) -> Markup:
@@ -49,35 +50,30 @@ def overview(found: Facts, manifest: Manifest | None) -> Markup:
     moving = str(joints[0]) if len(joints) == 1 else f"{joints[0]} to {joints[-1]}"
     occupied = np.concatenate([each.occupied for each in found.objects])
     known = occupied[np.isfinite(occupied)]
+    an_object = found.instances / len(found.objects)
     tiles = [
         ("Objects", f"{len(found.objects):,}", per_split),
-        (
-            "Instances",
-            f"{found.instances:,}",
-            f"{found.instances / len(found.objects):.0f} an object",
-        ),
+        ("Instances", f"{found.instances:,}", f"{an_object:.0f} an object"),
         ("Moving joints", moving, "an object"),
         ("Size", size(found.bytes), f"{size(found.bytes / found.instances)} an instance"),
     ]
     if len(known):
-        spread = f"{_percent(known.min())} to {_percent(known.max())}"
-        tiles.append(("Occupied", _percent(float(known.mean())), f"of the unit cube; {spread}"))
+        spread = f"{known.min():.1%} to {known.max():.1%}"
+        tiles.append(("Occupied", f"{known.mean():.1%}", f"of the unit cube; {spread}"))
     if manifest:
         out = len(manifest.rejected) + len(manifest.failed)
         tiles.append(("Left out", f"{out:,}", f"{len(manifest.skipped):,} skipped"))
-    warning = (
-        el("p", manifest.shortfall, class_="warn") if manifest and manifest.shortfall else None
-    )
+    short = manifest.shortfall if manifest else ""
     return join(
         el("dl", *(el("div", el("dt", name), el("dd", value, el("small", more)))
                    for name, value, more in tiles), class_="facts"),
-        warning,
+        el("p", short, class_="warn") if short else None,
     )  # fmt: skip
 
 
 def turning(shown: Turnable | None, objects: Sequence[ObjectFacts], still: str) -> Markup:
     if shown is None:
-        return el("p", "No surface points are stored, so there is nothing to turn.", class_="hint")
+        return hint("No surface points are stored, so there is nothing to turn.")
     facts = next(o for o in objects if (o.object_id, o.split) == (shown.object_id, shown.split))
     label = (
         f"{shown.object_id} in three dimensions. Drag or use the arrow keys to turn it, plus and "
@@ -101,22 +97,22 @@ def turning(shown: Turnable | None, objects: Sequence[ObjectFacts], still: str) 
         *(_slider(joint, j) for j, joint in enumerate(facts.joints)),
         el("label", el("input", type="checkbox", id_="axes", checked=True), "Axes and pivots",
            class_="check"),
-        el("p", "Drag to turn; arrow keys, + and − work too. Click the picture, then scroll to "
-                "zoom.", class_="hint"),
+        hint("Drag to turn; arrow keys, + and − work too. Click the picture, then scroll to "
+                "zoom."),
         el("p", id_="viewer-said", class_="hint", role="status"),
         el("noscript", "Turning needs JavaScript; all else on this page does without."),
         class_="controls",
     )  # fmt: skip
     return join(
-        el("p", "The surface of each part, from its stored points alone; parts move rigidly about "
-                "the stored axes and pivots.", class_="hint"),
+        hint("The surface of each part, from its stored points alone; parts move rigidly about "
+                "the stored axes and pivots."),
         el("div", stage, controls, class_="card", id_="viewer"),
     )  # fmt: skip
 
 
 def _slider(joint: JointStates, j: int) -> Markup:
     """From the canonical pose, or the least state, to the greatest; a little open at first."""
-    unit = unit_of(joint)
+    unit = joint.unit
     low, high = min(joint.lower, 0.0), max(joint.upper, 0.0)
     name = joint.name or f"joint {j}"
     start = AJAR * max(low, high, key=abs)
@@ -126,7 +122,7 @@ def _slider(joint: JointStates, j: int) -> Markup:
            for_=f"joint-{j}"),
         el("input", type="range", id_=f"joint-{j}", min=f"{low:.6g}", max=f"{high:.6g}",
            step="any", value=f"{start:.4f}", data_unit=unit.strip()),
-        el("p", f"{joint.kind}, {range_text(joint.lower, joint.upper, unit)}", class_="hint"),
+        hint(f"{joint.kind}, {range_text(joint.lower, joint.upper, unit)}"),
         class_="joint",
     )  # fmt: skip
 
@@ -135,12 +131,12 @@ def sheet(
     drawn: Sequence[Portraits], pictures: Mapping[str, Sequence[str]], found: Facts
 ) -> Markup:
     if not drawn:
-        return el("p", "No surface points are stored, so there is nothing to draw.", class_="hint")
+        return hint("No surface points are stored, so there is nothing to draw.")
     count, total = len(drawn), len(found.objects)
     which = f"{count} of {total:,} objects, chosen evenly" if count < total else "All objects"
-    hint = f"{which}: the canonical pose first, then random states, the farthest last."
+    order = f"{which}: the canonical pose first, then random states, the farthest last."
     cards = [_card(each, pictures[each.object_id]) for each in drawn]
-    return join(el("p", hint, class_="hint"), el("div", *cards, class_="sheet"))
+    return join(hint(order), el("div", *cards, class_="sheet"))
 
 
 def _card(each: Portraits, pictures: Sequence[str]) -> Markup:
@@ -163,34 +159,31 @@ def joints(objects: Sequence[ObjectFacts]) -> Markup:
     cards = [_states(j, kind, same) for (j, kind), same in sorted(groups.items())[:MOST_JOINTS]]
     more = len(groups) - len(cards)
     return join(
-        el("p", "Where the random states lie between the least and the greatest that their object "
-                "allows. The dashed line is what an even spread has.", class_="hint"),
+        hint("Where the random states lie between the least and the greatest that their object "
+                "allows. The dashed line is what an even spread has."),
         el("div", *cards, class_="grid"),
-        el("p", f"{more:,} more joints are not drawn.", class_="hint") if more > 0 else None,
+        hint(f"{more:,} more joints are not drawn.") if more > 0 else None,
     )  # fmt: skip
 
 
 def _states(j: int, kind: JointKind, same: Sequence[JointStates]) -> Markup:
-    unit = unit_of(same[0])
+    unit = same[0].unit
     shares = np.concatenate(
         [(s.drawn - s.lower) / max(s.upper - s.lower, 1e-12) for s in same] or [np.zeros(0)]
     )
     ends = tuple(spread_text([getattr(s, end) for s in same], unit) for end in ("lower", "upper"))
-    names = Counter(s.name for s in same if s.name)
-    title = f"{_common(names) or f'joint {j}'}"
+    title = _common(Counter(s.name for s in same if s.name)) or f"joint {j}"
     beyond = int(np.sum((shares < -1e-6) | (shares > 1 + 1e-6)))
-    said = f"{len(shares):,} random states of {_count(len(same), 'object')}"
+    said = f"{len(shares):,} random states of {counted(len(same), 'object')}"
     chart = histogram(
         shares, 0.0, 1.0, (ends[0], ends[1]), colour=colour_of(j + 1), even=True,
         title=f"{title}: {said}, from {ends[0]} to {ends[1]}",
     )  # fmt: skip
-    return el(
-        "div",
+    return card(
         el("h3", dot(colour_of(j + 1)), SPACE, title),
-        el("p", f"joint {j}, {kind}; {said}", class_="hint"),
+        hint(f"joint {j}, {kind}; {said}"),
         chart,
         el("p", f"{beyond:,} states lie outside of their range", class_="warn") if beyond else None,
-        class_="card",
     )
 
 
@@ -210,12 +203,10 @@ def parts(objects: Sequence[ObjectFacts]) -> Markup:
     occupied = occupied[np.isfinite(occupied)]
     return el(
         "div",
-        el(
-            "div",
+        card(
             el("h3", "Sizes"),
             share_bar(shares, "Share of the visible surface of each part"),
-            _table(head, rows, "Parts and their sizes"),
-            class_="card",
+            table(head, rows, "Parts and their sizes"),
         ),
         _occupied(occupied) if len(occupied) else None,
         class_="pair",
@@ -246,12 +237,12 @@ def _occupied(shares: np.ndarray) -> Markup:
         f"Share of the unit cube inside of an instance, enclosed space included: "
         f"{shares.mean():.1%} on average over {len(shares):,} instances."
     )
-    return el("div", el("h3", "Occupied"), el("p", said, class_="hint"), chart, class_="card")
+    return card(el("h3", "Occupied"), hint(said), chart)
 
 
 def truth(found: Measured) -> Markup:
     if not found.instances:
-        return el("p", f"Not measured. {found.why_not}", class_="hint")
+        return hint(f"Not measured. {found.why_not}")
     lines = (
         ("uniform", "Material, uniform points (IoU)"),
         ("near", "Material, points near the surface (IoU)"),
@@ -264,14 +255,14 @@ def truth(found: Measured) -> Markup:
     ]
     objects = len({each.object_id for each in found.instances})
     said = (
-        f"Stored labels of {_count(len(found.instances), 'instance')} of "
-        f"{_count(objects, 'object')} "
+        f"Stored labels of {counted(len(found.instances), 'instance')} of "
+        f"{counted(objects, 'object')} "
         "against the exact solids that their models were made from, brought to each pose by the "
         "stored motions. Nothing of what made the labels is used."
     )
     return join(
-        el("p", said, class_="hint"),
-        el("div", _table(("", ">All together", ">Worst instance"), rows, "Agreement"),
+        hint(said),
+        el("div", table(("", ">All together", ">Worst instance"), rows, "Agreement"),
            class_="card narrow"),
     )  # fmt: skip
 
@@ -284,11 +275,8 @@ def alike(pairs: Sequence[Pair], unlike: Sequence[Outlier], count: int) -> Marku
          f"{100.0 * p.apart:.2f} %", f"{p.ratio:.1f}"]
         for p in pairs
     ]  # fmt: skip
-    verdict = (
-        el("p", f"{_count(len(same), 'pair')} of objects are near-duplicates.", class_="warn")
-        if same
-        else el("p", "No two objects are near-duplicates.", class_="good")
-    )
+    verdict = f"{counted(len(same), 'pair')} of" if same else "No two"
+    kind = "warn" if same else "good"
     about = (
         "The most alike canonical poses. Apart: the mean distance of one's points to the other's "
         "surface, of the unit frame. Ratio: over the same between two halves of one object's "
@@ -301,28 +289,26 @@ def alike(pairs: Sequence[Pair], unlike: Sequence[Outlier], count: int) -> Marku
     ]  # fmt: skip
     return el(
         "div",
-        el(
-            "div",
+        card(
             el("h3", "Near-duplicates"),
-            verdict if pairs else el("p", "There are no two objects to compare.", class_="hint"),
-            el("p", about, class_="hint") if pairs else None,
-            _table(("One", "Other", ">Apart", ">Ratio"), rows, "Most alike pairs")
-            if rows
-            else None,
-            class_="card",
-        ),
-        el(
-            "div",
-            el("h3", "Outliers"),
-            el(
-                "p", f"Objects more than {UNLIKE} modified z-scores from the median.", class_="hint"
+            *(
+                (
+                    el("p", f"{verdict} objects are near-duplicates.", class_=kind),
+                    hint(about),
+                    table(("One", "Other", ">Apart", ">Ratio"), rows, "Most alike pairs"),
+                )
+                if pairs
+                else (hint("There are no two objects to compare."),)
             ),
-            _table(("Object", "What", ">Value", ">Median", ">Score"), far, "Outliers")
+        ),
+        card(
+            el("h3", "Outliers"),
+            hint(f"Objects more than {UNLIKE} modified z-scores from the median."),
+            table(("Object", "What", ">Value", ">Median", ">Score"), far, "Outliers")
             if far
             else el("p", "None.", class_="good")
             if count >= FEWEST
-            else el("p", f"Fewer than {FEWEST} objects do not tell what is usual.", class_="hint"),
-            class_="card",
+            else hint(f"Fewer than {FEWEST} objects do not tell what is usual."),
         ),
         class_="pair",
     )
@@ -346,14 +332,14 @@ def objects(every: Sequence[ObjectFacts], manifest: Manifest | None) -> Markup:
     noted = sum(bool(entry.notes) for entry in entries.values())
     said = f"{noted:,} of {len(every):,} objects have notes from their making."
     return join(
-        el("p", said, class_="hint") if noted else None,
-        _folded(f"All {len(every):,} objects", _table(head, rows, "Objects"), len(every)),
+        hint(said) if noted else None,
+        folded(f"All {len(every):,} objects", table(head, rows, "Objects"), len(every)),
     )
 
 
 def left_out(manifest: Manifest | None) -> Markup:
     if manifest is None:
-        return el("p", "Without a manifest there is no telling what was left out.", class_="hint")
+        return hint("Without a manifest there is no telling what was left out.")
     kinds: tuple[tuple[str, Sequence[Rejection]], ...] = (
         ("failed", manifest.failed),
         ("rejected", manifest.rejected),
@@ -364,11 +350,9 @@ def left_out(manifest: Manifest | None) -> Markup:
     if not rows:
         return el("p", "Nothing: every object that was asked for became data.", class_="good")
     counts = ", ".join(f"{len(out):,} {word}" for word, out in kinds if out)
-    table = _table(("Object", "Split", "", "~Why"), rows[:MOST_ROWS], "Objects left out")
-    return join(
-        el("p", f"{counts}.", class_="hint"),
-        el("div", table, class_="card") if len(rows) <= 12 else _folded("All", table, len(rows)),
-    )
+    listed = table(("Object", "Split", "", "~Why"), rows[:MOST_ROWS], "Objects left out")
+    few = len(rows) <= 12
+    return join(hint(f"{counts}."), card(listed) if few else folded("All", listed, len(rows)))
 
 
 def recipe(found: Facts, manifest: Manifest | None) -> Markup:
@@ -381,15 +365,10 @@ def recipe(found: Facts, manifest: Manifest | None) -> Markup:
     plain = {key: value for key, value in groups.items() if not isinstance(value, dict)}
     nested = {key: value for key, value in groups.items() if isinstance(value, dict)}
     cards = [
-        el("div", el("h3", title), _keys(_written(values)), class_="card")
+        card(el("h3", title), keys((key, _plain(value)) for key, value in values.items()))
         for title, values in ({"recipe": plain} | nested).items()
     ]
     return el("div", *cards, class_="pair")
-
-
-def _written(values: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    for key, value in values.items():
-        yield key, _plain(value)
 
 
 def _plain(value: Any) -> str:
@@ -420,17 +399,15 @@ def provenance(found: Facts, manifest: Manifest | None) -> Markup:
             ("Libraries", versions),
             ("Machine", f"{machine} cores"),
             ("Last run", f"{duration(took.seconds)}, {took.instances_per_second:.1f} instances/s "
-                         f"on {_count(took.workers, 'worker')}"),
+                         f"on {counted(took.workers, 'worker')}"),
             ("Content's sha256", el("code", manifest.content_sha256)),
             ("Manifest's sha256", el("code", manifest.manifest_sha256)),
         ]  # fmt: skip
     return join(
-        el("div", _keys(lines, "keys long"), class_="card"),
-        _folded("Fields and their sizes", _fields(found), 99),
-        _folded("Shards and their checksums", _shards(found, manifest), 99),
-        el("p", "articugen verify reads every byte and compares it with these.", class_="hint")
-        if manifest
-        else None,
+        card(keys(lines, "keys long")),
+        folded("Fields and their sizes", _fields(found), 99),
+        folded("Shards and their checksums", _shards(found, manifest), 99),
+        hint("articugen verify reads every byte and compares it with these.") if manifest else None,
     )
 
 
@@ -446,48 +423,17 @@ def _fields(found: Facts) -> Markup:
     ]
     rest = found.bytes - sum(stored for _, stored in found.fields.values())
     rows.append(["index, headers", "", size(rest), ""])
-    rows.append(
-        [el("b", "all"), "", el("b", size(found.bytes)), size(found.bytes / found.instances)]
-    )
-    return _table(("Field", "Shape", ">On disk", ">An instance"), rows, "Fields")
+    each = size(found.bytes / found.instances)
+    rows.append([el("b", "all"), "", el("b", size(found.bytes)), each])
+    return table(("Field", "Shape", ">On disk", ">An instance"), rows, "Fields")
 
 
 def _shards(found: Facts, manifest: Manifest | None) -> Markup:
+    rows = [[path.name, "", size(path.stat().st_size), "–"] for path in found.shards]
     if manifest:
         rows = [[s.name, f"{s.instances:,}", size(s.bytes), el("code", s.sha256)]
-                for s in manifest.shards[:MOST_ROWS]]  # fmt: skip
-    else:
-        rows = [
-            [path.name, "", size(path.stat().st_size), "–"] for path in found.shards[:MOST_ROWS]
-        ]
-    return _table(("Shard", ">Instances", ">Size", "sha256"), rows, "Shards")
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[object]], name: str) -> Markup:
-    """Return a table that scrolls by itself where it is too wide.
-
-    Args:
-        head: titles; > before one means a column of numbers, ~ one of sentences.
-    """
-    kinds = [{">": "n", "~": "w"}.get(title[:1]) for title in head]
-    titles = [el("th", title.lstrip(">~"), scope="col", class_=kind)
-              for title, kind in zip(head, kinds, strict=True)]  # fmt: skip
-    lines = [
-        el("tr", el("th", row[0], scope="row"),
-           *(el("td", cell, class_=kind) for cell, kind in zip(row[1:], kinds[1:], strict=True)))
-        for row in rows
-    ]  # fmt: skip
-    table = el("table", el("thead", el("tr", *titles)), el("tbody", *lines))
-    return el("div", table, class_="scroll", tabindex="0", role="region", aria_label=name)
-
-
-def _folded(title: str, inside: Markup, rows: int) -> Markup:
-    said = f"; the first {MOST_ROWS:,}" if rows > MOST_ROWS else ""
-    return el("details", el("summary", title + said), inside, class_="card")
-
-
-def _keys(lines: Iterable[tuple[str, object]], kind: str = "keys") -> Markup:
-    return el("dl", *(join(el("dt", key), el("dd", value)) for key, value in lines), class_=kind)
+                for s in manifest.shards]  # fmt: skip
+    return table(("Shard", ">Instances", ">Size", "sha256"), rows[:MOST_ROWS], "Shards")
 
 
 def _common(names: Counter[str]) -> str:
@@ -498,12 +444,4 @@ def _common(names: Counter[str]) -> str:
 
 def _mean(shares: Sequence[float]) -> str:
     known = [share for share in shares if np.isfinite(share)]
-    return _percent(float(np.mean(known))) if known else "–"
-
-
-def _percent(share: float) -> str:
-    return f"{share:.1%}"
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number:,} {noun}" + ("" if number == 1 else "s")
+    return f"{np.mean(known):.1%}" if known else "–"

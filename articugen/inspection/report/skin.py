@@ -11,38 +11,30 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Floats
 from articugen.core.jit import helper, kernel
+from articugen.core.near import cells_of, near
 from articugen.meshes.marching_cubes import zero_level
-from articugen.pictures.cells import cells_of, near
 from articugen.pictures.surfels import OrientedPoints
-
-Array = NDArray[np.float64]
 
 SWOLLEN = 0.45
 """Voxels by which the grid's surface lies outside the points: less than half of one, so that the
 two faces of a plate meet no later than their voxels do."""
 
-REACH = 1.5
-"""Voxels around a point within which the grid has a sign; beyond, it counts as free."""
-
-AROUND = 1.7
-"""Voxels around a vertex within which points say where it belongs."""
-
-SAME_SIDE = 0.2
-"""The least cosine between the normals of a vertex and of a point that draws it."""
-
+REACH = 1.5  # voxels around a point within which the grid has a sign; beyond, it counts as free
+AROUND = 1.7  # voxels around a vertex within which points say where it belongs
+SAME_SIDE = 0.2  # the least cosine between the normals of a vertex and of a point that draws it
 STIFF = 0.02
 """How much a vertex keeps to its nearest point where planes leave it free: a share of a plane's."""
 
-MOST_SAMPLES = 150
-"""Along the longest side of a part's grid."""
+MOST_SAMPLES = 150  # along the longest side of a part's grid
 
 
 @dataclass(frozen=True, eq=False)
 class Skin:
     """A part's surface: `vertices` (V, 3), unit frame, canonical pose; `faces` (F, 3)."""
 
-    vertices: Array
+    vertices: Floats
     faces: NDArray[np.int32]
 
 
@@ -61,27 +53,20 @@ def skin(points: OrientedPoints, voxel: float, spacing: float) -> Skin:
     field = _field(points.points, points.normals, cells, origin, voxel, spacing, R)
     mesh = zero_level(field)
     at = origin + ((mesh.vertices + 0.5) * R - 0.5) * voxel
-    normals = _vertex_normals(at, mesh.faces)
+    corners = at[mesh.faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(at)
+    for corner in range(3):
+        np.add.at(normals, mesh.faces[:, corner], across)
+    normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     held = _draw_to(at, normals, points.points, points.normals, cells, voxel)
-    return _of_faces(at, mesh.faces[held[mesh.faces].all(axis=1)])
-
-
-def _of_faces(vertices: Array, faces: NDArray[np.int32]) -> Skin:
-    """Return the faces, with the vertices that they use in the order of their use."""
-    used, first, number = np.unique(faces, return_index=True, return_inverse=True)
+    used, first, number = np.unique(
+        mesh.faces[held[mesh.faces].all(axis=1)], return_index=True, return_inverse=True
+    )
     order = np.argsort(first)
     place = np.empty(len(used), np.int32)
     place[order] = np.arange(len(used), dtype=np.int32)
-    return Skin(vertices[used[order]], place[number].reshape(-1, 3))
-
-
-def _vertex_normals(vertices: Array, faces: NDArray[np.int32]) -> Array:
-    corners = vertices[faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros_like(vertices)
-    for corner in range(3):
-        np.add.at(normals, faces[:, corner], across)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return Skin(at[used[order]], place[number].reshape(-1, 3))
 
 
 @kernel

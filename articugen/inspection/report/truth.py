@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from articugen.core.arrays import Bools, Floats
 from articugen.core.errors import ArticugenError
 from articugen.core.geometry import fibonacci_sphere
 from articugen.core.portable import product
@@ -19,15 +19,13 @@ from articugen.core.records import Normalization, ResolvedObject, dequantize, is
 from articugen.core.schema import Instance
 from articugen.inspection.report.facts import ObjectFacts
 from articugen.instance import articulation
-from articugen.instance.resolving import resolved
+from articugen.instance.again import resolved
+from articugen.pictures.contact_sheet import evenly
 from articugen.procedural.truth import Truth, truth_of
 from articugen.sources import registry
 from articugen.sources.refs import ObjectRef
 from articugen.store.manifest import Manifest
 from articugen.store.shards import open_shard
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 OBJECTS, STATES = 4, 2
 """So many objects of a data set, in so many instances each, are compared with their solids."""
@@ -88,9 +86,12 @@ def measured(objects: Sequence[ObjectFacts], manifest: Manifest | None) -> Measu
         entries = {(o.key.split, o.key.object_id): o.input_sha256 for o in manifest.objects}
         found: list[Agreement] = []
         recipe = Recipe.model_validate_json(manifest.recipe)
-        picked = np.linspace(0, len(objects) - 1, min(OBJECTS, len(objects)))
-        for each in [objects[round(i)] for i in picked]:
-            model = _model(manifest, recipe, each.object_id)
+        for each in evenly(objects, OBJECTS):
+            ref = registry.find(manifest.source, manifest.category, each.object_id)
+            obj = resolved(ref, recipe)
+            posed = articulation.forward_kinematics(obj, articulation.canonical_state(obj))
+            names = [link.name for link in obj.links]
+            model = _Model(ref, obj, dict(zip(names, posed.T_world_link, strict=True)))
             if model.obj.sha256 != entries[each.split, each.object_id]:
                 return Measured(
                     (), f"{each.object_id} is generated otherwise by this version of articugen."
@@ -107,26 +108,14 @@ class _Model:
 
     ref: ObjectRef
     obj: ResolvedObject
-    T_world_link: dict[str, Array]
-
-
-def _model(manifest: Manifest, recipe: Recipe, object_id: str) -> _Model:
-    ref = registry.find(manifest.source, manifest.category, object_id)
-    obj = resolved(ref, recipe)
-    posed = articulation.forward_kinematics(obj, articulation.canonical_state(obj))
-    names = [link.name for link in obj.links]
-    return _Model(ref, obj, dict(zip(names, posed.T_world_link, strict=True)))
+    T_world_link: dict[str, Floats]
 
 
 def _compared(model: _Model, each: ObjectFacts, recipe: Recipe) -> list[Agreement]:
     thickness = recipe.fusion.sheet_thickness * each.scale
     ref = model.ref
     truth = truth_of(
-        ref.category,
-        ref.object_id,
-        messy=ref.messy,
-        varied=ref.varied,
-        sheet_thickness=thickness,
+        ref.category, ref.object_id, messy=ref.messy, varied=ref.varied, sheet_thickness=thickness
     )
     parts = np.array([model.obj.part_of_link[model.obj.link_index[n]] for n in truth.links])
     alone = [truth.of(parts == part) for part in range(len(each.parts))]
@@ -149,20 +138,20 @@ class _Scene:
             for name, T in model.T_world_link.items()
         }
 
-    def _to_world(self, T_unit: Array) -> Array:
+    def _to_world(self, T_unit: Floats) -> Floats:
         """A rigid motion of unit-frame points, as it acts on world points in metres."""
         T = np.array(T_unit)
         centre = self.unit.center
         T[:3, 3] = self.unit.scale * T[:3, 3] + centre - T[:3, :3] @ centre
         return T
 
-    def holds(self, points: Array) -> Bools:
+    def holds(self, points: Floats) -> Bools:
         """(n, P) whether each part's solids hold each point of the unit frame."""
         world = np.ascontiguousarray(self.unit.to_world(points))
         by_part = [truth.holds(world, self.T_world_link).any(axis=1) for truth in self.alone]
         return np.stack(by_part, axis=1)
 
-    def sealed(self, points: Array) -> Bools:
+    def sealed(self, points: Floats) -> Bools:
         """(n,) whether one part alone hides the point from all sides."""
         found = np.zeros(len(points), np.bool_)
         world, ways = self.unit.to_world(points), fibonacci_sphere(SIGHTS)
@@ -191,9 +180,5 @@ def _agreement(scene: _Scene, made: Instance) -> Agreement:
     behind = scene.holds(dequantize(made.surface_points) - BEHIND * normals)
     own = int(behind[np.arange(len(behind)), made.surface_part].sum())
     return Agreement(
-        made.object_id,
-        made.state_index,
-        part=(right, asked),
-        surface=(own, len(behind)),
-        **pairs,
+        made.object_id, made.state_index, part=(right, asked), surface=(own, len(behind)), **pairs
     )

@@ -19,23 +19,15 @@ from articugen.core.records import JointKind, dequantize
 from articugen.core.schema import Instance
 from articugen.inspection.report.facts import ObjectFacts
 from articugen.inspection.report.skin import Skin, skin
+from articugen.pictures.contact_sheet import evenly
 from articugen.pictures.portrait import best_azimuth, oriented_points, swept
 from articugen.pictures.surfels import OrientedPoints
 from articugen.store.shards import open_shard
 
-Array = NDArray[np.float64]
-
-VOXEL = 1 / 112
-"""Of the unit frame: what is finer is not drawn; coarser where points are sparse."""
-
-POOLED = 20
-"""The points of so many instances make the surface, or of all that there are."""
-
-SPARSE = 1.3
-"""A voxel is no smaller than so many spacings of the points."""
-
-FEWEST = 50
-"""Points that a part needs to be drawn."""
+VOXEL = 1 / 112  # of the unit frame: what is finer is not drawn; coarser where points are sparse
+POOLED = 20  # the points of so many instances make the surface, or of all that there are
+SPARSE = 1.3  # a voxel is no smaller than so many spacings of the points
+FEWEST = 50  # points that a part needs to be drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,22 +45,13 @@ class Turnable:
 
 
 def turnable(objects: Sequence[ObjectFacts]) -> Turnable | None:
-    """The first object among those with the most joints; None where no surface is stored.
-
-    Raises:
-        CorruptShard: its shard cannot be read.
-    """
+    """Show the first object of those with the most joints; None where no surface is stored."""
     shown = [each for each in objects if len(each.cloud) >= FEWEST]
     if not shown:
         return None
     chosen = max(shown, key=lambda each: len(each.joints))
     with open_shard(chosen.shard) as shard:
-        picked = np.linspace(0, len(chosen.rows) - 1, min(POOLED, len(chosen.rows)))
-        instances = [shard.instance(chosen.rows[round(i)]) for i in picked]
-    return Turnable(chosen.object_id, chosen.split, instances[0], _scene(chosen, instances))
-
-
-def _scene(chosen: ObjectFacts, instances: Sequence[Instance]) -> dict[str, Any]:
+        instances = [shard.instance(row) for row in evenly(chosen.rows, POOLED)]
     first = instances[0]
     clouds = [oriented_points(i).moved(invert_rigid(i.part_motion)) for i in instances]
     posed = np.concatenate([dequantize(i.surface_points) for i in instances])
@@ -76,7 +59,7 @@ def _scene(chosen: ObjectFacts, instances: Sequence[Instance]) -> dict[str, Any]
     posed = np.concatenate([posed, swept(first)])
     low, high = posed.min(axis=0), posed.max(axis=0)
     middle = (low + high) / 2.0
-    return {
+    scene = {
         "middle": middle.tolist(),
         "radius": float(np.linalg.norm(posed - middle, axis=1).max()),
         "floor": float(low[2]),
@@ -97,6 +80,7 @@ def _scene(chosen: ObjectFacts, instances: Sequence[Instance]) -> dict[str, Any]
         ],
         "meshes": packed(parts),
     }
+    return Turnable(chosen.object_id, chosen.split, first, scene)
 
 
 def _moved(instance: Instance) -> float:

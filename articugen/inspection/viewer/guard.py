@@ -14,9 +14,7 @@ from articugen.core.errors import ArticugenError
 
 LOOPBACK_NAMES = {"127.0.0.1", "localhost", "::1"}
 
-EVERYWHERE = {"", "0.0.0.0", "::"}
-"""Hosts that stand for all addresses of a machine."""
-
+EVERYWHERE = {"", "0.0.0.0", "::"}  # hosts that stand for all addresses of a machine
 DARK = b"""<script>
 window.__VISER_EMBED_CONFIG__ = {darkMode: matchMedia("(prefers-color-scheme: dark)").matches};
 </script>"""

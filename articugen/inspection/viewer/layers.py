@@ -10,34 +10,24 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.core.colours import colour_of
+from articugen.core.arrays import Bools, Bytes, Floats, Ints
+from articugen.core.colours import PALETTE, rgb
 from articugen.core.geometry import apply, invert_rigid
-from articugen.core.records import ENCLOSED, FREE, Floats, JointKind, Mesh, dequantize
+from articugen.core.records import ENCLOSED, FREE, JointKind, Mesh, dequantize
 from articugen.core.schema import Instance
 from articugen.pictures.portrait import oriented_points
 
-Bytes = NDArray[np.uint8]
-
 INK, FREE_COLOUR, ENCLOSED_COLOUR = "#333333", "#7fb4e6", "#5f5f5f"
 
-NORMAL_LENGTH, NORMALS = 0.02, 2048
-"""Unit frame; so many of an instance's points get one."""
-
+NORMAL_LENGTH, NORMALS = 0.02, 2048  # unit frame; so many of an instance's points get one
 AXIS_REACH, ARROW = 0.32, 0.03
 """From the pivot to either end of an axis, and the length of its head, unit frame."""
 
-FRUSTUM = 0.2
-"""From a camera's eye to the picture that is drawn before it, unit frame."""
-
-FULL = 0.75
-"""Spacings that a surface point is wide, so that what lies behind hardly shows through."""
-
-QUERY = 0.008
-"""A query point's diameter, unit frame."""
-
+FRUSTUM = 0.2  # from a camera's eye to the picture that is drawn before it, unit frame
+FULL = 0.75  # spacings that a surface point is wide, so that what lies behind hardly shows through
+QUERY = 0.008  # a query point's diameter, unit frame
 _LIGHT = np.array([0.35, -0.25, 0.9]) / np.linalg.norm([0.35, -0.25, 0.9])
-_SHADE = 0.45
-"""Of a colour, by how its surface faces the light."""
+_SHADE = 0.45  # of a colour, by how its surface faces the light
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,14 +63,7 @@ class Solid:
 Drawn: TypeAlias = Points | Lines | Solid
 
 
-def rgb(colour: str) -> tuple[int, int, int]:
-    """#rrggbb as three bytes."""
-    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
-    return red, green, blue
-
-
-PART_COLOURS = np.array([rgb(colour_of(part)) for part in range(256)], np.uint8)
-LABEL_COLOURS = np.concatenate([[rgb(FREE_COLOUR)], PART_COLOURS[:254], [rgb(ENCLOSED_COLOUR)]])
+LABEL_COLOURS = np.concatenate([[rgb(FREE_COLOUR)], PALETTE[:254], [rgb(ENCLOSED_COLOUR)]])
 LABEL_COLOURS = LABEL_COLOURS.astype(np.uint8)
 """(256, 3) by label: 0 free, k + 1 material of part k, 255 enclosed."""
 
@@ -89,7 +72,7 @@ def surface(instance: Instance) -> list[Drawn]:
     """The surface points in the colours of their parts, paler where they face the light."""
     normals = instance.surface_normals / 127.0
     light = 1.0 - _SHADE * (0.5 - 0.5 * normals @ _LIGHT)
-    colours = (PART_COLOURS[instance.surface_part] * light[:, None]).astype(np.uint8)
+    colours = (PALETTE[instance.surface_part] * light[:, None]).astype(np.uint8)
     size = FULL * oriented_points(instance).spacing() if len(colours) > 1 else QUERY
     return [Points(dequantize(instance.surface_points), colours, size)]
 
@@ -99,7 +82,7 @@ def normals(instance: Instance) -> list[Drawn]:
     some = slice(NORMALS)
     start = dequantize(instance.surface_points[some])
     end = start + NORMAL_LENGTH * instance.surface_normals[some] / 127.0
-    colours = PART_COLOURS[instance.surface_part[some]] // 2
+    colours = PALETTE[instance.surface_part[some]] // 2
     return [Lines(np.stack([start, end], 1), np.stack([colours, colours], 1), 1.5)]
 
 
@@ -115,8 +98,7 @@ def voxels(instance: Instance, resolution: int) -> list[Drawn]:
 
 
 def _open_sides(grid: Bytes, label: int) -> tuple[Floats, NDArray[np.int32]]:
-    """The sides that cubes of a label have towards free voxels, as (4n, 3) corners, (2n, 3) faces
-    that look outwards."""
+    """Return the sides that a label's cubes turn to free voxels: (4n, 3) corners, (2n, 3) faces."""
     R, mine = len(grid), np.pad(grid == label, 1)
     free, corners = np.pad(grid == FREE, 1, constant_values=True), []
     for axis in range(3):
@@ -129,8 +111,8 @@ def _open_sides(grid: Bytes, label: int) -> tuple[Floats, NDArray[np.int32]]:
     return at, both.reshape(-1, 3).astype(np.int32)
 
 
-def _sides() -> NDArray[np.int64]:
-    """(3, 2, 4, 3) the corners of each side of the unit cube, counter-clockwise from outside."""
+def _sides() -> Ints:
+    """Return (3, 2, 4, 3) the corners of each side of the unit cube, counter-clockwise."""
     sides = np.zeros((3, 2, 4, 3), np.int64)
     ring = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     for axis in range(3):
@@ -158,11 +140,12 @@ def partial(instance: Instance, image_size: int) -> list[Drawn]:
         image_size: pixels along the edge of their pictures.
     """
     points = dequantize(instance.partial_points).reshape(-1, 3)
-    colours = PART_COLOURS[instance.partial_part.reshape(-1)]
+    colours = PALETTE[instance.partial_part.reshape(-1)]
     cameras = zip(instance.partial_T_camera_world, instance.partial_intrinsics, strict=True)
     edges = [_frustum(T, intrinsics, image_size) for T, intrinsics in cameras]
     ends = np.concatenate(edges) if edges else np.zeros((0, 2, 3))
-    return [Points(points, colours, 0.01), _lines(ends, INK, 2.0)]
+    ink = np.broadcast_to(np.array(rgb(INK), np.uint8), ends.shape)
+    return [Points(points, colours, 0.01), Lines(ends, ink, 2.0)]
 
 
 def _frustum(T_camera_world: Floats, intrinsics: Floats, size: int) -> Floats:
@@ -179,7 +162,7 @@ def _frustum(T_camera_world: Floats, intrinsics: Floats, size: int) -> Floats:
 def meshes(parts: Sequence[Mesh], T_part: Floats) -> list[Drawn]:
     """A surface for each part, canonical in `parts`, moved by its own `T_part` (P, 4, 4)."""
     return [
-        Solid(mesh.vertices, mesh.faces, _bytes(PART_COLOURS[k]), T=T)
+        Solid(mesh.vertices, mesh.faces, _bytes(PALETTE[k]), T=T)
         for k, (mesh, T) in enumerate(zip(parts, T_part, strict=True))
         if len(mesh.faces)
     ]
@@ -190,14 +173,12 @@ def joints(instance: Instance) -> list[Drawn]:
     return axes(
         instance.joint_pivot,
         instance.joint_axis,
-        PART_COLOURS[1 : 1 + len(instance.joint_kind)],
+        PALETTE[1 : 1 + len(instance.joint_kind)],
         instance.joint_kind == JointKind.REVOLUTE,
     )
 
 
-def axes(
-    pivots: Floats, directions: Floats, colours: Bytes, revolute: NDArray[np.bool_]
-) -> list[Drawn]:
+def axes(pivots: Floats, directions: Floats, colours: Bytes, revolute: Bools) -> list[Drawn]:
     """Arrows along axes (n, 3) through pivots (n, 3). Of a hinge the whole line is drawn, of a
     slide the half that it opens along."""
     tail = pivots - AXIS_REACH * directions * revolute[:, None]
@@ -213,10 +194,6 @@ def axes(
         Lines(np.concatenate(ends), np.stack([both, both], axis=1), 3.0),
         Points(pivots, dark, 0.02),
     ]
-
-
-def _lines(ends: Floats, colour: str, width: float) -> Lines:
-    return Lines(ends, np.broadcast_to(np.array(rgb(colour), np.uint8), ends.shape), width)
 
 
 def _bytes(colour: Bytes) -> tuple[int, int, int]:

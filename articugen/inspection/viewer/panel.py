@@ -4,20 +4,44 @@ They note what is wished for and show what they are told; who does it is `sessio
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from articugen.core.records import Floats
+from articugen.core.arrays import Floats
 from articugen.inspection.report.markup import Markup
 from articugen.inspection.viewer import words
 from articugen.inspection.viewer.shown import Joint, Shown
-from articugen.inspection.viewer.wish import AT_FIRST, GRID, LAYERS, PREDICTION, Wish
 from articugen.inspection.viewer.words import Scale
 
 if TYPE_CHECKING:
     import viser
+
+SURFACE, NORMALS, MESHES, GRID, INSIDE, OUTSIDE, PARTIAL, AXES, PREDICTION = LAYERS = (
+    "Surface points", "Normals", "Part meshes", "Occupancy grid", "Query points inside",
+    "Query points outside", "Partial clouds, cameras", "Axes and pivots", "Prediction beside",
+)  # fmt: skip
+
+AT_FIRST = frozenset({MESHES, AXES, PREDICTION})
+
+EASY_GRID = 64  # the finest occupancy grid that is shown unless a finer one is asked for
+
+
+@dataclass(frozen=True, eq=False)
+class Wish:
+    """Attributes:
+    object_id: of whom.
+    q: (J,) joint values, rad or m; None for a state a little open.
+    layers: what is drawn of it.
+    resolution: of the occupancy grid; 0 for whichever is easily looked at.
+    """
+
+    object_id: str
+    q: Floats | None = None
+    layers: frozenset[str] = AT_FIRST
+    resolution: int = 0
+
 
 BETWEEN = "as the sliders say"
 

@@ -4,16 +4,15 @@ from pathlib import Path
 
 import numpy as np
 
+from articugen.core.arrays import Floats
+from articugen.core.colours import rgb
 from articugen.core.errors import InvalidSource, MissingExtra
-from articugen.core.records import Floats, JointKind, Mesh, dequantize
+from articugen.core.records import JointKind, dequantize
 from articugen.core.schema import Instance
-from articugen.inspection.viewer.layers import Drawn, Solid, axes, rgb
+from articugen.inspection.viewer.layers import Drawn, Solid, axes
 
-RESOLUTION = 64
-"""Voxels along an edge, of its surfaces."""
-
-VOTERS = 512
-"""Triangles of a predicted part that are asked which true part lies nearest."""
+RESOLUTION = 64  # voxels along an edge, of its surfaces
+VOTERS = 512  # triangles of a predicted part that are asked which true part lies nearest
 
 
 class Predictor:
@@ -67,8 +66,11 @@ class Predictor:
         colours = [rgb(colour) for colour in part_colours(labels, largest)]
         drawn: list[Drawn] = []
         for k in range(found.parts):
-            mesh = _mesh(found.triangles[found.part == k])
-            drawn.append(Solid(mesh.vertices + beside, mesh.faces, colours[k]))
+            # shared corners once: without a graphics card that is drawn several times as fast
+            corners = found.triangles[found.part == k].reshape(-1, 3)
+            corners, used = np.unique(corners, axis=0, return_inverse=True)
+            faces = used.reshape(-1, 3).astype(np.int32)
+            drawn.append(Solid(corners + beside, faces, colours[k]))
         known = found.joints
         if known is not None:
             moves = (known.kind != JointKind.FIXED) & (sizes > 0)
@@ -81,18 +83,10 @@ class Predictor:
         return drawn
 
 
-def _mesh(triangles: Floats) -> Mesh:
-    """The triangles (F, 3, 3) with the corners that they share stored once, which a browser without
-    a graphics card draws several times as fast."""
-    corners, used = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
-    return Mesh(corners, used.reshape(-1, 3).astype(np.int32))
-
-
 def _votes(
     triangles: Floats, part: np.ndarray, parts: int, points: Floats, true_part: np.ndarray
 ) -> list[int]:
-    """For each predicted part the true part of most of the points nearest to it; -1 without a
-    surface."""
+    """Return for each predicted part the true part nearest to most of it; -1 without a surface."""
     votes = []
     for k in range(parts):
         middle = triangles[part == k].mean(axis=1)

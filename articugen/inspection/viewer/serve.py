@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     import viser
 
 LOOPBACK = "127.0.0.1"
-PORT = 8080
-"""viser's own; the next free one where it is taken."""
+PORT = 8080  # viser's own; the next free one where it is taken
 
 
 @dataclass(frozen=True)
@@ -99,14 +98,6 @@ def _server(host: str, port: int | None) -> "viser.ViserServer":
         if error.name != "viser":
             raise
         raise MissingExtra("viser", "view") from None
-    _check_free(host, port)
-    port = PORT if port is None else port
-    with contextlib.redirect_stdout(io.StringIO()):  # where it listens is said by the command
-        return guarded(host, lambda: viser.ViserServer(host=host, port=port, verbose=False))
-
-
-def _check_free(host: str, port: int | None) -> None:
-    """viser tries a thousand ports in turn; that one which was asked for is taken is said here."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         socket.create_server((host, port or 0), family=family).close()
@@ -115,3 +106,6 @@ def _check_free(host: str, port: int | None) -> None:
         where = host if port is None else f"{host}:{port}"
         cure = "another --host" if port is None else "another --port, or none for the next free one"
         raise ArticugenError(f"{where}: cannot listen there ({reason}); give {cure}") from None
+    port = PORT if port is None else port
+    with contextlib.redirect_stdout(io.StringIO()):  # where it listens is said by the command
+        return guarded(host, lambda: viser.ViserServer(host=host, port=port, verbose=False))

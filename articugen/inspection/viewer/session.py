@@ -7,48 +7,32 @@ behind.
 import threading
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from articugen.core.arrays import Floats
 from articugen.core.errors import ArticugenError
 from articugen.core.geometry import box_corners
-from articugen.core.records import Floats
 from articugen.core.schema import Instance
 from articugen.inspection.report.markup import Markup, join
-from articugen.inspection.viewer import layers, words
+from articugen.inspection.viewer import layers, panel, words
 from articugen.inspection.viewer.layers import Drawn
-from articugen.inspection.viewer.panel import Change, Panel
+from articugen.inspection.viewer.panel import Change, Panel, Wish
 from articugen.inspection.viewer.prediction import Predictor
 from articugen.inspection.viewer.shown import Seen, Shown
 from articugen.inspection.viewer.sources import Source
 from articugen.inspection.viewer.stage import Stage
-from articugen.inspection.viewer.wish import (
-    AXES,
-    EASY_GRID,
-    GRID,
-    INSIDE,
-    LAYERS,
-    MESHES,
-    NORMALS,
-    OUTSIDE,
-    PARTIAL,
-    PREDICTION,
-    SURFACE,
-    Wish,
-)
+from articugen.pictures.contact_sheet import evenly
 from articugen.pictures.portrait import best_azimuth, swept
 
 if TYPE_CHECKING:
     import viser
 
-APART = 1.1
-"""From the truth to the prediction that stands beside it, unit frame."""
-
-LOOKED_AT = 5
-"""States of the first object that decide from where one looks."""
+APART = 1.1  # from the truth to the prediction that stands beside it, unit frame
+LOOKED_AT = 5  # states of the first object that decide from where one looks
 
 
 class Session:
@@ -61,10 +45,7 @@ class Session:
     """
 
     def __init__(
-        self,
-        server: "viser.ViserServer",
-        source: Source,
-        predictor: Predictor | None = None,
+        self, server: "viser.ViserServer", source: Source, predictor: Predictor | None = None
     ) -> None:
         self._source, self._predictor = source, predictor
         self._stage = Stage(server)
@@ -160,30 +141,39 @@ class Session:
         assert self.seen is not None
         instance = self.seen.instance
         if not self._stage.framed:
-            self._frame(shown)
+            some = evenly(range(len(shown.states)), LOOKED_AT)
+            instances = [shown.at_state(state).instance for state in some]
+            points, azimuth = swept(instances[0]), 0.0
+            if len(points):
+                azimuth = best_azimuth(instances)
+            else:
+                points = box_corners(np.array([[-0.5] * 3, [0.5] * 3]))
+            self._stage.frame(azimuth, points, APART if self._predictor else 0.0)
         grids = sorted(instance.occupancy)
-        edge = wish.resolution if wish.resolution in grids else _easy(grids)
-        self._panel.offer_grids(grids, edge, visible=GRID in wish.layers)
+        edge = wish.resolution
+        if edge not in grids:
+            edge = max((r for r in grids if r <= panel.EASY_GRID), default=min(grids, default=0))
+        self._panel.offer_grids(grids, edge, visible=panel.GRID in wish.layers)
         for layer in set(self._drawn) - wish.layers:
             self._clear(layer)
-        for layer in LAYERS:
-            now = (self.seen, edge) if layer == GRID else (self.seen,)
-            if layer == PREDICTION and wish is not self.wish:
+        for layer in panel.LAYERS:
+            now = (self.seen, edge) if layer == panel.GRID else (self.seen,)
+            if layer == panel.PREDICTION and wish is not self.wish:
                 continue  # it takes seconds, and something else is wished for already
             if layer in wish.layers and self._drawn.get(layer) != now:
                 self._stage.draw(layer, self._layer(layer, shown, instance, edge))
                 self._drawn[layer] = now
 
     def _layer(self, layer: str, shown: Shown, instance: Instance, edge: int) -> list[Drawn]:
-        if layer == GRID:
+        if layer == panel.GRID:
             return layers.voxels(instance, edge) if edge else []
-        if layer == PARTIAL:
+        if layer == panel.PARTIAL:
             return layers.partial(instance, shown.image_size)
-        if layer == MESHES:
+        if layer == panel.MESHES:
             if not shown.part_meshes:  # a shard may hold no grid
                 return layers.surface(instance)
             return layers.meshes(shown.part_meshes, instance.part_motion)
-        if layer == PREDICTION:
+        if layer == panel.PREDICTION:
             aside = APART * self._stage.right
             return self._predictor.drawn(instance, aside) if self._predictor else []
         return _OF_INSTANCE[layer](instance)
@@ -192,27 +182,11 @@ class Session:
         self._stage.draw(layer, [])
         del self._drawn[layer]
 
-    def _frame(self, shown: Shown) -> None:
-        """Look at the object, over all that its joints do, from where most parts can be seen."""
-        some = np.linspace(0, len(shown.states) - 1, min(LOOKED_AT, len(shown.states)))
-        instances = [shown.at_state(round(k)).instance for k in some]
-        points, azimuth = swept(instances[0]), 0.0
-        if len(points):
-            azimuth = best_azimuth(instances)
-        else:
-            points = box_corners(np.array([[-0.5] * 3, [0.5] * 3]))
-        self._stage.frame(azimuth, points, APART if self._predictor else 0.0)
-
-
-def _easy(grids: Sequence[int]) -> int:
-    """The finest grid that is easily looked at, or the coarsest; 0 where there is none."""
-    return max((r for r in grids if r <= EASY_GRID), default=min(grids, default=0))
-
 
 _OF_INSTANCE: dict[str, Callable[[Instance], list[Drawn]]] = {
-    SURFACE: layers.surface,
-    NORMALS: layers.normals,
-    INSIDE: partial(layers.queries, inside=True),
-    OUTSIDE: partial(layers.queries, inside=False),
-    AXES: layers.joints,
+    panel.SURFACE: layers.surface,
+    panel.NORMALS: layers.normals,
+    panel.INSIDE: partial(layers.queries, inside=True),
+    panel.OUTSIDE: partial(layers.queries, inside=False),
+    panel.AXES: layers.joints,
 }

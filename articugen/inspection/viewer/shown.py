@@ -6,23 +6,19 @@ from functools import cached_property
 
 import numpy as np
 
+from articugen.core.arrays import Floats
 from articugen.core.errors import InvalidArgument, MissingExtra
 from articugen.core.geometry import apply, invert_rigid
-from articugen.core.records import Floats, JointKind, Mesh
+from articugen.core.records import JointKind, Mesh
 from articugen.core.schema import Instance
 from articugen.instance import again
 from articugen.instance.maker import Maker
 from articugen.meshes.marching_cubes import zero_level
 from articugen.pictures.portrait import AJAR
 
-SAME = 1e-9
-"""Radians or metres by which joint values of one state may differ."""
-
-PART_VOXELS = 96
-"""Along the unit frame's edge, of part meshes."""
-
-WITHIN = 1e-4
-"""Of those, unit frame, what is drawn lies."""
+SAME = 1e-9  # radians or metres by which joint values of one state may differ
+PART_VOXELS = 96  # along the unit frame's edge, of part meshes
+WITHIN = 1e-4  # of those, unit frame, what is drawn lies
 
 
 @dataclass(frozen=True)

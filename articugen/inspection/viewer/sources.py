@@ -35,11 +35,7 @@ class Source(Protocol):
     objects: Sequence[str]
 
     def shown(self, object_id: str) -> Shown:
-        """One of them.
-
-        Raises:
-            ArticugenError: it cannot be read, or nothing can be made of it.
-        """
+        """Show one of them; ArticugenError if it cannot be read, or nothing can be made of it."""
         ...
 
 
@@ -83,11 +79,7 @@ class StoredObjects:
         return self._data.recipe
 
     def _maker(self, shard: Path, object_id: str) -> Maker:
-        """What makes more states of an object, if its source is still what it was.
-
-        Raises:
-            ArticugenError: it is not, or nobody knows.
-        """
+        """Return what makes more states, if the source is what it was; else ArticugenError."""
         manifest = self._data.manifest or _manifest_beside(shard)
         if manifest is None:
             raise InvalidSource(f"{shard.parent}: has no {MANIFEST_NAME} that names the source")
@@ -176,7 +168,8 @@ def source_of(
         ArticugenError: there is no such thing, or it cannot be read.
     """
     place = Path(path)
-    if place.suffix == ".h5" or _holds_shards(place):
+    patterns = (MANIFEST_NAME, "*.h5", f"*/{MANIFEST_NAME}")
+    if place.suffix == ".h5" or any(found for pattern in patterns for found in place.glob(pattern)):
         return StoredObjects(open_data_set(place))
     if not place.exists() and path not in source_files():
         raise InvalidSource(
@@ -189,9 +182,3 @@ def is_run(path: str) -> bool:
     """Whether it is the folder of a trained run, or of several."""
     place = Path(path)
     return (place / "run.json").is_file() or any(place.glob("*/run.json"))
-
-
-def _holds_shards(folder: Path) -> bool:
-    """Or folders that do, of which one is to be named."""
-    patterns = (MANIFEST_NAME, "*.h5", f"*/{MANIFEST_NAME}")
-    return any(found for pattern in patterns for found in folder.glob(pattern))

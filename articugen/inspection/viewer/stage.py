@@ -4,22 +4,17 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from articugen.core.arrays import Floats
 from articugen.core.geometry import look_along
-from articugen.core.records import Floats
 from articugen.inspection.viewer.layers import Drawn, Lines, Points, Solid
 from articugen.pictures.portrait import ELEVATION
 
 if TYPE_CHECKING:
     import viser
 
-FIELD_OF_VIEW = float(np.radians(35.0))
-"""From the lower to the upper edge of the window."""
-
-FILL = 0.9
-"""Of the window's width or height, that what is framed takes."""
-
+FIELD_OF_VIEW = float(np.radians(35.0))  # from the lower to the upper edge of the window
+FILL = 0.9  # of the window's width or height, that what is framed takes
 NARROW, SHEET_LEAVES = 576, 0.4
 """In windows of fewer pixels, phones, viser's controls are a sheet that leaves this share of the
 height free, at the top."""
@@ -63,6 +58,8 @@ class Stage:
 
     def draw(self, layer: str, drawn: Sequence[Drawn]) -> None:
         """Have a layer show this and nothing else."""
+        from viser.transforms import SO3  # noqa: PLC0415 - optional
+
         before = self._layers.pop(layer, [])
         shown = [each for each in drawn if _holds_anything(each)]
         with self._server.atomic():
@@ -74,7 +71,8 @@ class Stage:
                 handles = [self._add(f"/{layer}/{n}", each) for n, each in enumerate(shown)]
             for handle, each in zip(handles, shown, strict=True):
                 if isinstance(each, Solid):
-                    _stand(handle, each.T)
+                    handle.position = each.T[:3, 3]
+                    handle.wxyz = SO3.from_matrix(each.T[:3, :3]).wxyz
         self._layers[layer] = list(zip(shown, handles, strict=True))
 
     def _add(self, name: str, drawn: Drawn) -> Any:
@@ -89,10 +87,12 @@ class Stage:
                 point_shading="flat",
             )
         if isinstance(drawn, Lines):
+            # viser 1.1 takes the colours of lines for linear light, unlike all others
+            linear = np.round(255.0 * (drawn.colours / 255.0) ** 2.2).astype(np.uint8)
             return scene.add_line_segments(
                 name,
                 drawn.ends.astype(np.float32),
-                _linear(drawn.colours),
+                linear,
                 thickness=drawn.width,
                 thickness_units="screen",
             )
@@ -109,8 +109,7 @@ class Stage:
         )
 
     def _welcome(self, client: "viser.ClientHandle") -> None:
-        """Place a new window's camera, again whenever its shape changes, until somebody turns it:
-        the controls take their room after a window has opened."""
+        """Place a window's camera, again as its shape settles, until somebody turns it."""
         self._place(client)
 
         @client.camera.on_update
@@ -168,23 +167,12 @@ def _middle(u: Floats, z: Floats, before: float, after: float) -> float:
     return c
 
 
-def _linear(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """viser 1.1 takes the colours of lines for linear light, unlike all others."""
-    return np.round(255.0 * (colours / 255.0) ** 2.2).astype(np.uint8)
-
-
 def _only_moved(before: Sequence[Drawn], now: Sequence[Drawn]) -> bool:
     """Return whether these are the same solids as before, wherever they stand."""
     return len(before) == len(now) and all(
         isinstance(old, Solid) and isinstance(new, Solid) and old.vertices is new.vertices
         for old, new in zip(before, now, strict=True)
     )
-
-
-def _stand(handle: Any, T: Floats) -> None:
-    from viser.transforms import SO3  # noqa: PLC0415 - optional
-
-    handle.position, handle.wxyz = T[:3, 3], SO3.from_matrix(T[:3, :3]).wxyz
 
 
 def _holds_anything(drawn: Drawn) -> bool:

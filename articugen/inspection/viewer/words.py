@@ -7,11 +7,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from articugen.core.colours import colour_of
 from articugen.core.errors import printable
 from articugen.core.schema import Instance
+from articugen.core.tables import counted
 from articugen.inspection.report.markup import Markup, el, join
 from articugen.inspection.viewer.shown import Joint, Seen, Shown
-from articugen.pictures.portrait import colour_of
 
 LONGEST_NAME = 32
 
@@ -87,8 +88,7 @@ def edge_of(grid: str) -> int:
 
 
 def heading(title: str, count: int) -> Markup:
-    several = f"{count:,} objects" if count != 1 else "1 object"
-    return _page(el("b", title), el("br"), several)
+    return _page(el("b", title), el("br"), counted(count, "object"))
 
 
 def said_of(shown: Shown, seen: Seen, seconds: float) -> Markup:
@@ -104,11 +104,8 @@ def said_of(shown: Shown, seen: Seen, seconds: float) -> Markup:
         text = f"state {state}, made in {seconds:.2f} s"
     split = f"{shown.split} object, " if shown.split else ""
     why = shown.why or seen.why
-    return join(_page(split + text), warning(_nearest(why)) if why else None)
-
-
-def _nearest(why: str) -> str:
-    return f"The sliders show the nearest state: {why}."
+    nearest = warning(f"The sliders show the nearest state: {why}.") if why else None
+    return join(_page(split + text), nearest)
 
 
 def warning(sentence: str) -> Markup:
