@@ -4,11 +4,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from articugen.core.arrays import Floats
 from articugen.core.geometry import apply, invert_rigid, look_along
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,14 +16,14 @@ class Camera:
     Axes as in `records.Views`; images are `size` pixels wide and high.
     """
 
-    T_camera_world: Array
+    T_camera_world: Floats
     focal: float
     cx: float
     cy: float
     size: int
 
     @cached_property
-    def rays(self) -> Array:
+    def rays(self) -> Floats:
         """(size, size, 3) world directions through the pixels' centres, of unit depth."""
         at = np.arange(self.size) + 0.5
         x, y = np.meshgrid((at - self.cx) / self.focal, (at - self.cy) / self.focal)
@@ -33,11 +31,11 @@ class Camera:
         return apply(T_world_camera, np.stack([x, y, np.ones_like(x)], axis=-1)) - self.eye
 
     @property
-    def eye(self) -> Array:
+    def eye(self) -> Floats:
         return -self.T_camera_world[:3, :3].T @ self.T_camera_world[:3, 3]
 
 
-def framed(points: Array, azimuth: float, elevation: float, size: int, *, fill: float) -> Camera:
+def framed(points: Floats, azimuth: float, elevation: float, size: int, *, fill: float) -> Camera:
     """Return the camera at `azimuth`, `elevation` (rad) whose square image `points` (n, 3) fill.
 
     `fill` is the fraction of the width or height that their box takes, the larger of the two.

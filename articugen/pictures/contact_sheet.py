@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from articugen.core.arrays import Floats
 from articugen.core.colours import colour_of
 from articugen.core.errors import ArticugenError, InvalidArgument
 from articugen.core.files import check_place
@@ -29,17 +29,13 @@ from articugen.pictures.shading import Picture
 from articugen.pictures.surfels import Surfels
 from articugen.store.shards import Shard, open_shard
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
-Place = tuple[Path, int]
-"""A shard and an instance's index in it."""
-
+Place = tuple[Path, int]  # a shard and an instance's index in it
 POOLED = 16
 """The points of so many instances of an object, or of all that there are, make its pictures."""
 
-ASKED = 4
-"""Objects of a category, of those that are drawn, that say from which side it is seen."""
+ASKED = 4  # objects of a category, of those that are drawn, that say from which side it is seen
 
 
 @dataclass(frozen=True)
@@ -63,7 +59,11 @@ class Portraits:
 
     @property
     def captions(self) -> tuple[Caption, ...]:
-        return tuple(map(_states, self.instances))
+        """The joint states, each in the colour of its part."""
+        return tuple(
+            [(_state(i, j), colour_of(j + 1)) for j in range(len(i.joint_state))]
+            for i in self.instances
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ class _Object:
     discs: Surfels
 
     @property
-    def points(self) -> Array:
+    def points(self) -> Floats:
         return np.concatenate([dequantize(i.surface_points) for i in self.instances])
 
     @property
@@ -119,7 +119,7 @@ def portraits(
         widest: dict[str, list[Instance]] = {}
         for each in drawn:
             widest.setdefault(each.chosen.category, []).append(each.instances[-1])
-        azimuth = {name: best_azimuth(_evenly(many, ASKED)) for name, many in widest.items()}
+        azimuth = {name: best_azimuth(evenly(many, ASKED)) for name, many in widest.items()}
         cameras = [tile_camera(o.points, azimuth[o.chosen.category], size) for o in drawn]
         tiles = [(o, i, c) for o, c in zip(drawn, cameras, strict=True) for i in o.instances]
         pictures = pool.map(lambda t: portrait(t[0].discs, t[1], t[2], t[0].floor), tiles)
@@ -135,12 +135,7 @@ def portraits(
 
 
 def chosen_of(shards: Sequence[Path], objects: int) -> list[Chosen]:
-    """So many of the objects in the shards, chosen evenly.
-
-    Raises:
-        CorruptShard: a shard cannot be read.
-        ArticugenError: no surface points are stored.
-    """
+    """Choose so many of the objects in the shards, evenly; ArticugenError without a surface."""
     where: dict[tuple[str, str, str], list[Place]] = {}
     for path in shards:
         with open_shard(path) as shard:
@@ -159,7 +154,7 @@ def chosen_of(shards: Sequence[Path], objects: int) -> list[Chosen]:
 def some_of(every: Sequence[Chosen], count: int) -> list[Chosen]:
     """So many of them, chosen evenly, those for training first."""
     order = sorted(every, key=lambda c: (c.split != "train", c.category, c.split, c.object_id))
-    return _evenly(order, count)
+    return evenly(order, count)
 
 
 def _object(chosen: Chosen, states: int, pooling: int) -> _Object:
@@ -168,28 +163,23 @@ def _object(chosen: Chosen, states: int, pooling: int) -> _Object:
         opened = {path: stack.enter_context(open_shard(path)) for path in paths}
         moved = {path: _moved(shard) for path, shard in opened.items()}
         places = sorted(chosen.places, key=lambda place: moved[place[0]][place[1]])
-        drawn, pool = _evenly(places, states), _evenly(places, pooling)
+        drawn, pool = evenly(places, states), evenly(places, pooling)
         read = {(p, index): opened[p].instance(index) for p, index in {*drawn, *pool}}
     instances = tuple(read[place] for place in drawn)
     return _Object(chosen, instances, pooled([read[place] for place in pool]))
 
 
-def _evenly(items: Sequence[T], count: int) -> list[T]:
+def evenly(items: Sequence[T], count: int) -> list[T]:
+    """Return so many of the items, from the first to the last."""
     picked = np.linspace(0, len(items) - 1, min(count, len(items)))
     return [items[round(i)] for i in picked]
 
 
-def _moved(shard: Shard) -> Array:
+def _moved(shard: Shard) -> Floats:
     """(n,) how far the joints of each row have moved, the canonical pose before all others."""
     q, upper = shard.read("joint_state"), shard.read("joint_upper")
     far = np.abs(q / np.where(upper == 0.0, 1.0, upper)).sum(axis=1)
     return np.where(shard.read("state_index") == 0, -np.inf, far)
-
-
-def _states(instance: Instance) -> Caption:
-    """The joint states, each in the colour of its part."""
-    J = len(instance.joint_state)
-    return [(_state(instance, j), colour_of(j + 1)) for j in range(J)]
 
 
 def _state(instance: Instance, joint: int) -> str:

@@ -13,8 +13,7 @@ INK, GREY = "#333333", "#8a8a8a"
 
 TILE, MARGIN, CAPTION, GAP = 288, 10, 22, 12
 
-Caption = Sequence[tuple[str, str]]
-"""Texts, each after a dot of its colour, if it has one."""
+Caption = Sequence[tuple[str, str]]  # texts, each after a dot of its colour, if it has one
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +56,7 @@ def in_columns(sheets: Sequence[Picture], columns: int) -> Picture:
 
 
 def save(picture: Picture, path: Path) -> None:
-    """Write a PNG, in place of what is called so: a link to elsewhere, say.
-
-    Raises:
-        MachineFault: `path` cannot be written.
-    """
+    """Write a PNG, in place of what is called so: a link to elsewhere, say; or MachineFault."""
     with written_atomically(path) as file:
         picture.save(file, "PNG", compress_level=6)
 

@@ -9,16 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Floats, Ints
 from articugen.core.jit import helper, inlined, kernel
-from articugen.pictures.cells import cells_of, near, reached
+from articugen.core.near import cells_of, near, reached
 
-Array = NDArray[np.float64]
-
-ENOUGH = 2500
-"""Of a larger cloud about so many points stand for all where a sum goes over all."""
-
-DETAIL = 1.0
-"""Within so many spacings of a coarse cloud a finer one says what hides the sky."""
+ENOUGH = 2500  # of a larger cloud about so many points stand for all where a sum goes over all
+DETAIL = 1.0  # within so many spacings of a coarse cloud a finer one says what hides the sky
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,11 +26,11 @@ class SurfaceCloud:
         area: (n,) the surface that each point stands for.
     """
 
-    points: Array
-    normals: Array
-    area: Array
+    points: Floats
+    normals: Floats
+    area: Floats
 
-    def __getitem__(self, which: slice | NDArray[np.int64]) -> "SurfaceCloud":
+    def __getitem__(self, which: slice | Ints) -> "SurfaceCloud":
         return SurfaceCloud(self.points[which], self.normals[which], self.area[which])
 
     def thinned(self, step: int) -> "SurfaceCloud":
@@ -53,7 +49,7 @@ class SurfaceCloud:
         return tuple(np.ascontiguousarray(table, dtype=np.float32))
 
 
-def occlusion(at: Array, facing: Array, cloud: SurfaceCloud) -> Array:
+def occlusion(at: Floats, facing: Floats, cloud: SurfaceCloud) -> Floats:
     """Return the share of the cosine-weighted sky that `cloud` hides from `at` (m, 3): (m,).
 
     Args:
@@ -63,8 +59,8 @@ def occlusion(at: Array, facing: Array, cloud: SurfaceCloud) -> Array:
 
 
 def occlusion_in_detail(
-    at: Array, facing: Array, coarse: SurfaceCloud, fine: SurfaceCloud
-) -> Array:
+    at: Floats, facing: Floats, coarse: SurfaceCloud, fine: SurfaceCloud
+) -> Floats:
     """Compute `occlusion` for many places `at` (m, 3) on the surface that two clouds lie on.
 
     What the far hides changes slowly: it is summed up at some points of `coarse` only and averaged

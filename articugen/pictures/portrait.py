@@ -7,8 +7,8 @@ motions of their parts, which makes a dense cloud, and from there to each pose t
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from articugen.core.arrays import Floats
 from articugen.core.colours import colour_of
 from articugen.core.geometry import apply, invert_rigid, rotation_about, transform
 from articugen.core.records import JointKind, dequantize
@@ -18,9 +18,8 @@ from articugen.pictures.layout import TILE
 from articugen.pictures.light import SurfaceCloud
 from articugen.pictures.shading import SUPERSAMPLING, Picture, linear, shaded
 from articugen.pictures.solids import ColouredMesh, draw_solid, spread
-from articugen.pictures.surfels import OrientedPoints, Surfels, draw, surfels
-
-Array = NDArray[np.float64]
+from articugen.pictures.splats import draw
+from articugen.pictures.surfels import OrientedPoints, Surfels, surfels
 
 NOTHING = ColouredMesh(np.zeros((0, 3, 3)), np.zeros(0, np.int64), ())
 
@@ -31,8 +30,7 @@ AJAR = 0.35
 """Of its joints' ranges, how far what can be turned is open at first: shut, nothing seems to move.
 """
 
-SWEPT = np.linspace(0.0, 1.0, 7)
-"""Shares of their ranges at which joints are looked at together."""
+SWEPT = np.linspace(0.0, 1.0, 7)  # shares of their ranges at which joints are looked at together
 
 
 def oriented_points(instance: Instance) -> OrientedPoints:
@@ -47,7 +45,7 @@ def pooled(instances: Sequence[Instance]) -> Surfels:
     return surfels([oriented_points(i).moved(invert_rigid(i.part_motion)) for i in instances])
 
 
-def tile_camera(points: Array, azimuth: float, size: int = TILE) -> Camera:
+def tile_camera(points: Floats, azimuth: float, size: int = TILE) -> Camera:
     """The camera whose tile of `size` pixels the points (n, 3) fill."""
     return framed(points, azimuth, ELEVATION, SUPERSAMPLING * size, fill=0.86)
 
@@ -69,7 +67,7 @@ def _seen(discs: Surfels, azimuth: float) -> float:
     return float((seen / np.maximum(np.bincount(discs.part, minlength=256), 1)).sum())
 
 
-def swept(canonical: Instance) -> Array:
+def swept(canonical: Instance) -> Floats:
     """(n, 3) where its surface points come when its joints go through their ranges together."""
     points, J = dequantize(canonical.surface_points), len(canonical.joint_kind)
     everywhere = []
@@ -119,21 +117,17 @@ def solid_portrait(
     return shaded(seen, camera, coarse, fine, floor)
 
 
-def _drawn(solid: ColouredMesh, camera: Camera) -> tuple[Array, Array, Array]:
+def _drawn(solid: ColouredMesh, camera: Camera) -> tuple[Floats, Floats, Floats]:
     return draw_solid(solid, _palette(solid.colours), camera)
 
 
-def _palette(colours: Sequence[str]) -> Array:
+def _palette(colours: Sequence[str]) -> Floats:
     return np.array([linear(colour) for colour in colours]).reshape(-1, 3)
 
 
 def nearer(
-    a: tuple[Array, Array, Array], b: tuple[Array, Array, Array]
-) -> tuple[Array, Array, Array]:
+    a: tuple[Floats, Floats, Floats], b: tuple[Floats, Floats, Floats]
+) -> tuple[Floats, Floats, Floats]:
     """Of two drawings by one camera, at each pixel the one that is nearer."""
     first = (a[0] <= b[0])[..., None]
-    return (
-        np.minimum(a[0], b[0]),
-        np.where(first, a[1], b[1]),
-        np.where(first, a[2], b[2]),
-    )
+    return (np.minimum(a[0], b[0]), np.where(first, a[1], b[1]), np.where(first, a[2], b[2]))

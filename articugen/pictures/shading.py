@@ -1,26 +1,25 @@
 """What a camera sees, lit by a soft sky and a lamp over the viewer's left shoulder."""
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
+from articugen.core.arrays import Floats
 from articugen.pictures.camera import Camera
 from articugen.pictures.light import SurfaceCloud, occlusion, occlusion_in_detail
 
-Array = NDArray[np.float64]
 Picture = Image.Image
 
 PAPER = "#ffffff"
 SUPERSAMPLING = 2
 
 
-def linear(colour: str) -> Array:
+def linear(colour: str) -> Floats:
     """Return an #rrggbb colour as linear light, (3,) in [0, 1]."""
     return (np.frombuffer(bytes.fromhex(colour[1:]), np.uint8) / 255.0) ** 2.2
 
 
 def shaded(
-    seen: tuple[Array, Array, Array],
+    seen: tuple[Floats, Floats, Floats],
     camera: Camera,
     coarse: SurfaceCloud,
     fine: SurfaceCloud,
@@ -41,23 +40,20 @@ def shaded(
         pixels *= (1.0 - 0.5 * _shadow(coarse, camera, floor))[..., None]
         at = camera.eye + depth[hit][:, None] * camera.rays[hit]
         hidden = occlusion_in_detail(at, normals[hit], coarse, fine)
-    pixels[hit] = colour[hit] * _lit(normals[hit], 1.0 - hidden, camera)[:, None]
+    facing = normals[hit]
+    lamp = camera.T_camera_world[:3, :3].T @ np.array([-0.45, -0.65, -0.6])
+    direct = np.clip(facing @ (lamp / np.linalg.norm(lamp)), 0.0, 1.0)
+    sky = 0.75 + 0.25 * facing[:, 2]
+    toward_us = np.clip(facing @ -camera.T_camera_world[2, :3], 0.0, 1.0)
+    light = 0.15 + 0.85 * (1.0 - hidden) ** 1.2
+    light *= 0.42 * sky + 0.58 * direct + 0.13 * toward_us
+    pixels[hit] = colour[hit] * light[:, None]
     size = camera.size // SUPERSAMPLING
     small = pixels.reshape(size, SUPERSAMPLING, size, SUPERSAMPLING, 3).mean(axis=(1, 3))
     return Image.fromarray((np.clip(small, 0.0, 1.0) ** (1 / 2.2) * 255).round().astype(np.uint8))
 
 
-def _lit(normals: Array, sky_seen: Array, camera: Camera) -> Array:
-    """Return (n,) how bright white paper would be."""
-    lamp = camera.T_camera_world[:3, :3].T @ np.array([-0.45, -0.65, -0.6])
-    direct = np.clip(normals @ (lamp / np.linalg.norm(lamp)), 0.0, 1.0)
-    sky = 0.75 + 0.25 * normals[:, 2]
-    toward_us = np.clip(normals @ -camera.T_camera_world[2, :3], 0.0, 1.0)
-    open_ = 0.15 + 0.85 * sky_seen**1.2
-    return open_ * (0.42 * sky + 0.58 * direct + 0.13 * toward_us)
-
-
-def _shadow(cloud: SurfaceCloud, camera: Camera, floor: float) -> Array:
+def _shadow(cloud: SurfaceCloud, camera: Camera, floor: float) -> Floats:
     """Return (H, W) how much of the sky the object hides from the floor under each pixel."""
     count, reach = 48, 0.9
     at = np.linspace(-reach, reach, count)
@@ -72,7 +68,7 @@ def _shadow(cloud: SurfaceCloud, camera: Camera, floor: float) -> Array:
     return _bilinear(hidden, (on_floor + reach) / (2 * reach) * (count - 1))
 
 
-def _bilinear(grid: Array, at: Array) -> Array:
+def _bilinear(grid: Floats, at: Floats) -> Floats:
     at = np.clip(at, 0.0, len(grid) - 1.001)
     low = at.astype(np.int64)
     (i, j), (u, v) = np.moveaxis(low, -1, 0), np.moveaxis(at - low, -1, 0)

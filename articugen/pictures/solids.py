@@ -5,15 +5,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from articugen.core.arrays import Floats, Ints
 from articugen.core.geometry import look_along, pick_by_weight, points_in_triangles
 from articugen.core.records import LabelledMesh, Views
 from articugen.pictures.camera import Camera
 from articugen.pictures.light import SurfaceCloud
 from articugen.rendering.rasterizer import render
-
-Array = NDArray[np.float64]
 
 CREASE = np.cos(np.radians(35.0))
 """Where a face is turned further than this from the mean around a corner, the corner is sharp."""
@@ -32,8 +30,8 @@ class ColouredMesh:
         colours: #rrggbb of each group.
     """
 
-    triangles: Array
-    group: NDArray[np.int64]
+    triangles: Floats
+    group: Ints
     colours: Sequence[str]
 
     @staticmethod
@@ -49,7 +47,7 @@ class ColouredMesh:
         )  # fmt: skip
 
 
-def arrow(tail: Array, tip: Array, radius: float, colour: str) -> ColouredMesh:
+def arrow(tail: Floats, tip: Floats, radius: float, colour: str) -> ColouredMesh:
     """Return a shaft with a cone at its `tip`, of 24 sides."""
     along = _unit(tip - tail)
     side = look_along(along)[0, :3]
@@ -66,7 +64,9 @@ def arrow(tail: Array, tip: Array, radius: float, colour: str) -> ColouredMesh:
     return ColouredMesh(np.concatenate(triangles), group, [colour] * 4)
 
 
-def draw_solid(solid: ColouredMesh, values: Array, camera: Camera) -> tuple[Array, Array, Array]:
+def draw_solid(
+    solid: ColouredMesh, values: Floats, camera: Camera
+) -> tuple[Floats, Floats, Floats]:
     """Return a solid, all of it in front of the camera, as that sees it.
 
     Args:
@@ -80,7 +80,9 @@ def draw_solid(solid: ColouredMesh, values: Array, camera: Camera) -> tuple[Arra
     triangles, group = solid.triangles, solid.group
     faces = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
     mesh = LabelledMesh(triangles.reshape(-1, 3), faces, np.zeros(len(faces), np.uint8))
-    maps = render(mesh, _views(camera))
+    focal, cx, cy = (np.array([number]) for number in (camera.focal, camera.cx, camera.cy))
+    views = Views("pinhole", camera.T_camera_world[None], focal, focal, cx, cy, *size)
+    maps = render(mesh, views)
     assert maps.depth is not None
     assert maps.face is not None
     depth, face = maps.depth[0].astype(np.float64), maps.face[0]
@@ -98,7 +100,7 @@ def draw_solid(solid: ColouredMesh, values: Array, camera: Camera) -> tuple[Arra
     return depth, normals, drawn
 
 
-def spread(triangles: Array, count: int) -> SurfaceCloud:
+def spread(triangles: Floats, count: int) -> SurfaceCloud:
     """About `count` points over triangles (F, 3, 3), evenly by area."""
     normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     twice = np.linalg.norm(normal, axis=1)
@@ -113,15 +115,7 @@ def spread(triangles: Array, count: int) -> SurfaceCloud:
     return SurfaceCloud(points, normal[face] / twice[face, None], area)
 
 
-def _views(camera: Camera) -> Views:
-    one = np.ones(1)
-    return Views(
-        "pinhole", camera.T_camera_world[None], camera.focal * one, camera.focal * one,
-        camera.cx * one, camera.cy * one, camera.size, camera.size,
-    )  # fmt: skip
-
-
-def _corner_normals(triangles: Array, group: NDArray[np.int64]) -> Array:
+def _corner_normals(triangles: Floats, group: Ints) -> Floats:
     """Return (F, 3, 3) unit normals at the corners: the mean by area of the faces of a group that
     meet there, or the face's own where it is turned far away from that."""
     normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
@@ -137,11 +131,11 @@ def _corner_normals(triangles: Array, group: NDArray[np.int64]) -> Array:
     return np.where(sharp, facing, mean)
 
 
-def _unit(vectors: Array) -> Array:
+def _unit(vectors: Floats) -> Floats:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
 
 
-def _barycentric(points: Array, triangles: Array) -> Array:
+def _barycentric(points: Floats, triangles: Floats) -> Floats:
     """Return (n, 3) weights of the corners of each point's triangle, none below 0."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     normal = np.cross(b - a, c - a)

@@ -4,7 +4,8 @@ import numpy as np
 
 from articugen.pictures.camera import framed
 from articugen.pictures.light import SurfaceCloud, occlusion_in_detail
-from articugen.pictures.surfels import OrientedPoints, draw, surfels
+from articugen.pictures.splats import draw
+from articugen.pictures.surfels import OrientedPoints, surfels
 
 
 def discs() -> None:
