@@ -24,7 +24,7 @@ from articugen.core.ledger import LEDGER, Ledger
 from articugen.core.place import Folder
 from articugen.export.formats import FORMATS, format_named
 from articugen.export.items import file_name
-from articugen.export.joints import unique
+from articugen.export.parts import unique
 from articugen.export.target import REPORT_NAME
 
 

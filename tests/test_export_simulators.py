@@ -15,7 +15,7 @@ from test_html_report import named, shard
 import articugen as ag
 from articugen.core.geometry import apply, invert_rigid, rotation_about, transform
 from articugen.core.records import is_material
-from articugen.export.joints import metric_joints
+from articugen.export.parts import metric_joints
 
 boxes, rows, exported, laptops = exports.boxes, exports.rows, exports.exported, exports.laptops
 

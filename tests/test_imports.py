@@ -32,25 +32,21 @@ FLOORS = (
 FLOOR = {room: level for level, rooms in enumerate(FLOORS, start=1) for room in rooms}
 
 MOST_ARROWS = 70
-MOST_LINES = 52_390
+MOST_LINES = 50_920
 """Of the whole package; it is lowered as the package shrinks."""
 LARGEST_ROOM = 0.2
 """Its share of the lines."""
 LONGEST_FILE = 450
 LONG_FILES = {
-    "core.processes": 534,
     "discovery.discover": 467,
-    "inspection.report.sections": 509,
-    "instance.make": 629,
-    "pictures.surfels": 504,
     "procedural.eyeglasses": 456,
 }
 """Files that are longer yet, and how long they may be: no line more is let in."""
 
 CORE = {
-    "backends", "bundled", "calling", "colours", "compiling", "content", "errors", "fields",
-    "files", "geometry", "jit", "ledger", "memory", "near", "place", "plugins", "portable",
-    "processes", "recipe", "records", "schema", "seeding", "tables", "yaml_files",
+    "arrays", "backends", "calling", "colours", "compiling", "content", "errors",
+    "files", "geometry", "jit", "ledger", "memory", "near", "place", "plugins",
+    "portable", "processes", "recipe", "records", "schema", "seeding", "tables", "yaml_files",
 }  # fmt: skip
 """All that may lie in core/, or it becomes a drawer for everything."""
 
@@ -65,7 +61,7 @@ FOREIGN: dict[str, set[str]] = {
     "manifold3d": {"meshes.simpler"},
     "matplotlib": {"learning.evaluation.figures.plots"},
     "obstore": {"store.bucket"},
-    "platformdirs": {"core.bundled"},
+    "platformdirs": {"core.content"},
     "pyarrow": {"export.parquet"},
     "rich": {
         "cli.console",
@@ -82,7 +78,7 @@ FOREIGN: dict[str, set[str]] = {
     },
     "safetensors": {"learning.commands", "learning.tensors"},
     "submitit": {"pipeline.executors.slurm"},
-    "trimesh": {"export.inertia", "meshes.mesh_file", "meshes.points", "meshes.scenes"},
+    "trimesh": {"export.assembly", "meshes.mesh_file", "meshes.points", "meshes.scenes"},
     "typer": {
         "cli.app",
         "cli.data",

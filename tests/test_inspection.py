@@ -17,17 +17,18 @@ from rich.console import Console
 from articugen.core.colours import COLOURS, colour_of
 from articugen.core.errors import ArticugenError, InvalidArgument
 from articugen.core.geometry import fibonacci_sphere, invert_rigid, rotation_about, transform
+from articugen.core.near import cells_of, near
 from articugen.core.recipe import Recipe
 from articugen.core.schema import Instance
 from articugen.core.tables import duration, size
 from articugen.inspection.summary import histogram, shards_of, summary
 from articugen.pictures.camera import framed
-from articugen.pictures.cells import cells_of, near
 from articugen.pictures.contact_sheet import contact_sheet
 from articugen.pictures.layout import CAPTION, MARGIN, TILE, Row, sheet
 from articugen.pictures.light import SurfaceCloud, occlusion, occlusion_in_detail
 from articugen.pictures.shading import PAPER
-from articugen.pictures.surfels import OrientedPoints, draw, surfels
+from articugen.pictures.splats import draw
+from articugen.pictures.surfels import OrientedPoints, surfels
 from articugen.store.writer import write_shard
 
 

@@ -40,7 +40,8 @@ from articugen.core.records import (
 from articugen.core.schema import Instance
 from articugen.fusion.field import OwnSolid, PosedSolids
 from articugen.instance import articulation
-from articugen.instance.make import Prepared, make_instance, pose, prepare
+from articugen.instance.make import make_instance
+from articugen.instance.preparing import Prepared, pose, prepare
 from articugen.procedural import CATEGORIES
 from articugen.procedural.truth import Truth
 from articugen.procedural.truth import truth_of as exact_truth

@@ -29,7 +29,8 @@ from articugen.core.errors import (
 from articugen.core.ledger import LEDGER
 from articugen.core.recipe import Articulation, Recipe, Sampling, ViewSettings, load_recipe
 from articugen.instance import articulation
-from articugen.instance.make import make_instance, prepare
+from articugen.instance.make import make_instance
+from articugen.instance.preparing import prepare
 from articugen.meshes import read as meshes
 from articugen.pipeline import door
 from articugen.pipeline.executors.local import Local

@@ -12,7 +12,7 @@ from articugen.core.recipe import Fusion, load_recipe
 from articugen.fusion.field import fuse
 from articugen.fusion.reachable import flood, walls
 from articugen.instance import articulation
-from articugen.instance.make import Prepared, pose, prepare
+from articugen.instance.preparing import Prepared, pose, prepare
 from articugen.meshes.bvh import build
 from articugen.procedural.truth import Truth
 from articugen.rendering.rasterizer import render

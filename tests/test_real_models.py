@@ -22,8 +22,9 @@ from articugen.core.records import ArticulatedObject, Floats, dequantize
 from articugen.core.schema import Instance
 from articugen.fusion.solidify import LONGEST_MITRE
 from articugen.instance import articulation
-from articugen.instance.make import Prepared, make_instance, prepare
-from articugen.instance.resolving import resolved
+from articugen.instance.again import resolved
+from articugen.instance.make import make_instance
+from articugen.instance.preparing import Prepared, prepare
 from articugen.sources import registry
 
 pytestmark = needs_real_models

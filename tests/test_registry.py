@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from articugen.core.bundled import SOURCES
+from articugen.core.content import SOURCES
 from articugen.core.errors import InvalidSource, MachineFault
 from articugen.procedural import CATEGORIES
 from articugen.sources import registry, urdf_files

@@ -13,7 +13,8 @@ from articugen.core.recipe import Recipe
 from articugen.core.records import dequantize, quantize
 from articugen.instance import articulation
 from articugen.instance.again import prepared_again, write_mesh
-from articugen.instance.make import make_instance, prepare
+from articugen.instance.make import make_instance
+from articugen.instance.preparing import prepare
 from articugen.pipeline import door
 from articugen.pipeline.job import Job
 from articugen.sources import registry

@@ -30,6 +30,7 @@ from articugen.core.files import whole_name
 from articugen.core.schema import Instance, stored_name
 from articugen.store.shards import content_sha256, instance_sha256, open_shard
 from articugen.store.writer import write_shard
+from tests.format_tables import markdown
 from tests.fuzz.mending import lookup3
 
 VERSION_1 = Path(__file__).parent / "data" / "shard_version_1.h5"
@@ -225,7 +226,7 @@ def test_same_instances_same_bytes(written, tmp_path):
 
 def test_format_page_is_true():
     page = (Path(__file__).parents[1] / "docs" / "format.md").read_text()
-    assert schema.markdown() in page, "docs/format.md: put in what schema.markdown() returns"
+    assert markdown() in page, "docs/format.md: put in what python -m tests.format_tables prints"
     assert f"version {schema.SCHEMA_VERSION}\n" in page
     stored = [f.name for f in schema.FIELDS if getattr(NAMED[0], f.stem) is not None]
     assert {f.name for f in schema.FIELDS if not f.optional} <= set(stored)

@@ -5,7 +5,7 @@ import trimesh
 from articugen.core.recipe import Recipe
 from articugen.fusion import solidify
 from articugen.fusion.field import fuse
-from articugen.instance.make import own_solid, solid_part
+from articugen.instance.preparing import own_solid, solid_part
 from articugen.rendering.rasterizer import render
 from tests.shapes import box, labelled, rotated, sheet, two_sided, views_of
 

@@ -10,7 +10,7 @@ from articugen.core.recipe import Recipe
 from articugen.core.records import LabelledMesh
 from articugen.fusion.reachable import walls
 from articugen.fusion.thin import NOTHING, thin_voxels
-from articugen.instance.make import own_solid, solid_part
+from articugen.instance.preparing import own_solid, solid_part
 from articugen.meshes.bvh import build
 from tests.shapes import Convex, box, labelled, rotated, towards_cameras
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from articugen import procedural
-from articugen.core.bundled import SOURCES
+from articugen.core.content import SOURCES
 from articugen.core.recipe import load_recipe
 from articugen.sources.registry import source_names
 from articugen.sources.source_file import read_source_file

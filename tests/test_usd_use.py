@@ -14,7 +14,7 @@ import articugen as ag
 from articugen.cli import app
 from articugen.core.geometry import apply
 from articugen.core.records import ArticulatedObject, JointKind, JointState
-from articugen.export.joints import metric_joints, part_names
+from articugen.export.parts import metric_joints, part_names
 from articugen.instance import articulation
 from articugen.sources import registry
 

@@ -16,6 +16,7 @@ from test_html_report import HOSTILE, STATES, named, shard
 from test_maker import CABINET, TINY
 
 import articugen as ag
+from articugen.core.colours import PALETTE
 from articugen.core.errors import (
     ArticugenError,
     CorruptShard,
@@ -29,11 +30,11 @@ from articugen.core.records import ENCLOSED, FREE, JointKind, dequantize
 from articugen.core.schema import Instance
 from articugen.inspection.viewer import layers, words
 from articugen.inspection.viewer.layers import Lines, Points, Solid
+from articugen.inspection.viewer.panel import MESHES
 from articugen.inspection.viewer.serve import served, what_to_show
 from articugen.inspection.viewer.shown import Joint, Shown
 from articugen.inspection.viewer.sources import source_of
 from articugen.inspection.viewer.stage import FIELD_OF_VIEW, FILL, eye_of
-from articugen.inspection.viewer.wish import MESHES
 from articugen.inspection.viewer.words import Scale
 from articugen.pictures.portrait import swept
 from articugen.store.shards import open_shard
@@ -215,7 +216,7 @@ def test_query_points_are_inside_or_outside(box: Instance) -> None:
     inside, outside = (only(layers.queries(box, inside=side), Points) for side in (True, False))
     label = np.concatenate([box.uniform_label, box.near_label])
     assert (len(inside.points), len(outside.points)) == ((label > 0).sum(), (label == FREE).sum())
-    np.testing.assert_array_equal(inside.colours, layers.PART_COLOURS[label[label > 0] - 1])
+    np.testing.assert_array_equal(inside.colours, PALETTE[label[label > 0] - 1])
 
 
 def test_frusta_have_their_corners_at_the_corners_of_the_pictures(box: Instance) -> None:

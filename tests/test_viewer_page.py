@@ -22,9 +22,9 @@ from test_maker import CABINET, TINY
 import articugen as ag
 from articugen.core.geometry import rotation_about
 from articugen.inspection.viewer import layers
+from articugen.inspection.viewer.panel import AT_FIRST, LAYERS, PREDICTION
 from articugen.inspection.viewer.serve import Served, served
 from articugen.inspection.viewer.sources import source_of
-from articugen.inspection.viewer.wish import AT_FIRST, LAYERS, PREDICTION
 
 WINDOW = {"width": 900, "height": 600}
 

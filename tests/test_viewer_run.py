@@ -18,14 +18,14 @@ pytest.importorskip("viser", reason="viser is not installed; make viewer install
 import torch
 from test_figures import solid_truth
 
-from articugen.core.colours import colour_of
+from articugen.core.colours import colour_of, rgb
 from articugen.core.errors import ArticugenError, InvalidSource
 from articugen.core.records import Floats, dequantize
-from articugen.inspection.viewer import layers, prediction
+from articugen.inspection.viewer import prediction
 from articugen.inspection.viewer.layers import Lines, Points, Solid
+from articugen.inspection.viewer.panel import PREDICTION
 from articugen.inspection.viewer.prediction import Predictor
 from articugen.inspection.viewer.serve import Served, served, what_to_show
-from articugen.inspection.viewer.wish import PREDICTION
 
 torch.set_num_threads(1)
 
@@ -92,7 +92,7 @@ def test_the_truth_as_a_prediction_has_the_colours_and_axes_of_the_truth(
     monkeypatch.setattr(predictor, "_learner", _Truth())
     instance, beside = hinged_box()[2], np.array([1.1, 0.0, 0.0])
     drawn = predictor.drawn(instance, beside)
-    colours = [layers.rgb(colour_of(k)) for k in range(3)]
+    colours = [rgb(colour_of(k)) for k in range(3)]
     assert [each.colour for each in drawn if isinstance(each, Solid)] == colours
     (pivots,) = (each.points for each in drawn if isinstance(each, Points))
     np.testing.assert_allclose(pivots - beside, instance.joint_pivot, atol=1e-9)

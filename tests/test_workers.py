@@ -14,7 +14,8 @@ import pytest
 
 from articugen.core import processes as module
 from articugen.core.errors import MachineFault, MissingExtra
-from articugen.core.processes import Crew, Ended, Limit, each, in_order, report, resident_bytes
+from articugen.core.memory import resident_bytes
+from articugen.core.processes import Crew, Ended, Limit, each, in_order, report
 
 Task = tuple[str, Any]
 """What to do, and with what: see `do`."""

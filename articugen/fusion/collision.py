@@ -9,17 +9,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from articugen.core.arrays import Floats
 from articugen.core.geometry import apply, points_on_triangles
-from articugen.core.records import Floats, LabelledMesh
+from articugen.core.records import LabelledMesh
 from articugen.fusion.distance import distances
 from articugen.fusion.field import PosedSolids
 from articugen.meshes.bvh import Bvh
 
-POINTS = 2048
-"""On each part, besides its vertices, of which so many at most are asked."""
-
-DEEPEST = 0.5
-"""Depths are told up to this."""
+POINTS = 2048  # on each part, besides its vertices, of which so many at most are asked
+DEEPEST = 0.5  # depths are told up to this
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,15 +46,12 @@ class Colliding:
             posed = apply(solids.part_motion[i], self.points[i])
             for j in range(P):
                 if i != j:
-                    out[i, j] = self._deepest(posed, j, solids)
+                    probes = np.ascontiguousarray(posed, np.float32)
+                    inside = solids.holds(j, probes, np.arange(len(probes)))
+                    motion = solids.part_motion
+                    far = distances(posed[inside], self.faces, motion, DEEPEST, part=j)
+                    out[i, j] = float(far.max(initial=0.0))
         return out
-
-    def _deepest(self, posed: Floats, part: int, solids: PosedSolids) -> float:
-        probes = np.ascontiguousarray(posed, np.float32)
-        inside = solids.holds(part, probes, np.arange(len(probes)))
-        motion = solids.part_motion
-        far = distances(posed[inside], self.faces, motion, DEEPEST, part=part)
-        return float(far.max(initial=0.0))
 
 
 def _points_on(part: LabelledMesh, rng: np.random.Generator) -> Floats:

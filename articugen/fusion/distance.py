@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Floats
 from articugen.core.geometry import invert_rigid
 from articugen.core.jit import helper, kernel
 from articugen.meshes.bvh import Bvh
@@ -11,11 +12,11 @@ from articugen.meshes.bvh import Bvh
 def distances(
     points: NDArray[np.floating],
     faces: Bvh,
-    part_motion: NDArray[np.float64],
+    part_motion: Floats,
     most: float,
     *,
     part: int | None = None,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return (n,) the distance of `points` (n, 3) to the nearest face, at most `most`; unit frame.
 
     Args:
@@ -50,8 +51,7 @@ def _distances(points, to_part, first, end, most, faces):
 
 @helper
 def _nearer(q, best, box, skip, leaf, triangles, node, end):
-    """Return the square of the distance from `q` to the faces of the nodes from `node` to `end`, or
-    `best`, whichever is less."""
+    """Return the squared distance of `q` to the faces of nodes `node` to `end`, or `best`."""
     while node < end:
         gap = 0.0
         for axis in range(3):
@@ -68,8 +68,7 @@ def _nearer(q, best, box, skip, leaf, triangles, node, end):
 
 @helper
 def _to_triangle(q, triangles, f):
-    """Return the square of the distance from `q` to face `f` of a `triangle_table`: to its plane,
-    where it lies over the face, else to the nearest edge."""
+    """Return the squared distance of `q` to face `f`: to its plane if over it, else an edge."""
     a = (float(triangles[f, 4]), float(triangles[f, 5]), float(triangles[f, 6]))
     b = (float(triangles[f, 7]), float(triangles[f, 8]), float(triangles[f, 9]))
     c = (float(triangles[f, 10]), float(triangles[f, 11]), float(triangles[f, 12]))

@@ -26,6 +26,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Bools, Bytes, Floats, Indices
 from articugen.core.geometry import apply, invert_rigid
 from articugen.core.recipe import Fusion
 from articugen.core.records import ENCLOSED, FREE, DepthMaps, LabelledMesh, Views
@@ -59,14 +60,12 @@ class FusedField:
     maps: DepthMaps
     triangles: NDArray[np.float32]
     bvh: Bvh
-    part_motion: NDArray[np.float64]
+    part_motion: Floats
     settings: Fusion
     flood: Flood | None = None
     thin: ThinVoxels = NOTHING
 
-    def is_free(
-        self, points: NDArray[np.floating], which: NDArray[np.intp] | None = None
-    ) -> NDArray[np.bool_]:
+    def is_free(self, points: NDArray[np.floating], which: Indices | None = None) -> Bools:
         """Which of `points` (n, 3), unit frame, lie outside: (n,); of points[which] if given.
 
         With the rule `seen` much cheaper than `value`: the first view that sees it free settles a
@@ -87,10 +86,10 @@ class FusedField:
     def is_seen_free(
         self,
         points: NDArray[np.floating],
-        which: NDArray[np.intp] | None = None,
+        which: Indices | None = None,
         *,
         views: int | None = None,
-    ) -> NDArray[np.bool_]:
+    ) -> Bools:
         """Return which of `points` (n, 3), or of points[which], at least one of the first `views`
         views, or of all, sees free."""
         which = np.arange(len(points)) if which is None else which
@@ -98,7 +97,7 @@ class FusedField:
         every = len(self.maps.views)
         return kernels.is_free(flat, which, self._scene, 0, min(views or every, every))
 
-    def value(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+    def value(self, points: NDArray[np.floating]) -> Floats:
         """Return the field at `points` (n, 3): (n,) in [-truncation, truncation], negative inside.
 
         Distances are along the rays, in the unit frame.
@@ -116,13 +115,12 @@ class FusedField:
     def _scene(self) -> kernels.Scene:
         views = self.maps.views
         T, pinhole = views.T_camera_world, views.projection == "pinhole"
-        intrinsics = np.stack([views.fx, views.fy, views.cx, views.cy], axis=1)
         eyes = -np.einsum("kji,kj->ki", T[:, :3, :3], T[:, :3, 3]) if pinhole else -T[:, 2, :3]
         return kernels.Scene(
             depth=_NO_DEPTH if self.maps.depth is None else self.maps.depth,
             face=_NO_FACES if self.maps.face is None else self.maps.face,
             cameras=np.ascontiguousarray(T[:, :3], np.float32),
-            intrinsics=intrinsics.astype(np.float32),
+            intrinsics=views.intrinsics.astype(np.float32),
             eyes=np.ascontiguousarray(eyes, np.float32),
             pinhole=pinhole,
             triangles=self.triangles,
@@ -151,10 +149,10 @@ class OwnSolid:
     """
 
     field: FusedField
-    box: NDArray[np.float64]
+    box: Floats
     closed: ClosedPieces | None = None
 
-    def holds(self, points: NDArray[np.floating], *, glance: bool = False) -> NDArray[np.bool_]:
+    def holds(self, points: NDArray[np.floating], *, glance: bool = False) -> Bools:
         """Return (n,) which of `points` (n, 3), unit frame, in the canonical pose, it holds.
 
         Args:
@@ -175,7 +173,7 @@ class OwnSolid:
         inside[rest] = ~self.field.is_free(points, rest)
         return inside
 
-    def value(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+    def value(self, points: NDArray[np.floating]) -> Floats:
         """Return (n,) as `FusedField.value`, negative where it holds the points (n, 3)."""
         value = self.field.value(points)
         if self.closed is not None:
@@ -195,23 +193,18 @@ class PosedSolids:
     """
 
     own: Sequence[OwnSolid]
-    part_motion: NDArray[np.float64]
+    part_motion: Floats
     settings: Fusion
 
     def holds(
-        self,
-        part: int,
-        points: NDArray[np.float32],
-        which: NDArray[np.intp],
-        *,
-        glance: bool = False,
-    ) -> NDArray[np.intp]:
+        self, part: int, points: NDArray[np.float32], which: Indices, *, glance: bool = False
+    ) -> Indices:
         """Those of `which`, indices into `points` (n, 3), that the part's own solid holds."""
         solid, to_canonical = self.own[part], invert_rigid(self.part_motion[part])
         near = kernels.in_box(points, which, to_canonical, solid.box)
         return near[solid.holds(apply(to_canonical, points[near]), glance=glance)]
 
-    def labels(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
+    def labels(self, points: NDArray[np.floating]) -> Bytes:
         """Return (n,) k + 1 in the material of part k, else FREE, for `points` (n, 3).
 
         Where own solids overlap, the first moving part counts, and part 0 last.
@@ -222,9 +215,7 @@ class PosedSolids:
             label[self.holds(part, points, np.flatnonzero(label == FREE))] = part + 1
         return label
 
-    def is_free(
-        self, points: NDArray[np.floating], which: NDArray[np.intp] | None = None
-    ) -> NDArray[np.bool_]:
+    def is_free(self, points: NDArray[np.floating], which: Indices | None = None) -> Bools:
         """Return which of `points` (n, 3), or of points[which], no part's own solid holds."""
         queries = np.ascontiguousarray(points if which is None else points[which], np.float32)
         free = np.ones(len(queries), np.bool_)
@@ -232,9 +223,7 @@ class PosedSolids:
             free[self.holds(part, queries, np.flatnonzero(free), glance=True)] = False
         return free
 
-    def surely_holds(
-        self, points: NDArray[np.floating], part: NDArray[np.uint8]
-    ) -> NDArray[np.bool_]:
+    def surely_holds(self, points: NDArray[np.floating], part: Bytes) -> Bools:
         """(n,) whether closed pieces of the part (n,) of each of `points` (n, 3) wind around it."""
         inside = np.zeros(len(points), np.bool_)
         for k, T in enumerate(invert_rigid(self.part_motion)):
@@ -244,7 +233,7 @@ class PosedSolids:
                 inside[indices] = surely_inside(apply(T, points[indices]), closed)
         return inside
 
-    def value(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+    def value(self, points: NDArray[np.floating]) -> Floats:
         """(n,) the least of the parts' own values at `points` (n, 3), see `FusedField.value`."""
         value = np.full(len(points), self.settings.truncation)
         for solid, T in zip(self.own, invert_rigid(self.part_motion), strict=True):
@@ -265,18 +254,16 @@ class PosedFields:
     material: PosedSolids
 
     @property
-    def part_motion(self) -> NDArray[np.float64]:
+    def part_motion(self) -> Floats:
         return self.material.part_motion
 
-    def labels(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
+    def labels(self, points: NDArray[np.floating]) -> Bytes:
         """Return (n,) FREE, k + 1 in the material of part k, ENCLOSED where no view sees free what
         no part's own solid holds; for `points` (n, 3)."""
         points = np.ascontiguousarray(points, np.float32)
         return self.with_enclosed(points, self.material.labels(points))
 
-    def is_free_before(
-        self, points: NDArray[np.floating], part: NDArray[np.uint8]
-    ) -> NDArray[np.bool_]:
+    def is_free_before(self, points: NDArray[np.floating], part: Bytes) -> Bools:
         """Return (n,) which of `points` (n, 3), each right in front of a face of its `part` (n,),
         are free. Other pieces of the part often cover it: at what they wind around no view need
         look, and none may read past their corners between its pixels."""
@@ -288,9 +275,7 @@ class PosedFields:
         free[indices] = self.whole.is_free(points, indices)
         return free
 
-    def with_enclosed(
-        self, points: NDArray[np.float32], label: NDArray[np.uint8]
-    ) -> NDArray[np.uint8]:
+    def with_enclosed(self, points: NDArray[np.float32], label: Bytes) -> Bytes:
         """`label`, the material at `points` (n, 3), with ENCLOSED set where that is."""
         if isinstance(self.whole, FusedField):
             rest = np.flatnonzero(label == FREE)
@@ -304,7 +289,7 @@ def fuse(
     settings: Fusion,
     *,
     bvh: Bvh | None = None,
-    part_motion: NDArray[np.float64] | None = None,
+    part_motion: Floats | None = None,
     thin: ThinVoxels = NOTHING,
 ) -> FusedField:
     """Return the field of `maps`, which show the faces of `mesh`.

@@ -3,15 +3,14 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from articugen.core.arrays import Bools, Floats, Ints
 from articugen.core.errors import RejectedInstance
-from articugen.core.records import Floats, Mesh
+from articugen.core.records import Mesh
 from articugen.fusion.field import FusedField, PosedSolids
 from articugen.meshes.marching_cubes import zero_level
 
-_AT_A_TIME = 1 << 20
-"""Voxels whose sign is asked at a time."""
+_AT_A_TIME = 1 << 20  # voxels whose sign is asked at a time
 
 
 def extract_mesh(
@@ -29,7 +28,10 @@ def extract_mesh(
     Raises:
         RejectedInstance: no voxel centre lies inside.
     """
-    first, count = (0, resolution) if box is None else _voxels_around(box, resolution)
+    first, count = 0, resolution  # the lowest voxel, and how many along an edge
+    if box is not None:
+        first, last = np.clip(np.floor((box + 0.5) * resolution), 0, resolution - 1).astype(int)
+        count = int((last - first).max()) + 1
     inside = ~_free(field, resolution, first, count)
     if not inside.any():
         raise RejectedInstance(
@@ -50,11 +52,8 @@ def extract_mesh(
     return Mesh((at + first + 0.5) / resolution - 0.5, mesh.faces)
 
 
-def _bisected(
-    vertices: Floats, is_free: Callable[[Floats], NDArray[np.bool_]], steps: int = 8
-) -> Floats:
-    """Vertices (n, 3) of marching cubes, in voxels, moved along their edges to where it becomes
-    free: to a voxel's 2^-steps, however the field was interpolated."""
+def _bisected(vertices: Floats, is_free: Callable[[Floats], Bools], steps: int = 8) -> Floats:
+    """Move vertices (n, 3), in voxels, along their edges to where it is free, to 2^-steps."""
     index, axis = np.arange(len(vertices)), np.abs(vertices - np.round(vertices)).argmax(1)
     inside = np.round(vertices)
     inside[index, axis] = np.floor(vertices[index, axis])
@@ -69,15 +68,7 @@ def _bisected(
     return 0.5 * (inside + outside)
 
 
-def _voxels_around(box: Floats, resolution: int) -> tuple[NDArray[np.int64], int]:
-    """(3,) the lowest voxel, and the number along an edge, of a cube of voxels that hold `box`."""
-    low, high = np.clip(np.floor((box + 0.5) * resolution), 0, resolution - 1).astype(np.int64)
-    return low, int((high - low).max()) + 1
-
-
-def _free(
-    field: FusedField | PosedSolids, resolution: int, first: NDArray[np.int64] | int, count: int
-) -> NDArray[np.bool_]:
+def _free(field: FusedField | PosedSolids, resolution: int, first: Ints | int, count: int) -> Bools:
     """(n, n, n) of the centres of `count` = n voxels along each edge, from voxel `first` on."""
     voxels = np.arange(count**3)
     free = []
@@ -88,7 +79,7 @@ def _free(
     return np.concatenate(free).reshape((count,) * 3)
 
 
-def _beside_a_change(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _beside_a_change(inside: Bools) -> Bools:
     """Voxels one of whose six neighbours is on the other side; beyond the grid is outside."""
     padded = np.pad(inside, 1)
     beside = np.zeros_like(padded)

@@ -10,16 +10,12 @@ import numpy as np
 from articugen.core.jit import helper, inlined, kernel
 from articugen.meshes.bvh import behind, in_front, line_meets, meets
 
-UNSEEN = np.float32(1e9)
-"""Signed distance where a view sees nothing behind the point."""
-
+UNSEEN = np.float32(1e9)  # signed distance where a view sees nothing behind the point
 ENDLESS = np.float32(np.inf)
 
 _HIDDEN, _FREE = 0, 1
 
-BLOCK = 2048
-"""Points that are projected at a time: their coordinates stay in the first-level cache."""
-
+BLOCK = 2048  # points that are projected at a time: their coordinates stay in the first-level cache
 SMOOTH_STEP = np.float32(4.0)
 """Without face ids: depths that differ by less than this many pixels' width are one surface."""
 
@@ -69,11 +65,8 @@ def is_free(points, which, scene, first_view, end_view):
     for i in range(n):
         x[i], y[i], z[i] = points[which[i], 0], points[which[i], 1], points[which[i], 2]
     index = np.arange(n)
-    u, v, depth = (
-        np.empty(BLOCK, np.float32),
-        np.empty(BLOCK, np.float32),
-        np.empty(BLOCK, np.float32),
-    )
+    u, v = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+    depth = np.empty(BLOCK, np.float32)
     at, around = np.empty(BLOCK, np.int32), np.empty((BLOCK, 4), np.int32)
     verdict = np.empty(BLOCK, np.uint8)
     left = n
@@ -95,19 +88,7 @@ def is_free(points, which, scene, first_view, end_view):
                     verdict[i] = _FREE if gap > 0.0 else _HIDDEN
             else:
                 _read_around(u, v, bx.shape[0], face_map, at, around)
-                _judge(
-                    bx,
-                    by,
-                    bz,
-                    around,
-                    camera,
-                    pinhole,
-                    triangles,
-                    bvh,
-                    to_part,
-                    thin,
-                    verdict,
-                )
+                _judge(bx, by, bz, around, camera, pinhole, triangles, bvh, to_part, thin, verdict)
             seen_free = 0
             for i in range(bx.shape[0]):
                 seen_free += verdict[i]
@@ -165,11 +146,8 @@ def _judge(x, y, z, around, camera, pinhole, triangles, bvh, to_part, thin, verd
             verdict[i] = _HIDDEN
             continue
         if not doubt:
-            a, b, c = (
-                _voxel(p[0], n, first[0]),
-                _voxel(p[1], n, first[1]),
-                _voxel(p[2], n, first[2]),
-            )
+            a, b = _voxel(p[0], n, first[0]), _voxel(p[1], n, first[1])
+            c = _voxel(p[2], n, first[2])
             byte = c >> np.uintp(3)
             if a < rows and b < columns and byte < eighths:
                 doubt = (bits[a, b, byte] >> (c & np.uintp(7))) & 1 == 1

@@ -9,12 +9,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from articugen.core.arrays import Bools, Floats, Ints
 from articugen.core.geometry import bounds
 from articugen.core.portable import norm
 from articugen.core.recipe import Fusion
-from articugen.core.records import DepthMaps, Floats, LabelledMesh
+from articugen.core.records import DepthMaps, LabelledMesh
 from articugen.fusion import solidify
 from articugen.fusion.field import FusedField, OwnSolid, flooded, fuse, pixel_width
 from articugen.fusion.thin import thin_voxels, way_meets
@@ -41,8 +41,8 @@ class SolidPart:
     """
 
     mesh: LabelledMesh
-    seen: NDArray[np.bool_]
-    closed: NDArray[np.bool_]
+    seen: Bools
+    closed: Bools
     tree: Bvh
     box: Floats
     pieces: ClosedPieces | None
@@ -64,7 +64,12 @@ def solid_part(soup: LabelledMesh, settings: Fusion, render: Render) -> SolidPar
     thickness = settings.sheet_thickness
     where = solidify.probes(soup, max(thickness, 1e-3) / 3.0, together=True)
     free = np.stack([~alone.holds(where.points[0]), np.zeros(len(where.face), np.bool_)])
-    probes = np.flatnonzero(~(closed[where.face] & _deep(soup, where, field.bvh)))
+    # of a closed piece, what no other face lies before is inside, whatever the views make of it
+    outwards = solidify.face_normals(soup.vertices, soup.faces)[where.face].astype(np.float32)
+    way = 0.99 * 0.5 * norm(where.points[0] - where.points[1]).max(initial=0.0)
+    inner = where.points[1].astype(np.float32)
+    covered = way_meets(inner, outwards, np.float32(way), field.bvh)
+    probes = np.flatnonzero(~closed[where.face] | covered)
     free[1, probes] = ~alone.holds(where.points[1][probes])
     shown = solidify.shown_sides(soup, field.maps)
     mesh, seen = solidify.solidified(soup, where, free, shown, thickness, closed)
@@ -109,21 +114,8 @@ def joined_bvh(parts: Sequence[SolidPart]) -> Bvh:
     return joined([part.tree for part in parts])
 
 
-def _deep(mesh: LabelledMesh, where: solidify.Probes, tree: Bvh) -> NDArray[np.bool_]:
-    """Return (n,) which probes have no other face between their face and the point behind it: of a
-    closed piece, such a point is inside, whatever the views make of it."""
-    outwards = solidify.face_normals(mesh.vertices, mesh.faces)[where.face]
-    way = 0.99 * 0.5 * norm(where.points[0] - where.points[1]).max(initial=0.0)
-    inner = where.points[1].astype(np.float32)
-    return ~way_meets(inner, outwards.astype(np.float32), np.float32(way), tree)
-
-
 def _slit(
-    mesh: LabelledMesh,
-    where: solidify.Probes,
-    sheet: NDArray[np.bool_],
-    thickness: float,
-    tree: Bvh,
+    mesh: LabelledMesh, where: solidify.Probes, sheet: Bools, thickness: float, tree: Bvh
 ) -> float:
     """Compute `SolidPart.slit`: of those probes that are of a `sheet`, seen free on both sides,
     the area of which another face lies before them, nearer than `thickness`."""
@@ -144,7 +136,7 @@ def _box(mesh: LabelledMesh) -> Floats:
 
 
 def _closed_pieces(
-    mesh: LabelledMesh, piece: NDArray[np.int64], settings: Fusion, tree: Bvh
+    mesh: LabelledMesh, piece: Ints, settings: Fusion, tree: Bvh
 ) -> ClosedPieces | None:
     """Find `SolidPart.pieces`."""
     return None if settings.rule == "mean" else closed_pieces(mesh, piece, tree)

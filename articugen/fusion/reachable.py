@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Bools, Bytes, Floats
 from articugen.core.geometry import bounds, invert_rigid
 from articugen.core.jit import helper, kernel
 from articugen.core.records import LabelledMesh
@@ -31,27 +32,27 @@ class Flood:
         bvh, to_part: of the posed mesh, as in `fusion.FusedField`.
     """
 
-    state: NDArray[np.uint8]
+    state: Bytes
     bvh: Bvh
     to_part: NDArray[np.float32]
 
-    def fills(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
+    def fills(self, points: NDArray[np.floating]) -> Bools:
         """Return (n,) which of the `points` (n, 3) lie in a reached voxel: no face is between them
         and its centre, so that they are free, whatever the views see."""
         return _fills(np.ascontiguousarray(points, np.float32), self.state)
 
-    def reaches(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
+    def reaches(self, points: NDArray[np.floating]) -> Bools:
         """Return (n,) which of the unseen `points` (n, 3) the flood gets to."""
         flat = np.ascontiguousarray(points, np.float32)
         return _reaches(flat, self.state, self.to_part, self.bvh)
 
 
-def walls(mesh: LabelledMesh, opening: float) -> NDArray[np.uint8]:
+def walls(mesh: LabelledMesh, opening: float) -> Bytes:
     """(n, n, n) uint8: 1 in the voxels that a face touches; n so that `opening` is two voxels."""
     return touched(mesh, max(4, round(2.0 / opening)))
 
 
-def touched(mesh: LabelledMesh, resolution: int) -> NDArray[np.uint8]:
+def touched(mesh: LabelledMesh, resolution: int) -> Bytes:
     """Return (resolution,) * 3 uint8 over the unit cube: 1 in the voxels that a face touches."""
     state = np.zeros((resolution,) * 3, np.uint8)
     first = np.zeros(3, np.int64)
@@ -59,12 +60,7 @@ def touched(mesh: LabelledMesh, resolution: int) -> NDArray[np.uint8]:
     return state
 
 
-def flood(
-    state: NDArray[np.uint8],
-    mesh: LabelledMesh,
-    bvh: Bvh,
-    part_motion: NDArray[np.float64],
-) -> Flood:
+def flood(state: Bytes, mesh: LabelledMesh, bvh: Bvh, part_motion: Floats) -> Flood:
     """Flood the voxels that are not walls from the faces of the cube.
 
     Args:
@@ -129,8 +125,7 @@ def _extent(a, b, c, n):
 
 @helper
 def _shadows_meet(au, av, bu, bv, cu, cv, turn, i, j):
-    """Return whether a triangle's shadow along an axis, onto the others u, v, and that of a voxel
-    overlap; `turn` is the normal along the axis."""
+    """Return whether a triangle's and a voxel's shadow meet; `turn`: the normal there."""
     sign = 1.0 if turn >= 0.0 else -1.0
     return (
         _within(au, av, bu, bv, sign, i, j)
@@ -147,7 +142,7 @@ def _within(pu, pv, qu, qv, sign, i, j):
     return not nu * (i - pu) + nv * (j - pv) + reach < 0.0
 
 
-def _filled(state: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _filled(state: Bytes) -> Bytes:
     """The states of a box of voxels once its faces are flooded, but for walls, from outside."""
     a, b, c = state.shape
     padded = np.full((a + 2, b + 2, c + 2), np.uint8(_WALL))  # so that no step leaves the array

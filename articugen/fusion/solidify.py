@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Bools, Bytes, Floats, Indices, Ints
 from articugen.core.geometry import cross
 from articugen.core.jit import helper, kernel
 from articugen.core.portable import arctan2, dot, norm
@@ -24,7 +25,7 @@ SHEET_SHARE = 1.0 / 3.0
 closed piece only where none of its samples has depth behind it."""
 
 FINE_FACES = 20_000
-"""From so many faces of a part on, its small ones are asked together, see `_alike`."""
+"""From so many faces of a part on, its small ones are asked together, see `probes`."""
 
 SMALL_AREA, TOGETHER = SAMPLE_AREA / 8.0, 0.01
 """The largest of the small faces, and how far those reach that are asked together; unit frame."""
@@ -46,19 +47,18 @@ class Probes:
     `speaker` (F,): the face whose samples speak for each one; mostly itself.
     """
 
-    points: NDArray[np.float64]
-    face: NDArray[np.intp]
-    speaker: NDArray[np.intp]
+    points: Floats
+    face: Indices
+    speaker: Indices
 
 
-def welded(vertices: NDArray[np.float64]) -> NDArray[np.intp]:
+def welded(vertices: Floats) -> Indices:
     """(V,) the same number for vertices at the same place (within 1e-6 of the unit frame)."""
     return np.unique(_key(*np.round(vertices * 2.0**20).astype(np.int64).T), return_inverse=True)[1]
 
 
-def _key(*columns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return (n,) one whole number for each row of `columns`, in the order of the rows: sorting
-    those is ten times as fast."""
+def _key(*columns: Ints) -> Ints:
+    """Return (n,) a number for each row of `columns`, in their order: fast to sort."""
     key, size = np.zeros(len(columns[0]), np.int64), 1
     for column in columns:
         from_0 = column - column.min(initial=0)
@@ -97,26 +97,20 @@ def probes(mesh: LabelledMesh, distance: float, *, together: bool = False) -> Pr
     speaker = np.arange(len(counts))
     if together and len(counts) >= FINE_FACES:
         small = np.flatnonzero(areas < SMALL_AREA)
-        speaker[small] = small[
-            _alike(mesh.vertices[mesh.faces[small]].mean(axis=1), normals[small])
+        # in one cell, a fifth as deep along the normal, and facing alike within some 15 degrees
+        centers = mesh.vertices[mesh.faces[small]].mean(axis=1)
+        columns = [
+            *np.floor(centers / TOGETHER).T,
+            *np.round(4.0 * normals[small]).T,
+            np.floor(dot(centers, normals[small]) / (0.2 * TOGETHER)),
         ]
+        key = _key(*(column.astype(np.int64) for column in columns))
+        first, which = np.unique(key, return_index=True, return_inverse=True)[1:]
+        speaker[small] = small[first[which.reshape(-1)]]
         counts[speaker != np.arange(len(counts))] = 0
     face = np.repeat(np.arange(len(counts)), counts)
     points = _spread(mesh.vertices, mesh.faces, counts, normals, distance, len(face))
     return Probes(points, face, speaker)
-
-
-def _alike(centers: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return (n,) for each small face the first that lies in the same cell, a fifth of it as deep
-    along the normal, and looks the same way within some 15 degrees."""
-    columns = [
-        *np.floor(centers / TOGETHER).T,
-        *np.round(4.0 * normals).T,
-        np.floor(dot(centers, normals) / (0.2 * TOGETHER)),
-    ]
-    key = _key(*(column.astype(np.int64) for column in columns))
-    first, which = np.unique(key, return_index=True, return_inverse=True)[1:]
-    return first[which.reshape(-1)]
 
 
 @kernel
@@ -140,7 +134,7 @@ def _spread(vertices, faces, counts, normals, distance, total):
     return points
 
 
-def shown_sides(mesh: LabelledMesh, maps: DepthMaps) -> NDArray[np.intp]:
+def shown_sides(mesh: LabelledMesh, maps: DepthMaps) -> Indices:
     """(2, F) in how many pixels each face is seen from the side of its normal, and from the other.
 
     Zeros where the maps do not say which face is seen.
@@ -169,11 +163,11 @@ def _count_sides(maps, normals, ways, shown):
 def solidified(
     mesh: LabelledMesh,
     where: Probes,
-    free: NDArray[np.bool_],
-    shown: NDArray[np.intp],
+    free: Bools,
+    shown: Indices,
     thickness: float,
-    solid: NDArray[np.bool_] | None = None,
-) -> tuple[LabelledMesh, NDArray[np.bool_]]:
+    solid: Bools | None = None,
+) -> tuple[LabelledMesh, Bools]:
     """Return the mesh with its sheets thickened and its faces turned outwards.
 
     Args:
@@ -210,10 +204,7 @@ def solidified(
 
 
 def _slabs(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    part_of_face: NDArray[np.uint8],
-    thickness: float,
+    vertices: Floats, faces: NDArray[np.int32], part_of_face: Bytes, thickness: float
 ) -> LabelledMesh:
     """Return each face as a slab: two caps, and walls on the edges where the sheet ends or folds.
 
@@ -242,7 +233,7 @@ def _slabs(
     return LabelledMesh(lifted.reshape(-1, 3), all_faces.astype(np.int32), part_of_face[source])
 
 
-def _smooth_pairs(weld: NDArray[np.intp], normals: NDArray[np.float64]) -> NDArray[np.intp]:
+def _smooth_pairs(weld: Indices, normals: Floats) -> Indices:
     """Rows (f, e, g, d): face g goes on smoothly with its edge d over edge e of face f, and the
     other way about; edges 0, 1, 2 run from the corner of that number to the next.
 
@@ -266,9 +257,7 @@ def _smooth_pairs(weld: NDArray[np.intp], normals: NDArray[np.float64]) -> NDArr
     return np.concatenate([rows, rows[:, [2, 3, 0, 1]]])
 
 
-def _mitres(
-    corners: NDArray[np.float64], normals: NDArray[np.float64], pairs: NDArray[np.intp]
-) -> NDArray[np.float64]:
+def _mitres(corners: Floats, normals: Floats, pairs: Indices) -> Floats:
     """(F, 3, 3) where each corner of a face goes as the face is lifted by 1 along its normal.
 
     The same place, or the opposite one, for corners that `_smooth_pairs` joins: along the mean of
@@ -292,11 +281,7 @@ def _mitres(
 
 @kernel
 def _groups(count, pairs, normals):
-    """Find for each of 3 * count corners the first of those joined to it, and on which side it
-    lies.
-
-    The side is -1 where the face's winding is the other way about from that first corner's.
-    """
+    """Find for each corner the first one joined to it, and its side: -1 if wound otherwise."""
     parent = np.empty(3 * count, np.int64)
     side = np.empty(3 * count)
     for c in range(3 * count):
@@ -343,12 +328,12 @@ def _settle(parent, side, c):
     return root
 
 
-def closed(mesh: LabelledMesh) -> NDArray[np.bool_]:
+def closed(mesh: LabelledMesh) -> Bools:
     """Return (F,) which faces belong to a closed piece, see `closed_piece`."""
     return closed_piece(mesh) >= 0
 
 
-def closed_piece(mesh: LabelledMesh) -> NDArray[np.int64]:
+def closed_piece(mesh: LabelledMesh) -> Ints:
     """(F,) a number for the closed piece that each face belongs to, -1 where it belongs to none.
 
     Faces that hang together by corners are a piece. It is closed where along each of its edges as
@@ -395,13 +380,13 @@ def _root(parent, i):
     return i
 
 
-def face_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+def face_normals(vertices: Floats, faces: NDArray[np.int32]) -> Floats:
     """Return (F, 3) unit normals by the right-hand rule of each face's winding."""
     normals = _crosses(vertices[faces])
     return normals / np.maximum(norm(normals), 1e-30)[:, None]
 
 
-def face_areas(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+def face_areas(vertices: Floats, faces: NDArray[np.int32]) -> Floats:
     return 0.5 * norm(_crosses(vertices[faces]))
 
 

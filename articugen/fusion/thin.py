@@ -10,8 +10,8 @@ view's word is checked there by following the ray itself.
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from articugen.core.arrays import Indices
 from articugen.core.geometry import bounds
 from articugen.core.jit import kernel
 from articugen.core.records import LabelledMesh
@@ -42,7 +42,7 @@ class ThinVoxels(NamedTuple):
     first: Any
     resolution: int
 
-    def voxels(self) -> NDArray[np.intp]:
+    def voxels(self) -> Indices:
         """Return (n, 3) the lattice's numbers of those that are marked."""
         return np.argwhere(np.unpackbits(self.bits, axis=2, bitorder="little")) + self.first
 
@@ -65,11 +65,9 @@ def thin_voxels(mesh: LabelledMesh, width: float, bvh: Bvh) -> ThinVoxels:
         where.points[1].astype(np.float32), inwards.astype(np.float32), np.float32(width), bvh
     )
     thin = np.bincount(where.face, weights=has_other_side, minlength=len(mesh.faces)) > 0
-    return _touched(mesh.vertices[mesh.faces[thin]], width) if thin.any() else NOTHING
-
-
-def _touched(corners: NDArray[np.float64], width: float) -> ThinVoxels:
-    """Return the voxels that faces (n, 3, 3) touch."""
+    if not thin.any():
+        return NOTHING
+    corners = mesh.vertices[mesh.faces[thin]]
     box = bounds(corners.reshape(-1, 3))
     edge = float(np.max(box[1] - box[0]))
     resolution = max(4, round(1.0 / max(width, edge / (_MOST_EDGE - 2))))

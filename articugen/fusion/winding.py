@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Bools, Ints
 from articugen.core.jit import helper, inlined, kernel
 from articugen.core.records import LabelledMesh
 from articugen.fusion.solidify import face_normals
@@ -30,9 +31,7 @@ than half of that are one in `solidify.welded`."""
 
 _DOUBT = 1 << 30
 
-_MOST_FACES = 256
-"""Of a convex piece: of more faces a ray meets only a few."""
-
+_MOST_FACES = 256  # of a convex piece: of more faces a ray meets only a few
 _FLAT, _NEAR = 1e-6, 1e-5
 """Unit frame: no corner of a convex piece lies further than the first in front of any of its faces;
 of what is closer than the second to one, rays through all pieces tell."""
@@ -60,7 +59,7 @@ class ClosedPieces(NamedTuple):
     planes: Any
 
 
-def closed_pieces(mesh: LabelledMesh, piece: NDArray[np.int64], tree: Bvh) -> ClosedPieces | None:
+def closed_pieces(mesh: LabelledMesh, piece: Ints, tree: Bvh) -> ClosedPieces | None:
     """Return the closed pieces of `mesh`, for `surely_inside`; None if there is none.
 
     Args:
@@ -131,7 +130,7 @@ def _farthest(corners, first, end, x, y, z):
     return farthest
 
 
-def surely_inside(points: NDArray[np.floating], closed: ClosedPieces) -> NDArray[np.bool_]:
+def surely_inside(points: NDArray[np.floating], closed: ClosedPieces) -> Bools:
     """Return (n,) which of `points` (n, 3) closed pieces surely wind around."""
     return _surely_inside(np.ascontiguousarray(points, np.float64), closed)
 

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from articugen.core.arrays import Bytes, Floats
 from articugen.core.jit import helper, inlined, kernel
 
 LEAF_FACES = 4
@@ -56,12 +56,12 @@ def triangle_table(corners):
     return table
 
 
-def build(corners: NDArray[np.float64], part_of_face: NDArray[np.uint8], parts: int) -> Bvh:
+def build(corners: Floats, part_of_face: Bytes, parts: int) -> Bvh:
     """The trees of `parts` parts over the faces' corners (F, 3, 3), each in its canonical pose."""
     return joined([tree_of(corners[part_of_face == part]) for part in range(parts)])
 
 
-def tree_of(corners: NDArray[np.float64]) -> Bvh:
+def tree_of(corners: Floats) -> Bvh:
     """Return the tree of one part."""
     faces = np.ascontiguousarray(corners)
     order, box, skip, leaf, count = ordered(faces)

@@ -3,11 +3,10 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from articugen.core.arrays import Floats, Ints
 from articugen.core.geometry import points_on_triangles
-from articugen.core.jit import helper, kernel
-from articugen.core.records import Floats
+from articugen.core.jit import dot, helper, kernel, minus, vector
 
 
 def sample(triangles: Floats, count: int, rng: np.random.Generator) -> Floats:
@@ -18,8 +17,7 @@ def sample(triangles: Floats, count: int, rng: np.random.Generator) -> Floats:
     return points_on_triangles(triangles, count, rng=rng)[0]
 
 
-LEAF = 6
-"""So many triangles at most share a box that is not divided further."""
+LEAF = 6  # so many triangles at most share a box that is not divided further
 
 
 def distance(points: Floats, triangles: Floats) -> Floats:
@@ -54,7 +52,7 @@ def _tree(triangles: Floats) -> tuple[Floats, Floats]:
     return corners, boxes
 
 
-def _along_a_curve(points: Floats) -> NDArray[np.int64]:
+def _along_a_curve(points: Floats) -> Ints:
     """(n,) the place of each point (n, 3) on Morton's curve: the bits of its cells, interleaved."""
     low, size = points.min(0), max(float(np.ptp(points, axis=0).max()), 1e-30)
     cell = ((points - low) / size * 1023.0).astype(np.int64)
@@ -69,7 +67,7 @@ def _distances(points, corners, boxes):  # pragma: no cover - compiled
     leaves, nearest = len(boxes) // 2, 0
     waiting, away = np.empty(64, np.int64), np.empty(64)
     for i in range(len(points)):
-        p = points[i, 0], points[i, 1], points[i, 2]
+        p = vector(points, i)
         best = _to_triangle(p, corners, nearest)
         beyond = best * best * (1.0 + 1e-9)  # whatever the rounding
         waiting[0], away[0] = 1, 0.0
@@ -113,21 +111,21 @@ def _to_triangle(p, corners, f):  # noqa: PLR0911  # pragma: no cover - compiled
     a = corners[f, 0, 0], corners[f, 0, 1], corners[f, 0, 2]
     b = corners[f, 1, 0], corners[f, 1, 1], corners[f, 1, 2]
     c = corners[f, 2, 0], corners[f, 2, 1], corners[f, 2, 2]
-    ab, ac, ap = _from(a, b), _from(a, c), _from(a, p)
-    d1, d2 = _dot(ab, ap), _dot(ac, ap)
+    ab, ac, ap = minus(b, a), minus(c, a), minus(p, a)
+    d1, d2 = dot(ab, ap), dot(ac, ap)
     if d1 <= 0.0 and d2 <= 0.0:
-        return math.sqrt(_dot(ap, ap))
-    bp = _from(b, p)
-    d3, d4 = _dot(ab, bp), _dot(ac, bp)
+        return math.sqrt(dot(ap, ap))
+    bp = minus(p, b)
+    d3, d4 = dot(ab, bp), dot(ac, bp)
     if d3 >= 0.0 and d4 <= d3:
-        return math.sqrt(_dot(bp, bp))
+        return math.sqrt(dot(bp, bp))
     vc = d1 * d4 - d3 * d2
     if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
         return _beside(ap, d1 / (d1 - d3), ab, 0.0, ac)
-    cp = _from(c, p)
-    d5, d6 = _dot(ab, cp), _dot(ac, cp)
+    cp = minus(p, c)
+    d5, d6 = dot(ab, cp), dot(ac, cp)
     if d6 >= 0.0 and d5 <= d6:
-        return math.sqrt(_dot(cp, cp))
+        return math.sqrt(dot(cp, cp))
     vb = d5 * d2 - d1 * d6
     if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
         return _beside(ap, 0.0, ab, d2 / (d2 - d6), ac)
@@ -146,13 +144,3 @@ def _beside(point, s, one, t, two):  # pragma: no cover - compiled
     y = point[1] - s * one[1] - t * two[1]
     z = point[2] - s * one[2] - t * two[2]
     return math.sqrt(x * x + y * y + z * z)
-
-
-@helper
-def _from(a, b):  # pragma: no cover - compiled
-    return b[0] - a[0], b[1] - a[1], b[2] - a[2]
-
-
-@helper
-def _dot(a, b):  # pragma: no cover - compiled
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Bools, Ints
 from articugen.core.records import Mesh
 
 _Edge = tuple[int, int]
@@ -33,7 +34,10 @@ def zero_level(field: NDArray[np.floating]) -> Mesh:
     inside = field > 0.0
     if not inside.any():
         return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
-    box, border = _around(inside), 0.0
+    along_x_y = np.any(inside, axis=2)
+    lines = np.any(along_x_y, axis=1), np.any(along_x_y, axis=0), np.any(inside, axis=(0, 1))
+    there = [np.flatnonzero(line)[[0, -1]].tolist() for line in lines]
+    box, border = tuple(slice(max(low - 1, 0), high + 2) for low, high in there), 0.0  # and around
     if any(side.start == 0 or side.stop > len(field) for side in box):
         border = max(float(field.max()), -float(field.min()), 1.0)
     padded = np.pad(field[box], 1, constant_values=-border)
@@ -48,15 +52,7 @@ def zero_level(field: NDArray[np.floating]) -> Mesh:
     return Mesh((position - 0.5) / len(field) - 0.5, faces.reshape(-1, 3).astype(np.int32))
 
 
-def _around(inside: NDArray[np.bool_]) -> tuple[slice, ...]:
-    """What is inside, and one sample more on each side that the grid has."""
-    along_x_y = np.any(inside, axis=2)
-    lines = np.any(along_x_y, axis=1), np.any(along_x_y, axis=0), np.any(inside, axis=(0, 1))
-    there = [np.flatnonzero(line)[[0, -1]].tolist() for line in lines]
-    return tuple(slice(max(low - 1, 0), high + 2) for low, high in there)
-
-
-def _crossed_edges(inside: NDArray[np.bool_], strides: NDArray[np.int64]) -> NDArray[np.int64]:
+def _crossed_edges(inside: Bools, strides: Ints) -> Ints:
     """(F, 3): the edge that each corner of each triangle lies on, 3 * its lower sample + axis."""
     corners = np.array(list(itertools.product((0, 1), repeat=3)))
     X, Y, Z = (n - 1 for n in inside.shape)
@@ -70,16 +66,6 @@ def _crossed_edges(inside: NDArray[np.bool_], strides: NDArray[np.int64]) -> NDA
     lower = corners[[corner for corner, _ in _EDGES]] @ strides
     key = 3 * lower + np.repeat(np.arange(3), 4)
     return 3 * first[:, None] + key[triangles[there]]
-
-
-def _faces() -> list[list[int]]:
-    """Return the corners of each face of a cell, counter-clockwise as seen from outside."""
-    rings = []
-    for axis, step in enumerate(_STEPS):
-        one, two = _STEPS[(axis + 1) % 3], _STEPS[(axis + 2) % 3]
-        lower = [0, one, one + two, two]
-        rings += [lower[::-1], [corner + step for corner in lower]]
-    return rings
 
 
 def _loops(case: int, faces: Sequence[Sequence[int]]) -> list[list[_Edge]]:
@@ -113,8 +99,7 @@ def _edge(a: int, b: int) -> _Edge:
 
 
 def _triangles(loop: Sequence[_Edge], faces: Sequence[Sequence[int]]) -> list[_Triangle] | None:
-    """Return a loop as triangles without a chord in a face, which the next cell could have too;
-    None if there are none."""
+    """Return a loop as triangles without a chord in a face, as the next cell may have; or None."""
     if len(loop) == 2:
         return []
     for k in range(1, len(loop) - 1):
@@ -127,10 +112,13 @@ def _triangles(loop: Sequence[_Edge], faces: Sequence[Sequence[int]]) -> list[_T
     return None
 
 
-def _table() -> NDArray[np.int64]:
-    """Return (256, 5, 3) the edges at the corners of the triangles of each case, -1 where there are
-    fewer than five."""
-    faces, table = _faces(), np.full((256, 5, 3), -1)
+def _table() -> Ints:
+    """Return (256, 5, 3) the edges at the corners of each case's triangles, -1 for none."""
+    faces, table = [], np.full((256, 5, 3), -1)
+    for axis, step in enumerate(_STEPS):  # corners counter-clockwise as seen from outside
+        one, two = _STEPS[(axis + 1) % 3], _STEPS[(axis + 2) % 3]
+        lower = [0, one, one + two, two]
+        faces += [lower[::-1], [corner + step for corner in lower]]
     for case in range(256):
         for_each_loop = (_triangles(loop, faces) or [] for loop in _loops(case, faces))
         for n, triangle in enumerate(itertools.chain(*for_each_loop)):

@@ -11,20 +11,13 @@ MESH_FORMATS = (".ply", ".obj", ".stl", ".glb")
 
 
 def check_format(path: Path) -> None:
-    """
-    Raises:
-        ArticugenError: its ending names no format that meshes are written in.
-    """
+    """Raise ArticugenError where its ending names no format that meshes are written in."""
     if path.suffix not in MESH_FORMATS:
         raise ArticugenError(f"{path}: choose one of {', '.join(MESH_FORMATS)}")
 
 
 def export(mesh: Mesh, path: Path) -> None:
-    """Write a mesh as it is, in the format that the ending of `path` names.
-
-    Raises:
-        ArticugenError: there is no such format, or the file cannot be written.
-    """
+    """Write a mesh in the format that the ending of `path` names; ArticugenError if it cannot."""
     check_format(path)
     try:
         trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(path)

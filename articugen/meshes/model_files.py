@@ -9,6 +9,7 @@ Only regular files are read, and none whose size has not been looked at.
 import errno
 import hashlib
 import os
+import re
 import stat
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,12 +18,11 @@ from articugen.core.errors import InvalidSource, machine_fault
 from articugen.core.files import read_regular
 from articugen.meshes.xml_strict import parse_xml
 
-MAX_FILE_BYTES = 128 * 2**20
-"""No file of a model is larger; the largest real ones are a few MiB."""
-MAX_MODEL_BYTES = 256 * 2**20
-"""Nor are all files of a model together."""
+MAX_FILE_BYTES = 128 * 2**20  # no file of a model is larger; the largest real ones are a few MiB
+MAX_MODEL_BYTES = 256 * 2**20  # nor are all files of a model together
 MAX_TEXT_BYTES = 4 * 2**20
 """Nor are the files that describe it: URDF, JSON, package.xml; the largest real one has 1 MiB."""
+MAX_HEADER_BYTES = 2**16  # of a PLY
 MAX_NAME_BYTES = 255
 """Of a file on most file systems, and of what a shard calls an object, a joint or a part."""
 
@@ -66,7 +66,14 @@ class ModelFiles:
             MachineFault, MemoryError: the disk does not answer, or the like.
         """
         by = f"{by or self.folder}: file {quoted(name)}"
-        _check_name(name, by)
+        try:
+            longest = max(map(len, name.encode().split(b"/")))
+        except UnicodeEncodeError:  # a lone surrogate
+            longest = 0
+        if not longest or "\0" in name:
+            raise InvalidSource(f"{by} is no name of a file; correct it")
+        if longest > MAX_NAME_BYTES:
+            raise InvalidSource(f"{by} has a name of more than {MAX_NAME_BYTES} bytes; shorten it")
         scheme, separator, rest = name.partition("://")
         if not separator:
             return self._find_path(name, by)
@@ -74,7 +81,11 @@ class ModelFiles:
             return self._find_path(rest, by)
         if scheme == "package":
             package, _, inside = rest.partition("/")
-            folder = self._package(package, by)
+            if package in ("", ".", ".."):
+                raise InvalidSource(f"{by} has no name of a package after package://; add it")
+            if package not in self._packages:
+                self._packages[package] = self._search_package(package, by)
+            folder = self._packages[package]
             return _existing(_confined(folder / inside, folder, by))
         if scheme in ("http", "https", "ftp"):
             raise InvalidSource(
@@ -133,26 +144,17 @@ class ModelFiles:
             path = Path(path.name)
         return _existing(_confined(self.folder / path, self.root, by))
 
-    def _package(self, name: str, by: str) -> Path:
-        """The folder of a ROS package: one above, up to `top`, whose package.xml says so, or one in
-        the root.
+    def _search_package(self, name: str, by: str) -> Path:
+        """Find the folder of a ROS package: one above, up to `top`, whose package.xml says so, or
+        one in the root.
 
         A folder that is merely called like the package counts only where it cannot lead out: the
         root, a folder between it and the URDF, or a folder directly in the root.
         """
-        if name in ("", ".", ".."):
-            raise InvalidSource(f"{by} has no name of a package after package://; add it")
-        if name not in self._packages:
-            self._packages[name] = self._search_package(name, by)
-        return self._packages[name]
-
-    def _may_be_package(self, folder: Path) -> bool:
-        return folder.is_relative_to(self.top) or folder.is_relative_to(self.root)
-
-    def _search_package(self, name: str, by: str) -> Path:
         ancestors = (self.folder, *self.folder.parents)
-        for folder in (f for f in ancestors if self._may_be_package(f)):
-            if _package_name(folder / "package.xml") == name:
+        for folder in ancestors:
+            may_be = folder.is_relative_to(self.top) or folder.is_relative_to(self.root)
+            if may_be and _package_name(folder / "package.xml") == name:
                 return folder
         for folder in ancestors:
             if folder.name == name and folder.is_relative_to(self.root):
@@ -184,12 +186,7 @@ class FilesInMemory(ModelFiles):
 
 
 def read_source(path: Path, most_bytes: int) -> bytes:
-    """The bytes of a regular file of at most `most_bytes`.
-
-    Raises:
-        InvalidSource: it is none, or cannot be read.
-        MachineFault, MemoryError: the disk does not answer, or the like.
-    """
+    """Return the bytes of a regular file; InvalidSource if it is none; or MachineFault."""
     try:
         return read_regular(path, most_bytes)
     except OSError as error:
@@ -204,20 +201,28 @@ def unreadable(path: Path, error: OSError) -> Exception:
     )
 
 
+def claimed_rows(data: bytes) -> dict[str, int]:
+    """Return how many rows of each element the header of a PLY file claims, by the element's name.
+
+    A row takes at least one byte a property, so that no header can claim more rows than the file
+    has bytes.
+
+    Raises:
+        ValueError: there is no header, or it claims more than that.
+    """
+    end = data.find(b"end_header", 0, MAX_HEADER_BYTES)
+    header = data[: end + 1].decode("ascii", "replace")
+    if not header.startswith("ply"):
+        raise ValueError("has no PLY header")
+    claimed = {name: float(count) for name, count in re.findall(r"element (\w+) (\d+)", header)}
+    if any(count > len(data) for count in claimed.values()):
+        raise ValueError("its PLY header claims more than the file holds")
+    return {name: int(count) for name, count in claimed.items()}
+
+
 def quoted(text: str) -> str:
     """A stranger's text in quotes, on one line and not too long."""
     return repr(text if len(text) <= 100 else f"{text[:97]}...")
-
-
-def _check_name(name: str, by: str) -> None:
-    try:
-        longest = max(map(len, name.encode().split(b"/")))
-    except UnicodeEncodeError:  # a lone surrogate
-        longest = 0
-    if not longest or "\0" in name:
-        raise InvalidSource(f"{by} is no name of a file; correct it")
-    if longest > MAX_NAME_BYTES:
-        raise InvalidSource(f"{by} has a name of more than {MAX_NAME_BYTES} bytes; shorten it")
 
 
 def _confined(path: Path, folder: Path, by: str) -> Path:

@@ -7,6 +7,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from articugen.core.arrays import Floats
+
 
 @dataclass(frozen=True, eq=False)
 class Visual:
@@ -45,7 +47,7 @@ class Joint:
     upper: float = 0.0
 
 
-def obj_text(pieces: Iterable[tuple[NDArray[np.float64], NDArray[np.integer]]]) -> str:
+def obj_text(pieces: Iterable[tuple[Floats, NDArray[np.integer]]]) -> str:
     """Return one OBJ file of meshes (vertices (n, 3), triangles (m, 3)).
 
     To nanometres: finer than any use, coarser than the last bits in which machines differ.

@@ -11,20 +11,19 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from articugen.core.arrays import Floats
 from articugen.core.errors import InvalidSource
 from articugen.core.files import read_regular
 from articugen.core.records import Normalization
 from articugen.core.seeding import generator
-from articugen.meshes.distances import Floats, sample
-from articugen.meshes.ply import claimed_rows
+from articugen.meshes.distances import sample
+from articugen.meshes.model_files import claimed_rows
 
 FEWEST_POINTS = 64
 LONGEST_EDGE = 0.9
 """Of an object over all its joint states in the unit frame, as data sets are made."""
 
-MOST_BYTES = 1 << 28
-"""That a file of points may have, and what it unpacks to."""
-
+MOST_BYTES = 1 << 28  # that a file of points may have, and what it unpacks to
 UNIT = Normalization(np.zeros(3), 1.0)
 
 _SMALLEST_EDGE, _FARTHEST_MIDDLE = 0.3, 0.25
@@ -60,17 +59,19 @@ def cloud_of_file(path: Path, *, fit: bool = False) -> Cloud:
     stored = numbers_of_file(path)
     name = str(path)
     points = _finite(stored, name)
-    frame = _box_frame(points, name) if fit else UNIT
+    frame = UNIT
+    if fit:
+        low, high = points.min(0), points.max(0)
+        edge = float((high - low).max())
+        if edge == 0.0:
+            raise InvalidSource(f"{name}: all its points are one")
+        frame = Normalization((low + high) / 2.0, edge / LONGEST_EDGE)
     points = generator(0, "cloud").permutation(checked(frame.to_unit(points), name))
     return Cloud(points, frame, _hint(points, name))
 
 
 def numbers_of_file(path: Path) -> Floats:
-    """The array that a PLY, .npy, .npz or .xyz file holds, whatever its shape, in its own frame.
-
-    Raises:
-        InvalidSource: it cannot be read.
-    """
+    """Return the array that a PLY, .npy, .npz or .xyz file holds, its frame; or InvalidSource."""
     read = _READERS.get(path.suffix.lower())
     if read is None:
         known = ", ".join(_READERS)
@@ -90,11 +91,7 @@ def numbers_of_file(path: Path) -> Floats:
 
 
 def checked(cloud: Floats, name: str) -> Floats:
-    """Return the cloud (n, 3), if it is one that can be made sense of.
-
-    Raises:
-        InvalidSource: too few points, numbers that are not finite, or points outside the unit cube.
-    """
+    """Return the cloud (n, 3); InvalidSource if few, not finite or out of the cube."""
     _finite(cloud, name)
     if np.abs(cloud).max() > 0.5:
         raise InvalidSource(
@@ -116,14 +113,6 @@ def _finite(cloud: Floats, name: str) -> Floats:
         bad = int((~np.isfinite(cloud)).any(1).sum())
         raise InvalidSource(f"{name}: {bad} points are not finite numbers; remove them")
     return cloud
-
-
-def _box_frame(points: Floats, name: str) -> Normalization:
-    low, high = points.min(0), points.max(0)
-    edge = float((high - low).max())
-    if edge == 0.0:
-        raise InvalidSource(f"{name}: all its points are one")
-    return Normalization((low + high) / 2.0, edge / LONGEST_EDGE)
 
 
 def _hint(points: Floats, name: str) -> str:

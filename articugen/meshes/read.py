@@ -15,18 +15,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from articugen.core.arrays import Floats, Ints
 from articugen.core.errors import InvalidSource
 from articugen.core.portable import cos, sin
 from articugen.core.records import Mesh
 from articugen.meshes import scenes
 from articugen.meshes.model_files import ModelFiles, quoted
 
-MAX_LINE_BYTES = 2**20
-"""Of an OBJ: a face with so many corners is none."""
+MAX_LINE_BYTES = 2**20  # of an OBJ: a face with so many corners is none
 MAX_COORDINATE = 1e9
 """Largest absolute coordinate; beyond it differences lose everything smaller than 0.1 um."""
 
-_Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
+_Arrays = tuple[Floats, Ints]
 
 
 _HASHED_ONLY = ContextVar("_HASHED_ONLY", default=False)
@@ -106,11 +106,7 @@ def read_mesh(path: Path, files: ModelFiles | None = None) -> Mesh:
 
 
 def checked(vertices: NDArray[np.floating], faces: NDArray[np.integer], path: Path) -> Mesh:
-    """`Mesh` of (V, 3) vertices and (F, 3) faces that came from a stranger.
-
-    Raises:
-        EmptyMesh, InvalidSource: as `read_mesh`.
-    """
+    """Make a `Mesh` of (V, 3) vertices and (F, 3) faces of a stranger; raises as `read_mesh`."""
     vertices = np.asarray(vertices, np.float64).reshape(-1, 3)
     faces = np.asarray(faces, np.int64).reshape(-1, 3)
     scenes.check_size(path, faces=len(faces), vertices=len(vertices))
@@ -133,11 +129,7 @@ def checked(vertices: NDArray[np.floating], faces: NDArray[np.integer], path: Pa
 
 
 def box(size: ArrayLike) -> Mesh:
-    """A closed box of edge lengths `size` (3,), centred on the origin.
-
-    Raises:
-        ValueError: a length is not above 0.
-    """
+    """Return a closed box of edges `size` (3,), about the origin; ValueError if one is not > 0."""
     if not (np.asarray(size) > 0.0).all():
         raise ValueError(f"a box of the size {np.asarray(size)}; each length must be above 0")
     corners = np.array([[(i >> 2) & 1, (i >> 1) & 1, i & 1] for i in range(8)]) - 0.5
@@ -191,7 +183,7 @@ def scaled(mesh: Mesh, scale: ArrayLike) -> Mesh:
     return Mesh(mesh.vertices * np.asarray(scale), mesh.faces[:, ::-1] if mirrored else mesh.faces)
 
 
-def fans(corners: NDArray[np.integer], counts: NDArray[np.integer]) -> NDArray[np.int64]:
+def fans(corners: NDArray[np.integer], counts: NDArray[np.integer]) -> Ints:
     """Triangles (F, 3) of polygons, each a fan about its first corner.
 
     Args:
@@ -205,7 +197,7 @@ def fans(corners: NDArray[np.integer], counts: NDArray[np.integer]) -> NDArray[n
     return np.asarray(corners, np.int64)[picked]
 
 
-def _lathe(radii: NDArray[np.float64], heights: NDArray[np.float64], sections: int) -> Mesh:
+def _lathe(radii: Floats, heights: Floats, sections: int) -> Mesh:
     """The closed surface of a profile turned about z: radius 0 at both ends, heights ascending."""
     turn = 2.0 * np.pi * np.arange(sections) / sections
     ring = np.stack([cos(turn), sin(turn), np.zeros(sections)], axis=1)
@@ -231,7 +223,10 @@ _OBJ_POLYGON = re.compile(rb"\nf(?=\s)([^\n#]*)")
 def _read_obj(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
     """Read `v` and `f` lines, also with texture and normal indices, polygons, negative (relative)
     indices, continued lines and comments. Everything else is ignored."""
-    data = _obj_text(data)
+    data = data.removeprefix(codecs.BOM_UTF8)
+    if b"\\" in data:
+        data = re.sub(rb"\\\r?\n", b" ", data)
+    data = re.sub(rb"\n[ \t\v\f]+", b"\n", b"\n%b\n" % data.replace(b"\r", b"\n"))
     if data.count(b"\nv") > scenes.MAX_VERTICES or data.count(b"\nf") > scenes.MAX_FACES:
         vertices, faces = (
             sum(data.count(b"\n%b%c" % (kind, blank)) for blank in _BLANKS) for kind in (b"v", b"f")
@@ -261,17 +256,8 @@ _BLANKS = b" \t\v\f\n"
 _IS_BLANK = np.isin(np.arange(256), list(_BLANKS))
 
 
-def _obj_text(data: bytes) -> bytes:
-    """Return lines that begin and end with a newline: none continued, none indented."""
-    data = data.removeprefix(codecs.BOM_UTF8)
-    if b"\\" in data:
-        data = re.sub(rb"\\\r?\n", b" ", data)
-    return re.sub(rb"\n[ \t\v\f]+", b"\n", b"\n%b\n" % data.replace(b"\r", b"\n"))
-
-
-def _words(text: bytes, path: Path) -> NDArray[np.int64]:
-    """Count the words of each line; refused where their polygons are too large, before room is made
-    for any."""
+def _words(text: bytes, path: Path) -> Ints:
+    """Count the words of each line; polygons that are too large are refused before room is made."""
     letters = np.frombuffer(text, np.uint8)
     first = np.flatnonzero(letters == ord("\n"))
     longest = int(np.diff(first, append=len(letters)).max())

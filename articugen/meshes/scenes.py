@@ -13,12 +13,11 @@ from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
-from numpy.typing import NDArray
 
+from articugen.core.arrays import Floats, Ints
 from articugen.core.errors import InvalidSource, machine_fault
 from articugen.core.geometry import apply
-from articugen.meshes.model_files import ModelFiles, quoted
-from articugen.meshes.ply import claimed_rows
+from articugen.meshes.model_files import ModelFiles, claimed_rows, quoted
 from articugen.meshes.xml_strict import parse_xml, tostring
 
 MAX_FACES = 1_000_000
@@ -28,7 +27,7 @@ MAX_VERTICES = 3 * MAX_FACES
 _MAX_NODES = 10_000  # of a scene
 _MAX_DEPTH = 100  # of nodes that instance others
 
-_Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
+_Arrays = tuple[Floats, Ints]
 
 
 def read_ply(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
@@ -57,8 +56,10 @@ def read_dae(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
     if root.find(".//{*}instance_controller") is not None:
         raise _broken(path, "has skinned meshes, which are not read")
     _check_dae_size(root, path)
-    without_looks = _without(root, *_LOOKS)
-    vertices, faces = _through_trimesh(tostring(without_looks), path, ignore_broken=False)
+    for name in _LOOKS:
+        for element in root.findall(f".//{{*}}{name}"):
+            element.getparent().remove(element)
+    vertices, faces = _through_trimesh(tostring(root), path, ignore_broken=False)
     return vertices * meter, faces
 
 
@@ -68,13 +69,6 @@ _LOOKS = (
     *("library_animations", "extra"),
 )
 """Elements of COLLADA that say nothing of triangles; trimesh would look for textures."""
-
-
-def _without(root: Any, *names: str) -> Any:
-    for name in names:
-        for element in root.findall(f".//{{*}}{name}"):
-            element.getparent().remove(element)
-    return root
 
 
 def _check_dae_size(root: Any, path: Path) -> None:
@@ -172,10 +166,9 @@ def _through_trimesh(data: bytes, path: Path, **options: Any) -> _Arrays:
 
 
 def _baked(scene: Any, path: Path, kind: type) -> _Arrays:
-    """All triangles of a scene in its world frame, of geometries of that `kind`; mirrored nodes
-    keep their outside outside."""
-    vertices: list[NDArray[np.float64]] = [np.zeros((0, 3))]
-    faces: list[NDArray[np.int64]] = [np.zeros((0, 3), np.int64)]
+    """Return all triangles of a scene, world frame; mirrored nodes keep their outside outside."""
+    vertices: list[Floats] = [np.zeros((0, 3))]
+    faces: list[Ints] = [np.zeros((0, 3), np.int64)]
     offset = total = 0
     for node in scene.graph.nodes_geometry:
         T, name = scene.graph[node]
@@ -217,24 +210,20 @@ def _check_gltf(text: bytes, path: Path, files: ModelFiles) -> _Buffers:
         if not isinstance(name, str):
             raise _broken(path, f"the uri of a buffer is {name!r}, not a text"[:200])
         if not name.startswith("data:"):
-            buffers[name] = _buffer(name, path, files)
+            inside = unquote(name)
+            if "\0" not in inside:
+                inside = os.path.relpath(path.resolve().parent / inside, files.folder)
+            file = files.find(inside, f"{path}: buffer {quoted(name)}")
+            if file is None:
+                raise InvalidSource(
+                    f"{path}: its buffer {quoted(name)} is missing; put it beside it"
+                )
+            buffers[name] = files.read(file)
     return buffers
 
 
-def _buffer(name: str, path: Path, files: ModelFiles) -> bytes:
-    """Return a file that a glTF document names; `name` is relative to the document."""
-    inside = unquote(name)
-    if "\0" not in inside:
-        inside = os.path.relpath(path.resolve().parent / inside, files.folder)
-    file = files.find(inside, f"{path}: buffer {quoted(name)}")
-    if file is None:
-        raise InvalidSource(f"{path}: its buffer {quoted(name)} is missing; put it beside it")
-    return files.read(file)
-
-
 def _check_triangles(document: dict[str, Any], path: Path) -> list[int]:
-    """Return the triangles of each mesh. Positions are plain floats that lie in a buffer;
-    compressed or sparse ones are refused."""
+    """Return the triangles of each mesh; positions must be plain floats in a buffer."""
     faces = []
     for mesh in document.get("meshes", []):
         faces.append(0)
@@ -274,11 +263,7 @@ def _check_nodes(nodes: list[dict[str, Any]], faces: list[int], path: Path) -> N
 
 
 def check_size(path: Path, *, faces: float = 0, vertices: float = 0) -> None:
-    """Refuse a mesh of too many triangles or vertices, best before any is made.
-
-    Raises:
-        InvalidSource: there are more than MAX_FACES or MAX_VERTICES.
-    """
+    """Raise InvalidSource for too many triangles or vertices, best before any is made."""
     if faces > MAX_FACES or vertices > MAX_VERTICES:
         raise InvalidSource(
             f"{path}: more than {MAX_FACES:,} triangles or {MAX_VERTICES:,} vertices; simplify it"

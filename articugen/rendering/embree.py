@@ -7,8 +7,9 @@ good to 5e-7 in the unit frame; on surfaces seen at a grazing angle they can be 
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Floats
 from articugen.core.geometry import apply, invert_rigid
-from articugen.core.records import DepthMaps, Floats, LabelledMesh, Views
+from articugen.core.records import DepthMaps, LabelledMesh, Views
 from articugen.rendering.foreign import depth_ranges, import_library, unseen
 
 

@@ -6,8 +6,9 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Floats
 from articugen.core.errors import MissingDriver, MissingExtra
-from articugen.core.records import Floats, LabelledMesh, Views
+from articugen.core.records import LabelledMesh, Views
 
 MARGIN = 1e-3
 """Room (unit frame) between the mesh and the planes that bound it: none of it is cut off."""

@@ -3,10 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.core.colours import colour_of
+from articugen.core.arrays import Bools
+from articugen.core.colours import PALETTE
 from articugen.core.geometry import cross
 from articugen.core.portable import dot, norm, power, turned
-from articugen.core.records import Floats, LabelledMesh, Views
+from articugen.core.records import LabelledMesh, Views
 from articugen.rendering import rasterizer
 
 _GAMMA = 2.2
@@ -14,12 +15,11 @@ _GAMMA = 2.2
 _LAMP = np.array([-0.48, -0.64, -0.6])
 """Towards the lamp, over the viewer's left shoulder, in the camera's axes; of unit length."""
 
-_SKY, _DIRECT = 0.4, 0.6
-"""How much of the light comes from all around, and from the lamp."""
+_SKY, _DIRECT = 0.4, 0.6  # how much of the light comes from all around, and from the lamp
 
 
 def images(
-    mesh: LabelledMesh, views: Views, wanted: tuple[str, ...], *, closed: NDArray[np.bool_]
+    mesh: LabelledMesh, views: Views, wanted: tuple[str, ...], *, closed: Bools
 ) -> dict[str, NDArray]:
     """Draw the `wanted` images of each of V cameras, by name.
 
@@ -45,43 +45,24 @@ def images(
         out["part"] = _filled(hit, part + 1)
     if "normal" in wanted or "rgba" in wanted:
         view = np.nonzero(hit)[0]
-        normals = _towards_cameras(mesh, views, face, view)
+        corners = mesh.vertices[mesh.faces[face]]
+        across = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        R, t = views.T_camera_world[:, :3, :3], views.T_camera_world[:, :3, 3]
+        eyes = -np.stack([turned(rotation.T, at) for rotation, at in zip(R, t, strict=True)])
+        away = dot(across, eyes[view] - corners[:, 0]) < 0.0
+        normals = np.where(away[:, None], -across, across) / norm(across)[:, None]
         out["normal"] = _filled(hit, np.round(127.0 * normals).astype(np.int8))
-        light = _SKY + _DIRECT * np.maximum(dot(normals, _lamps(views)[view]), 0.0)
-        out["rgba"] = _filled(hit, np.concatenate([_shaded(part, light), _opaque(face)], axis=1))
+        lamps = np.stack([turned(rotation.T, _LAMP) for rotation in R])
+        light = _SKY + _DIRECT * np.maximum(dot(normals, lamps[view]), 0.0)
+        linear = power(PALETTE / 255.0, _GAMMA)[part] * light[:, None]
+        rgba = np.full((len(face), 4), 255, np.uint8)
+        rgba[:, :3] = np.round(255.0 * power(np.minimum(linear, 1.0), 1.0 / _GAMMA))
+        out["rgba"] = _filled(hit, rgba)
     return {name: out[name] for name in wanted}
 
 
-def _filled(hit: NDArray[np.bool_], values: NDArray) -> NDArray:
+def _filled(hit: Bools, values: NDArray) -> NDArray:
     """Images of `values` where something is seen, in the order of the pixels, else 0."""
     image = np.zeros((*hit.shape, *values.shape[1:]), values.dtype)
     image[hit] = values
     return image
-
-
-def _towards_cameras(
-    mesh: LabelledMesh, views: Views, face: NDArray[np.int32], view: NDArray[np.intp]
-) -> Floats:
-    """Return (n, 3) the unit normals of faces (n,), turned towards the views (n,) that see them."""
-    corners = mesh.vertices[mesh.faces[face]]
-    across = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    R, t = views.T_camera_world[:, :3, :3], views.T_camera_world[:, :3, 3]
-    eyes = -np.stack([turned(rotation.T, at) for rotation, at in zip(R, t, strict=True)])
-    away = dot(across, eyes[view] - corners[:, 0]) < 0.0
-    return np.where(away[:, None], -across, across) / norm(across)[:, None]
-
-
-def _lamps(views: Views) -> Floats:
-    """Return (V, 3) towards the lamp of each view, unit frame."""
-    return np.stack([turned(T[:3, :3].T, _LAMP) for T in views.T_camera_world])
-
-
-def _shaded(part: NDArray[np.uint8], light: Floats) -> NDArray[np.uint8]:
-    """Return (n, 3) sRGB of parts (n,) in so much light (n,)."""
-    codes = np.array([list(bytes.fromhex(colour_of(k)[1:])) for k in range(256)])
-    linear = power(codes / 255.0, _GAMMA)[part] * light[:, None]
-    return np.round(255.0 * power(np.minimum(linear, 1.0), 1.0 / _GAMMA)).astype(np.uint8)
-
-
-def _opaque(face: NDArray[np.int32]) -> NDArray[np.uint8]:
-    return np.full((len(face), 1), 255, np.uint8)

@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.core.records import DepthMaps, Floats, LabelledMesh, Views
+from articugen.core.arrays import Floats
+from articugen.core.records import DepthMaps, LabelledMesh, Views
 from articugen.rendering.foreign import depth_ranges, import_library, missing_driver, unseen
 
 

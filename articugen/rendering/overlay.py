@@ -5,8 +5,8 @@ kept: with the faces' planes they say the depth more exactly than a depth map.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from articugen.core.arrays import Bools
 from articugen.core.records import DepthMaps, LabelledMesh
 from articugen.rendering.rasterizer import Below, draw
 
@@ -22,7 +22,7 @@ class Overlay:
         self._below = Below(fixed.depth, fixed.face, np.zeros((len(fixed.views), 4), np.int64))
         self._face = fixed.face.copy()
 
-    def draw(self, mesh: LabelledMesh, *, closed: NDArray[np.bool_], first_face: int) -> DepthMaps:
+    def draw(self, mesh: LabelledMesh, *, closed: Bools, first_face: int) -> DepthMaps:
         """The faces seen, which hold until the next call; face f of `mesh` is `first_face + f`.
 
         Args:

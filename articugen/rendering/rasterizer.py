@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Bools, Ints
 from articugen.core.geometry import apply
 from articugen.core.jit import helper, inlined, kernel
 from articugen.core.records import DepthMaps, LabelledMesh, Views
@@ -23,11 +24,7 @@ LARGEST_PIXEL = 1 << 15
 
 
 def render(
-    mesh: LabelledMesh,
-    views: Views,
-    *,
-    closed: NDArray[np.bool_] | None = None,
-    keep_depth: bool = True,
+    mesh: LabelledMesh, views: Views, *, closed: Bools | None = None, keep_depth: bool = True
 ) -> DepthMaps:
     """Return the depth maps of `mesh` from `views`, with the face seen at each pixel.
 
@@ -61,7 +58,7 @@ class Below:
 
     depth: NDArray[np.float32]
     face: NDArray[np.int32]
-    drawn: NDArray[np.int64]
+    drawn: Ints
 
 
 _NOTHING = Below(
@@ -72,7 +69,7 @@ _NOTHING = Below(
 def draw(
     mesh: LabelledMesh,
     views: Views,
-    closed: NDArray[np.bool_],
+    closed: Bools,
     depth: NDArray[np.float32],
     face: NDArray[np.int32],
     *,
@@ -94,9 +91,8 @@ def draw(
         nearest = (apply(T, mesh.vertices)[:, 2].min(initial=np.inf) for T in views.T_camera_world)
         if any(z <= 1e-6 for z in nearest):
             raise ValueError("a vertex lies behind a pinhole camera: move the camera back")
-    intrinsics = np.stack([views.fx, views.fy, views.cx, views.cy], axis=1)
     if not _draw(
-        mesh.vertices, mesh.faces, closed, views.T_camera_world, intrinsics, pinhole,
+        mesh.vertices, mesh.faces, closed, views.T_camera_world, views.intrinsics, pinhole,
         first_face, depth, face, below.depth, below.face, below.drawn,
     ):  # fmt: skip
         raise ValueError(f"a vertex projects more than {LARGEST_PIXEL} pixels outside the image")
@@ -206,8 +202,7 @@ def _project(x, y, z, camera, pinhole, width, height, u, v, centres):
 
 @helper
 def _between(at, half, last):
-    """2 i on the centre of pixel i, 2 i + 1 between it and the next; of an image's two sides all
-    that lies beyond is one place, -1 or `last`."""
+    """Return 2 i on the centre of pixel i, 2 i + 1 between two; -1 or `last` beyond the image."""
     bits = np.int32(SUBPIXEL_BITS)
     place = ((at + half - np.int32(1)) >> bits) + ((at - half) >> bits)
     return min(max(place, np.int32(-1)), last)

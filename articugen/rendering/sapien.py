@@ -40,7 +40,12 @@ def render(mesh: LabelledMesh, views: Views) -> DepthMaps:
     scene = _empty_scene(sapien)
     camera = sapien.render.RenderCameraComponent(views.width, views.height)
     body = sapien.render.RenderBodyComponent()
-    body.attach(_two_sided_shape(sapien, mesh))
+    vertices = mesh.vertices.astype(np.float32)
+    # each triangle in both windings, since SAPIEN always culls back faces
+    triangles = np.concatenate([mesh.faces, mesh.faces[:, ::-1]]).astype(np.uint32)
+    normals, uv = np.zeros_like(vertices), np.zeros_like(vertices[:, :2])
+    material = sapien.render.RenderMaterial()
+    body.attach(sapien.render.RenderShapeTriangleMesh(vertices, triangles, normals, uv, material))
     entities = [_entity(sapien, camera), _entity(sapien, body)]
     for entity in entities:
         scene.add_entity(entity)
@@ -48,7 +53,13 @@ def render(mesh: LabelledMesh, views: Views) -> DepthMaps:
         for k, (near, far) in enumerate(ranges):
             T_world_camera = invert_rigid(views.T_camera_world[k])
             camera.entity.set_pose(sapien.Pose(T_world_camera @ CV_FROM_SAPIEN))
-            _set_projection(camera, views, k, near, far)
+            fx, fy, cx, cy = views.fx[k], views.fy[k], views.cx[k], views.cy[k]
+            if views.projection == "pinhole":
+                camera.set_perspective_parameters(near, far, fx, fy, cx, cy, 0.0)
+            else:
+                left, right = -cx / fx, (views.width - cx) / fx
+                bottom, top = (cy - views.height) / fy, cy / fy
+                camera.set_orthographic_parameters(near, far, left, right, bottom, top)
             scene.update_render()
             camera.take_picture()
             position = camera.get_picture("Position")  # (H, W, 4): right, up, back; depth buffer
@@ -72,23 +83,3 @@ def _entity(sapien: ModuleType, component: Any) -> Any:
     entity = sapien.Entity()
     entity.add_component(component)
     return entity
-
-
-def _two_sided_shape(sapien: ModuleType, mesh: LabelledMesh) -> Any:
-    """Return the mesh with each triangle in both windings, since SAPIEN always culls back faces."""
-    vertices = mesh.vertices.astype(np.float32)
-    triangles = np.concatenate([mesh.faces, mesh.faces[:, ::-1]]).astype(np.uint32)
-    normals, uv = np.zeros_like(vertices), np.zeros_like(vertices[:, :2])
-    material = sapien.render.RenderMaterial()
-    return sapien.render.RenderShapeTriangleMesh(vertices, triangles, normals, uv, material)
-
-
-def _set_projection(camera: Any, views: Views, k: int, near: float, far: float) -> None:
-    """The intrinsics of view k; SAPIEN's orthographic bounds count x to the right and y up."""
-    fx, fy, cx, cy = views.fx[k], views.fy[k], views.cx[k], views.cy[k]
-    if views.projection == "pinhole":
-        camera.set_perspective_parameters(near, far, fx, fy, cx, cy, 0.0)
-    else:
-        left, right = -cx / fx, (views.width - cx) / fx
-        bottom, top = (cy - views.height) / fy, cy / fy
-        camera.set_orthographic_parameters(near, far, left, right, bottom, top)

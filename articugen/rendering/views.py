@@ -3,26 +3,23 @@
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from articugen.core.arrays import Floats, Indices
 from articugen.core.geometry import box_corners, fibonacci_sphere, look_along
 from articugen.core.portable import cos, dot, norm, sin, turned
 from articugen.core.recipe import ViewSettings
 from articugen.core.records import Views
 
-MARGIN = 2.0
-"""Pixels between the object and the image's border: what projects outside is seen free."""
-
+MARGIN = 2.0  # pixels between the object and the image's border: what projects outside is seen free
 PINHOLE_DISTANCE = 1.5
 """Distance of pinhole cameras from the centre of the box, in the unit frame. Occupancy Networks'
 1.0 leaves parts of a cube's faces outside the image; from 1.3 on nothing is lost."""
 
 
-FIELD_OF_VIEW = np.radians(40.0)
-"""Of the cameras of images, from edge to edge."""
+FIELD_OF_VIEW = np.radians(40.0)  # of the cameras of images, from edge to edge
 
 
-def spread_order(directions: NDArray[np.float64]) -> NDArray[np.intp]:
+def spread_order(directions: Floats) -> Indices:
     """An order of unit directions (K, 3) in which each is as far as can be from those before it.
 
     Views that come early then look from all around, so that most free points are seen free by one
@@ -36,7 +33,7 @@ def spread_order(directions: NDArray[np.float64]) -> NDArray[np.intp]:
     return order
 
 
-def fusion_views(settings: ViewSettings, box: NDArray[np.float64]) -> Views:
+def fusion_views(settings: ViewSettings, box: Floats) -> Views:
     """`settings.count` views evenly over the sphere, each fitted to the corners of `box`.
 
     Args:
@@ -50,7 +47,7 @@ def fusion_views(settings: ViewSettings, box: NDArray[np.float64]) -> Views:
 
 
 @lru_cache
-def _all_around(count: int) -> NDArray[np.float64]:
+def _all_around(count: int) -> Floats:
     """Return (count, 3) unit directions evenly over the sphere, in `spread_order`."""
     directions = fibonacci_sphere(count)
     directions = directions[spread_order(directions)]
@@ -58,9 +55,7 @@ def _all_around(count: int) -> NDArray[np.float64]:
     return directions
 
 
-def fitted(
-    projection: str, T_camera_world: NDArray[np.float64], box: NDArray[np.float64], w: int, h: int
-) -> Views:
+def fitted(projection: str, T_camera_world: Floats, box: Floats, w: int, h: int) -> Views:
     """Views from the given cameras whose images the box (2, 3) just fills, `MARGIN` left free."""
     rotation, offset = T_camera_world[:, None, :3, :3], T_camera_world[:, None, :3, 3]
     x, y, z = np.moveaxis(turned(rotation, box_corners(box)) + offset, -1, 0)
@@ -71,14 +66,14 @@ def fitted(
     return Views(projection, T_camera_world, fx, fy, cx, cy, w, h)  # type: ignore[arg-type]
 
 
-def _fit(x: NDArray[np.float64], size: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _fit(x: Floats, size: int) -> tuple[Floats, Floats]:
     low, high = x.min(axis=1), x.max(axis=1)
     focal = (size - 2.0 * MARGIN) / np.maximum(high - low, 1e-6)
     return focal, size / 2.0 - focal * (low + high) / 2.0
 
 
 def random_pinhole_views(
-    count: int, resolution: int, box: NDArray[np.float64], *, rng: np.random.Generator
+    count: int, resolution: int, box: Floats, *, rng: np.random.Generator
 ) -> Views:
     """`count` pinhole cameras that look at the box from random sides, as a depth camera would.
 
@@ -94,7 +89,7 @@ def random_pinhole_views(
 
 
 def plain_pinhole_views(
-    count: int, resolution: int, box: NDArray[np.float64], *, rng: np.random.Generator
+    count: int, resolution: int, box: Floats, *, rng: np.random.Generator
 ) -> Views:
     """`count` pinhole cameras alike, as image-based learners take them: square pixels, the optical
     axis through the middle of the image and of the box, `FIELD_OF_VIEW` wide.

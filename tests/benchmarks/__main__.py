@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from articugen.instance import make
+from articugen.instance import preparing
 from tests.benchmarks import cases, glance, measure, memory, ours, scaling, tables
 from tests.benchmarks.about import about
 from tests.benchmarks.cases import Model
@@ -129,7 +129,7 @@ def _memory(
     model: Model, all_peers: tuple[Peer, ...], options: Options, folder: Path, say: measure.Say
 ) -> Row:
     """Peak megabytes of each method on the first object."""
-    prepared = make.prepare(model.obj, model.recipe, 0)
+    prepared = preparing.prepare(model.obj, model.recipe, 0)
     made = cases.case(model, prepared, 1, 10_000)
     path = folder / "mesh.npz"
     np.savez(path, vertices=made.mesh.vertices, faces=made.mesh.faces, asked=made.asked)

@@ -22,8 +22,8 @@ from rich.console import Console
 
 from articugen.core.recipe import Recipe
 from articugen.core.records import dequantize
-from articugen.instance import make
-from articugen.instance.make import Prepared
+from articugen.instance import make, preparing
+from articugen.instance.preparing import Prepared
 from articugen.procedural import CATEGORIES
 from tests.benchmarks import accuracy_tables, cases, exactness, forms
 from tests.benchmarks.about import about
@@ -157,7 +157,7 @@ def _rigid(category: str, index: int, size: Size) -> list[Row]:
     for state in range(1, size.states + 1):
         made = cases.sampled(prepared["rigid"], state, size.points)
         scene = cases.scene(model, prepared["rigid"], state)
-        fields = make.pose(prepared["rigid"], state)[1]
+        fields = preparing.pose(prepared["rigid"], state)[1]
         row: Row = {"category": category, "name": model.name, "state": state}
         rows.append(row | exactness.material(made, scene, fields) | _seconds(prepared, state))
     return rows
@@ -169,7 +169,7 @@ def _prepared(model: cases.Model, recipe: Recipe, rules: Sequence[str]) -> dict[
         rule: recipe.model_copy(update={"fusion": recipe.fusion.model_copy(update={"rule": rule})})
         for rule in rules
     }
-    return {rule: make.prepare(model.obj, r, SEED) for rule, r in by_rule.items()}
+    return {rule: preparing.prepare(model.obj, r, SEED) for rule, r in by_rule.items()}
 
 
 def _seconds(prepared: dict[str, Prepared], state: int) -> dict[str, float]:

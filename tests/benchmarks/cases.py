@@ -25,8 +25,8 @@ from articugen.core.records import ArticulatedObject, Floats, LabelledMesh, View
 from articugen.core.schema import Instance
 from articugen.fusion import reachable
 from articugen.instance import articulation, make
-from articugen.instance.make import Prepared
-from articugen.instance.resolving import resolved
+from articugen.instance.again import resolved
+from articugen.instance.preparing import Prepared
 from articugen.procedural.truth import Truth, _meets_box, _meets_cell, truth_of
 from articugen.sources import registry
 from articugen.sources.refs import ObjectRef

@@ -11,7 +11,7 @@ from articugen.core.geometry import voxel_centres
 from articugen.core.recipe import Recipe
 from articugen.core.records import Floats, Views, dequantize, is_material
 from articugen.core.schema import Instance
-from articugen.instance import make
+from articugen.instance import preparing
 from tests.benchmarks import cases
 from tests.benchmarks.cases import VOXEL, Bools, Model, Scene
 
@@ -28,12 +28,12 @@ BEHIND = 1e-4
 
 def object_rows(model: Model, recipe: Recipe, states: int, points: int, seed: int) -> list[Row]:
     """A row of counts for each random state of an object; `total` adds them up."""
-    prepared = make.prepare(model.obj, recipe.with_counts(states=states), seed)
+    prepared = preparing.prepare(model.obj, recipe.with_counts(states=states), seed)
     rows = []
     for state in range(1, states + 1):
         made = cases.sampled(prepared, state, points)
         exact = cases.scene(model, prepared, state)
-        fields = make.pose(prepared, state)[1]
+        fields = preparing.pose(prepared, state)[1]
         rows.append(
             {"category": model.ref.category, "messy": model.messy, "name": model.name,
              "state": state}

@@ -11,7 +11,7 @@ from articugen import fusion
 from articugen.core.geometry import fibonacci_sphere, look_along, transform
 from articugen.core.recipe import Recipe
 from articugen.core.records import Floats, LabelledMesh
-from articugen.instance import make, sampling
+from articugen.instance import preparing, sampling
 from tests.benchmarks import cases
 from tests.benchmarks.cases import GENERIC, VOXEL, Model, depth_along
 from tests.benchmarks.exactness import counts, off_level
@@ -78,12 +78,12 @@ def uniformity(recipe: Recipe, drawer: Model, points: int) -> list[Row]:
     """Chi-square tests of surface points against the exactly visible surface, drawn evenly."""
     rows = []
     for name, mesh in _solids().items():
-        part = make.solid_part(labelled(mesh), recipe)
-        field = make.own_solid(part, recipe).field
+        part = preparing.solid_part(labelled(mesh), recipe)
+        field = preparing.own_solid(part, recipe).field
         rows.append({"shape": name} | _uniform(part.mesh, part.seen, field, points, None))
-    prepared = make.prepare(drawer.obj, drawer.recipe.with_counts(states=8), 0)
+    prepared = preparing.prepare(drawer.obj, drawer.recipe.with_counts(states=8), 0)
     state = int(np.argmax([np.abs(state.q).sum() for state in prepared.states]))
-    mesh, fields = make.pose(prepared, state)
+    mesh, fields = preparing.pose(prepared, state)
     exact = cases.scene(drawer, prepared, state)
 
     def visible(at: Floats) -> NDArray[np.bool_]:
@@ -145,7 +145,7 @@ def _bins(points: Floats, normals: Floats) -> NDArray[np.int64]:
 
 
 def _alone(mesh: LabelledMesh, recipe: Recipe) -> fusion.OwnSolid:
-    return make.own_solid(make.solid_part(mesh, recipe), recipe)
+    return preparing.own_solid(preparing.solid_part(mesh, recipe), recipe)
 
 
 def _solids() -> dict[str, trimesh.Trimesh]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from articugen.core.records import LabelledMesh
-from articugen.instance import make
+from articugen.instance import make, preparing
 from tests.benchmarks import cases, ours, rows, scores
 from tests.benchmarks.cases import VOXEL, Case, Inside, Model
 from tests.benchmarks.peers import Peer
@@ -94,7 +94,7 @@ def objects(
     shared: dict[str, Case] = {}
     states = range(1, extent.states + 1)
     firsts = {(m.ref.category, m.messy): m for m in reversed(models)}
-    make.make_instance(make.prepare(models[0].obj, models[0].recipe, 0), 1)  # warms up
+    make.make_instance(preparing.prepare(models[0].obj, models[0].recipe, 0), 1)  # warms up
     for run in range(extent.runs):
         for model in models:
             if run > 0 and model.messy:

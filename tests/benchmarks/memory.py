@@ -28,12 +28,12 @@ def main(kind: str, *arguments: str) -> None:
 
 
 def _ours(setting: str, category: str, index: str, states: str) -> None:
-    from articugen.instance import make  # noqa: PLC0415 - only what the method needs
+    from articugen.instance import make, preparing  # noqa: PLC0415 - only what the method needs
     from tests.benchmarks import cases, ours  # noqa: PLC0415
 
     model = cases.bundled(category, int(index), messy=False)
     recipe = ours.at(model.recipe, ours.SETTINGS[setting])
-    prepared = make.prepare(model.obj, recipe, 0)
+    prepared = preparing.prepare(model.obj, recipe, 0)
     _ = [make.make_instance(prepared, state) for state in range(1, int(states) + 1)]
 
 

@@ -11,7 +11,7 @@ import yaml
 
 from articugen.core.recipe import Recipe
 from articugen.core.records import LabelledMesh
-from articugen.instance import make
+from articugen.instance import make, preparing
 from tests.benchmarks.cases import Inside
 
 SETTINGS = {"ours": None, "ours, fast": 128, "ours, fine": 512}
@@ -66,7 +66,7 @@ def stages() -> Iterator[dict[str, float]]:
 
 def alone(mesh: LabelledMesh, recipe: Recipe) -> Inside:
     """Our field of a mesh by itself, sheets thickened."""
-    field = make.own_solid(make.solid_part(mesh, recipe), recipe).field
+    field = preparing.own_solid(preparing.solid_part(mesh, recipe), recipe).field
     return lambda points: ~field.is_free(points)
 
 

@@ -11,7 +11,7 @@ import trimesh
 
 from articugen.core.recipe import Recipe
 from articugen.core.records import ArticulatedObject, Mesh
-from articugen.instance import make
+from articugen.instance import make, preparing
 from articugen.pipeline import run
 from tests.benchmarks import ours
 from tests.benchmarks.cases import Model
@@ -40,7 +40,7 @@ def curves(model: Model, *, quick: bool, say: Callable[[str], None]) -> dict[str
 
 
 def _rate(obj: ArticulatedObject, recipe: Recipe) -> float:
-    prepared = make.prepare(obj, recipe, 0)
+    prepared = preparing.prepare(obj, recipe, 0)
     seconds = []
     for state in (1, 2, 3):
         start = time.perf_counter()

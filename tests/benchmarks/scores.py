@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.records import FREE, Floats, Views, is_material
-from articugen.instance import make
-from articugen.instance.make import Prepared
+from articugen.instance import preparing
+from articugen.instance.preparing import Prepared
 from tests.benchmarks import rows
 from tests.benchmarks.cases import Bools, Case, Inside, iou
 from tests.benchmarks.peers import Answer
@@ -34,7 +34,7 @@ def truths(made: Case, views: Views) -> Held:
 def of_ours(made: Case, prepared: Prepared) -> Held:
     """Material by the labels of parts; with what they call enclosed, what is not visible space."""
     label: Callable[[Floats], NDArray[np.uint8]]
-    label = make.pose(prepared, made.state)[1].labels
+    label = preparing.pose(prepared, made.state)[1].labels
     labels = {kind: label(points) for kind, points in made.points.items()}
     return {
         "material": {kind: is_material(found) for kind, found in labels.items()},

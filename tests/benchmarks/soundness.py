@@ -24,8 +24,9 @@ from numpy.typing import ArrayLike, NDArray
 from articugen.core.errors import InvalidSource, NotOfCategory
 from articugen.core.recipe import Recipe, load_recipe
 from articugen.core.schema import Instance
-from articugen.instance.make import Prepared, make_instance, prepare
-from articugen.instance.resolving import resolved
+from articugen.instance.again import resolved
+from articugen.instance.make import make_instance
+from articugen.instance.preparing import Prepared, prepare
 from articugen.sources import registry
 from articugen.verify import invariants, replay
 from articugen.verify.bounds import TOLERANCES, Tolerance

@@ -10,9 +10,9 @@ import numpy as np
 
 from articugen.core.records import Floats, dequantize
 from articugen.core.schema import Instance
-from articugen.instance import make
+from articugen.instance import make, preparing
 from articugen.instance.again import generator_of
-from articugen.instance.make import Prepared
+from articugen.instance.preparing import Prepared
 from articugen.pipeline import making, plan
 from articugen.pipeline.job import Job
 from articugen.store.writer import write_shard
@@ -31,7 +31,7 @@ def time_ours(
     """Everything that `articugen generate` does for an instance. What is done once an object is
     shared out among all the instances that its recipe asks for."""
     recipe = ours.at(model.recipe, ours.SETTINGS[method])
-    prepared, once, once_cpu = timed(lambda: make.prepare(model.obj, recipe, 0))
+    prepared, once, once_cpu = timed(lambda: preparing.prepare(model.obj, recipe, 0))
     made, measured = [], []
     for state in states:
         with ours.stages() as spent:

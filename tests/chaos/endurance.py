@@ -10,7 +10,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from articugen.core.processes import resident_bytes
+from articugen.core.memory import resident_bytes
 from tests.chaos.commands import PYTHON, RECIPE
 from tests.chaos.disk import ROOT
 

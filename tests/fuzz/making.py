@@ -13,7 +13,7 @@ from unittest import mock
 
 import numpy as np
 
-from articugen.core.bundled import RECIPES, SOURCES
+from articugen.core.content import RECIPES, SOURCES
 from tests.published import model_files, zipped
 
 TESTS = Path(__file__).resolve().parents[1]
