@@ -95,8 +95,7 @@ def open_regular(path: Path, most_bytes: int, *, follow: bool = True) -> BinaryI
 
 
 def is_no_folder(path: Path) -> bool:
-    """Return whether something is there, and no folder: links count as what they are, not where
-    they lead."""
+    """Return whether something is there that is no folder; a link is none."""
     return os.path.lexists(path) and (path.is_symlink() or not path.is_dir())
 
 

@@ -284,11 +284,10 @@ class Recipe(_Section):
         return shapes
 
     def instance_bytes(self) -> dict[str, int]:
-        """Return the bytes of each field of one instance before compression, with as many parts as
-        a shard can hold."""
-        sizes = {name: described.itemsize for name, described in self.fields().items()}
+        """Return the bytes of each field of an instance, unpacked, with as many parts as can be."""
+        fields = self.fields()
         return {
-            name: sizes[name] * math.prod(MOST_PARTS if n is None else n for n in shape)
+            name: fields[name].itemsize * math.prod(MOST_PARTS if n is None else n for n in shape)
             for name, shape in self.instance_shapes().items()
         }
 
@@ -302,6 +301,15 @@ class Recipe(_Section):
     def sha256(self) -> str:
         return hashlib.sha256(self.text().encode()).hexdigest()
 
+    def _changed(self, **values: Any) -> "Recipe":
+        """Return it with these values, where they are not None; __ stands between a key's names."""
+        data = self.model_dump()
+        for key, value in values.items():
+            section, _, name = key.rpartition("__")
+            if value is not None:
+                (data[section] if section else data)[name] = value
+        return validated(Recipe, data, f"recipe {self.name!r}")
+
     def with_counts(
         self,
         *,
@@ -310,25 +318,15 @@ class Recipe(_Section):
         max_rejected: float | None = None,
     ) -> "Recipe":
         """Return it with other numbers, where given; InvalidRecipe if there cannot be so many."""
-        data = self.model_dump()
-        if max_rejected is not None:
-            data["max_rejected_fraction"] = max_rejected
-        if objects is not None:
-            data["objects"] = objects
-        if states is not None:
-            data["articulation"]["states"] = states
-        return validated(Recipe, data, f"recipe {self.name!r}")
+        changed = {"objects": objects, "articulation__states": states}
+        return self._changed(**changed, max_rejected_fraction=max_rejected)
 
     def with_articulation(
         self, *, movable: Sequence[str] = (), canonical: str | None = None
     ) -> "Recipe":
         """Return it with other moving joints or canonical pose, where given; or InvalidRecipe."""
-        data = self.model_dump()
-        if movable:
-            data["articulation"]["movable"] = list(movable)
-        if canonical is not None:
-            data["articulation"]["canonical"] = canonical
-        return validated(Recipe, data, f"recipe {self.name!r}")
+        names = list(movable) or None
+        return self._changed(articulation__movable=names, articulation__canonical=canonical)
 
     def for_source(self, *, clips_to_limits: bool) -> "Recipe":
         """This recipe as it is for a source: that its joints are clipped, or not, is then said."""

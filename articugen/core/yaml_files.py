@@ -57,18 +57,15 @@ def resolved(
     data = read_yaml(path, InvalidRecipe) or {}
     if not isinstance(data, dict) or not all(isinstance(key, str) for key in data):
         raise InvalidRecipe(f"{path}: a recipe is a mapping of keys to values; write key: value")
-    base = data.pop("extends", None)
-    if base is None:
-        return data
-    return _merged(resolved(base_of(str(base)), base_of, (*chain, path)), data)
+    return resolved_mapping(data, base_of, (*chain, path))
 
 
-def resolved_mapping(data: Mapping[str, Any], base_of: Callable[[str], Path]) -> dict[str, Any]:
+def resolved_mapping(
+    data: Mapping[str, Any], base_of: Callable[[str], Path], chain: tuple[Path, ...] = ()
+) -> dict[str, Any]:
     """Do as `resolved`, with a mapping that is no file's: a notebook's recipe."""
-    own = {key: value for key, value in data.items() if key != "extends"}
-    return (
-        _merged(resolved(base_of(str(data["extends"])), base_of), own) if "extends" in data else own
-    )
+    own, base = {key: value for key, value in data.items() if key != "extends"}, data.get("extends")
+    return own if base is None else _merged(resolved(base_of(str(base)), base_of, chain), own)
 
 
 def read_yaml(path: Path, refusal: type[ArticugenError]) -> Any:

@@ -74,7 +74,11 @@ def flood(state: Bytes, mesh: LabelledMesh, bvh: Bvh, part_motion: Floats) -> Fl
     last = np.clip(high.astype(int), 0, len(state) - 1)
     box = tuple(slice(a, b + 1) for a, b in zip(first, last, strict=True))
     flooded = np.full(state.shape, _WET, np.uint8)  # nothing is outside the mesh's box
-    flooded[box] = _filled(state[box])
+    a, b, c = state[box].shape
+    padded = np.full((a + 2, b + 2, c + 2), np.uint8(_WALL))  # so that no step leaves the array
+    padded[1:-1, 1:-1, 1:-1] = state[box]
+    _fill(padded.reshape(-1), a, b, c)
+    flooded[box] = padded[1:-1, 1:-1, 1:-1]
     to_part = np.ascontiguousarray(invert_rigid(part_motion)[:, :3], np.float32)
     return Flood(flooded, bvh, to_part)
 
@@ -140,15 +144,6 @@ def _within(pu, pv, qu, qv, sign, i, j):
     nu, nv = -(qv - pv) * sign, (qu - pu) * sign
     reach = max(nu, 0.0) + max(nv, 0.0)  # of its corner furthest to the inside
     return not nu * (i - pu) + nv * (j - pv) + reach < 0.0
-
-
-def _filled(state: Bytes) -> Bytes:
-    """The states of a box of voxels once its faces are flooded, but for walls, from outside."""
-    a, b, c = state.shape
-    padded = np.full((a + 2, b + 2, c + 2), np.uint8(_WALL))  # so that no step leaves the array
-    padded[1:-1, 1:-1, 1:-1] = state
-    _fill(padded.reshape(-1), a, b, c)
-    return padded[1:-1, 1:-1, 1:-1]
 
 
 @kernel

@@ -10,7 +10,6 @@ import html
 import io
 import tempfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -40,16 +39,10 @@ def of_data(data: DataSet) -> str:
 
 def of_row(row: Row) -> str:
     """The surface points of a row, coloured by part, as HTML."""
-    if len(row.surface) < 2:
-        return _page(b"", repr(row))
-    file = io.BytesIO()
-    _portrait(row).save(file, "PNG")
-    return _page(file.getvalue(), repr(row))
-
-
-def _portrait(row: Row) -> Any:
     from articugen.pictures.portrait import AZIMUTHS, pooled, portrait, tile_camera
 
+    if len(row.surface) < 2:
+        return _page(b"", repr(row))
     names = ("kind", "parent", "state", "lower", "upper", "axis", "pivot")
     surface = {f"surface_{n}": row.stored(f"surface_{n}") for n in ("points", "normals", "part")}
     instance = Instance(
@@ -63,7 +56,9 @@ def _portrait(row: Row) -> Any:
     )
     points = np.asarray(row.surface.points, np.float64)
     camera = tile_camera(points, AZIMUTHS[0])
-    return portrait(pooled([instance]), instance, camera, float(points[:, 2].min()))
+    file, floor = io.BytesIO(), float(points[:, 2].min())
+    portrait(pooled([instance]), instance, camera, floor).save(file, "PNG")
+    return _page(file.getvalue(), repr(row))
 
 
 def _page(picture: bytes, text: str) -> str:

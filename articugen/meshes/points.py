@@ -67,7 +67,13 @@ def cloud_of_file(path: Path, *, fit: bool = False) -> Cloud:
             raise InvalidSource(f"{name}: all its points are one")
         frame = Normalization((low + high) / 2.0, edge / LONGEST_EDGE)
     points = generator(0, "cloud").permutation(checked(frame.to_unit(points), name))
-    return Cloud(points, frame, _hint(points, name))
+    low, high, hint = points.min(0), points.max(0), ""
+    if (high - low).max() < _SMALLEST_EDGE or np.abs(low + high).max() / 2 > _FARTHEST_MIDDLE:
+        hint = (
+            f"{name}: reaches from {_text(low)} to {_text(high)}, which is small or off centre for "
+            "the unit frame; --fit if its frame is another"
+        )
+    return Cloud(points, frame, hint)
 
 
 def numbers_of_file(path: Path) -> Floats:
@@ -113,16 +119,6 @@ def _finite(cloud: Floats, name: str) -> Floats:
         bad = int((~np.isfinite(cloud)).any(1).sum())
         raise InvalidSource(f"{name}: {bad} points are not finite numbers; remove them")
     return cloud
-
-
-def _hint(points: Floats, name: str) -> str:
-    low, high = points.min(0), points.max(0)
-    if (high - low).max() < _SMALLEST_EDGE or np.abs(low + high).max() / 2 > _FARTHEST_MIDDLE:
-        return (
-            f"{name}: reaches from {_text(low)} to {_text(high)}, which is small or off centre for "
-            "the unit frame; --fit if its frame is another"
-        )
-    return ""
 
 
 def _text(vector: Floats) -> str:

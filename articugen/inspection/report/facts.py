@@ -113,22 +113,16 @@ def facts(shards: Sequence[Path]) -> Facts:
     for path in shards:
         with open_shard(path) as shard:
             about = shard.attributes
-            objects += _objects(shard)
+            rows: dict[str, list[int]] = {}
+            for row, object_id in enumerate(shard.object_ids()):
+                rows.setdefault(object_id, []).append(row)
+            small = {name: shard.read(name) for name in _SMALL if name in shard.fields}
+            objects += [_object(shard, name, own, small) for name, own in rows.items()]
             for name, shape in shard.fields.items():
                 before = fields.get(name, ("", 0))[1]
                 written = " × ".join(map(str, shape[1:])) or "1"
                 fields[name] = (written, before + shard.stored_bytes(name))
     return Facts(tuple(objects), about, tuple(shards), fields)
-
-
-def _objects(shard: Shard) -> Iterator[ObjectFacts]:
-    """Yield the objects of a shard, of which each of ours has one."""
-    rows: dict[str, list[int]] = {}
-    for row, object_id in enumerate(shard.object_ids()):
-        rows.setdefault(object_id, []).append(row)
-    small = {name: shard.read(name) for name in _SMALL if name in shard.fields}
-    for object_id, mine in rows.items():
-        yield _object(shard, object_id, mine, small)
 
 
 _SMALL = ("state_index", "scale", "joint_kind", "joint_state", "joint_lower", "joint_upper")

@@ -19,7 +19,7 @@ from articugen.core.files import check_place, write_atomically
 from articugen.inspection.report import sections
 from articugen.inspection.report.alike import nearest_pairs, outliers
 from articugen.inspection.report.facts import Facts, facts
-from articugen.inspection.report.markup import Markup, el, join
+from articugen.inspection.report.markup import Markup, el
 from articugen.inspection.report.truth import Measured, measured
 from articugen.inspection.report.turnable import Turnable, turnable
 from articugen.pictures.contact_sheet import Chosen, Portraits, portraits, some_of
@@ -100,6 +100,9 @@ def page(report: Report) -> str:
     )
     category = str(report.facts.about["category"])
     parts = _sections(report)
+    scene = ""  # data, not code: no `<` in it can end the element
+    if report.turnable:
+        scene = json.dumps(report.turnable.scene, separators=(",", ":")).replace("<", "\\u003c")
     head = el(
         "head",
         el("meta", charset="utf-8"),
@@ -126,7 +129,7 @@ def page(report: Report) -> str:
         ),
         el("footer", el("p", f"Written by articugen {VERSION} from what the data set holds. "
                              "This file is complete: it opens without a network.")),
-        _scene(report.turnable),
+        el("script", Markup(scene), type="application/json", id_="scene") if scene else None,
         el("script", Markup(script)),
     )  # fmt: skip
     return "<!doctype html>\n" + el("html", head, body, lang="en") + "\n"
@@ -166,14 +169,6 @@ def webp(drawn: Portraits) -> list[str]:
         picture.save(file, "WEBP", quality=82, method=4)
         addresses.append(f"data:image/webp;base64,{base64.b64encode(file.getvalue()).decode()}")
     return addresses
-
-
-def _scene(shown: Turnable | None) -> Markup:
-    """Write the data that the script reads, not code: no `<` in it can end the element."""
-    if shown is None:
-        return join()
-    data = json.dumps(shown.scene, separators=(",", ":")).replace("<", "\\u003c")
-    return el("script", Markup(data), type="application/json", id_="scene")
 
 
 def _digest(text: str) -> str:

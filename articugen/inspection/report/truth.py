@@ -89,61 +89,47 @@ def measured(objects: Sequence[ObjectFacts], manifest: Manifest | None) -> Measu
         for each in evenly(objects, OBJECTS):
             ref = registry.find(manifest.source, manifest.category, each.object_id)
             obj = resolved(ref, recipe)
-            posed = articulation.forward_kinematics(obj, articulation.canonical_state(obj))
-            names = [link.name for link in obj.links]
-            model = _Model(ref, obj, dict(zip(names, posed.T_world_link, strict=True)))
-            if model.obj.sha256 != entries[each.split, each.object_id]:
+            if obj.sha256 != entries[each.split, each.object_id]:
                 return Measured(
                     (), f"{each.object_id} is generated otherwise by this version of articugen."
                 )
-            found += _compared(model, each, recipe)
+            found += _compared(ref, obj, each, recipe)
     except (ArticugenError, ValueError) as error:
         return Measured((), f"The models could not be made again: {error}")
     return Measured(tuple(found))
 
 
-@dataclass(frozen=True, eq=False)
-class _Model:
-    """An object's canonical pose: `T_world_link` (4, 4) by the names of its links."""
-
-    ref: ObjectRef
-    obj: ResolvedObject
-    T_world_link: dict[str, Floats]
+_Links = dict[str, tuple[int, Floats]]
+"""The part of each link, by its name, and its transform (4, 4) to the world, canonical pose."""
 
 
-def _compared(model: _Model, each: ObjectFacts, recipe: Recipe) -> list[Agreement]:
+def _compared(
+    ref: ObjectRef, obj: ResolvedObject, each: ObjectFacts, recipe: Recipe
+) -> list[Agreement]:
+    posed = articulation.forward_kinematics(obj, articulation.canonical_state(obj))
+    pairs = zip(obj.part_of_link.tolist(), posed.T_world_link, strict=True)
+    links: _Links = dict(zip((link.name for link in obj.links), pairs, strict=True))
     thickness = recipe.fusion.sheet_thickness * each.scale
-    ref = model.ref
     truth = truth_of(
         ref.category, ref.object_id, messy=ref.messy, varied=ref.varied, sheet_thickness=thickness
     )
-    parts = np.array([model.obj.part_of_link[model.obj.link_index[n]] for n in truth.links])
+    parts = np.array([links[name][0] for name in truth.links])
     alone = [truth.of(parts == part) for part in range(len(each.parts))]
     rows = np.linspace(0, len(each.rows) - 1, min(STATES, len(each.rows)) + 1)[1:]
     with open_shard(each.shard) as shard:
         instances = [shard.instance(each.rows[round(i)]) for i in rows]
-    return [_agreement(_Scene(model, alone, instance), instance) for instance in instances]
+    return [_agreement(_Scene(links, alone, instance), instance) for instance in instances]
 
 
 class _Scene:
     """The exact solids of each part, posed by what the shard says of an instance."""
 
-    def __init__(self, model: _Model, alone: Sequence[Truth], instance: Instance) -> None:
-        self.unit = Normalization(instance.center, instance.scale)
-        self.alone = alone
-        world = [self._to_world(T) for T in instance.part_motion]
-        obj = model.obj
-        self.T_world_link = {
-            name: product(world[obj.part_of_link[obj.link_index[name]]], T)
-            for name, T in model.T_world_link.items()
-        }
-
-    def _to_world(self, T_unit: Floats) -> Floats:
-        """A rigid motion of unit-frame points, as it acts on world points in metres."""
-        T = np.array(T_unit)
-        centre = self.unit.center
-        T[:3, 3] = self.unit.scale * T[:3, 3] + centre - T[:3, :3] @ centre
-        return T
+    def __init__(self, links: _Links, alone: Sequence[Truth], instance: Instance) -> None:
+        self.unit, self.alone = Normalization(instance.center, instance.scale), alone
+        motion, centre = np.array(instance.part_motion), instance.center  # of world points, metres
+        shift = centre - motion[:, :3, :3] @ centre
+        motion[:, :3, 3] = instance.scale * motion[:, :3, 3] + shift
+        self.T_world_link = {name: product(motion[part], T) for name, (part, T) in links.items()}
 
     def holds(self, points: Floats) -> Bools:
         """(n, P) whether each part's solids hold each point of the unit frame."""

@@ -89,13 +89,8 @@ def _leads_here(asked: str, host: str, address: str) -> bool:
         return False
     if name in LOOPBACK_NAMES | {host.lower(), address}:
         return True
-    # nobody can have an address, unlike a name, lead elsewhere
-    return host in EVERYWHERE and (_is_address(name) or name == socket.gethostname().lower())
-
-
-def _is_address(name: str) -> bool:
     try:
-        ip_address(name)
+        ip_address(name)  # nobody can have an address, unlike a name, lead elsewhere
     except ValueError:
-        return False
-    return True
+        return host in EVERYWHERE and name == socket.gethostname().lower()
+    return host in EVERYWHERE

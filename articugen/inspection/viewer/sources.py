@@ -18,7 +18,7 @@ from articugen.sources.named import source_files
 from articugen.store.dataset import DataSet
 from articugen.store.dataset import open as open_data_set
 from articugen.store.manifest import MANIFEST_NAME, Manifest
-from articugen.store.shards import Shard, open_shard
+from articugen.store.shards import open_shard
 
 
 class Source(Protocol):
@@ -53,7 +53,9 @@ class StoredObjects:
     def shown(self, object_id: str) -> Shown:
         (path, *_) = self._data.of(object_id).shards
         with open_shard(path) as shard:
-            rows = _rows_of(shard, object_id)
+            order = shard.read("state_index")
+            rows = [row for row, name in enumerate(shard.object_ids()) if name == object_id]
+            rows.sort(key=lambda row: int(order[row]))
             first = shard.instance(rows[0])
             length = np.where(first.joint_kind == JointKind.PRISMATIC, first.scale, 1.0)
             states = shard.read("joint_state")[rows] * length
@@ -87,13 +89,6 @@ class StoredObjects:
         model = Model(obj, settings.canonical, tuple(settings.movable))
         recipe = Recipe.model_validate_json(manifest.recipe)
         return Maker(model, recipe.for_one_object(), manifest.seed)
-
-
-def _rows_of(shard: Shard, object_id: str) -> list[int]:
-    """By state."""
-    state = shard.read("state_index")
-    rows = [row for row, name in enumerate(shard.object_ids()) if name == object_id]
-    return sorted(rows, key=lambda row: int(state[row]))
 
 
 def _manifest_beside(shard: Path) -> Manifest | None:
