@@ -16,7 +16,6 @@ from articugen.export.formats import Format
 from articugen.export.items import Item, file_name
 from articugen.export.target import Target
 from articugen.store.dataset import DataSet
-from articugen.store.rows import Row
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -40,7 +39,8 @@ def _items(data: DataSet) -> "Iterator[Item]":
 
 
 def _write(item: Item, target: Target) -> None:
-    from pyarrow import parquet  # noqa: PLC0415 - optional
+    import pyarrow as pa  # noqa: PLC0415 - optional
+    from pyarrow import parquet  # noqa: PLC0415
 
     layout = _layout(item.rows.fields)
     with (
@@ -48,7 +48,15 @@ def _write(item: Item, target: Target) -> None:
         parquet.ParquetWriter(file, layout, compression="zstd") as writer,
     ):
         for row in item.rows:
-            writer.write_table(_table(row, layout))
+            texts = {"split": row.split, "category": row.category}
+            columns = []
+            for field in layout:
+                if field.name in texts or field.name in row.fields:
+                    value = texts.get(field.name) or row.stored(field.name)
+                    columns.append(_column(value, field.type))
+                else:
+                    columns.append(pa.nulls(1, field.type))
+            writer.write_table(pa.Table.from_arrays(columns, schema=layout))
 
 
 def _layout(shapes: Mapping[str, tuple[int, ...]]) -> "pyarrow.Schema":
@@ -77,20 +85,6 @@ def _layout(shapes: Mapping[str, tuple[int, ...]]) -> "pyarrow.Schema":
                 kind = pa.list_(kind, -1 if size is None or len(shape) > 1 else size)
             columns.append(pa.field(name, kind, metadata={k: v for k, v in about.items() if v}))
     return pa.schema(columns)
-
-
-def _table(row: Row, layout: "pyarrow.Schema") -> "pyarrow.Table":
-    import pyarrow as pa  # noqa: PLC0415
-
-    texts = {"split": row.split, "category": row.category}
-    columns = []
-    for field in layout:
-        if field.name in texts or field.name in row.fields:
-            value = texts.get(field.name) or row.stored(field.name)
-            columns.append(_column(value, field.type))
-        else:
-            columns.append(pa.nulls(1, field.type))
-    return pa.Table.from_arrays(columns, schema=layout)
 
 
 def _column(value: Any, kind: "pyarrow.DataType") -> "pyarrow.Array":

@@ -16,7 +16,6 @@ from articugen.export.formats import Format
 from articugen.export.items import Item, canonical, file_name, of_objects
 from articugen.export.target import Target
 from articugen.store.dataset import DataSet
-from articugen.store.rows import Row
 
 _CELLS = 16  # along the unit frame: coarse enough that the density of points does not count
 
@@ -27,7 +26,30 @@ def _write(item: Item, target: Target) -> None:
     groups = [_rest(item.rows, "surface")]
     if "sharp_points" in row.fields:
         groups.append(_rest(item.rows, "sharp"))
-    target.write_arrays(name, _arrays(row, groups))
+    box = bounds(groups[0][0])
+    middle, scale = box.mean(axis=0), 1.0 / float((box[1] - box[0]).max())
+    P = len(row.parts)
+    axes, ranges = np.zeros((P, 12), np.float32), np.zeros((P, 4), np.float32)
+    for joint in row.joints:
+        point = (np.asarray(joint.pivot) - middle) * scale
+        plucker = np.concatenate([joint.axis, np.cross(joint.axis, point)])
+        if joint.kind == "revolute":
+            axes[joint.part, :6] = plucker
+            ranges[joint.part, :2] = joint.lower, joint.upper
+        else:
+            axes[joint.part, 6:] = plucker
+            ranges[joint.part, 2:] = joint.lower_unit * scale, joint.upper_unit * scale
+    points, normals, part = map(np.concatenate, zip(*groups, strict=True))
+    arrays = {
+        "points": ((points - middle) * scale).astype(np.float32),
+        "normals": normals.astype(np.float32),
+        "point_to_bone": part,
+        "point_from_sharp": np.arange(len(points)) >= len(groups[0][0]),
+        "bone_structure": np.array([[j.parent, j.part] for j in row.joints], np.int32),
+        "link_axes_plucker": axes,
+        "link_range": ranges,
+    }
+    target.write_arrays(name, arrays)
 
 
 def _rest(rows: DataSet, stem: str) -> tuple[Floats, Floats, NDArray[np.int32]]:
@@ -47,32 +69,6 @@ def _rest(rows: DataSet, stem: str) -> tuple[Floats, Floats, NDArray[np.int32]]:
     order = generator(0, rows[0].object_id, stem, "particulate").permutation(len(number))
     points, normals = (np.concatenate([most[k][i] for k in most])[order] for i in (1, 2))
     return points, normals, number[order]
-
-
-def _arrays(row: Row, groups: list[tuple[Floats, Floats, NDArray[np.int32]]]) -> dict[str, NDArray]:
-    box = bounds(groups[0][0])
-    middle, scale = box.mean(axis=0), 1.0 / float((box[1] - box[0]).max())
-    P = len(row.parts)
-    axes, ranges = np.zeros((P, 12), np.float32), np.zeros((P, 4), np.float32)
-    for joint in row.joints:
-        point = (np.asarray(joint.pivot) - middle) * scale
-        plucker = np.concatenate([joint.axis, np.cross(joint.axis, point)])
-        if joint.kind == "revolute":
-            axes[joint.part, :6] = plucker
-            ranges[joint.part, :2] = joint.lower, joint.upper
-        else:
-            axes[joint.part, 6:] = plucker
-            ranges[joint.part, 2:] = joint.lower_unit * scale, joint.upper_unit * scale
-    points, normals, part = map(np.concatenate, zip(*groups, strict=True))
-    return {
-        "points": ((points - middle) * scale).astype(np.float32),
-        "normals": normals.astype(np.float32),
-        "point_to_bone": part,
-        "point_from_sharp": np.arange(len(points)) >= len(groups[0][0]),
-        "bone_structure": np.array([[j.parent, j.part] for j in row.joints], np.int32),
-        "link_axes_plucker": axes,
-        "link_range": ranges,
-    }
 
 
 FORMAT = Format(

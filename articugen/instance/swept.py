@@ -7,7 +7,7 @@ moving all points.
 
 import numpy as np
 
-from articugen.core.arrays import Floats, Indices
+from articugen.core.arrays import Floats
 from articugen.core.geometry import bounds
 from articugen.core.jit import kernel
 from articugen.core.records import LabelledMesh
@@ -23,21 +23,18 @@ def swept_box(mesh: LabelledMesh, motions: Floats) -> Floats:
         used = np.zeros(len(mesh.vertices), np.bool_)
         used[mesh.faces[mesh.part_of_face == part]] = True
         poses = np.unique(np.ascontiguousarray(motions[:, part]).reshape(len(motions), 16), axis=0)
-        boxes.append(_swept(*_cells(mesh.vertices[used]), poses.reshape(-1, 4, 4)))
+        points = mesh.vertices[used]
+        low, high = bounds(points)
+        at = ((points - low) * (_CELLS * 0.999 / np.maximum(high - low, 1e-300))).astype(np.intp)
+        key = (at[:, 0] * _CELLS + at[:, 1]) * _CELLS + at[:, 2]
+        order = np.argsort(key, kind="stable")
+        points, key = points[order], key[order]
+        first = np.flatnonzero(np.diff(key, prepend=-1))
+        utmost = np.minimum.reduceat(points, first), np.maximum.reduceat(points, first)
+        cells = np.append(first, len(points)), np.stack(utmost, axis=1)
+        boxes.append(_swept(points, *cells, poses.reshape(-1, 4, 4)))
     lower, upper = np.moveaxis(np.array(boxes), 1, 0)
     return np.stack([lower.min(axis=0), upper.max(axis=0)])
-
-
-def _cells(points: Floats) -> tuple[Floats, Indices, Floats]:
-    """Return the points by cell, where each begins and the end, (C, 2, 3) the cells' boxes."""
-    low, high = bounds(points)
-    at = ((points - low) * (_CELLS * 0.999 / np.maximum(high - low, 1e-300))).astype(np.intp)
-    key = (at[:, 0] * _CELLS + at[:, 1]) * _CELLS + at[:, 2]
-    order = np.argsort(key, kind="stable")
-    points, key = points[order], key[order]
-    first = np.flatnonzero(np.diff(key, prepend=-1))
-    lower, upper = np.minimum.reduceat(points, first), np.maximum.reduceat(points, first)
-    return points, np.append(first, len(points)), np.stack([lower, upper], axis=1)
 
 
 @kernel

@@ -135,19 +135,18 @@ def sheet(
     count, total = len(drawn), len(found.objects)
     which = f"{count} of {total:,} objects, chosen evenly" if count < total else "All objects"
     order = f"{which}: the canonical pose first, then random states, the farthest last."
-    cards = [_card(each, pictures[each.object_id]) for each in drawn]
+    cards = []
+    for each in drawn:
+        figures = []
+        for picture, caption in zip(pictures[each.object_id], each.captions, strict=True):
+            states = [el("span", dot(colour), SPACE, state) for state, colour in caption]
+            alt = f"{each.object_id}, joints at {', '.join(state for state, _ in caption)}"
+            image = el("img", src=picture, alt=alt, width="168", height="168")
+            figures.append(el("figure", image, el("figcaption", *states)))
+        title = el("h3", each.object_id, el("span", each.split))
+        tiles = el("div", *figures, class_="tiles")
+        cards.append(el("article", title, tiles, class_="card object"))
     return join(hint(order), el("div", *cards, class_="sheet"))
-
-
-def _card(each: Portraits, pictures: Sequence[str]) -> Markup:
-    figures = []
-    for picture, caption in zip(pictures, each.captions, strict=True):
-        states = [el("span", dot(colour), SPACE, state) for state, colour in caption]
-        alt = f"{each.object_id}, joints at {', '.join(state for state, _ in caption)}"
-        image = el("img", src=picture, alt=alt, width="168", height="168")
-        figures.append(el("figure", image, el("figcaption", *states)))
-    title = el("h3", each.object_id, el("span", each.split))
-    return el("article", title, el("div", *figures, class_="tiles"), class_="card object")
 
 
 def joints(objects: Sequence[ObjectFacts]) -> Markup:
@@ -193,11 +192,16 @@ def parts(objects: Sequence[ObjectFacts]) -> Markup:
     for each in objects:
         for k, part in enumerate(each.parts):
             by_part.setdefault(k, []).append(part)
-    rows = [_part_row(k, same) for k, same in sorted(by_part.items())[:MOST_ROWS]]
-    shares = [
-        (float(np.nansum([p.surface for p in same])), colour_of(k))
-        for k, same in sorted(by_part.items())
-    ]
+    rows, shares = [], []
+    for k, same in sorted(by_part.items()):
+        shares.append((float(np.nansum([p.surface for p in same])), colour_of(k)))
+        names = _common(Counter(p.semantic or p.name for p in same if p.semantic or p.name))
+        boxes = np.array([p.box for p in same])
+        boxes = boxes[np.isfinite(boxes).all(axis=1)]
+        box = " × ".join(f"{side:.3g}" for side in np.median(boxes, axis=0)) if len(boxes) else "–"
+        title = el("span", dot(colour_of(k)), SPACE, k, SPACE, el("span", names, class_="hint"))
+        means = [_mean([getattr(p, name) for p in same]) for name in ("surface", "volume")]
+        rows.append([title, f"{len(same):,}", *means, box])
     head = ("Part", ">Objects", ">Surface", ">of the cube", ">Box (median)")
     occupied = np.concatenate([each.occupied for each in objects])
     occupied = occupied[np.isfinite(occupied)]
@@ -206,25 +210,11 @@ def parts(objects: Sequence[ObjectFacts]) -> Markup:
         card(
             el("h3", "Sizes"),
             share_bar(shares, "Share of the visible surface of each part"),
-            table(head, rows, "Parts and their sizes"),
+            table(head, rows[:MOST_ROWS], "Parts and their sizes"),
         ),
         _occupied(occupied) if len(occupied) else None,
         class_="pair",
     )
-
-
-def _part_row(k: int, same: Sequence[PartSize]) -> list[object]:
-    names = Counter(p.semantic or p.name for p in same if p.semantic or p.name)
-    boxes = np.array([p.box for p in same])
-    boxes = boxes[np.isfinite(boxes).all(axis=1)]
-    box = " × ".join(f"{side:.3g}" for side in np.median(boxes, axis=0)) if len(boxes) else "–"
-    return [
-        el("span", dot(colour_of(k)), SPACE, k, SPACE, el("span", _common(names), class_="hint")),
-        f"{len(same):,}",
-        _mean([p.surface for p in same]),
-        _mean([p.volume for p in same]),
-        box,
-    ]
 
 
 def _occupied(shares: np.ndarray) -> Markup:
