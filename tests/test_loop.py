@@ -150,7 +150,7 @@ def test_every_recipe_is_a_valid_one(name):
 
 def test_recipes_extend_one_another():
     quick, release = load_recipe("ppd_plain"), load_recipe("ppd_release")
-    assert quick.losses.loc_form == release.losses.loc_form == "release"
+    assert quick.losses.form == release.losses.form == "release"
     assert quick.losses.adv_g == 0.0
     assert release.losses.adv_d == 3.25
     assert quick.model.latent_start == "he"
@@ -308,8 +308,8 @@ def test_each_loss_can_be_switched_off(boxes):
             assert (term in terms) == (weight > 0)
 
 
-@pytest.mark.parametrize("of", ["instance", "product"])
-def test_the_unmoved_volume_s_shortcut_is_exact(boxes, of):
+@pytest.mark.parametrize(("form", "of"), [("paper", "instance"), ("release", "product")])
+def test_the_unmoved_volume_s_shortcut_is_exact(boxes, form, of):
     torch.manual_seed(0)
     model = PPD(ModelSettings()).double()
     with torch.no_grad():
@@ -320,8 +320,8 @@ def test_the_unmoved_volume_s_shortcut_is_exact(boxes, of):
     batch = replace(batch, cloud=batch.cloud.double(), points=points)
     predicted = model(batch.cloud)
     fields = model.fields(predicted.shape, model.motion(predicted.pose), points)
-    weigh = LossSettings(vol_logit=of)
-    short = objective._volume(model, predicted.shape, fields, batch, weigh)
+    weigh = LossSettings(form=form)
+    short = objective.FORMS[form](model, weigh).volume(predicted.shape, fields, batch)
     spread = points[:, : batch.spread]
     still = losses.relu_volume(getattr(model.still(predicted.shape, spread), of))
     moved = losses.relu_volume(getattr(fields, of)[..., : batch.spread])

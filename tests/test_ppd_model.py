@@ -57,7 +57,7 @@ def test_parameter_counts_are_those_of_the_paper_and_the_release():
 
 def test_logits_start_as_small_as_the_release_s():
     torch.manual_seed(0)
-    model = PPD(ModelSettings(coordinate_bound=1 / 3))
+    model = PPD(ModelSettings(form="release"))
     points = torch.rand(4, 512, 3) - 0.5
     predicted = model(points)
     fields = model.fields(predicted.shape, model.motion(predicted.pose), points)
@@ -256,9 +256,10 @@ def test_parts_in_boxes_lie_along_the_axes_when_their_joints_are_closed(boxed):
     torch.testing.assert_close(motion.offset[:, 4:], torch.zeros(3, 4, 3).double())
 
 
-def test_boxes_are_refused_where_parts_lie_along_their_joints():
-    with pytest.raises(ValueError, match="along the unit frame's axes; set part_frame: world"):
-        ModelSettings(part_boxes=True, part_frame="joint")
+def test_boxes_lie_along_the_axes_of_the_unit_frame_whatever_the_form():
+    frames = {ModelSettings(form=f, part_boxes=True).part_frame for f in ("paper", "release")}
+    assert frames == {"world"}
+    assert ModelSettings(form="release").part_frame == "joint"
 
 
 def test_the_code_of_some_parts(boxed):

@@ -26,9 +26,10 @@ def part_logits(model, predicted, resolution):
 
 
 @pytest.mark.parametrize("part_frame", ["world", "joint"])
-def test_a_model_s_surfaces_lie_where_its_field_is_zero(part_frame):
+def test_a_model_s_surfaces_lie_where_its_field_is_zero(part_frame, monkeypatch):
+    monkeypatch.setattr(ModelSettings, "part_frame", part_frame)
     torch.manual_seed(1)
-    model = PPD(ModelSettings(part_frame=part_frame, coordinate_bound=1 / 3)).eval()
+    model = PPD(ModelSettings(form="release")).eval()
     (instance,) = hinged_box([(0.3, 0.1)])
     cloud = dequantize(instance.surface_points)
 
@@ -59,7 +60,7 @@ def test_a_model_s_surfaces_lie_where_its_field_is_zero(part_frame):
 def test_a_part_is_not_far_outside_of_its_box():
     """Within `ROOM` times the box its field is what the model says, beyond it below 0."""
     torch.manual_seed(1)
-    settings = ModelSettings(part_frame="world", part_boxes=True, coordinate_bound=1 / 3)
+    settings = ModelSettings(form="release", part_boxes=True)
     model = PPD(settings).eval()
     (instance,) = hinged_box([(0.3, 0.1)])
     cloud = torch.as_tensor(dequantize(instance.surface_points), dtype=torch.float32)
@@ -120,7 +121,7 @@ def test_some_parts_alone_have_the_fields_that_they_have_among_all():
 
 def test_a_part_that_is_nowhere_is_not_looked_for_on_a_finer_grid(monkeypatch):
     torch.manual_seed(1)
-    model = PPD(ModelSettings(coordinate_bound=1 / 3)).eval()
+    model = PPD(ModelSettings(form="release")).eval()
     with torch.no_grad():
         predicted = model(torch.rand(1, 64, 3) - 0.5)
         middling = np.median(part_logits(model, predicted, 16).max(0))
@@ -147,7 +148,7 @@ def test_a_part_that_is_nowhere_is_not_looked_for_on_a_finer_grid(monkeypatch):
 
 def test_places_all_over_a_box_are_where_the_part_s_pose_has_brought_them():
     torch.manual_seed(2)
-    settings = ModelSettings(part_frame="world", part_boxes=True, coordinate_bound=1 / 3)
+    settings = ModelSettings(form="release", part_boxes=True)
     model = PPD(settings).eval()
     with torch.no_grad():
         model.shape.box_in[-1].bias += 0.3 * torch.rand(8 * 6) - 0.3
@@ -169,7 +170,7 @@ def test_places_all_over_a_box_are_where_the_part_s_pose_has_brought_them():
 def test_parts_with_boxes_are_looked_for_there(monkeypatch):
     """One that is too thin for the grid as well; one that is nowhere is not looked at again."""
     torch.manual_seed(1)
-    settings = ModelSettings(part_frame="world", part_boxes=True, coordinate_bound=1 / 3)
+    settings = ModelSettings(form="release", part_boxes=True)
     model = PPD(settings).eval()
     with torch.no_grad():
         model.shape.box_in[-1].bias.view(-1, 6)[:, 3:] -= 0.5

@@ -236,7 +236,7 @@ def test_sealed_headers_may_hold_anything(run, change):
 
 def test_a_recipe_that_is_refused_by_now_says_why_and_how_to_go_on(run):
     path = run.path / LATEST
-    wrong = {"part_boxes": True, "part_frame": "joint"}
+    wrong = {"revolute": []}
     model = lambda d: d["recipe"]["model"] | wrong  # noqa: E731
     rewritten(path, lambda d: d | {"recipe": d["recipe"] | {"model": model(d)}})
     said = refused(read_checkpoint, path)

@@ -91,6 +91,7 @@ def generator_terms(
     """Everything the model itself minimises; L_adv_g where there are random poses, and what a warm
     start asks of it and the fields (B, P, n) where there is an `aim`."""
     fields = model.fields(prediction.shape, model.motion(prediction.pose), batch.points)
+    pose, form = prediction.pose, FORMS[weigh.form](model, weigh)
     terms: Terms = {}
     if weigh.rec:
         terms["rec"] = weigh.rec * losses.reconstruction(fields.product, batch.occupied)
@@ -98,14 +99,17 @@ def generator_terms(
         common = losses.reconstruction(fields.common, batch.occupied)
         terms["rec_common"] = weigh.rec_common * common
     if weigh.vol:
-        terms["vol"] = weigh.vol * _volume(model, prediction.shape, fields, batch, weigh)
+        terms["vol"] = weigh.vol * form.volume(prediction.shape, fields, batch)
     if weigh.vq:
-        terms["vq"] = weigh.vq * _quantization(model, prediction, weigh)
+        terms["vq"] = weigh.vq * form.quantization(prediction)
     if weigh.dev and model.settings.common_pose:
-        terms["dev"] = weigh.dev * _deviation(model, prediction.pose, weigh)
+        terms["dev"] = weigh.dev * form.deviation(pose)
     if weigh.loc:
-        terms["loc"] = weigh.loc * _location(model, prediction.pose, fields, batch, weigh)
-    terms |= _variation(model, prediction.pose, weigh)
+        terms["loc"] = weigh.loc * form.location(pose, fields.product.detach(), batch)
+    if weigh.var_state:
+        terms["var_state"] = weigh.var_state * form.state_variation(pose)
+    if weigh.var_pivot:
+        terms["var_pivot"] = weigh.var_pivot * form.pivot_variation(pose)
     if aim:
         terms |= aim(prediction, fields.product)
     if weigh.adv_g and discriminator is not None and posed is not None:
@@ -113,77 +117,90 @@ def generator_terms(
     return terms
 
 
-def _volume(
-    model: PPD, shape: ShapeCode, fields: PartLogits, batch: Batch, weigh: LossSettings
-) -> Tensor:
-    """L_vol over the points that are spread evenly."""
+class Paper:
+    """L_vol, L_vq, L_dev, L_loc and L_var of a prediction, as Eq. 3 to 7 are printed."""
 
-    def positive(of: PartLogits) -> Tensor:
-        logit = of.product if weigh.vol_logit == "product" else of.instance
-        return losses.relu_volume(logit[..., : batch.spread])
+    def __init__(self, model: PPD, weigh: LossSettings) -> None:
+        self.model, self.weigh, self.settings = model, weigh, model.settings
+        self.revolute = slice(1, 1 + len(model.settings.revolute))
 
-    still = model.still(shape, batch.points[:, : batch.spread])
-    return losses.volume(positive(fields), positive(still))
+    def volume(self, shape: ShapeCode, fields: PartLogits, batch: Batch) -> Tensor:
+        """Return L_vol over the points that are spread evenly."""
+        still = self.model.still(shape, batch.points[:, : batch.spread])
+        moved, unmoved = (
+            losses.relu_volume(self._logit(of)[..., : batch.spread]) for of in (fields, still)
+        )
+        return losses.volume(moved, unmoved)
 
+    def _logit(self, of: PartLogits) -> Tensor:
+        return of.instance
 
-def _quantization(model: PPD, prediction: Prediction, weigh: LossSettings) -> Tensor:
-    """L_vq of the pose's quantiser, and of the shape template's, which has one code."""
-    form = losses.quantization if weigh.vq_form == "norm" else losses.release_quantization
-    quantizers = []
-    if model.settings.common_pose:
-        quantizers.append(prediction.pose.quantizer)
-    if weigh.vq_form == "mean_square":
-        quantizers.append(prediction.shape.quantizer)
-    total = prediction.pose.state.new_zeros(())
-    for before, code in quantizers:
-        total = total + form(before, code)
-    return total
+    def quantization(self, prediction: Prediction) -> Tensor:
+        """Return L_vq of the pose's quantiser."""
+        total = prediction.pose.state.new_zeros(())
+        if self.settings.common_pose:
+            total = total + losses.quantization(*prediction.pose.quantizer)
+        return total
 
-
-def _deviation(model: PPD, pose: Pose, weigh: LossSettings) -> Tensor:
-    if weigh.dev_form == "paper":
-        revolute = slice(1, 1 + len(model.settings.revolute))
-        total = losses.deviation(pose.pivot_residual[:, revolute])
+    def deviation(self, pose: Pose) -> Tensor:
+        total = losses.deviation(pose.pivot_residual[:, self.revolute])
         if pose.euler_residual is not None:
             total = total + losses.deviation(pose.euler_residual[:, 1:])
         return total
-    total = losses.release_deviation(pose.pivot, pose.pivot_common)
-    if pose.euler_residual is not None:
-        total = total + losses.release_deviation(pose.euler, pose.euler_common)
-    return total
+
+    def location(self, pose: Pose, product: Tensor, batch: Batch) -> Tensor:
+        inside = product[:, self.revolute] > 0
+        return losses.location(pose.pivot[:, self.revolute], batch.points, batch.occupied, inside)
+
+    def state_variation(self, pose: Pose) -> Tensor:
+        return losses.state_variation(pose.state)
+
+    def pivot_variation(self, pose: Pose) -> Tensor:
+        pivots, width = pose.pivot[:, self.revolute], self.weigh.var_width
+        return losses.pivot_variation(pivots, self.settings.joints, width)
 
 
-def _location(
-    model: PPD, pose: Pose, fields: PartLogits, batch: Batch, weigh: LossSettings
-) -> Tensor:
-    revolute = slice(1, 1 + len(model.settings.revolute))
-    pivots, product = pose.pivot[:, revolute], fields.product.detach()
-    if weigh.loc_form == "paper":
-        return losses.location(pivots, batch.points, batch.occupied, product[:, revolute] > 0)
-    squares = losses.release_chain_squares(pivots, batch.points, product)
-    chain = losses.release_chain(*squares)
-    asked = [pivots, pose.pivot_common[:, revolute]] if model.settings.common_pose else [pivots]
-    near = losses.release_location(torch.stack(asked), batch.points, batch.occupied, product)
-    return near.sum() + chain
+class Mixed(Paper):
+    """The release's forms, but the paper's L_dev."""
+
+    def _logit(self, of: PartLogits) -> Tensor:
+        return of.product
+
+    def quantization(self, prediction: Prediction) -> Tensor:
+        """Return L_vq of the pose's quantiser, and of the shape template's, which has one code."""
+        total = prediction.pose.state.new_zeros(())
+        if self.settings.common_pose:
+            total = total + losses.release_quantization(*prediction.pose.quantizer)
+        return total + losses.release_quantization(*prediction.shape.quantizer)
+
+    def location(self, pose: Pose, product: Tensor, batch: Batch) -> Tensor:
+        pivots = pose.pivot[:, self.revolute]
+        squares = losses.release_chain_squares(pivots, batch.points, product)
+        chain = losses.release_chain(*squares)
+        both = [pivots]
+        if self.settings.common_pose:
+            both.append(pose.pivot_common[:, self.revolute])
+        near = losses.release_location(torch.stack(both), batch.points, batch.occupied, product)
+        return near.sum() + chain
+
+    def state_variation(self, pose: Pose) -> Tensor:
+        return losses.release_state_variation(pose.state, len(self.settings.revolute))
+
+    def pivot_variation(self, pose: Pose) -> Tensor:
+        return losses.release_pivot_variation(pose.pivot[:, self.revolute], self.weigh.var_width)
 
 
-def _variation(model: PPD, pose: Pose, weigh: LossSettings) -> Terms:
-    revolute = len(model.settings.revolute)
-    pivots, terms = pose.pivot[:, 1 : 1 + revolute], {}
-    state = pose.state
-    if weigh.var_state:
-        if weigh.var_form == "paper":
-            variation = losses.state_variation(state)
-        else:
-            variation = losses.release_state_variation(state, revolute)
-        terms["var_state"] = weigh.var_state * variation
-    if weigh.var_pivot:
-        if weigh.var_form == "paper":
-            variation = losses.pivot_variation(pivots, model.settings.joints, weigh.var_width)
-        else:
-            variation = losses.release_pivot_variation(pivots, weigh.var_width)
-        terms["var_pivot"] = weigh.var_pivot * variation
-    return terms
+class Release(Mixed):
+    """What the authors' release computes."""
+
+    def deviation(self, pose: Pose) -> Tensor:
+        total = losses.release_deviation(pose.pivot, pose.pivot_common)
+        if pose.euler_residual is not None:
+            total = total + losses.release_deviation(pose.euler, pose.euler_common)
+        return total
+
+
+FORMS = {"paper": Paper, "mixed": Mixed, "release": Release}
 
 
 def _adversarial(

@@ -31,14 +31,11 @@ class ModelSettings(Section):
         common_shape, common_pose: the category-common decoders; off for the paper's ablation
             ("w/o CS", "w/o CP").
         codes: N_qt, candidates of the pose quantiser.
-        codes_learn: whether codes also learn from what is decoded from them, or from L_vq alone.
-        coordinate_bound: weights of the layer that sees coordinates start in U(-bound, bound).
-        part_frame: where a revolute part's shape lives: `world`, B = T(q) R(s, u); or
-            `joint`, which turns it with the direction as well, B = T(q) C(r) Rz(s).
+        form: `paper` or `release`, see `codes_learn`, `coordinate_bound` and `part_frame`.
         part_boxes: whether each part's shape lives in a box of its own, whose middle and size are
             predicted from z^s: drawers of other sizes in other places then look alike. The paper
             has no such boxes; there z^s says all by six numbers a part. They lie along the unit
-            frame's axes, and so ask for the part frame `world`.
+            frame's axes.
         latent_start: how the encoder's weights start: `release`, as torch's layers do, which leaves
             latents of different objects the same to a thousandth; or `he`, by He et al. 2015, and
             the layer that reads z^s 20 times larger, so that shapes differ from the start.
@@ -51,9 +48,7 @@ class ModelSettings(Section):
     common_shape: bool = True
     common_pose: bool = True
     codes: int = Field(default=4, ge=1)
-    codes_learn: bool = True
-    coordinate_bound: float = Field(default=math.sqrt(2.0), gt=0.0)
-    part_frame: Literal["world", "joint"] = "world"
+    form: Literal["paper", "release"] = "paper"
     part_boxes: bool = False
     latent_start: Literal["release", "he"] = "release"
     encoder: Literal["points", "both"] = "points"
@@ -65,9 +60,23 @@ class ModelSettings(Section):
                 raise ValueError(f"direction {direction} is not of unit length")
         if not self.revolute or not self.prismatic:
             raise ValueError("there must be a revolute and a prismatic part")
-        if self.part_boxes and self.part_frame != "world":
-            raise ValueError("part_boxes lie along the unit frame's axes; set part_frame: world")
         return self
+
+    @property
+    def codes_learn(self) -> bool:
+        """Whether codes also learn from what is decoded from them, or from L_vq alone."""
+        return self.form == "paper"
+
+    @property
+    def coordinate_bound(self) -> float:
+        """Weights of the layer that sees coordinates start in U(-bound, bound)."""
+        return math.sqrt(2.0) if self.form == "paper" else 1.0 / 3.0
+
+    @property
+    def part_frame(self) -> Literal["world", "joint"]:
+        """The frame of a revolute part's shape: `world`, B = T(q) R(s, u); or the release's
+        `joint`, which turns it with the direction as well, B = T(q) C(r) Rz(s)."""
+        return "joint" if self.form == "release" and not self.part_boxes else "world"
 
     @property
     def joints(self) -> int:
@@ -87,12 +96,11 @@ def directions_of(model: ModelSettings) -> dict[JointKind, Floats]:
 
 
 class LossSettings(Section):
-    """Weights (lambda in the paper) and forms; a weight of 0 switches a term off.
+    """Weights (lambda in the paper) and their form; a weight of 0 switches a term off.
 
     Attributes:
-        vol_logit: what L_vol measures: `instance` F^{s,z} (Eq. 3), or its `product` with O^c.
-        vq_form: `norm`, ||z - sg(c)|| (Eq. 4), or `mean_square`, gradient to both.
-        dev_form, loc_form, var_form: `paper`, Eq. 5 to 7 as printed, or `release`.
+        form: `paper`, Eq. 3 to 7 as printed; `release`, what that computes instead; or `mixed`, the
+            release's but for L_dev, which is the paper's.
         var_width: v in Eq. 7.
         most_revolute, most_prismatic: h_i, random joint states are U(0, h_i).
     """
@@ -108,11 +116,7 @@ class LossSettings(Section):
     adv_g: float = Field(default=0.65, ge=0)
     adv_d: float = Field(default=0.35, ge=0)
     gradient_penalty: float = Field(default=1.0, ge=0)
-    vol_logit: Literal["instance", "product"] = "instance"
-    vq_form: Literal["norm", "mean_square"] = "norm"
-    dev_form: Literal["paper", "release"] = "paper"
-    loc_form: Literal["paper", "release"] = "paper"
-    var_form: Literal["paper", "release"] = "paper"
+    form: Literal["paper", "release", "mixed"] = "paper"
     var_width: float = Field(default=0.01, gt=0)
     most_revolute: float = Field(default=math.pi / 2, gt=0)
     most_prismatic: float = Field(default=0.4, gt=0)
