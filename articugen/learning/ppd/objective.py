@@ -118,7 +118,7 @@ def generator_terms(
 
 
 class Paper:
-    """L_vol, L_vq, L_dev, L_loc and L_var of a prediction, as Eq. 3 to 7 are printed."""
+    """Losses L_vol, L_vq, L_dev, L_loc and L_var, as Eq. 3 to 7 are printed."""
 
     def __init__(self, model: PPD, weigh: LossSettings) -> None:
         self.model, self.weigh, self.settings = model, weigh, model.settings
@@ -161,7 +161,7 @@ class Paper:
 
 
 class Mixed(Paper):
-    """The release's forms, but the paper's L_dev."""
+    """Losses in the release's forms, but L_dev, which is the paper's."""
 
     def _logit(self, of: PartLogits) -> Tensor:
         return of.product
@@ -191,7 +191,7 @@ class Mixed(Paper):
 
 
 class Release(Mixed):
-    """What the authors' release computes."""
+    """Losses as the authors' release computes them."""
 
     def deviation(self, pose: Pose) -> Tensor:
         total = losses.release_deviation(pose.pivot, pose.pivot_common)

@@ -64,12 +64,12 @@ class ModelSettings(Section):
 
     @property
     def codes_learn(self) -> bool:
-        """Whether codes also learn from what is decoded from them, or from L_vq alone."""
+        """True where codes also learn from what is decoded from them, not from L_vq alone."""
         return self.form == "paper"
 
     @property
     def coordinate_bound(self) -> float:
-        """Weights of the layer that sees coordinates start in U(-bound, bound)."""
+        """Bound of the first weights of the layer that sees coordinates, U(-bound, bound)."""
         return math.sqrt(2.0) if self.form == "paper" else 1.0 / 3.0
 
     @property
