@@ -38,7 +38,7 @@ LARGEST_ROOM = 0.2
 """Its share of the lines."""
 LONGEST_FILE = 450
 LONG_FILES = {
-    "discovery.discover": 467,
+    "discovery.discover": 466,
     "procedural.eyeglasses": 456,
 }
 """Files that are longer yet, and how long they may be: no line more is let in."""

@@ -99,8 +99,7 @@ class DataSet(Sequence[Row]):
     @cached_property
     def shards(self) -> tuple[Any, ...]:
         """The files that hold these instances, in their order."""
-        shards, first = np.unique(self._where[:, 0], return_index=True)
-        return tuple(self._shelf.entries[shard].path for shard in shards[np.argsort(first)])
+        return tuple(entry.path for entry in self._entries())
 
     @cached_property
     def category(self) -> str:
@@ -130,10 +129,9 @@ class DataSet(Sequence[Row]):
     @cached_property
     def objects(self) -> tuple[str, ...]:
         """The ids of its objects, in the order of their first instances."""
-        shards, first = np.unique(self._where[:, 0], return_index=True)
-        ids = [self._shelf.entries[shard].object_ids for shard in shards[np.argsort(first)]]
-        if all(isinstance(each, Same) for each in ids):  # need not look at every instance
-            return tuple(dict.fromkeys(each[0] for each in ids))
+        ids = [entry.object_ids for entry in self._entries()]
+        if all(isinstance(some, Same) for some in ids):  # every instance need not be read
+            return tuple(dict.fromkeys(some[0] for some in ids))
         return tuple(dict.fromkeys(self._object_ids()))
 
     @cached_property
@@ -346,6 +344,11 @@ class DataSet(Sequence[Row]):
             f"{self.path}: {name} is {shape} in {one} and {unlike} in {other}, which do not stack; "
             "take objects of like joints with of(...), or read rows one by one"
         )
+
+    def _entries(self) -> list[Any]:
+        """List the shards that hold these instances, in the order of their first ones."""
+        shards, first = np.unique(self._where[:, 0], return_index=True)
+        return [self._shelf.entries[shard] for shard in shards[np.argsort(first)]]
 
     def _object_ids(self) -> list[str]:
         return [self._shelf.entries[s].object_ids[row] for s, row in self._where.tolist()]

@@ -85,7 +85,13 @@ def _rebuilt(folder: Path, jobs: int) -> str:
     alone = [witness for name, witness in whole.items() if name not in outcomes]
     proven = processes.in_order(partial(_proven, folder), alone, workers=wide, name=_object_of)
     outcomes |= {outcome.shard.name: outcome for outcome in proven if outcome.shard}
-    _check_distinct(outcomes)
+    holders: dict[str, str] = {}
+    for name, outcome in outcomes.items():
+        other = holders.setdefault(outcome.key.object_id, name)
+        if other != name:
+            raise ArticugenError(
+                f"{other} and {name} both hold {outcome.key.object_id}; move one of them elsewhere"
+            )
     manifest = Manifest.of(
         [*outcomes.values(), *told.unmade({o.key.object_id for o in outcomes.values()})],
         category=str(about["category"]),
@@ -308,13 +314,3 @@ def _proven(folder: Path, witness: _Witness) -> Outcome:
     return Outcome.of_shard(
         key, witness.record, input_sha256=prepared.obj.sha256, notes=prepared.obj.notes
     )
-
-
-def _check_distinct(outcomes: Mapping[str, Outcome]) -> None:
-    seen: dict[str, str] = {}
-    for name, outcome in outcomes.items():
-        other = seen.setdefault(outcome.key.object_id, name)
-        if other != name:
-            raise ArticugenError(
-                f"{other} and {name} both hold {outcome.key.object_id}; move one of them elsewhere"
-            )
