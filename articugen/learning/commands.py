@@ -28,11 +28,7 @@ from articugen.learning.evaluation.evaluate import evaluate as evaluate_as_paper
 from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.evaluation.report import markdown
 from articugen.learning.evaluation.report import tables as written
-from articugen.learning.evaluation.results import (
-    EvaluatedRun,
-    RunEvaluation,
-    read_evaluation,
-)
+from articugen.learning.evaluation.results import EvaluatedRun, RunEvaluation, read_evaluation
 from articugen.learning.loop import Tell
 from articugen.learning.method import Yardstick, find_method, load_recipe
 from articugen.learning.predict import write_rig

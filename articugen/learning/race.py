@@ -75,13 +75,12 @@ class Heat:
 
     def reached(self) -> dict[str, float]:
         """Return the validation at `stop`."""
-        path = self.path
-        there = [r for r in RunFolder(path).metrics() if r["iteration"] == self.stop]
+        there = [r for r in RunFolder(self.path).metrics() if r["iteration"] == self.stop]
         found = [r["validation"] for r in there if r.get("validation")]
         if not found:
             raise InvalidCheckpoint(
-                f"{path / METRICS}: lacks the validation at iteration {self.stop}; delete {path} "
-                "and resume the race"
+                f"{self.path / METRICS}: lacks the validation at iteration {self.stop}; delete "
+                f"{self.path} and resume the race"
             )
         return found[0]
 

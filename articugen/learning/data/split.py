@@ -74,7 +74,7 @@ class PackedSplit:
     def bytes(self) -> int:
         """What the tensors take."""
         sizes = []
-        self._with(lambda tensor: sizes.append(tensor.nbytes) or tensor)
+        _changed(self, lambda tensor: sizes.append(tensor.nbytes) or tensor)
         return sum(sizes)
 
     def poses_of(self, name: str) -> NDArray[np.intp]:
@@ -87,7 +87,7 @@ class PackedSplit:
         """Return the instances of these objects alone."""
         rows = np.flatnonzero(np.isin(self.object_id, list(objects)))
         at = torch.from_numpy(rows)
-        some = self._with(lambda tensor: tensor[at])
+        some = _changed(self, lambda tensor: tensor[at])
         return replace(some, object_id=self.object_id[rows], state_index=self.state_index[rows])
 
     def for_batches(self) -> "PackedSplit":
@@ -96,10 +96,7 @@ class PackedSplit:
 
     def to(self, device: torch.device) -> "PackedSplit":
         """Return the same in the memory of a device."""
-        return self._with(lambda tensor: tensor.to(device))
-
-    def _with(self, change: Callable[[Tensor], Tensor]) -> "PackedSplit":
-        return _changed(self, change)
+        return _changed(self, lambda tensor: tensor.to(device))
 
     def batch(
         self, rows: Sequence[int], spec: BatchSpec, resolution: int, rng: torch.Generator | None
