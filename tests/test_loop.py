@@ -68,8 +68,8 @@ def boxes(tmp_path_factory):
     return write_boxes(tmp_path_factory.mktemp("boxes"))
 
 
-def start(boxes, runs, recipe=TINY, *, stop_after=None, **options):
-    return train(Training(recipe, "box", boxes, runs, **options), stop_after=stop_after)
+def start(boxes, runs, recipe=TINY, *, seed=0, resume=None, **options):
+    return train(Training(recipe, "box", boxes, runs, seed, resume), **options)
 
 
 @pytest.fixture(scope="module")
