@@ -8,7 +8,8 @@ from typer.testing import CliRunner
 
 from articugen.cli import app
 from articugen.core.errors import InvalidSource
-from articugen.sources.registry import load, object_refs
+from articugen.sources.readers import load
+from articugen.sources.source import open_source
 
 MODELS = {
     "100": ("Table", ["prismatic", "prismatic"]),
@@ -59,25 +60,25 @@ def ids(refs) -> list[str]:
     ],
 )
 def test_all_joints_that_move_are_of_the_kinds_asked_for(folder, joints, chosen):
-    assert ids(object_refs(folder, "Table", joints=joints)) == chosen
+    assert ids(open_source(folder).objects("Table", joints=joints)) == chosen
 
 
 def test_the_splits_of_the_others_stay_what_they_are(folder):
-    split = {ref.object_id: ref.split for ref in object_refs(folder, "Table")}
-    for ref in object_refs(folder, "Table", joints=["prismatic", "revolute"]):
+    split = {ref.object_id: ref.split for ref in open_source(folder).objects("Table")}
+    for ref in open_source(folder).objects("Table", joints=["prismatic", "revolute"]):
         assert ref.split == split[ref.object_id]
 
 
 def test_no_mesh_is_opened_to_choose(folder):
     (folder / "100" / "square.obj").write_bytes(b"\xff" * 9)
-    (chosen,) = object_refs(folder, "Table", joints=["prismatic"])
+    (chosen,) = open_source(folder).objects("Table", joints=["prismatic"])
     with pytest.raises(InvalidSource, match=r"square\.obj"):
         load(chosen)
 
 
 def test_what_cannot_be_read_stays_to_be_refused(folder):
     (folder / "104" / "mobility.urdf").write_text("<robot><link")
-    assert ids(object_refs(folder, "Table", joints=["prismatic"])) == ["100", "104"]
+    assert ids(open_source(folder).objects("Table", joints=["prismatic"])) == ["100", "104"]
 
 
 @pytest.mark.parametrize(
@@ -90,7 +91,7 @@ def test_what_cannot_be_read_stays_to_be_refused(folder):
 )
 def test_refusals_name_the_cure(folder, joints, sentence):
     with pytest.raises(InvalidSource, match=sentence):
-        object_refs(folder, "Laptop", joints=joints)
+        open_source(folder).objects("Laptop", joints=joints)
 
 
 def test_the_command_makes_those_alone(folder, tmp_path):

@@ -26,7 +26,7 @@ from articugen.sources.fetch.hub import Published
 from articugen.sources.fetch.partnet_mobility import fetch_partnet_mobility
 from articugen.sources.fetch.target import RECEIPT_NAME
 from articugen.sources.fetch.web import RemoteFile, Server
-from articugen.sources.registry import object_refs
+from articugen.sources.source import open_source
 from tests.published import TOKEN, Publisher, model_files, serving, zipped
 from tests.trouble import small_disk
 
@@ -97,7 +97,7 @@ def test_a_category_comes_whole_with_its_terms_and_can_be_used(hub, tmp_path):
     assert listed["models"]["9748"]["archive_sha256"] == digest
     assert "9748.zip" in listed["models"]["9748"]["archive"]
     assert (tmp_path / "terms" / "README.md").read_bytes() == hub.files["README.md"]
-    assert {ref.object_id for ref in object_refs(tmp_path, "Laptop")} == set(LAPTOPS)
+    assert {ref.object_id for ref in open_source(tmp_path).objects("Laptop")} == set(LAPTOPS)
     assert not list((tmp_path / ".fetch" / "downloads").iterdir())
 
 
@@ -484,7 +484,10 @@ def test_archives_of_many_models_keep_their_folders(tmp_path):
     done = run(*arguments)
     assert done.exit_code == 0, done.output
     assert "research only" in done.output
-    assert {r.object_id for r in object_refs(tmp_path / "out", "laptop")} == {"0001", "0002"}
+    assert {r.object_id for r in open_source(tmp_path / "out").objects("laptop")} == {
+        "0001",
+        "0002",
+    }
     assert "2 models, 0 of them new" in run(*arguments).output
 
 
@@ -600,7 +603,7 @@ def test_what_is_ones_own_is_set_aside_where_a_new_version_comes(hub, tmp_path, 
     aside = tmp_path / ".set-aside" / "1" / "9748"
     assert files_in(aside) == before
     assert os.path.lexists(aside / own)
-    assert {ref.object_id for ref in object_refs(tmp_path, "Oven")} == {"9748"}
+    assert {ref.object_id for ref in open_source(tmp_path).objects("Oven")} == {"9748"}
 
 
 def test_a_model_in_a_models_folder_is_refused_and_the_outer_one_stays_whole(tmp_path):

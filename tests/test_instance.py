@@ -46,7 +46,8 @@ from articugen.procedural import CATEGORIES
 from articugen.procedural.truth import Truth
 from articugen.procedural.truth import truth_of as exact_truth
 from articugen.rendering import rasterizer
-from articugen.sources import registry
+from articugen.sources import readers
+from articugen.sources.source import open_source
 from tests.procedural_truth import heights, object_id, written
 from tests.shapes import iou, towards_cameras
 
@@ -689,8 +690,8 @@ def test_an_instance_may_hold_no_samples_at_all() -> None:
             "sampling": {"grids": [], **nothing},
         }
     )
-    ref = registry.object_refs("procedural", "oven", objects=2)[0]
-    obj = articulation.resolve(registry.load(ref), recipe.articulation)
+    ref = open_source("procedural").objects("oven", objects=2)[0]
+    obj = articulation.resolve(readers.load(ref), recipe.articulation)
     made = make_instance(prepare(obj, recipe, seed=0), 1)
     assert not made.occupancy
     assert made.surface_points.shape == (0, 3)

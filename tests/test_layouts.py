@@ -8,7 +8,8 @@ import trimesh
 
 from articugen.core.errors import InvalidSource
 from articugen.core.records import JointKind
-from articugen.sources.registry import categories, load, object_refs
+from articugen.sources.readers import load
+from articugen.sources.source import open_source
 
 URDF = """<robot name="m">
   <link name="body"><visual><geometry><mesh filename="{mesh}"/></geometry></visual></link>
@@ -53,7 +54,7 @@ def check(obj) -> None:
 
 
 def found(source: Path, category: str) -> dict[str, str]:
-    return {ref.object_id: ref.reader for ref in object_refs(source, category)}
+    return {ref.object_id: ref.reader for ref in open_source(source).objects(category)}
 
 
 @pytest.mark.parametrize("inside", ["", "data", "data/PartNeXt"])
@@ -62,8 +63,8 @@ def test_sketchmobility_from_any_folder_of_it(tmp_path, inside):
         sketch(tmp_path / "data" / "PartNeXt" / name)
     source = tmp_path / inside
     assert found(source, "laptop") == {"a1": "annotated_urdf", "a2": "annotated_urdf"}
-    assert categories(source, ["all"]) == ("laptop", "oven")
-    check(load(object_refs(source, "oven")[0]))
+    assert open_source(source).categories(["all"]) == ("laptop", "oven")
+    check(load(open_source(source).objects("oven")[0]))
 
 
 def test_ids_that_sources_share_are_told_apart(tmp_path):
@@ -84,15 +85,15 @@ def test_artiverse_from_any_folder_of_it(tmp_path, inside, mesh):
     artiverse(tmp_path / "data" / "dishwasher" / "hssd" / "c2", mesh)
     source = tmp_path / inside
     assert found(source, "armoire") == {"c1": "artiverse"}
-    assert categories(source, ["all"]) == ("armoire", "dishwasher")
-    check(load(object_refs(source, "armoire")[0]))
+    assert open_source(source).categories(["all"]) == ("armoire", "dishwasher")
+    check(load(open_source(source).objects("armoire")[0]))
 
 
 def test_of_several_urdfs_the_shortest_name_is_read_and_the_others_are_noted(tmp_path):
     model = tmp_path / "armoire" / "hssd" / "c1"
     artiverse(model)
     (model / "urdf_w_collider" / "c1_other.urdf").write_text("<robot/>")
-    obj = load(object_refs(tmp_path, "armoire")[0])
+    obj = load(open_source(tmp_path).objects("armoire")[0])
     check(obj)
     assert obj.notes == ("read from c1.urdf; left aside: c1_other.urdf",)
 
@@ -102,7 +103,7 @@ def test_a_model_without_its_urdf_is_refused_not_passed_over(tmp_path):
     artiverse(model)
     (model / "urdf_w_collider" / "c1.urdf").unlink()
     with pytest.raises(InvalidSource, match="urdf_w_collider: holds no URDF; get"):
-        load(object_refs(tmp_path, "armoire")[0])
+        load(open_source(tmp_path).objects("armoire")[0])
 
 
 def test_a_compiled_articraft_model_is_a_urdf_and_its_program_is_never_run(tmp_path):
@@ -110,7 +111,7 @@ def test_a_compiled_articraft_model_is_a_urdf_and_its_program_is_never_run(tmp_p
         articraft(tmp_path / name)
         (tmp_path / name / "model.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')")
     assert set(found(tmp_path, "globe")) == {"rec_globe_01", "rec_globe_02"}
-    check(load(object_refs(tmp_path, "globe")[0]))
+    check(load(open_source(tmp_path).objects("globe")[0]))
     assert not (tmp_path / "ran").exists()
 
 

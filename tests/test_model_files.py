@@ -10,7 +10,8 @@ from articugen.core.errors import InvalidSource, MachineFault
 from articugen.meshes import model_files
 from articugen.meshes.model_files import ModelFiles
 from articugen.meshes.read import read_mesh
-from articugen.sources import registry
+from articugen.sources import readers
+from articugen.sources.source import load_path, open_source
 
 
 @pytest.fixture
@@ -212,7 +213,7 @@ def test_no_package_above_the_folder_that_was_named_is_read(tmp_path, named, nam
     write(package / "meshes" / "a.obj", SQUARE_OBJ + "f 1 2 3\n")
     folder = "urdf" if named.endswith("urdf") and "one" not in named else "robots/one"
     write(tmp_path / "robots" / "pkg" / folder / "m.urdf", text)
-    for load in (registry.load_path, lambda path: registry.load(*registry.object_refs(path, "x"))):
+    for load in (load_path, lambda path: readers.load(*open_source(path).objects("x"))):
         if read:
             assert len(load(tmp_path / named).links[0].mesh.faces) == 1
         else:
@@ -227,9 +228,9 @@ def test_the_meshes_beside_a_folder_called_urdf_are_not_read_where_that_was_name
     text = VISUAL.format('<mesh filename="../meshes/a.obj"/>')
     path = write(tmp_path / "pkg" / "urdf" / "m.urdf", text)
     for named in (path, tmp_path):
-        assert len(registry.load_path(named).links[0].mesh.faces) == 1
+        assert len(load_path(named).links[0].mesh.faces) == 1
     with pytest.raises(InvalidSource, match="leads out of"):
-        registry.load_path(tmp_path / "pkg" / "urdf")
+        load_path(tmp_path / "pkg" / "urdf")
 
 
 VISUAL = """<robot name="r"><link name="a"><visual><geometry>{}</geometry></visual></link>

@@ -21,7 +21,6 @@ from articugen.instance.articulation import (
     forward_kinematics,
     resolve,
 )
-from articugen.sources.categories import own_name
 from articugen.sources.partnet_mobility import load
 from articugen.sources.refs import CategorySettings, ObjectRef
 from articugen.sources.source_file import read_source_file
@@ -349,7 +348,7 @@ def test_limits_that_somebody_changed_are_noted():
 def real_folders(*roots: str) -> list[tuple[str, Path]]:
     """(category's own name, folder) of every real model."""
     folders = [path.parent for root in roots for path in (REAL_MODELS / root).glob("*/*/meta.json")]
-    named = [(own_name(SOURCE, folder.parent.name), folder) for folder in sorted(folders)]
+    named = [(SOURCE.own_name(folder.parent.name), folder) for folder in sorted(folders)]
     return [(name, folder) for name, folder in named if name]
 
 

@@ -39,7 +39,8 @@ from articugen.pipeline.job import Job
 from articugen.pipeline.options import ObjectReport
 from articugen.pipeline.plan import Plan
 from articugen.pipeline.run import started
-from articugen.sources import registry
+from articugen.sources import readers
+from articugen.sources.source import open_source
 from articugen.store import croissant
 from articugen.store import manifest as manifest_module
 from articugen.store.manifest import MANIFEST_NAME, Manifest, content_of
@@ -129,8 +130,8 @@ def test_a_data_set_is_whole_and_holds_what_instance_makes(whole: Path) -> None:
     manifest = Manifest.read(whole)
     assert [s.name for s in manifest.shards] == ["test-00000.h5", *_train(3)]
     assert verify(whole).findings == ()
-    ref = registry.object_refs("procedural", "eyeglasses", objects=4)[0]
-    obj = articulation.resolve(registry.load(ref), TINY.articulation)
+    ref = open_source("procedural").objects("eyeglasses", objects=4)[0]
+    obj = articulation.resolve(readers.load(ref), TINY.articulation)
     prepared = prepare(obj, TINY, seed=0)
     entry = next(o for o in manifest.objects if o.key.object_id == ref.object_id)
     with open_shard(whole / entry.shard) as shard:
@@ -588,7 +589,7 @@ def test_rejections_that_earlier_versions_wrote_over_our_faults_are_tried_again(
 def test_what_a_reader_says_over_a_fault_of_the_machine_is_no_verdict(
     boxes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
-    read = registry.load
+    read = readers.load
 
     def load(ref):
         if ref.object_id == "box2":
@@ -598,7 +599,7 @@ def test_what_a_reader_says_over_a_fault_of_the_machine_is_no_verdict(
                 raise InvalidSource("box2: cannot be read") from None
         return read(ref)
 
-    monkeypatch.setattr(registry, "load", load)
+    monkeypatch.setattr(readers, "load", load)
     ours = job(tmp_path / "out", source=str(boxes), category="box")
     if isinstance(error, OSError):
         with pytest.raises(MachineFault, match=r"^it is broken; the disk|^too many; raise the"):
@@ -804,7 +805,7 @@ def nothing_to_articulate() -> None:
 def test_whatever_reading_one_object_raises_the_others_are_made(
     boxes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error
 ) -> None:
-    read = registry.load
+    read = readers.load
 
     def load(ref):
         if ref.object_id == "box2":
@@ -813,7 +814,7 @@ def test_whatever_reading_one_object_raises_the_others_are_made(
             raise error
         return read(ref)
 
-    monkeypatch.setattr(registry, "load", load)
+    monkeypatch.setattr(readers, "load", load)
     ours = job(tmp_path / "out", source=str(boxes), category="box")
     with pytest.raises(ArticugenError, match=r"1 of 4 objects (failed|were rejected).* box2: "):
         made(ours)

@@ -19,8 +19,9 @@ from articugen.core.records import LabelledMesh
 from articugen.export import formats
 from articugen.rendering import render
 from articugen.rendering.views import fusion_views
-from articugen.sources import readers, registry
+from articugen.sources import readers
 from articugen.sources.readers import READERS, Maker
+from articugen.sources.source import load_path, open_source
 from articugen.sources.source_file import read_source_file
 
 URDF = """<robot name="r"><link name="a"><visual><geometry><box size="1 2 3"/></geometry></visual>
@@ -107,15 +108,15 @@ def test_a_package_adds_a_layout(install: Install, tmp_path: Path) -> None:
     install("chest-maker", "chests", CHESTS, chest="chests")
     folder = chests(tmp_path / "models", "a", "b")
     (folder / "c.urdf").write_text(URDF)
-    refs = registry.object_refs(folder, "chest")
+    refs = open_source(folder).objects("chest")
     assert [(ref.object_id, ref.reader) for ref in refs] == [
         ("a", "chest"), ("b", "chest"), ("c", "urdf")
     ]  # fmt: skip
-    obj = registry.load(refs[0])
+    obj = readers.load(refs[0])
     assert (obj.object_id, obj.category, obj.source) == ("a", "chest", str(folder))
     assert [link.name for link in obj.links] == ["body", "lid"]
     np.testing.assert_array_equal(np.ptp(obj.links[0].mesh.vertices, axis=0), [0.6, 0.4, 0.3])
-    single = registry.load_path(folder / "b.chest")
+    single = load_path(folder / "b.chest")
     assert (single.object_id, single.category) == ("b", "object")
     assert single.sha256 != obj.sha256, "the name of the file counts"
 
@@ -126,16 +127,16 @@ def test_it_is_as_good_as_ours_in_folders_and_in_source_files(
     install("chest-maker", "chests", CHESTS, chest="chests")
     folder = chests(tmp_path / "mixed", "box1", "plain")
     chests(folder / "trunk", "one", "two")
-    assert registry.categories(str(folder), ["all"]) == ("box", "trunk")
-    assert [r.object_id for r in registry.object_refs(folder, "box")] == ["box1", "plain"]
+    assert open_source(str(folder)).categories(["all"]) == ("box", "trunk")
+    assert [r.object_id for r in open_source(folder).objects("box")] == ["box1", "plain"]
 
     own = chests(tmp_path / "own" / "mine" / "box", "a", "b").parent
     (own / "source.yaml").write_text(
         "{origin: x, licence: x, frame: x, reader: chest, categories: {box: {yaw_degrees: 90}}}"
     )
     monkeypatch.setenv("ARTICUGEN_SOURCES", str(own.parent))
-    ref = registry.object_refs("mine", "box")[0]
-    turned = registry.load(ref).T_world_root[:3, :3]
+    ref = open_source("mine").objects("box")[0]
+    turned = readers.load(ref).T_world_root[:3, :3]
     np.testing.assert_allclose(turned @ [1, 0, 0], [0, 1, 0], atol=1e-12)
 
 
@@ -170,7 +171,7 @@ def test_packages_that_cannot_be_used_are_named_once_and_break_no_other(
     folder = chests(tmp_path / "models", "a")
     with caplog.at_level(logging.WARNING, "articugen"):
         for _ in range(2):
-            assert [r.object_id for r in registry.object_refs(folder, "x")] == ["a"]
+            assert [r.object_id for r in open_source(folder).objects("x")] == ["a"]
     said = sorted(caplog.messages)
     assert len(said) == 4, said
     assert all("\n" not in line for line in said)
@@ -281,23 +282,23 @@ def test_one_model_by_its_path(tmp_path: Path) -> None:
         (partnet, "100", "Oven"),
         (raw, "200", "object"),
     ):
-        obj = registry.load_path(path)
+        obj = load_path(path)
         assert (obj.object_id, obj.category) == (object_id, category)
-        assert registry.load_path(str(path), "thing").category == "thing"
-    turned = registry.load_path(partnet).T_world_root
+        assert load_path(str(path), "thing").category == "thing"
+    turned = load_path(partnet).T_world_root
     assert turned[0, 0] == -1.0, "what source.yaml says of ovens"
 
 
 def test_what_is_no_single_model_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidSource, match=r"nowhere: there is no such file or folder"):
-        registry.load_path(tmp_path / "nowhere")
+        load_path(tmp_path / "nowhere")
     with pytest.raises(
         InvalidSource, match=r"is no model, nor a folder of one; name a \.urdf or USD file"
     ):
-        registry.load_path(tmp_path)
+        load_path(tmp_path)
     for name in ("a", "b"):
         (tmp_path / f"{name}.urdf").write_text(URDF)
     with pytest.raises(InvalidSource, match=r"holds 2 models; name one, such as .*a\.urdf"):
-        registry.load_path(tmp_path)
+        load_path(tmp_path)
     with pytest.raises(InvalidSource, match="is no model"):
-        registry.load_path(__file__)
+        load_path(__file__)

@@ -16,7 +16,8 @@ from articugen.core.seeding import generator
 from articugen.instance.articulation import canonical_state, resolve, sample_joint_state
 from articugen.procedural import CATEGORIES, build_model
 from articugen.procedural.kit.model import Model, ModelLink
-from articugen.sources import registry
+from articugen.sources import readers
+from articugen.sources.source import open_source
 from tests.benchmarks import objects
 from tests.procedural_truth import assert_sound, crossings, object_id, written
 
@@ -120,9 +121,8 @@ def test_the_category_of_the_docs_is_like_any_other(chest: str, tmp_path: Path) 
     for index in range(10):
         assert_sound(build_model(chest, object_id(chest, index)))
     assert_parts_keep_clear(chest, object_id(chest, 1), tmp_path)
-    (info,) = (i for i in registry.source_names() if i.name == "procedural_messy")
-    assert [(c.train, c.test) for c in info.categories if c.name == chest] == [(8, 2)]
-    refs = registry.object_refs("procedural_messy", chest)
-    obj = registry.load(refs[0])
+    assert open_source("procedural_messy").counts()[chest] == {"train": 8, "test": 2}
+    refs = open_source("procedural_messy").objects(chest)
+    obj = readers.load(refs[0])
     assert (obj.object_id, obj.category, len(refs)) == ("chest_0000", chest, 10)
     assert [joint.name for joint in obj.moving_joints] == ["hinge"]

@@ -12,7 +12,8 @@ from articugen.core.errors import InvalidSource
 from articugen.core.recipe import load_recipe
 from articugen.core.seeding import generator
 from articugen.procedural import build_model, drawer
-from articugen.sources import registry
+from articugen.sources import readers
+from articugen.sources.source import open_source
 from tests.procedural_truth import assert_sound, crossings, object_id, random_state, written
 
 DRAWERS = [object_id("drawer", k) for k in range(60)]
@@ -80,16 +81,16 @@ def test_what_is_not_varied_is_not_offered() -> None:
     with pytest.raises(InvalidSource, match=f"procedural_varied has no .*'oven'; it has {offered}"):
         build_model("oven", object_id("oven", 2), varied=True)
     with pytest.raises(InvalidSource, match=f"has no category 'laptop'; there are: {offered}"):
-        registry.object_refs(SOURCE, "laptop")
-    assert ", ".join(registry.categories(SOURCE, ["all"])) == offered
+        open_source(SOURCE).objects("laptop")
+    assert ", ".join(open_source(SOURCE).categories(["all"])) == offered
 
 
 def test_they_are_a_source_of_their_own(tmp_path: Path) -> None:
     """Beside the plain ones: one id is another object in either."""
     fewer = next(name for name in DRAWERS if len(drawers_of(name)) == 1)
-    (plain,) = registry.object_refs("procedural", "drawer", ids=[fewer])
-    (varied,) = registry.object_refs(SOURCE, "drawer", ids=[fewer])
-    assert [len(registry.load(ref).moving_joints) for ref in (plain, varied)] == [3, 1]
+    (plain,) = open_source("procedural").objects("drawer", ids=[fewer])
+    (varied,) = open_source(SOURCE).objects("drawer", ids=[fewer])
+    assert [len(readers.load(ref).moving_joints) for ref in (plain, varied)] == [3, 1]
     folder = tmp_path / "one"
     for each in (False, True, False):
         obj, _ = written("drawer", fewer, folder, varied=each)

@@ -18,7 +18,8 @@ from articugen.procedural import build_model, object_files, write_object
 from articugen.procedural.kit import writer
 from articugen.procedural.kit.model import Model, ModelJoint, ModelLink
 from articugen.procedural.kit.solids import box, prism
-from articugen.sources import registry
+from articugen.sources import readers
+from articugen.sources.source import open_source, write_bundled
 from tests.procedural_truth import (
     L_SHAPE,
     assert_sound,
@@ -210,13 +211,13 @@ def test_same_id_same_bytes_other_id_other_bytes(tmp_path: Path, *, messy: bool)
 
 def test_an_object_in_memory_is_the_one_that_is_written(tmp_path: Path) -> None:
     name = object_id("eyeglasses", 2)
-    (ref,) = registry.object_refs("procedural_messy", "eyeglasses", ids=[name])
-    for category, number in registry.write_bundled(tmp_path, categories=("eyeglasses",)):
+    (ref,) = open_source("procedural_messy").objects("eyeglasses", ids=[name])
+    for category, number in write_bundled(tmp_path, categories=("eyeglasses",)):
         assert category.parent.parent == tmp_path
         assert number == len(list(category.iterdir())) == 42
     folder = tmp_path / "procedural_messy" / "eyeglasses" / name
-    (again,) = registry.object_refs(folder, "eyeglasses")
-    one, other = registry.load(ref), registry.load(again)
+    (again,) = open_source(folder).objects("eyeglasses")
+    one, other = readers.load(ref), readers.load(again)
     assert one.sha256 == other.sha256
     for a, b in zip(one.links, other.links, strict=True):
         assert a.mesh.vertices.tobytes() == b.mesh.vertices.tobytes()

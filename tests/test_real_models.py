@@ -25,7 +25,9 @@ from articugen.instance import articulation
 from articugen.instance.again import resolved
 from articugen.instance.make import make_instance
 from articugen.instance.preparing import Prepared, prepare
-from articugen.sources import registry
+from articugen.sources import readers
+from articugen.sources.refs import ObjectRef
+from articugen.sources.source import open_source
 
 pytestmark = needs_real_models
 
@@ -66,7 +68,7 @@ def recipe_for(category: str) -> Recipe:
     )
 
 
-def all_stages(ref: registry.ObjectRef) -> tuple[Prepared, list[Instance]]:
+def all_stages(ref: ObjectRef) -> tuple[Prepared, list[Instance]]:
     """The object's canonical instance and `STATES` random ones, as the pipeline makes them."""
     recipe = recipe_for(ref.category)
     prepared = prepare(resolved(ref, recipe), recipe, seed=0)
@@ -83,7 +85,7 @@ def sane_memory() -> Iterator[None]:
 
 @pytest.mark.parametrize(("source", "category", "model"), found())
 def test_a_real_model_moves_and_has_an_inside(source: str, category: str, model: str) -> None:
-    refs = registry.object_refs(REAL_MODELS / source, category)
+    refs = open_source(REAL_MODELS / source).objects(category)
     mine = [ref for ref in refs if model in (ref.object_id, ref.object_id.split(".")[0])]
     assert mine
     if model == BUTTONS_ALONE:
@@ -93,7 +95,7 @@ def test_a_real_model_moves_and_has_an_inside(source: str, category: str, model:
     for ref in mine:
         prepared, instances = all_stages(ref)
         assert_sound(prepared, instances)
-        assert registry.digest(ref) == prepared.obj.sha256
+        assert readers.digest(ref) == prepared.obj.sha256
 
 
 def assert_sound(prepared: Prepared, instances: list[Instance]) -> None:
@@ -185,7 +187,7 @@ OTHERS = {
 
 @pytest.mark.parametrize(("folder", "models"), OTHERS.items())
 def test_other_urdfs_move_too(folder: str, models: int) -> None:
-    refs = registry.object_refs(REAL_MODELS / "other" / folder, "thing")
+    refs = open_source(REAL_MODELS / "other" / folder).objects("thing")
     assert len(refs) == models
     for ref in refs:
         assert_moves_rigidly(*all_stages(ref))
@@ -197,10 +199,10 @@ SMALL_PARTS = {"Microwave": "7265", "CoffeeMachine": "103127", "Dishwasher": "12
 
 @pytest.mark.parametrize(("category", "model"), SMALL_PARTS.items())
 def test_small_moving_parts_take_no_more_memory_than_others(category: str, model: str) -> None:
-    (ref,) = registry.object_refs(REAL_MODELS / "partnet_mobility_more" / category / model, "thing")
+    (ref,) = open_source(REAL_MODELS / "partnet_mobility_more" / category / model).objects("thing")
     recipe = recipe_for(ref.category)
     every = recipe.articulation.model_copy(update={"movable": ("*",)})
-    prepared = prepare(articulation.resolve(registry.load(ref), every), recipe, seed=0)
+    prepared = prepare(articulation.resolve(readers.load(ref), every), recipe, seed=0)
     rng = np.random.default_rng(0)
     for own in prepared.own:
         assert own.field.thin.bits.nbytes < 5e6
@@ -233,8 +235,8 @@ MADE = {
 """How many joints move."""
 
 
-def difficult(name: str) -> registry.ObjectRef:
-    (ref,) = registry.object_refs(REAL_MODELS / "difficult" / f"{name}.urdf", "thing")
+def difficult(name: str) -> ObjectRef:
+    (ref,) = open_source(REAL_MODELS / "difficult" / f"{name}.urdf").objects("thing")
     return ref
 
 

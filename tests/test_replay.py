@@ -17,7 +17,8 @@ from articugen.instance.make import make_instance
 from articugen.instance.preparing import prepare
 from articugen.pipeline import door
 from articugen.pipeline.job import Job
-from articugen.sources import registry
+from articugen.sources import readers
+from articugen.sources.source import open_source
 from articugen.store.manifest import Manifest
 from articugen.verify import replay as replaying
 from articugen.verify.replay import replay
@@ -94,8 +95,8 @@ COARSE = Recipe.model_validate(
 @pytest.fixture(scope="module")
 def coarse():
     """Eyeglasses with pixels wider than the frame: 5 % of the surface is off its level."""
-    (ref,) = registry.object_refs("procedural_messy", "eyeglasses", ids=["eyeglasses_0000"])
-    obj = articulation.resolve(registry.load(ref), COARSE.articulation)
+    (ref,) = open_source("procedural_messy").objects("eyeglasses", ids=["eyeglasses_0000"])
+    obj = articulation.resolve(readers.load(ref), COARSE.articulation)
     prepared = prepare(obj, COARSE, seed=6)
     return prepared, make_instance(prepared, 1)
 

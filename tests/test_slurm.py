@@ -26,6 +26,7 @@ from articugen.pipeline.executors.slurm import Array
 from articugen.pipeline.job import Job
 from articugen.pipeline.options import ObjectReport
 from articugen.pipeline.plan import objects_of
+from articugen.sources.source import open_source
 from articugen.store.manifest import Manifest
 
 MANY = TINY.with_counts(objects=9, states=2)
@@ -64,7 +65,7 @@ def running() -> dict[int, tuple[str, str]]:
 
 def recorded_by(out: Path, task: int) -> bool:
     """Whether one of three tasks has recorded an object."""
-    refs = objects_of(on_slurm(out, recipe=LONG))
+    refs = objects_of(on_slurm(out, recipe=LONG), open_source("procedural"))
     names = [f"{ref.split}/{ref.object_id}" for ref in refs[task::3]]
     return bool(Ledger(Folder(out)).known(names))
 

@@ -8,7 +8,7 @@ import pytest
 from articugen import procedural
 from articugen.core.content import SOURCES
 from articugen.core.recipe import load_recipe
-from articugen.sources.registry import source_names
+from articugen.sources.source import named_sources
 from articugen.sources.source_file import read_source_file
 
 FOLDERS = sorted(path.parent for path in SOURCES.glob("*/source.yaml"))
@@ -22,9 +22,9 @@ def test_the_five_sources_are_there():
         "procedural_varied",
         "shape2motion",
     }
-    listed = {info.name: info for info in source_names()}
+    listed = {source.name: source for source in named_sources()}
     assert listed.keys() == {folder.name for folder in FOLDERS}
-    assert listed["procedural"].present
+    assert any(listed["procedural"].counts().values())
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)

@@ -10,7 +10,8 @@ from usd_models import artvip, at, body, joint, text
 from articugen.core.errors import InvalidSource
 from articugen.core.geometry import apply, rotation_about, transform
 from articugen.core.records import Joint, JointKind
-from articugen.sources import registry
+from articugen.sources import readers
+from articugen.sources.source import load_path, open_source
 from articugen.sources.usd import apart, model
 
 pytest.importorskip("pxr", reason="pip install 'articugen[usd]'")
@@ -84,41 +85,41 @@ def test_artvip_is_found_by_category_and_its_layers_are_no_models(tmp_path):
         artvip(tmp_path / "Articulated_objects" / "major_appliances" / name)
     odd = artvip(tmp_path / "Articulated_objects" / "small_appliances" / "airfryer" / "Collected_1")
     odd.rename(odd.with_name("AirFryer1.usda"))
-    assert registry.categories(tmp_path, ["all"]) == ("airfryer", "dishwasher", "refrigerator")
-    refs = registry.object_refs(tmp_path, "dishwasher")
+    assert open_source(tmp_path).categories(["all"]) == ("airfryer", "dishwasher", "refrigerator")
+    refs = open_source(tmp_path).objects("dishwasher")
     assert {(r.object_id, r.reader) for r in refs} == {
         ("dishwasher_1", "usd"),
         ("dishwasher_2", "usd"),
     }
-    (one,) = registry.object_refs(tmp_path, "airfryer")
+    (one,) = open_source(tmp_path).objects("airfryer")
     assert one.object_id == "Collected_1"
-    obj = registry.load(one)
+    obj = readers.load(one)
     assert [link.name for link in obj.links] == ["world", "E_body_1", "E_door_4"]
     assert obj.part_of_link.tolist() == [0, 0, 1]
 
 
 def test_the_digest_is_of_all_layers_and_of_no_other_file(tmp_path):
     path = artvip(tmp_path / "a" / "cab")
-    (ref,) = registry.object_refs(tmp_path / "a", "thing")
-    before = registry.load(ref).sha256
-    assert registry.digest(ref) == before
+    (ref,) = open_source(tmp_path / "a").objects("thing")
+    before = readers.load(ref).sha256
+    assert readers.digest(ref) == before
     artvip(tmp_path / "b" / "cab")
-    assert registry.load_path(tmp_path / "b" / "cab").sha256 == before
+    assert load_path(tmp_path / "b" / "cab").sha256 == before
     (path.parent / "resource" / "wood.png").write_bytes(b"a texture")
-    assert registry.digest(ref) == before
+    assert readers.digest(ref) == before
     for layer in ("material.usda", "v_0/link.usda"):
         with (path.parent / "resource" / layer).open("a") as file:
             file.write("# more\n")
-        assert registry.digest(ref) not in (before, ""), layer
-        before = registry.digest(ref)
-    assert registry.load(ref).sha256 == before
+        assert readers.digest(ref) not in (before, ""), layer
+        before = readers.digest(ref)
+    assert readers.load(ref).sha256 == before
 
 
 def test_joints_are_known_without_meshes(tmp_path):
     artvip(tmp_path / "cab")
-    assert len(registry.object_refs(tmp_path, "thing", joints=["revolute"])) == 1
+    assert len(open_source(tmp_path).objects("thing", joints=["revolute"])) == 1
     with pytest.raises(InvalidSource, match="has prismatic joints alone"):
-        registry.object_refs(tmp_path, "thing", joints=["prismatic"])
+        open_source(tmp_path).objects("thing", joints=["prismatic"])
 
 
 # ------------------------------------------------------------------ beside OpenUSD

@@ -9,7 +9,8 @@ import pytest
 from usd_models import LINK, artvip, at, body, joint, text
 
 from articugen.core.errors import InvalidSource, installing
-from articugen.sources import registry
+from articugen.sources import readers
+from articugen.sources.source import load_path, open_source
 from articugen.sources.usd import apart, layers, model
 
 BASE, DOOR = body("base"), body("door")
@@ -260,10 +261,10 @@ def test_what_the_process_refuses_is_refused_here_and_stops_no_other(tmp_path):
     folder.mkdir(parents=True)
     (folder / "bad.usda").write_text(text(BASE, HINGE))
     (folder / "good.usda").write_text(text(BASE, DOOR, HINGE))
-    good, bad = sorted(registry.object_refs(folder, "x"), key=lambda r: -len(r.object_id))
-    assert len(registry.load(good).joints) == 2
+    good, bad = sorted(open_source(folder).objects("x"), key=lambda r: -len(r.object_id))
+    assert len(readers.load(good).joints) == 2
     with pytest.raises(InvalidSource, match="'/root/door' is not there"):
-        registry.load(bad)
+        readers.load(bad)
 
 
 def test_packages_are_plain_and_begin_with_a_layer(tmp_path):
@@ -289,7 +290,7 @@ def test_without_openusd_one_sentence_says_what_to_install(tmp_path, monkeypatch
     path = artvip(tmp_path / "cab")
     monkeypatch.setitem(sys.modules, "pxr", None)
     with pytest.raises(InvalidSource) as refused:
-        registry.load_path(tmp_path / "cab")
+        load_path(tmp_path / "cab")
     assert str(refused.value) == (
         f"{path}: is USD, and usd-core, which reads it, is not installed; run: {installing('usd')}"
     )
@@ -301,6 +302,6 @@ def test_a_usd_file_beside_a_urdf_is_no_model_of_its_own(tmp_path):
     (model_folder / "robot.urdf").write_text("<robot/>")
     (model_folder / "robot.usda").write_text(text(BASE))
     (model_folder / "meshes" / "part.usda").write_text(LINK)
-    assert [(r.object_id, r.reader) for r in registry.object_refs(tmp_path, "x")] == [
+    assert [(r.object_id, r.reader) for r in open_source(tmp_path).objects("x")] == [
         ("robot", "urdf")
     ]

@@ -16,7 +16,8 @@ from articugen.core.geometry import apply
 from articugen.core.records import ArticulatedObject, JointKind, JointState
 from articugen.export.parts import metric_joints, part_names
 from articugen.instance import articulation
-from articugen.sources import registry
+from articugen.sources import readers
+from articugen.sources.source import load_path, open_source
 
 pytest.importorskip("pxr", reason="pip install 'articugen[usd]'")
 
@@ -44,7 +45,7 @@ def test_what_is_exported_as_usd_is_read_as_a_source_again(tmp_path, category):
     for to in ("usd", "urdf"):
         ag.export(tmp_path / category, to, tmp_path / to, resolution=128)
     (usd,), (urdf,) = (sorted((tmp_path / to).rglob(f"*.{to}*")) for to in ("usd", "urdf"))
-    ours, theirs = (registry.load_path(path, category) for path in (usd, urdf))
+    ours, theirs = (load_path(path, category) for path in (usd, urdf))
     own = [joint for joint in ours.joints if joint.kind != JointKind.FIXED]
     assert tuple(link.name for link in ours.links[1:]) == part_names(data[0])
     for joint, truth in zip(own, metric_joints(data[0]), strict=True):
@@ -120,8 +121,11 @@ def test_fetch_artvip_unpacks_checks_and_lists(tmp_path):
     assert listed[f"{root}/{good}"]["files"] == 3
     assert "is no USD layer; export it again" in listed[f"{root}/{bad}"]["refused"]
     assert str(tmp_path) not in json.dumps(listed)
-    assert registry.categories(tmp_path / "models", ["all"]) == ("dishwasher", "storage_furniture")
-    (ref,) = registry.object_refs(tmp_path / "models", "dishwasher")
-    assert registry.load(ref).sha256 == listed[f"{root}/{good}"]["sha256"]
+    assert open_source(tmp_path / "models").categories(["all"]) == (
+        "dishwasher",
+        "storage_furniture",
+    )
+    (ref,) = open_source(tmp_path / "models").objects("dishwasher")
+    assert readers.load(ref).sha256 == listed[f"{root}/{good}"]["sha256"]
     again = run("fetch", "artvip", "--from", path, "--out", tmp_path / "models")
     assert "2 models, 0 of them new" in again.output

@@ -19,30 +19,29 @@ from articugen.core.tables import counted, duration, facts, size
 from articugen.pipeline.job import Job
 from articugen.pipeline.options import ObjectReport, OnNotice, OnObject
 from articugen.pipeline.plan import Plan
-from articugen.sources.registry import SourceInfo
+from articugen.sources.source import Source
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.outcome import Outcome
 
 
-def sources_table(sources: Iterable[SourceInfo]) -> RenderableType:
+def sources_table(sources: Iterable[Source]) -> RenderableType:
     """The named sources and the objects they hold; where models are missing, how to get them."""
     lines: list[RenderableType] = []
     for source in sources:
         table = facts()
-        for category in source.categories:
-            if category.train + category.test:
-                table.add_row(
-                    escape(category.name), f"{category.train} train, {category.test} test"
-                )
-        missing = [c.name for c in source.categories if not c.train + c.test]
+        counts = source.counts()
+        for name, splits in counts.items():
+            if splits:
+                table.add_row(escape(name), f"{splits['train']} train, {splits['test']} test")
+        missing = [name for name, splits in counts.items() if not splits]
         if missing:
             table.add_row("none yet", escape(", ".join(missing)))
         lines += [
             Text(source.name, "bold"),
-            _indented(Text(f"{source.origin} ({source.licence})")),
+            _indented(Text(f"{source.file.origin} ({source.licence})")),
             _indented(table),
         ]
-        if not source.present:
+        if not any(counts.values()):
             lines.append(
                 _indented(Text(f"{source.folder}/README.md says how to get them", "yellow"))
             )

@@ -33,10 +33,10 @@ def list_sources(
     """List the sources of models, their categories and how many objects there are."""
     with said():
         from articugen.cli.console import sources_table
-        from articugen.sources.registry import source_names, write_bundled
+        from articugen.sources.source import named_sources, write_bundled
 
         if write is None:
-            stdout.print(sources_table(source_names()))
+            stdout.print(sources_table(named_sources()))
             return
         for folder, count in write_bundled(write):
             stdout.print(f"{folder}: {count} models", soft_wrap=True, markup=False)

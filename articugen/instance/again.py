@@ -15,15 +15,15 @@ from articugen.fusion.isosurface import extract_mesh
 from articugen.instance import articulation
 from articugen.instance.preparing import Prepared, pose, prepare
 from articugen.meshes.mesh_file import check_format, export
-from articugen.sources import registry
-from articugen.sources.refs import ObjectRef
+from articugen.sources import readers
+from articugen.sources.refs import CategorySettings, ObjectRef
+from articugen.sources.source import open_source
 from articugen.store.manifest import Manifest
 
 
 def generator_of(ref: ObjectRef, recipe: str) -> str:
     """What of our code decides the data of an object by a recipe of this text: see `content`."""
-    models = ref.category if registry.is_procedural(ref.source) else None
-    return content.declared(models, recipe)
+    return content.declared(ref.category if ref.is_made else None, recipe)
 
 
 def resolved(ref: ObjectRef, recipe: Recipe) -> ResolvedObject:
@@ -33,19 +33,15 @@ def resolved(ref: ObjectRef, recipe: Recipe) -> ResolvedObject:
         InvalidSource: it cannot be read; the sentence says why.
         NotOfCategory: nothing of it moves in the recipe's sense.
     """
-    return _resolved(registry.load(ref), registry.settings(ref), recipe)
+    return _resolved(readers.load(ref), ref.settings, recipe)
 
 
-def _resolved(
-    obj: ArticulatedObject, settings: registry.CategorySettings, recipe: Recipe
-) -> ResolvedObject:
+def _resolved(obj: ArticulatedObject, settings: CategorySettings, recipe: Recipe) -> ResolvedObject:
     own = {"canonical": settings.canonical, "movable": settings.movable}
     return articulation.resolve(obj, recipe.articulation, **own)
 
 
-def source_again(
-    manifest: Manifest, object_id: str
-) -> tuple[ArticulatedObject, registry.CategorySettings]:
+def source_again(manifest: Manifest, object_id: str) -> tuple[ArticulatedObject, CategorySettings]:
     """Return the model that an object of the data set was made of, and what its source says of how
     it moves.
 
@@ -57,15 +53,15 @@ def source_again(
         raise InvalidSource(
             f"no object {object_id!r} in this data set; articugen inspect names some"
         )
-    ref = registry.find(manifest.source, manifest.category, object_id)
+    ref = open_source(manifest.source).find(manifest.category, object_id)
     same_code = entry.key.model_copy(update={"generator": generator_of(ref, manifest.recipe)})
     changed = same_code.difference(entry.key)
     if changed:
         raise ArticugenError(f"{object_id}: {changed}; only such a version can make it again")
-    obj = registry.load(ref)
+    obj = readers.load(ref)
     if obj.sha256 != entry.input_sha256:
         raise InvalidSource(f"{object_id}: its files under {ref.location} have changed since")
-    return obj, registry.settings(ref)
+    return obj, ref.settings
 
 
 def prepared_again(manifest: Manifest, object_id: str) -> Prepared:

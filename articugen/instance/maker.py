@@ -35,7 +35,9 @@ from articugen.instance.make import make_instance
 from articugen.instance.preparing import Prepared, pose, prepare
 from articugen.instance.swept import swept_box
 from articugen.meshes.mesh_file import export
-from articugen.sources import registry
+from articugen.sources import readers
+from articugen.sources.refs import ObjectRef
+from articugen.sources.source import open_source
 from articugen.store.rows import Row, RowJoint
 
 ANY_CATEGORY = "object"  # of a model that does not tell what it is
@@ -102,14 +104,13 @@ def load(source: str | Path, object_id: str | None = None, *, category: str | No
             f"{source}: holds {1 + len(others)} models; name one, as in "
             f"load({str(source)!r}, {ref.object_id!r})"
         )
-    own = registry.settings(ref)
-    clips = registry.clips_to_limits(ref.source)
-    return Model(registry.load(ref), own.canonical, tuple(own.movable), clips)
+    own, clips = ref.settings, open_source(str(source)).clips
+    return Model(readers.load(ref), own.canonical, own.movable, clips)
 
 
 def models(
     source: str | Path, category: str | None = None, object_id: str | None = None
-) -> tuple[registry.ObjectRef, ...]:
+) -> tuple[ObjectRef, ...]:
     """Return the models that a source holds, all of them or the one that is asked for.
 
     Args:
@@ -122,19 +123,17 @@ def models(
     source = str(source)
     if source.lower().endswith(".urdf") and not Path(source).exists():
         raise InvalidSource(f"{source}: there is no such file; correct its path")
-    if category is None:
-        try:
-            categories = registry.categories(source, ["all"])
-        except InvalidSource:
-            if not Path(source).exists():
-                raise
-            categories = (ANY_CATEGORY,)
-    else:
-        categories = registry.categories(source, [category])
+    opened = open_source(source)
+    try:
+        categories = opened.categories([category or "all"])
+    except InvalidSource:
+        if category or opened.yaml:
+            raise
+        categories = (ANY_CATEGORY,)
     return tuple(
         ref
-        for name, (own, out_of) in registry.share_out(source, categories, ids, ()).items()
-        for ref in registry.object_refs(source, name, ids=own, exclude=out_of)
+        for name, (own, out_of) in opened.share_out(categories, ids, ()).items()
+        for ref in opened.objects(name, ids=own, exclude=out_of)
     )
 
 

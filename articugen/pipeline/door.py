@@ -9,7 +9,7 @@ from articugen.core.yaml_files import with_settings
 from articugen.pipeline.job import Job, Share
 from articugen.pipeline.options import OnNotice, OnObject, Options, ignore, takes
 from articugen.pipeline.run import default_jobs, started
-from articugen.sources import registry
+from articugen.sources.source import open_source
 from articugen.store.bucket import Remote, is_url
 from articugen.store.dataset import DataSet
 from articugen.store.dataset import open as open_data_set
@@ -24,7 +24,8 @@ def jobs_of(options: Options, share: Share | None = None) -> list[Job]:
     """
     source, out = os.fspath(options.source), options.out
     wanted = [options.category] if isinstance(options.category, str) else options.category
-    names = registry.categories(source, wanted)
+    opened = open_source(source)
+    names = opened.categories(wanted)
     if options.scheduler and is_url(out):
         raise InvalidArgument(
             f"{out} with a scheduler: run the same command on each machine instead, they share out "
@@ -48,9 +49,7 @@ def jobs_of(options: Options, share: Share | None = None) -> list[Job]:
             scheduler=options.scheduler or "",
             share=share,
         )
-        for name, (ids, exclude) in registry.share_out(
-            source, names, options.ids, options.exclude
-        ).items()
+        for name, (ids, exclude) in opened.share_out(names, options.ids, options.exclude).items()
     ]
     if share and any(job.executor.records for job in jobs):
         raise InvalidArgument("--scheduler slurm shares out the objects by itself: no --shard")

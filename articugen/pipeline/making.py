@@ -2,7 +2,6 @@
 
 import os
 import time
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,7 +23,7 @@ from articugen.core.recipe import Recipe
 from articugen.core.schema import Instance
 from articugen.pipeline import sharing
 from articugen.pipeline.job import Job
-from articugen.sources import registry
+from articugen.sources import readers
 from articugen.sources.refs import ObjectRef
 from articugen.store.outcome import Key, Outcome, Rejection
 from articugen.store.writer import Check, write_shard
@@ -118,14 +117,7 @@ def help_make(job: Job, common: Path, task: Task) -> int:
 
 def _is_other(task: Task, digest: str) -> bool:
     """Return whether an object's files are no longer those that the run was planned with."""
-    return digest != task.key.ref and not _is_made_here(task.ref)
-
-
-def _is_made_here(ref: ObjectRef) -> bool:
-    """Return whether our code makes the object; of a folder that is gone that is not so."""
-    with suppress(InvalidSource):
-        return registry.is_procedural(ref.source)
-    return False
+    return digest != task.key.ref and not task.ref.is_made
 
 
 def _changed(task: Task) -> Outcome:
@@ -164,7 +156,7 @@ def verdict_on(error: Exception, ref: ObjectRef, recipe: Recipe) -> Exception | 
         return error
     if isinstance(error, ArticugenError):
         raise error
-    if isinstance(error, OSError) and _is_made_here(ref):
+    if isinstance(error, OSError) and ref.is_made:
         raise MachineFault(printable(f"{ref.object_id}: {error}; see to it")) from error
     if isinstance(error, OSError) and error.errno is not None:
         return error
@@ -203,7 +195,7 @@ def source_digest(recipe: Recipe, ref: ObjectRef) -> str:
         MachineFault, MemoryError: it says nothing about the object.
     """
     try:
-        return registry.digest(ref)
+        return readers.digest(ref)
     except Exception as error:  # an object must not take the others down with it
         verdict = verdict_on(error, ref, recipe) or f"{type(error).__name__}: {error}"
         return printable(f"unreadable: {verdict}")
@@ -252,7 +244,7 @@ def _attributes(job: Job, task: Task) -> dict[str, str | int]:
         "category": job.category,
         "split": ref.split,
         "source": ref.source,
-        "licence": registry.licence(ref.source),
+        "licence": ref.licence,
         "recipe": recipe.text(),
         "recipe_sha256": recipe.sha256(),
         "seed": job.seed,

@@ -15,6 +15,7 @@ from articugen.pipeline.plan import name_of_ref, objects_of, plan_recorded
 from articugen.pipeline.records import Records
 from articugen.pipeline.run import OnNotice, Run
 from articugen.sources.refs import ObjectRef
+from articugen.sources.source import open_source
 from articugen.store.manifest import Manifest
 
 
@@ -46,10 +47,10 @@ def merge(
             on_notice("nothing to merge: the manifest tells of all that was made")
             return manifest
         job = _job_of(records.agreed, folder, jobs)
-        refs = objects_of(job)
+        refs = objects_of(job, open_source(job.source))
         _check_listing(records, refs)
         plan = plan_recorded(job, records, refs, on_object)
-        manifest = Run(job, records, plan, len(refs)).finish(None).manifest
+        manifest = Run(job, records, plan, len(refs), refs[0].licence).finish(None).manifest
         assert manifest is not None  # it is no share
         return manifest
 

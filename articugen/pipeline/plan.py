@@ -9,7 +9,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -30,8 +30,8 @@ from articugen.pipeline.making import (
     verdict_on,
 )
 from articugen.pipeline.records import Records
-from articugen.sources import registry
 from articugen.sources.refs import ObjectRef
+from articugen.sources.source import Source
 from articugen.store.manifest import MOST_OBJECTS
 from articugen.store.outcome import Key, ObjectEntry, Outcome, Rejection, ShardEntry
 
@@ -88,13 +88,7 @@ class Plan:
             on_notice(said)
 
 
-def as_its_source_is(job: Job) -> Job:
-    """Return the job with what its source says of all its models in the recipe."""
-    clips = registry.clips_to_limits(job.source)
-    return replace(job, recipe=job.recipe.for_source(clips_to_limits=clips))
-
-
-def objects_of(job: Job) -> tuple[ObjectRef, ...]:
+def objects_of(job: Job, source: Source) -> tuple[ObjectRef, ...]:
     """Return all objects of the data set, in the order that gives shards their names.
 
     Raises:
@@ -109,8 +103,8 @@ def objects_of(job: Job) -> tuple[ObjectRef, ...]:
         name=lambda ref: plain_name(ref.object_id),
     )
     with crew:  # files of others are read where they can do no harm
-        refs = registry.object_refs(
-            job.source, job.category, objects=job.recipe.objects, ids=job.ids, exclude=job.exclude,
+        refs = source.objects(
+            job.category, objects=job.recipe.objects, ids=job.ids, exclude=job.exclude,
             joints=job.joints,
             counts=lambda ref: all(ended.value is not False for ended in crew.each([ref])),
         )  # fmt: skip
@@ -240,7 +234,7 @@ def _read(
 ) -> Sequence[processes.Ended[str]]:
     """What each object is read from. A procedural one is what our code makes of its name; the files
     of others are digested by workers, which make nothing of their meshes."""
-    if registry.is_procedural(job.source):
+    if all(ref.is_made for ref in refs):
         return [processes.Ended(i, f"{r.source}/{r.object_id}") for i, r in enumerate(refs)]
     read = processes.each(
         partial(source_digest, job.recipe),

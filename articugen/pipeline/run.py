@@ -13,7 +13,7 @@ import sys
 import time
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from uuid import uuid4
 
@@ -26,10 +26,10 @@ from articugen.pipeline.executors.work import Executor, Work
 from articugen.pipeline.job import Job
 from articugen.pipeline.making import Task, limit_of, not_made
 from articugen.pipeline.options import ObjectReport, OnNotice, OnObject, ignore
-from articugen.pipeline.plan import Plan, as_its_source_is, name_of_ref, objects_of, plan_for
+from articugen.pipeline.plan import Plan, name_of_ref, objects_of, plan_for
 from articugen.pipeline.records import Records
-from articugen.sources import registry
 from articugen.sources.refs import ObjectRef
+from articugen.sources.source import open_source
 from articugen.store import croissant
 from articugen.store.bucket import Remote, check_can_be_shared
 from articugen.store.manifest import Manifest, Timings
@@ -73,14 +73,15 @@ def started(job: Job, *, command: str = "") -> Iterator["Run"]:
     """
     if isinstance(job.out, Remote):
         check_can_be_shared(job.out.url)
-    job = as_its_source_is(job)
+    source = open_source(job.source)
+    job = replace(job, recipe=job.recipe.for_source(clips_to_limits=source.clips))
     lease = limit_of(job.recipe).seconds + MARGIN_SECONDS
     with Records(job.place, is_shared=job.is_shared, lease=lease) as records:
-        refs = objects_of(job)
+        refs = objects_of(job, source)
         about = common_plan(job, refs, command)
         ours = [r for n, r in enumerate(refs) if job.share is None or job.share.has(n)]
         records.expect(about, list(map(name_of_ref, refs)), list(map(name_of_ref, ours)))
-        yield Run(job, records, plan_for(job, records, ours), len(refs))
+        yield Run(job, records, plan_for(job, records, ours), len(refs), source.licence)
 
 
 @dataclass(frozen=True)
@@ -89,12 +90,14 @@ class Run:
 
     Attributes:
         objects: of the whole data set, of which the plan may be a share.
+        licence: of the models.
     """
 
     job: Job
     records: Records
     plan: Plan
     objects: int
+    licence: str
 
     def check_replaces(self, *, replace: bool, cure: str) -> None:
         """See to it that data of another run are replaced only where somebody asked for that.
@@ -134,7 +137,6 @@ class Run:
             return Finished(self.plan.done, self.records.manifest)
         if executor is None and self.plan.tasks:
             raise ArticugenError(self._missing())
-        licence = registry.licence(self.job.source)  # while the source is there
         if executor and any(task.known is None for task in self.plan.tasks):
             executor.get_ready(self.job, on_notice)  # which is not the data's time
         began = time.perf_counter()
@@ -144,7 +146,7 @@ class Run:
             return Finished(outcomes, None)
         width = executor.width(len(self.plan.keys)) if executor else self.job.jobs
         timings = timings_of(instances, time.perf_counter() - began, width)
-        manifest = manifest_of(self.job, outcomes, timings, licence)
+        manifest = manifest_of(self.job, outcomes, timings, self.licence)
         self.job.place.write(croissant.NAME, croissant.of_data_set(manifest))
         self.records.finish(manifest)
         return Finished(outcomes, manifest)

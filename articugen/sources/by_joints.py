@@ -1,21 +1,23 @@
 """Objects chosen by the kinds of their joints, without reading a mesh."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 
 from articugen.core.errors import InvalidSource
 from articugen.core.records import JointKind
 from articugen.core.yaml_files import nearest
 from articugen.sources import readers
-from articugen.sources.refs import CategorySettings, ObjectRef
+from articugen.sources.refs import ObjectRef
 
 KINDS = tuple(str(kind) for kind in JointKind if kind != JointKind.FIXED)
 """What `joints` may name, in URDF's words."""
 
 
-def check_kinds(joints: Iterable[str]) -> None:
-    """
+def of_joints(refs: list[ObjectRef], joints: Collection[str], category: str) -> list[ObjectRef]:
+    """Return the objects that have joints that move, all of them of the kinds `joints`: as
+    `Source.objects` says.
+
     Raises:
-        InvalidSource: a word that is no kind of joint.
+        InvalidSource: none is left, or a word is no kind of joint.
     """
     for word in joints:
         if word not in KINDS:
@@ -23,19 +25,6 @@ def check_kinds(joints: Iterable[str]) -> None:
                 f"no kind of joint {word!r}{nearest(word, list(KINDS))}; there are: "
                 f"{', '.join(KINDS)}"
             )
-
-
-def of_joints(refs: list[ObjectRef], joints: Collection[str], category: str) -> list[ObjectRef]:
-    """Return the objects that have joints that move, all of them of the kinds `joints`.
-
-    A joint counts as its model has it, whether or not a recipe lets it move. An object that cannot
-    be read stays: its turn comes to be refused, with the reason.
-
-    Raises:
-        InvalidSource: none is left, or a word is no kind of joint.
-        MachineFault, MemoryError: the disk does not answer, or the like.
-    """
-    check_kinds(joints)
     left = [ref for ref in refs if not joints or _fits(ref, frozenset(joints))]
     if refs and not left:
         raise InvalidSource(
@@ -50,7 +39,7 @@ def _fits(ref: ObjectRef, wanted: frozenset[str]) -> bool:
 
     try:
         with unread():
-            obj = readers.load(ref, CategorySettings())
+            obj = readers.load(ref)
     except InvalidSource:
         return True
     kinds = {str(joint.kind) for joint in obj.moving_joints}

@@ -4,6 +4,7 @@ A layout is one file beside this one and one line of READERS; or one file in ano
 names it as an entry point of the group `articugen.readers`: see docs/extending.md.
 """
 
+import hashlib
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -166,18 +167,39 @@ def find_at(name: str, child: Path) -> list[Found]:
         raise _failed(name, child, error) from error
 
 
-def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
-    """Read one object with its reader. Of a stranger's model whatever nobody thought of is the
-    model's fault, so that it takes no other object along.
+def load(ref: ObjectRef) -> ArticulatedObject:
+    """Read one object with its reader, or make it. Of a stranger's model whatever nobody thought of
+    is the model's fault, so that it takes no other object along.
+
+    Its digest covers what source.yaml says of how it stands and moves.
 
     Raises:
         InvalidSource: anything amiss with its name or files.
         BrokenPlugin: the reader is another package's and cannot be used.
         MachineFault, MemoryError: the disk does not answer, or the like.
     """
-    own = reader(ref.reader)
-    if isinstance(own, Maker):
-        return own.load(ref, settings)
+    obj = reader(ref.reader).load(ref, ref.settings) if ref.is_made else _read(ref)
+    said = ref.settings.said()
+    if said == CategorySettings().said():
+        return obj
+    digest = hashlib.sha256(f"{obj.sha256} {said}".encode()).hexdigest()
+    return replace(obj, sha256=digest)
+
+
+def digest(ref: ObjectRef) -> str:
+    """Return the sha256 that `load` gives a sound object, without making anything of its meshes; of
+    one whose meshes are unsound, some digest of its files.
+
+    Raises:
+        InvalidSource, BrokenPlugin, MachineFault, MemoryError: as `load`.
+    """
+    from articugen.meshes.read import hashed_only  # noqa: PLC0415 - slow to import
+
+    with hashed_only():
+        return load(ref).sha256
+
+
+def _read(ref: ObjectRef) -> ArticulatedObject:
     where = printable(str(ref.location))
     if UNWRITABLE.search(str(ref.location)):
         raise InvalidSource(
@@ -185,8 +207,9 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
         )
     if len(ref.object_id.encode()) > MAX_NAME_BYTES:
         raise InvalidSource(f"{where}: its id has more than {MAX_NAME_BYTES} bytes; shorten names")
+    own = reader(ref.reader)
     try:
-        obj = own.load(ref, settings)
+        obj = own.load(ref, ref.settings)
     except (ArticugenError, MemoryError):
         raise
     except Exception as error:

@@ -10,6 +10,9 @@ from pydantic import Field, NonNegativeInt, field_validator, model_validator
 from articugen.core.geometry import Array, rotation_about, transform
 from articugen.core.yaml_files import Section
 
+NO_LICENCE = "not stated"
+"""Of models that no source.yaml describes."""
+
 Share = Annotated[NonNegativeInt, Field(le=1_000_000)] | tuple[str, ...] | None
 
 
@@ -18,7 +21,7 @@ class Found:
     """A model on the disk.
 
     Attributes:
-        object_id: what it is called; `discovery.distinct` sees to it that no two share a name.
+        object_id: what it is called; `listing.distinct` sees to it that no two share a name.
         location: the file or folder that its reader wants.
         group: objects of one group, which may share meshes, stay in one split.
         root: the folder that the object's files may not leave; None means the reader's default.
@@ -41,35 +44,6 @@ class Found:
     def kinds(self) -> tuple[str, ...]:
         """What its category is called: by its folder, then by itself, where either says."""
         return tuple(filter(None, (self.folder, self.category)))
-
-
-@dataclass(frozen=True)
-class ObjectRef:
-    """Where one object comes from; cheap and picklable.
-
-    Attributes:
-        source: a source's name or the path of a file or folder.
-        category: what it was asked for as.
-        split: "train" or "test".
-        location, root, reader: as in `Found`.
-        top: the folder that somebody named, which packages of ROS may not leave; None where that
-            was the model's file.
-        own_category: what the model itself says that it is; "" where it does not.
-        messy: of objects that are made, whether as badly as real ones come.
-        varied: of objects that are made, whether as various as those of others are.
-    """
-
-    source: str
-    category: str
-    object_id: str
-    split: str
-    location: Path
-    root: Path | None = None
-    top: Path | None = None
-    reader: str = "urdf"
-    own_category: str = ""
-    messy: bool = False
-    varied: bool = False
 
 
 class CategorySettings(Section):
@@ -123,3 +97,38 @@ class CategorySettings(Section):
             if both:
                 raise ValueError(f"object {both[0]!r} is in train and in test")
         return self
+
+
+@dataclass(frozen=True)
+class ObjectRef:
+    """Where one object comes from, and all that its source says of it; cheap and picklable.
+
+    Attributes:
+        source: a source's name or the path of a file or folder.
+        category: what it was asked for as.
+        split: "train" or "test".
+        location, root, reader: as in `Found`.
+        top: the folder that somebody named, which packages of ROS may not leave; None where that
+            was the model's file.
+        own_category: what the model itself says that it is; "" where it does not.
+        is_made: whether it is made on demand, by a generator.
+        messy: of objects that are made, whether as badly as real ones come.
+        varied: of objects that are made, whether as various as those of others are.
+        licence: the source's.
+        settings: what the source says of its category, but for the splits.
+    """
+
+    source: str
+    category: str
+    object_id: str
+    split: str
+    location: Path
+    root: Path | None = None
+    top: Path | None = None
+    reader: str = "urdf"
+    own_category: str = ""
+    is_made: bool = False
+    messy: bool = False
+    varied: bool = False
+    licence: str = NO_LICENCE
+    settings: CategorySettings = CategorySettings()  # noqa: RUF009 - it is frozen

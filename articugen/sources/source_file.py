@@ -1,11 +1,18 @@
-"""The schema of `urdf_sources/<source>/source.yaml`, which describes one source."""
+"""The schema of `urdf_sources/<source>/source.yaml`, which describes one source.
 
+Names of categories match whatever their case and whether words are joined by _, -, a space or
+nothing.
+"""
+
+import os
+from collections.abc import Collection
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
+from articugen.core.content import SOURCES
 from articugen.core.errors import InvalidSource
 from articugen.core.yaml_files import Section, nearest, parsed_yaml, yaml_bytes
 from articugen.sources.readers import Maker, check_name, names, reader
@@ -71,6 +78,41 @@ class SourceFile(Section):
                 raise ValueError(f"categories.{name}: a {self.reader} category needs counts")
         return self
 
+    def own_name(self, name: str) -> str | None:
+        """Return what the source calls the category that somebody calls `name`, or None.
+
+        The source's own names go first, then what meta.json calls categories, then other names.
+        """
+        categories = self.categories
+        for names_of in (
+            lambda own: (own,),
+            lambda own: categories[own].model_cat if len(categories[own].model_cat) == 1 else (),
+            lambda own: (*categories[own].model_cat, *categories[own].aliases),
+        ):
+            for own in categories:
+                if plain(name) in map(plain, names_of(own)):
+                    return own
+        return None
+
+    def words(self, name: str) -> set[str]:
+        """Return all that the category called `name` may be called, as `plain` has it."""
+        own = self.own_name(name)
+        if own is None:
+            return {plain(name)}
+        settings = self.categories[own]
+        return {*map(plain, (name, own, *settings.model_cat, *settings.aliases))}
+
+
+def plain(name: str) -> str:
+    """Return a name as it is compared: "Washing_Machine" is "washingmachine"."""
+    return "".join(filter(str.isalnum, name)).lower()
+
+
+def unknown(where: str, name: str, there: Collection[str]) -> InvalidSource:
+    """Return the refusal of a category that is not there; it names the nearest and all."""
+    hint = nearest(name.lower(), [other.lower() for other in there])
+    return InvalidSource(f"{where} has no category {name!r}{hint}; there are: {', '.join(there)}")
+
 
 def read_source_file(path: Path) -> SourceFile:
     """Read and check one source.yaml.
@@ -93,5 +135,39 @@ def read_source_file(path: Path) -> SourceFile:
 
 @lru_cache(64)
 def _parsed(path: str, data: bytes) -> Any:
-    """What these bytes say: they are parsed once, not once for each object."""
+    """Return what these bytes say: they are parsed once, not once for each object."""
     return parsed_yaml(data, path, InvalidSource)
+
+
+def source_files() -> dict[str, Path]:
+    """Return every source.yaml by the source's name; $ARTICUGEN_SOURCES goes first.
+
+    Raises:
+        InvalidSource: that is no folder.
+    """
+    paths: dict[str, Path] = {}
+    for root in filter(None, (users_folder(), SOURCES)):
+        for path in sorted(root.glob("*/source.yaml")):
+            paths.setdefault(path.parent.name, path)
+    return paths
+
+
+def users_folder() -> Path | None:
+    """Return the folder that $ARTICUGEN_SOURCES names, or None.
+
+    Raises:
+        InvalidSource: it is no folder.
+    """
+    text = os.environ.get("ARTICUGEN_SOURCES")
+    if text and not Path(text).is_dir():
+        raise InvalidSource(f"ARTICUGEN_SOURCES={text} is not a folder; correct or unset it")
+    return Path(text) if text else None
+
+
+def common_categories() -> SourceFile:
+    """Return PartNet-Mobility's, whose names of categories are those that folders of models have.
+
+    Raises:
+        InvalidSource: its source.yaml is wrong.
+    """
+    return read_source_file(source_files()["partnet_mobility"])

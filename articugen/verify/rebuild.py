@@ -23,7 +23,8 @@ from articugen.core.recipe import Recipe
 from articugen.instance.again import generator_of, resolved
 from articugen.instance.preparing import prepare
 from articugen.pipeline.folder import is_unfinished
-from articugen.sources import registry
+from articugen.sources.readers import digest
+from articugen.sources.source import open_source
 from articugen.store import croissant
 from articugen.store.columns import Attribute
 from articugen.store.manifest import LISTS, MANIFEST_NAME, Manifest, Timings
@@ -273,9 +274,9 @@ def _agrees(outcome: Outcome, witness: _Witness | None) -> bool:
     if key.ref != f"{source}/{key.object_id}":
         return key.ref == made.input_sha256
     try:
-        ref = registry.find(source, category, key.object_id)
+        ref = open_source(source).find(category, key.object_id)
         code = generator_of(ref, str(witness.about["recipe"]))
-        return code != key.generator or registry.digest(ref) == made.input_sha256
+        return code != key.generator or digest(ref) == made.input_sha256
     except ArticugenError:  # nothing contradicts it
         return True
 
@@ -288,7 +289,7 @@ def _proven(folder: Path, witness: _Witness) -> Outcome:
     """
     about, object_id = witness.about, witness.object_id
     source, category = str(about["source"]), str(about["category"])
-    ref = registry.find(source, category, object_id)
+    ref = open_source(source).find(category, object_id)
     code = generator_of(ref, str(about["recipe"]))
     if code != about["generator"]:
         raise ArticugenError(
@@ -306,7 +307,7 @@ def _proven(folder: Path, witness: _Witness) -> Outcome:
     key = Key(
         split=str(about["split"]),
         object_id=object_id,
-        ref=f"{source}/{object_id}" if registry.is_procedural(source) else prepared.obj.sha256,
+        ref=f"{source}/{object_id}" if ref.is_made else prepared.obj.sha256,
         recipe_sha256=str(about["recipe_sha256"]),
         seed=int(about["seed"]),
         generator=str(about["generator"]),

@@ -24,7 +24,8 @@ from articugen.pipeline.job import Job
 from articugen.pipeline.making import Task
 from articugen.pipeline.records import Records
 from articugen.pipeline.run import outcomes_of
-from articugen.sources import registry
+from articugen.sources.readers import digest
+from articugen.sources.source import open_source
 from articugen.store import croissant
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.outcome import ObjectEntry, Outcome, ShardEntry
@@ -154,16 +155,15 @@ def _task(manifest: Manifest, shard: str) -> Task:
     if others:
         raise ArticugenError(f"it holds {1 + len(others)} objects; make the data set again")
     source, object_id = manifest.source, entry.key.object_id
-    ref = registry.find(source, manifest.category, object_id)
-    made = registry.is_procedural(source)
+    ref = open_source(source).find(manifest.category, object_id)
     now = {
-        "ref": f"{source}/{object_id}" if made else registry.digest(ref),
+        "ref": f"{source}/{object_id}" if ref.is_made else digest(ref),
         "generator": generator_of(ref, manifest.recipe),
         "recipe_sha256": _recipe(manifest).for_one_object().sha256(),
     }
     changed = entry.key.model_copy(update=now).difference(entry.key)
-    if registry.licence(source) != manifest.licence:
-        changed = changed or f"the licence was {manifest.licence}, is {registry.licence(source)}"
+    if ref.licence != manifest.licence:
+        changed = changed or f"the licence was {manifest.licence}, is {ref.licence}"
     if changed:
         raise ArticugenError(f"{object_id}: {changed}; repair it where that is as it was")
     return Task(replace(ref, split=entry.key.split), entry.key, shard, "it is damaged")

@@ -28,8 +28,8 @@ from articugen.instance import articulation, make
 from articugen.instance.again import resolved
 from articugen.instance.preparing import Prepared
 from articugen.procedural.truth import Truth, _meets_box, _meets_cell, truth_of
-from articugen.sources import registry
 from articugen.sources.refs import ObjectRef
+from articugen.sources.source import open_source
 
 Bools = NDArray[np.bool_]
 Inside = Callable[[Floats], Bools]
@@ -186,13 +186,13 @@ def _hidden(points, eyes, in_image, cells):
 def bundled(category: str, index: int, *, messy: bool) -> Model:
     """The bundled object number `index` of a category, clean or as badly written as real ones."""
     source = "procedural_messy" if messy else "procedural"
-    ref = registry.object_refs(source, category)[index]
+    ref = open_source(source).objects(category)[index]
     return _model(ref, messy=messy)
 
 
 def real(folder: Path, category: str) -> Model:
     """A model that is not ours."""
-    return _model(registry.object_refs(folder, category)[0], real=True)
+    return _model(open_source(folder).objects(category)[0], real=True)
 
 
 def _model(ref: ObjectRef, *, real: bool = False, messy: bool = False) -> Model:

@@ -25,10 +25,11 @@ from articugen.core.recipe import load_recipe
 from articugen.instance.again import generator_of
 from articugen.pipeline.common import record_in, shard_names
 from articugen.pipeline.job import Job, Share
-from articugen.pipeline.plan import as_its_source_is, name_of_ref, objects_of
+from articugen.pipeline.plan import name_of_ref, objects_of
 from articugen.pipeline.records import Records
 from articugen.pipeline.run import common_plan, manifest_of, started
 from articugen.sources.refs import ObjectRef
+from articugen.sources.source import open_source
 from articugen.store.dataset import open as open_data_set
 from articugen.store.manifest import Manifest, Timings
 from articugen.store.outcome import Key, ObjectEntry, Outcome, ShardEntry
@@ -60,7 +61,9 @@ def main() -> None:
 
 def job(folder: Path, objects: int) -> Job:
     recipe = load_recipe("quick", "laptop").with_counts(objects=objects, states=100)
-    return as_its_source_is(Job("procedural", "laptop", recipe, 0, folder, 1))
+    clips = open_source("procedural").clips
+    recipe = recipe.for_source(clips_to_limits=clips)
+    return Job("procedural", "laptop", recipe, 0, folder, 1)
 
 
 def outcomes(job: Job, refs: Sequence[ObjectRef]) -> Iterator[Outcome]:
@@ -102,7 +105,7 @@ class Clock:
 
 def write(folder: Path, objects: int) -> Clock:
     mine, tell = job(folder / "data", objects), Clock()
-    refs = objects_of(mine)
+    refs = objects_of(mine, open_source(mine.source))
     tell("list the objects")
     done = list(outcomes(mine, refs))
     tell("(make up what became of them)")
@@ -137,7 +140,7 @@ def opened(folder: Path, objects: int) -> Clock:
 def records(folder: Path, objects: int) -> Clock:
     """Of shares that have made everything, and the shards that two others look at."""
     mine, tell = job(folder / "ranks", objects), Clock()
-    refs = objects_of(mine)
+    refs = objects_of(mine, open_source(mine.source))
     ledger = Ledger(Folder(mine.folder))
     share = replace(mine, share=Share(0, RANKS))
     ledger.agree(common_plan(share, refs, "").model_dump_json().encode())

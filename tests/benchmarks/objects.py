@@ -28,7 +28,7 @@ from articugen.instance.articulation import resolve
 from articugen.procedural import build_model
 from articugen.procedural.kit.writer import TRUTH_NAME, URDF_NAME, write_model
 from articugen.procedural.truth import read_truth
-from articugen.sources import registry
+from articugen.sources.source import open_source
 from articugen.sources.urdf import load_urdf
 from tests.procedural_truth import assert_sound, crossings, link_frames, object_id
 
@@ -74,8 +74,7 @@ def _faults(source: str, category: str, name: str, folder: Path) -> Iterator[Fau
 
 def categories(source: str) -> list[str]:
     """Those that a source offers."""
-    (info,) = (info for info in registry.source_names() if info.name == source)
-    return [category.name for category in info.categories]
+    return list(open_source(source).file.categories)
 
 
 def main() -> int:

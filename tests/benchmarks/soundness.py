@@ -27,7 +27,8 @@ from articugen.core.schema import Instance
 from articugen.instance.again import resolved
 from articugen.instance.make import make_instance
 from articugen.instance.preparing import Prepared, prepare
-from articugen.sources import registry
+from articugen.sources.refs import ObjectRef
+from articugen.sources.source import open_source
 from articugen.verify import invariants, replay
 from articugen.verify.bounds import TOLERANCES, Tolerance
 
@@ -113,15 +114,15 @@ def made_sets(first: int = 0) -> Iterator[Made]:
             continue
 
 
-def _made(name: str, ref: registry.ObjectRef, recipe: Recipe, seed: int) -> Made:
+def _made(name: str, ref: ObjectRef, recipe: Recipe, seed: int) -> Made:
     prepared = prepare(resolved(ref, recipe), recipe, seed)
     return Made(name, recipe, prepared, [make_instance(prepared, s) for s in range(STATES + 1)])
 
 
-def _refs() -> Iterator[registry.ObjectRef]:
+def _refs() -> Iterator[ObjectRef]:
     """All there are, bundled and real ones in turn."""
     bundled = [
-        list(registry.object_refs(source, category))[::stride]
+        list(open_source(source).objects(category))[::stride]
         for source, stride in (("procedural", 7), ("procedural_messy", 9))
         for category in CATEGORIES
     ]
@@ -129,11 +130,11 @@ def _refs() -> Iterator[registry.ObjectRef]:
         yield from (ref for ref in turn if ref is not None)
 
 
-def _real() -> Iterator[registry.ObjectRef]:
+def _real() -> Iterator[ObjectRef]:
     root = Path(os.environ.get("ARTICUGEN_REAL_MODELS", "/nonexistent"))
     for folder in sorted(root.glob("*/*/")):
         try:
-            yield from registry.object_refs(folder.parent, folder.name)
+            yield from open_source(folder.parent).objects(folder.name)
         except InvalidSource:
             continue
 

@@ -22,8 +22,8 @@ from articugen.instance import articulation
 from articugen.instance.again import resolved
 from articugen.pictures.contact_sheet import evenly
 from articugen.procedural.truth import Truth, truth_of
-from articugen.sources import registry
 from articugen.sources.refs import ObjectRef
+from articugen.sources.source import open_source
 from articugen.store.manifest import Manifest
 from articugen.store.shards import open_shard
 
@@ -79,7 +79,8 @@ def measured(objects: Sequence[ObjectFacts], manifest: Manifest | None) -> Measu
     if manifest is None:
         return Measured((), "A shard alone does not say which files its object came from.")
     try:
-        if not registry.is_procedural(manifest.source):
+        source = open_source(manifest.source)
+        if not source.is_made:
             return Measured(
                 (), f"The models of {manifest.source} are not ours: no exact solids are known."
             )
@@ -87,7 +88,7 @@ def measured(objects: Sequence[ObjectFacts], manifest: Manifest | None) -> Measu
         found: list[Agreement] = []
         recipe = Recipe.model_validate_json(manifest.recipe)
         for each in evenly(objects, OBJECTS):
-            ref = registry.find(manifest.source, manifest.category, each.object_id)
+            ref = source.find(manifest.category, each.object_id)
             obj = resolved(ref, recipe)
             if obj.sha256 != entries[each.split, each.object_id]:
                 return Measured(

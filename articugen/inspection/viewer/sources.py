@@ -14,7 +14,7 @@ from articugen.core.schema import Instance
 from articugen.inspection.viewer.shown import Joint, Shown
 from articugen.instance import again
 from articugen.instance.maker import Maker, Model, load, models
-from articugen.sources.named import source_files
+from articugen.sources.source_file import source_files
 from articugen.store.dataset import DataSet
 from articugen.store.dataset import open as open_data_set
 from articugen.store.manifest import MANIFEST_NAME, Manifest

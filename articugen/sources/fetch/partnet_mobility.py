@@ -22,14 +22,13 @@ from articugen.core.errors import AccessRefused, InvalidArgument, InvalidSource,
 from articugen.core.files import UnfitFile, read_regular, write_atomically
 from articugen.core.yaml_files import nearest
 from articugen.meshes.model_files import MAX_TEXT_BYTES
-from articugen.sources.categories import plain, unknown, words
 from articugen.sources.fetch.hub import Published, files, hub
 from articugen.sources.fetch.models import Unpacked, unpack
 from articugen.sources.fetch.outcome import Fetched, outcome
 from articugen.sources.fetch.target import CATEGORIES_NAME, TERMS_NAME, WORK_NAME, Target
 from articugen.sources.fetch.terms import terms_of
 from articugen.sources.fetch.web import RemoteFile, Server
-from articugen.sources.named import common_categories
+from articugen.sources.source_file import common_categories, plain, unknown
 
 REPOSITORY = "sapien-sim/PartNetMobility"
 ROUTES = ("hub", "sapien")
@@ -236,7 +235,7 @@ def _of_categories(
     category_of = _categories(models, server, target, told)
     chosen: set[str] = set()
     for name in categories:
-        wanted = words(common_categories(), name)
+        wanted = common_categories().words(name)
         own = {i for i, category in category_of.items() if plain(category) in wanted}
         if not own:
             there = sorted({category for category in category_of.values() if category})

@@ -36,10 +36,10 @@ from articugen.core.files import (
     within,
     write_atomically,
 )
-from articugen.sources import registry
 from articugen.sources.fetch.models import Unpacked
 from articugen.sources.fetch.terms import NAMES, Terms, terms_of
 from articugen.sources.folders import visible
+from articugen.sources.source import load_path
 
 LIST_NAME = "fetched.json"
 RECEIPT_NAME = ".fetched.json"
@@ -285,7 +285,7 @@ class Target:
         """Return a model's digest, or why it cannot be used: it is read as any command reads it."""
         shown = shown or path
         try:
-            return registry.load_path(path).sha256, None
+            return load_path(path).sha256, None
         except InvalidSource as error:
             said = (
                 str(error).replace(str(path.resolve()), str(shown)).replace(str(path), str(shown))

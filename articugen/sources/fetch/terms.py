@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 from articugen.core.errors import InvalidArgument
 from articugen.core.yaml_files import nearest
-from articugen.sources.categories import plain
-from articugen.sources.named import source_named
+from articugen.sources.source_file import plain, read_source_file, source_files
 
 
 @dataclass(frozen=True)
@@ -58,9 +57,5 @@ def terms_of(name: str) -> Terms:
         )
     if own in _OTHERS:
         return Terms(own, *_OTHERS[own])
-    named = source_named(own.replace("-", "_"))
-    if named is None:
-        raise InvalidArgument(
-            f"the source {own!r} has lost its source.yaml; install articugen again"
-        )
-    return Terms(own, named.file.origin, named.file.licence)
+    file = read_source_file(source_files()[own.replace("-", "_")])
+    return Terms(own, file.origin, file.licence)

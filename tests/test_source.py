@@ -17,10 +17,11 @@ from hypothesis import strategies as st
 from articugen.core.content import SOURCES
 from articugen.core.errors import InvalidSource, MachineFault
 from articugen.procedural import CATEGORIES
-from articugen.sources import registry, urdf_files
+from articugen.sources import urdf_files
 from articugen.sources.folders import meta_category
+from articugen.sources.readers import load
 from articugen.sources.refs import CategorySettings, ObjectRef
-from articugen.sources.registry import find, load, object_refs, source_names
+from articugen.sources.source import named_sources, open_source
 from articugen.sources.source_file import read_source_file
 from articugen.sources.splits import assign_splits, split_sizes
 from articugen.sources.urdf import load_urdf
@@ -69,7 +70,7 @@ def own_sources(tmp_path, monkeypatch) -> Path:
 @pytest.mark.parametrize("source", ["procedural", "procedural_messy"])
 @pytest.mark.parametrize("category", PAPER)
 def test_procedural_counts_are_the_papers(source, category):
-    refs = object_refs(source, category)
+    refs = open_source(source).objects(category)
     counts = Counter(ref.split for ref in refs)
     assert (counts["train"], counts["test"]) == PAPER[category]
     assert ids(refs) == [object_id(category, i) for i in range(len(refs))]
@@ -79,12 +80,12 @@ def test_procedural_counts_are_the_papers(source, category):
 @given(category=st.sampled_from(sorted(PAPER)), objects=st.integers(1, 400))
 def test_any_number_of_procedural_objects_keeps_the_ratio(category, objects):
     train, test = PAPER[category]
-    refs = object_refs("procedural", category, objects=objects)
+    refs = open_source("procedural").objects(category, objects=objects)
     assert len(refs) == len(set(ids(refs))) == objects
     tests = len(ids(refs, "test"))
     assert abs(tests - objects * test / (train + test)) <= 1
     assert (tests >= 1 and tests < objects) or objects == 1
-    more = object_refs("procedural", category, objects=objects + 50)
+    more = open_source("procedural").objects(category, objects=objects + 50)
     split_of = {ref.object_id: ref.split for ref in more}
     assert all(split_of.get(ref.object_id, ref.split) == ref.split for ref in refs)
 
@@ -95,7 +96,7 @@ def test_loading_a_procedural_object_writes_it(own_sources):
         "{origin: x, licence: x, frame: x, reader: procedural,"
         " categories: {drawer: {train: 1, test: 1, yaw_degrees: 90}}}",
     )
-    ref = object_refs("procedural", "drawer")[0]
+    ref = open_source("procedural").objects("drawer")[0]
     assert ref.location == own_sources / "procedural" / "drawer" / "drawer_0000"
     obj = load(ref)
     assert (obj.object_id, obj.category, obj.source) == ("drawer_0000", "drawer", "procedural")
@@ -115,24 +116,24 @@ def test_folder_of_urdfs_in_many_layouts(tmp_path):
     add(tmp_path / "several" / "deep" / "two.urdf")
     add(tmp_path / "meshes" / "none.obj", "")
     add(tmp_path / ".hidden" / "x.urdf")
-    refs = object_refs(str(tmp_path), "anything")
+    refs = open_source(str(tmp_path)).objects("anything")
     assert ids(refs) == ["plain", "several.deep.two", "several.one", "single"]
     assert len({ref.split for ref in refs if ref.object_id.startswith("several")}) == 1
     assert {ref.split for ref in refs} == {"train", "test"}
     for ref in refs:
         obj = load(ref)
         assert (obj.object_id, obj.category, len(obj.joints)) == (ref.object_id, "anything", 1)
-    assert object_refs(tmp_path, "anything") == refs
-    assert len(object_refs(tmp_path, "anything", objects=99)) == 4
-    assert len(ids(object_refs(tmp_path, "anything", objects=2), "test")) == 1
+    assert open_source(tmp_path).objects("anything") == refs
+    assert len(open_source(tmp_path).objects("anything", objects=99)) == 4
+    assert len(ids(open_source(tmp_path).objects("anything", objects=2), "test")) == 1
 
 
 def test_single_file_and_category_folder(tmp_path):
     path = add(tmp_path / "lamp" / "a.urdf")
     add(tmp_path / "chair" / "b.urdf")
-    assert ids(object_refs(path, "anything")) == ["a"]
-    assert ids(object_refs(tmp_path, "lamp")) == ["a"]
-    assert ids(object_refs(tmp_path, "table")) == ["chair", "lamp"]
+    assert ids(open_source(path).objects("anything")) == ["a"]
+    assert ids(open_source(tmp_path).objects("lamp")) == ["a"]
+    assert ids(open_source(tmp_path).objects("table")) == ["chair", "lamp"]
 
 
 def test_folders_are_read_by_the_reader_they_look_like(tmp_path, monkeypatch):
@@ -141,7 +142,7 @@ def test_folders_are_read_by_the_reader_they_look_like(tmp_path, monkeypatch):
     add(tmp_path / "300" / "motion_attributes.json", "{}")
     (tmp_path / "300" / "part_objs").mkdir()
     add(tmp_path / "400" / "x.urdf")
-    refs = object_refs(tmp_path, "laptop")
+    refs = open_source(tmp_path).objects("laptop")
     assert ids(refs) == ["100", "300", "400"]
     seen = []
 
@@ -159,14 +160,14 @@ def test_folders_are_read_by_the_reader_they_look_like(tmp_path, monkeypatch):
     assert [found[:2] for found in seen] == [("100", "100"), ("300", "300")]
     partnet = read_source_file(SOURCES / "partnet_mobility" / "source.yaml")
     assert seen[0][2] == partnet.categories["laptop"]
-    assert ids(object_refs(tmp_path / "200", "anything")) == ["200"]
+    assert ids(open_source(tmp_path / "200").objects("anything")) == ["200"]
 
 
 def test_flat_partnet_models_of_no_such_category(tmp_path):
     add_partnet(tmp_path / "100", "Laptop")
     add_partnet(tmp_path / "200", "Oven")
     with pytest.raises(InvalidSource, match="no category 'chair'; there are: Laptop, Oven"):
-        object_refs(tmp_path, "chair")
+        open_source(tmp_path).objects("chair")
 
 
 @pytest.mark.parametrize("layout", ["flat", "sorted"])
@@ -174,15 +175,12 @@ def test_named_source_finds_its_models(own_sources, layout):
     for name, category in [("1", "Laptop"), ("2", "Laptop"), ("3", "Oven")]:
         below = category.lower() if layout == "sorted" else "."
         add_partnet(own_sources / "partnet_mobility" / below / name, category)
-    assert ids(object_refs("partnet_mobility", "laptop")) == ["1", "2"]
-    assert ids(object_refs("partnet_mobility", "oven")) == ["3"]
-    (info,) = [info for info in source_names() if info.name == "partnet_mobility"]
-    assert info.present
-    assert info.folder == own_sources / "partnet_mobility"
-    assert {c.name: c.train + c.test for c in info.categories if c.train} == {
-        "laptop": 2,
-        "oven": 1,
-    }
+    assert ids(open_source("partnet_mobility").objects("laptop")) == ["1", "2"]
+    assert ids(open_source("partnet_mobility").objects("oven")) == ["3"]
+    source = open_source("partnet_mobility")
+    assert source.folder == own_sources / "partnet_mobility"
+    counts = {name: splits.total() for name, splits in source.counts().items() if splits}
+    assert counts == {"laptop": 2, "oven": 1}
 
 
 def test_own_source_with_lists_of_ids(own_sources, tmp_path):
@@ -193,7 +191,7 @@ def test_own_source_with_lists_of_ids(own_sources, tmp_path):
         "{origin: x, licence: x, frame: x, path: ../../models,"
         " categories: {lamp: {test: [b, zz]}}}",
     )
-    refs = object_refs("mine", "lamp")
+    refs = open_source("mine").objects("lamp")
     assert ids(refs, "train") == ["a", "c", "d"]
     assert ids(refs, "test") == ["b"]
     assert load(refs[0]).source == "mine"
@@ -238,21 +236,21 @@ def test_a_category_by_any_of_its_names(lay, as_source, asked, own, wanted, own_
     folder = own_sources / "partnet_mobility" if as_source else tmp_path / "models"
     lay(folder)
     source = "partnet_mobility" if as_source else str(folder)
-    assert registry.categories(source, [asked]) == (own,)
+    assert open_source(source).categories([asked]) == (own,)
     for name in (asked, own):
-        refs = object_refs(source, name)
+        refs = open_source(source).objects(name)
         assert ids(refs) == wanted
-        assert registry.settings(refs[0]).model_cat
-    assert registry.categories(source, [f"{asked}, {own}"]) == (own,)
+        assert refs[0].settings.model_cat
+    assert open_source(source).categories([f"{asked}, {own}"]) == (own,)
 
 
 @pytest.mark.parametrize("lay", [add_many, add_flat])
 def test_a_category_that_is_not_there_names_the_nearest_and_all(lay, tmp_path):
     lay(tmp_path)
     with pytest.raises(InvalidSource, match=r"no category 'dishwsher'; did you mean 'dishwasher'"):
-        object_refs(tmp_path, "dishwsher")
+        open_source(tmp_path).objects("dishwsher")
     with pytest.raises(InvalidSource, match=r"there are: .*StorageFurniture, Table, Washing"):
-        object_refs(tmp_path, "laptop")
+        open_source(tmp_path).objects("laptop")
 
 
 @pytest.mark.parametrize("lay", [add_many, add_flat])
@@ -260,36 +258,36 @@ def test_all_categories_are_those_that_are_there(lay, tmp_path, own_sources):
     lay(tmp_path / "models")
     lay(own_sources / "partnet_mobility")
     four = ("dishwasher", "storage_furniture", "table", "washing_machine")
-    assert registry.categories(tmp_path / "models", ["all"]) == four
-    assert set(registry.categories("partnet_mobility", ["all"])) == {*four, "drawer"}
-    assert registry.categories("procedural", ["oven", "all"])[0] == "oven"
-    assert registry.categories("procedural", ["all"]) == tuple(CATEGORIES)
+    assert open_source(tmp_path / "models").categories(["all"]) == four
+    assert set(open_source("partnet_mobility").categories(["all"])) == {*four, "drawer"}
+    assert open_source("procedural").categories(["oven", "all"])[0] == "oven"
+    assert open_source("procedural").categories(["all"]) == tuple(CATEGORIES)
 
 
 def test_a_plain_folder_takes_any_name_but_does_not_know_all(tmp_path):
     add(tmp_path / "a.urdf")
     add(tmp_path / "laptop" / "urdf" / "laptop.urdf")
-    assert registry.categories(str(tmp_path), ["Cabinet,thing", "thing"]) == ("Cabinet", "thing")
-    assert ids(object_refs(tmp_path, "Cabinet")) == ["a", "laptop"]
+    assert open_source(str(tmp_path)).categories(["Cabinet,thing", "thing"]) == ("Cabinet", "thing")
+    assert ids(open_source(tmp_path).objects("Cabinet")) == ["a", "laptop"]
     with pytest.raises(InvalidSource, match="does not tell of what categories"):
-        registry.categories(str(tmp_path), ["all"])
+        open_source(str(tmp_path)).categories(["all"])
     with pytest.raises(InvalidSource, match="no category is asked for"):
-        registry.categories(str(tmp_path), [" , "])
+        open_source(str(tmp_path)).categories([" , "])
 
 
 def test_plain_urdfs_in_folders_called_like_categories(tmp_path):
     for name in ("lamp/a", "lamp/b", "Chair/c", "Chair/d"):
         add(tmp_path / f"{name}.urdf")
-    assert ids(object_refs(tmp_path, "chair")) == ["c", "d"]
-    assert registry.categories(tmp_path, ["all"]) == ("chair", "lamp")
+    assert ids(open_source(tmp_path).objects("chair")) == ["c", "d"]
+    assert open_source(tmp_path).categories(["all"]) == ("chair", "lamp")
     with pytest.raises(InvalidSource, match="no category 'table'; there are: Chair, lamp"):
-        object_refs(tmp_path, "table")
+        open_source(tmp_path).objects("table")
 
 
 def test_a_partnet_model_is_read_as_what_its_meta_json_says(tmp_path):
     add_partnet(tmp_path / "200", "Oven")
-    (ref,) = object_refs(tmp_path / "200", "anything")
-    assert registry.settings(ref).model_cat == ("Oven",)
+    (ref,) = open_source(tmp_path / "200").objects("anything")
+    assert ref.settings.model_cat == ("Oven",)
 
 
 # --- some objects only
@@ -300,35 +298,35 @@ def test_chosen_objects_keep_their_splits(source, tmp_path):
     for k in range(20):
         add(tmp_path / f"laptop_{k:04d}.urdf")
     where = tmp_path if source == "folder" else source
-    split = {ref.object_id: ref.split for ref in object_refs(where, "laptop")}
+    split = {ref.object_id: ref.split for ref in open_source(where).objects("laptop")}
     some = ("laptop_0003", "laptop_0006", "laptop_0011")
-    refs = object_refs(where, "laptop", ids=some)
+    refs = open_source(where).objects("laptop", ids=some)
     assert ids(refs) == list(some)
     assert all(ref.split == split[ref.object_id] for ref in refs)
-    rest = object_refs(where, "laptop", exclude=some)
+    rest = open_source(where).objects("laptop", exclude=some)
     assert ids(rest) == [name for name in split if name not in some]
     assert all(ref.split == split[ref.object_id] for ref in rest)
-    assert ids(object_refs(where, "laptop", ids=some, exclude=some[:1])) == list(some[1:])
-    assert len(object_refs(where, "laptop", ids=some, objects=2)) == 2
+    assert ids(open_source(where).objects("laptop", ids=some, exclude=some[:1])) == list(some[1:])
+    assert len(open_source(where).objects("laptop", ids=some, objects=2)) == 2
     with pytest.raises(InvalidSource, match=r"no object 'laptop_3'.*did you mean 'laptop_00"):
-        object_refs(where, "laptop", ids=["laptop_3"])
+        open_source(where).objects("laptop", ids=["laptop_3"])
     with pytest.raises(InvalidSource, match="no object 'x' of 'laptop'; there are: laptop_0000,"):
-        object_refs(where, "laptop", exclude=["x"])
+        open_source(where).objects("laptop", exclude=["x"])
     with pytest.raises(InvalidSource, match="no object of 'laptop' is left"):
-        object_refs(where, "laptop", ids=some, exclude=some)
+        open_source(where).objects("laptop", ids=some, exclude=some)
 
 
 def test_a_procedural_object_past_the_papers_number_can_be_asked_for():
-    (ref,) = object_refs("procedural", "laptop", ids=["laptop_0123"])
-    more = object_refs("procedural", "laptop", objects=200)
+    (ref,) = open_source("procedural").objects("laptop", ids=["laptop_0123"])
+    more = open_source("procedural").objects("laptop", objects=200)
     assert ref in more
 
 
 def test_models_of_others_stay_inside_their_limits(tmp_path):
-    assert registry.clips_to_limits("partnet_mobility")
-    assert registry.clips_to_limits(str(tmp_path))
-    assert not registry.clips_to_limits("procedural")
-    assert not registry.clips_to_limits("procedural_messy")
+    assert open_source("partnet_mobility").clips
+    assert open_source(str(tmp_path)).clips
+    assert not open_source("procedural").clips
+    assert not open_source("procedural_messy").clips
 
 
 # --- hostile objects
@@ -347,7 +345,7 @@ def test_one_bad_object_stops_no_other(tmp_path):
     add(deep / ("y" * 200) / "two.urdf")
     (tmp_path / "closed").mkdir(mode=0)
     told = {}
-    for ref in object_refs(tmp_path, "thing"):
+    for ref in open_source(tmp_path).objects("thing"):
         try:
             told[ref.object_id] = load(ref).object_id
         except InvalidSource as error:
@@ -363,7 +361,7 @@ def test_one_bad_object_stops_no_other(tmp_path):
 
 
 def test_what_a_reader_did_not_expect_is_the_objects_fault(tmp_path, monkeypatch):
-    ref = object_refs(add(tmp_path / "a.urdf"), "thing")[0]
+    ref = open_source(add(tmp_path / "a.urdf")).objects("thing")[0]
 
     def raising(error):
         def read(*_args, **_kinds):
@@ -387,16 +385,16 @@ def test_what_a_reader_did_not_expect_is_the_objects_fault(tmp_path, monkeypatch
 def test_names_stay_distinct_however_contrived(tmp_path):
     for name in ("a.urdf", "a/x.urdf", "a.x.urdf.urdf", "b/a.urdf", "a.URDF"):
         add(tmp_path / name)
-    found = ids(object_refs(tmp_path, "thing"))
+    found = ids(open_source(tmp_path).objects("thing"))
     assert len(set(found)) == 5
     assert {"a.urdf", "a.URDF", "b", "a.x.urdf", "a.x.urdf~"} == set(found)
 
 
 def test_a_source_that_cannot_be_written_down_is_refused(tmp_path):
     with pytest.raises(InvalidSource, match="is not UTF-8; rename it"):
-        object_refs(tmp_path / "caf\udce9", "thing")
+        open_source(tmp_path / "caf\udce9").objects("thing")
     with pytest.raises(InvalidSource, match="no source"):
-        object_refs("a" * 5000, "thing")
+        open_source("a" * 5000).objects("thing")
 
 
 @pytest.mark.parametrize("to", ["/dev/zero", "../secret.json"])
@@ -469,13 +467,13 @@ LAYOUTS = {
 def test_an_object_is_found_by_its_id_as_in_a_listing(lay, tmp_path):
     lay(tmp_path, 7)
     category, _ = LAYOUTS[lay]
-    refs = object_refs(tmp_path, category)
+    refs = open_source(tmp_path).objects(category)
     assert len(refs) > 2
     for ref in refs:
-        assert find(tmp_path, category, ref.object_id) == replace(ref, split="")
+        assert open_source(tmp_path).find(category, ref.object_id) == replace(ref, split="")
     for name in ("none", "", ".", "..", "a/b", f"../{tmp_path.name}", "x\0", "a*", "LAPTOP"):
         with pytest.raises(InvalidSource, match="no object"):
-            find(tmp_path, category, name)
+            open_source(tmp_path).find(category, name)
 
 
 @pytest.mark.parametrize(
@@ -491,12 +489,12 @@ def test_an_object_is_found_by_its_id_as_in_a_listing(lay, tmp_path):
 def test_an_object_of_a_named_source_is_found_as_in_a_listing(source, lay, category, own_sources):
     if lay:
         lay(own_sources / source, 6)
-    refs = object_refs(source, category)
+    refs = open_source(source).objects(category)
     assert len(refs) > 2
     for ref in refs:
-        assert find(source, category, ref.object_id) == replace(ref, split="")
+        assert open_source(source).find(category, ref.object_id) == replace(ref, split="")
     with pytest.raises(InvalidSource, match="no object '77' of"):
-        find(source, category, "77")
+        open_source(source).find(category, "77")
 
 
 @pytest.mark.parametrize("lay", LAYOUTS)
@@ -509,11 +507,11 @@ def test_what_finding_an_object_costs_does_not_grow_with_its_source(lay, tmp_pat
 
     def cost(count: int) -> tuple[int, int]:
         lay(tmp_path / str(count), count)
-        refs = object_refs(tmp_path / str(count), category)
+        refs = open_source(tmp_path / str(count)).objects(category)
         calls.clear()
-        find(tmp_path / str(count), category, refs[0].object_id)
+        open_source(tmp_path / str(count)).find(category, refs[0].object_id)
         first = len(calls)
-        find(tmp_path / str(count), category, refs[-1].object_id)
+        open_source(tmp_path / str(count)).find(category, refs[-1].object_id)
         return first, len(calls) - first
 
     few, many = cost(6), cost(150)
@@ -523,12 +521,12 @@ def test_what_finding_an_object_costs_does_not_grow_with_its_source(lay, tmp_pat
 
 def test_a_model_that_came_later_is_found_too(tmp_path):
     laid_artiverse(tmp_path, 3)
-    assert find(tmp_path, "laptop", "c2").location.name == "c2"
+    assert open_source(tmp_path).find("laptop", "c2").location.name == "c2"
     laid_artiverse(tmp_path, 4)
-    assert find(tmp_path, "laptop", "c3").location.name == "c3"
+    assert open_source(tmp_path).find("laptop", "c3").location.name == "c3"
     shutil.rmtree(tmp_path / "laptop" / "hssd0")
     with pytest.raises(InvalidSource, match="no object 'c3'"):
-        find(tmp_path, "laptop", "c3")
+        open_source(tmp_path).find("laptop", "c3")
 
 
 # --- refusals
@@ -541,14 +539,14 @@ def test_a_model_that_came_later_is_found_too(tmp_path):
         ("./nowhere", "laptop", None, "no source './nowhere'; there are: "),
         ("procedural", "lapto", None, "no category 'lapto'; did you mean 'laptop'"),
         ("procedural", "laptop", 0, "ask for one at least"),
-        ("tests/test_registry.py", "laptop", None, "is not a .urdf file"),
+        ("tests/test_source.py", "laptop", None, "is not a .urdf file"),
         ("articugen/sources", "laptop", None, "holds no URDF"),
     ],
 )
 def test_what_is_not_there(source, category, objects, problem, monkeypatch):
     monkeypatch.chdir(SOURCES.parent)
     with pytest.raises(InvalidSource, match=problem):
-        object_refs(source, category, objects=objects)
+        open_source(source).objects(category, objects=objects)
 
 
 def test_named_source_without_models_names_its_readme(own_sources):
@@ -557,21 +555,21 @@ def test_named_source_without_models_names_its_readme(own_sources):
         "{origin: x, licence: x, frame: x, categories: {lamp: {}}}",
     )
     with pytest.raises(InvalidSource, match=r"no model of 'lamp' under .*mine; .*README\.md says"):
-        object_refs("mine", "lamp")
-    assert not next(info for info in source_names() if info.name == "mine").present
+        open_source("mine").objects("lamp")
+    assert not any(open_source("mine").counts().values())
 
 
 def test_sources_folder_that_is_none(monkeypatch):
     monkeypatch.setenv("ARTICUGEN_SOURCES", "/nowhere/at/all")
     with pytest.raises(InvalidSource, match="ARTICUGEN_SOURCES=/nowhere/at/all is not a folder"):
-        source_names()
+        named_sources()
 
 
 def test_objects_of_one_name_are_called_by_their_path(tmp_path):
     add(tmp_path / "a.urdf")
     add(tmp_path / "a" / "x.urdf")
     add(tmp_path / "B.URDF")
-    refs = object_refs(tmp_path, "x")
+    refs = open_source(tmp_path).objects("x")
     assert ids(refs) == ["B", "a.urdf", "a.x.urdf"]
     assert len({ref.split for ref in refs if ref.object_id.startswith("a")}) == 1
 
@@ -690,8 +688,8 @@ def test_split_sizes(objects, train, test):
 
 
 def test_settings_defaults(tmp_path):
-    ref = object_refs(add(tmp_path / "a.urdf"), "laptop")[0]
-    assert registry.settings(ref) == CategorySettings()
+    ref = open_source(add(tmp_path / "a.urdf")).objects("laptop")[0]
+    assert ref.settings == CategorySettings()
 
 
 # --- real models
@@ -705,7 +703,7 @@ def test_every_real_model_loads(monkeypatch, named):
     loaded = Counter()
     for source in ("partnet_mobility", "shape2motion"):
         for category in sorted(path.name for path in (root / source).iterdir()):
-            for ref in object_refs(source if named else root / source, category):
+            for ref in open_source(source if named else root / source).objects(category):
                 obj = load(ref)
                 loaded[source] += 1
                 assert len(obj.moving_joints) > 0
@@ -723,7 +721,7 @@ def test_every_real_model_loads(monkeypatch, named):
 )
 def test_what_a_reader_makes_is_looked_at(tmp_path: Path, monkeypatch, harm, reason: str) -> None:
     """Whoever wrote the reader: numbers that nobody can work with are the model's fault."""
-    (ref,) = object_refs(add(tmp_path / "box.urdf").parent, "box")
+    (ref,) = open_source(add(tmp_path / "box.urdf").parent).objects("box")
     sound = load(ref)
     monkeypatch.setattr(urdf_files, "load", lambda *_: harm(sound))
     with pytest.raises(InvalidSource, match=rf"box\.urdf: .*{reason}"):

@@ -1,18 +1,20 @@
-"""Which models lie in a folder, in whatever layout people keep them."""
+"""Models in a folder, in whatever layout people keep them, without what a source says of them."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from os.path import isdir
 from pathlib import Path
 
+from articugen.core.errors import InvalidSource
 from articugen.sources import readers, urdf_files
 from articugen.sources.folders import visible
 from articugen.sources.refs import Found
+from articugen.sources.source_file import SourceFile, plain, unknown
 
 
 def sorted_models(reader: str, base: Path) -> list[Found]:
-    """The objects of a source: in `base/<category>`, and those in `base` that tell theirs."""
+    """Return a source's objects: in `base/<category>`, and those in `base` that tell theirs."""
     found = [f for f in readers.find(reader, base) if f.category]
     own = {f.location for f in found}
     for folder in visible(base):
@@ -21,8 +23,52 @@ def sorted_models(reader: str, base: Path) -> list[Found]:
     return found
 
 
-def mixed_models(base: Path, is_category: Callable[[str], bool]) -> Iterator[Found]:
-    """Every object in a folder that no source.yaml describes, and what is known of its category.
+def of_category(models: Collection[Found], file: SourceFile, name: str) -> list[Found]:
+    """Return the models in a folder of just that name, if there is one; else those whose folder or
+    meta.json is called like the category."""
+    exact = {plain(name), plain(file.own_name(name) or name)}
+    own = [f for f in models if f.kinds and plain(f.kinds[0]) in exact]
+    wanted = file.words(name)
+    return own or [f for f in models if wanted & set(map(plain, f.kinds))]
+
+
+def in_folder(path: Path, file: SourceFile, category: str) -> list[Found]:
+    """Return the models of a category in a folder that no source.yaml describes, or the one in a
+    file; any name will do for those that do not tell theirs.
+
+    Args:
+        file: says what categories are called.
+
+    Raises:
+        InvalidSource: there is none; models that tell their category, all another.
+    """
+    single = readers.detect(path)
+    if single:
+        return [single]
+    if path.is_file():
+        raise InvalidSource(
+            f"{path}: is not a .urdf file, nor a USD file of its own; name one, or a folder"
+        )
+    if (path / category).is_dir():
+        models = any_models(path / category)
+    else:
+        every = list(mixed_models(path, file))
+        models = of_category(every, file, category)
+        known = sorted({f.kinds[0] for f in every if f.kinds})
+        if known and not models:
+            raise unknown(str(path), category, known)
+        models += [f for f in every if not f.kinds]
+    if not models:
+        raise InvalidSource(
+            f"{path}: holds no URDF or USD; put each model there as <id>.urdf, <id>.usd or "
+            "<id>/<any name>.urdf"
+        )
+    return models
+
+
+def mixed_models(base: Path, file: SourceFile) -> Iterator[Found]:
+    """Return every object in a folder that no source.yaml describes, and what is known of its
+    category.
 
     A folder below `base` is a category's where models in a layout that we know lie in it, as deep
     as the layout has it; a folder in `base` of other models where it is called like a category and
@@ -33,7 +79,7 @@ def mixed_models(base: Path, is_category: Callable[[str], bool]) -> Iterator[Fou
         if own is None and isdir(child):
             inside = any_models(child)
             known = any(f.reader != _PLAIN for f in inside)
-            if known or (len(inside) > 1 and is_category(child.name)):
+            if known or (len(inside) > 1 and file.own_name(child.name) is not None):
                 yield from (replace(f, folder=_category_folder(f, base)) for f in inside)
                 continue
         yield from _models_at(child, own)
