@@ -12,13 +12,12 @@ pytest.importorskip("matplotlib", reason="figures need matplotlib")
 
 from PIL import Image
 
-from articugen.core.colours import COLOURS
+from articugen.core.colours import COLOURS, UNNAMED, part_colours
 from articugen.core.geometry import apply
 from articugen.core.records import Normalization, dequantize
 from articugen.core.schema import Instance
 from articugen.learning.evaluation.evaluate import objects_of
 from articugen.learning.evaluation.figures import plots
-from articugen.learning.evaluation.figures.colours import UNNAMED, part_colours
 from articugen.learning.evaluation.figures.draw import (
     Drawable,
     Example,

@@ -35,7 +35,7 @@ _USUAL = 2048
 
 
 class PointNet(nn.Module):
-    """The simple PointNet of Occupancy Networks (Mescheder et al. 2019), three pooled blocks.
+    """The simple PointNet of Occupancy Networks (Mescheder et al. 2019).
 
     A maximum passes its gradient to one element only. What is pooled away is evaluated without a
     graph, and what is left is evaluated again with one: value and gradient are exactly those of the
@@ -44,27 +44,32 @@ class PointNet(nn.Module):
     Args:
         code: the length of the latent.
         start: `release` leaves weights as torch draws them, `he` draws them as He et al. (2015) do.
+        blocks: how many pooled blocks, two to four.
     """
 
-    def __init__(self, code: int, start: Literal["release", "he"] = "release") -> None:
+    def __init__(
+        self, code: int, start: Literal["release", "he"] = "release", blocks: int = 3
+    ) -> None:
         super().__init__()
         self.position = nn.Linear(3, 256)
-        self.first, self.second, self.third = (nn.Linear(256, 128) for _ in range(3))
+        self.blocks = ("first", "second", "third", "fourth")[:blocks]
+        for name in self.blocks:
+            self.add_module(name, nn.Linear(256, 128))
         self.latent = nn.Linear(128, code)
         if start == "he":
-            for layer in (self.position, self.first, self.second, self.third, self.latent):
-                nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
+            for layer in self.children():
+                nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")  # pyright: ignore[reportArgumentType]
 
     def forward(self, cloud: Tensor) -> Tensor:
         """The latent (B, code) of clouds (B, n, 3), whatever the order of their points."""
-        most = 128 if spares(cloud) else 3 * 128  # of what `_decisive` keeps
+        most = 128 if spares(cloud) else len(self.blocks) * 128  # of what `_decisive` keeps
         if torch.is_grad_enabled() and cloud.shape[1] > most:
             cloud = gather_points(cloud, self._decisive(cloud))
         return self.latent(self._each(cloud)[-1].amax(1).relu())
 
     @torch.no_grad()
     def _decisive(self, cloud: Tensor) -> Tensor:
-        """(B, 384) the indices of the points that hold a maximum in any of the blocks; on a CPU
+        """(B, 128 a block) the indices of the points that hold a maximum in any of them; on a CPU
         less, since many hold several.
         """
         index = one_by_one(
@@ -78,8 +83,10 @@ class PointNet(nn.Module):
         From the second block on, half of a point's input is the pooled vector, the same for every
         point: its share of the layer is computed once a cloud.
         """
-        blocks = [self.first(self.position(cloud).relu_())]
-        for block in (self.second, self.third):
+        first, *others = (self.get_submodule(name) for name in self.blocks)
+        blocks = [first(self.position(cloud).relu_())]
+        for block in others:
+            assert isinstance(block, nn.Linear)
             own, shared = block.weight.split(128, dim=1)
             common = nn.functional.linear(blocks[-1].amax(1).relu(), shared, block.bias)
             blocks.append(blocks[-1].relu() @ own.T + common[:, None])

@@ -4,7 +4,7 @@ A field is above 0 inside of its part and below 0 outside, as a logit is. Part i
 where its field is above 0 and the greatest of all, unless a method draws its surfaces otherwise.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, Protocol
 
@@ -82,6 +82,18 @@ def reconstruction_of(
         parts=parts,
         T_part=T_part,
         joints=joints,
+    )
+
+
+def reconstruction_of_surfaces(surfaces: Sequence[Floats], inside: Floats) -> Reconstruction:
+    """Return parts whose triangles (F, 3, 3) are known; `inside` (R, R, R), above 0 there, is drawn
+    as the whole."""
+    return Reconstruction(
+        triangles=np.concatenate([_NO_TRIANGLES, *surfaces]),
+        part=np.repeat(np.arange(len(surfaces)), [len(s) for s in surfaces]),
+        whole=zero_level(inside).triangles,
+        occupied=inside > 0.0,
+        parts=len(surfaces),
     )
 
 

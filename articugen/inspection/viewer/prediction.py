@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from articugen.core.arrays import Floats
-from articugen.core.colours import rgb
+from articugen.core.colours import part_colours, rgb
 from articugen.core.errors import InvalidSource, MissingExtra
 from articugen.core.records import JointKind, dequantize
 from articugen.core.schema import Instance
@@ -52,7 +52,6 @@ class Predictor:
     def drawn(self, instance: Instance, beside: Floats) -> list[Drawn]:
         """Its parts and axes, each part in the colour of the true part that most of it lies
         nearest to, moved by `beside` (3,)."""
-        from articugen.learning.evaluation.figures.colours import part_colours  # noqa: PLC0415
 
         points = dequantize(instance.surface_points)
         found = self._learner.reconstruct(points, resolution=RESOLUTION)

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from articugen.core.records import Floats
 from articugen.learning.evaluation.reconstruction import Reconstruction
-from articugen.learning.fields import grid_centres
-from articugen.meshes.marching_cubes import zero_level
+from articugen.learning.fields import grid_centres, reconstruction_of_surfaces
 
 EPSILON = 1e-9
 """Lengths below which a vertex lies on a plane."""
@@ -109,11 +108,4 @@ def reconstruction_of_polytopes(
         if convex is not None:
             surfaces[k] = convex.triangles()
             np.maximum(inside, convex.clearance(points), out=inside)
-    grid = inside.reshape(3 * [resolution])
-    return Reconstruction(
-        triangles=np.concatenate(surfaces),
-        part=np.repeat(np.arange(len(convexes)), [len(s) for s in surfaces]),
-        whole=zero_level(grid).triangles,
-        occupied=grid > 0.0,
-        parts=len(convexes),
-    )
+    return reconstruction_of_surfaces(surfaces, inside.reshape(3 * [resolution]))
