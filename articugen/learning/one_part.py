@@ -5,18 +5,23 @@ others 0: a mean of 1 / K^2, which is what the PPD paper has for methods that fo
 shape is the box of its cloud.
 """
 
-from typing import Any, Literal
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import torch
 
 from articugen.core.records import Floats
-from articugen.learning.data.batch import Batch, BatchSpec
-from articugen.learning.data.split import PackedSplit
 from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.method import Learner, Method, Terms
 from articugen.learning.recipe import TrainRecipe
 from articugen.meshes.read import box
+
+if TYPE_CHECKING:  # a recipe is read without torch
+    import torch
+
+    from articugen.learning.data.batch import Batch
+    from articugen.learning.data.split import PackedSplit
 
 
 class OnePartRecipe(TrainRecipe):
@@ -24,7 +29,9 @@ class OnePartRecipe(TrainRecipe):
 
 
 class OnePartLearner(Learner):
-    def __init__(self, settings: OnePartRecipe) -> None:
+    def __init__(self, settings: OnePartRecipe, seed: int, device: torch.device) -> None:
+        from articugen.learning.data.batch import BatchSpec  # noqa: PLC0415
+
         self.settings = settings
         self.inputs = BatchSpec.of(settings.data)
 
@@ -54,9 +61,7 @@ class OnePart(Method):
     name = "one_part"
     recipe = "one_part"
     Settings = OnePartRecipe
-
-    def start(self, settings: OnePartRecipe, *, seed: int, device: torch.device) -> OnePartLearner:
-        return OnePartLearner(settings)
+    learner = "articugen.learning.one_part:OnePartLearner"
 
 
 METHOD = OnePart()

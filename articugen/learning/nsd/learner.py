@@ -16,9 +16,7 @@ from articugen.learning.nsd.network import SCALE, NSDNet, directions_of, indicat
 from articugen.learning.nsd.settings import NSDRecipe
 
 SHARED = 1.2  # what `indicator` may be without a loss for the overlap
-HIDDEN = 0.1
-"""A point of a star's surface is inside others if all fields above 0 there have a greater sum."""
-
+HIDDEN = 0.1  # of the sum of fields above 0 at a point: more, and it lies inside other stars
 MESH = 20  # longitudes and latitudes of a mesh
 
 
