@@ -84,11 +84,13 @@ def test_every_format_has_its_page_and_the_overview_and_the_site_link_it() -> No
     assert {path.stem for path in (DOCS / "exports").glob("*.md")} == set(FORMATS)
     overview = (DOCS / "exports.md").read_text(encoding="utf-8")
     site = (DOCS.parent / "mkdocs.yml").read_text(encoding="utf-8")
+    readme = (DOCS.parent / "README.md").read_text(encoding="utf-8")
     for name in FORMATS:
         assert page(name).startswith(f"# {name}: ")
         assert f"--to {name} --out {name}/laptop" in page(name)
         assert f"[`{name}`](exports/{name}.md)" in overview
         assert f"- exports/{name}.md" in site
+        assert f"`{name}`" in readme
 
 
 @pytest.mark.parametrize("split", ["../../x", "absolute", ""])

@@ -3,7 +3,8 @@
 A worker that is killed, or for which memory runs out, costs its task one more try, alone, when all
 others are done; one that exceeds the limit is killed, and that is the task's result.
 
-They are no `multiprocessing`'s: a script needs no `if __name__ ==`, and a loss breaks no pool.
+They are started by hand, not by `multiprocessing`: a script then needs no `if __name__ ==
+"__main__"`, and one that is lost breaks no pool.
 """
 
 import ctypes
@@ -29,8 +30,8 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 TICK = 0.2  # seconds between two checks of the workers' clocks and memory
-LONGEST_LOOK = 5.0  # seconds that count between two looks: Ctrl-Z stops this and all workers
-LONGEST_START = 600.0  # seconds to get ready in: without room OpenBLAS asks for it for ever
+LONGEST_LOOK = 5.0  # seconds that count between two checks: after Ctrl-Z workers stood still too
+LONGEST_START = 600.0  # seconds to get ready in: short of memory, OpenBLAS asks again for ever
 
 _READY, _SAID, _DONE, _RAISED = "ready", "said", "done", "raised"
 _NO_MEMORY, _GONE = "ran out of memory", "gone"

@@ -52,8 +52,11 @@ def jobs_of(options: Options, share: Share | None = None) -> list[Job]:
         for name, (ids, exclude) in opened.share_out(names, options.ids, options.exclude).items()
     ]
     if share and any(job.executor.records for job in jobs):
-        raise InvalidArgument("--scheduler slurm shares out the objects by itself: no --shard")
-    check_replaces(jobs[0], replace=options.replace)
+        raise InvalidArgument(
+            f"--scheduler {options.scheduler} shares out the objects by itself: no --shard"
+        )
+    if options.replace:
+        _check_can_replace(jobs[0])
     return jobs
 
 
@@ -93,7 +96,6 @@ def make(
         ArticugenError, KeyboardInterrupt: as `generate`; the manifest is written first, and tells
             of a `shortfall`, too.
     """
-    check_replaces(job, replace=replace)
     executor = job.executor.of(job, "")
     with started(job) as run:
         run.check_replaces(replace=replace, cure="pass replace=True")
@@ -105,15 +107,11 @@ def make(
     return manifest
 
 
-def check_replaces(job: Job, *, replace: bool) -> None:
-    """See to it that nobody counts on `replace` where processes share out the objects.
-
-    Raises:
-        InvalidArgument: it is asked for, and they do.
-    """
+def _check_can_replace(job: Job) -> None:
+    """Raise InvalidArgument where processes share out the objects: they replace nothing."""
     way = "an object store" if isinstance(job.out, Remote) else ""
     way = way or ("--shard" if job.share else job.scheduler if job.executor.records else "")
-    if replace and way:
+    if way:
         raise InvalidArgument(
             f"--replace (replace=True) with {way}: processes that share out objects replace "
             "nothing; give a new --out"
