@@ -15,14 +15,9 @@ from articugen.learning.fields import FieldLearner
 from articugen.learning.method import Terms
 from articugen.learning.tensors import made
 
-BETAS = 0.5, 0.999
-"""Of Adam."""
-
-INSIDE = 4.0
-"""The indicator value inside, at first, where a recipe says `fourfold`."""
-
-LOOK_EVERY = 100
-"""Iterations: a GPU is waited for where it is asked whether learning is stuck."""
+BETAS = 0.5, 0.999  # of Adam
+INSIDE = 4.0  # the indicator value inside, at first, where a recipe says `fourfold`
+LOOK_EVERY = 100  # iterations: a GPU is waited for where it is asked whether learning is stuck
 
 
 class BSPLearner(FieldLearner):

@@ -10,17 +10,10 @@ from articugen.learning.blocks import VoxelEncoder
 from articugen.learning.bsp.settings import ModelSettings
 from articugen.learning.fields import PartFields
 
-SLOPE = 0.01
-"""Of the leaky ReLUs."""
-
-START = 1e-5, 0.02
-"""Mean and standard deviation of the first T and W."""
-
-USED = 0.01
-"""A plane whose entry of T is greater bounds the convex."""
-
-NEAR = 0.01
-"""A point that is less outside of a convex than this counts as inside."""
+SLOPE = 0.01  # of the leaky ReLUs
+START = 1e-5, 0.02  # mean and standard deviation of the first T and W
+USED = 0.01  # a plane whose entry of T is greater bounds the convex
+NEAR = 0.01  # a point that is less outside of a convex than this counts as inside
 
 
 class BSPNet(PartFields):

@@ -11,12 +11,8 @@ from articugen.core.records import Floats
 from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.fields import grid_centres, reconstruction_of_surfaces
 
-EPSILON = 1e-9
-"""Lengths below which a vertex lies on a plane."""
-
-SHORT = 1e-9
-"""Normals shorter than that bound nothing, or leave nothing."""
-
+EPSILON = 1e-9  # lengths below which a vertex lies on a plane
+SHORT = 1e-9  # normals shorter than that bound nothing, or leave nothing
 _CUBE = np.concatenate([np.hstack([s * np.eye(3), np.full((3, 1), -0.5)]) for s in (-1.0, 1.0)])
 
 
