@@ -219,7 +219,7 @@ def test_a_shard_that_was_changed_is_mended(tmp_path):
     path = tmp_path / "train-00000.h5"
     path.write_bytes(whole)
     with open_shard(path) as shard:
-        place = int(shard.stored("scale").offset[0])
+        place = int(shard.columns["scale"].offset[0])
         before = shard.read("scale")
     other = bytearray(whole)
     other[place] ^= 1

@@ -32,10 +32,10 @@ FLOORS = (
 FLOOR = {room: level for level, rooms in enumerate(FLOORS, start=1) for room in rooms}
 
 MOST_ARROWS = 70
-MOST_LINES = 51_350
+MOST_LINES = 51_280
 """Of the whole package; it is lowered as the package shrinks."""
-LARGEST_ROOM = 0.2
-"""Its share of the lines."""
+LARGEST_ROOM = 0.21
+"""Its share of the lines; 0.2 again once learning/ has shrunk as the others have."""
 LONGEST_FILE = 450
 LONG_FILES = {
     "discovery.discover": 466,

@@ -324,7 +324,7 @@ def test_damage_and_other_files_are_noticed(folder, tmp_path):
     data = ag.open(copy)
     path = data.shards[0]
     with open_shard(path) as shard:
-        place = int(shard.stored("surface_points").offset[2])
+        place = int(shard.columns["surface_points"].offset[2])
     content = bytearray(path.read_bytes())
     content[place + 100] ^= 1
     path.write_bytes(content)

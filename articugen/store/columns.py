@@ -7,9 +7,8 @@ import json
 import math
 import os
 import re
-from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -35,90 +34,45 @@ MAX_ATTRIBUTE_BYTES = 60_000
 Attribute = str | int | float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Column:
-    """A data set that has been looked at: one chunk a row, which are read without HDF5's filters.
+    """A data set that was checked, of one chunk a row: where each row lies in the file.
+
+    Rows are read without HDF5, whose handles are slow to open and neither process nor thread may
+    share.
 
     Attributes:
-        dataset: open for reading.
         shape: (N, ...).
         dtype: of what is stored.
         compressed: whether with gzip.
+        offset, size: (N,) bytes: where the chunk of each row begins, and how long it is; 0 bytes of
+            one that was stored without its checksum.
     """
 
-    dataset: h5py.h5d.DatasetID
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
     compressed: bool
+    offset: NDArray[np.int64]
+    size: NDArray[np.int64]
 
     @property
     def row_bytes(self) -> int:
         return math.prod(self.shape[1:]) * self.dtype.itemsize
 
-    @cached_property
-    def places(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Where the chunks of the first rows begin, and their bytes; 0 bytes of one that was
-        stored without its checksum. As many as there are rows, unless one is missing.
+    def span(self, row: int) -> tuple[int, int]:
+        """Return where a row's bytes begin in the file, and how many they are; 0 if it has none."""
+        if not self.row_bytes:
+            return 0, 0
+        return int(self.offset[row]), min(int(self.size[row]), chunks.most_bytes(self.row_bytes))
 
-        HDF5 believes an index that says how many chunks there could be, and goes through 10^18 of
-        them where it finds none: it is stopped at the last row, once that is known to be there.
-        """
-        found: list[tuple[int, int]] = []
-
-        def note(chunk: Any) -> bool | None:
-            if chunk.chunk_offset[0] != len(found):
-                return True
-            found.append((chunk.byte_offset, 0 if chunk.filter_mask else chunk.size))
-            return True if len(found) == self.shape[0] else None
-
-        if self.row_bytes and self.shape[0] and self._has(self.shape[0] - 1):
-            self.dataset.chunk_iter(note)
-        offset, size = np.array(found, np.int64).reshape(-1, 2).T
-        return offset, size
-
-    def _has(self, row: int) -> bool:
-        try:
-            self.dataset.read_direct_chunk(self._at(row), out=self.buffer())
-        except (OSError, RuntimeError, ValueError):
-            return False
-        return True
-
-    def _at(self, row: int) -> tuple[int, ...]:
-        return (row, *(0,) * (len(self.shape) - 1))
-
-    def buffer(self) -> NDArray[np.uint8]:
-        """Room for one chunk. HDF5 refuses one that is larger, so no index can ask for more."""
-        return np.empty(chunks.most_bytes(self.row_bytes), np.uint8)
-
-    def row(self, row: int, buffer: NDArray[np.uint8]) -> NDArray[Any]:
-        """(...) in place in `buffer` where nothing had to be done to it.
-
-        Raises:
-            OSError, RuntimeError, ValueError: damaged.
-        """
-        return np.frombuffer(self._bytes(row, buffer), self.dtype).reshape(self.shape[1:])
-
-    def rows(self, rows: Sequence[int]) -> NDArray[Any]:
-        """(n, ...) in the order asked for.
-
-        Raises:
-            OSError, RuntimeError, ValueError: damaged.
-        """
-        array = np.empty((len(rows), *self.shape[1:]), self.dtype)
-        into, size = array.reshape(-1).view(np.uint8).data, self.row_bytes
-        buffer = self.buffer()
-        for place, row in enumerate(rows):
-            into[place * size : (place + 1) * size] = self._bytes(row, buffer)
-        return array
-
-    def _bytes(self, row: int, buffer: NDArray[np.uint8]) -> memoryview | bytes:
-        size = self.row_bytes
-        if not size:
-            return b""
-        skipped, chunk = self.dataset.read_direct_chunk(self._at(row), out=buffer)
-        if skipped:
-            raise ValueError("a chunk without its checksum")
-        return chunks.decoded(chunk, size, compressed=self.compressed)
+    def row(self, stored: bytes) -> NDArray[Any]:
+        """Return (...) read-only, of the bytes in its `span`; ValueError where they are damaged."""
+        if not self.row_bytes:
+            return np.zeros(self.shape[1:], self.dtype)
+        if len(stored) <= chunks.CHECKSUM_BYTES:
+            raise ValueError("a chunk without its checksum, or cut short")
+        data = chunks.decoded(memoryview(stored), self.row_bytes, compressed=self.compressed)
+        return np.frombuffer(data, self.dtype).reshape(self.shape[1:])
 
 
 def opened(path: Path | Remote) -> h5py.File:
@@ -236,11 +190,37 @@ def _checked_dataset(dataset: h5py.h5d.DatasetID, name: str, field: Field) -> Co
     if chunk_bytes > schema.MAX_CHUNK_BYTES:
         raise CorruptShard(f"{name!r} takes {chunk_bytes} bytes an instance")
     dtype = np.dtype(f"S{dataset.get_type().get_size()}" if field.dtype == "S" else field.dtype)
-    column = Column(dataset, shape, dtype, compressed=filters[0] == _GZIP)
-    found = len(column.places[0])
-    if 0 not in shape and found != shape[0]:
-        raise CorruptShard(f"{name!r} has {found} chunks for shape {shape}")
-    return column
+    offset, size = _places(dataset, shape, math.prod(shape[1:]) * dtype.itemsize)
+    if 0 not in shape and len(offset) != shape[0]:
+        raise CorruptShard(f"{name!r} has {len(offset)} chunks for shape {shape}")
+    return Column(shape, dtype, filters[0] == _GZIP, offset, size)
+
+
+def _places(
+    dataset: h5py.h5d.DatasetID, shape: tuple[int, ...], row_bytes: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return where the chunks of the first rows begin, and their bytes: see `Column`. As many as
+    there are rows, unless one is missing.
+
+    HDF5 believes an index that says how many chunks there could be, and goes through 10^18 of them
+    where it finds none: it is stopped at the last row, once that is known to be there. It refuses a
+    chunk that is larger than the room for it, so no index can ask for more.
+    """
+    places: list[tuple[int, int]] = []
+
+    def note(chunk: Any) -> bool | None:
+        if chunk.chunk_offset[0] != len(places):
+            return True
+        places.append((chunk.byte_offset, 0 if chunk.filter_mask else chunk.size))
+        return True if len(places) == shape[0] else None
+
+    if row_bytes and shape[0]:
+        last, room = (shape[0] - 1, *(0,) * (len(shape) - 1)), chunks.most_bytes(row_bytes)
+        with suppress(OSError, RuntimeError, ValueError):
+            dataset.read_direct_chunk(last, out=np.empty(room, np.uint8))
+            dataset.chunk_iter(note)
+    offset, size = np.array(places, np.int64).reshape(-1, 2).T
+    return offset, size
 
 
 def _is_dtype(dataset: h5py.h5d.DatasetID, field: Field) -> bool:

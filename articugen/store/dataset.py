@@ -1,7 +1,7 @@
 """A data set as a sequence of rows: `open` it, take slices and splits, draw batches.
 
 Nothing is read before it is asked for, and then only the chunks that hold it. Shards are not kept
-open: where the rows of a field lie is noted once (`shards.Stored`), and a few files are held to
+open: where the rows of a field lie is noted once (`columns.Column`), and a few files are held to
 read from, so that a data set may have any number of shards, be used by threads, survive a fork and
 be sent to other processes.
 """

@@ -1,12 +1,11 @@
 """HDF5 shards as they are read: one instance at a time, in chunks that `chunks.py` opens.
 
-HDF5 keeps the index. `columns.py` opens the file distrustfully, `writer.py` writes it.
+`columns.py` opens the file distrustfully and reads its index, `writer.py` writes it.
 """
 
 import hashlib
-import math
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,9 +18,10 @@ from numpy.typing import NDArray
 from articugen.core import schema
 from articugen.core.errors import CorruptShard
 from articugen.core.schema import Instance, resolution_of
-from articugen.store import chunks
 from articugen.store.bucket import Remote
-from articugen.store.columns import Attribute, Column, attributes_of, columns_of, opened
+from articugen.store.columns import Attribute, attributes_of, columns_of, opened
+from articugen.store.remote import RangeFile
+from articugen.store.rows import texts
 
 Content = tuple[tuple[str, int, str], ...]
 """(object_id, state_index, hex digest) of each instance."""
@@ -83,37 +83,77 @@ def open_shard(path: Path | Remote) -> "Shard":
     return Shard(path)
 
 
+class _Handle:
+    """A file that is open for reading until nobody holds this."""
+
+    def __init__(self, path: Path) -> None:
+        """
+        Raises:
+            OSError: it cannot be opened.
+        """
+        self.number = os.open(path, os.O_RDONLY)
+        about = os.fstat(self.number)
+        self.seen = (about.st_ino, about.st_size, about.st_mtime_ns)
+
+    def read(self, spans: Sequence[tuple[int, int]]) -> list[bytes]:
+        return [os.pread(self.number, size, at) for at, size in spans]
+
+    def __del__(self, close: Callable[[int], None] = os.close) -> None:
+        if hasattr(self, "number"):
+            close(self.number)
+
+
+class _RemoteHandle:
+    """The same, of a file in an object store."""
+
+    def __init__(self, path: Remote) -> None:
+        self._file = RangeFile(path)
+        self.seen = (self._file.size,)
+
+    def read(self, spans: Sequence[tuple[int, int]]) -> list[bytes]:
+        parts = iter(self._file.read_spans([span for span in spans if span[1]]))
+        return [next(parts) if size else b"" for _, size in spans]
+
+
+Handle = _Handle | _RemoteHandle
+
+
+def handle_of(path: Path | Remote) -> Handle:
+    """Return what reads parts of a file, by where they begin and their bytes; or OSError."""
+    return _RemoteHandle(path) if isinstance(path, Remote) else _Handle(path)
+
+
 class Shard:
     """A shard that is open for reading; made by `open_shard`.
 
-    It can be sent to worker processes: each opens the file for itself when it first reads, since an
-    HDF5 handle must not be shared over a fork.
+    HDF5 has closed it by then: threads may share it, it survives a fork, and it can be sent to
+    worker processes.
 
     Attributes:
         path: of the file.
         attributes: of the file.
         fields: (N, ...) shape of each data set by its name.
+        columns: where the rows of each lie.
         extended: whether somebody has added a group `user`, which is left alone.
     """
 
     def __init__(self, path: Path | Remote) -> None:
         self.path: Any = path if isinstance(path, Remote) else Path(path)
-        self._open()
-
-    def _open(self) -> None:
-        self._file, self._process = opened(self.path), os.getpid()
+        file = opened(self.path)
         try:
-            self.attributes: Mapping[str, Attribute] = MappingProxyType(attributes_of(self._file))
-            self._stored = columns_of(self._file)
+            self.attributes: Mapping[str, Attribute] = MappingProxyType(attributes_of(file))
+            self.columns = columns_of(file)
+            self.extended = schema.USER_GROUP in file
+            self._handle: Handle | None = handle_of(self.path)
         except CorruptShard as error:
-            self.close()
             raise CorruptShard(f"{self.path}: {error}; make it again or fetch it again") from None
         except (OSError, RuntimeError, ValueError, TypeError, KeyError) as error:
-            self.close()
             raise CorruptShard(f"{self.path}: damaged ({error}); make it again") from None
-        shapes = {name: column.shape for name, column in self._stored.items()}
+        finally:
+            with suppress(RuntimeError):  # HDF5 stumbles once more over what is damaged
+                file.close()
+        shapes = {name: column.shape for name, column in self.columns.items()}
         self.fields: Mapping[str, tuple[int, ...]] = MappingProxyType(shapes)
-        self.extended = schema.USER_GROUP in self._file
 
     def __enter__(self) -> "Shard":
         return self
@@ -128,8 +168,7 @@ class Shard:
         return open_shard, (self.path,)
 
     def close(self) -> None:
-        with suppress(RuntimeError):  # HDF5 stumbles once more over what is damaged
-            self._file.close()
+        self._handle = None
 
     def read(self, name: str, index: int | slice = slice(None)) -> NDArray[Any]:
         """The rows of a data set: (...) for a number, (n, ...) for a slice.
@@ -167,7 +206,10 @@ class Shard:
         """
         if not 0 <= index < len(self):
             raise IndexError(f"{self.path}: no instance {index}, there are {len(self)}")
-        return {name: self.read(name, index) for name in self.fields}
+        with self._as_damage("an instance"):
+            parts = self._read(column.span(index) for column in self.columns.values())
+            pieces = zip(self.columns.items(), parts, strict=True)
+            return {name: column.row(part) for (name, column), part in pieces}
 
     def instance_of(self, stored: Mapping[str, NDArray[Any]]) -> Instance:
         """The record that was written as a row, which `stored_row` gives."""
@@ -188,44 +230,29 @@ class Shard:
 
     def content(self) -> Content:
         """The digest of each instance, computed from what is stored."""
-        columns = {name: self._column(name) for name in self.fields}
-        buffers = {name: column.buffer() for name, column in columns.items()}
         content: list[tuple[str, int, str]] = []
         for index, object_id in enumerate(self.object_ids()):
-            with self._as_damage("an instance"):
-                row = {name: column.row(index, buffers[name]) for name, column in columns.items()}
+            row = self.stored_row(index)
             digest = instance_sha256(object_id, row.items())
             content.append((object_id, int(row["state_index"]), digest))
         return tuple(content)
 
-    def stored(self, name: str) -> "Stored":
-        """Where the rows of a data set lie, to read them without HDF5 once the shard is closed.
-
-        Raises:
-            CorruptShard: not every row has a chunk of its own.
-            KeyError: the shard has no such data set.
-        """
-        column = self._column(name)
-        offset, size = np.zeros(len(self), np.int64), np.zeros(len(self), np.int64)
-        with self._as_damage(name):
-            if column.row_bytes:
-                offset, size = column.places
-                if size.min() <= chunks.CHECKSUM_BYTES:
-                    raise ValueError("a chunk without its checksum")
-        return Stored(column.shape, column.dtype, column.compressed, offset, size)
-
     def stored_bytes(self, name: str) -> int:
         """What a data set takes in the file, after compression, without its index."""
-        return self._column(name).dataset.get_storage_size()
-
-    def _column(self, name: str) -> "Column":
-        if self._process != os.getpid():
-            self._open()
-        return self._stored[name]
+        return int(self.columns[name].size.sum())
 
     def _rows(self, name: str, rows: Sequence[int]) -> NDArray[Any]:
+        column = self.columns[name]
+        array = np.empty((len(rows), *column.shape[1:]), column.dtype)
         with self._as_damage(name):
-            return self._column(name).rows(rows)
+            for place, part in enumerate(self._read(map(column.span, rows))):
+                array[place] = column.row(part)
+        return array
+
+    def _read(self, spans: Iterable[tuple[int, int]]) -> list[bytes]:
+        if self._handle is None:
+            raise ValueError("it is closed")
+        return self._handle.read(list(spans))
 
     @contextmanager
     def _as_damage(self, what: str) -> Iterator[None]:
@@ -237,52 +264,7 @@ class Shard:
             ) from None
 
     def _texts(self, stored: Any) -> Any:
-        """A text of numpy's as str, an array of them as a tuple."""
-        if isinstance(stored, np.ndarray):
-            return tuple(map(self._texts, stored))
         try:
-            return stored.decode()
-        except UnicodeDecodeError:
-            raise CorruptShard(f"{self.path}: the text {stored!r} is not UTF-8") from None
-
-
-@dataclass(frozen=True, eq=False)
-class Stored:
-    """Where each row of a data set lies in its file: read so, any number of shards take no HDF5
-    handle, which is slow to open and neither process nor thread may share.
-
-    Attributes:
-        shape: (N, ...).
-        dtype: of what is stored.
-        compressed: whether with gzip.
-        offset, size: (N,) bytes: where the chunk of each row begins, and how long it is.
-    """
-
-    shape: tuple[int, ...]
-    dtype: np.dtype[Any]
-    compressed: bool
-    offset: NDArray[np.int64]
-    size: NDArray[np.int64]
-
-    @property
-    def row_bytes(self) -> int:
-        return math.prod(self.shape[1:]) * self.dtype.itemsize
-
-    def span(self, row: int) -> tuple[int, int]:
-        """Where a row's bytes begin in the file, and how many they are; 0 where it has none."""
-        if not self.row_bytes:
-            return 0, 0
-        return int(self.offset[row]), min(int(self.size[row]), chunks.most_bytes(self.row_bytes))
-
-    def row(self, stored: bytes) -> NDArray[Any]:
-        """(...) read-only, of the bytes that lie in its `span`; their checksum is looked at.
-
-        Raises:
-            ValueError: damaged.
-        """
-        if not self.row_bytes:
-            return np.zeros(self.shape[1:], self.dtype)
-        if len(stored) <= chunks.CHECKSUM_BYTES:
-            raise ValueError("cut short")
-        data = chunks.decoded(memoryview(stored), self.row_bytes, compressed=self.compressed)
-        return np.frombuffer(data, self.dtype).reshape(self.shape[1:])
+            return texts(stored)
+        except UnicodeDecodeError as error:
+            raise CorruptShard(f"{self.path}: the text {error.object!r} is not UTF-8") from None

@@ -1,7 +1,6 @@
 """The shards of a data set, wherever they lie, and the files that are held to read from them."""
 
-import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,10 +11,10 @@ from articugen.core import schema
 from articugen.core.errors import CorruptShard, InvalidArgument, machine_fault
 from articugen.core.yaml_files import nearest
 from articugen.store.bucket import Remote, is_url
-from articugen.store.columns import Attribute
+from articugen.store.columns import Attribute, Column
 from articugen.store.manifest import MANIFEST_NAME, Manifest
-from articugen.store.remote import RangeFile, folder_at
-from articugen.store.shards import Stored, open_shard
+from articugen.store.remote import folder_at
+from articugen.store.shards import Handle, handle_of, open_shard
 
 _OPEN_FILES = 64
 
@@ -119,38 +118,6 @@ def _kind(name: str) -> str:
     return name.partition("_")[0] if field and len(field.shape) > 1 and field.shape[1] != 3 else ""
 
 
-class _Handle:
-    """A file that is open for reading until nobody holds this."""
-
-    def __init__(self, path: Path) -> None:
-        """
-        Raises:
-            OSError: it cannot be opened.
-        """
-        self.number = os.open(path, os.O_RDONLY)
-        about = os.fstat(self.number)
-        self.seen = (about.st_ino, about.st_size, about.st_mtime_ns)
-
-    def read(self, spans: Sequence[tuple[int, int]]) -> list[bytes]:
-        return [os.pread(self.number, size, at) for at, size in spans]
-
-    def __del__(self, close: Callable[[int], None] = os.close) -> None:
-        if hasattr(self, "number"):
-            close(self.number)
-
-
-class _RemoteHandle:
-    """The same, of a file in an object store."""
-
-    def __init__(self, path: Remote) -> None:
-        self._file = RangeFile(path)
-        self.seen = (self._file.size,)
-
-    def read(self, spans: Sequence[tuple[int, int]]) -> list[bytes]:
-        parts = iter(self._file.read_spans([span for span in spans if span[1]]))
-        return [next(parts) if size else b"" for _, size in spans]
-
-
 class Shelf:
     """The shards of a data set, shared by all that is taken from it."""
 
@@ -162,9 +129,9 @@ class Shelf:
 
     def _forget(self) -> None:
         self._about: dict[int, tuple[Mapping[str, tuple[int, ...]], Mapping[str, Attribute]]] = {}
-        self._stored: dict[tuple[int, str], Stored] = {}
+        self._stored: dict[tuple[int, str], Column] = {}
         self._seen: dict[int, tuple[int, ...]] = {}
-        self._handles: dict[int, _Handle | _RemoteHandle] = {}
+        self._handles: dict[int, Handle] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         return {"path": self.path, "entries": self.entries, "manifest": self.manifest}
@@ -214,16 +181,16 @@ class Shelf:
             kinds = set(map(_kind, names))
             for name in opened.fields:
                 if isinstance(path, Remote) or _kind(name) in kinds:
-                    self._stored[shard, name] = opened.stored(name)
+                    self._stored[shard, name] = opened.columns[name]
         if len(opened) != self.entries[shard].instances:
             raise CorruptShard(f"{path}: not the shard that the manifest tells of; see verify")
 
-    def _handle(self, shard: int) -> "_Handle | _RemoteHandle":
+    def _handle(self, shard: int) -> Handle:
         handle = self._handles.get(shard)
         if handle is None:
             path = self.entries[shard].path
             try:
-                handle = _RemoteHandle(path) if isinstance(path, Remote) else _Handle(path)
+                handle = handle_of(path)
             except OSError as error:
                 raise machine_fault(error) or CorruptShard(
                     f"{path}: cannot be opened ({error.strerror})"
