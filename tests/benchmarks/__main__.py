@@ -64,22 +64,20 @@ def _measured(options: Options, folder: Path, console: Console) -> Row:
             else:
                 console.print(f"{time.perf_counter() - started:6.1f} s  {text}")
 
-        measure.shapes(present, models[0], options.extent.points, results, say)
+        measure.shapes(present, models[0], results, say)
         measure.objects(models, present, options.extent, results, say, folder)
         measure.real_models(
             _real_models(options.categories), present, options.extent, results, say, folder
         )
-        end_to_end = [_end_to_end(run, folder, say) for run in options.end_to_end]
+        end_to_end = _end_to_end(*options.end_to_end, folder, say)
         laptop = next(model for model in models if model.ref.category == "laptop")
         curves = scaling.curves(laptop, quick=options.quick, say=say)
         peaks = _memory(models[0], all_peers, options, folder, say)
-    by_workers = next((run for run in end_to_end if run["setting"] == "ours"), None)
-    if by_workers:
-        rate = [(int(n), by_workers["instances"] / s) for n, s in by_workers["seconds"].items()]
-        curves = {"workers": rate} | curves
+    rate = [(int(n), end_to_end["instances"] / s) for n, s in end_to_end["seconds"].items()]
+    curves = {"workers": rate} | curves
     return {
         "about": about(options.quick, [peer.versions for peer in all_peers]),
-        "methods": [{"name": name, "absent": ""} for name in ours.SETTINGS]
+        "methods": [{"name": "ours", "absent": ""}]
         + [{"name": peer.name, "absent": _absent(peer, options.quick)} for peer in all_peers],
         "categories": list(options.categories),
         "labels": options.extent.labels,
@@ -105,24 +103,14 @@ def _real_models(categories: tuple[str, ...]) -> list[Model]:
     return [cases.real(sorted(f.iterdir())[0], name) for f, name in folders if f.is_dir()]
 
 
-def _end_to_end(run: tuple[str, str, int, int], folder: Path, say: measure.Say) -> Row:
-    setting, category, objects, states = run
+def _end_to_end(category: str, objects: int, states: int, folder: Path, say: measure.Say) -> Row:
     seconds = {}
     for index in range(objects):  # written once, for whatever number of workers
         cases.bundled(category, index, messy=False)
-    counts = scaling.worker_counts()
-    for jobs in counts if setting == "ours" else counts[-1:]:
-        say(f"end to end: {setting}, {category}, {objects} x {states}, {jobs} workers")
-        seconds[jobs] = ours.end_to_end(
-            folder, category, resolution=ours.SETTINGS[setting], objects=objects, states=states,
-            jobs=jobs,
-        )  # fmt: skip
-    return {
-        "setting": setting,
-        "category": category,
-        "instances": objects * (states + 1),
-        "seconds": seconds,
-    }
+    for jobs in scaling.worker_counts():
+        say(f"end to end: {category}, {objects} x {states}, {jobs} workers")
+        seconds[jobs] = ours.end_to_end(folder, category, objects=objects, states=states, jobs=jobs)
+    return {"category": category, "instances": objects * (states + 1), "seconds": seconds}
 
 
 def _memory(
@@ -135,10 +123,8 @@ def _memory(
     np.savez(path, vertices=made.mesh.vertices, faces=made.mesh.faces, asked=made.asked)
     say("memory: nothing but the libraries that all share")
     peaks: Row = {"nothing": memory.measure("peer", "none", path, int(options.quick))}
-    for setting in ours.SETTINGS:
-        say(f"memory: {setting}")
-        states = options.extent.states
-        peaks[setting] = memory.measure("ours", setting, model.ref.category, 0, states)
+    say("memory: ours")
+    peaks["ours"] = memory.measure("ours", model.ref.category, 0, options.extent.states)
     for number, peer in enumerate(all_peers):
         if not _absent(peer, options.quick):
             say(f"memory: {peer.name}")

@@ -13,19 +13,6 @@ from tests.benchmarks.tables import costs
 LEAST = 1e-5
 """What the picture calls no error: of 100,000 points a mesh one may be wrong."""
 
-VARIANTS = {
-    "ours, fast",
-    "ours, fine",
-    "flood fill 512^3",
-    "watertight 20k + sign",
-    "MeshLib 1/256, projection normal",
-    "MeshLib 1/256, winding rule",
-    "MeshLib 1/128, hole winding rule",
-    "winding number, raw mesh",
-    "trimesh.contains",
-}
-"""Left out of the short table, which has the form of each that does best on messy meshes."""
-
 
 def markdown(report: Row) -> str:
     """Write the short table, with the run that all of it is from."""
@@ -38,8 +25,6 @@ def markdown(report: Row) -> str:
     table_rows = []
     for shape in report["shapes"]:
         name = shape["method"]
-        if name in VARIANTS:
-            continue
         scores = [s for s in of(report["scores"], name) if s["case"] in report["shared"]]
         _, core, _, _, _, core_many, _ = costs(report, name)
         cells = (iou(scores, t, m) for t in ("material", "visible") for m in (False, True))
@@ -62,8 +47,7 @@ def markdown(report: Row) -> str:
         "Core seconds: ours for everything of an instance, the others' for as many labels and "
         "nothing else; then with that many query points and no grids. IoU at uniform points / near "
         "the surface, with the solids alone and with those and the space that no view sees. "
-        "Sheet: the thickness of one without any, in voxels of 1/256; ours means 1.5. More forms "
-        "of these methods are in `report.md`.",
+        "Sheet: the thickness of one without any, in voxels of 1/256; ours means 1.5.",
         "",
     ]
     return "\n".join(lines)

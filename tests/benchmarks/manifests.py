@@ -3,7 +3,6 @@
 Prints seconds of CPU, the memory held and the most that was taken, of writing, reading and opening
 a manifest, of planning a share of a thousand, and of all records: each in a process of its own.
 Objects are made up, 101 instances each; shards are there only where something looks at them.
-With --files it measures making, listing and removing so many files in one folder instead.
 """
 
 import argparse
@@ -43,7 +42,6 @@ CONTENT_SHA256 = hashlib.sha256(CONTENT).hexdigest()
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.manifests")
     parser.add_argument("--objects", type=int, default=100_000)
-    parser.add_argument("--files", action="store_true")
     parser.add_argument("--step", choices=STEPS, help="of these alone, in this process")
     parser.add_argument("folder", nargs="?", type=Path)
     asked = parser.parse_args()
@@ -51,9 +49,6 @@ def main() -> None:
         print(STEPS[asked.step](asked.folder, asked.objects))  # noqa: T201
         return
     with tempfile.TemporaryDirectory(dir=asked.folder) as folder:
-        if asked.files:
-            files(Path(folder), asked.objects)
-            return
         for step in STEPS:
             command = [sys.executable, "-m", "tests.benchmarks.manifests", "--step", step]
             subprocess.run([*command, "--objects", str(asked.objects), folder], check=True)
@@ -190,34 +185,6 @@ STEPS: dict[str, Callable[[Path, int], Clock]] = {
     "plan otherwise": partial(plan_rank, of=RANKS - 1),
     "plain": plain,
 }
-
-
-def files(folder: Path, count: int) -> None:
-    """One folder of very many files."""
-
-    def tell(what: str, act: Callable[[], object]) -> None:
-        began, spent = time.perf_counter(), time.process_time()
-        act()
-        took, cpu = time.perf_counter() - began, time.process_time() - spent
-        print(f"{what:44} {took:7.1f} s, {cpu:.1f} s of CPU")  # noqa: T201
-
-    def make() -> None:
-        for number in range(count):
-            (folder / f".train-{number:05d}.h5.partial").write_bytes(b"x")
-            os.rename(folder / f".train-{number:05d}.h5.partial", folder / f"train-{number:05d}.h5")
-
-    def look(names: Sequence[str]) -> None:
-        for name in names:
-            os.stat(folder / name)
-
-    tell(f"make and rename {count:,} files", make)
-    tell("os.listdir", lambda: os.listdir(folder))
-    tell("os.scandir, with sizes", lambda: [e.stat().st_size for e in os.scandir(folder)])
-    tell("sorted(Path.iterdir())", lambda: sorted(folder.iterdir()))
-    tell("ls | wc -l", lambda: subprocess.run(f"ls {folder} | wc -l", shell=True, check=True))
-    tell("os.stat of 10,000 by name", lambda: look(sorted(os.listdir(folder))[:: count // 10_000]))
-    print(f"the folder itself: {folder.stat().st_size / 1e6:.0f} MB")  # noqa: T201
-    tell("remove them", lambda: [os.unlink(e.path) for e in list(os.scandir(folder))])
 
 
 if __name__ == "__main__":

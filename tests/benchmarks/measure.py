@@ -14,7 +14,6 @@ from tests.benchmarks.cases import VOXEL, Case, Inside, Model
 from tests.benchmarks.peers import Peer
 from tests.benchmarks.rows import Results, Row
 from tests.benchmarks.timing import time_many, time_ours, time_peer
-from tests.benchmarks.trials import trials
 
 Say = Callable[[str], None]
 Build = Callable[[LabelledMesh], Inside]
@@ -39,26 +38,18 @@ class Extent:
     slow_on: tuple[str, ...]
 
 
-def shapes(peers: Sequence[Peer], model: Model, points: int, results: Results, say: Say) -> None:
-    """Sheets, growth and the trials. Warms all methods up."""
-    recipes = {name: ours.at(model.recipe, size) for name, size in ours.SETTINGS.items()}
-    builders: dict[str, Build] = {
-        name: lambda mesh, r=r: ours.alone(mesh, r) for name, r in recipes.items()
-    }
-    untried = {peer.name for peer in peers if not peer.trials}
+def shapes(peers: Sequence[Peer], model: Model, results: Results, say: Say) -> None:
+    """Sheets and growth. Warms all methods up."""
+    builders: dict[str, Build] = {"ours": lambda mesh: ours.alone(mesh, model.recipe)}
     builders |= {p.name: lambda mesh, p=p: p.build(mesh).inside for p in peers}
     for method, build in builders.items():
-        say(f"{method}: sheets, a drum, trials")
+        say(f"{method}: sheets, a drum")
         row: Row = {"method": method, "thickness": None, "growth": None}
         with _noted(method, "sheets", results):
             row["thickness"] = _thickness(build)
         with _noted(method, "a drum", results):
             row["growth"] = _growth(build)
         results.shapes.append(row)
-        for trial in trials() if method not in untried else ():
-            with _noted(method, trial.name, results):
-                agreement = trial.scores(build(trial.mesh), points)
-                results.trials.append({"method": method, "trial": trial.name} | agreement)
 
 
 @contextmanager
@@ -90,7 +81,7 @@ def objects(
     models: Sequence[Model], peers: Sequence[Peer], extent: Extent, results: Results, say: Say,
     folder: Path,
 ) -> None:  # fmt: skip
-    """All methods on all objects; peers, `fast` and `fine` on state 1 of each category's first."""
+    """All methods on all objects; peers on state 1 of each category's first."""
     shared: dict[str, Case] = {}
     states = range(1, extent.states + 1)
     firsts = {(m.ref.category, m.messy): m for m in reversed(models)}
@@ -101,10 +92,11 @@ def objects(
                 continue
             say(f"run {run + 1} of {extent.runs}: {model.name}")
             first = firsts[model.ref.category, model.messy] is model
-            prepared = time_ours("ours", model, states, run, results, folder)
+            truth: scores.Held = {}
+            prepared = time_ours(model, states, run, results, folder)
             if first and run == 0:
                 made = cases.case(model, prepared, 1, extent.points)
-                many = time_many("ours", prepared, made, extent.labels, results, folder)
+                many = time_many(prepared, made, extent.labels, results, folder)
                 made = shared[model.name] = replace(made, many=many)
                 results.shared.append(made.name)
                 truth = scores.truths(made, prepared.views)
@@ -112,23 +104,16 @@ def objects(
                 results.scores.append(scores.score("ours", made, got, truth))
             del prepared
             if first:
-                _one_case(model, shared[model.name], peers, extent, run, results, say, folder)
+                _one_case(shared[model.name], truth, peers, extent, run, results, say)
 
 
 def _one_case(
-    model: Model, made: Case, peers: Sequence[Peer], extent: Extent, run: int, results: Results,
-    say: Say, folder: Path,
+    made: Case, truth: scores.Held, peers: Sequence[Peer], extent: Extent, run: int,
+    results: Results, say: Say,
 ) -> None:  # fmt: skip
-    truth: scores.Held = {}
-    for method in list(ours.SETTINGS)[1:]:
-        prepared = time_ours(method, model, [made.state], run, results, folder)
-        if run == 0:
-            time_many(method, prepared, made, extent.labels, results, folder)
-            truth = truth or scores.truths(made, prepared.views)
-            got = scores.of_ours(made, prepared)
-            results.scores.append(scores.score(method, made, got, truth))
+    """Each peer in its turn; `truth` for the first run."""
     for peer in peers:
-        if peer.slow and (run > 0 or model.ref.category not in extent.slow_on):
+        if peer.slow and (run > 0 or made.model.ref.category not in extent.slow_on):
             continue
         say(f"run {run + 1}: {peer.name} on {made.name}")
         answer = time_peer(peer, made, run, results)
@@ -145,7 +130,7 @@ def real_models(
     """Speed on models without a truth, and how far each peer agrees with ours; no slow peers."""
     for model in models:
         say(model.name)
-        prepared = time_ours("ours", model, range(1, extent.states + 1), 0, results, folder)
+        prepared = time_ours(model, range(1, extent.states + 1), 0, results, folder)
         made = cases.case(model, prepared, 1, extent.points)
         results.triangles[made.name] = len(made.mesh.faces)
         by_ours = scores.of_ours(made, prepared)

@@ -1,6 +1,6 @@
 """The most memory that a method takes, in a process of its own: python -m tests.benchmarks.memory
 
-    ours <setting> <category> <index> <states>     as a worker: reads, prepares, makes instances
+    ours <category> <index> <states>               as a worker: reads, prepares, makes instances
     peer <number> <mesh.npz> <quick: 0 or 1>       from a mesh to labels
     peer none <mesh.npz> <quick: 0 or 1>           the same without a method
 
@@ -27,13 +27,12 @@ def main(kind: str, *arguments: str) -> None:
     sys.stdout.write(f"{_peak():.0f}\n")
 
 
-def _ours(setting: str, category: str, index: str, states: str) -> None:
+def _ours(category: str, index: str, states: str) -> None:
     from articugen.instance import make, preparing  # noqa: PLC0415 - only what the method needs
-    from tests.benchmarks import cases, ours  # noqa: PLC0415
+    from tests.benchmarks import cases  # noqa: PLC0415
 
     model = cases.bundled(category, int(index), messy=False)
-    recipe = ours.at(model.recipe, ours.SETTINGS[setting])
-    prepared = preparing.prepare(model.obj, recipe, 0)
+    prepared = preparing.prepare(model.obj, model.recipe, 0)
     _ = [make.make_instance(prepared, state) for state in range(1, int(states) + 1)]
 
 

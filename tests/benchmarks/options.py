@@ -16,14 +16,14 @@ class Options:
 
     Attributes:
         categories: of the bundled objects; `objects` of each, clean and messy.
-        end_to_end: (setting, category, objects, states) of the data sets made by the command line.
+        end_to_end: (category, objects, states) of the data set made by the command line.
         peers: whether peers are measured, too.
     """
 
     categories: tuple[str, ...]
     objects: int
     extent: Extent
-    end_to_end: tuple[tuple[str, str, int, int], ...]
+    end_to_end: tuple[str, int, int]
     peers: bool
     quick: bool
     out: Path
@@ -48,12 +48,8 @@ def parse(arguments: Sequence[str] | None = None) -> Options:
     peers = not asked.no_peers
     if asked.quick:
         extent = Extent(states=1, runs=1, points=10_000, labels=50_000, slow_on=("laptop",))
-        sets = (("ours", "laptop", 2, 2),)
-        return Options(("laptop", "drawer"), 1, extent, sets, peers, True, asked.out)
+        end_to_end = ("laptop", 2, 2)
+        return Options(("laptop", "drawer"), 1, extent, end_to_end, peers, True, asked.out)
     extent = Extent(asked.states, asked.runs, 50_000, 625_000, ("laptop", "drawer"))
-    sets = (
-        ("ours", "laptop", 8, 100),
-        ("ours, fast", "laptop", 4, 20),
-        ("ours, fine", "laptop", 4, 20),
-    )
-    return Options(CATEGORIES, asked.objects, extent, sets, peers, False, asked.out)
+    end_to_end = ("laptop", 8, 100)
+    return Options(CATEGORIES, asked.objects, extent, end_to_end, peers, False, asked.out)

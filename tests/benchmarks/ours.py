@@ -1,4 +1,4 @@
-"""Ours: the stages of `instance.make_instance`, the settings, `articugen generate` as a process."""
+"""Ours: the stages of `instance.make_instance`, `articugen generate` as a process."""
 
 import subprocess
 import sys
@@ -7,15 +7,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import yaml
-
 from articugen.core.recipe import Recipe
 from articugen.core.records import LabelledMesh
 from articugen.instance import make, preparing
 from tests.benchmarks.cases import Inside
-
-SETTINGS = {"ours": None, "ours, fast": 128, "ours, fine": 512}
-"""The resolution of the views, or the recipe's own."""
 
 STAGES = {
     "pose": "pose+render",
@@ -25,13 +20,6 @@ STAGES = {
     "_partial_fields": "partial",
 }
 """The functions of articugen.instance.make that are timed, and as what. None calls another."""
-
-
-def at(recipe: Recipe, resolution: int | None) -> Recipe:
-    if resolution is None:
-        return recipe
-    views = recipe.views.model_copy(update={"resolution": resolution})
-    return recipe.model_copy(update={"views": views})
 
 
 def with_queries(recipe: Recipe, count: int) -> Recipe:
@@ -70,18 +58,12 @@ def alone(mesh: LabelledMesh, recipe: Recipe) -> Inside:
     return lambda points: ~field.is_free(points)
 
 
-def end_to_end(
-    recipe_folder: Path, category: str, *, resolution: int | None, objects: int, states: int,
-    jobs: int,
-) -> float:  # fmt: skip
+def end_to_end(folder: Path, category: str, *, objects: int, states: int, jobs: int) -> float:
     """Seconds of `articugen generate`, from the command line to the finished data set."""
-    size = {} if resolution is None else {"views": {"resolution": resolution}}
-    recipe = recipe_folder / f"bench-{resolution}.yaml"
-    recipe.write_text(yaml.safe_dump({"extends": "category", **size}))
-    out = recipe_folder / f"out-{category}-{resolution}-{objects}x{states}-{jobs}"
+    out = folder / f"out-{category}-{objects}x{states}-{jobs}"
     command = [
         sys.executable, "-m", "articugen", "generate", "--category", category,
-        "--recipe", str(recipe), "--objects", str(objects), "--states", str(states),
+        "--objects", str(objects), "--states", str(states),
         "--jobs", str(jobs), "--out", str(out), "--replace",
     ]  # fmt: skip
     start = time.perf_counter()

@@ -19,7 +19,7 @@ from articugen.core.records import Floats, LabelledMesh, Views
 from articugen.fusion.solidify import without_repeats
 from articugen.rendering import render
 from articugen.rendering.views import fusion_views
-from tests.benchmarks import labs, offset
+from tests.benchmarks import labs
 from tests.benchmarks.cases import VOXEL, Bools, Inside
 from tests.benchmarks.dense import Dense, containment
 
@@ -40,14 +40,12 @@ class Peer:
         needs: the distributions it is made of.
         build: from a mesh; imports what it needs.
         slow: run once, on a few meshes only, and not at all in a quick run.
-        trials: tried on closed shapes with one fault each, too.
     """
 
     name: str
     needs: tuple[str, ...]
     build: Callable[[LabelledMesh], Answer] = field(repr=False)
     slow: bool = False
-    trials: bool = True
 
     @property
     def versions(self) -> dict[str, str]:
@@ -93,13 +91,6 @@ def _fused_and_filled(dense: Dense) -> tuple[Peer, ...]:
             slow=True,
         ),
         Peer(
-            "flood fill 512^3",
-            (OPEN3D, "scipy"),
-            lambda mesh: Answer(labs.flood_filled(mesh, 512)),
-            slow=True,
-            trials=False,  # as at 256^3, with half the swelling, in five times the time
-        ),
-        Peer(
             "Hunyuan3D-2.1's recipe",
             (OPEN3D, "scikit-image", "libigl"),
             lambda mesh: Answer(labs.walled(mesh)),
@@ -111,7 +102,6 @@ def _fused_and_filled(dense: Dense) -> tuple[Peer, ...]:
 def _remade() -> tuple[Peer, ...]:
     """Those that make another mesh, closed, whose inside is known."""
     return (
-        Peer("watertight 20k + sign", (PCU,), lambda mesh: _watertight(mesh, 20_000)),
         Peer("watertight 50k + sign", (PCU,), lambda mesh: _watertight(mesh, 50_000), slow=True),
         *(
             Peer(
@@ -122,39 +112,46 @@ def _remade() -> tuple[Peer, ...]:
             )
             for name, (size, _) in MESH2SDF.items()
         ),
-        _offset("projection normal", 256),
-        _offset("winding rule", 256),
-        _offset("hole winding rule", 128),
-        _offset("hole winding rule", 128, dropped=True),
+        Peer(
+            "MeshLib 1/128, hole winding rule, twins dropped",
+            ("meshlib", PCU),
+            lambda mesh: _winding_number(_offset(without_repeats(mesh), 1.0 / 128.0)),
+            slow=True,
+        ),
     )
-
-
-def _offset(sign: str, parts: int, *, dropped: bool = False) -> Peer:
-    """MeshLib's offset, then the sign by winding number. The hole winding rule takes seconds."""
-
-    def build(mesh: LabelledMesh) -> Answer:
-        given = without_repeats(mesh) if dropped else mesh
-        return _winding_number(offset.remade(given, sign, 1.0 / parts))
-
-    name = f"MeshLib 1/{parts}, {sign}{', twins dropped' if dropped else ''}"
-    return Peer(name, ("meshlib", PCU), build, slow=True)
 
 
 def _of_the_raw_mesh() -> tuple[Peer, ...]:
     return (
-        Peer("winding number, raw mesh", (PCU,), _winding_number),
         Peer(
             "winding number, twins dropped",
             (PCU,),
             lambda mesh: _winding_number(without_repeats(mesh)),
         ),
-        Peer("trimesh.contains", ("trimesh", "embreex"), _trimesh_contains),
         Peer(
             "RaycastingScene, raw mesh",
             (OPEN3D,),
             lambda mesh: Answer(containment(mesh.vertices, mesh.faces)),
         ),
     )
+
+
+def _offset(mesh: LabelledMesh, voxel: float) -> LabelledMesh:
+    """MeshLib's offset by nothing: the zero level of a signed distance whose sign takes the mesh
+    neither to be closed nor free of overlaps; holes are closed where it can."""
+    mm: Any = importlib.import_module("meshlib.mrmeshpy")
+    arrays: Any = importlib.import_module("meshlib.mrmeshnumpy")
+
+    used = mesh.compact()
+    settings = mm.OffsetParameters()
+    settings.voxelSize = voxel
+    settings.signDetectionMode = mm.SignDetectionMode.HoleWindingRule
+    settings.closeHolesInHoleWindingNumber = True
+    part = arrays.meshFromFacesVerts(np.array(used.faces), np.array(used.vertices))
+    remade = mm.mcOffsetMesh(mm.MeshPart(part), 0.0, settings)
+    faces = np.asarray(arrays.getNumpyFaces(remade.topology))
+    vertices = np.asarray(arrays.getNumpyVerts(remade), float)
+    return LabelledMesh(vertices, faces, np.zeros(len(faces), np.uint8))
 
 
 def _library_chain(mesh: LabelledMesh) -> Answer:
@@ -235,11 +232,3 @@ def _mesh2sdf(mesh: LabelledMesh, name: str) -> Answer:
         return map_coordinates(sdf, at.T, order=1, mode="nearest") < -level
 
     return Answer(inside)
-
-
-def _trimesh_contains(mesh: LabelledMesh) -> Answer:
-    """Parity along a ray, with Embree (embreex)."""
-    import trimesh  # noqa: PLC0415 - slow to import
-
-    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    return Answer(lambda points: np.asarray(solid.contains(points)))

@@ -19,7 +19,6 @@ class Results:
     scores: method, case, category, messy, and by truth ("material", "visible") the IoU of
         "uniform" and "near" points.
     shapes: method, thickness (voxels: mean, least, most), growth (voxels).
-    trials: method, trial, and the IoU by truth.
     failures: method, case, error.
     shared: the cases that peers, too, are measured on.
     triangles: of each real case.
@@ -29,7 +28,6 @@ class Results:
     many: list[Row] = field(default_factory=list)
     scores: list[Row] = field(default_factory=list)
     shapes: list[Row] = field(default_factory=list)
-    trials: list[Row] = field(default_factory=list)
     failures: list[Row] = field(default_factory=list)
     shared: list[str] = field(default_factory=list)
     triangles: dict[str, int] = field(default_factory=dict)

@@ -81,52 +81,14 @@ def costs(report: Row, method: str) -> list[float | None]:
     return found
 
 
-def trials(report: Row) -> Table:
-    """What sheets and closed shapes with one fault each come out as."""
-    names = list(dict.fromkeys(row["trial"] for row in report["trials"]))
-    table_rows = []
-    for shape in report["shapes"]:
-        own = {row["trial"]: row for row in of(report["trials"], shape["method"])}
-        cells = [_both(own.get(name)) for name in names]
-        table_rows.append((shape["method"], *sheet_and_growth(shape), *cells))
-    columns = ("method", "sheet, voxels", "swelling, voxels", *names)
-    return Table(
-        "Sheets, swelling and closed shapes with one fault each", columns, table_rows, _TRIALS
+def shapes(report: Row) -> Table:
+    """How thick sheets come out, and how far a closed solid swells."""
+    rows = [(shape["method"], *sheet_and_growth(shape)) for shape in report["shapes"]]
+    note = (
+        "Sheet: thickness of a sheet without any (least to most by direction; ours means 1.5). "
+        "Swelling: of a closed cylinder, a side. Voxels of 1/256."
     )
-
-
-_TRIALS = (
-    "Sheet: thickness of a sheet without any (least to most by direction; ours means 1.5). "
-    "Swelling: of a closed cylinder, a side. Voxels of 1/256. Then IoU, over points of which half "
-    "are uniform and half near the surface: a cylinder with every face twice, with both windings; "
-    "with a random half of its faces turned inwards; a box closed inside a closed box, both of "
-    "material; a box with a hollow in it, its wall the material (before the stroke) or with the "
-    "hollow that no view sees (behind it); twelve small boxes and cylinders apart."
-)
-
-
-def _both(row: Row | None) -> str:
-    """IoU with both truths, or once where they are one."""
-    if row is None:
-        return NOTHING
-    both = [f"{row[truth]:.4f}" for truth in TRUTHS]
-    return both[0] if both[0] == both[1] else " / ".join(both)
-
-
-def by_category(report: Row, *, messy: bool) -> Table:
-    """IoU of each method by category, on the same meshes."""
-    table_rows = []
-    categories = report["categories"]
-    for method in report["methods"]:
-        scores = [
-            s for s in of(report["scores"], method["name"])
-            if s["messy"] == messy and s["case"] in report["shared"]
-        ]  # fmt: skip
-        if scores:
-            cells = [middle([s for s in scores if s["category"] == c]) for c in categories]
-            table_rows.append((method["name"], *cells))
-    title = f"IoU material / visible space by category, {'messy' if messy else 'clean'} meshes"
-    return Table(title, ("method", *categories), table_rows, "The mean of uniform and near points.")
+    return Table("Sheets and swelling", ("method", "sheet, voxels", "swelling, voxels"), rows, note)
 
 
 def stages(report: Row) -> Table:
@@ -157,14 +119,13 @@ def stages(report: Row) -> Table:
 
 
 def end_to_end(report: Row) -> Table:
-    rows = []
-    for run in report["end_to_end"]:
-        rates = {int(n): run["instances"] / s for n, s in run["seconds"].items()}
-        base = rates[min(rates)]
-        rates_text = ", ".join(f"{rate:.1f} with {n}" for n, rate in rates.items())
-        gains = ", ".join(f"{rate / base:.2f}" for n, rate in rates.items() if n != min(rates))
-        rows.append((run["setting"], run["category"], str(run["instances"]), rates_text, gains))
-    columns = ("setting", "category", "instances", "instances / s, by workers", "gain")
+    run = report["end_to_end"]
+    rates = [(int(n), run["instances"] / s) for n, s in run["seconds"].items()]
+    rows = [
+        (run["category"], str(run["instances"]), str(n), f"{rate:.1f}", f"{rate / rates[0][1]:.2f}")
+        for n, rate in rates
+    ]
+    columns = ("category", "instances", "workers", "instances / s", "gain")
     note = "`articugen generate` as a process, from the command line to the finished data set."
     return Table("End to end", columns, rows, note)
 
@@ -202,9 +163,7 @@ def failures(report: Row) -> Table:
 def all_tables(report: Row) -> list[Table]:
     tables: list[Callable[[Row], Table]] = [
         comparison,
-        trials,
-        lambda r: by_category(r, messy=False),
-        lambda r: by_category(r, messy=True),
+        shapes,
         stages,
         end_to_end,
         real,

@@ -26,12 +26,11 @@ SHARD = 24
 
 
 def time_ours(
-    method: str, model: Model, states: Iterable[int], run: int, results: Results, folder: Path
+    model: Model, states: Iterable[int], run: int, results: Results, folder: Path
 ) -> Prepared:
     """Everything that `articugen generate` does for an instance. What is done once an object is
     shared out among all the instances that its recipe asks for."""
-    recipe = ours.at(model.recipe, ours.SETTINGS[method])
-    prepared, once, once_cpu = timed(lambda: preparing.prepare(model.obj, recipe, 0))
+    prepared, once, once_cpu = timed(lambda: preparing.prepare(model.obj, model.recipe, 0))
     made, measured = [], []
     for state in states:
         with ours.stages() as spent:
@@ -48,7 +47,7 @@ def time_ours(
             "prepare": once / count,
         }
         results.timings.append(
-            rows.about(method, model, state)
+            rows.about("ours", model, state)
             | {"run": run, "seconds": sum(shares.values()), "once": once}
             | {"cpu": cpu + once_cpu / count + write_cpu, "once cpu": once_cpu}
             | shares
@@ -57,7 +56,7 @@ def time_ours(
 
 
 def time_many(
-    method: str, prepared: Prepared, made: Case, labels: int, results: Results, folder: Path
+    prepared: Prepared, made: Case, labels: int, results: Results, folder: Path
 ) -> Floats:
     """As `time_ours`, just called for the same object, with `labels` query points and no grids.
 
@@ -70,7 +69,7 @@ def time_many(
     write, write_cpu = _written([one, one], made.model, folder)
     count, last = len(prepared.states), results.timings[-1]
     results.many.append(
-        rows.about(method, made.model, made.state)
+        rows.about("ours", made.model, made.state)
         | {"seconds": seconds + write + last["once"] / count}
         | {"cpu": cpu + write_cpu + last["once cpu"] / count}
     )
