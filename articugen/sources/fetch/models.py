@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path, PurePosixPath
-from typing import BinaryIO
+from typing import IO
 
 from articugen.core.errors import InvalidSource, MachineFault
 from articugen.core.files import cannot_write
-from articugen.sources.fetch.archives import Archive, Member, checked_members, contents, opened
+from articugen.sources.fetch.archives import Member, checked_members, contents, opened
 from articugen.sources.usd.reader import LAYER_FOLDERS
 
 _BLOCK = 2**20
@@ -64,38 +64,29 @@ def unpack(
             )
         chosen = {root for root in roots if wanted(root)}
         todo = {m: root for m in members if (root := root_of.get(m.name)) in chosen}
-        _check_room(path, into, sum(member.bytes for member in todo))
-        _unpack(archive, path, into, todo, on_model)
+        needed, free = sum(member.bytes for member in todo), shutil.disk_usage(into).free
+        if needed > free:
+            raise MachineFault(
+                f"{into}: {needed / 1e6:,.0f} MB are to be unpacked from {path.name} and "
+                f"{free / 1e6:,.0f} MB are free; free some, or choose a folder on another disk"
+            )
+        left, sizes = Counter(todo.values()), Counter[PurePosixPath]()
+        listings: dict[PurePosixPath, dict[str, str]] = {root: {} for root in left}
+        folder_of = {r: into / str(k) / (r.name or "model") for k, r in enumerate(sorted(left))}
+        for member, data in contents(archive, path) if todo else ():
+            root = todo.get(member)
+            if root is None:
+                continue
+            name = member.name.relative_to(root)
+            listings[root][str(name)] = _write(data, member, folder_of[root] / name, path)
+            left[root] -= 1
+            sizes[root] += member.bytes
+            if left[root] == 0:
+                on_model(Unpacked(root, listings.pop(root), sizes[root]), folder_of[root])
     return roots
 
 
-def _unpack(
-    archive: Archive,
-    path: Path,
-    into: Path,
-    todo: Mapping[Member, PurePosixPath],
-    on_model: Callable[[Unpacked, Path], None],
-) -> None:
-    left = Counter(todo.values())
-    sizes: Counter[PurePosixPath] = Counter()
-    listings: dict[PurePosixPath, dict[str, str]] = {root: {} for root in left}
-    folder_of = {
-        root: into / str(number) / (root.name or "model")
-        for number, root in enumerate(sorted(left))
-    }
-    for member, data in contents(archive, path) if todo else ():
-        root = todo.get(member)
-        if root is None:
-            continue
-        name = member.name.relative_to(root)
-        listings[root][str(name)] = _write(data, member, folder_of[root] / name, path)
-        left[root] -= 1
-        sizes[root] += member.bytes
-        if left[root] == 0:
-            on_model(Unpacked(root, listings.pop(root), sizes[root]), folder_of[root])
-
-
-def _write(data: BinaryIO, member: Member, to: Path, path: Path) -> str:
+def _write(data: IO[bytes], member: Member, to: Path, path: Path) -> str:
     written, digest = 0, sha256()
     try:
         to.parent.mkdir(parents=True, exist_ok=True)
@@ -112,40 +103,26 @@ def _write(data: BinaryIO, member: Member, to: Path, path: Path) -> str:
     return digest.hexdigest()
 
 
-def _check_room(path: Path, into: Path, wanted: int) -> None:
-    free = shutil.disk_usage(into).free
-    if wanted > free:
-        raise MachineFault(
-            f"{into}: {wanted / 1e6:,.0f} MB are to be unpacked from {path.name} and "
-            f"{free / 1e6:,.0f} MB are free; free some, or choose a folder on another disk"
-        )
-
-
 def _roots(members: Sequence[Member]) -> dict[PurePosixPath, PurePosixPath]:
     """The model's folder of each file that lies in one; of folders in each other the inner one."""
-    roots = {root for member in members if (root := _root_marked(member.name)) is not None}
-    if not roots:  # beside other marks USD files are meshes
-        roots = _usd_roots([member.name for member in members])
-    found = {}
-    for member in members:
-        own = next((folder for folder in member.name.parents if folder in roots), None)
-        if own is not None and not _is_hidden(member.name):
-            found[member.name] = own
-    return found
-
-
-def _root_marked(name: PurePosixPath) -> PurePosixPath | None:
-    """Return the folder of the model that a file of this name shows to be there."""
-    marks = name.suffix.lower() == ".urdf" or name.name == "motion_attributes.json"
-    marks = marks or name.name == f"{name.parent.name}.articulations.json"
-    if not marks or _is_hidden(name):
-        return None
-    return name.parent.parent if name.parent.name in _BELOW else name.parent
+    names = [
+        member.name  # without what file managers leave behind
+        for member in members
+        if not any(part.startswith(".") or part == "__MACOSX" for part in member.name.parts)
+    ]
+    roots = {
+        name.parent.parent if name.parent.name in _BELOW else name.parent
+        for name in names
+        if name.suffix.lower() == ".urdf"
+        or name.name in ("motion_attributes.json", f"{name.parent.name}.articulations.json")
+    } or _usd_roots(names)  # beside other marks USD files are meshes
+    own = {name: next((f for f in name.parents if f in roots), None) for name in names}
+    return {name: root for name, root in own.items() if root is not None}
 
 
 def _usd_roots(names: Sequence[PurePosixPath]) -> set[PurePosixPath]:
     """The folders of USD files, without those in which the layers of another one's model lie."""
-    folders = {n.parent for n in names if n.suffix.lower() in _USD and not _is_hidden(n)}
+    folders = {n.parent for n in names if n.suffix.lower() in _USD}
     return {
         folder
         for folder in folders
@@ -154,8 +131,3 @@ def _usd_roots(names: Sequence[PurePosixPath]) -> set[PurePosixPath]:
             for above in (folder, *folder.parents)
         )
     }
-
-
-def _is_hidden(name: PurePosixPath) -> bool:
-    """What file managers leave behind."""
-    return any(part.startswith(".") or part == "__MACOSX" for part in name.parts)
