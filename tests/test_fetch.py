@@ -19,9 +19,9 @@ from typer.testing import CliRunner
 import articugen as ag
 from articugen.cli import app
 from articugen.core.errors import InvalidArgument, MachineFault
+from articugen.core.ledger import Ledger
+from articugen.core.place import Folder as LocalFolder
 from articugen.sources.fetch import web
-from articugen.sources.fetch.partnet_mobility import fetch_partnet_mobility
-from articugen.sources.fetch.target import RECEIPT_NAME
 from articugen.sources.fetch.web import Server
 from articugen.sources.source import open_source
 from tests.published import TOKEN, Publisher, model_files, serving, zipped
@@ -397,10 +397,10 @@ def test_two_do_not_fetch_into_one_folder(hub, tmp_path):
 def test_a_full_disk_ends_the_call_and_a_larger_one_goes_on(hub, tmp_path):
     with small_disk(tmp_path / "disk", "250k") as disk:
         with pytest.raises(MachineFault, match=r"free"):
-            fetch_partnet_mobility(disk, ids=LAPTOPS)
+            ag.fetch("partnet-mobility", disk, ids=LAPTOPS)
         assert not [p for p in disk.glob("*/mobility.urdf") if not whole(disk, p.parent.name)]
         subprocess.run(["mount", "-o", "remount,size=4m", str(disk)], check=True)
-        assert fetch_partnet_mobility(disk, ids=LAPTOPS).models == 2
+        assert ag.fetch("partnet-mobility", disk, ids=LAPTOPS).models == 2
         assert whole(disk, *LAPTOPS)
 
 
@@ -412,11 +412,11 @@ def test_files_that_may_not_grow_so_large(hub, tmp_path, monkeypatch):
     resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, before[1]))
     try:
         with pytest.raises(MachineFault, match="not written: files may not grow so large"):
-            fetch_partnet_mobility(tmp_path, ids=["9748"])
+            ag.fetch("partnet-mobility", tmp_path, ids=["9748"])
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
         signal.signal(signal.SIGXFSZ, ignored)
-    assert fetch_partnet_mobility(tmp_path, ids=["9748"]).models == 1
+    assert ag.fetch("partnet-mobility", tmp_path, ids=["9748"]).models == 1
 
 
 def test_killed_in_the_midst_of_a_file_and_called_again_it_goes_on(hub, tmp_path):
@@ -436,7 +436,7 @@ def test_killed_in_the_midst_of_a_file_and_called_again_it_goes_on(hub, tmp_path
     assert not (tmp_path / "7138").exists()
     have = part.stat().st_size
     hub.cdn.asked.clear()
-    done = fetch_partnet_mobility(tmp_path, ids=list(CATEGORY))
+    done = ag.fetch("partnet-mobility", tmp_path, ids=list(CATEGORY))
     assert (done.models, done.new, done.failed, done.refused) == (4, 1, {}, {})
     assert whole(tmp_path, *CATEGORY)
     assert hub.cdn.bytes_of("7138.zip") == [f"bytes={have}-" if have else ""]
@@ -457,7 +457,7 @@ def test_a_server_that_says_nothing_keeps_no_one_who_wants_to_leave(hub, tmp_pat
         assert process.wait(timeout=5.0) == 143  # what it waits for would take 10 s
         assert "interrupted; the same command goes on" in process.stderr.read()
     hub.cdn.stall.clear()
-    assert fetch_partnet_mobility(tmp_path, ids=["7138"]).models == 1
+    assert ag.fetch("partnet-mobility", tmp_path, ids=["7138"]).models == 1
     assert whole(tmp_path, "7138")
 
 
@@ -545,6 +545,7 @@ def elsewhere(tmp_path):
 @pytest.mark.parametrize(
     ("link", "to"),
     [
+        (".articugen", ""),
         (".fetch", ""),
         (".fetch/unpacking", "unpacking"),
         (".fetch/downloads", ""),
@@ -688,8 +689,11 @@ def test_a_folder_of_no_possible_name_is_told():
     "change", [{"source": "nobody's"}, {"listing": {"../../x": 3}}, {"listing": {"\0": "x"}}]
 )
 def test_a_receipt_that_another_wrote_is_none(hub, tmp_path, change):
-    fetch_partnet_mobility(tmp_path, ids=["9748"])
-    path = tmp_path / "9748" / RECEIPT_NAME
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"files": 1} | change))
-    again = fetch_partnet_mobility(tmp_path, ids=["9748"])
+    ag.fetch("partnet-mobility", tmp_path, ids=["9748"])
+    ledger = Ledger(LocalFolder(tmp_path))
+    ledger.record("9748", json.dumps(json.loads(ledger.known()["9748"]) | change).encode())
+    again = ag.fetch("partnet-mobility", tmp_path, ids=["9748"])
     assert (again.models, again.new) == (1, 1)
+    (record,) = (tmp_path / ".articugen" / "done").iterdir()
+    record.write_bytes(record.read_bytes()[:-9])
+    assert ag.fetch("partnet-mobility", tmp_path, ids=["9748"]).new == 1

@@ -8,12 +8,12 @@ import pytest
 import test_fetch
 from test_fetch import run, whole
 
+import articugen as ag
 from articugen.core.errors import AccessRefused, NotFetched
+from articugen.core.ledger import Ledger
+from articugen.core.place import Folder
 from articugen.sources.fetch import partnet_mobility, web
-from articugen.sources.fetch.hub import Published
-from articugen.sources.fetch.partnet_mobility import fetch_partnet_mobility
-from articugen.sources.fetch.target import RECEIPT_NAME
-from articugen.sources.fetch.web import RemoteFile, Server
+from articugen.sources.fetch.web import Published, RemoteFile, Server
 from tests.published import TOKEN
 
 hub, site = test_fetch.hub, test_fetch.site
@@ -76,10 +76,9 @@ def test_what_a_published_archive_calls_its_model_may_be_anything(monkeypatch, h
 
 
 def test_a_receipt_that_is_deep_is_none(hub, tmp_path):
-    assert fetch_partnet_mobility(tmp_path, ids=["9748"]).new == 1
-    (receipt,) = tmp_path.rglob(RECEIPT_NAME)
-    receipt.write_bytes(b"[" * 100_000)
-    again = fetch_partnet_mobility(tmp_path, ids=["9748"])
+    assert ag.fetch("partnet-mobility", tmp_path, ids=["9748"]).new == 1
+    Ledger(Folder(tmp_path)).record("9748", b"[" * 100_000)
+    again = ag.fetch("partnet-mobility", tmp_path, ids=["9748"])
     assert (again.models, again.new) == (1, 1)
 
 
@@ -94,7 +93,7 @@ def test_no_length_that_a_server_claims_lifts_the_bound(site, tmp_path, monkeypa
     monkeypatch.setattr(web, "MAX_FILE_BYTES", 50_000)
     site.claims["9748.zip"] = claim
     with pytest.raises(NotFetched, match=r"9748\.zip: is larger than it should be"):
-        fetch_partnet_mobility(tmp_path, ids=["9748"], via="sapien", token="sapien-secret")
+        ag.fetch("partnet-mobility", tmp_path, ids=["9748"], via="sapien", token="sapien-secret")
     assert not list((tmp_path / ".fetch" / "downloads").iterdir())
 
 
@@ -141,7 +140,7 @@ def test_the_body_of_what_leads_on_is_not_read(hub, tmp_path):
 def test_a_malformed_address_or_token_is_told_in_a_sentence(tmp_path, monkeypatch, base, token):
     monkeypatch.setenv("HF_ENDPOINT", base)
     with pytest.raises(NotFetched, match=r"malformed; correct what names it, HF_ENDPOINT") as told:
-        fetch_partnet_mobility(tmp_path, ids=["9748"], token=token or "hf_x")
+        ag.fetch("partnet-mobility", tmp_path, ids=["9748"], token=token or "hf_x")
     assert "secret" not in str(told.value)
 
 

@@ -14,7 +14,7 @@ from articugen.cli.saying import REJECTED, command, counting_bar, said, stderr, 
 from articugen.core.errors import printable
 
 if TYPE_CHECKING:
-    from articugen.sources.fetch.outcome import Fetched
+    from articugen.sources.fetch.target import Fetched
 
 
 @app.command(

@@ -38,7 +38,7 @@ _ON = {
         "generate", "verify", "export", "discover", "train", "evaluate", "fetch",
     ), (
         "pipeline.options.Options", "export.run.Exported", "export.items.Options",
-        "sources.fetch.outcome.Fetched",
+        "sources.fetch.target.Fetched",
     )),
     "recipes": ("Recipes", ("Recipe",), (
         "core.recipe.Articulation", "core.recipe.ViewSettings", "core.recipe.Fusion",

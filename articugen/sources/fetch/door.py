@@ -2,15 +2,19 @@
 
 import os
 from collections.abc import Callable, Sequence
-from pathlib import Path
+from contextlib import closing
+from pathlib import Path, PurePosixPath
 
-from articugen.core.errors import InvalidArgument
-from articugen.sources.fetch.local import fetch_archives
-from articugen.sources.fetch.outcome import Fetched
-from articugen.sources.fetch.partnet_mobility import Told, fetch_partnet_mobility
+from articugen.core.errors import InvalidArgument, InvalidSource, machine_fault, printable
+from articugen.core.files import sha256_of
+from articugen.sources.fetch.partnet_mobility import Told, check_wishes, fetch_partnet_mobility
+from articugen.sources.fetch.target import Fetched, Target
 from articugen.sources.fetch.terms import terms_of
 
 Folder = str | os.PathLike[str]
+
+_FLAT = ("partnet-mobility", "articraft")
+"""Data sets whose models have names of their own; others keep the folders of the archive."""
 
 
 def fetch(
@@ -55,25 +59,46 @@ def fetch(
     for name, chosen in (("category", category), ("ids", ids)):
         if isinstance(chosen, str):
             raise InvalidArgument(f"{name}={chosen!r}: must be a list: {name}=[{chosen!r}]")
-    if archives:
-        if category or ids or token or via:
-            raise InvalidArgument(
-                "--from takes all models of an archive; leave --category, --ids, --token and "
-                "--via out"
-            )
-        paths = [Path(path) for path in archives]
-        return fetch_archives(source, paths, Path(out), on_progress, on_notice)
-    if terms.source != "partnet-mobility":
+    if archives and (category or ids or token or via):
         raise InvalidArgument(
-            f"{terms.source} is not downloaded from here; get its archives from its authors, "
-            "and name them with --from"
+            "--from takes all models of an archive; leave --category, --ids, --token and --via out"
         )
-    return fetch_partnet_mobility(
-        Path(out),
-        categories=category,
-        ids=ids,
-        token=token,
-        via=via,
-        told=on_progress,
-        notice=on_notice,
-    )
+    if not archives:
+        if terms.source != "partnet-mobility":
+            raise InvalidArgument(
+                f"{terms.source} is not downloaded from here; get its archives from its authors, "
+                "and name them with --from"
+            )
+        check_wishes(category, ids, via)
+    with closing(Target(Path(out), terms, on_notice)) as target:
+        if not archives:
+            return fetch_partnet_mobility(target, category, ids, token, via, on_progress, on_notice)
+        places: list[str] = []
+        new = 0
+        for number, path in enumerate(map(Path, archives)):
+            on_progress(number, len(archives), path.name)
+            try:
+                found, fresh = _unpacked(path, target)
+            except InvalidSource as error:
+                target.fail(path.name, error, path)
+            else:
+                places += found
+                new += fresh
+        return target.outcome(places, new)
+
+
+def _unpacked(path: Path, target: Target) -> tuple[list[str], int]:
+    """Return the models of an archive, by their places, and how many were not there."""
+    try:
+        digest = sha256_of(path)
+    except OSError as error:
+        raise machine_fault(error) or InvalidSource(
+            f"{printable(str(path))}: cannot be read: {error.strerror}; correct its path"
+        ) from error
+
+    def place(root: PurePosixPath) -> PurePosixPath:
+        if not root.parts:
+            return PurePosixPath(path.name.removesuffix(".zip").removesuffix(".tar.gz"))
+        return PurePosixPath(root.name) if target.terms.source in _FLAT else root
+
+    return target.take(path, printable(path.name), digest, place)

@@ -1,7 +1,6 @@
 """Hugging Face's hub: which files a data set has there, with their digests."""
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 from urllib.parse import quote
@@ -9,27 +8,9 @@ from urllib.parse import quote
 from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from articugen.core.errors import NotFetched
-from articugen.sources.fetch.web import Server
+from articugen.sources.fetch.web import Published, Server
 
 _PAGES = 1_000
-
-
-@dataclass(frozen=True)
-class Published:
-    """A file as it is published.
-
-    Attributes:
-        name: from the data set's folder on.
-        address: where its server has it.
-        size, sha256: None where nobody tells.
-        version: of the data set.
-    """
-
-    name: str
-    address: str
-    size: int | None
-    sha256: str | None
-    version: str = ""
 
 
 class _Large(BaseModel):
@@ -55,7 +36,15 @@ def hub(token: str | None, cure: str) -> Server:
     """Return the hub at $HF_ENDPOINT or at its usual address, with a token: that one, $HF_TOKEN's,
     or what `hf auth login` has kept."""
     base = os.environ.get("HF_ENDPOINT") or "https://huggingface.co"
-    return Server(base.rstrip("/"), token=token or _own_token(), cure=cure)
+    token = token or os.environ.get("HF_TOKEN", "").strip()
+    if not token:
+        home = os.environ.get("HF_HOME") or "~/.cache/huggingface"
+        path = Path(os.environ.get("HF_TOKEN_PATH") or f"{home}/token").expanduser()
+        try:
+            token = path.read_text(encoding="utf-8").strip()
+        except (OSError, ValueError):
+            token = ""
+    return Server(base.rstrip("/"), token=token, cure=cure)
 
 
 def files(server: Server, repository: str) -> list[Published]:
@@ -81,23 +70,12 @@ def files(server: Server, repository: str) -> list[Published]:
         ) from None
     return [
         Published(
-            each.path,
-            f"/datasets/{repository}/resolve/{version}/{quote(each.path)}",
-            each.lfs.size if each.lfs else each.size,
-            each.lfs.oid if each.lfs else None,
-            version,
+            file.path,
+            f"/datasets/{repository}/resolve/{version}/{quote(file.path)}",
+            file.lfs.size if file.lfs else file.size,
+            file.lfs.oid if file.lfs else None,
+            f"{repository}@{version}/{file.path}",
         )
-        for each in sorted(listed, key=lambda each: each.path)
-        if each.type == "file" and each.path.isprintable()
+        for file in sorted(listed, key=lambda file: file.path)
+        if file.type == "file" and file.path.isprintable()
     ]
-
-
-def _own_token() -> str:
-    if os.environ.get("HF_TOKEN"):
-        return os.environ["HF_TOKEN"].strip()
-    home = os.environ.get("HF_HOME") or "~/.cache/huggingface"
-    path = Path(os.environ.get("HF_TOKEN_PATH") or f"{home}/token").expanduser()
-    try:
-        return path.read_text(encoding="utf-8").strip()
-    except (OSError, ValueError):
-        return ""

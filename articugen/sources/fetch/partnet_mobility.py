@@ -10,24 +10,26 @@ import os
 import re
 import zipfile
 import zlib
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import closing, contextmanager
-from dataclasses import dataclass
-from itertools import islice
-from pathlib import Path, PurePosixPath
+from contextlib import contextmanager
+from pathlib import PurePosixPath
 from urllib.parse import quote
 
 from articugen.core.errors import AccessRefused, InvalidArgument, InvalidSource, NotFetched
-from articugen.core.files import UnfitFile, read_regular, write_atomically
+from articugen.core.files import read_regular, write_atomically
 from articugen.core.yaml_files import nearest
 from articugen.meshes.model_files import MAX_TEXT_BYTES
-from articugen.sources.fetch.hub import Published, files, hub
-from articugen.sources.fetch.models import Unpacked, unpack
-from articugen.sources.fetch.outcome import Fetched, outcome
-from articugen.sources.fetch.target import CATEGORIES_NAME, TERMS_NAME, WORK_NAME, Target
-from articugen.sources.fetch.terms import terms_of
-from articugen.sources.fetch.web import RemoteFile, Server
+from articugen.sources.fetch.hub import files, hub
+from articugen.sources.fetch.target import (
+    CATEGORIES_NAME,
+    TERMS_NAME,
+    WORK_NAME,
+    Fetched,
+    Target,
+)
+from articugen.sources.fetch.web import Published, RemoteFile, Server
 from articugen.sources.source_file import common_categories, plain, unknown
 
 REPOSITORY = "sapien-sim/PartNetMobility"
@@ -46,93 +48,44 @@ _SITE_CURE = "give the token of your account at SAPIEN's site with SAPIEN_ACCESS
 Told = Callable[[int, int, str], None]
 
 
-@dataclass(frozen=True)
-class _Model:
-    object_id: str
-    file: Published
+Models = Mapping[str, Published]
+"""The published .zip of each model, by its id."""
 
 
-def fetch_partnet_mobility(
-    out: Path,
-    *,
-    categories: Collection[str] = (),
-    ids: Collection[str] = (),
-    token: str | None = None,
-    via: str | None = None,
-    told: Told = lambda *_: None,
-    notice: Callable[[str], None] = lambda _: None,
-) -> Fetched:
-    """Download models, or what is missing of them.
-
-    Args:
-        out: a new folder, or one to go on in; each model becomes <out>/<id>.
-        categories: by any of their names; "all" is every one.
-        ids: these models; with categories, those of them that are of one.
-        token: of the hub, or of SAPIEN's site; by default HF_TOKEN, or what `hf auth login` has
-            kept; SAPIEN_ACCESS_TOKEN. Written nowhere.
-        via: "hub" or "sapien"; by default the hub and, where that refuses and there is a
-            SAPIEN_ACCESS_TOKEN, the site.
-        told: called with the models that are done, all of them, and what is at hand.
-        notice: called with a sentence where the second route is taken, or a folder is set aside.
-
-    Raises:
-        InvalidArgument: nothing is chosen, or there is no such model, category or route.
-        AccessRefused, NotFetched: what is wanted cannot be got.
-        MachineFault, MemoryError: the disk is full, or the like.
-    """
+def check_wishes(categories: Collection[str], ids: Collection[str], via: str | None) -> None:
+    """Raise InvalidArgument where nothing is chosen, or there is no such route."""
     if via is not None and via not in ROUTES:
         raise InvalidArgument(f"no route {via!r}; there are: {', '.join(ROUTES)}")
     if not categories and not ids:
         raise InvalidArgument("nothing is chosen; name --category (or 'all', 3.3 GB) or --ids")
-    with closing(Target(out, terms_of("partnet-mobility"), notice)) as target:
-        if via != "sapien":
-            try:
-                return _from_hub(target, categories, ids, token, told)
-            except NotFetched as error:
-                second = via is None and ids and not categories
-                if not second or not os.environ.get("SAPIEN_ACCESS_TOKEN"):
-                    raise
-                notice(f"{error}; trying SAPIEN's own site")
-                token = None
-        return _from_site(target, categories, ids, token, told)
 
 
-def _from_hub(
+def fetch_partnet_mobility(
     target: Target,
     categories: Collection[str],
     ids: Collection[str],
     token: str | None,
+    via: str | None,
     told: Told,
+    notice: Callable[[str], None],
 ) -> Fetched:
-    server = hub(token, _HUB_CURE)
-    listed = files(server, REPOSITORY)
-    models = {
-        match[1]: _Model(match[1], each)
-        for each in listed
-        if (match := re.fullmatch(r"(?:.*/)?([0-9]{1,9})\.zip", each.name))
-    }
-    for name in ids:
-        if name not in models:
-            raise InvalidArgument(
-                f"PartNet-Mobility has no model {name!r}{nearest(name, list(models))}"
-            )
-    chosen = [m for name, m in models.items() if not ids or name in ids]
-    if categories and "all" not in categories:
-        chosen = _of_categories(chosen, categories, server, target, told)
-    for each in listed:
-        if _TERMS.fullmatch(each.name) and (each.size or 0) <= _MAX_TERMS_BYTES:
-            to = target.path(f"{TERMS_NAME}/{each.name}")
-            server.download(each.address, to, size=each.size, sha256=each.sha256)
-    return _fetched(server, chosen, target, told)
+    """Download models, or what is missing of them, as `door.fetch` says; each becomes <out>/<id>.
 
-
-def _from_site(
-    target: Target,
-    categories: Collection[str],
-    ids: Collection[str],
-    token: str | None,
-    told: Told,
-) -> Fetched:
+    Raises:
+        InvalidArgument: there is no such model or category.
+        AccessRefused, NotFetched: what is wanted cannot be got.
+        MachineFault, MemoryError: the disk is full, or the like.
+    """
+    if via != "sapien":
+        try:
+            server = hub(token, _HUB_CURE)
+            return _fetched(server, _at_hub(server, target, categories, ids, told), target, told)
+        except NotFetched as error:
+            second = via is None and ids and not categories
+            if not second or not os.environ.get("SAPIEN_ACCESS_TOKEN"):
+                raise
+            notice(f"{error}; trying SAPIEN's own site")
+            token = None
     token = token or os.environ.get("SAPIEN_ACCESS_TOKEN", "").strip()
     if categories:
         raise InvalidArgument("SAPIEN's site gives models by id alone; name --ids, or --via hub")
@@ -142,44 +95,77 @@ def _from_site(
         if not re.fullmatch("[0-9]{1,9}", name):
             raise InvalidArgument(f"{name!r} is no id of PartNet-Mobility; they are numbers")
     base = os.environ.get("SAPIEN_ENDPOINT") or "https://sapien.ucsd.edu"
-    server = Server(base.rstrip("/"), cure=_SITE_CURE)
     address = "/api/download/compressed/{}.zip?token=" + quote(token, safe="")
-    models = [
-        _Model(name, Published(f"{name}.zip", address.format(name), None, None))
-        for name in sorted(set(ids))
-    ]
-    return _fetched(server, models, target, told)
+    models = {
+        i: Published(f"{i}.zip", address.format(i), called=f"{i}.zip") for i in sorted(set(ids))
+    }
+    return _fetched(Server(base.rstrip("/"), cure=_SITE_CURE), models, target, told)
 
 
-def _fetched(server: Server, models: Sequence[_Model], target: Target, told: Told) -> Fetched:
-    """Download, unpack and check what is missing, some files at once."""
-    todo = [
-        m
-        for m in models
-        if target.wants(PurePosixPath(m.object_id), m.file.sha256, m.object_id, m.object_id)
-    ]
+def _at_hub(
+    server: Server,
+    target: Target,
+    categories: Collection[str],
+    ids: Collection[str],
+    told: Told,
+) -> Models:
+    """Return the chosen models, and bring the publisher's terms."""
+    listed = files(server, REPOSITORY)
+    models = {
+        match[1]: file
+        for file in listed
+        if (match := re.fullmatch(r"(?:.*/)?([0-9]{1,9})\.zip", file.name))
+    }
+    for name in ids:
+        if name not in models:
+            raise InvalidArgument(
+                f"PartNet-Mobility has no model {name!r}{nearest(name, list(models))}"
+            )
+    if ids:
+        models = {name: file for name, file in models.items() if name in ids}
+    if categories and "all" not in categories:
+        category_of = _categories(server, models, target, told)
+        wanted: set[str] = set()
+        for name in categories:
+            words = common_categories().words(name)
+            there = sorted(set(filter(None, category_of.values())))
+            if not words.intersection(map(plain, there)):
+                raise unknown("PartNet-Mobility", name, there)
+            wanted |= words
+        models = {name: f for name, f in models.items() if plain(category_of[name]) in wanted}
+    for file in listed:
+        if _TERMS.fullmatch(file.name) and (file.size or 0) <= _MAX_TERMS_BYTES:
+            server.download(file, target.path(f"{TERMS_NAME}/{file.name}"))
+    return models
+
+
+def _fetched(server: Server, models: Models, target: Target, told: Told) -> Fetched:
+    """Download, unpack and check what is missing, some files at once. What is wrong with one stops
+    no other, but a token that is refused does."""
+    todo = deque(i for i, f in models.items() if target.lacks(PurePosixPath(i), f.sha256, i))
     new, there = 0, len(models) - len(todo)
     told(there, len(models), "")
     folder = target.path(f"{WORK_NAME}/downloads")
-    queue = iter(todo)
+    coming: dict[Future[str], str] = {}
     with _threads(_AT_ONCE, server) as pool:
-
-        def started(how_many: int) -> dict[Future[str], _Model]:
-            return {
-                pool.submit(_download, server, m.file, folder / f"{m.object_id}.zip"): m
-                for m in islice(queue, how_many)
-            }
-
-        running = started(2 * _AT_ONCE)
-        while running:
-            ended, _ = wait(running, return_when=FIRST_COMPLETED)
-            for future in ended:
-                model = running.pop(future)
-                new += _taken_in(future, model, folder / f"{model.object_id}.zip", target)
+        while todo or coming:
+            while todo and len(coming) < 2 * _AT_ONCE:
+                name = todo.popleft()
+                coming[pool.submit(server.download, models[name], folder / f"{name}.zip")] = name
+            for future in wait(coming, return_when=FIRST_COMPLETED).done:
+                name = coming.pop(future)
+                path, place = folder / f"{name}.zip", PurePosixPath(name)
+                try:
+                    digest = future.result()
+                    new += target.take(path, models[name].called, digest, lambda _, to=place: to)[1]
+                except AccessRefused:
+                    raise
+                except (NotFetched, InvalidSource) as error:
+                    target.fail(name, error, path)
+                path.unlink(missing_ok=True)
                 there += 1
-                told(there, len(models), model.object_id)
-            running |= started(len(ended))
-    return outcome(target, [m.object_id for m in models], new)
+                told(there, len(models), name)
+    return target.outcome(models, new)
 
 
 @contextmanager
@@ -196,78 +182,25 @@ def _threads(count: int, server: Server) -> Iterator[ThreadPoolExecutor]:
     pool.shutdown()
 
 
-def _download(server: Server, file: Published, to: Path) -> str:
-    return server.download(file.address, to, size=file.size, sha256=file.sha256)
-
-
-def _taken_in(coming: "Future[str]", model: _Model, path: Path, target: Target) -> int:
-    """Unpack a model that came; how many models that is. What is wrong with one stops no other,
-    but a token that is refused does."""
-    place = PurePosixPath(model.object_id)
-    taken: list[Unpacked] = []
-    try:
-        digest = coming.result()
-
-        def take_in(unpacked: Unpacked, staged: Path) -> None:
-            if taken:
-                raise InvalidSource(f"{path.name}: holds more than one model; report it there")
-            version = f"{REPOSITORY}@{model.file.version}/" if model.file.version else ""
-            target.take_in(place, unpacked, staged, f"{version}{model.file.name}", digest)
-            taken.append(unpacked)
-
-        with target.unpacking() as folder:
-            unpack(path, folder, lambda _: True, take_in)
-    except AccessRefused:
-        raise
-    except (NotFetched, InvalidSource) as error:
-        target.fail(model.object_id, error, path)
-    path.unlink(missing_ok=True)
-    return len(taken)
-
-
-def _of_categories(
-    models: Sequence[_Model],
-    categories: Iterable[str],
-    server: Server,
-    target: Target,
-    told: Told,
-) -> list[_Model]:
-    category_of = _categories(models, server, target, told)
-    chosen: set[str] = set()
-    for name in categories:
-        wanted = common_categories().words(name)
-        own = {i for i, category in category_of.items() if plain(category) in wanted}
-        if not own:
-            there = sorted({category for category in category_of.values() if category})
-            raise unknown("PartNet-Mobility", name, there)
-        chosen |= own
-    return [m for m in models if m.object_id in chosen]
-
-
-def _categories(
-    models: Sequence[_Model], server: Server, target: Target, told: Told
-) -> dict[str, str]:
+def _categories(server: Server, models: Models, target: Target, told: Told) -> dict[str, str]:
     """Return the category of each model; what was looked up before is not asked for again."""
     path = target.work / CATEGORIES_NAME
     try:
         known = {str(k): str(v) for k, v in json.loads(read_regular(path, 2**24)).items()}
-    except (UnfitFile, OSError, ValueError, AttributeError, RecursionError):
+    except (OSError, ValueError, AttributeError, RecursionError):
         known = {}
-    keys = {m.object_id: f"{m.object_id} {m.file.sha256}" for m in models}
-    todo = [m for m in models if keys[m.object_id] not in known]
-    done = len(models) - len(todo)
+    keys = {name: f"{name} {file.sha256}" for name, file in models.items()}
+    todo = [name for name in models if keys[name] not in known]
     try:
         with _threads(_LOOKS_AT_ONCE, server) as pool:
-            for model, category in zip(
-                todo, pool.map(lambda m: _category(server, m.file), todo), strict=True
-            ):
-                known[keys[model.object_id]] = category
-                done += 1
-                told(done, len(models), f"which is what: {model.object_id}")
+            found = pool.map(lambda name: _category(server, models[name]), todo)
+            for done, name in enumerate(todo, 1 + len(models) - len(todo)):
+                known[keys[name]] = next(found)
+                told(done, len(models), f"which is what: {name}")
     finally:
         if todo:
             write_atomically(path, json.dumps(known, indent=0, sort_keys=True).encode())
-    return {m.object_id: known[keys[m.object_id]] for m in models}
+    return {name: known[key] for name, key in keys.items()}
 
 
 _NO_WORD = (
@@ -278,16 +211,14 @@ _NO_WORD = (
 
 
 def _category(server: Server, file: Published) -> str:
-    """What meta.json in a published .zip calls its model; "" where it does not say."""
+    """Return what meta.json in a published .zip calls its model; "" where it does not say."""
     try:
         with zipfile.ZipFile(RemoteFile(server, file.address, file.size or 0)) as archive:
-            found = [i for i in archive.infolist() if PurePosixPath(i.filename).name == "meta.json"]
-            first = min(found, key=lambda info: len(info.filename), default=None)
+            there = [i for i in archive.infolist() if PurePosixPath(i.filename).name == "meta.json"]
+            info = min(there, key=lambda info: len(info.filename))
             usual = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-            if first is None or first.file_size > MAX_TEXT_BYTES:
+            if info.file_size > MAX_TEXT_BYTES or info.compress_type not in usual:
                 return ""
-            if first.compress_type not in usual:
-                return ""
-            return str(json.loads(archive.read(first))["model_cat"])
+            return str(json.loads(archive.read(info))["model_cat"])
     except _NO_WORD:
         return ""

@@ -1,7 +1,8 @@
 """The folder that models are fetched into: what is whole in it, and the list of all that came.
 
-Each model's folder has a receipt, written before the folder gets its name: a model is there with
-it, whole and checked, or not at all. `fetched.json` is the list of the receipts, with the terms.
+Each model has a record in the ledger, written before its folder gets its name: a model is there
+with all files that its record tells of, whole and checked, or not at all. `fetched.json` is the
+list of the records, with the terms.
 """
 
 import fcntl
@@ -9,8 +10,8 @@ import json
 import os
 import secrets
 import shutil
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO
@@ -23,6 +24,7 @@ from articugen.core.errors import (
     InvalidArgument,
     InvalidSource,
     MachineFault,
+    NotFetched,
     printable,
 )
 from articugen.core.files import (
@@ -30,19 +32,18 @@ from articugen.core.files import (
     cannot_write,
     is_no_folder,
     make_folder,
-    read_regular,
     sha256_of,
     whole_name,
     within,
     write_atomically,
 )
-from articugen.sources.fetch.models import Unpacked
+from articugen.core.ledger import Ledger
+from articugen.core.place import Folder
+from articugen.sources.fetch.models import Unpacked, unpack
 from articugen.sources.fetch.terms import NAMES, Terms, terms_of
-from articugen.sources.folders import visible
 from articugen.sources.source import load_path
 
 LIST_NAME = "fetched.json"
-RECEIPT_NAME = ".fetched.json"
 WORK_NAME = ".fetch"
 """Of the folder in it for what is not finished."""
 TERMS_NAME = "terms"
@@ -50,29 +51,46 @@ TERMS_NAME = "terms"
 ASIDE_NAME = ".set-aside"
 """Of the folder in it for what was in the way and did not come from here."""
 CATEGORIES_NAME = "categories.json"
-"""In that: which model is of which category, where that had to be looked up."""
+"""In that of what is not finished: which model is of which category, where that is looked up."""
 
-_MOST_BYTES = 64 * 2**20
+
+@dataclass(frozen=True)
+class Fetched:
+    """What is there now of what was asked for.
+
+    Attributes:
+        folder: where it is.
+        terms: on which terms.
+        models: how many there are, `new` of them fetched now.
+        refused: of those, the ones that cannot be used, and why.
+        failed: what could not be fetched, or unpacked, and why.
+    """
+
+    folder: Path
+    terms: Terms
+    models: int
+    new: int
+    refused: dict[str, str]
+    failed: dict[str, str]
 
 
 @dataclass(frozen=True)
 class Receipt:
-    """What is known of a model that came.
+    """The record of a model that came.
 
     Attributes:
         source: the data set's name.
         archive, archive_sha256: what it was unpacked from.
-        files, bytes: what came of it.
-        listing: the SHA-256 of each file, by its name; not in the list of all models.
+        bytes: of all its files.
         sha256: the digest of the model as it is read; None of one that is refused.
         refused: why it cannot be used, in a sentence.
         checked_by: the version of articugen that says so.
+        listing: the SHA-256 of each file, by its name; the list of all models has their number.
     """
 
     source: str
     archive: str
     archive_sha256: str
-    files: int
     bytes: int
     sha256: str | None
     refused: str | None
@@ -88,7 +106,7 @@ class Target:
 
     Attributes:
         folder: where it is.
-        receipts: of all models that came, by the name of their folder in it.
+        receipts: of all models that are there whole, by the name of their folder in it.
     """
 
     def __init__(
@@ -103,9 +121,9 @@ class Target:
             MachineFault: it cannot be written to.
         """
         self.folder, self.terms, self._notice = folder, terms, notice
-        self.receipts: dict[str, Receipt] = {}
         self.failed: dict[str, str] = {}
         self._claims: dict[PurePosixPath, tuple[str, str]] = {}
+        self._ledger = Ledger(Folder(folder))
         self.work = self.path(WORK_NAME)
         try:
             make_folder(self.work)
@@ -124,11 +142,25 @@ class Target:
             raise ArticugenError(
                 f"{folder}: another process fetches into it; wait for it, or choose another folder"
             ) from None
+        try:
+            self._begin()
+        except BaseException:
+            self._lock.close()
+            raise
+
+    def _begin(self) -> None:
+        """Remove what a killed process was writing, and read what came before."""
         shutil.rmtree(self.work / "unpacking", ignore_errors=True)
-        self._tidy(folder, self.work)
-        for path in _receipts(folder):
-            self._tidy(path.parent)
-            self._believe(path)
+        self._ledger.place.delete(self._ledger.leftovers())
+        for path in (*self.folder.glob(".*.partial"), *self.work.glob(".*.partial")):
+            if whole_name(path.name) in (LIST_NAME, CATEGORIES_NAME) and path.is_file():
+                path.unlink(missing_ok=True)
+        self._recorded = {
+            name: _receipt(data)
+            for name, data in sorted(self._ledger.known().items())
+            if (self.folder / name).is_dir()
+        }
+        self.receipts = {n: r for n, r in self._recorded.items() if r and self._is_whole(n, r)}
 
     def path(self, name: str) -> Path:
         """Return the path of something of that name in the folder, to be written.
@@ -141,41 +173,32 @@ class Target:
         except UnfitFile as error:
             raise MachineFault(cannot_write(self.folder / name, error)) from error
 
-    def _tidy(self, *folders: Path) -> None:
-        """Remove the files of ours that a killed process was writing."""
-        ours = (LIST_NAME, RECEIPT_NAME, CATEGORIES_NAME)
-        for path in (path for folder in folders for path in folder.glob(".*.partial")):
-            if whole_name(path.name) in ours and path.is_file():
-                path.unlink(missing_ok=True)
-
-    def _believe(self, path: Path) -> None:
-        """A model counts as there while all that came of it is, whatever else is there."""
-        receipt = _receipt(path.parent)
-        if receipt is None or receipt.files != len(receipt.listing):
-            return
+    def _is_whole(self, name: str, receipt: Receipt) -> bool:
+        """Return whether all that came of a model is there, whatever else is there."""
         with suppress(OSError, ValueError):
-            if receipt.bytes == sum(os.lstat(path.parent / n).st_size for n in receipt.listing):
-                self.receipts[path.parent.relative_to(self.folder).as_posix()] = receipt
+            folder = within(self.folder, name)
+            sizes = (os.lstat(folder / file).st_size for file in receipt.listing)
+            return bool(receipt.listing) and receipt.bytes == sum(sizes)
+        return False
 
-    def wants(
-        self, place: PurePosixPath, archive_sha256: str | None, origin: str, name: str
-    ) -> bool:
-        """Return whether a model is to be fetched: it is not there, as `has` says, and has a place
-        of its own; where it has none that is noted.
+    def lacks(self, place: PurePosixPath, archive_sha256: str | None, name: str) -> bool:
+        """Return whether a model is to be fetched: it is not there whole, from just that archive
+        (None: from any), and nothing is in its way; what is in the way is noted.
+
+        A model that is there and was checked by another version is checked again.
 
         Args:
-            origin: by which it is known from another one that would take its place.
             name: what it is called where it cannot be fetched.
         """
-        first, called = self._claims.setdefault(place, (origin, name))
-        try:
-            if first != origin:
-                raise InvalidSource(
-                    f"{self.folder / place}: is where another model goes, {printable(called)}; "
-                    "rename the folder of one, or fetch it into another folder"
+        receipt = self.receipts.get(str(place))
+        if receipt and archive_sha256 in (None, receipt.archive_sha256):
+            if receipt.checked_by != VERSION:
+                sha256, refused = self._judged(self.folder / place)
+                self._record(
+                    place, replace(receipt, sha256=sha256, refused=refused, checked_by=VERSION)
                 )
-            if self.has(place, archive_sha256):
-                return False
+            return False
+        try:
             self._free(place)
         except InvalidSource as error:
             self.fail(name, error)
@@ -202,84 +225,93 @@ class Target:
         except UnfitFile as error:
             raise InvalidSource(f"{to}: {error.strerror}; move it away to fetch it") from None
         for above in place.parents[:-1]:
-            if above in self._claims or os.path.lexists(self.folder / above / RECEIPT_NAME):
+            if above in self._claims or str(above) in self._recorded:
                 raise InvalidSource(
                     f"{to}: lies in the folder of another model, {above}; unpack it elsewhere"
                 )
             if is_no_folder(self.folder / above):
                 raise InvalidSource(f"{self.folder / above}: is no folder; move it away")
-        if os.path.lexists(to) and not (to / RECEIPT_NAME).exists():
+        ours = str(place) in self._recorded or self._ledger.is_damaged(str(place))
+        if os.path.lexists(to) and not ours:
             raise InvalidSource(f"{to}: is there, and was not fetched; move it away to fetch it")
         return to
 
-    def has(self, place: PurePosixPath, archive_sha256: str | None) -> bool:
-        """Return whether the model is there whole, from just that archive (None: from any), and
-        checked by this version; a model that is not ours is left alone."""
-        receipt = self.receipts.get(str(place))
-        if receipt is None:
-            return False
-        if archive_sha256 not in (None, receipt.archive_sha256):
-            return False
-        if receipt.checked_by != VERSION:
-            sha256, refused = self._judged(self.folder / place)
-            self._note(place, replace(receipt, sha256=sha256, refused=refused, checked_by=VERSION))
-        return True
+    def take(
+        self, path: Path, archive: str, sha256: str, place: Callable[[PurePosixPath], PurePosixPath]
+    ) -> tuple[list[str], int]:
+        """Unpack the models of an archive that are not there, check them and give each its folder.
 
-    @contextmanager
-    def unpacking(self) -> Iterator[Path]:
-        """An empty folder to unpack into, gone afterwards."""
+        Args:
+            archive, sha256: what the archive is called in the list, and its digest.
+            place: the folder here of a model's folder in the archive.
+
+        Returns:
+            the places of all models in it, and how many came now.
+
+        Raises:
+            InvalidSource: unsafe, damaged, or without a model.
+            MachineFault, MemoryError: the disk is full, or the like.
+        """
+        new = 0
+
+        def wanted(root: PurePosixPath) -> bool:
+            to, origin, name = place(root), f"{sha256}/{root}", str(path.name / root)
+            first, called = self._claims.setdefault(to, (origin, name))
+            if first == origin:
+                return self.lacks(to, sha256, name)
+            why = f"{self.folder / to}: is where another model goes, {printable(called)}; "
+            cure = "rename the folder of one, or fetch it into another folder"
+            self.fail(name, InvalidSource(why + cure))
+            return False
+
+        def take_in(model: Unpacked, staged: Path) -> None:
+            nonlocal new
+            self._take_in(place(model.root), model, staged, archive, sha256)
+            new += 1
+
         folder = self.path(f"{WORK_NAME}/unpacking/{secrets.token_hex(4)}")
         try:
             folder.mkdir(parents=True)
         except OSError as error:
             raise MachineFault(cannot_write(folder, error)) from error
         try:
-            yield folder
+            roots = unpack(path, folder, wanted, take_in)
         finally:
             shutil.rmtree(folder, ignore_errors=True)
+        return [str(place(root)) for root in roots], new
 
-    def take_in(
+    def _take_in(
         self, place: PurePosixPath, model: Unpacked, staged: Path, archive: str, sha256: str
     ) -> None:
         """Check a model and give it its folder, in one step; what was there of it before is gone,
-        or set aside where anything in it is somebody's own.
-
-        Raises:
-            InvalidSource: something that was not fetched is in the way.
-            MachineFault, MemoryError: the disk is full, or the like.
-        """
+        or set aside where anything in it is somebody's own."""
         to = self._free(place)
+        judged = self._judged(staged, to)
         receipt = Receipt(
-            self.terms.source,
-            archive,
-            sha256,
-            len(model.listing),
-            model.bytes,
-            *self._judged(staged, to),
-            listing=model.listing,
+            self.terms.source, archive, sha256, model.bytes, *judged, listing=model.listing
         )
-        write_atomically(staged / RECEIPT_NAME, _text(asdict(receipt)))
         try:
             make_folder(to.parent)
             if to.exists():
-                self._clear(to, place, model.listing, staged.with_name(f"{staged.name}.old"))
+                away = staged.with_name(f"{staged.name}.old")
+                old = self._recorded.get(str(place))
+                if not _only(to, {*model.listing.items(), *(old.listing.items() if old else ())}):
+                    number = 1
+                    while os.path.lexists(away := self.path(f"{ASIDE_NAME}/{number}/{place}")):
+                        number += 1
+                    make_folder(away.parent)
+                    self._notice(
+                        f"{to}: holds what was not fetched, or has changed; it is in {away} now"
+                    )
+                to.rename(away)
+            self._record(place, receipt)
             staged.rename(to)
         except OSError as error:
             raise MachineFault(cannot_write(to, error)) from error
-        self.receipts[str(place)] = receipt
 
-    def _clear(
-        self, to: Path, place: PurePosixPath, listing: Mapping[str, str], away: Path
-    ) -> None:
-        """Move what is in a model's place away, to be deleted if all of it was fetched."""
-        old = _receipt(to)
-        if not _only(to, {*listing.items(), *(old.listing.items() if old else ())}):
-            number = 1
-            while os.path.lexists(away := self.path(f"{ASIDE_NAME}/{number}/{place}")):
-                number += 1
-            make_folder(away.parent)
-            self._notice(f"{to}: holds what was not fetched, or has changed; it is in {away} now")
-        to.rename(away)
+    def _record(self, place: PurePosixPath, receipt: Receipt) -> None:
+        self._ledger.record(str(place), _text(asdict(receipt)))
+        self._recorded[str(place)] = self.receipts[str(place)] = receipt
 
     def _judged(self, path: Path, shown: Path | None = None) -> tuple[str | None, str | None]:
         """Return a model's digest, or why it cannot be used: it is read as any command reads it."""
@@ -287,70 +319,56 @@ class Target:
         try:
             return load_path(path).sha256, None
         except InvalidSource as error:
-            said = (
-                str(error).replace(str(path.resolve()), str(shown)).replace(str(path), str(shown))
-            )
-            return None, said.replace(f"{self.folder}/", "")
+            why = str(error).replace(str(path.resolve()), str(shown)).replace(str(path), str(shown))
+            return None, why.replace(f"{self.folder}/", "")
 
     def fail(self, name: str, error: Exception, archive: Path | None = None) -> None:
         """Note what could not be fetched or unpacked, without the paths of this machine."""
-        said = str(error)
+        why = str(error)
         if archive:
-            said = said.replace(printable(str(archive)), printable(archive.name))
-        self.failed[printable(name)] = said.replace(f"{self.folder}/", "")
+            why = why.replace(printable(str(archive)), printable(archive.name))
+        self.failed[printable(name)] = why.replace(f"{self.folder}/", "")
 
-    def _note(self, place: PurePosixPath, receipt: Receipt) -> None:
-        write_atomically(self.folder / place / RECEIPT_NAME, _text(asdict(receipt)))
-        self.receipts[str(place)] = receipt
+    def outcome(self, places: Collection[str], new: int) -> Fetched:
+        """Return what is there of the models in these folders; NotFetched if not one of them is."""
+        there = {name: self.receipts[name] for name in places if name in self.receipts}
+        if self.failed and not there:
+            raise NotFetched(next(iter(self.failed.values())))
+        refused = {name: receipt.refused for name, receipt in there.items() if receipt.refused}
+        return Fetched(self.folder, self.terms, len(there), new, refused, dict(self.failed))
 
     def close(self) -> None:
         """Write the list of all that came, and let others in."""
+        models = {name: asdict(receipt) for name, receipt in self.receipts.items()}
+        for model in models.values():
+            model["files"] = len(model.pop("listing"))
         sources = {self.terms.source, *(receipt.source for receipt in self.receipts.values())}
-        listed = {
-            "terms": {name: asdict(terms_of(name)) for name in sources},
-            "models": {
-                name: {k: v for k, v in asdict(receipt).items() if k != "listing"}
-                for name, receipt in self.receipts.items()
-            },
-            "failed": self.failed,
-        }
+        terms = {name: asdict(terms_of(name)) for name in sources}
         try:
-            write_atomically(self.folder / LIST_NAME, _text(listed))
+            write_atomically(
+                self.folder / LIST_NAME,
+                _text({"terms": terms, "models": models, "failed": self.failed}),
+            )
         finally:
             self._lock.close()
 
 
-def _receipts(folder: Path) -> Iterator[Path]:
-    """The receipts below a folder; models, which hold thousands of files, are not looked into."""
-    todo = [folder]
-    while todo:
-        for child in visible(todo.pop()):
-            if not child.is_dir() or child.is_symlink():
-                continue
-            if (child / RECEIPT_NAME).exists():
-                yield child / RECEIPT_NAME
-            else:
-                todo.append(child)
-
-
-def _receipt(folder: Path) -> Receipt | None:
-    """Return a model's receipt; None where it has none that can be believed."""
-    try:
-        data = read_regular(folder / RECEIPT_NAME, _MOST_BYTES, follow=False)
+def _receipt(data: bytes) -> Receipt | None:
+    """Return a model's record; None where it is none that can be believed."""
+    with suppress(ValueError):
         receipt = _RECEIPT.validate_json(data)
-    except (OSError, ValueError):
-        return None
-    return receipt if receipt.source in NAMES else None
+        return receipt if receipt.source in NAMES else None
+    return None
 
 
 def _only(folder: Path, known: set[tuple[str, str]]) -> bool:
-    """Whether every file below a folder, but its receipt, is one of these, by name and SHA-256."""
-    files = (p for p in folder.rglob("*") if is_no_folder(p) and p != folder / RECEIPT_NAME)
+    """Return whether every file below a folder is one of these, by name and SHA-256."""
     try:
         return all(
             not file.is_symlink()
             and (file.relative_to(folder).as_posix(), sha256_of(file)) in known
-            for file in files
+            for file in folder.rglob("*")
+            if is_no_folder(file)
         )
     except OSError:
         return False

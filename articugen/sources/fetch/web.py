@@ -71,6 +71,24 @@ _OPENER = urllib.request.build_opener(_Redirects)
 
 
 @dataclass(frozen=True)
+class Published:
+    """A file as it is published.
+
+    Attributes:
+        name: from the data set's folder on.
+        address: where its server has it.
+        size, sha256: None where nobody tells.
+        called: its name in the list of what came, with the version of the data set.
+    """
+
+    name: str
+    address: str
+    size: int | None = None
+    sha256: str | None = None
+    called: str = ""
+
+
+@dataclass(frozen=True)
 class Server:
     """Where files are published.
 
@@ -101,9 +119,7 @@ class Server:
         try:
             answer = json.loads(data)
         except (ValueError, RecursionError):
-            raise NotFetched(
-                f"{self._shown(address)}: answers what is no JSON; try again later"
-            ) from None
+            raise self._not_fetched(address, "answers what is no JSON; try again later") from None
         following = re.search(r'<([^<>]*)>;\s*rel="next"', link)
         return answer, _path_of(self.base, following[1]) if following else ""
 
@@ -117,7 +133,7 @@ class Server:
         def once() -> bytes:
             with self._ask(address, {"Range": f"bytes={first}-{last}"}) as response:
                 if response.status != 206:
-                    raise NotFetched(f"{self._shown(address)}: no part of the file is given")
+                    raise self._not_fetched(address, "no part of the file is given")
                 data = response.read(last - first + 1)
             if len(data) <= last - first:
                 raise ConnectionError("the connection was cut")
@@ -125,26 +141,24 @@ class Server:
 
         return self._persist(address, once)
 
-    def download(self, address: str, to: Path, *, size: int | None, sha256: str | None) -> str:
+    def download(self, file: Published, to: Path) -> str:
         """Get a file, or what is missing of it; its digest.
 
         What came before a cut, or before a process was killed, is kept beside `to` and gone on
         from; of a file whose digest nobody tells, only what came within this call.
 
-        Args:
-            size, sha256: what it must have, None where nobody tells.
-
         Raises:
             AccessRefused, NotFetched: it does not come, or is another than it should be.
             MachineFault: the disk is full, or the like.
         """
+        address, size = file.address, file.size
         if size is not None and size > MAX_FILE_BYTES:
             raise self._too_large(address)
         marks: dict[str, str] = {}
         try:
             to.parent.mkdir(parents=True, exist_ok=True)
             part = within(to.parent, f".{to.name}.part")
-            if sha256 is None or (size is not None and _length(part) > size):
+            if file.sha256 is None or (size is not None and _length(part) > size):
                 part.unlink(missing_ok=True)
             if size is None or not part.exists() or _length(part) != size:
                 self._persist(
@@ -153,11 +167,12 @@ class Server:
                     lambda: _length(part),
                 )
             digest = sha256_of(part)
-            if sha256 not in (None, digest):
+            if file.sha256 not in (None, digest):
                 part.unlink()
-                raise NotFetched(
-                    f"{self._shown(address)}: came with another digest than its publisher tells; "
-                    "try again, and tell them if it stays so"
+                raise self._not_fetched(
+                    address,
+                    "came with another digest than its publisher tells; try again, and tell them "
+                    "if it stays so",
                 )
             part.replace(to)
         except OSError as error:
@@ -183,12 +198,13 @@ class Server:
                 raise ConnectionError("the file has changed") from None
             raise
         with response:
-            told = response.headers.get("Content-Range", "")
-            resumed = response.status == 206 and told.startswith(f"bytes {have}-")
+            told = response.headers
+            resumed = response.status == 206
+            resumed = resumed and told.get("Content-Range", "").startswith(f"bytes {have}-")
             have = have if resumed else 0
-            mark = response.headers.get("ETag", "")
+            mark = told.get("ETag", "")
             marks["ETag"] = "" if mark.startswith("W/") else mark
-            rest = response.headers.get("Content-Length", "")
+            rest = told.get("Content-Length", "")
             whole = size
             if size is None and rest.isdecimal() and len(rest) < _MOST_DIGITS:
                 whole = have + int(rest)
@@ -214,10 +230,10 @@ class Server:
                 request.add_unredirected_header("Authorization", f"Bearer {self.token}")
             return _OPENER.open(request, timeout=_SECONDS)
         except (ValueError, http.client.InvalidURL):  # whose words may hold the token
-            raise NotFetched(
-                f"{self._shown(address)}: cannot be asked, for its address, the one it leads on to,"
-                " or the token is malformed; correct what names it, HF_ENDPOINT or SAPIEN_ENDPOINT,"
-                " or the token"
+            raise self._not_fetched(
+                address,
+                "cannot be asked, for its address, the one it leads on to, or the token is "
+                "malformed; correct what names it, HF_ENDPOINT or SAPIEN_ENDPOINT, or the token",
             ) from None
 
     def _persist(
@@ -240,33 +256,31 @@ class Server:
                 reason = printable(str(getattr(error, "reason", "") or error))[:100]
             failures = 0 if have() > before else failures + 1
             if failures > len(WAITS):
-                raise NotFetched(
-                    f"{self._shown(address)}: cannot be got ({reason}); what came is kept, run the "
-                    "same command later"
+                raise self._not_fetched(
+                    address,
+                    f"cannot be got ({reason}); what came is kept, run the same command later",
                 )
             self.stop.wait(max(wait, WAITS[max(failures, 1) - 1]))
             self._go_on(address)
 
     def _go_on(self, address: str) -> None:
         if self.stop.is_set():
-            raise NotFetched(f"{self._shown(address)}: interrupted; what came is kept")
+            raise self._not_fetched(address, "interrupted; what came is kept")
 
     def _too_large(self, address: str) -> NotFetched:
-        return NotFetched(
-            f"{self._shown(address)}: is larger than it should be; tell its publisher"
-        )
+        return self._not_fetched(address, "is larger than it should be; tell its publisher")
 
     def _refusal(self, address: str, code: int) -> NotFetched:
-        where = f"{self._shown(address)}: "
         if code in (401, 403):
             why = "the token is missing or wrong" if code == 401 else "access is not granted"
-            return AccessRefused(f"{where}{why} ({code}); {self.cure}")
+            return AccessRefused(f"{_shown(self.base + address)}: {why} ({code}); {self.cure}")
+        why = f"the server answers {code}; try again later"
         if code == 404:
-            return NotFetched(f"{where}is not there (404); look for its name at the publisher's")
-        return NotFetched(f"{where}the server answers {code}; try again later")
+            why = "is not there (404); look for its name at the publisher's"
+        return self._not_fetched(address, why)
 
-    def _shown(self, address: str) -> str:
-        return _shown(self.base + address)
+    def _not_fetched(self, address: str, why: str) -> NotFetched:
+        return NotFetched(f"{_shown(self.base + address)}: {why}")
 
 
 class RemoteFile(io.RawIOBase):
