@@ -224,10 +224,33 @@ def test_objects_may_have_other_numbers_of_parts(boxes, whole, monkeypatch):
 
 
 def test_all_poses_can_vote(boxes):
-    canonical = label_votes(boxes, truth, FEW, lambda _: None)
-    everything = label_votes(boxes, truth, Protocol(points=100, label_poses="all"), lambda _: None)
+    canonical, none = label_votes(boxes, truth, FEW, lambda _: None)
+    assert none is None
+    by_all = Protocol(points=100, label_poses="all")
+    again, everything = label_votes(boxes, truth, by_all, lambda _: None)
     np.testing.assert_allclose(canonical, 2 * np.eye(3))
+    np.testing.assert_allclose(again, canonical)
     np.testing.assert_allclose(everything, 6 * np.eye(3))
+    few = replace(by_all, states=1)
+    np.testing.assert_allclose(label_votes(boxes, truth, few, lambda _: None)[1], 4 * np.eye(3))
+
+
+def test_what_moves_parts_among_labels_costs_those_of_canonical_poses(boxes):
+    """Where predicted parts swap in all other poses, votes of all poses name them rightly there."""
+
+    def swapping(instance):
+        found = truth(instance)
+        swap = np.array([0, 2, 1])[found.part] if instance.state_index else found.part
+        return replace(found, part=swap, T_part=None, joints=None)
+
+    canonical = evaluate(boxes, swapping, FEW).means
+    both = evaluate(boxes, swapping, replace(FEW, label_poses="all")).means
+    assert both["label_iou"] == canonical["label_iou"]
+    assert "label_iou_all_poses" not in canonical
+    posed = both["label_iou_all_poses"]
+    count = FEW.states or 2
+    assert canonical["label_iou"] == pytest.approx((1 + count / 3) / (1 + count))
+    assert posed == pytest.approx((1 / 3 + count) / (1 + count))
 
 
 def test_the_joint_aware_reading_turns_about_the_axis():

@@ -1,5 +1,7 @@
 """The tables beside the paper's: the right numbers in the right cells, and none made up."""
 
+from itertools import pairwise
+
 import pytest
 
 from articugen.core.errors import InvalidCheckpoint
@@ -23,88 +25,124 @@ def evaluation(means):
     )  # fmt: skip
 
 
-def result(category="laptop", variant=paper.COMPLETE, poses="canonical", method="ppd", **means):
-    known = {"label_iou": 0.5, "epe_joint_all": 0.03, "f_score": 12.0, "no_surface": 0.25} | means
-    run = EvaluatedRun(
-        method=method, category=category, variant=variant, label_poses=poses, recipe="r", seed=3,
-        iterations=9, resolution=32, finer=64,
-    )  # fmt: skip
+def result(category="laptop", variant=paper.COMPLETE, **more):
+    about = {"recipe": "r", "seed": 3, "iterations": 9, "resolution": 32, "finer": 64}
+    about |= {name: more.pop(name) for name in [*more] if name in EvaluatedRun.model_fields}
+    known = {"label_iou": 0.5, "epe_joint_all": 0.03, "f_score": 12.0, "no_surface": 0.25} | more
+    run = EvaluatedRun(category=category, variant=variant, **about)
     return RunEvaluation(run=run, **dict(evaluation(known)))
 
 
 def rows(text):
-    """The cells of every row, by the row's first two."""
-    split = [[c.strip() for c in line.strip("|").split("|")] for line in text.splitlines()]
-    return {tuple(cells[:3]): cells[3:] for cells in split if len(cells) > 3}
+    """The cells of every row by its table's title and its own."""
+    cells, title = {}, ""
+    for before, line in pairwise(["", *text.splitlines()]):
+        row = [cell.strip() for cell in line.strip("|").split(" | ")]
+        title = row[0] if not before else title
+        if line.startswith("| "):
+            cells[title, row[0]] = row[1:]
+    return cells
 
 
 def test_the_paper_s_numbers_stand_beside_ours():
-    told = rows(tables([result()]))
-    assert told["2", "label IoU, %", "laptop"] == [
-        "**50.00**",
-        "86.81",
-        "25.11*",
-        "76.68",
-        "74.44",
-        "",
-    ]
-    assert ("2", "label IoU, %, meshes on 64^3", "laptop") not in told
-    told = rows(tables([result(finer_label_iou=0.75)]))
-    assert told["2", "label IoU, %, meshes on 64^3", "laptop"][:2] == ["**75.00**", "86.81"]
-    assert told["2", "label IoU, %", "laptop"][0] == "**50.00**"
-    assert told["3", "EPE x 100, joint-aware", "laptop"] == [
-        "**3.000**",
-        "2.546",
-        "",
-        "",
-        "",
-        "0.751",
-    ]
-    assert told["4", "F-score", "laptop"] == ["**12.00**", "39.27", "30.97", "65.90", "83.71", ""]
-    assert not any(name[1] == "Chamfer-L1 x 100" for name in told)  # not measured, not shown
+    text = tables([result(finer_label_iou=0.75, label_iou_all_poses=0.625)])
+    labels = rows(text)
+    assert labels["laptop, shapes", "laptop, shapes"] == ["T3 EPE", "T4 F-score"]
+    assert labels["laptop, shapes", "r"] == ["3.000", "12.00"]  # Chamfer-L1 was not measured
+    assert labels["laptop, shapes", "paper: NSD, 10 parts"] == ["-", "83.71"]
+    assert labels["laptop, labels", "laptop, labels"] == [
+        "T2 label IoU", "T2 finer", "T8 all poses", "T8 less T2",
+    ]  # fmt: skip
+    assert labels["laptop, labels", "floor"] == ["25.00", "25.00", "25.00", "-"]
+    assert labels["laptop, labels", "paper: PPD, 8 parts"] == ["86.81", "86.81", "86.80", "-0.01"]
+    assert labels["laptop, labels", "r"] == ["50.00", "75.00", "62.50", "12.50"]
+    assert labels["laptop, labels", "paper: BSP-Net, 256 parts"][2:] == ["86.21", "9.53"]
+    assert labels["laptop, labels", "paper: BSP-Net, 8 parts"] == ["-", "-", "82.64", "-"]
+    assert "25.11*" in text
+    assert "one part stands for the whole shape" in text
+    assert max(map(len, text.splitlines())) <= 100
 
 
-def test_pose_estimators_have_a_table_of_their_own_with_blanks_for_what_is_not_known():
+def test_seeds_become_mean_and_spread():
+    """Of a seed that was evaluated twice the last counts; other settings are another row."""
+    same = [result(seed=s, label_iou=v) for s, v in ((0, 0.1), (1, 0.4), (2, 0.5), (0, 0.3))]
+    other = result(seed=0, label_iou=0.9, recipe_sha256="ab12" + "0" * 60)
+    cells = rows(tables(same))
+    assert cells["laptop, labels", "r"] == ["40.00"]
+    assert cells["laptop, labels", "± of 3 seeds"] == ["10.00"]  # of 30, 40, 50
+    assert cells["recipe", "r"] == ["2", "-", "9", "-", "3"]
+    cells = rows(tables([*same, other]))
+    assert cells["laptop, labels", "r #ab12"] == ["90.00"]
+    assert cells["laptop, labels", "r #"] == ["40.00"]
+
+
+def test_it_is_said_how_large_what_is_and_what_it_is_given():
+    known = result(knows="groups", parameters=1234567, seconds=600.0)
+    taught = result(method="npcs", knows="labels", recipe="npcs")
+    text = tables([known, taught, result(method="bae", recipe="bae")])
+    assert rows(text)["recipe", "r (g)"] == ["2", "1,234,567", "9", "10.0", "1"]
+    assert ("recipe", "paper: NSD") not in rows(text)
+    assert rows(text)["recipe", "paper: BAE-Net"] == ["8", "5,252,000", "-", "-", "-"]
+    assert "(g): training is given which instances show one object." in text
+    assert "(s): supervised" in text
+    assert "(g)" not in tables([taught])
+    text = tables([known], {"nsd": "data/x: holds no points; make them"})
+    assert "Not trained: nsd: data/x: holds no points; make them" in text
+
+
+def test_pose_estimators_have_a_table_of_their_own_with_dashes_for_what_is_not_known():
     known = {
         "matched_part_iou": 0.9, "matched_rotation_degrees_all": 5.5,
         "matched_direction_degrees": 4.0, "matched_pivot_distance": 0.0312,
     }  # fmt: skip
-    segments = result(method="bae", variant="bae")
+    segments = result(method="bae", recipe="bae")
     segments = segments.model_copy(update={"means": {"matched_part_iou": 0.5}})
-    text = tables([result(**known), result("oven"), segments])
-    lines = {
-        line.split(" | ")[0]: [cell.strip(" *") for cell in line.strip("|").split("|")]
-        for line in text.splitlines()
-    }
-    assert lines["| laptop, ppd"][1:3] == ["90.0", "5.50"]
-    assert lines["| laptop, ppd"][6:] == ["4.00", "3.12", "", ""]
-    assert lines["| laptop, bae"][1:] == ["50.0", *[""] * 8]
-    assert "| oven, ppd" not in lines  # evaluated before there were such measures
-    assert "as SCAPO and OP-Align measure" not in tables([result("oven")])
+    cells = rows(tables([result(**known), segments]))
+    title = "laptop, as SCAPO and OP-Align"
+    assert cells[title, title] == ["part IoU", "turn °", "axis °", "pivot"]
+    assert cells[title, "r"] == ["90.0", "5.50", "4.00", "3.12"]
+    assert cells[title, "bae"] == ["50.0", "-", "-", "-"]
+    assert "as SCAPO and OP-Align" not in tables([result("oven")])
 
 
-def test_labels_by_all_poses_have_their_own_table():
-    told = rows(tables([result(poses="all")]))
-    assert told["8", "label IoU, %", "laptop"][1] == "86.80"
-
-
-def test_the_mean_needs_all_five_categories():
+def test_several_categories_are_columns_and_the_mean_needs_all_five():
     four = [result(c, label_iou=0.1 * i) for i, c in enumerate(paper.CATEGORIES[:4])]
-    assert ("2", "label IoU, %", "mean") not in rows(tables(four))
-    told = rows(tables([*four, result("washing_machine", label_iou=0.4)]))
-    assert told["2", "label IoU, %", "mean"][:2] == ["**20.00**", "80.99"]
+    title = "table 2: label IoU, %"
+    cells = rows(tables(four))
+    assert cells[title, title] == [*paper.CATEGORIES[:4]]
+    assert cells[title, "r"] == ["0.00", "10.00", "20.00", "30.00"]
+    cells = rows(tables([*four, result("washing_machine", label_iou=0.4)]))
+    assert cells[title, title][-1] == "mean"
+    assert cells[title, "r"][-2:] == ["40.00", "20.00"]
+    assert cells[title, "paper: PPD, 8 parts"][-1] == "80.99"
+
+
+def test_the_paper_s_numbers_were_typed_rightly():
     for table in (paper.LABEL_IOU, paper.EPE, paper.F_SCORE, paper.CHAMFER_L1):
-        for numbers in table.values():
+        for method, numbers in table.items():
+            if (method, numbers[0]) == ("bsp8", ""):
+                continue
             *each, mean = (float(n.rstrip("*")) for n in numbers)
-            assert sum(each) / 5 == pytest.approx(mean, abs=0.006)  # nothing was mistyped
+            assert sum(each) / 5 == pytest.approx(mean, abs=0.006)
+    for method, numbers in paper.LABEL_IOU_ALL_POSES.items():
+        *each, mean = map(float, numbers)
+        assert sum(each) / 5 == pytest.approx(mean, abs=0.006)
+        change = mean - float(paper.LABEL_IOU[method][-1])
+        assert float(paper.DIFFERENCE[method][-1]) == pytest.approx(change, abs=0.0101)
 
 
 def test_a_run_is_counted_in_its_own_row_of_the_ablation():
-    told = tables([result(), result("oven", "w/o L_adv_g"), result("oven", "w/o L_vol, CS")])
-    assert "| w/o L_adv_g (here: oven by r) | **50.00** | 70.14 | **3.000** | 7.276 |" in told
-    assert "| w/ all (here: laptop by r) | **50.00** | 80.99 | **3.000** | 2.988 |" in told
-    assert "| w/o L_vol, CS (here: oven by r) | **50.00** |  | **3.000** |  |" in told
-    assert "| w/o CS |  | 55.67 |  | 8.827 |" in told
+    text = tables(
+        [result(recipe="a"), result("oven", "w/o L_adv_g"), result(variant="w/o L_vol", recipe="v")]
+    )
+    lines = [line.strip("| ") for line in text.split("table 5")[1].splitlines()]
+    names = [line.split(" | ")[0].strip() for line in lines]
+    at = names.index("paper: w/o L_adv_g")
+    assert lines[at + 1].split() == ["r", "|", "50.00", "|", "3.000"]
+    assert names[names.index("paper: w/ all") + 1] == "a"
+    assert names[names.index("paper: w/o CS") + 1] == "paper: w/o CP"
+    assert lines[at].split()[3:] == ["|", "70.14", "|", "7.276"]
+    assert "table 5" not in tables([result()])
 
 
 def test_lines_through_joint_states_are_told():
@@ -127,20 +165,16 @@ def test_what_failed_is_told():
 
 
 def test_depth_input_has_its_row():
-    seen = result(method="ppd_depth")
-    run = seen.run.model_copy(update={"input": "depth"})
-    seen = seen.model_copy(update={"run": run, "means": {"f_score": 7.0}})
-    depth = "| depth (here: laptop by r) | **7.00** | 28.99 |  | 80.65 |  | 3.203 |"
-    both = tables([result(), seen])
-    assert depth in both
-    assert "| complete (here: laptop by r) | **12.00** | 31.42 |" in both
-    assert both.replace(depth, "| depth | | 28.99 |  | 80.65 |  | 3.203 |") == tables(
-        [result()]
-    ).replace("| depth |  | 28.99", "| depth | | 28.99")
-    alone = tables([seen])
-    assert depth in alone
-    assert rows(alone)["4", "F-score", "laptop"][0] == "**7.00**"
-    assert "table 5" not in alone
+    by_depth = result(method="ppd_depth", input="depth")
+    by_depth = by_depth.model_copy(update={"means": {"f_score": 7.0}})
+    cells, title = rows(tables([result(), by_depth])), "laptop, table 6: input"
+    assert cells[title, "r, depth"] == ["7.00", "-", "-"]
+    assert cells[title, "r"] == ["12.00", "50.00", "3.000"]
+    assert cells[title, "paper: depth"] == ["28.99", "80.65", "3.203"]
+    assert "table 6" not in tables([result()])
+    cells = rows(tables([by_depth]))
+    assert cells["laptop, shapes", "r, depth"] == ["7.00"]
+    assert "table 5" not in tables([by_depth])
 
 
 def test_recipes_know_their_row():
@@ -167,14 +201,14 @@ def test_an_evaluation_is_read_as_it_was_written(tmp_path):
 
 
 def test_another_method_stands_beside_ppd_and_not_in_its_ablation():
-    """A method that only segments: a column of its own, blank where it measures nothing."""
-    segments = result(method="bae", variant="bae")
+    """A method that only segments: a dash where it measures nothing."""
+    segments = result(method="bae", recipe="bae")
     segments = segments.model_copy(update={"means": {"label_iou": 0.25}})
-    told = rows(tables([result(), segments]))
-    assert told["table", "metric", "category"][:3] == ["here: ppd", "here: bae", "PPD, paper"]
-    assert told["2", "label IoU, %", "laptop"][:3] == ["**50.00**", "**25.00**", "86.81"]
-    assert told["3", "EPE x 100, joint-aware", "laptop"][:3] == ["**3.000**", "", "2.546"]
-    assert "table 5" in tables([result(), segments])
-    assert "bae by r" not in tables([result(), segments])
+    text = tables([result(), result(variant="w/o CS", recipe="c"), segments])
+    cells = rows(text)
+    assert cells["laptop, shapes", "bae"] == ["-", "-"]
+    assert "| bae " not in text.split("table 5")[1]
+    names = [name for _, name in cells]
+    assert names.index("bae") > names.index("r")
     assert "table 5" not in tables([segments])
     assert "label IoU" in markdown(segments)

@@ -156,10 +156,10 @@ def evaluate(
         ),
     ] = None,
     label_poses: Annotated[
-        str, typer.Option(help="Whose poses vote for labels: canonical or all.")
+        str, typer.Option(help="Whose poses vote for labels: canonical, or all as well.")
     ] = "canonical",
     states: Annotated[
-        int, typer.Option(min=0, help="Random states a test object; 0 means all, as in the paper.")
+        int, typer.Option(min=0, help="Random states an object; 0 means all, as in the paper.")
     ] = 8,
     on: Annotated[
         Path | None,
@@ -196,9 +196,9 @@ def evaluate(
                     stdout.print(f"drawn: {path}", soft_wrap=True)
 
 
-@app.command(epilog="Example: articugen tables runs/* --figure examples.png")
+@app.command(epilog="Example: articugen tables runs --figure examples.png")
 def tables(
-    runs: Annotated[list[Path], typer.Argument(help="Folders of runs that were evaluated.")],
+    runs: Annotated[list[Path], typer.Argument(help="Folders with evaluated runs in them.")],
     figure: Annotated[
         Path | None,
         typer.Option(help="Draw a test object of each run in three states into this PNG as well."),
@@ -213,7 +213,7 @@ def tables(
         ),
     ] = None,
 ) -> None:
-    """Print the paper's tables over several evaluated runs: categories, ablations, inputs."""
+    """Print the paper's tables over all evaluated runs in folders, seeds as mean and spread."""
     if data and not figure:
         raise typer.BadParameter("--data is what --figure draws; name that too")
     with said():

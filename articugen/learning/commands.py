@@ -145,8 +145,8 @@ def evaluate(
         protocol: `paper`, or one of the method's own.
         resolution: of the meshes' grid; None is the protocol's. The paper's measures labels on a
             finer one as well.
-        label_poses: whose poses vote for labels, `canonical` or `all`.
-        states: random states a test object; None is all, as in the paper.
+        label_poses: whose poses vote for labels, `canonical`, or `all` for another label IoU too.
+        states: random states an object; None is all, as in the paper.
         threads: of the CPU, which wait for each other where one cloud is looked at after the
             other; 0 leaves it to torch.
         on: the folder of another data set, all objects of which are tested instead: none of them
@@ -175,7 +175,7 @@ def evaluate(
         by.evaluate,
         Path(data),
         protocol=Protocol(
-            label_poses=label_poses, test_states=states, occupancy=point.recipe.data.occupancy
+            label_poses=label_poses, states=states, occupancy=point.recipe.data.occupancy
         ),
         category=point.category,
         on=None if on is None else Path(on),
@@ -196,7 +196,9 @@ def evaluate(
     measured = measure(at(resolution), **({"finer": at(finer)} if finer else {}))
     evaluated = EvaluatedRun(
         **point.about(), input="depth" if partial_clouds else "complete", protocol=protocol,
-        label_poses=label_poses, states=states, resolution=resolution, finer=finer,
+        label_poses="both" if label_poses == "all" else "canonical", states=states,
+        knows=learner.inputs.knows, parameters=learner.parameters, resolution=resolution,
+        finer=finer, seconds=RunFolder(folder).seconds(),
         on=None if on is None else str(on),
     )  # fmt: skip
     result = RunEvaluation(run=evaluated, **dict(measured))
@@ -233,8 +235,23 @@ def draw(run: FolderLike, data: FolderLike, result: RunEvaluation) -> Iterator[P
 
 
 def tables(runs: Sequence[FolderLike]) -> str:
-    """Return the paper's tables over several evaluated runs: categories, ablations, inputs."""
-    return written([read_evaluation(newest(run)) for run in runs])
+    """Return the paper's tables over all evaluated runs in these folders."""
+    return written([read_evaluation(run) for run in evaluated(runs)])
+
+
+def evaluated(folders: Sequence[FolderLike]) -> list[Path]:
+    """Return the folders of the evaluated runs in these folders; the newest of each comes last.
+
+    Raises:
+        InvalidCheckpoint: a folder holds none.
+    """
+    runs: list[Path] = []
+    for folder in map(Path, folders):
+        there = [path.parents[1] for path in folder.rglob("evaluation/evaluation.json")]
+        runs += sorted(there, key=lambda run: [(len(part), part) for part in run.parts])
+        if not there:
+            read_evaluation(newest(folder))  # which says what is missing
+    return runs
 
 
 def draw_examples(
@@ -257,7 +274,7 @@ def draw_examples(
     from articugen.learning.evaluation.figures import draw as figures  # noqa: PLC0415
 
     examples = []
-    for folder in map(newest, runs):
+    for folder in evaluated(runs):
         result, point = read_evaluation(folder), read_checkpoint(folder / LATEST)
         own = Path(data or RunFolder(folder).about()["data"]["folder"])
         own = own / point.category if data and (own / point.category).is_dir() else own

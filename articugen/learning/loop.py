@@ -7,7 +7,7 @@ resumed draws the same curve as one that was not.
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -161,6 +161,7 @@ class Course:
     Attributes:
         seed: of the batches and everything drawn.
         iteration, best: how many iterations are done; the lowest validation loss so far.
+        begun: the clock's seconds where the first iteration began, had nothing interrupted the run.
     """
 
     learner: Learner
@@ -171,7 +172,12 @@ class Course:
     seed: int
     iteration: int = 0
     best: float = math.inf
-    since: float = field(default_factory=time.perf_counter)
+    begun: float = 0.0
+
+    def clock(self) -> float:
+        """Return seconds of this process's CPU time, or of the clock where a GPU learns."""
+        on_cpu = self.training.surface.device.type == "cpu"
+        return time.process_time() if on_cpu else time.perf_counter()
 
     def keep(self, name: str) -> None:
         """Write a checkpoint of where it stands."""
@@ -199,7 +205,7 @@ class Course:
         plan = self.learner.settings.schedule
         self.iteration = iteration + 1
         if terms:
-            seconds = round(time.perf_counter() - self.since, 2)
+            seconds = round(self.clock() - self.begun, 2)
             about = {"terms": terms, "learning_rate": plan.rate_at(iteration)}
             stage = plan.index_at(iteration)
             log({"iteration": self.iteration, "stage": stage, **about, "seconds": seconds})
@@ -274,6 +280,7 @@ def follow(course: Course, stop_after: int | None, on_progress: Tell) -> RunFold
         )
         training = course.training = course.training.for_batches()
     with course.run.metrics_from(course.iteration) as log:
+        course.begun = course.clock() - course.run.seconds()
         for iteration in range(
             course.iteration, min(plan.iterations, stop_after or plan.iterations)
         ):

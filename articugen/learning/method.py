@@ -56,6 +56,12 @@ class Learner(Protocol):
     inputs: BatchSpec
     """What batches and held-out objects must hold."""
 
+    @property
+    def parameters(self) -> int | None:
+        """How many numbers are learned for predictions: those of `network`, if there is one."""
+        network = getattr(self, "network", None)
+        return network and sum(p.numel() for p in network.parameters() if p.requires_grad)
+
     def begin(
         self, training: PackedSplit, beside: Path, tell: Callable[[str], None] = lambda _: None
     ) -> None:

@@ -35,6 +35,10 @@ class OnePartLearner(Learner):
         self.settings = settings
         self.inputs = BatchSpec.of(settings.data)
 
+    @property
+    def parameters(self) -> int:
+        return 0
+
     def learn(self, batch: Batch, rng: torch.Generator | None, *, iteration: int) -> Terms:
         return {"nothing": batch.cloud.new_zeros(())}
 

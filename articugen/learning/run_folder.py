@@ -141,6 +141,7 @@ class Checkpoint:
             "variant": self.recipe.variant,
             "seed": self.seed,
             "iterations": self.iteration,
+            "recipe_sha256": self.recipe.sha256(),
             "commit": this_commit(),
         }
 
@@ -344,6 +345,14 @@ class RunFolder:
         lines = _read(path).split(b"\n")[:-1]
         numbered = ((f"{path}: line {n}", line) for n, line in enumerate(lines, start=1))
         return [_parsed(_Line, line, at).model_dump(exclude_unset=True) for at, line in numbered]
+
+    def seconds(self) -> float:
+        """Return what the iterations took, of all seeds where several raced: CPU time, or the
+        clock's on a GPU."""
+        raced = sorted(self.path.glob("seeds/*"))
+        if raced:
+            return sum(RunFolder(path).seconds() for path in raced)
+        return max((line.get("seconds", 0.0) for line in self.metrics()), default=0.0)
 
     def forget_after(self, iteration: int) -> None:
         """Drop metrics of later iterations."""

@@ -1,7 +1,7 @@
 """What a learner asks for, and what it is given in one step."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from torch import Tensor
 
@@ -47,6 +47,13 @@ class BatchSpec:
     def of(data: DataSettings, **more: Any) -> "BatchSpec":
         """What a recipe says, and more."""
         return BatchSpec(**data.model_dump(exclude={"validation_objects"}), **more)
+
+    @property
+    def knows(self) -> Literal["", "groups", "labels"]:
+        """What training is given beside shapes: true parts, or which instances show one object."""
+        if self.parts or self.motions:
+            return "labels"
+        return "groups" if self.poses or self.varying_points else ""
 
 
 @dataclass(frozen=True)

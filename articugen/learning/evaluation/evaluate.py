@@ -48,8 +48,9 @@ class Protocol:
 
     Attributes:
         points: surface points a true part.
-        label_poses: whether the canonical poses of training objects vote, or all of them.
-        test_states: at most so many random states of a test object; None means all.
+        label_poses: `canonical`, those of training objects vote; `all`, there is another label IoU
+            by the votes of `states` as well.
+        states: at most that many random states of an object count; None means all.
         f_threshold: of the F-score, in the unit frame; the paper names none.
         surface_samples: points on the predicted surface for F-score and Chamfer-L1.
         occupancy: what the reconstruction IoU compares with: what is `visible`, or `material`.
@@ -57,7 +58,7 @@ class Protocol:
 
     points: int = 1000
     label_poses: str = "canonical"
-    test_states: int | None = None
+    states: int | None = None
     f_threshold: float = 0.01
     surface_samples: int = 8192
     occupancy: str = "visible"
@@ -65,9 +66,11 @@ class Protocol:
 
 @dataclass
 class Tally:
-    """What has been measured so far, by votes (P, K) that are cast already."""
+    """What has been measured so far, by votes (P, K) that are cast already: those of canonical
+    poses, and of all if those were asked."""
 
     votes: Floats
+    all_votes: Floats | None = None
     objects: int = 0
     values: dict[str, list[float]] = field(default_factory=dict)
     joint_states: list[JointState] = field(default_factory=list)
@@ -76,10 +79,18 @@ class Tally:
     def __post_init__(self) -> None:
         self.labels = metrics.labels_from(self.votes)
         self.dominant = metrics.dominant_labels(self.votes)
+        by_all = self.votes if self.all_votes is None else self.all_votes
+        self.labels_by_all = metrics.labels_from(by_all)
 
     def add(self, **values: float) -> None:
         for name, value in values.items():
             self.values.setdefault(name, []).append(value)
+
+    def add_label_iou(self, near: Ints, true: Ints, prefix: str = "") -> None:
+        """Add the label IoU of points (n,) by their nearest predicted parts and their true ones."""
+        self.add(**{f"{prefix}label_iou": _label_iou(self.labels, near, true)})
+        if self.all_votes is not None and not prefix:
+            self.add(label_iou_all_poses=_label_iou(self.labels_by_all, near, true))
 
     def evaluation(self, left_out: LeftOut | None = None) -> Evaluation:
         return Evaluation(
@@ -124,8 +135,8 @@ def evaluate(
         UnfitData: a data set has no training or no test object, or is of another category.
     """
     check_splits(data, category, on)
-    tally = Tally(label_votes(data, reconstruct, protocol, on_object))
-    for canonical, *posed in tested(data, on, protocol.test_states):
+    tally = Tally(*label_votes(data, reconstruct, protocol, on_object))
+    for canonical, *posed in tested(data, on, protocol.states):
         tally.objects += 1
         first = reconstruct(canonical)
         _measure_shape(tally, canonical, first, protocol)
@@ -141,8 +152,7 @@ def evaluate(
                     tally.add(**{name: error})
         if finer:
             for instance in (canonical, *posed):
-                near, true = _nearest_parts(instance, finer(instance), protocol)
-                tally.add(finer_label_iou=_label_iou(tally, near, true))
+                tally.add_label_iou(*_nearest_parts(instance, finer(instance), protocol), "finer_")
         on_object(canonical.object_id)
     return tally.evaluation()
 
@@ -173,19 +183,25 @@ def tested(data: Path, on: Path | None, states: int | None) -> Iterator[list[Ins
 
 def label_votes(
     data: Path, reconstruct: Reconstruct, protocol: Protocol, on_object: Callable[[str], None]
-) -> Floats:
-    """(P, K) the votes of the training instances, summed; K parts of the object that has most."""
-    states = 0 if protocol.label_poses == "canonical" else None
-    ballots = []
-    for instances in objects_of(data, "train", states):
+) -> tuple[Floats, Floats | None]:
+    """Return (P, K) the votes of the training objects' canonical instances, summed, and those of
+    all instances if the protocol asks for them; K parts of the object that has most."""
+    of_all = protocol.label_poses == "all"
+    ballots, more = [], []
+    for instances in objects_of(data, "train", protocol.states if of_all else 0):
         for instance in instances:
             points, true = surface_of(instance, protocol.points)
             found = reconstruct(instance)
             near = metrics.nearest_part(points, found.triangles, found.part, found.parts)
-            ballots.append(metrics.votes(near, true, found.parts, len(instance.part_motion)))
+            cast = metrics.votes(near, true, found.parts, len(instance.part_motion))
+            (more if instance.state_index else ballots).append(cast)
         on_object(instances[0].object_id)
     most = max(ballot.shape[1] for ballot in ballots)
-    return np.sum([np.pad(b, ((0, 0), (0, most - b.shape[1]))) for b in ballots], axis=0)
+    first, others = (
+        sum((np.pad(b, ((0, 0), (0, most - b.shape[1]))) for b in some), np.zeros(()))
+        for some in (ballots, more)
+    )
+    return first, first + others if of_all else None
 
 
 def objects_of(data: Path, split: str | None, states: int | None) -> Iterator[list[Instance]]:
@@ -215,10 +231,8 @@ def _measure_shape(
 ) -> Matching:
     near, true = _nearest_parts(instance, found, protocol)
     matched = matching(near, true, instance, found.parts)
-    tally.add(
-        label_iou=_label_iou(tally, near, true),
-        matched_part_iou=float(np.nanmean(matched.iou)),
-    )
+    tally.add_label_iou(near, true)
+    tally.add(matched_part_iou=float(np.nanmean(matched.iou)))
     grid = instance.occupancy.get(len(found.occupied))
     if grid is not None:
         true_grid = is_material(grid) if protocol.occupancy == "material" else grid > 0
@@ -249,8 +263,8 @@ def _nearest_parts(
     return metrics.nearest_part(points, found.triangles, found.part, found.parts), true
 
 
-def _label_iou(tally: Tally, near: Ints, true: Ints) -> float:
-    return metrics.label_iou(np.where(near == NO_LABEL, NO_LABEL, tally.labels[near]), true)
+def _label_iou(labels: Ints, near: Ints, true: Ints) -> float:
+    return metrics.label_iou(np.where(near == NO_LABEL, NO_LABEL, labels[near]), true)
 
 
 def _voxels_label_iou(grid: NDArray[np.uint8], points: Floats, true: Ints) -> float:

@@ -1,51 +1,86 @@
-"""What evaluations look like: Markdown tables beside the paper's."""
+"""What evaluations look like: tables in Markdown, aligned to be read in a terminal."""
 
-from collections.abc import Mapping, Sequence
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from articugen.learning.evaluation import paper
-from articugen.learning.evaluation.results import Evaluation, JointLine, RunEvaluation
-
-OTHER_DATA = (
-    "The paper's numbers were measured on other data: a yardstick, not the same test. Failed "
-    "instances are counted as failed."
+from articugen.learning.evaluation.results import (
+    EvaluatedRun,
+    Evaluation,
+    JointLine,
+    RunEvaluation,
 )
 
-MEANS = "In tables 5 and 6 EPE is joint-aware; the paper's columns are means of its categories."
+OTHER_DATA = """\
+The paper's rows were measured on other data: a yardstick, not the same test. Failed
+instances are counted as failed. Floor: one part for everything, which scores 1 / K^2 where there
+are K true parts; nothing moves. ± is the standard deviation over seeds; - was not measured.
+T2: the paper's Table 2."""
 
-MATCHED = (
-    "Parts matched in every instance by the points they share, not by votes; lengths of the unit "
-    "frame; what has no part does not move, and its joint is 90° and the cube's diagonal off."
+MARKS = {"": "", "groups": " (g)", "labels": " (s)"}
+KNOWN = {
+    "groups": "(g): training is given which instances show one object.",
+    "labels": "(s): supervised, training is given the true parts.",
+}
+
+MATCHED = """\
+Parts matched in every instance by the points they share, not by votes; lengths x 100 of the unit
+frame; what has no part does not move, and its joint is 90° and the cube's diagonal off."""
+
+
+class Metric(NamedTuple):
+    """A measure: the paper's table, what a narrow column and a table of its own are called, our
+    name, factor and decimals, and the paper's numbers."""
+
+    table: str
+    header: str
+    title: str
+    name: str
+    factor: float
+    decimals: int
+    theirs: paper.Numbers = {}  # noqa: RUF012 - never changed
+
+
+LABELS = (
+    Metric("2", "label IoU", "label IoU, %", "label_iou", 100.0, 2, paper.LABEL_IOU),
+    Metric("2", "finer", "label IoU, %, finer meshes", "finer_label_iou", 100.0, 2,
+           paper.LABEL_IOU),
+    Metric("8", "all poses", "label IoU, %, all poses vote", "label_iou_all_poses", 100.0, 2,
+           paper.LABEL_IOU_ALL_POSES),
+    Metric("8", "less T2", "all poses less canonical ones", "difference", 100.0, 2,
+           paper.DIFFERENCE),
+    Metric("9", "parts", "assigned parts", "assigned_parts", 1.0, 2, paper.ASSIGNED_PARTS),
+    Metric("9", "kinds, %", "part type accuracy, %", "type_accuracy", 1.0, 2, paper.TYPE_ACCURACY),
+)  # fmt: skip
+SHAPES = (
+    Metric("3", "EPE", "EPE x 100, by joints", "epe_joint_all", 100.0, 3, paper.EPE),
+    Metric("3", "by transforms", "EPE x 100, by transforms", "epe_transform_all", 100.0, 3,
+           paper.EPE),
+    Metric("4", "F-score", "F-score", "f_score", 1.0, 2, paper.F_SCORE),
+    Metric("4", "Chamfer-L1", "Chamfer-L1 x 100", "chamfer_l1", 100.0, 3, paper.CHAMFER_L1),
+)  # fmt: skip
+POSES = (
+    Metric("", "part IoU", "", "matched_part_iou", 100.0, 1),
+    Metric("", "turn °", "", "matched_rotation_degrees_all", 1.0, 2),
+    Metric("", "moving", "", "matched_rotation_degrees_moving", 1.0, 2),
+    Metric("", "shift", "", "matched_translation_all", 100.0, 2),
+    Metric("", "moving", "", "matched_translation_moving", 100.0, 2),
+    Metric("", "axis °", "", "matched_direction_degrees", 1.0, 2),
+    Metric("", "pivot", "", "matched_pivot_distance", 100.0, 2),
+    Metric("", "state °", "", "matched_state_degrees", 1.0, 2),
+    Metric("", "state", "", "matched_state_length", 100.0, 2),
 )
+"""`matched` says what they are."""
 
-_LABELS = {"canonical": ("2", paper.LABEL_IOU), "all": ("8", paper.LABEL_IOU_ALL_POSES)}
-"""By whose poses vote: the paper's table, and its numbers."""
-
-_METRICS = (
-    ("EPE x 100, joint-aware", 3, "3", "epe_joint_all", 100.0, paper.EPE),
-    ("EPE x 100, transform only", 3, "3", "epe_transform_all", 100.0, paper.EPE),
-    ("F-score", 2, "4", "f_score", 1.0, paper.F_SCORE),
-    ("Chamfer-L1 x 100", 3, "4", "chamfer_l1", 100.0, paper.CHAMFER_L1),
-    ("assigned parts", 2, "9", "assigned_parts", 1.0, paper.ASSIGNED_PARTS),
-    ("part type accuracy, %", 2, "9", "type_accuracy", 1.0, paper.TYPE_ACCURACY),
-)
-"""Title, decimals, the paper's table, our name and factor, the paper's numbers."""
-
-_MATCHED = (
-    ("part IoU, %", 1, "matched_part_iou", 100.0),
-    ("rotation, °", 2, "matched_rotation_degrees_all", 1.0),
-    ("of moving parts", 2, "matched_rotation_degrees_moving", 1.0),
-    ("translation x 100", 2, "matched_translation_all", 100.0),
-    ("of moving parts", 2, "matched_translation_moving", 100.0),
-    ("joint direction, °", 2, "matched_direction_degrees", 1.0),
-    ("pivot x 100", 2, "matched_pivot_distance", 100.0),
-    ("state, °", 2, "matched_state_degrees", 1.0),
-    ("state x 100", 2, "matched_state_length", 100.0),
-)
-"""Title, decimals, our name and factor; `matched` says what they are."""
-
-_HEADERS = ("PPD, paper", "BAE", "BSP-Net", "NSD", "NPCS (supervised)")
+MEAN = "mean"
+"""Of the paper's categories, where there are all."""
+THERE = ""
+"""The mean of the categories that there are."""
 
 _DETAILS = (
     ("EPE x 100, joint-aware, all voted parts", "epe_joint_all", 100.0),
@@ -59,142 +94,220 @@ _DETAILS = (
 )
 
 
+@dataclass(frozen=True)
+class Line:
+    """The runs of one recipe: a row of the tables."""
+
+    title: str
+    runs: tuple[RunEvaluation, ...]
+
+    @property
+    def run(self) -> EvaluatedRun:
+        """Which run the first is."""
+        return self.runs[0].run
+
+    def values(self, metric: Metric, category: str) -> list[float]:
+        """Return a measure of each seed; of a mean of categories one value."""
+        if category in (MEAN, THERE):
+            names = dict.fromkeys(r.run.category for r in self.runs)
+            some = [self.values(metric, c) for c in (paper.CATEGORIES if category else names)]
+            if len(some) == 1 or not all(some):
+                return some[0] if len(some) == 1 else []
+            return [float(np.mean([np.mean(each) for each in some]))]
+        numbers = [_measured(r, metric.name) for r in self.runs if r.run.category == category]
+        return [metric.factor * number for number in numbers if number is not None]
+
+    def rows(self, columns: Sequence[Column]) -> Iterator[list[str]]:
+        """Yield the row of means, and one of their spread over several seeds."""
+        cells = [(m, self.values(m, category)) for _, m, category in columns]
+        yield [self.title, *(f"{np.mean(v):.{m.decimals}f}" if v else "-" for m, v in cells)]
+        if (most := max(len(v) for _, v in cells)) > 1:
+            spread = [f"{np.std(v, ddof=1):.{m.decimals}f}" if len(v) > 1 else "" for m, v in cells]
+            yield [f"  ± of {most} seeds", *spread]
+
+
+Column = tuple[str, Metric, str]
+"""A header, and what is below it: a measure of a category."""
+
+
 def markdown(result: RunEvaluation) -> str:
     """Return one evaluation: who was evaluated, the paper's tables, all else that was measured."""
     run = result.run
     others = "test objects" if run.on is None else f"objects of {run.on}, none trained on"
+    poses = "canonical poses" + (", and by all" if run.label_poses == "both" else "")
     about = (
         f"{run.category}: {result.objects} {others}, {result.instances} instances. "
         f"Recipe {run.recipe} ({run.variant}), seed {run.seed}, {run.iterations} "
-        f"iterations; meshes on {run.resolution}^3, labels by {run.label_poses} poses, "
+        f"iterations; meshes on {run.resolution}^3"
+        f"{f', finer ones on {run.finer}^3' if run.finer else ''}, labels by {poses}, "
         f"{'all' if run.states is None else f'at most {run.states}'} random states an object."
     )
     return "\n".join([about, *_left_out(result), "", tables([result]).rstrip(), *_details(result)])
 
 
-def tables(results: Sequence[RunEvaluation]) -> str:
-    """The paper's Tables 2 to 6 and 9, a row for each metric and category that was evaluated.
+def tables(results: Sequence[RunEvaluation], refused: Mapping[str, str] | None = None) -> str:
+    """Return the paper's Tables 2 to 6, 8 and 9, ours beside the paper's, a row for each recipe.
 
     Args:
-        results: evaluations of any methods, categories and variants. Tables 2 to 4 and 9 take the
-            complete model where there is one, and what sees depth only where nothing else was
-            evaluated; Tables 5 and 6, of PPD alone, the mean over categories.
+        results: evaluations of any methods, categories and seeds; of several with the same recipe,
+            category and seed the last one counts. Where there is one category alone, tables have
+            measures for columns, else categories.
+        refused: by the recipe's name, why others could not be trained.
     """
-    by_depth = [r for r in results if r.run.input == "depth"]
-    whole = [r for r in results if r.run.input == "complete"] or by_depth
-    lines, of_ppd = _by_category(whole), [r for r in whole if r.run.method == paper.METHOD]
-    if of_ppd:
-        lines += _ablation(of_ppd)
-    if of_ppd or by_depth:
-        lines += _inputs([*of_ppd, *by_depth])
-    lines += _as_pose_estimators(whole)
-    return "\n".join([OTHER_DATA, *lines]) + "\n"
+    lines = _lines(results)
+    whole = [line for line in lines if line.run.input == "complete"] or lines
+    categories = [c for c in paper.CATEGORIES if c in {r.run.category for r in results}]
+    categories = list(dict.fromkeys([*categories, *sorted(r.run.category for r in results)]))
+    text = [OTHER_DATA, *(KNOWN[k] for k in KNOWN if any(x.run.knows == k for x in lines))]
+    text += ["", *_overview(lines)]
+    if len(categories) == 1:
+        for what, metrics in (("labels", LABELS), ("shapes", SHAPES)):
+            columns = [(f"T{m.table} {m.header}", m, categories[0]) for m in metrics]
+            text += _by_method(f"{categories[0]}, {what}", columns, whole)
+    else:
+        for m in (*LABELS, *SHAPES):
+            columns = [(category, m, category) for category in (*categories, MEAN)]
+            text += _by_method(f"table {m.table}: {m.title}", columns, whole)
+    of_ppd = [line for line in whole if line.run.method == paper.METHOD]
+    over = categories[0] if len(categories) == 1 else "means"
+    columns = [(m.title, m, THERE) for m in (LABELS[0], SHAPES[0])]
+    if len(of_ppd) > 1:
+        printed = {name: (f"paper: {name}", cells) for name, cells in paper.ABLATION.items()}
+        title = f"{over}, table 5: ablation"
+        text += _table(title, columns, of_ppd, printed, lambda line: line.run.variant)
+    if any(line.run.input == "depth" for line in lines):
+        printed = {name: (f"paper: {name}", cells) for name, cells in paper.INPUTS.items()}
+        columns = [(m.title, m, THERE) for m in (SHAPES[2], LABELS[0], SHAPES[0])]
+        seen = [line for line in lines if line.run.method in (paper.METHOD, "ppd_depth")]
+        text += _table(f"{over}, table 6: input", columns, seen, printed, lambda x: x.run.input)
+    for category in categories:
+        columns = [(m.header, m, category) for m in POSES]
+        text += _table(f"{category}, as SCAPO and OP-Align", columns, whole, {}, lambda _: "")
+    if any("SCAPO" in line for line in text):
+        text += ["", MATCHED]
+    if any("*" in line for line in text):
+        text += ["", "\\* one part stands for the whole shape."]
+    text += [f"\nNot trained: {name}: {sentence}" for name, sentence in (refused or {}).items()]
+    return "\n".join(text) + "\n"
 
 
-def _by_category(results: Sequence[RunEvaluation]) -> list[str]:
-    chosen = _complete(results)
-    methods = list(dict.fromkeys(r.run.method for r in results))
-    here = [f"here: {method}" for method in methods] if len(methods) > 1 else ["here"]
-    lines = ["", f"| {' | '.join(['table', 'metric', 'category', *here, *_HEADERS])} |"]
-    lines += ["|---" * 3 + "|---:" * (len(here) + len(_HEADERS)) + "|"]
-    categories = dict.fromkeys([*paper.CATEGORIES, *(r.run.category for r in results), "mean"])
-    table, theirs = _LABELS[results[0].run.label_poses]
-    names = {"label_iou": "label IoU, %"}
-    if finer := next((r.run.finer for r in results if r.run.finer), None):
-        names["finer_label_iou"] = f"label IoU, %, meshes on {finer}^3"
-    labels = ((title, 2, table, name, 100.0, theirs) for name, title in names.items())
-    metrics = (*labels, *_METRICS)
-    for title, decimals, table, name, factor, theirs in metrics:
-        measured = {key: r.means[name] for key, r in chosen.items() if name in r.means}
-        ours = _with_means({key: factor * value for key, value in measured.items()})
-        for category in categories:
-            values = [ours.get((method, category)) for method in methods]
-            if any(value is not None for value in values):
-                cells = ["" if v is None else f"**{v:.{decimals}f}**" for v in values]
-                cells += [_printed(theirs, method, category) for method in paper.METHODS]
-                lines.append(f"| {' | '.join([table, title, category, *cells])} |")
-    return [*lines, "", "\\* one part stands for the whole shape."]
+def _measured(result: RunEvaluation, name: str) -> float | None:
+    means = result.means
+    if name == "difference" and "label_iou_all_poses" in means:
+        return means["label_iou_all_poses"] - means["label_iou"]
+    return means.get(name)
 
 
-def _complete(results: Sequence[RunEvaluation]) -> dict[tuple[str, str], RunEvaluation]:
-    """By method and category, the complete model where there is one."""
-    best = sorted(results, key=lambda r: r.run.variant == paper.COMPLETE)
-    return {(r.run.method, r.run.category): r for r in best}
+def _lines(results: Sequence[RunEvaluation]) -> list[Line]:
+    """Return a line for each recipe, in the paper's order of methods; titles differ."""
+    groups: dict[tuple, dict[tuple, RunEvaluation]] = {}
+    for result in results:
+        run = result.run
+        key = (run.method, run.recipe, run.variant, run.recipe_sha256, run.input, run.budget)
+        groups.setdefault(key, {})[run.category, run.seed] = result
+    kept = [tuple(group.values()) for group in groups.values()]
+    firsts = [runs[0].run for runs in kept]
+    titles = [f"{r.recipe}{MARKS[r.knows]}{', depth' * (r.input == 'depth')}" for r in firsts]
+    lines = []
+    for title, run, runs in zip(titles, firsts, kept, strict=True):
+        more = ""
+        if titles.count(title) > 1:  # other settings than the recipe's, or another budget
+            more = f" #{run.recipe_sha256[:4]}" + (f", {run.budget:g} s" if run.budget else "")
+        lines.append(Line(title + more, runs))
+    order = ["one_part", *paper.METHODS]
+    return sorted(lines, key=lambda x: order.index(x.run.method) if x.run.method in order else 99)
 
 
-def _as_pose_estimators(results: Sequence[RunEvaluation]) -> list[str]:
-    """A row for each method and category; blank where the method knows no motions or joints."""
-    chosen = {key: r for key, r in _complete(results).items() if "matched_part_iou" in r.means}
-    if not chosen:
-        return []
-    titles = ["as SCAPO and OP-Align measure", *(title for title, *_ in _MATCHED)]
-    lines = ["", f"| {' | '.join(titles)} |", "|---" + "|---:" * len(_MATCHED) + "|"]
-    for (method, category), result in sorted(chosen.items()):
-        means = result.means
+def _row_of(line: Line) -> str:
+    """Return the paper's method that a line stands beside."""
+    return paper.row_of(line.run.method, len(line.runs[0].labels))
+
+
+def _overview(lines: Sequence[Line]) -> list[str]:
+    """Return what was trained: how large it is, and for how long."""
+    rows = [["recipe", "parts", "parameters", "iterations", "minutes", "seeds"]]
+    for name in (*paper.METHODS, ""):
+        mine = [line for line in lines if _row_of(line) == name]
+        if mine and name:
+            about = paper.METHODS[name]
+            numbers = [f"{n:,.0f}" if n else "-" for n in (about.parts, about.parameters)]
+            rows.append([f"paper: {about.title}", *numbers, "-", "-", "-"])
+        for line in mine:
+            runs = [r.run for r in line.runs]
+            took = [r.seconds / 60.0 for r in runs if r.seconds is not None]
+            rows.append([
+                line.title, _range([len(r.labels) for r in line.runs]),
+                _range([r.parameters for r in runs if r.parameters is not None]),
+                _range([r.iterations for r in runs]), _range(took, ".1f"),
+                f"{len({r.seed for r in runs})}",
+            ])  # fmt: skip
+    return _aligned(rows)
+
+
+def _range(numbers: Sequence[float], form: str = ",") -> str:
+    ends = [f"{end:{form}}" for end in (min(numbers), max(numbers))] if numbers else ["-"]
+    return " to ".join(dict.fromkeys(ends))
+
+
+def _by_method(title: str, columns: Sequence[Column], lines: Sequence[Line]) -> list[str]:
+    """Return a table of the paper's methods and ours, below the floor."""
+    printed = {"floor": ("floor", [_floor(m, category, lines) for _, m, category in columns])}
+    order = (*paper.CATEGORIES, MEAN)
+    for name, about in paper.METHODS.items():
         cells = [
-            f"**{factor * means[name]:.{decimals}f}**" if name in means else ""
-            for _, decimals, name, factor in _MATCHED
+            m.theirs[name][order.index(c)] if name in m.theirs and c in order else ""
+            for _, m, c in columns
         ]
-        lines.append(f"| {' | '.join([f'{category}, {method}', *cells])} |")
-    return [*lines, "", MATCHED]
+        parts = f", {about.parts} parts" if about.parts else ""
+        printed[name] = (f"paper: {about.title}{parts}", cells)
+    return _table(title, columns, lines, printed, _row_of)
 
 
-def _with_means(values: dict[tuple[str, str], float]) -> dict[tuple[str, str], float]:
-    """The same by method and category, and "mean" for methods with all the paper's categories."""
-    means = {}
-    for method in {method for method, _ in values}:
-        each = [values[method, c] for c in paper.CATEGORIES if (method, c) in values]
-        if len(each) == len(paper.CATEGORIES):
-            means[method, "mean"] = float(np.mean(each))
-    return values | means
+def _floor(metric: Metric, category: str, lines: Sequence[Line]) -> str:
+    """Return what one part for everything scores, or an error where nothing moves."""
+    runs = [r for line in lines for r in line.runs if r.run.category == category]
+    if metric.name.startswith("epe_"):
+        still = [v for r in runs if (v := r.means.get("epe_nothing_moves")) is not None]
+        return f"{metric.factor * np.mean(still):.{metric.decimals}f}" if still else ""
+    if runs and "label_iou" in metric.name:
+        return f"{100.0 / len(runs[0].votes[0]) ** 2:.2f}"
+    return ""
 
 
-def _printed(rows: Mapping[str, paper.Row], method: str, category: str) -> str:
-    columns = (*paper.CATEGORIES, "mean")
-    return rows[method][columns.index(category)] if method in rows and category in columns else ""
+def _table(
+    title: str,
+    columns: Sequence[Column],
+    lines: Sequence[Line],
+    printed: Mapping[str, tuple[str, Sequence[str]]],
+    key: Callable[[Line], str],
+) -> list[str]:
+    """Return a table, without what nobody measured.
+
+    Args:
+        printed: rows of others, the title and the cells; ours with the same key stand below.
+    """
+    there = [i for i, (_, m, c) in enumerate(columns) if any(x.values(m, c) for x in lines)]
+    if not there:
+        return []
+    rows = [[title, *(columns[i][0] for i in there)]]
+    for name in dict.fromkeys([*printed, *map(key, lines)]):
+        if name in printed and any(cells := [printed[name][1][i] for i in there]):
+            rows.append([printed[name][0], *(cell or "-" for cell in cells)])
+        for line in lines:
+            if key(line) == name:
+                rows += line.rows([columns[i] for i in there])
+    return ["", *_aligned(rows)]
 
 
-def _ablation(results: Sequence[RunEvaluation]) -> list[str]:
-    variants = [r.run.variant for r in results]
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return Markdown whose columns are as wide as their widest cell; numbers end alike."""
+    width = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = [
-        "",
-        "| table 5: ablation | label IoU, % | paper | EPE x 100 | paper |",
-        "|---|---:|---:|---:|---:|",
+        f"| {' | '.join([row[0].ljust(width[0]), *map(str.rjust, row[1:], width[1:])])} |"
+        for row in rows
     ]
-    for name in dict.fromkeys([*paper.ABLATION, *variants]):
-        mine = [r for r in results if r.run.variant == name]
-        iou, epe = _mean(mine, "label_iou", 100.0, 2), _mean(mine, "epe_joint_all", 100.0, 3)
-        theirs = paper.ABLATION.get(name, ("", ""))
-        lines.append(f"| {name}{_of(mine)} | {iou} | {theirs[0]} | {epe} | {theirs[1]} |")
-    return lines
-
-
-def _inputs(results: Sequence[RunEvaluation]) -> list[str]:
-    lines = [
-        "",
-        "| table 6: input | F-score | paper | label IoU, % | paper | EPE x 100 | paper |",
-        "|---|---:|---:|---:|---:|---:|---:|",
-    ]
-    for name, theirs in paper.INPUTS.items():
-        of_input = [r for r in results if r.run.input == name]
-        measured = [r for r in of_input if r.run.variant == paper.COMPLETE] or of_input
-        cells = [
-            _mean(measured, "f_score", 1.0, 2), theirs[0],
-            _mean(measured, "label_iou", 100.0, 2), theirs[1],
-            _mean(measured, "epe_joint_all", 100.0, 3), theirs[2],
-        ]  # fmt: skip
-        lines.append(f"| {name}{_of(measured)} | {' | '.join(cells)} |")
-    return [*lines, "", MEANS]
-
-
-def _mean(results: Sequence[Evaluation], name: str, factor: float, decimals: int) -> str:
-    values = [r.means[name] for r in results if name in r.means]
-    return f"**{factor * np.mean(values):.{decimals}f}**" if values else ""
-
-
-def _of(results: Sequence[RunEvaluation]) -> str:
-    names = sorted({f"{r.run.category} by {r.run.recipe}" for r in results})
-    return f" (here: {', '.join(names)})" if names else ""
+    rule = "|".join(["-" * (width[0] + 2), *("-" * (w + 1) + ":" for w in width[1:])])
+    return [lines[0], f"|{rule}|", *lines[1:]]
 
 
 def _details(result: Evaluation) -> list[str]:

@@ -101,9 +101,17 @@ class EvaluatedRun(_Record):
 
     Attributes:
         method: whose run it is; the paper's ablation is of `paper.METHOD` alone.
+        knows: `labels` where training is given true parts, `groups` where it is given which
+            instances show one object; else nothing.
+        recipe_sha256: of the recipe, before it was scaled to a budget; runs of one differ by
+            category and seed alone.
+        parameters: numbers that were learned.
+        seconds, budget: CPU seconds of training, or of the clock on a GPU, and how many there were
+            to be.
         input: what it reconstructs from: complete clouds, or what one depth camera sees.
         variant: the row of Table 5 that it belongs to.
-        states: random ones of each test object; None is all.
+        label_poses: whose poses vote for labels: canonical ones, or those and all as well.
+        states: random ones of each object; None is all.
         resolution: of the grid of its meshes.
         finer: of the grid that labels are told by as well.
         on: the folder of the data set whose objects were tested, where that is another one than
@@ -115,11 +123,16 @@ class EvaluatedRun(_Record):
     category: str
     recipe: str
     variant: str
+    knows: Literal["", "groups", "labels"] = ""
+    recipe_sha256: str = ""
+    parameters: int | None = None
+    seconds: float | None = None
+    budget: float | None = None
     seed: int
     iterations: int
     commit: str | None = None
     protocol: str = "paper"
-    label_poses: Literal["canonical", "all"] = "canonical"
+    label_poses: Literal["canonical", "both"] = "canonical"
     states: int | None = None
     resolution: int
     finer: int | None = None

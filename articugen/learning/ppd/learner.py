@@ -50,6 +50,12 @@ class Predictor(Learner):
     points: int | None
     residual_direction: bool
 
+    @property
+    def parameters(self) -> int:
+        """How many numbers say what shapes are, as the paper counts: not those of poses."""
+        of_shapes = (self.model.encoder, self.model.shape)
+        return sum(p.numel() for module in of_shapes for p in module.parameters())
+
     def predict(self, cloud: Floats) -> Prediction:
         """Of one cloud (n, 3), a batch of one."""
         device = next(self.model.parameters()).device

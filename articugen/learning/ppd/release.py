@@ -88,9 +88,9 @@ def evaluate(
         rng = generator(0, "release", instance.object_id, instance.state_index)
         return as_points(reconstruct(instance), protocol.points, rng)
 
-    tally = Tally(label_votes(data, in_points, protocol, on_object))
+    tally = Tally(*label_votes(data, in_points, protocol, on_object))
     left_out: Counter[str] = Counter()
-    for canonical, *posed in tested(data, on, protocol.test_states):
+    for canonical, *posed in tested(data, on, protocol.states):
         tally.objects += 1
         first = in_points(canonical)
         _label_iou(tally, left_out, canonical, first, protocol)
@@ -128,7 +128,7 @@ def _label_iou(
         return
     points, true = surface_of(instance, protocol.points)
     near = metrics.nearest_part(points, found.triangles, found.part, found.parts)
-    tally.add(label_iou=metrics.label_iou(tally.labels[near], true))
+    tally.add_label_iou(near, true)
 
 
 def _epe(
