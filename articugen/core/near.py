@@ -1,8 +1,8 @@
 """Which points lie near others: exact, by sorting the points into cells.
 
-`Sorted` answers thousands of questions about points of the unit cube, `Cells` is for kernels that
-walk around points of any box. Cells along z lie in one piece, so that a query examines a few
-columns; `Sorted` has about three times as many as points, of which a surface leaves most empty.
+`Sorted` answers thousands of questions about points, `Cells` is for kernels that walk around them.
+Cells along z lie in one piece, so that a query examines a few columns; `Sorted` has up to three
+times as many as points, of which a surface leaves most empty.
 """
 
 from typing import Any, NamedTuple
@@ -10,135 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.core.arrays import Floats, Ints
+from articugen.core.arrays import Bools, Floats, Indices, Ints
+from articugen.core.geometry import bounds
 from articugen.core.jit import helper, inlined, kernel
 
 _ROUNDING = 1e-9  # cells are chosen that much more generously; what is in them is compared exactly
-
-
-class Sorted(NamedTuple):
-    """Points in the order of their cells.
-
-    Attributes:
-        points: (m, 3).
-        number: (m,) their places before they were sorted.
-        start: (cells^3 + 1,) where each cell's begin.
-        cells: along an edge of the unit cube.
-    """
-
-    points: Any
-    number: Any
-    start: Any
-    cells: int
-
-
-def by_cell(points: Floats) -> Sorted:
-    """`points` (m, 3), sorted once for however many questions."""
-    cells = max(1, int(1.5 * len(points) ** (1.0 / 3.0)))
-    x, y, z = np.clip(((points + 0.5) * cells).astype(np.int64), 0, cells - 1).T
-    number, start = _sorted((x * cells + y) * cells + z, cells**3)
-    return Sorted(points[number], number, start, cells)
-
-
-@kernel
-def any_within(among, queries, radius):  # pragma: no cover - compiled
-    """Return (n,) whether any of the `Sorted` points lies within `radius` of each query (n, 3)."""
-    held, start, cells = among.points, among.start, among.cells
-    found = np.zeros(len(queries), np.bool_)
-    most, reach = radius * radius, radius + _ROUNDING
-    for k in range(len(queries)):
-        query = (queries[k, 0], queries[k, 1], queries[k, 2])
-        own = _cell_of(query, cells)
-        if _nearest(held, start[own], start[own + 1], query, most)[0] >= 0:
-            found[k] = True
-            continue
-        low, high = _cell(query[2] - reach, cells), _cell(query[2] + reach, cells)
-        for x in range(_cell(query[0] - reach, cells), _cell(query[0] + reach, cells) + 1):
-            off = _off(x, cells, query[0])
-            for y in range(_cell(query[1] - reach, cells), _cell(query[1] + reach, cells) + 1):
-                if off + _off(y, cells, query[1]) > most:
-                    continue
-                column = (x * cells + y) * cells
-                first, last = start[column + low], start[column + high + 1]
-                if _nearest(held, first, last, query, most)[0] >= 0:
-                    found[k] = True
-                    break
-            if found[k]:
-                break
-    return found
-
-
-@kernel
-def nearest_within(among, queries, radius):  # pragma: no cover - compiled
-    """Return (n,) which of the `Sorted` points, by their places before, is nearest to each query
-    (n, 3) within `radius`, or -1; of several equally near one."""
-    held, number, start, cells = among.points, among.number, among.start, among.cells
-    found = np.full(len(queries), -1, np.int64)
-    reach = radius + _ROUNDING
-    for k in range(len(queries)):
-        query, best = (queries[k, 0], queries[k, 1], queries[k, 2]), radius * radius
-        low, high = _cell(query[2] - reach, cells), _cell(query[2] + reach, cells)
-        for x in range(_cell(query[0] - reach, cells), _cell(query[0] + reach, cells) + 1):
-            off = _off(x, cells, query[0])
-            for y in range(_cell(query[1] - reach, cells), _cell(query[1] + reach, cells) + 1):
-                if off + _off(y, cells, query[1]) > best:
-                    continue
-                column = (x * cells + y) * cells
-                first, last = start[column + low], start[column + high + 1]
-                i, d = _nearest(held, first, last, query, best)
-                if i >= 0 and (d < best or found[k] < 0):
-                    best, found[k] = d, number[i]
-    return found
-
-
-@helper
-def _cell(at, cells):  # pragma: no cover - compiled
-    """Return the cell along an axis that holds a coordinate, or the outermost."""
-    return min(max(int((at + 0.5) * cells), 0), cells - 1)
-
-
-@helper
-def _cell_of(point, cells):  # pragma: no cover - compiled
-    x, y, z = _cell(point[0], cells), _cell(point[1], cells), _cell(point[2], cells)
-    return (x * cells + y) * cells + z
-
-
-@helper
-def _off(cell, cells, at):  # pragma: no cover - compiled
-    """The squared distance of a coordinate from a slab of cells, and rather less; 0 inside."""
-    low = cell / cells - 0.5
-    gap = max(low - at, at - (low + 1.0 / cells)) - _ROUNDING
-    return gap * gap if gap > 0.0 else 0.0
-
-
-@inlined
-def _nearest(points, first, last, query, most):  # pragma: no cover - compiled
-    """Return (i, d): nearest of points[first:last], its squared distance; (-1, most) if too far."""
-    found, least = -1, most
-    for i in range(first, last):
-        n = np.uintp(i)  # unsigned: numba does not ask whether to count from the end
-        x, y, z = points[n, 0] - query[0], points[n, 1] - query[1], points[n, 2] - query[2]
-        d = x * x + y * y + z * z
-        if d < least or (d == least and found < 0):
-            found, least = i, d
-    return found, least
-
-
-@kernel
-def _sorted(cell, count):  # pragma: no cover - compiled
-    """Return the numbers of points by their `cell` (m,), and where each of `count` cells begins."""
-    start = np.zeros(count + 1, np.int32)
-    for i in range(len(cell)):
-        start[cell[i] + 1] += 1
-    for j in range(count):
-        start[j + 1] += start[j]
-    free, number = start.copy(), np.empty(len(cell), np.int64)
-    for i in range(len(cell)):
-        number[free[cell[i]]] = i
-        free[cell[i]] += 1
-    return number, start
-
-
 MOST_CELLS = 128  # along one axis; a grid that fine takes 16 MiB
 
 
@@ -160,16 +36,34 @@ class Cells(NamedTuple):
     order: Ints
 
 
-def cells_of(points: Floats, side: float) -> Cells:
-    """The `points` (n, 3) in cubes of this side, or larger ones if there would be too many."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    side = max(side, float((high - low).max()) / (MOST_CELLS - 1))
+def cells_of(points: Floats, side: float | None = None) -> Cells:
+    """The `points` (n, 3) in cubes of this side, or larger ones if there would be too many; None
+    makes them so large that there are some three cubes a point at most."""
+    low, high = bounds(points)
+    extent = float((high - low).max())
+    few = max(extent, _ROUNDING) / (1.5 * len(points) ** (1.0 / 3.0))
+    side = max(few if side is None else side, extent / (MOST_CELLS - 1))
     shape = ((high - low) / side).astype(np.int64) + 1
-    x, y, z = ((points - low) / side).astype(np.int64).T
+    x, y, z = (((points[:, k] - low[k]) / side).astype(np.int64) for k in range(3))
     cell = (x * shape[1] + y) * shape[2] + z
     order, first = _sorted(cell, int(shape.prod()))
     corner, cubes = (float(low[0]), float(low[1]), float(low[2])), tuple(int(n) for n in shape)
     return Cells(corner, side, cubes, first, order)  # type: ignore[arg-type]
+
+
+@kernel
+def _sorted(cell, count):  # pragma: no cover - compiled
+    """Return the numbers of points by their `cell` (m,), and where each of `count` cells begins."""
+    start = np.zeros(count + 1, np.int32)
+    for i in range(len(cell)):
+        start[cell[i] + 1] += 1
+    for j in range(count):
+        start[j + 1] += start[j]
+    free, number = start.copy(), np.empty(len(cell), np.int64)
+    for i in range(len(cell)):
+        number[free[cell[i]]] = i
+        free[cell[i]] += 1
+    return number, start
 
 
 @helper
@@ -200,3 +94,86 @@ def near(cells, points, at, reach, found):
                     found[count] = k
                     count += 1
     return count
+
+
+class Sorted(NamedTuple):
+    """Points (m, 3) in the order of their cells."""
+
+    points: Any
+    cells: Cells
+
+
+def by_cell(points: Floats) -> Sorted:
+    """`points` (m, 3), sorted once for however many questions."""
+    if not len(points):
+        return Sorted(points, cells_of(np.zeros((1, 3)), 1.0)._replace(first=np.zeros(2, np.int32)))
+    cells = cells_of(points)
+    return Sorted(points[cells.order], cells)
+
+
+def any_within(among: Sorted, queries: Floats, radius: float) -> Bools:
+    """Return (n,) whether any of the points lies within `radius` of each query (n, 3)."""
+    return _within(among, queries, radius, True) >= 0
+
+
+def nearest_within(among: Sorted, queries: Floats, radius: float) -> Indices:
+    """Return (n,) which of the points, by their places before, is nearest to each query (n, 3)
+    within `radius`, or -1; of several equally near one."""
+    found = _within(among, queries, radius, False)
+    found[found >= 0] = among.cells.order[found[found >= 0]]
+    return found
+
+
+@kernel
+def _within(among, queries, radius, any_one):  # pragma: no cover - compiled
+    """Return (n,) the place among the sorted points of the nearest to each query, or of any."""
+    points, cells = among.points, among.cells
+    found, reach = np.full(len(queries), -1, np.int64), radius + _ROUNDING
+    for k in range(len(queries)):
+        query, best = (queries[k, 0], queries[k, 1], queries[k, 2]), radius * radius
+        x_low, x_end = reached(cells, 0, query[0], reach)
+        y_low, y_end = reached(cells, 1, query[1], reach)
+        z_low, z_end = reached(cells, 2, query[2], reach)
+        if any_one:  # mostly there is one in the middle
+            row = ((x_low + x_end) // 2 * cells.shape[1] + (y_low + y_end) // 2) * cells.shape[2]
+            if x_low < x_end and y_low < y_end:
+                begin, end = cells.first[row + z_low], cells.first[row + z_end]
+                found[k] = _nearest(points, begin, end, query, best)[0]
+                if found[k] >= 0:
+                    continue
+        for x in range(x_low, x_end):
+            off = _off(cells, 0, x, query[0])
+            for y in range(y_low, y_end):
+                if off + _off(cells, 1, y, query[1]) > best:
+                    continue
+                row = (x * cells.shape[1] + y) * cells.shape[2]
+                begin, end = cells.first[row + z_low], cells.first[row + z_end]
+                i, d = _nearest(points, begin, end, query, best)
+                if i >= 0 and (d < best or found[k] < 0):
+                    best, found[k] = d, i
+                if any_one and i >= 0:
+                    break
+            if any_one and found[k] >= 0:
+                break
+    return found
+
+
+@helper
+def _off(cells, axis, cell, at):  # pragma: no cover - compiled
+    """The squared distance of a coordinate from a slab of cells, and rather less; 0 inside."""
+    low = cells.low[axis] + cell * cells.side
+    gap = max(low - at, at - (low + cells.side)) - _ROUNDING
+    return gap * gap if gap > 0.0 else 0.0
+
+
+@inlined
+def _nearest(points, first, last, query, most):  # pragma: no cover - compiled
+    """Return (i, d): nearest of points[first:last], its squared distance; (-1, most) if too far."""
+    found, least = -1, most
+    for i in range(first, last):
+        n = np.uintp(i)  # unsigned: numba does not ask whether to count from the end
+        x, y, z = points[n, 0] - query[0], points[n, 1] - query[1], points[n, 2] - query[2]
+        d = x * x + y * y + z * z
+        if d < least or (d == least and found < 0):
+            found, least = i, d
+    return found, least
