@@ -26,7 +26,7 @@ from articugen.store import manifest, manifest_pages
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.manifest_pages import MOST_BYTES, is_page_name
 from articugen.verify.dataset import verify
-from articugen.verify.repair import Asked, repair
+from articugen.verify.repair import repair
 
 
 @pytest.fixture(autouse=True)
@@ -242,7 +242,7 @@ def test_a_damaged_page_is_found_and_mended(
     assert (finding.check, finding.sentence) == ("manifest", str(caught.value))
     with pytest.raises(CorruptShard, match=name):
         ag.open(folder)
-    (done,) = repair(folder, verify(folder), Asked(jobs=0))
+    (done,) = repair(folder, verify(folder), jobs=0)
     assert done.ok
     assert done.wrong.startswith(name)
     assert "made again from 4 shards" in done.done
@@ -256,7 +256,7 @@ def test_a_damaged_page_is_found_and_mended(
 def test_a_head_that_is_lost_is_made_again_of_the_pages(folder: Path) -> None:
     before = Manifest.read(folder)
     (folder / MANIFEST_NAME).write_bytes((folder / MANIFEST_NAME).read_bytes()[:100])
-    (done,) = repair(folder, verify(folder), Asked(jobs=0))
+    (done,) = repair(folder, verify(folder), jobs=0)
     assert done.ok
     assert "proven" not in done.done
     assert Manifest.read(folder).objects == before.objects
@@ -268,7 +268,7 @@ def test_a_page_of_another_run_costs_no_shard(folder: Path, other: Path) -> None
     shards = {p.name: p.read_bytes() for p in folder.glob("*.h5")}
     for path in (MANIFEST_NAME, *pages(other)):
         shutil.copyfile(other / path, folder / path)
-    (done,) = repair(folder, verify(folder), Asked(jobs=0))
+    (done,) = repair(folder, verify(folder), jobs=0)
     assert not done.ok
     assert "bring back the right one" in done.done
     assert {p.name: p.read_bytes() for p in folder.glob("*.h5")} == shards

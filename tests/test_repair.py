@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -27,7 +26,7 @@ from articugen.store import chunks, croissant
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.writer import copy_user_group
 from articugen.verify.dataset import Finding, Repair, Report, verify
-from articugen.verify.repair import Asked, repair
+from articugen.verify.repair import repair
 from tests.chaos.corruptions import RECIPE
 
 BOX = """<robot name="box">
@@ -81,7 +80,7 @@ def damage(path: Path) -> None:
 
 
 def mended(folder: Path, **asked) -> tuple[Repair, ...]:
-    done = repair(folder, verify(folder), replace(Asked(jobs=0), **asked))
+    done = tuple(repair(folder, verify(folder), jobs=0, **asked))
     assert all(str(each).isprintable() for each in done)
     return done
 
@@ -94,9 +93,7 @@ def test_bad_shards_alone_are_made_again_to_the_same_bytes(folder):
     before, written = contents(folder), {p.name: p.stat().st_ino for p in folder.iterdir()}
     damage(folder / SHARD)
     (folder / "test-00000.h5").unlink()
-    told = []
-    done = mended(folder, on_repair=told.append)
-    assert list(done) == told
+    done = mended(folder)
     assert {each.name: each.done for each in done} == {SHARD: AGAIN, "test-00000.h5": AGAIN}
     assert all(each.ok for each in done)
     assert contents(folder) == before
@@ -178,7 +175,7 @@ def test_numbers_that_are_wrong_in_a_sound_file_stay_wrong(folder):
     """Making it again would give the same."""
     odd = Finding("zero level", "surface_points bound nothing", SHARD)
     before = contents(folder)
-    assert repair(folder, Report((odd,), 3, 6), Asked(jobs=0)) == ()
+    assert list(repair(folder, Report((odd,), 3, 6), jobs=0)) == []
     assert contents(folder) == before
 
 
@@ -248,10 +245,10 @@ def test_a_repair_that_is_killed_has_lost_nothing(boxes, folder):
 import os, signal
 from pathlib import Path
 from articugen.verify.dataset import verify
-from articugen.verify.repair import Asked, repair
+from articugen.verify.repair import repair
 folder = Path({str(folder)!r})
-kill = lambda _: os.kill(os.getpid(), signal.SIGKILL)
-repair(folder, verify(folder), Asked(jobs=0, on_repair=kill))
+for _ in repair(folder, verify(folder), jobs=0):
+    os.kill(os.getpid(), signal.SIGKILL)
 """
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
     left = {finding.shard for finding in verify(folder).findings}
@@ -404,7 +401,9 @@ def test_the_command_mends_and_says_what_it_did(folder, boxes):
 
 def test_a_report_has_what_was_mended(folder):
     os.truncate(folder / croissant.NAME, 3)
-    report = ag.verify(folder, repair=True, jobs=1)
+    told: list[Repair] = []
+    report = ag.verify(folder, repair=True, jobs=1, on_repair=told.append)
+    assert tuple(told) == report.repairs
     assert report.ok
     assert [(each.name, each.done) for each in report.repairs] == [
         (croissant.NAME, "written again")

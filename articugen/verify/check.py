@@ -52,9 +52,13 @@ def check(
     if repair and not report.ok:
         from articugen.verify import repair as mending  # noqa: PLC0415 - the stages take a second
 
-        asked = mending.Asked(jobs, drop_user, on_repair, on_notice)
-        repairs = mending.repair(folder, report, asked)
-        report = replace(verify(folder, jobs=jobs, on_shard=on_shard), repairs=repairs)
+        repairs: list[Repair] = []
+        for done in mending.repair(
+            folder, report, jobs=jobs, drop_user=drop_user, on_notice=on_notice
+        ):
+            repairs.append(done)
+            on_repair(done)
+        report = replace(verify(folder, jobs=jobs, on_shard=on_shard), repairs=tuple(repairs))
     if replay and report.ok:
         from articugen.verify import replay as again  # noqa: PLC0415 - the stages take a second
 

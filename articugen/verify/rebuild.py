@@ -8,9 +8,10 @@ the same, which proves source, recipe, seed and code at once.
 import hashlib
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -71,20 +72,18 @@ class _Witness:
         return self.record.content[0][0]
 
 
-def _object_of(witness: _Witness) -> str:
-    return witness.object_id
-
-
 def _rebuilt(folder: Path, jobs: int) -> str:
     names = sorted(n for n in os.listdir(folder) if is_shard_name(n) and (folder / n).is_file())
     wide = min(jobs, len(names)) if jobs > 1 else 0
     looked = processes.in_order(partial(_witness, folder), names, workers=wide)
     whole = {name: witness for name, witness in zip(names, looked, strict=True) if witness}
-    about = _common(whole)
-    told = _Told.of(folder, about)
-    outcomes = {name: o for name, o in told.outcomes.items() if _agrees(o, whole.get(name))}
+    about, told = _common(whole), _said(folder)
+    kept = {o.shard.name: o for o in _made_in(told, about) if o.shard}
+    outcomes = {name: o for name, o in kept.items() if _agrees(o, whole.get(name))}
     alone = [witness for name, witness in whole.items() if name not in outcomes]
-    proven = processes.in_order(partial(_proven, folder), alone, workers=wide, name=_object_of)
+    proven = processes.in_order(
+        partial(_proven, folder), alone, workers=wide, name=attrgetter("object_id")
+    )
     outcomes |= {outcome.shard.name: outcome for outcome in proven if outcome.shard}
     holders: dict[str, str] = {}
     for name, outcome in outcomes.items():
@@ -93,28 +92,33 @@ def _rebuilt(folder: Path, jobs: int) -> str:
             raise ArticugenError(
                 f"{other} and {name} both hold {outcome.key.object_id}; move one of them elsewhere"
             )
+    others = {
+        entry.key.object_id: Outcome.model_validate({kind: entry})
+        for kind in ("rejected", "skipped", "failed")
+        for entry in _entries(told, kind, Rejection)
+        if _is_of(entry.key, about) and entry.key.object_id not in holders
+    }
+    shortfall = told.get("shortfall") or (
+        "objects failed" if any(other.failed for other in others.values()) else None
+    )
     manifest = Manifest.of(
-        [*outcomes.values(), *told.unmade({o.key.object_id for o in outcomes.values()})],
+        [*outcomes.values(), *others.values()],
         category=str(about["category"]),
         source=str(about["source"]),
         licence=str(about["licence"]),
-        recipe=told.recipe or str(about["recipe"]),
+        recipe=_recipe(told, about) or str(about["recipe"]),
         seed=int(about["seed"]),
         timings=_NO_RUN,
-        shortfall=told.shortfall,
+        shortfall=shortfall if isinstance(shortfall, str) else None,
     )
     write_atomically(folder / croissant.NAME, croissant.of_data_set(manifest))
     manifest.write(folder)
-    return _in_words(len(whole), len(alone), told, sorted(set(names) - outcomes.keys()))
-
-
-def _in_words(whole: int, alone: int, told: "_Told", lost: Sequence[str]) -> str:
-    said = f"made again from {whole} shards"
+    said = f"made again from {len(whole)} shards"
     if alone:
-        said += f", {alone} of them proven by making an instance again"
-    rest = "taken from the damaged one" if told.outcomes else "lost"
+        said += f", {len(alone)} of them proven by making an instance again"
+    rest = "taken from the damaged one" if kept else "lost"
     said += f"; what nothing else tells (rejected objects, notes, times) is {rest}"
-    if lost:
+    if lost := sorted(set(names) - outcomes.keys()):
         said += f"; what {', '.join(lost)} held is not known any more: move it away, and run the "
         said += "command again that made the data set"
     return said
@@ -159,51 +163,12 @@ def _common(whole: Mapping[str, _Witness]) -> Mapping[str, Attribute]:
     return witness.about
 
 
-@dataclass(frozen=True)
-class _Told:
-    """What can still be read in a damaged manifest, and fits what the shards say.
-
-    Attributes:
-        outcomes: of objects that were made, by their shard.
-        others: of those that were not.
-        recipe: the whole one; the shards have what decides one object. None where it is damaged.
-        shortfall: see `Manifest`.
-    """
-
-    outcomes: Mapping[str, Outcome]
-    others: tuple[Outcome, ...]
-    recipe: str | None
-    shortfall: str | None
-
-    @staticmethod
-    def of(folder: Path, about: Mapping[str, Attribute]) -> "_Told":
-        told = _said(folder)
-        shards = {shard.name: shard for shard in _entries(told, "shards", ShardEntry)}
-        made = [
-            Outcome(made=entry, shard=shards[entry.shard])
-            for entry in _entries(told, "objects", ObjectEntry)
-            if entry.shard in shards and _is_of(entry.key, about)
-        ]
-        others = [
-            Outcome.model_validate({kind: entry})
-            for kind in ("rejected", "skipped", "failed")
-            for entry in _entries(told, kind, Rejection)
-            if _is_of(entry.key, about)
-        ]
-        failed = any(other.failed for other in others)
-        shortfall = told.get("shortfall") or ("objects failed" if failed else None)
-        return _Told(
-            {o.shard.name: o for o in made if o.shard},
-            tuple(others),
-            _recipe(told, about),
-            shortfall if isinstance(shortfall, str) else None,
-        )
-
-    def unmade(self, made: set[str]) -> list[Outcome]:
-        """The others, each once, but those that are made."""
-        return list(
-            {o.key.object_id: o for o in self.others if o.key.object_id not in made}.values()
-        )
+def _made_in(told: dict[str, Any], about: Mapping[str, Attribute]) -> Iterator[Outcome]:
+    """Yield what a damaged manifest still says of objects that were made, if it fits the shards."""
+    shards = {shard.name: shard for shard in _entries(told, "shards", ShardEntry)}
+    for entry in _entries(told, "objects", ObjectEntry):
+        if entry.shard in shards and _is_of(entry.key, about):
+            yield Outcome(made=entry, shard=shards[entry.shard])
 
 
 def _said(folder: Path) -> dict[str, Any]:
@@ -247,9 +212,8 @@ def _is_of(key: Key, about: Mapping[str, Attribute]) -> bool:
 
 
 def _recipe(told: dict[str, Any], about: Mapping[str, Attribute]) -> str | None:
-    text = told.get("recipe")
-    if not isinstance(text, str):
-        return None
+    """Return the whole recipe, of which shards have what decides one object; None if damaged."""
+    text = str(told.get("recipe"))
     try:
         recipe = Recipe.model_validate_json(text)
     except ValidationError:

@@ -25,7 +25,7 @@ from articugen.pipeline.job import Job
 from articugen.store import croissant
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.verify.dataset import Report, verify
-from articugen.verify.repair import Asked, repair
+from articugen.verify.repair import repair
 
 Rng = np.random.Generator
 Corruption = Callable[[Path, Path, Rng], set[str]]
@@ -273,11 +273,11 @@ def _made(folder: Path, seed: int) -> Path:
 
 def _mended(folder: Path) -> str | None:
     """The content hash of a data set that is whole again once it was repaired, or None."""
-    done = repair(folder, verify(folder), Asked(jobs=0))
+    done = tuple(repair(folder, verify(folder), jobs=0))
     if [(each.name, each.ok) for each in done] == [(MANIFEST_NAME, False)]:  # follow its advice
         assert "delete it and repair again" in done[0].done
         (folder / MANIFEST_NAME).unlink()
-        repair(folder, verify(folder), Asked(jobs=0))
+        tuple(repair(folder, verify(folder), jobs=0))
     return Manifest.read(folder).content_sha256 if verify(folder).ok else None
 
 
