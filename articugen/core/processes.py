@@ -16,7 +16,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass
@@ -72,9 +72,7 @@ def each(
     function: Callable[[T], R], tasks: Sequence[T], *, workers: int, **options: Any
 ) -> Generator[Ended[R], None, None]:
     """As `Crew.each`, by a crew of its own with these `options`: closing this ends all tasks."""
-    if not (options.get("help") and tasks):
-        workers = min(workers, len(tasks))
-    with Crew(function, workers=workers, **options) as crew:
+    with Crew(function, workers=min(workers, len(tasks)), **options) as crew:
         yield from crew.each(tasks)
 
 
@@ -122,12 +120,11 @@ def serve(handle: int, parent: int) -> None:
     with Connection(handle) as pipe:
         _report = lambda message: pipe.send((_SAID, message))  # noqa: E731
         try:
-            function, ready, help = pipe.recv()
+            function, ready = pipe.recv()
             kind, value = _answer(lambda _: ready(), None)
             pipe.send((_READY if kind is _DONE else kind, value))
             while True:
-                helps, task = pipe.recv()
-                pipe.send(_answer(help if helps else function, task))
+                pipe.send(_answer(function, pipe.recv()))
         except (EOFError, OSError, MemoryError):
             os._exit(1)  # nobody is there to be answered
 
@@ -164,12 +161,12 @@ class _Worker:
 
     def __init__(
         self,
-        does: tuple[Callable[[Any], Any], Callable[[], None], Callable[[Any], object] | None],
+        does: tuple[Callable[[Any], Any], Callable[[], None]],
         handles: Sequence[int],
         clock: _Clock,
     ) -> None:
         self.number = -1
-        self.alone = self.helps = False
+        self.alone = False
         self.since: float | None = None  # when its clock started; None while it gets ready
         self._clock, self._hired = clock, clock()
         self._ready = False
@@ -196,10 +193,10 @@ class _Worker:
     def is_stuck(self) -> bool:
         return not self._ready and self._clock() - self._hired > LONGEST_START
 
-    def begin(self, number: int, task: object, *, alone: bool = False, helps: bool = False) -> None:
-        self.number, self.alone, self.helps = number, alone, helps
+    def begin(self, number: int, task: object, *, alone: bool) -> None:
+        self.number, self.alone = number, alone
         self.since = self._clock() if self._ready else None
-        self._send((helps, task))
+        self._send(task)
 
     def hear(self) -> tuple[str, Any]:
         """Return the kind of what it says, and the value."""
@@ -232,8 +229,6 @@ class Crew(Generic[T, R]):
         workers: processes at most; 0 does all of it in this process, without any limit.
         limit: what one task may take.
         ready: called once in each worker before its first task, off the clock.
-        help: what a worker without a task does for one that another is at, from its beginning; it
-            returns where nothing is left to do there. What it returns or raises means nothing.
         handles: open files that every worker holds open as long as it lives, locks for instance.
         on_report: called here with each message that a task gives to `report`, in their order.
         notice: called with one sentence where a worker was lost.
@@ -245,7 +240,6 @@ class Crew(Generic[T, R]):
     workers: int
     limit: Limit = Limit()
     ready: Callable[[], None] = _nothing
-    help: Callable[[T], object] | None = None
     handles: Sequence[int] = ()
     on_report: Callable[[Any], None] = _nothing
     notice: Callable[[str], None] = _nothing
@@ -256,15 +250,13 @@ class Crew(Generic[T, R]):
         self._width = self.workers
         self._deaths = 0
         self._any_done = False
-        self._may_help = self.help is not None
-        self._helpless: set[int] = set()  # tasks in which nothing is left for helpers
-        self._at_work: list[_Worker] = []  # each at a task of its own, or helping at one
+        self._at_work: list[_Worker] = []
         self._idle: list[_Worker] = []
         self._waiting: deque[int] = deque()
         self._alone: deque[int] = deque()
 
     def _hire(self) -> _Worker:
-        does = (self.function, self.ready, self.help)
+        does = (self.function, self.ready)
         return self._idle.pop() if self._idle else _Worker(does, self.handles, self._clock)
 
     def __enter__(self) -> "Crew[T, R]":
@@ -280,16 +272,11 @@ class Crew(Generic[T, R]):
         if not self.workers:
             yield from map(self._do_here, range(len(tasks)), tasks)
             return
-        self._end_helpers()
-        self._helpless = set()
         self._waiting.extend(range(len(tasks)))
-        while self._waiting or self._alone or self._busy:
+        while self._waiting or self._alone or self._at_work:
             self._hand_out(tasks)
-            self._help_out(tasks)
             spoken = wait([worker.pipe for worker in self._at_work], TICK)
             for worker in [w for w in self._at_work if w.pipe in spoken or w.is_stuck]:
-                if worker not in self._at_work:  # another one was lost, and helpers were ended
-                    continue
                 kind, value = f"was not ready after {LONGEST_START:g} s", None
                 if worker.pipe in spoken:
                     kind, value = worker.hear()
@@ -304,8 +291,7 @@ class Crew(Generic[T, R]):
                     )
             for worker, over in self._over_limit():
                 self._dismiss(worker)
-                if not worker.helps:
-                    yield Ended(worker.number, over=over)
+                yield Ended(worker.number, over=over)
 
     def in_order(self, tasks: Sequence[T]) -> Iterator[R]:
         """Yield the same in the tasks' order; MachineFault too where one loses two workers."""
@@ -332,15 +318,11 @@ class Crew(Generic[T, R]):
         finally:
             _report = before
 
-    @property
-    def _busy(self) -> list[_Worker]:
-        return [worker for worker in self._at_work if not worker.helps]
-
     def _hand_out(self, tasks: Sequence[T]) -> None:
-        while self._waiting and len(self._busy) < self._width:
+        while self._waiting and len(self._at_work) < self._width:
             if not self._give(self._waiting, tasks, alone=False):
-                self._width = len(self._busy)
-        if self._alone and not self._busy:
+                self._width = len(self._at_work)
+        if self._alone and not self._at_work:
             self._give(self._alone, tasks, alone=True)
 
     def _give(self, numbers: deque[int], tasks: Sequence[T], *, alone: bool) -> bool:
@@ -348,7 +330,7 @@ class Crew(Generic[T, R]):
         try:
             worker = self._hire()
         except OSError as error:
-            if self._busy:
+            if self._at_work:
                 return False
             raise MachineFault(
                 f"no worker process can be started: {error.strerror or error}; end other programs, "
@@ -359,44 +341,20 @@ class Crew(Generic[T, R]):
         self._at_work.append(worker)
         return True
 
-    def _help_out(self, tasks: Sequence[T]) -> None:
-        """Have workers without a task help where one is begun, with the one of fewest helpers."""
-        while self._may_help and not self._waiting and not self._alone:
-            begun = [w.number for w in self._busy if w.since is not None]
-            begun = [number for number in begun if number not in self._helpless]
-            if not begun or len(self._at_work) >= self._width:
-                break
-            helped = Counter(worker.number for worker in self._at_work)
-            number = min(begun, key=lambda n: helped[n])
-            try:
-                worker = self._hire()
-            except OSError:
-                self._may_help = False  # the tasks do without
-                break
-            worker.begin(number, tasks[number], helps=True)
-            self._at_work.append(worker)
-
-    def _end_helpers(self) -> None:
-        for worker in [w for w in self._at_work if w.helps]:
-            self._dismiss(worker)
-
     def _heard(self, worker: _Worker, kind: str, value: Any) -> tuple[Ended[R] | None, str | None]:
         """Return how its task ended, if it did, or what became of it if its task gets a try."""
-        number, helps = worker.number, worker.helps
-        if kind == _SAID and not helps:
+        if kind == _SAID:
             self.on_report(value)
         if kind in (_READY, _SAID):
             return None, None
-        if kind == _RAISED and not helps:
+        if kind == _RAISED:
             raise value
         if kind == _DONE:
-            self._leave(worker)
+            self._at_work.remove(worker)
             self._idle.append(worker)
-            self._any_done = self._any_done or not helps
-            return None if helps else Ended(number, value=value), None
+            self._any_done = True
+            return Ended(worker.number, value=value), None
         status = self._dismiss(worker)
-        if helps:  # what is wrong there, the task will tell by itself
-            return None, None
         fate = _fate(status) if kind == _GONE else kind
         self._deaths += 1
         if self._deaths == self.workers + 3 and not self._any_done:
@@ -405,11 +363,9 @@ class Crew(Generic[T, R]):
                 "other programs or raise the limits (ulimit)"
             )
         if worker.alone:
-            return Ended(number, lost=fate), None
-        self._alone.append(number)
+            return Ended(worker.number, lost=fate), None
+        self._alone.append(worker.number)
         self._width = max(1, self._width - 1)
-        self._may_help = False
-        self._end_helpers()
         while self._idle:  # what they hold on to may be what was missing
             self._idle.pop().end()
         return None, fate
@@ -424,13 +380,8 @@ class Crew(Generic[T, R]):
         return [(w, "seconds") for w in clocks] + [(w, "megabytes") for w in heavy]
 
     def _dismiss(self, worker: _Worker) -> int:
-        self._leave(worker)
-        return worker.end()
-
-    def _leave(self, worker: _Worker) -> None:
         self._at_work.remove(worker)
-        if worker.helps:
-            self._helpless.add(worker.number)
+        return worker.end()
 
 
 def _fate(status: int) -> str:

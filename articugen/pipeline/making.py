@@ -1,11 +1,10 @@
 """One object of a job made into a shard, and whose fault it is where that fails."""
 
-import os
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from articugen.core import processes
 from articugen.core.content import VERSION
@@ -20,16 +19,13 @@ from articugen.core.errors import (
 )
 from articugen.core.memory import give_back
 from articugen.core.recipe import Recipe
+from articugen.core.records import ResolvedObject
 from articugen.core.schema import Instance
-from articugen.pipeline import sharing
 from articugen.pipeline.job import Job
 from articugen.sources import readers
 from articugen.sources.refs import ObjectRef
 from articugen.store.outcome import Key, Outcome, Rejection
 from articugen.store.writer import Check, write_shard
-
-if TYPE_CHECKING:
-    from articugen.instance.preparing import Prepared
 
 SECONDS_FOR_ANY_OBJECT = 600.0
 SECONDS_FOR_ANY_INSTANCE = 5.0
@@ -58,12 +54,9 @@ class Task:
     place: int = 0
 
 
-def make_object(
-    job: Job, folder: Path, task: Task, check: Check | None = None, common: Path | None = None
-) -> Outcome:
+def make_object(job: Job, folder: Path, task: Task, check: Check | None = None) -> Outcome:
     """Make one object and write its shard into a folder; a fault of the object becomes its
-    rejection, and so does what `check` raises of the shard. Other workers may help in the folder
-    `common`, if any.
+    rejection, and so does what `check` raises of the shard.
 
     Raises:
         MachineFault, MemoryError: it says nothing about the object.
@@ -71,22 +64,11 @@ def make_object(
     """
     started = time.perf_counter()
     give_back(_DEPTH_MAPS)
-    elsewhere = 0.0
-
-    def here(made: _Made) -> Instance:
-        nonlocal elsewhere
-        elsewhere += made.seconds if made.process != os.getpid() else 0.0
-        return made.instance
-
     try:
-        with sharing.owned(common and common / task.shard) as owner:
-            prepared = _prepared(job, task)
-            obj = prepared.obj
-            if _is_other(task, obj.sha256):
-                return _changed(task)
-            made = owner.in_order(len(prepared.states), partial(_made, prepared))
-            attributes = _attributes(job, task)
-            record = write_shard(folder / task.shard, map(here, made), attributes, check)
+        obj, instances = _instances(job, task)
+        if _is_other(task, obj.sha256):
+            return _changed(task)
+        record = write_shard(folder / task.shard, instances, _attributes(job, task), check)
     except Exception as error:  # an object must not take the others down with it
         verdict = verdict_on(error, task.ref, job.recipe)
         if verdict is None:
@@ -101,18 +83,8 @@ def make_object(
         record,
         input_sha256=obj.sha256,
         notes=obj.notes,
-        seconds=time.perf_counter() - started + elsewhere,
+        seconds=time.perf_counter() - started,
     )
-
-
-def help_make(job: Job, common: Path, task: Task) -> int:
-    """Make instances of an object that another worker makes, until none is left; how many."""
-    give_back(_DEPTH_MAPS)
-    prepared = _prepared(job, task)
-    if _is_other(task, prepared.obj.sha256):
-        return 0
-    count = len(prepared.states)
-    return sharing.help_with(common / task.shard, count, partial(_made, prepared))
 
 
 def _is_other(task: Task, digest: str) -> bool:
@@ -163,29 +135,15 @@ def verdict_on(error: Exception, ref: ObjectRef, recipe: Recipe) -> Exception | 
     return None
 
 
-@dataclass(frozen=True)
-class _Made:
-    """An instance, which process made it and in how many seconds."""
-
-    instance: Instance
-    process: int
-    seconds: float
-
-
-def _made(prepared: "Prepared", index: int) -> _Made:
-    from articugen.instance.make import make_instance  # noqa: PLC0415
-
-    began = time.perf_counter()
-    instance = make_instance(prepared, index)
-    return _Made(instance, os.getpid(), time.perf_counter() - began)
-
-
-def _prepared(job: Job, task: Task) -> "Prepared":
+def _instances(job: Job, task: Task) -> tuple[ResolvedObject, Iterator[Instance]]:
+    """Return an object as it is made, and its instances, one after the other."""
     # numba and the mesh readers take a second to import: the command line should not wait for them
     from articugen.instance.again import resolved  # noqa: PLC0415
+    from articugen.instance.make import make_instance  # noqa: PLC0415
     from articugen.instance.preparing import prepare  # noqa: PLC0415
 
-    return prepare(resolved(task.ref, job.recipe), job.recipe, job.seed)
+    prepared = prepare(resolved(task.ref, job.recipe), job.recipe, job.seed)
+    return prepared.obj, map(partial(make_instance, prepared), range(len(prepared.states)))
 
 
 def source_digest(recipe: Recipe, ref: ObjectRef) -> str:

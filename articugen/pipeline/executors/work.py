@@ -4,7 +4,6 @@ import socket
 import time
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -43,14 +42,10 @@ class Work:
     claim: tuple[str, float] | None = None
     aside: Path | None = None
 
-    def done(self, task: Task, common: Path | None = None) -> Outcome | None:
-        """Make one object; None where another process is at it. As `make_object`.
-
-        Args:
-            common: a folder where other workers help.
-        """
+    def done(self, task: Task) -> Outcome | None:
+        """Make one object; None where another process is at it. As `make_object`."""
         if self.claim is None:
-            return make_object(self.job, self.job.folder, task, self.check, common)
+            return make_object(self.job, self.job.folder, task, self.check)
         bucket, aside = self.job.place, self.aside
         assert isinstance(bucket, Bucket)
         assert aside is not None
@@ -61,7 +56,7 @@ class Work:
         try:
             outcome = recorded(ledger, bucket, task.key)  # another was at it until now
             if outcome is None:
-                outcome = task.known or make_object(self.job, aside, task, self.check, common)
+                outcome = task.known or make_object(self.job, aside, task, self.check)
                 if outcome.shard:
                     bucket.write(task.shard, aside / task.shard)
                 record_in(ledger, outcome)
@@ -118,7 +113,7 @@ class Elsewhere:
                 )
             time.sleep(0.1)
         return Crew(
-            partial(Work.done, self.work),
+            self.work.done,
             workers=1,
             limit=limit_of(self.work.job.recipe),
             ready=import_stages,
