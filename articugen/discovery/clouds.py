@@ -200,21 +200,33 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
             nothing moves; normals are not one for each point.
     """
     given = _checked(poses)
-    frame = _frame(given)
+    low = np.min([cloud.min(0) for cloud in given], axis=0)
+    high = np.max([cloud.max(0) for cloud in given], axis=0)
+    size = max(float((high - low).max()), 1e-12) / _EDGE
+    frame = Normalization((low + high) / 2.0, size)
     rng = np.random.default_rng(0)
     surfaces = _with_normals([frame.to_unit(cloud) for cloud in given], normals)
     clouds = tuple(_thinned(surface, rng) for surface in surfaces)
     points = [cloud.points for cloud in clouds]
     first = Cells.of([Surface.bare(points[0])])
-    near = _nearness(points[0], first)
+    # most points of a surface are nearer to one another than `near`
+    some = points[0][:: max(len(points[0]) // 2000, 1)]
+    gaps = kernels.spacing(some, first.points, first.starts, 0, 2.0 / kernels.CELLS)
+    near = float(np.clip(1.25 * np.quantile(gaps, 0.97), *_NEAR))
     left = _left(points, near)
-    _check_frames(left)
+    if left.max() > 1.0 - _STAYS:
+        raise InvalidArgument(
+            f"pose {left.argmax() + 1} has next to nothing where pose 0 has matter: they share no "
+            "frame, or no part of the object stays; bring all poses into one frame, that of the "
+            "fixed part"
+        )
     chosen = _spread(left)
     start = _surface(clouds[0], near)
     surfaces = [_surface(clouds[k], near) for k in chosen]
     searched = Cells.of(surfaces, near)
     gone = ~searched.met(start, still(len(chosen)), near)
-    movers = _movers(points[0], gone, near)
+    often = gone.sum(axis=0) >= max(1, round(len(gone) / 4))
+    movers = often & (_share_about(points[0], often, near) > 0.5)
     if movers.sum() < max(12, 0.002 * len(movers)):
         raise InvalidArgument(
             f"nothing moves: all of pose 0 is where it was in the {len(clouds) - 1} other poses; "
@@ -265,12 +277,6 @@ def _checked(poses: Sequence[Any]) -> list[Floats]:
     return clouds
 
 
-def _frame(clouds: Sequence[Floats]) -> Normalization:
-    low = np.min([cloud.min(0) for cloud in clouds], axis=0)
-    high = np.max([cloud.max(0) for cloud in clouds], axis=0)
-    return Normalization((low + high) / 2.0, max(float((high - low).max()), 1e-12) / _EDGE)
-
-
 def _with_normals(clouds: Sequence[Floats], normals: Sequence[Any] | None) -> list[Surface]:
     points = [np.ascontiguousarray(cloud) for cloud in clouds]
     if normals is None:
@@ -288,28 +294,12 @@ def _thinned(cloud: Surface, rng: np.random.Generator) -> Surface:
     return cloud[np.sort(rng.choice(len(cloud), MOST_POINTS, replace=False))]
 
 
-def _nearness(cloud: Floats, cells: Cells) -> float:
-    """How far a point may be from the points of its own surface: most are nearer to one another."""
-    some = cloud[:: max(len(cloud) // 2000, 1)]
-    gaps = kernels.spacing(some, cells.points, cells.starts, 0, 2.0 / kernels.CELLS)
-    return float(np.clip(1.25 * np.quantile(gaps, 0.97), *_NEAR))
-
-
 def _left(clouds: Sequence[Floats], near: float) -> Floats:
     """(K - 1,) of some points of pose 0, which share has no matter of each other pose near it."""
     some = Surface.bare(np.ascontiguousarray(clouds[0][:: max(len(clouds[0]) // 1000, 1)]))
     return np.array(
         [(~Cells.of([Surface.bare(c)]).met(some, still(1), near)).mean() for c in clouds[1:]]
     )
-
-
-def _check_frames(left: Floats) -> None:
-    if left.max() > 1.0 - _STAYS:
-        k = int(left.argmax()) + 1
-        raise InvalidArgument(
-            f"pose {k} has next to nothing where pose 0 has matter: they share no frame, or no "
-            "part of the object stays; bring all poses into one frame, that of the fixed part"
-        )
 
 
 def _spread(left: Floats) -> NDArray[np.intp]:
@@ -319,12 +309,6 @@ def _spread(left: Floats) -> NDArray[np.intp]:
     order = np.argsort(-left, kind="stable")[: max(SEARCHED, int(0.8 * len(left)))]
     picks = np.linspace(0, len(order) - 1, SEARCHED).round().astype(int)
     return np.sort(order[picks]) + 1
-
-
-def _movers(cloud: Floats, gone: NDArray[np.bool_], near: float) -> NDArray[np.bool_]:
-    """Return (n,) points that have left in some poses, as most of those around them have."""
-    often = gone.sum(axis=0) >= max(1, round(len(gone) / 4))
-    return often & (_share_about(cloud, often, near) > 0.5)
 
 
 def _share_about(cloud: Floats, flags: NDArray[np.bool_], near: float) -> Floats:

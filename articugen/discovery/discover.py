@@ -28,55 +28,30 @@ KINDS = (JointKind.REVOLUTE, JointKind.PRISMATIC)
 LEAN = np.cos(np.radians(30.0))
 """A joint that leans further from where joints of its kind point is a mistake."""
 
-_SAME_WAY = 0.99
-"""Directions are one where the cosine between them, whatever their signs, is no less."""
-
-_PATCHES, _PATCH = 12, 48
-_MOVERS = 800
-"""So many of the points that have left are examined."""
-
+# How many: of patches, of points in one, of points that have left and are examined, of candidates
+# that grow, and of points that a growing one is fitted to.
+_PATCHES, _PATCH, _MOVERS, _GROWN, _CORE = 12, 48, 800, 10, 200
+# Of those points: what candidates are asked for in the end, and what ranks them at first.
 _ALL, _SOME = slice(None), slice(None, None, 2)
-"""Of those: what candidates are asked for in the end, and what ranks them at first."""
 
-_RIGHT, _WRONG = 0.4, 0.2
-"""Of the poses in which a point has left, a joint that it follows is right in this share at least,
-and wrong in this share at most."""
+# Shares, of the poses in which a point has left, of what has left, or of `near`:
+_RIGHT, _WRONG = 0.4, 0.2  # a joint that a point follows is right in so many poses, wrong in so few
+_AGREES = 0.6  # a joint is fitted to points that it lays on something in so many poses
+_WORTH = 0.04  # a joint explains at least this share of all that has left
+_ALONE = 0.15  # and of what it explains best no other does this share at least
+_STAYS = 0.1  # by so much a joint must bring a point nearer to the poses than it is if it stays
+_SURE = 0.2  # by so much the next part is farther, where a point is sure of its own
 
-_AGREES = 0.6
-"""A joint is fitted to points that lie on something in this share of the poses, moved by it."""
-
-_SLIDES_FIRST = 1.05
-"""A slide has two parameters fewer than a turn and is preferred where both explain as much."""
-
-_FAR_TURNS = 0.03
-"""By this share a radian lesser turns are preferred: a plate may as well have been turned over."""
-
-_STAYS = 0.1
-"""By this share of `near` a joint must bring a point nearer to the poses than it is if it stays."""
-
-_SURE = 0.2
-"""A point is sure of its part where the next is farther from the poses by this share of `near`."""
-
+# What is preferred where both explain about as much:
+_SLIDES_FIRST = 1.05  # a slide, which has two parameters fewer, to a turn
+_FAR_TURNS = 0.03  # a lesser turn, by this share a radian: a plate may have been turned over
+_PLAIN = 1.03  # a coordinate axis to one beside it, by 30 degrees (slides) or 12 (turns)
 _BESIDE = np.cos(np.radians([30.0, 12.0]))
-_PLAIN = 1.03
-"""A coordinate axis is preferred to one beside it (slides: by 30 degrees, turns: by 12), if it
-explains about as much."""
+_SAME_WAY = 0.99  # directions are one where the cosine between them, of any sign, is no less
 
-_ALONE = 0.15
-"""Of what a joint explains of points that it explains best, no other does this share at least."""
-
-_GROWN = 10
-"""So many candidates grow, of those that patches vote for."""
-
+# How far a point may be from where it should land as a candidate grows: so many times `near`, or
+# `_WIDE` where that is more.
 _GROWS, _WIDE = (2.0, 2.0, 2.0, 2.0, 1.5), 0.015
-"""How far a point may be from where it should land, as a candidate grows: so many times `near`, or
-`_WIDE` where that is more."""
-
-_CORE = 200
-"""To so many of the points that follow it a candidate is fitted as it grows."""
-
-_WORTH = 0.04
-"""A joint explains at least this share of all that has left."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +200,9 @@ class _Found:
     def _gain(self, grown: _Grown, among: slice = _ALL) -> float:
         """Return how many pairs of a point and a pose it explains that nothing yet does, less those
         where it is wrong of its own points; of the movers `among` which it was asked."""
-        if not self._points_right(grown.joint):
+        kind = JointKind.REVOLUTE if grown.joint.turns else JointKind.PRISMATIC
+        known = self.directions.get(kind)
+        if known is not None and np.abs(known @ grown.joint.axis).max() <= LEAN:
             return -1.0
         mine = grown.follow & self.left[among]
         gain = grown.right[:, mine].sum() - 2.0 * grown.wrong[:, mine].sum()
@@ -253,7 +230,11 @@ class _Found:
         """Return the candidates that patches vote for, each fitted to its patch; the best of them
         that are not alike grow."""
         reach = 2.0 * self.seen.near
-        seeds = [self._seed(joint, patch) for patch in patches for joint in self._voted(patch)]
+        seeds = [
+            fitted(joint, self.part[some(patch, 60)], self.seen.targets, reach, 3)
+            for patch in patches
+            for joint in self._voted(patch)
+        ]
         seeds = [self._explained(seed, reach, _SOME) for seed in seeds]
         seeds.sort(key=lambda seed: -self._gain(seed, _SOME))
         unlike: list[_Grown] = []
@@ -273,15 +254,6 @@ class _Found:
             ways = self.directions.get(JointKind.PRISMATIC, EVERY_WAY)
             voted += self.search.slides(which, ways, 2)
         return [joint for _, joint in voted]
-
-    def _seed(self, joint: Candidate, patch: NDArray[np.intp]) -> Candidate:
-        core = some(patch, 60)
-        return fitted(joint, self.part[core], self.seen.targets, 2.0 * self.seen.near, 3)
-
-    def _points_right(self, joint: Candidate) -> bool:
-        kind = JointKind.REVOLUTE if joint.turns else JointKind.PRISMATIC
-        known = self.directions.get(kind)
-        return known is None or np.abs(known @ joint.axis).max() > LEAN
 
     def _grow(self, seed: _Grown) -> _Grown:
         near, targets, joint, follow = self.seen.near, self.seen.targets, seed.joint, seed.follow

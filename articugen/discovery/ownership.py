@@ -58,7 +58,9 @@ class Ownership:
 
     def part_of(self, rest: Floats) -> NDArray[np.int64]:
         """(n,) whose points are that would be at `rest` (P, n, 3) if they were of each part."""
-        doubt = np.stack([self._doubt_at(points, p) for p, points in enumerate(rest)])
+        R = self.doubt.shape[1]
+        i, j, k = np.moveaxis(np.clip(((rest + 0.5) * R).astype(np.int64), 0, R - 1), -1, 0)
+        doubt = self.doubt[np.arange(len(rest))[:, None], i, j, k]
         best, part = np.full(rest.shape[1], MOST_DOUBT), np.zeros(rest.shape[1], np.int64)
         for p in np.flatnonzero(self.owns[1:]) + 1:
             beyond = (np.abs(rest[p] - self.middle[p]) - self.size[p]).max(1)
@@ -66,11 +68,6 @@ class Ownership:
             mine = doubt[p] < np.minimum(best, np.where(beyond <= 0.0, MOST_DOUBT, rim))
             best, part = np.where(mine, doubt[p], best), np.where(mine, p, part)
         return part
-
-    def _doubt_at(self, points: Floats, part: int) -> Floats:
-        R = self.doubt.shape[1]
-        i, j, k = np.clip(((points + 0.5) * R).astype(np.int64), 0, R - 1).T
-        return self.doubt[part, i, j, k]
 
 
 def assign_material(
@@ -87,7 +84,10 @@ def assign_material(
     asked = np.unique(np.linspace(0, K - 1, ASKED).astype(int))
     evidence = _Evidence.of([clouds[k] for k in asked], hidden[asked], motion[asked])
     asking = np.unique(np.linspace(0, K - 1, ASKING).astype(int))
-    rest = _at_rest([clouds[k][:: len(clouds[k]) // POINTS + 1] for k in asking], motion[asking])
+    some = [clouds[k][:: len(clouds[k]) // POINTS + 1] for k in asking]
+    back = zip(some, invert_rigid(motion[asking]), strict=True)
+    rest = np.concatenate([np.einsum("pij,nj->pni", T[:, :3, :3], cloud) + T[:, None, :3, 3]
+                           for cloud, T in back], 1)  # fmt: skip
     doubt = np.stack([evidence.against(rest[p], p) for p in range(P)])
     boxes = [_box_of_sure(rest, doubt, p) for p in range(1, P)]
     owns = np.array([True, *(box is not None for box in boxes)])
@@ -161,16 +161,6 @@ def _grown(grids: NDArray[np.bool_]) -> NDArray[np.uint8]:
         after[1:] |= before[:-1]
         after[:-1] |= before[1:]
     return grown
-
-
-def _at_rest(clouds: list[Floats], motion: NDArray[np.float64]) -> Floats:
-    """(P, n, 3) where the points of all clouds would be at rest if they were of each part."""
-    back = invert_rigid(motion)
-    moved = [
-        np.einsum("pij,nj->pni", T[:, :3, :3], cloud) + T[:, None, :3, 3]
-        for cloud, T in zip(clouds, back, strict=True)
-    ]
-    return np.concatenate(moved, 1)
 
 
 def _box_of_sure(rest: Floats, doubt: Floats, part: int) -> Floats | None:

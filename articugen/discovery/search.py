@@ -38,12 +38,8 @@ class Candidate:
     states: Floats
 
 
-def _every_way() -> Floats:
-    fan = fibonacci_sphere(2 * _FAN)
-    return np.concatenate([np.eye(3), fan[fan[:, 2] > 0]])
-
-
-EVERY_WAY = _every_way()
+_fan = fibonacci_sphere(2 * _FAN)
+EVERY_WAY = np.concatenate([np.eye(3), _fan[_fan[:, 2] > 0]])
 """(n, 3) directions to slide in: the coordinate axes and a fan of others."""
 
 

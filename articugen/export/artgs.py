@@ -41,7 +41,11 @@ def _write(item: Item, target: Target) -> None:
         raise LeftOut(f"{start.object_id}: has one state, of two that are needed")
     folder = f"{file_name(start.split)}/{file_name(start.object_id)}"
     ends = (("start", 0.0, start), ("end", 1.0, end))
-    for views, cameras in _splits(len(start.images.rgba)).items():
+    every = range(len(start.images.rgba))
+    tests = list(every[_TEST - 1 :: _TEST]) or [every[-1]]
+    train = [k for k in every if k not in tests]
+    # PARIS examines `val` while it trains, ArtGS has none
+    for views, cameras in {"train": train, "val": tests, "test": tests}.items():
         frames = {word: _frames(row, f"{word}/{views}", time, cameras) for word, time, row in ends}
         for word, _, row in ends:
             _write_images(row, f"{folder}/{word}/{views}", cameras, views != "val", target)
@@ -54,15 +58,9 @@ def _write(item: Item, target: Target) -> None:
                 some = {**_angles(row), "frames": frames[word]}
                 _write_json(f"{folder}/transforms_{views}_{word}.json", some, target)
         if views != "val":
-            every = {**_angles(start), "frames": frames["start"] + frames["end"]}
-            _write_json(f"{folder}/transforms_{views}.json", every, target)
+            both = {**_angles(start), "frames": frames["start"] + frames["end"]}
+            _write_json(f"{folder}/transforms_{views}.json", both, target)
     _write_json(f"{folder}/gt/trans.json", _truth(start, end), target)
-
-
-def _splits(cameras: int) -> dict[str, list[int]]:
-    """The cameras of each set of views; PARIS examines `val` while it trains, ArtGS has none."""
-    tests = list(range(_TEST - 1, cameras, _TEST)) or [cameras - 1]
-    return {"train": [k for k in range(cameras) if k not in tests], "val": tests, "test": tests}
 
 
 def _write_images(row: Row, folder: str, cameras: list[int], depth: bool, target: Target) -> None:

@@ -167,7 +167,10 @@ def _parts(seen: Sequence[_Seen]) -> Table:
     for each in seen:
         for name, own in each.counts.items():
             counts[name] = counts.get(name, 0) + own
-    shares = {name: _shares(name, total) for name, total in counts.items()}
+    shares = {}
+    for name, total in counts.items():  # of points in each part; label k + 1 is part k
+        parts = (total / max(int(total.sum()), 1))[0 if name.endswith("_part") else 1 :]
+        shares[name] = np.trim_zeros(parts[: ENCLOSED - 1], "b")
     titles = (name.removesuffix("_part").removesuffix("_label") for name in shares)
     table = quiet_table(">part", *(f">{title}" for title in titles))
     for part in range(max(map(len, shares.values()), default=0)):
@@ -181,10 +184,3 @@ def _parts(seen: Sequence[_Seen]) -> Table:
     inside = (f"{s.sum() + enclosed[n]:.2%}" for n, s in shares.items())
     table.add_row("all", *inside, style="bold")
     return table
-
-
-def _shares(name: str, counts: Ints) -> Floats:
-    """Return (P,) the fraction of the points that lies in each part; label k + 1 is part k."""
-    fractions = counts / max(int(counts.sum()), 1)
-    parts = fractions if name.endswith("_part") else fractions[1:]
-    return np.trim_zeros(parts[: ENCLOSED - 1], "b")

@@ -50,19 +50,16 @@ class Outlier:
 def nearest_pairs(objects: Sequence[ObjectFacts], count: int) -> list[Pair]:
     """The `count` pairs whose canonical poses are the most alike, and all near-duplicates found."""
     objects = [each for each in objects if len(each.cloud) >= 4]
-    coarse = [_coarse(each.cloud) for each in objects]
+    coarse = []  # how many points are in each of `_COARSE`^3 cells
+    for cloud in (each.cloud for each in objects):
+        cell = np.clip((cloud + 0.5) * _COARSE, 0, _COARSE - 1).astype(np.int64)
+        flat = cell @ (_COARSE * _COARSE, _COARSE, 1)
+        coarse.append(np.bincount(flat, minlength=_COARSE**3) / len(cloud))
     pairs = list(combinations(range(len(objects)), 2))
     near = sorted(pairs, key=lambda ij: float(np.abs(coarse[ij[0]] - coarse[ij[1]]).sum()))
     found = [_pair(objects[i], objects[j]) for i, j in near[:LOOKED_AT]]
     found.sort(key=lambda pair: pair.ratio)
     return [pair for n, pair in enumerate(found) if n < count or pair.same]
-
-
-def _coarse(points: Floats) -> Floats:
-    """Return how many points are in each of `_COARSE`^3 cells."""
-    cell = np.clip((points + 0.5) * _COARSE, 0, _COARSE - 1).astype(np.int64)
-    flat = cell @ (_COARSE * _COARSE, _COARSE, 1)
-    return np.bincount(flat, minlength=_COARSE**3) / len(points)
 
 
 def _pair(a: ObjectFacts, b: ObjectFacts) -> Pair:

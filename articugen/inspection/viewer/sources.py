@@ -82,21 +82,16 @@ class StoredObjects:
 
     def _maker(self, shard: Path, object_id: str) -> Maker:
         """Return what makes more states, if the source is what it was; else ArticugenError."""
-        manifest = self._data.manifest or _manifest_beside(shard)
+        manifest = self._data.manifest
+        if manifest is None and (shard.parent / MANIFEST_NAME).is_file():
+            beside = Manifest.read(shard.parent)
+            manifest = beside if shard.name in {s.name for s in beside.shards} else None
         if manifest is None:
             raise InvalidSource(f"{shard.parent}: has no {MANIFEST_NAME} that names the source")
         obj, settings = again.source_again(manifest, object_id)
         model = Model(obj, settings.canonical, tuple(settings.movable))
         recipe = Recipe.model_validate_json(manifest.recipe)
         return Maker(model, recipe.for_one_object(), manifest.seed)
-
-
-def _manifest_beside(shard: Path) -> Manifest | None:
-    """That of the data set whose folder a shard lies in."""
-    if not (shard.parent / MANIFEST_NAME).is_file():
-        return None
-    manifest = Manifest.read(shard.parent)
-    return manifest if shard.name in {entry.name for entry in manifest.shards} else None
 
 
 def _joints_of_maker(maker: Maker) -> list[Joint]:

@@ -88,15 +88,12 @@ def _built(rng: np.random.Generator, layout: Layout, most_stroke: float) -> Mode
             name = f"drawer_{len(links)}"
             solids, length = _drawer(cell, carcass, style)
             links.append(ModelLink(name, "drawer", tuple(solids)))
-            joints.append(_slider(name, cell, carcass, round(style.stroke * length, 4)))
+            at, stroke = (carcass.x1, *cell.opening.center), round(style.stroke * length, 4)
+            way = (1.0, 0.0, 0.0)
+            joints.append(
+                ModelJoint(f"{name}_slide", "prismatic", "body", name, at, way, 0.0, stroke)
+            )
     return Model((ModelLink("body", "furniture_body", tuple(body)), *links), tuple(joints))
-
-
-def _slider(name: str, cell: Cell, carcass: Carcass, stroke: float) -> ModelJoint:
-    origin = (carcass.x1, *cell.opening.center)
-    return ModelJoint(
-        f"{name}_slide", "prismatic", "body", name, origin, (1.0, 0.0, 0.0), 0.0, stroke
-    )
 
 
 def _style(rng: np.random.Generator, extent: float, board: float, most_stroke: float) -> Style:
@@ -185,7 +182,10 @@ def _front(rect: Rect, x: float, carcass: Carcass, style: Style) -> list[Solid]:
         case "slats":
             solids = [panel(rect, x, x + 0.7 * t), *_slats(rect, x + 0.7 * t, x + 1.15 * t)]
         case "bow":
-            solids = [prism(_bowed(rect, x, carcass, style), rect.z0, rect.z1)]
+            y = np.linspace(rect.y0, rect.y1, 14)
+            arc = np.stack([x + style.thickness + style.bow * _bulge(y, carcass), y], axis=1)
+            outline = np.concatenate([[(x, rect.y0)], arc, [(x, rect.y1)]])
+            solids = [prism(outline, rect.z0, rect.z1)]
         case "slot":
             solids = [along_x(prism(_notched(rect), x, x + t))]
         case _:
@@ -228,13 +228,6 @@ def _bulge(y: Array, carcass: Carcass) -> Array:
     """Return the bow's height, 1 in the middle of the carcass and 0 at its sides."""
     s = (y - carcass.outer.center[0]) / (0.5 * carcass.outer.width)
     return np.maximum(1.0 - s * s, 0.0)
-
-
-def _bowed(rect: Rect, x: float, carcass: Carcass, style: Style) -> Array:
-    """Return the outline (n, 2) in (x, y) of a bowed plate."""
-    y = np.linspace(rect.y0, rect.y1, 14)
-    arc = np.stack([x + style.thickness + style.bow * _bulge(y, carcass), y], axis=1)
-    return np.concatenate([[(x, rect.y0)], arc, [(x, rect.y1)]])
 
 
 def _notched(rect: Rect) -> Array:

@@ -106,10 +106,13 @@ def _built(rng: np.random.Generator, *, upright: bool) -> Model:
         middle = [*_bridge(rng, shape), *_nose_pads(rng, shape)]
         face = [*right, *(s.mirrored(1) for s in right), *middle]
         highest = _HIGHEST * float(shape.lens[:, 1].max())
-    across = _hinge_across(shape, face)
+    # From the middle of the face to the right hinge, which lies outside the lens.
+    outermost = max(float(solid.vertices[:, 1].max()) for solid in face)
+    across = outermost + shape.temple[0] / 2 + 0.5 * MM
     bare_temple = _temple(rng, shape, across, level=upright)
     lean = 0.0 if upright else _lean(bare_temple, across)
-    apart = _height(bare_temple) + _BETWEEN if upright else 0.0
+    heights_of = np.concatenate([solid.vertices[:, 2] for solid in bare_temple])
+    apart = float(np.ptp(heights_of)) + _BETWEEN if upright else 0.0
     hinge_z = min(shape.hinge_z, highest - apart / 2)
     heights = {side: hinge_z - sign * apart / 2 for side, sign in _SIDES.items()}
     starts = {
@@ -132,7 +135,11 @@ def _built(rng: np.random.Generator, *, upright: bool) -> Model:
         parts[f"{side}_temple"] = temple if sign > 0 else [s.mirrored(1) for s in temple]
     lowest = min(float(s.vertices[:, 2].min()) for solids in parts.values() for s in solids)
     links = [
-        ModelLink(name, "frame" if name == "front" else "leg", _raised(solids, -lowest))
+        ModelLink(
+            name,
+            "frame" if name == "front" else "leg",
+            tuple(solid.shifted(z=-lowest) for solid in solids),
+        )
         for name, solids in parts.items()
     ]
     joints = [
@@ -142,7 +149,7 @@ def _built(rng: np.random.Generator, *, upright: bool) -> Model:
             parent="front",
             child=f"{side}_temple",
             origin=hinges[side] * (1.0, sign, 1.0) - (0.0, 0.0, lowest),
-            axis=-sign * _normal(lean),
+            axis=-sign * np.array([0.0, -sin(lean), cos(lean)]),
             upper=np.deg2rad(90.0),
         )
         for side, sign in _SIDES.items()
@@ -151,10 +158,6 @@ def _built(rng: np.random.Generator, *, upright: bool) -> Model:
 
 
 _SIDES = {"left": -1.0, "right": 1.0}
-
-
-def _raised(solids: list[Solid], z: float) -> tuple[Solid, ...]:
-    return tuple(s.shifted(z=z) for s in solids)
 
 
 _STYLES = {
@@ -322,17 +325,6 @@ def _clear(s: _Shape) -> float:
     return max(half, _knuckle_radius(s)) + _SLIT
 
 
-def _hinge_across(s: _Shape, face: list[Solid]) -> float:
-    """From the middle of the face to the right hinge, which lies outside the lens."""
-    outermost = max(float(solid.vertices[:, 1].max()) for solid in face)
-    return outermost + s.temple[0] / 2 + 0.5 * MM
-
-
-def _normal(lean: float) -> Array:
-    """Return the normal of the planes in which both temples turn."""
-    return np.array([0.0, -sin(lean), cos(lean)])
-
-
 def _lean(temple: list[Solid], across: float) -> float:
     """Return the least angle of the hinges at which the left temple's lowest point passes over the
     right one's highest; the right temple (its hinge at the origin) and its mirror image are
@@ -350,10 +342,6 @@ def _lean(temple: list[Solid], across: float) -> float:
         middle = (low + high) / 2
         low, high = (middle, high) if room(middle) < _BETWEEN else (low, middle)
     return high
-
-
-def _height(solids: list[Solid]) -> float:
-    return float(np.ptp(np.concatenate([solid.vertices[:, 2] for solid in solids])))
 
 
 def _hinge_depth(s: _Shape, face: list[Solid], temple: list[Solid], lean: float) -> float:

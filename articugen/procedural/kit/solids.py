@@ -29,6 +29,9 @@ FLAT = 1e-9
 _ALMOST = 1.0 - 1e-6
 
 
+_CORNERS = 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+
+
 @dataclass(frozen=True, eq=False)
 class Sheet:
     """A surface that stands for a slab: all points within half of `thickness` along its normal.
@@ -241,7 +244,7 @@ def block(
     outlines = [
         rounded_rectangle(width - 2 * d, depth - 2 * d, max(radius - d, d), middle, segments)
         if radius > 0.0
-        else _corners(width - 2 * d, depth - 2 * d, middle)
+        else _CORNERS * (width - 2 * d, depth - 2 * d) + middle
         for d, _ in layers
     ]
     return stack(outlines, [z for _, z in layers])
@@ -304,11 +307,6 @@ def _carried(v: Array, before: Array, after: Array) -> Array:
     if sine < 1e-12:
         return v
     return turned(rotation_about(axis / sine, arctan2(sine, dot(before, after))), v)
-
-
-def _corners(width: float, depth: float, center: Array) -> Array:
-    half = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 0.5
-    return half * (width, depth) + center
 
 
 def _side(vertices: Array, a: list[int], b: list[int], i: int) -> list[Face]:

@@ -61,7 +61,12 @@ def model_files(
         visuals[link.name] = list(meshes)
         contents |= meshes
     contents[URDF_NAME] = _urdf(model, object_id, visuals, _turn(messy), messy)
-    contents["semantics.txt"] = _semantics(model)
+    # PartNet-Mobility's table: link, how it moves, what it is
+    moves = {"fixed": "fixed", "revolute": "hinge", "prismatic": "slider"}
+    kind = {joint.child: moves[joint.kind] for joint in model.joints}
+    contents["semantics.txt"] = "".join(
+        f"{link.name} {kind.get(link.name, 'heavy')} {link.semantic}\n" for link in model.links
+    )
     return {name: text.encode() for name, text in contents.items()}
 
 
@@ -206,10 +211,3 @@ def _urdf(model: Model, object_id: str, files: dict[str, list[str]], R: Array, m
         links = {ROOT_NAME: [], **links}
         links[body] = links.pop(body)
     return urdf_text(object_id, links, joints)
-
-
-def _semantics(model: Model) -> str:
-    """PartNet-Mobility's table: link, how it moves, what it is."""
-    moves = {"fixed": "fixed", "revolute": "hinge", "prismatic": "slider"}
-    kind = {joint.child: moves[joint.kind] for joint in model.joints}
-    return "".join(f"{k.name} {kind.get(k.name, 'heavy')} {k.semantic}\n" for k in model.links)

@@ -4,6 +4,8 @@ The body is solid around the drum. The door hangs in front of it, hinged at its 
 side; its bowl reaches through the opening and is so tapered that it swings out without touching.
 """
 
+from contextlib import suppress
+
 import numpy as np
 
 from articugen.core.geometry import rotation_about, transform
@@ -22,22 +24,16 @@ def build(rng: np.random.Generator) -> Model:
     One in a hundred draws has a drum that comes through the casing, or a bowl too flat for its
     wall: it is drawn again.
     """
-    while not _is_sound(model := _drawn(rng)):
-        pass
-    return model
-
-
-def _is_sound(model: Model) -> bool:
-    """Return whether all cells are convex, which those of outlines that cross are not."""
-    try:
-        return all(len(s.half_spaces) for link in model.links for s in link.solids)
-    except ValueError:
-        return False
+    while True:
+        model = _drawn(rng)
+        with suppress(ValueError):  # cells that are not convex, which outlines that cross give
+            if all(len(s.half_spaces) for link in model.links for s in link.solids):
+                return model
 
 
 def _drawn(rng: np.random.Generator) -> Model:
     washer = draw(rng)
-    unit = _unit(rng, washer)
+    unit = [*_casing(washer), *_drum(rng, washer), *_top(rng, washer), *_controls(rng, washer)]
     door = _door(rng, washer)
     body = [*unit, *_base(rng, washer), *_hinge(washer)]
     if washer.stacked:
@@ -58,16 +54,6 @@ def _drawn(rng: np.random.Generator) -> Model:
         ModelLink("door", "door", tuple(door)),
     )
     return Model(links, (joint,))
-
-
-def _unit(rng: np.random.Generator, washer: Washer) -> list[Solid]:
-    """Build the casing with its drum, top and controls."""
-    return [
-        *_casing(washer),
-        *_drum(rng, washer),
-        *_top(rng, washer),
-        *_controls(rng, washer),
-    ]
 
 
 def _casing(washer: Washer) -> list[Solid]:
