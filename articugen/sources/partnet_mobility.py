@@ -62,6 +62,8 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
     """
     folder = ref.location
     files = ModelFiles(folder)
+    # semantics.txt: the name of each link's part; a line is `link_0 hinge rotation_door`
+    table = [line.split() for line in (_text(files, "semantics.txt") or "").splitlines()]
     obj = load_urdf(
         folder / URDF,
         object_id=ref.object_id,
@@ -69,16 +71,17 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
         source=ref.source,
         root=folder,
         missing_ok=KNOWN_MISSING,
-        semantics=_semantics(files),
+        semantics={words[0]: words[2] for words in table if len(words) == 3},
         T_world_root=settings.turn,
     )
-    notes = (
-        *obj.notes,
-        *_category_note(files, ref.category, settings),
-        *_differences(obj, _annotation(files)),
-    )
+    notes = list(obj.notes)
+    meta = _json(files, "meta.json")
+    name = meta.get("model_cat") if isinstance(meta, dict) else None
+    if name is not None and settings.model_cat and name not in settings.model_cat:
+        notes.append(f"meta.json calls it {quoted(str(name))}, it is read as {ref.category}")
+    notes += _differences(obj, _annotation(files))
     both = hashlib.sha256(f"{obj.sha256} {files.sha256()}".encode()).hexdigest()
-    return replace(obj, notes=notes, sha256=both)
+    return replace(obj, notes=tuple(notes), sha256=both)
 
 
 def _text(files: ModelFiles, name: str) -> str | None:
@@ -100,20 +103,6 @@ def _json(files: ModelFiles, name: str) -> Any:
         raise InvalidSource(
             f"{files.folder / name}: not JSON ({error}); get the model again"
         ) from None
-
-
-def _semantics(files: ModelFiles) -> dict[str, str]:
-    """semantics.txt: the name of each link's part; a line is `link_0 hinge rotation_door`."""
-    lines = [line.split() for line in (_text(files, "semantics.txt") or "").splitlines()]
-    return {words[0]: words[2] for words in lines if len(words) == 3}
-
-
-def _category_note(files: ModelFiles, category: str, settings: CategorySettings) -> tuple[str, ...]:
-    meta = _json(files, "meta.json")
-    name = meta.get("model_cat") if isinstance(meta, dict) else None
-    if name is None or not settings.model_cat or name in settings.model_cat:
-        return ()
-    return (f"meta.json calls it {quoted(str(name))}, it is read as {category}",)
 
 
 _Number = Annotated[float, Field(ge=-MAX_NUMBER, le=MAX_NUMBER)]

@@ -127,7 +127,7 @@ def detect(path: Path) -> Found | None:
     Raises:
         InvalidSource: another package's reader fails at it.
     """
-    for name, each in _all().items():
+    for name, each in (READERS | _OTHERS.load_all(tuple(READERS))).items():
         try:
             found = each.detect(path)
         except Exception as error:
@@ -252,10 +252,6 @@ def check_sound(obj: ArticulatedObject, where: str) -> None:
                 f"{where}: joint {printable(joint.name)}: its range is {joint.lower:g} to "
                 f"{joint.upper:g}; name the lesser end first"
             )
-
-
-def _all() -> Mapping[str, Reader]:
-    return READERS | _OTHERS.load_all(tuple(READERS))
 
 
 def _failed(name: str, path: Path, error: Exception) -> Exception:

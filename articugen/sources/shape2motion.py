@@ -108,17 +108,18 @@ def _load_urdf_form(ref: ObjectRef, turn: Floats) -> ArticulatedObject:
     if len(variants) > 1:
         others = ", ".join(path.name for path in variants[1:])
         notes.append(f"read from {variants[0].name}; left aside: {others}")
-    unlimited = [j.name for j in obj.joints if j.kind == JointKind.REVOLUTE and _says_no_limit(j)]
+    unlimited = [
+        joint.name
+        for joint in obj.joints
+        if joint.kind == JointKind.REVOLUTE
+        and np.allclose((-joint.lower, joint.upper), _NO_LIMIT, rtol=0.0, atol=1e-4)
+    ]
     if unlimited:
         notes.append(f"limits of +-{_NO_LIMIT} taken as none: {', '.join(unlimited)}")
     joints = [
         replace(j, lower=-np.inf, upper=np.inf) if j.name in unlimited else j for j in obj.joints
     ]
     return replace(obj, joints=tuple(joints), notes=tuple(notes))
-
-
-def _says_no_limit(joint: Joint) -> bool:
-    return np.allclose((-joint.lower, joint.upper), _NO_LIMIT, rtol=0.0, atol=1e-4)
 
 
 def _load_raw(ref: ObjectRef, turn: Floats) -> ArticulatedObject:

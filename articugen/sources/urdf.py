@@ -65,12 +65,18 @@ def load_urdf(
     Raises:
         InvalidSource: anything amiss with the file, its tree or a mesh; see `urdf_check`.
     """
+    import yourdfpy  # noqa: PLC0415 - takes a second, and many commands read no model
+
     path = Path(path)
-    files = files or _files_around(path, root, top)
+    above = path.parent.parent if path.parent.name == "urdf" else path.parent
+    if top and not above.resolve().is_relative_to(top.resolve()):
+        above = path.parent
+    files = files or ModelFiles(path.parent, root or above, top)
     checked, unseen = checked_robot(files.read(path, MAX_TEXT_BYTES), path)
     visuals = _Visuals(path, files, missing_ok, _take_visuals(checked))
     origins = {j.get("name"): _take_origin(j) for j in checked.findall("joint")}
-    robot = _parse(checked)
+    clean = io.BytesIO(tostring(checked))
+    robot = yourdfpy.URDF.load(clean, build_scene_graph=False, load_meshes=False).robot
     joints = _topological(robot.joints)
     children = {joint.child for joint in joints}
     links = sorted(robot.links, key=lambda link: link.name in children)
@@ -83,18 +89,11 @@ def load_urdf(
         T_world_root=np.eye(4) if T_world_root is None else T_world_root,
         sha256=files.sha256(),
         source=source,
-        notes=(*visuals.notes(), *_unseen_note(unseen)),
+        notes=visuals.notes(unseen),
     )
     if not any(len(link.mesh.faces) for link in obj.links):
         raise InvalidSource(f"{path}: no link has a <visual> with a shape; add one")
     return obj
-
-
-def _files_around(path: Path, root: Path | None, top: Path | None) -> ModelFiles:
-    above = path.parent.parent if path.parent.name == "urdf" else path.parent
-    if top and not above.resolve().is_relative_to(top.resolve()):
-        above = path.parent
-    return ModelFiles(path.parent, root or above, top)
 
 
 def _take_visuals(checked: Any) -> dict[str, list[tuple[Any, Floats]]]:
@@ -130,20 +129,6 @@ def _rotation(rpy: str) -> Floats:
     return rotation
 
 
-def _parse(checked: Any) -> Any:
-    """yourdfpy's records of a tree that has passed every check."""
-    import yourdfpy  # noqa: PLC0415 - takes a second, and many commands read no model
-
-    clean = io.BytesIO(tostring(checked))
-    return yourdfpy.URDF.load(clean, build_scene_graph=False, load_meshes=False).robot
-
-
-def _unseen_note(links: list[str]) -> tuple[str, ...]:
-    if not links:
-        return ()
-    return (f"links with collision shapes but no visual, not seen: {', '.join(links)}",)
-
-
 def _topological(joints: list[Any]) -> list[Any]:
     """Each joint after the joint its parent hangs on, else in the order of the file."""
     children = {joint.child for joint in joints}
@@ -163,6 +148,10 @@ def _topological(joints: list[Any]) -> list[Any]:
 def _joint(joint: Any, origin: Floats) -> Joint:
     kind = JointKind.named(joint.type)
     lower, upper = _limits(joint)
+    axis = np.array([1.0, 0.0, 0.0])
+    if kind != JointKind.FIXED:
+        axis = joint.axis / np.abs(joint.axis).max()
+        axis = axis / norm(axis)
     mimic = joint.mimic if kind != JointKind.FIXED else None
     return Joint(
         name=joint.name,
@@ -170,7 +159,7 @@ def _joint(joint: Any, origin: Floats) -> Joint:
         parent=joint.parent,
         child=joint.child,
         T_parent_joint=origin,
-        axis=np.array([1.0, 0.0, 0.0]) if kind == JointKind.FIXED else _unit(joint.axis),
+        axis=axis,
         lower=lower,
         upper=upper,
         mimic=mimic and Mimic(mimic.joint, mimic.multiplier, mimic.offset),
@@ -184,11 +173,6 @@ def _limits(joint: Any) -> tuple[float, float]:
     if joint.type == "continuous" or limit is None or (limit.lower, limit.upper) == (None, None):
         return -np.inf, np.inf
     return limit.lower or 0.0, limit.upper or 0.0
-
-
-def _unit(axis: Floats) -> Floats:
-    axis = axis / np.abs(axis).max()
-    return axis / norm(axis)
 
 
 class _Visuals:
@@ -224,15 +208,23 @@ class _Visuals:
             self._faces += len(shape.faces)
             self._vertices += len(shape.vertices)
             self._check_size(self._faces, self._vertices)
-            vertices.append(_placed(origin, element, shape.vertices, by))
+            vertices.append(apply(origin, shape.vertices))
+            if not (np.abs(vertices[-1]) <= MAX_NUMBER).all():
+                raise InvalidSource(
+                    f"{by}: its <{element.tag}> reaches beyond {MAX_NUMBER:,.0f} m; correct its "
+                    "scale, or the unit of its file"
+                )
             faces.append(shape.faces + offset)
             offset += len(shape.vertices)
         return Mesh(np.concatenate(vertices), np.concatenate(faces))
 
-    def notes(self) -> tuple[str, ...]:
-        if not self.left_out:
-            return ()
-        return (f"meshes missing or empty, left out: {', '.join(self.left_out)}",)
+    def notes(self, unseen: list[str]) -> tuple[str, ...]:
+        """Return a note for each kind of thing that is not in the meshes."""
+        notes = {
+            "meshes missing or empty, left out": self.left_out,
+            "links with collision shapes but no visual, not seen": unseen,
+        }
+        return tuple(f"{note}: {', '.join(names)}" for note, names in notes.items() if names)
 
     def _check_size(self, faces: int, vertices: int) -> None:
         if faces > MAX_OBJECT_FACES or vertices > MAX_OBJECT_VERTICES:
@@ -276,14 +268,3 @@ class _Visuals:
             raise problem
         self.left_out.append(name)
         return None
-
-
-def _placed(origin: Floats, element: Any, vertices: Floats, by: str) -> Floats:
-    """(V, 3) in the link's frame."""
-    placed = apply(origin, vertices)
-    if not (np.abs(placed) <= MAX_NUMBER).all():
-        raise InvalidSource(
-            f"{by}: its <{element.tag}> reaches beyond {MAX_NUMBER:,.0f} m; correct its scale, or "
-            "the unit of its file"
-        )
-    return placed

@@ -12,6 +12,7 @@ import os
 import signal
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,6 @@ import numpy as np
 
 from articugen.core.errors import InvalidSource, MachineFault, installing, printable
 from articugen.core.records import Joint, JointKind, Mesh
-from articugen.sources.usd import openusd
 from articugen.sources.usd.model import Model
 
 SECONDS = 120
@@ -56,7 +56,15 @@ def read_apart(path: Path, root: Path, *, with_meshes: bool = True) -> Model:
             for k, (name, there) in enumerate(line["links"])
         )
     joints = tuple(
-        Joint(**{**j, "kind": JointKind.named(j["kind"]), **_arrays(j)}) for j in line["joints"]
+        Joint(
+            **{
+                **j,
+                "kind": JointKind.named(j["kind"]),
+                "axis": np.array(j["axis"]),
+                "T_parent_joint": np.array(j["T_parent_joint"]),
+            }
+        )
+        for j in line["joints"]
     )
     return Model(links, joints, line["sha256"], tuple(line["notes"]))
 
@@ -70,25 +78,25 @@ def digest_apart(path: Path, root: Path) -> str:
     return _asked(path, root, {"with_meshes": False, "only_hashed": True})[0]["sha256"]
 
 
-def _arrays(joint: dict[str, Any]) -> dict[str, Any]:
-    return {name: np.array(joint[name]) for name in ("T_parent_joint", "axis")}
-
-
 def _asked(path: Path, root: Path, how: dict[str, bool]) -> tuple[dict[str, Any], bytes]:
     """What the process answers: a line, and what comes behind it."""
-    if not openusd.is_there():
+    # a package that somebody has put None in the place of has no spec either
+    if sys.modules.get("pxr", sys) is None or find_spec("pxr") is None:
         raise InvalidSource(
             f"{path}: is USD, and usd-core, which reads it, is not installed; run: "
             f"{installing('usd')}"
         )
     limits = {"seconds": SECONDS, "memory": MEMORY, "parent": os.getpid()}
     request = {"path": str(path), "root": str(root), **limits, **how}
+    # the user's, without what leads OpenUSD elsewhere; one thread, for workers are many
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(_OURS)}
+    environment |= {"PXR_WORK_THREAD_LIMIT": "1", "OPENBLAS_NUM_THREADS": "1"}
     try:
         done = subprocess.run(
             [sys.executable, "-c", _START, str(_PACKAGES)],
             input=json.dumps(request).encode(),
             capture_output=True,
-            env=_environment(),
+            env=environment,
             timeout=_MOST_SECONDS,
             check=False,
         )
@@ -107,12 +115,6 @@ def _asked(path: Path, root: Path, how: dict[str, bool]) -> tuple[dict[str, Any]
     if "fault" in said:
         raise MachineFault(said["fault"])
     return said, data
-
-
-def _environment() -> dict[str, str]:
-    """Return the user's, without what leads OpenUSD elsewhere; one thread, for workers are many."""
-    kept = {k: v for k, v in os.environ.items() if not k.startswith(_OURS)}
-    return {**kept, "PXR_WORK_THREAD_LIMIT": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 def _ended(path: Path, done: subprocess.CompletedProcess[bytes]) -> Exception:

@@ -13,12 +13,12 @@ import re
 import tempfile
 import zipfile
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from articugen.core.errors import InvalidSource
 from articugen.meshes.model_files import MAX_MODEL_BYTES, ModelFiles, quoted
-from articugen.sources.usd.openusd import pxr
 
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 MAX_LAYERS = 1_000
@@ -26,6 +26,11 @@ MAX_LAYERS = 1_000
 _CRATE = b"PXR-USDC"
 _TEXT = (b"#usda", b"#sdf")
 _ANONYMOUS = re.compile(r"anon:0x[0-9a-f]+:")
+
+
+def pxr(*names: str) -> list[Any]:
+    """Return modules of OpenUSD, of which type checkers know nothing, by name."""
+    return [import_module(f"pxr.{name}") for name in names]
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,7 @@ from articugen.core.geometry import Array
 from articugen.core.records import Joint, Mesh
 from articugen.meshes.model_files import MAX_NAME_BYTES, ModelFiles, quoted
 from articugen.sources.urdf_check import MAX_LINKS, MAX_NUMBER
-from articugen.sources.usd.layers import Layers, plainly
-from articugen.sources.usd.openusd import pxr
+from articugen.sources.usd.layers import Layers, plainly, pxr
 from articugen.sources.usd.physics import WORLD, PhysicsJoint, Stage, body_of, read_joint
 from articugen.sources.usd.shapes import Shapes
 from articugen.sources.usd.transforms import Places
@@ -108,7 +107,14 @@ class _Reading:
         found = self._found()
         self._check(found)
         numbers = {prim.GetPath(): k for k, prim in enumerate(found.bodies, 1)}
-        physics = Stage(str(self._path), self._places, numbers, self._up(), self._metres())
+        (UsdGeom,) = pxr("UsdGeom")
+        if not UsdGeom.StageHasAuthoredMetersPerUnit(self._stage):
+            self._notes.append("does not tell its unit: taken as centimetres, as USD has it")
+        metres = float(UsdGeom.GetStageMetersPerUnit(self._stage))
+        if not 1e-9 <= metres <= 1e6:
+            raise InvalidSource(f"{self._path}: its unit of {metres:g} m is none; correct it")
+        up = _Z_UP if UsdGeom.GetStageUpAxis(self._stage) == UsdGeom.Tokens.z else _Y_UP
+        physics = Stage(str(self._path), self._places, numbers, up, metres)
         read = [(prim, read_joint(prim, physics)) for prim in found.joints]
         joints = [(prim, joint) for prim, joint in read if joint is not None]
         names = self._names([None, *found.bodies])
@@ -163,19 +169,6 @@ class _Reading:
                 "model"
             )
 
-    def _up(self) -> Array:
-        (UsdGeom,) = pxr("UsdGeom")
-        return _Z_UP if UsdGeom.GetStageUpAxis(self._stage) == UsdGeom.Tokens.z else _Y_UP
-
-    def _metres(self) -> float:
-        (UsdGeom,) = pxr("UsdGeom")
-        if not UsdGeom.StageHasAuthoredMetersPerUnit(self._stage):
-            self._notes.append("does not tell its unit: taken as centimetres, as USD has it")
-        metres = float(UsdGeom.GetStageMetersPerUnit(self._stage))
-        if not 1e-9 <= metres <= 1e6:
-            raise InvalidSource(f"{self._path}: its unit of {metres:g} m is none; correct it")
-        return metres
-
     def _names(self, prims: Sequence[Any]) -> list[str]:
         """Of each prim, the shown one where it has one; those that share one by their paths. None
         is the world, whose name nobody else gets."""
@@ -225,7 +218,11 @@ class _Reading:
         if self._shapes.left_out:
             kinds = ", ".join(sorted(self._shapes.left_out))
             self._notes.append(f"of kinds that are not read, left out: {kinds}")
-        following = [prim.GetName() for prim in found.joints if _follows(prim)]
+        following = [  # driven by another joint, for which each simulator has a schema of its own
+            prim.GetName()
+            for prim in found.joints
+            if any("Mimic" in str(name) for name in prim.GetAppliedSchemas())
+        ]
         if following:
             self._notes.append(
                 f"joints that follow others, read as moving freely: {', '.join(following)}"
@@ -257,8 +254,3 @@ def _holders(bodies: Sequence[Any], joints: Sequence[PhysicsJoint]) -> list[int]
         return not root, number in moved
 
     return sorted(range(1, len(bodies) + 1), key=rank)
-
-
-def _follows(prim: Any) -> bool:
-    """Whether another joint drives a joint; each simulator has a schema of its own for that."""
-    return any("Mimic" in str(name) for name in prim.GetAppliedSchemas())

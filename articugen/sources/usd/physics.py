@@ -11,7 +11,7 @@ from articugen.core.geometry import Array, transform
 from articugen.core.portable import product, turned
 from articugen.core.records import JointKind
 from articugen.meshes.model_files import quoted
-from articugen.sources.usd.openusd import pxr
+from articugen.sources.usd.layers import pxr
 from articugen.sources.usd.transforms import (
     Places,
     axis_of,

@@ -12,7 +12,7 @@ from articugen.core.portable import dot
 from articugen.core.records import Mesh
 from articugen.meshes import read
 from articugen.meshes.scenes import check_size
-from articugen.sources.usd.openusd import pxr
+from articugen.sources.usd.layers import pxr
 from articugen.sources.usd.transforms import Places, numbers, value_of
 
 MAX_SHAPES = 5_000
@@ -97,22 +97,13 @@ def _mesh(prim: Any, by: str) -> Mesh:
             "export it again"
         )
     check_size(Path(by), faces=float(np.maximum(counts - 2, 0).sum()), vertices=len(points))
-    corners, counts = _without_holes(
-        _array(mesh.GetHoleIndicesAttr(), np.int64, by), corners, counts
-    )
-    faces = read.fans(corners, counts)
+    kept = ~np.isin(np.arange(len(counts)), _array(mesh.GetHoleIndicesAttr(), np.int64, by))
+    faces = read.fans(corners[np.repeat(kept, counts)], counts[kept])
     if faces.size and not 0 <= faces.min() <= faces.max() < len(points):
         raise InvalidSource(f"{by}: a face names a point that is not there; export it again")
     if value_of(mesh.GetOrientationAttr(), by) == UsdGeom.Tokens.leftHanded:
         faces = faces[:, ::-1]
     return Mesh(points, faces.astype(np.int32))
-
-
-def _without_holes(holes: Any, corners: Any, counts: Any) -> tuple[Any, Any]:
-    if not len(holes):
-        return corners, counts
-    kept = ~np.isin(np.arange(len(counts)), holes)
-    return corners[np.repeat(kept, counts)], counts[kept]
 
 
 def _array(attribute: Any, kind: type, by: str) -> Any:
@@ -128,32 +119,21 @@ def _size(prim: Any, name: str, by: str) -> float:
     return size
 
 
-def _about_axis(mesh: Mesh, prim: Any, by: str) -> Mesh:
-    """Return a shape that was made about z, about the axis that the prim has."""
-    token = str(value_of(prim.GetAttribute("axis"), by))
-    shift = {"X": 1, "Y": 2}.get(token, 0)
-    return Mesh(np.roll(mesh.vertices, shift, axis=1), mesh.faces)
-
-
-def _cube(prim: Any, by: str) -> Mesh:
-    return read.box([_size(prim, "size", by)] * 3)
-
-
-def _sphere(prim: Any, by: str) -> Mesh:
-    return read.sphere(_size(prim, "radius", by))
-
-
 def _lathed(make: Callable[[float, float], Mesh]) -> Callable[[Any, str], Mesh]:
+    """Return what makes a shape about the axis that its prim has, of one about z."""
+
     def made(prim: Any, by: str) -> Mesh:
-        return _about_axis(make(_size(prim, "radius", by), _size(prim, "height", by)), prim, by)
+        mesh = make(_size(prim, "radius", by), _size(prim, "height", by))
+        shift = {"X": 1, "Y": 2}.get(str(value_of(prim.GetAttribute("axis"), by)), 0)
+        return Mesh(np.roll(mesh.vertices, shift, axis=1), mesh.faces)
 
     return made
 
 
 _MAKERS: Mapping[str, Callable[[Any, str], Mesh]] = {
     "Mesh": _mesh,
-    "Cube": _cube,
-    "Sphere": _sphere,
+    "Cube": lambda prim, by: read.box([_size(prim, "size", by)] * 3),
+    "Sphere": lambda prim, by: read.sphere(_size(prim, "radius", by)),
     "Cylinder": _lathed(read.cylinder),
     "Capsule": _lathed(read.capsule),
     "Cone": _lathed(read.cone),

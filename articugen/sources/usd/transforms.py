@@ -8,7 +8,7 @@ from articugen.core.errors import InvalidSource
 from articugen.core.geometry import Array, cross, rotation_about
 from articugen.core.portable import dot, norm, product, turned
 from articugen.meshes.model_files import quoted
-from articugen.sources.usd.openusd import pxr
+from articugen.sources.usd.layers import pxr
 
 MAX_NUMBER = 1e9
 """Largest length in stage units, angle in degrees or scale."""
@@ -182,9 +182,10 @@ def _step(kind: str, value: Any, by: str) -> Array:
         angles = numbers(value, (3,) if len(letters) == 3 else (), by, "a rotation")
         for letter in letters:  # the first one acts first
             angle = angles["XYZ".index(letter)] if len(letters) == 3 else angles
-            T[:3, :3] = product(
-                rotation_about(_AXES[letter], _radians(float(angle), by)), T[:3, :3]
-            )
+            if abs(angle) > 1e6:
+                raise InvalidSource(f"{by}: is turned by {angle:g} degrees; correct it")
+            turn = rotation_about(_AXES[letter], float(angle) * (np.pi / 180.0))
+            T[:3, :3] = product(turn, T[:3, :3])
     elif kind.startswith(("translate", "scale")):
         name = kind.removeprefix("translate").removeprefix("scale")
         three = np.full(3, 0.0 if kind.startswith("translate") else 1.0)
@@ -197,9 +198,3 @@ def _step(kind: str, value: Any, by: str) -> Array:
     else:
         raise InvalidSource(f"{by}: is placed by {quoted(kind)}, which is not known; flatten it")
     return T
-
-
-def _radians(degrees: float, by: str) -> float:
-    if abs(degrees) > 1e6:
-        raise InvalidSource(f"{by}: is turned by {degrees:g} degrees; correct it")
-    return degrees * (np.pi / 180.0)
