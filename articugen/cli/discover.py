@@ -19,12 +19,13 @@ if TYPE_CHECKING:
 
     from articugen.core.records import Floats
     from articugen.discovery import Discovery
-    from articugen.discovery.objects import ObjectJoints
+    from articugen.discovery.objects import ObjectGroups, ObjectJoints
 
 
 @app.command(
     epilog="Examples:\n\narticugen discover data/laptop\n\n"
-    "articugen discover closed.ply ajar.ply open.ply --json joints.json"
+    "articugen discover closed.ply ajar.ply open.ply --json joints.json\n\n"
+    "articugen discover data/laptop --groups"
 )
 def discover(
     paths: Annotated[
@@ -45,21 +46,36 @@ def discover(
             show_default="both",
         ),
     ] = None,
-    output: Annotated[Path | None, typer.Option("--json", help="Write the joints there.")] = None,
+    groups: Annotated[
+        bool,
+        typer.Option(
+            "--groups",
+            help="Find which instances of a data set show one object instead, and compare that "
+            "with the objects it names.",
+        ),
+    ] = False,
+    output: Annotated[
+        Path | None, typer.Option("--json", help="Write the joints, or the groups, there.")
+    ] = None,
 ) -> None:
     """Find the joints of objects from several poses of each, without labels."""
     with said("interrupted"):
         from articugen.core.files import check_place, write_atomically
         from articugen.discovery import objects as found_joints
 
-        found_joints.check_poses(paths)
+        found_joints.check_poses(paths, groups=groups)
         if output is not None:
             check_place(output)
-        if len(paths) > 1:
+        if groups:
+            with stderr.status("grouping ..."):
+                objects = found_joints.group_all(paths[0])
+            stdout.print(_agreement(objects), soft_wrap=True)
+            told: object = objects.as_json()
+        elif len(paths) > 1:
             with stderr.status("searching ..."):
                 found = found_joints.discover(paths, joints=listed(joints))
             _print("", found)
-            told: object = {"joints": found_joints.as_json(found)}
+            told = {"joints": found_joints.as_json(found)}
         else:
             objects = _of_data_set(paths[0], poses, listed(joints))
             told = [
@@ -68,6 +84,19 @@ def discover(
             ]
         if output is not None:
             write_atomically(output, json.dumps(told, indent=1).encode())
+
+
+def _agreement(objects: "ObjectGroups") -> str:
+    from articugen.core.tables import counted
+
+    rand, precision, recall = objects.agreement
+    return (
+        f"{counted(len(objects.keys), 'instance')} in {counted(objects.count, 'group')}; the data "
+        f"set names {counted(len({name for name, _ in objects.keys}), 'object')}: adjusted Rand "
+        f"index {rand:.3f}, precision {precision:.3f}, recall {recall:.3f}; mean likeness to the "
+        f"others of a group at least {objects.groups.within:.2f}, to another group at most "
+        f"{objects.groups.between:.2f}"
+    )
 
 
 def _of_data_set(path: Path, poses: int | None, joints: Sequence[str]) -> "list[ObjectJoints]":

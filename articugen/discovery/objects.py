@@ -3,7 +3,7 @@ beside the truth where there is one."""
 
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from articugen import discovery
 from articugen.core.errors import ArticugenError, InvalidArgument, InvalidSource
 from articugen.core.records import Floats, JointKind
 from articugen.discovery import KINDS, Discovery, FoundJoint
+from articugen.discovery.groups import Groups, agreement, group_instances
 from articugen.meshes.points import numbers_of_file
 from articugen.store.dataset import DataSet
 from articugen.store.dataset import open as open_data_set
@@ -122,6 +123,56 @@ def discover_all(
     return all_found
 
 
+@dataclass(frozen=True, eq=False)
+class ObjectGroups:
+    """A data set's instances by the object that they show, as their clouds tell.
+
+    Attributes:
+        groups: of each instance.
+        keys: (object id, state index) of each, as the data set has them.
+        agreement: `groups.agreement` with the data set's objects.
+    """
+
+    groups: Groups
+    keys: list[tuple[str, int]]
+    agreement: tuple[float, float, float]
+
+    def as_json(self) -> list[list[dict[str, Any]]]:
+        """Return for each group its instances."""
+        members: list[list[dict[str, Any]]] = [[] for _ in range(self.count)]
+        for number, (name, state) in zip(self.groups.number.tolist(), self.keys, strict=True):
+            members[number].append({"object": name, "state_index": state})
+        return members
+
+    @property
+    def count(self) -> int:
+        return int(self.groups.number.max(initial=-1)) + 1
+
+
+def group_all(data: str | os.PathLike[str] | DataSet) -> ObjectGroups:
+    """Group a data set's instances by the object that they show, from their surface points and
+    normals alone, and compare the groups with the objects that the data set names.
+
+    Args:
+        data: a data set, its folder or one of its shards.
+
+    Raises:
+        CorruptShard: the data cannot be read.
+    """
+    data = data if isinstance(data, DataSet) else open_data_set(Path(data))
+    keys: list[tuple[str, int]] = []
+
+    def clouds() -> Iterator[tuple[Floats, Floats]]:
+        for row in data:
+            keys.append((row.object_id, row.state_index))
+            surface = row.surface
+            yield np.asarray(surface.points, np.float64), np.asarray(surface.normals, np.float64)
+
+    groups = group_instances(clouds())
+    _, truth = np.unique([name for name, _ in keys], return_inverse=True)
+    return ObjectGroups(groups, keys, agreement(groups.number, truth))
+
+
 def _kinds(joints: Sequence[str]) -> tuple[JointKind, ...]:
     named = {str(kind): kind for kind in KINDS}
     for name in joints:
@@ -226,11 +277,17 @@ def mean_error(objects: Sequence[ObjectJoints], name: str) -> float | None:
     return float(np.mean(each)) if each else None
 
 
-def check_poses(paths: Sequence[Path]) -> None:
+def check_poses(paths: Sequence[Path], *, groups: bool = False) -> None:
     """Raises:
-    InvalidArgument: these files are neither a data set nor several poses.
+    InvalidArgument: these files are neither a data set nor several poses, or not a data set where
+        its instances are to be grouped.
     """
-    if len(paths) == 1 and paths[0].is_file() and paths[0].suffix != ".h5":
+    is_cloud = paths[0].is_file() and paths[0].suffix != ".h5"
+    if groups and (len(paths) > 1 or is_cloud):
+        raise InvalidArgument(
+            "--groups needs one data set's folder or shard: clouds in files have no normals"
+        )
+    if len(paths) == 1 and is_cloud:
         raise InvalidArgument(
             f"{paths[0]}: one pose shows no motion; give two or more, or the folder of a data set"
         )

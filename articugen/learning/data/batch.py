@@ -20,6 +20,8 @@ class BatchSpec:
         partial: whether clouds are what one depth camera sees, another one each time.
         joints: (revolute, prismatic) joints an object may have at most; None is any number.
         poses: whether several poses of each object are compared; for `varying_points` they are.
+        groups: which instances show one object, where that is used: `found` in their clouds, or
+            `given` by the data set.
         hidden: whether it is wanted which voxels of the finest grid are not free.
         normals: whether the normals of surface points are wanted.
         motions: whether it is wanted how the true parts have moved, for `Batch.rest` and `joints`.
@@ -38,10 +40,16 @@ class BatchSpec:
     partial: bool = False
     joints: tuple[int, int] | None = None
     poses: bool = False
+    groups: Literal["found", "given"] = "given"
     hidden: bool = False
     normals: bool = False
     motions: bool = False
     chances: int = 0
+
+    @property
+    def finds_objects(self) -> bool:
+        """True where poses are compared, and of which objects is to be found out."""
+        return self.groups == "found" and (self.poses or self.varying_points > 0)
 
     @staticmethod
     def of(data: DataSettings, **more: Any) -> "BatchSpec":

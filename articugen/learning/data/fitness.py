@@ -32,7 +32,7 @@ def check_shard(shard: Shard, spec: BatchSpec, resolutions: Sequence[int]) -> No
     path = shard.path
     _check_joints(shard, spec.joints)
     _check_frame(shard)
-    if spec.poses or spec.varying_points:
+    if (spec.poses or spec.varying_points) and not spec.finds_objects:
         _check_poses(shard)
     if spec.partial and 0 in shard.fields["partial_points"]:
         raise UnfitData(

@@ -20,6 +20,7 @@ from articugen.learning.data import cells
 from articugen.learning.data.batch import Batch, BatchSpec
 from articugen.learning.data.cells import LabelledCells, uniform, voxel_centres
 from articugen.learning.data.fitness import check_fixed_part, check_shard, check_varies
+from articugen.learning.data.groups import found_objects
 from articugen.store.manifest import Manifest
 from articugen.store.shards import Shard, open_shard
 
@@ -35,7 +36,7 @@ class PackedSplit:
     """Instances of some objects, as they are stored. I instances; 16-bit patterns lie in int16.
 
     Attributes:
-        object_id: (I,) names.
+        object_id: (I,) names; of groups that were found, that of the object of the first instance.
         state_index: (I,) 0 is the canonical pose.
         surface: (I, S, 3).
         part: (I, S) the parts of the surface points; (I, 0) unless asked for.
@@ -240,12 +241,16 @@ def load_split(
     _check_apart(folders, manifests)
     is_fine = spec.band_points or spec.varying_points or spec.hidden
     shards: list[dict[str, NDArray[Any]]] = []
-    finest = 0
+    finest, paths = 0, []
     for folder, manifest in zip(folders, manifests, strict=True):
         names, about = _shards_of(folder, manifest, split, category)
         finest = finest or (_finest(folder / names[0]) if is_fine else 0)
         category = about["category"]
-        shards += [_read(folder / name, about, spec, wanted, finest) for name in names]
+        paths += [(folder / name, about) for name in names]
+    objects = found_objects([path for path, _ in paths]) if spec.finds_objects else None
+    for path, about in paths:
+        names = objects.pop(0) if objects else None
+        shards.append(_read(path, about, spec, wanted, finest, names))
     try:
         # what is joined is let go: there is never much more than all of it at a time
         joined = {name: _joined(name, [s.pop(name) for s in shards]) for name in list(shards[0])}
@@ -310,9 +315,15 @@ def _check_apart(folders: Sequence[Path], manifests: Sequence[Manifest]) -> None
 
 
 def _read(
-    path: Path, about: dict[str, str], spec: BatchSpec, resolutions: list[int], finest: int
+    path: Path,
+    about: dict[str, str],
+    spec: BatchSpec,
+    resolutions: list[int],
+    finest: int,
+    objects: NDArray[Any] | None,
 ) -> dict[str, NDArray[Any]]:
-    """What is packed of a shard, by name; `finest` is the grid that cells are chosen from, or 0."""
+    """What is packed of a shard, by name; `finest` is the grid that cells are chosen from, or 0;
+    `objects` are what its instances show, as it was found."""
     with open_shard(path) as shard:
         for name, should in about.items():
             if shard.attributes[name] != should:
@@ -335,11 +346,12 @@ def _read(
         row |= {name: shard.read(name) if w else _none(shard, name) for name, w in wanted.items()}
         for name in ("uniform_label", "near_label"):
             row[name] = _told(row[name], spec)
-        names = np.array(shard.object_ids())
-        grids = {r: _grid(shard, r, names, row["surface_points"], spec) for r in resolutions}
+        ids = np.array(shard.object_ids())
+        names = ids if objects is None else objects
+        grids = {r: _grid(shard, r, ids, row["surface_points"], spec) for r in resolutions}
         fine = grids.get(finest)
         if finest and fine is None:
-            fine = _grid(shard, finest, names, row["surface_points"], spec)
+            fine = _grid(shard, finest, ids, row["surface_points"], spec)
         row |= {f"occupancy_{r}": grid for r, grid in grids.items()}
         row["hidden"] = np.zeros((len(names), 0), np.uint8)
         if spec.hidden:
@@ -382,7 +394,10 @@ def _cells(
         if grid is not None and wanted:
             occupied = grid > 0
             chosen = cells.CHOOSE[kind](occupied, names)
-            if kind == "varying":
+            if kind == "varying" and spec.finds_objects:  # an object may have been found once
+                around = zip(chosen, cells.bands(occupied, names), strict=True)
+                chosen = [mask if mask.any() else band for mask, band in around]
+            elif kind == "varying":
                 check_varies(path, names, chosen)
             row[kind], row[f"{kind}_count"] = cells.pack(kind, chosen, occupied, names, states)
     return row

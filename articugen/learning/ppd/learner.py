@@ -93,6 +93,7 @@ class PPDLearner(Predictor):
             grids=(VALIDATION_GRID,) if settings.data.validation_objects else (),
             joints=(len(settings.model.revolute), len(settings.model.prismatic)),
             poses=settings.warm_start.share > 0,
+            groups=settings.warm_start.groups,
             hidden=settings.warm_start.share > 0,
             normals=settings.warm_start.share > 0,
             chances=CHANCES if settings.vary else 0,
@@ -125,6 +126,9 @@ class PPDLearner(Predictor):
         """Find the joints of the training objects, if there is a warm start."""
         if self.settings.warm_start.share:
             model = self.settings.model
+            if self.inputs.groups == "found":
+                objects = len(set(training.object_id.tolist()))
+                tell(f"{len(training)} training instances show {objects} objects, by their clouds")
             found, rows = discovered(training, beside, directions_of(model), tell)
             known = sum(each is not None for each in likely(found, model))
             tell(f"joints are known of {known} of {len(found)} training objects")

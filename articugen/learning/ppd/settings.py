@@ -125,11 +125,13 @@ class LossSettings(Section):
 class WarmStart(Section):
     """Targets for the first iterations, see `warm_start`; what the paper does not have.
 
-    They come from what changes between the poses of an object, and so use more than the paper does:
-    which instances are of one object.
+    They come from what changes between the poses of an object.
 
     Attributes:
         share: of the iterations, the first ones, that are aimed; 0 is no warm start.
+        groups: which instances show one object: `found` in their clouds, whose fixed part lies in
+            one place (`discovery.groups`), or `given` by the data set, which the paper does not
+            use. `data.varying_points` go by it as well.
         parts: weight of each part's field against whose the occupied points are.
         occupied: how much more a part's own points weigh there than all others.
         labels: weight of whose field is the greatest at the points that the encoder is given.
@@ -140,6 +142,7 @@ class WarmStart(Section):
     """
 
     share: float = Field(default=0.0, ge=0, le=1)
+    groups: Literal["found", "given"] = "found"
     parts: float = Field(default=0.01, ge=0)
     occupied: float = Field(default=4.0, gt=0)
     labels: float = Field(default=0.02, ge=0)
