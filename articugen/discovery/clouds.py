@@ -12,18 +12,14 @@ from articugen.core.errors import InvalidArgument
 from articugen.core.records import Floats, Normalization
 from articugen.discovery import kernels
 
-MOST_POINTS = 8192
-"""Points of a pose that are searched; more are thinned to so many."""
+MOST_POINTS = 8192  # points of a pose that are searched; more are thinned to so many
 
-SEARCHED = 8
-"""Poses that are searched, besides pose 0: as many as a vote has bytes."""
+SEARCHED = 8  # poses that are searched, besides pose 0: as many as a vote has bytes
 
 _EDGE = 0.9
 _FEWEST_POINTS = 64
-_STAYS = 0.03
-"""Of a pose's points, at least so many lie where pose 0 has matter."""
-_ACROSS = 0.008
-"""Planes so near may be the same."""
+_STAYS = 0.03  # of a pose's points, at least so many lie where pose 0 has matter
+_ACROSS = 0.008  # planes so near may be the same
 
 _TELLING, _COMMON = 4, 0.55
 """Of so many poses or more, what this share of the others has at the same place is no news."""

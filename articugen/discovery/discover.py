@@ -22,8 +22,7 @@ from articugen.discovery.search import EVERY_WAY, Candidate, Search, motions
 
 Directions = Mapping[JointKind, Floats]
 
-KINDS = (JointKind.REVOLUTE, JointKind.PRISMATIC)
-"""Of joints that can be found."""
+KINDS = (JointKind.REVOLUTE, JointKind.PRISMATIC)  # of joints that can be found
 
 LEAN = np.cos(np.radians(30.0))
 """A joint that leans further from where joints of its kind point is a mistake."""

@@ -18,8 +18,7 @@ STEPS = 160
 _FEW = {True: 80, False: 160}
 """So many points of a part say roughly where it may lie, with and without known normals."""
 
-_PEAKS = 3
-"""Of each pose so many states are made exact, before the best is taken."""
+_PEAKS = 3  # of each pose so many states are made exact, before the best is taken
 
 
 def fitted(

@@ -15,17 +15,13 @@ SHARED = 4
 """Unknowns that all poses share: two tilts of the axis (of a slide: towards both vectors across
 it), two shifts of the pivot along them. Then each pose's state follows."""
 
-LONGEST = 0.2
-"""No unknown changes by more in a round."""
+LONGEST = 0.2  # no unknown changes by more in a round
 
-LEVEL = 0.005
-"""The damping of an unknown of which points tell nothing, by that of the surest."""
+LEVEL = 0.005  # the damping of an unknown of which points tell nothing, by that of the surest
 
-SMALL = 1e-5
-"""A round in which nothing changes by more is the last."""
+SMALL = 1e-5  # a round in which nothing changes by more is the last
 
-WANDERS = 0.7
-"""Pivots farther out than this are no better than slides."""
+WANDERS = 0.7  # pivots farther out than this are no better than slides
 
 
 @helper

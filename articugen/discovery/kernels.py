@@ -9,8 +9,7 @@ import numpy as np
 
 from articugen.core.jit import helper, kernel
 
-CELLS = 32
-"""Cells along an edge."""
+CELLS = 32  # cells along an edge
 
 VOTES = 64
 """Cells along an edge of the grids that votes are looked up in, and what poses are empty of."""
@@ -21,11 +20,9 @@ ALONG = 0.02
 FLAT = 0.05
 """Of points on a plane, the variance across it is at most this share of the least along it."""
 
-FAR = 1e9
-"""The squared distance to where there is nothing."""
+FAR = 1e9  # the squared distance to where there is nothing
 
-LIKE = 0.85
-"""Cosine between the normals of two points that may be of one surface."""
+LIKE = 0.85  # cosine between the normals of two points that may be of one surface
 
 
 @helper

@@ -24,8 +24,7 @@ from articugen.store.rows import Row
 Pose = str | os.PathLike[str] | NDArray[Any]
 """A cloud (n, 3) or an occupancy grid (R, R, R), or a file of one."""
 
-PIVOT, AXIS = 0.03, 5.0
-"""A joint is right within these: unit frame, degrees."""
+PIVOT, AXIS = 0.03, 5.0  # a joint is right within these: unit frame, degrees
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,7 @@ from articugen.discovery.clouds import Cells, Surface
 ASKED, ASKING, POINTS = 21, 41, 400
 """So many poses are asked, about points of so many poses, at most so many of each."""
 
-REACH = 0.02
-"""Where a cloud has no point this near, it has no surface; in the unit frame."""
+REACH = 0.02  # where a cloud has no point this near, it has no surface; in the unit frame
 
 RARELY, CLEARLY = 0.15, 0.08
 """A part's own points are contradicted in this share of the poses at most; a point is sure of its

@@ -12,8 +12,7 @@ from articugen.core.records import Floats
 from articugen.discovery import kernels
 from articugen.discovery.clouds import Change
 
-ANGLES = 96
-"""Steps of a full turn."""
+ANGLES = 96  # steps of a full turn
 
 PIVOT_STEP = 0.03
 SLIDE_STEP = 0.0125

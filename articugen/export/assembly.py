@@ -24,8 +24,7 @@ SLOWING = 0.1
 """Seconds in which a joint that nothing drives loses two thirds of its speed. A lid that is let go
 sinks on its stop instead of hitting it. What friction is by material, models do not tell either."""
 
-_CONCAVITY = 0.05
-"""CoACD's threshold: lower means more convex parts. 0.05 is its own default."""
+_CONCAVITY = 0.05  # CoACD's threshold: lower means more convex parts. 0.05 is its own default
 
 _ROUGH = 2e-3  # of a part's size: CoACD takes minutes with faces that tell no more
 

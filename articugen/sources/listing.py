@@ -80,7 +80,10 @@ def mixed_models(base: Path, file: SourceFile) -> Iterator[Found]:
             inside = any_models(child)
             known = any(f.reader != _PLAIN for f in inside)
             if known or (len(inside) > 1 and file.own_name(child.name) is not None):
-                yield from (replace(f, folder=_category_folder(f, base)) for f in inside)
+                for f in inside:
+                    below = ("", *f.location.relative_to(base).parts)
+                    named = 1 if f.reader == _PLAIN else len(below) - 1 - f.category_above
+                    yield replace(f, folder=below[max(named, 0)])
                 continue
         yield from _models_at(child, own)
 
@@ -127,12 +130,10 @@ def distinct(found: Sequence[Found], base: Path) -> list[Found]:
     return [replace(f, object_id=names.get(f.location, f.object_id)) for f in found]
 
 
-_PLAIN = "urdf"
-"""The layout of what no reader knows: URDFs, wherever in a model's folder they are."""
+_PLAIN = "urdf"  # the layout of what no reader knows: URDFs, wherever in a model's folder they are
 
 
-_DEEP = 3
-"""How many folders down data sets keep their models: data/<source>/<category>/<id>."""
+_DEEP = 3  # how many folders down data sets keep their models: data/<source>/<category>/<id>
 
 
 def _models_at(child: Path, own: Found | None) -> list[Found]:
@@ -153,12 +154,3 @@ def _models_below(folder: Path, deep: int) -> Iterator[Found]:
             yield own
         elif deep > 1 and isdir(child):
             yield from _models_below(child, deep - 1)
-
-
-def _category_folder(found: Found, base: Path) -> str:
-    """Return the name of the folder below `base` that has a model's category by its layout; ""
-    where it would be `base` or above."""
-    below = found.location.relative_to(base).parts
-    if found.reader == _PLAIN:
-        return below[0]
-    return below[-1 - found.category_above] if len(below) > found.category_above else ""

@@ -31,8 +31,7 @@ URDF = "mobility.urdf"
 KNOWN_MISSING = "new-*.obj"
 """Meshes that URDFs of the data set name though they are empty and were never published."""
 
-_TOLERANCE = 1e-3
-"""Limits (rad or m) and cosines that differ by less are the same."""
+_TOLERANCE = 1e-3  # limits (rad or m) and cosines that differ by less are the same
 
 
 def detect(path: Path) -> Found | None:

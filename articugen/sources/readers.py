@@ -29,8 +29,7 @@ from articugen.sources import (
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.usd import reader as usd
 
-MAX_METRES = 1e6
-"""How far from its link's origin anything may lie."""
+MAX_METRES = 1e6  # how far from its link's origin anything may lie
 
 
 class Reader(Protocol):
@@ -89,8 +88,7 @@ READERS: dict[str, Reader] = {
 }
 """By the name that source.yaml gives; where two detect the same, the first one has it."""
 
-UNWRITABLE = re.compile("[\x00-\x1f\x7f\ud800-\udfff]")
-"""What no manifest can hold of a path."""
+UNWRITABLE = re.compile("[\x00-\x1f\x7f\ud800-\udfff]")  # what no manifest can hold of a path
 
 _OTHERS = plugins.Group("articugen.readers", ("detect", "find", "load"))
 

@@ -10,8 +10,7 @@ from pydantic import Field, NonNegativeInt, field_validator, model_validator
 from articugen.core.geometry import Array, rotation_about, transform
 from articugen.core.yaml_files import Section
 
-NO_LICENCE = "not stated"
-"""Of models that no source.yaml describes."""
+NO_LICENCE = "not stated"  # of models that no source.yaml describes
 
 Share = Annotated[NonNegativeInt, Field(le=1_000_000)] | tuple[str, ...] | None
 

@@ -28,8 +28,7 @@ from articugen.sources.urdf import load_urdf
 from articugen.sources.urdf_check import MAX_LINKS, MAX_NUMBER
 
 _ATTRIBUTES = "motion_attributes.json"
-_NO_LIMIT = 3.1415
-"""A-NCSH writes this limit, with either sign, for every revolute joint."""
+_NO_LIMIT = 3.1415  # A-NCSH writes this limit, with either sign, for every revolute joint
 
 _KINDS = {
     "none": JointKind.FIXED,

@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 
 from articugen.sources.refs import Share
 
-TEST_FRACTION = 0.2
-"""Of the objects of a source that says nothing about splits."""
+TEST_FRACTION = 0.2  # of the objects of a source that says nothing about splits
 
 
 def assign_splits(

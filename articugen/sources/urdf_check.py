@@ -16,10 +16,8 @@ from articugen.meshes.xml_strict import drop_default_namespaces, parse_xml
 
 MAX_LINKS = 2_000
 MAX_VISUALS = 5_000
-MAX_NUMBER = 1e6
-"""Largest length (m), angle (rad), scale or multiplier."""
-MIN_SIZE = 1e-9
-"""Smallest size (m) of a shape, and scale of a mesh."""
+MAX_NUMBER = 1e6  # largest length (m), angle (rad), scale or multiplier
+MIN_SIZE = 1e-9  # smallest size (m) of a shape, and scale of a mesh
 
 _MAX_LETTERS = 1_000  # of an attribute with numbers
 

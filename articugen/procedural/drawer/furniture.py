@@ -236,8 +236,7 @@ def _brackets(foot: Rect, lift: float, board: float) -> list[Solid]:
     return solids
 
 
-_QUARTER_TURN = transform(rotation_about((0, 0, 1), np.pi / 2).round())
-"""Turns x to y, about z."""
+_QUARTER_TURN = transform(rotation_about((0, 0, 1), np.pi / 2).round())  # turns x to y, about z
 
 
 def _casters(foot: Rect, lift: float, board: float) -> list[Solid]:

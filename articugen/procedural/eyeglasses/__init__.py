@@ -29,18 +29,13 @@ from articugen.procedural.kit.solids import Solid, along_x, cylinder, prism, sta
 
 _SLEEVE, _SLEEVE_GROWTH = 0.62, 1.25
 """Half the thickness of a tip's sleeve over the temple's, and how much it grows to its end."""
-_SLIT = 0.35 * MM
-"""Between the knuckles of a hinge and between a folding temple and the front."""
-_BETWEEN = 0.6 * MM
-"""Between the planes of the two temples."""
-_MOST_LEAN = float(np.deg2rad(13.0))
-"""Of the hinges; 5 to 11 degrees are usual."""
-_HIGHEST = 0.75
-"""A hinge's height over the lenses' middle, part of theirs."""
+_SLIT = 0.35 * MM  # between the knuckles of a hinge and between a folding temple and the front
+_BETWEEN = 0.6 * MM  # between the planes of the two temples
+_MOST_LEAN = float(np.deg2rad(13.0))  # of the hinges; 5 to 11 degrees are usual
+_HIGHEST = 0.75  # a hinge's height over the lenses' middle, part of theirs
 _BENDS = 0.55
 """The room along x that an end piece needs so that no bend folds over, part of its thickness."""
-_LOW = 5.0 * MM
-"""How high temples are at most where hinges stand upright."""
+_LOW = 5.0 * MM  # how high temples are at most where hinges stand upright
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,9 @@ handles, plates and the like, `model` joins solids to links and joints, `writer`
 
 import numpy as np
 
-MM = 1e-3
-"""A millimetre."""
+MM = 1e-3  # a millimetre
 
-GAP = 3 * MM
-"""Between a door or a drawer and whatever it passes, on all sides, in every state."""
+GAP = 3 * MM  # between a door or a drawer and whatever it passes, on all sides, in every state
 
 RANGE = (0.0, float(np.deg2rad(135.0)))
 """How far lids and doors open: the range from which the PPD paper draws their states."""

@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 from articugen.core.geometry import Array
 from articugen.procedural.kit.solids import Solid
 
-ROOT_NAME = "base"
-"""The empty link on which a messy model stands."""
+ROOT_NAME = "base"  # the empty link on which a messy model stands
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-Range = tuple[float, float]
-"""(low, high) of a number that is drawn uniformly."""
+Range = tuple[float, float]  # (low, high) of a number that is drawn uniformly
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,7 @@ from articugen.procedural.kit.outlines import circle, convex_pieces, rounded_rec
 Face = tuple[int, ...]
 """A convex, plane polygon: vertex indices, counter-clockwise seen from outside its cell."""
 
-FLAT = 1e-9
-"""Metres by which a vertex may lie off its face's plane."""
+FLAT = 1e-9  # metres by which a vertex may lie off its face's plane
 
 _ALMOST = 1.0 - 1e-6
 

@@ -21,8 +21,7 @@ _LAST_ROWS = (
     (1.0, 1.0, 1.25, 1.25, 4.0, 1.25, 1.25, 1.0),
 )
 _WIDTH = 15.0
-_PAD = 4.25
-"""Units that a number pad adds, the space before it included."""
+_PAD = 4.25  # units that a number pad adds, the space before it included
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,7 @@ from articugen.core.portable import norm
 from articugen.procedural.kit import MM
 from articugen.procedural.kit.outlines import rounded_rectangle
 
-SLIT = 0.7 * MM
-"""Between the knuckles of a hinge, and what must stay free around it."""
+SLIT = 0.7 * MM  # between the knuckles of a hinge, and what must stay free around it
 
 
 @dataclass(frozen=True)
@@ -55,8 +54,7 @@ KINDS = {  # diagonal, height, wedge, lid, corner, bezel; hinges, dropping
                     ("full", "center"), 0.3),
 }
 # fmt: on
-_PROUD = 0.5 * MM
-"""About how far keys and trackpad stand out of the deck."""
+_PROUD = 0.5 * MM  # about how far keys and trackpad stand out of the deck
 
 _ASPECTS = (16 / 9, 16 / 10, 3 / 2, 4 / 3)
 

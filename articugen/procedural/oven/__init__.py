@@ -17,8 +17,7 @@ from articugen.procedural.kit.solids import Solid, along_x, box, prism, ring
 from articugen.procedural.oven.plans import Oven, draw_plan
 from articugen.procedural.oven.stovetop import back_guard, control_panel, cooktop
 
-_CORNER = 0.06
-"""The radius of the cavity's corners, part of its height."""
+_CORNER = 0.06  # the radius of the cavity's corners, part of its height
 
 
 def build(rng: np.random.Generator) -> Model:

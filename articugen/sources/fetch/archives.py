@@ -21,22 +21,18 @@ from articugen.core.errors import InvalidSource, machine_fault, printable
 from articugen.core.files import open_regular
 from articugen.meshes.model_files import MAX_NAME_BYTES, quoted
 
-MAX_FILES = 1_000_000
-"""In one archive; Artiverse's largest has 313,000."""
-MAX_FILE_BYTES = 2**30
-"""Of one file in it."""
+MAX_FILES = 1_000_000  # in one archive; Artiverse's largest has 313,000
+MAX_FILE_BYTES = 2**30  # of one file in it
 MAX_RATIO = 200
 """How many times its own size an archive may unpack to; OBJ files and textures give 3 to 10."""
 MAX_DEPTH = 32
-MAX_FOLDERS = 250_000
-"""In one archive, those included that only the names of others tell of."""
+MAX_FOLDERS = 250_000  # in one archive, those included that only the names of others tell of
 MAX_DENSITY = 16
 """Bytes of an archive that an entry takes at least, beyond the first `_ALWAYS_ENTRIES`; a header
 and some content give more than 60."""
 
 _ALWAYS_ENTRIES = 10_000
-_ALWAYS_BYTES = 64 * 2**20
-"""What any archive may unpack to, small as it is."""
+_ALWAYS_BYTES = 64 * 2**20  # what any archive may unpack to, small as it is
 _MOST_HEADER_BYTES = 2**16
 """Of what a tar tells before one entry: names of 8 kB, attributes of files. `tarfile` takes headers
 within each other and the square of a header's length; it is not let to read more."""

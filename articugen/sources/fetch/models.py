@@ -15,8 +15,7 @@ from articugen.sources.fetch.archives import Member, checked_members, contents, 
 from articugen.sources.usd.reader import LAYER_FOLDERS
 
 _BLOCK = 2**20
-_BELOW = ("urdf", "urdf_w_collider")
-"""Folders of URDFs inside of a model's folder."""
+_BELOW = ("urdf", "urdf_w_collider")  # folders of URDFs inside of a model's folder
 _USD = (".usd", ".usda", ".usdc", ".usdz")
 
 

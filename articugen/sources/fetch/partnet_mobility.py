@@ -48,8 +48,7 @@ _SITE_CURE = "give the token of your account at SAPIEN's site with SAPIEN_ACCESS
 Told = Callable[[int, int, str], None]
 
 
-Models = Mapping[str, Published]
-"""The published .zip of each model, by its id."""
+Models = Mapping[str, Published]  # the published .zip of each model, by its id
 
 
 def check_wishes(categories: Collection[str], ids: Collection[str], via: str | None) -> None:

@@ -44,12 +44,9 @@ from articugen.sources.fetch.terms import NAMES, Terms, terms_of
 from articugen.sources.source import load_path
 
 LIST_NAME = "fetched.json"
-WORK_NAME = ".fetch"
-"""Of the folder in it for what is not finished."""
-TERMS_NAME = "terms"
-"""Of the folder in it for what the publisher says of them."""
-ASIDE_NAME = ".set-aside"
-"""Of the folder in it for what was in the way and did not come from here."""
+WORK_NAME = ".fetch"  # of the folder in it for what is not finished
+TERMS_NAME = "terms"  # of the folder in it for what the publisher says of them
+ASIDE_NAME = ".set-aside"  # of the folder in it for what was in the way and did not come from here
 CATEGORIES_NAME = "categories.json"
 """In that of what is not finished: which model is of which category, where that is looked up."""
 

@@ -21,8 +21,7 @@ from urllib.parse import urljoin, urlsplit
 from articugen.core.errors import AccessRefused, MachineFault, NotFetched, printable
 from articugen.core.files import cannot_write, sha256_of, within
 
-MAX_FILE_BYTES = 4 * 2**30
-"""Of a file, whatever size is told."""
+MAX_FILE_BYTES = 4 * 2**30  # of a file, whatever size is told
 
 WAITS = (1.0, 2.0, 4.0, 8.0)
 """Seconds before each further try, where a connection is cut or the server is busy."""
@@ -121,7 +120,15 @@ class Server:
         except (ValueError, RecursionError):
             raise self._not_fetched(address, "answers what is no JSON; try again later") from None
         following = re.search(r'<([^<>]*)>;\s*rel="next"', link)
-        return answer, _path_of(self.base, following[1]) if following else ""
+        if not following:
+            return answer, ""
+        try:
+            whole = urljoin(self.base, following[1])
+        except ValueError:
+            whole = ""
+        if not whole.startswith(f"{self.base}/"):
+            raise NotFetched(f"{_shown(self.base)}: leads on to another server; try again later")
+        return answer, whole.removeprefix(self.base)
 
     def part(self, address: str, first: int, last: int) -> bytes:
         """Return the bytes `first` to `last` of a file, both counted.
@@ -328,21 +335,6 @@ class RemoteFile(io.RawIOBase):
 
 def _length(path: Path) -> int:
     return path.stat().st_size if path.exists() else 0
-
-
-def _path_of(base: str, address: str) -> str:
-    """What of an address comes after `base`, where a list goes on; nowhere else is it gone on.
-
-    Raises:
-        NotFetched: it is another server's.
-    """
-    try:
-        whole = urljoin(base, address)
-    except ValueError:
-        whole = ""
-    if not whole.startswith(f"{base}/"):
-        raise NotFetched(f"{_shown(base)}: leads on to another server; try again later")
-    return whole.removeprefix(base)
 
 
 def _shown(address: str) -> str:

@@ -22,10 +22,8 @@ from articugen.core.errors import InvalidSource, MachineFault, installing, print
 from articugen.core.records import Joint, JointKind, Mesh
 from articugen.sources.usd.model import Model
 
-SECONDS = 120
-"""Of one core, for one model."""
-MEMORY = 6 * 2**30
-"""Bytes of address space, half a GiB of which OpenUSD takes by itself."""
+SECONDS = 120  # of one core, for one model
+MEMORY = 6 * 2**30  # bytes of address space, half a GiB of which OpenUSD takes by itself
 
 _PACKAGES = Path(__file__).resolve().parents[3]
 
@@ -38,8 +36,7 @@ _START = (
 _OURS = ("PXR_", "USD_", "SDF_", "PCP_", "TF_", "USDC_")
 """Variables by which OpenUSD is told of plugins and folders of the user's."""
 
-_MOST_SECONDS = 900
-"""By the clock, for a machine that has other things to do."""
+_MOST_SECONDS = 900  # by the clock, for a machine that has other things to do
 
 
 def read_apart(path: Path, root: Path, *, with_meshes: bool = True) -> Model:

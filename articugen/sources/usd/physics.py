@@ -21,11 +21,9 @@ from articugen.sources.usd.transforms import (
     value_of,
 )
 
-WORLD = 0
-"""The number of what is no rigid body: the room, and all that does not move in it."""
+WORLD = 0  # the number of what is no rigid body: the room, and all that does not move in it
 
-_NO_LIMIT = 1e6
-"""Ends beyond it (degrees, stage units) are taken as none, as simulators write them."""
+_NO_LIMIT = 1e6  # ends beyond it (degrees, stage units) are taken as none, as simulators write them
 
 _KINDS = {
     "PhysicsFixedJoint": JointKind.FIXED,

@@ -22,8 +22,7 @@ LAYER_FOLDERS = frozenset(
 )
 """Folders beside a main file, in small letters, in which its layers and textures lie."""
 
-_DEEP = 3
-"""How far below a model's folder its layers may be examined as files of their own."""
+_DEEP = 3  # how far below a model's folder its layers may be examined as files of their own
 
 
 def detect(path: Path) -> Found | None:

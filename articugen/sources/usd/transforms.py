@@ -10,8 +10,7 @@ from articugen.core.portable import dot, norm, product, turned
 from articugen.meshes.model_files import quoted
 from articugen.sources.usd.layers import pxr
 
-MAX_NUMBER = 1e9
-"""Largest length in stage units, angle in degrees or scale."""
+MAX_NUMBER = 1e9  # largest length in stage units, angle in degrees or scale
 
 _AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 _SHEAR = 1e-4

@@ -11,12 +11,9 @@ from articugen.core.portable import arctan2, dot, norm, product, turned
 from articugen.core.records import Joint, JointKind
 from articugen.sources.usd.physics import WORLD, PhysicsJoint
 
-_MAX_GAP = 0.01
-"""Metres between the two frames of a joint, along what it does not let move."""
-_MAX_TURN = np.radians(1.0)
-"""The angle between them, likewise."""
-_STILL = 1e-5
-"""Metres or radians: what less is, is rounding."""
+_MAX_GAP = 0.01  # metres between the two frames of a joint, along what it does not let move
+_MAX_TURN = np.radians(1.0)  # the angle between them, likewise
+_STILL = 1e-5  # metres or radians: what less is, is rounding
 
 
 class Tree:
