@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import cast
+from typing import Any, cast
 
 import pytest
 from test_pipeline import TINY, contents, job, made
@@ -31,15 +31,26 @@ MANY = TINY.with_counts(objects=6, states=0)
 
 
 @pytest.fixture(scope="module")
-def address() -> Iterator[str]:
-    """Of a scheduler that misses workers which say nothing for two seconds."""
+def local() -> Iterator[Any]:
+    """A scheduler that misses no worker soon, however busy this machine is."""
     with (
-        dask.config.set({"distributed.scheduler.worker-ttl": "2s"}),
+        dask.config.set({"distributed.scheduler.worker-ttl": "600s"}),
         distributed.LocalCluster(
             n_workers=0, processes=True, host="127.0.0.1", dashboard_address="127.0.0.1:0"
-        ) as local,
+        ) as cluster,
     ):
-        yield local.scheduler_address
+        yield cluster
+
+
+def miss(local: Any, name: str) -> None:
+    """Let the scheduler find that it has not heard of a worker for too long."""
+
+    async def look() -> None:
+        (worker,) = (w for w in local.scheduler.workers.values() if w.name == name)
+        worker.last_seen -= 1000.0
+        await local.scheduler.check_worker_ttl()
+
+    local.loop.add_callback(look)
 
 
 @contextmanager
@@ -69,7 +80,8 @@ def on(address: str, out: Path, **changes: object) -> Job:
     return job(out, recipe=MANY, scheduler=address, **changes)
 
 
-def test_one_worker_is_killed_and_one_is_cut_off(address: str, tmp_path: Path) -> None:
+def test_one_worker_is_killed_and_one_is_cut_off(local: Any, tmp_path: Path) -> None:
+    address = local.scheduler_address
     told: list[ObjectReport] = []
     out = tmp_path / "cluster"
     with ExitStack() as stack:
@@ -82,6 +94,7 @@ def test_one_worker_is_killed_and_one_is_cut_off(address: str, tmp_path: Path) -
             if len(told) == 1:
                 workers[0].kill()
                 workers[1].send_signal(signal.SIGSTOP)  # its connections stay, and say nothing
+                miss(local, "cut off")
 
         manifest = door.make(on(address, out), replace=True, on_object=on_object)
         assert manifest.timings.workers == 1

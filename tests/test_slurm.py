@@ -6,8 +6,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -72,23 +73,35 @@ def recorded_by(out: Path, task: int) -> bool:
 
 def harm(out: Path, nodes: dict[str, Daemon]) -> None:
     """Kill task 0, and cut off the node of task 1, which works on. SLURM must have heard of the
-    first by then: a task whose node it loses it begins again itself."""
-    while len(tasks := running()) < 3:
-        time.sleep(0.05)
-    array, node = tasks[1]
+    first by then: a task whose node it loses it begins again itself. Task 1 stands still until all
+    that is done, however long it takes."""
+    array = node = ""
+    stopped = list[int]()
 
-    def wait_for(task: int) -> None:
-        while not recorded_by(out, task):
+    def wait_until(so: Callable[[dict[int, tuple[str, str]]], bool]) -> None:
+        nonlocal array, node
+        end = time.monotonic() + 300.0
+        while not so(tasks := running()):
+            assert time.monotonic() < end, tasks
+            array = next((its_array for its_array, _ in tasks.values()), array)
+            if 1 in tasks and not stopped and recorded_by(out, 1):
+                node = tasks[1][1]
+                stopped.extend(processes_of(array, 1))
+                signalled(stopped, signal.SIGSTOP)
             time.sleep(0.01)
 
-    wait_for(0)
-    for process in processes_of(array, 0):
-        os.kill(process, signal.SIGKILL)
-    while 0 in running():
-        time.sleep(0.01)
-    wait_for(1)
+    wait_until(lambda tasks: 0 in tasks and recorded_by(out, 0))
+    signalled(processes_of(array, 0), signal.SIGKILL)
+    wait_until(lambda tasks: 0 not in tasks and bool(stopped))
     nodes[node].kill()
     said("scontrol", "update", f"nodename={node}", "state=down", "reason=cut-off")
+    signalled(stopped, signal.SIGCONT)
+
+
+def signalled(processes: list[int], number: signal.Signals) -> None:
+    for process in processes:
+        with suppress(ProcessLookupError):
+            os.kill(process, number)
 
 
 @pytest.mark.slow
