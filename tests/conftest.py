@@ -6,9 +6,14 @@
 
 import random
 import sys
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from browser import browser
 from hypothesis import settings
 
 settings.register_profile("same", derandomize=True, database=None, deadline=None)
@@ -18,6 +23,19 @@ settings.register_profile(
 )
 settings.load_profile("same")
 
+NEED_TORCH = (
+    "bae", "blocks", "bsp", "cells", "cli_learn", "dataset", "fields", "loop", "method", "nsd",
+    "one_part", "optimisers", "ppd_bench", "ppd_depth", "ppd_devices", "ppd_fused", "ppd_losses",
+    "ppd_model", "ppd_reconstruct", "ppd_release", "ppd_variation", "ppd_warm_start", "race",
+    "runs", "tensorboard", "viewer_run",
+)  # fmt: skip
+collect_ignore = [] if find_spec("torch") else [f"test_{name}.py" for name in NEED_TORCH]
+
+
+def pytest_report_header() -> list[str]:
+    """Tell what is left out."""
+    return [f"without torch, not run: {', '.join(collect_ignore)}"] if collect_ignore else []
+
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Begin with the same random numbers, whichever tests came before in this process."""
@@ -25,3 +43,24 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     np.random.seed(0)  # noqa: NPY002 - libraries draw from it
     if "torch" in sys.modules:
         sys.modules["torch"].manual_seed(0)
+        sys.modules["torch"].set_num_threads(1)
+
+
+@pytest.fixture(scope="module")
+def boxes(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set of hinged boxes; a module says in BOXES how many: see `write_boxes`."""
+    from ppd_data import write_boxes  # noqa: PLC0415 - what few tests need
+
+    folder = tmp_path_factory.mktemp("data") / "box"
+    return write_boxes(folder, **getattr(request.module, "BOXES", {}))
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with browser() as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def viser() -> Any:
+    return pytest.importorskip("viser", reason="viser is not installed")

@@ -47,12 +47,7 @@ SMALL = Recipe(
     ),
 )
 
-_MANY = {
-    "grids": (16, 32, 64),
-    "surface_points": 8192,
-    "uniform_points": 8192,
-    "near_points": 8192,
-}
+_MANY = {"grids": (16, 32, 64), "surface_points": 8192, "uniform_points": 8192, "near_points": 8192}
 RICH = SMALL.model_copy(update={"sampling": SMALL.sampling.model_copy(update=_MANY)})
 
 

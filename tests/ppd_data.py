@@ -45,22 +45,10 @@ def write_boxes(
         }
         record = write_shard(folder / f"{split}-{index:05d}.h5", rows, about)
         key = Key(
-            split=split,
-            object_id=name,
-            ref="r",
-            recipe_sha256=RECIPE_SHA256,
-            seed=0,
-            generator="0",
+            split=split, object_id=name, ref="r", recipe_sha256=RECIPE_SHA256, seed=0, generator="0"
         )
         outcomes.append(Outcome.of_shard(key, record, input_sha256="f" * 64))
     timings = Timings(seconds=1.0, instances_per_second=1.0, peak_memory_bytes=1, workers=1)
-    Manifest.of(
-        outcomes,
-        category=category,
-        source="tests",
-        licence="MIT",
-        recipe=recipe.text(),
-        seed=0,
-        timings=timings,
-    ).write(folder)
+    about = {"category": category, "source": "tests", "licence": "MIT", "seed": 0}
+    Manifest.of(outcomes, recipe=recipe.text(), timings=timings, **about).write(folder)
     return folder

@@ -65,9 +65,6 @@ def child_at(obj, q, link=-1):
     return forward_kinematics(obj, JointState(np.array(q, float))).T_world_link[link]
 
 
-# ------------------------------------------------------------------ forward kinematics
-
-
 def test_a_hinge_turns_points_about_its_axis():
     obj = tree(joint("lid", at=(1, 0, 0), axis=Y))
     moved = apply(child_at(obj, [math.pi / 2]), [-1, 0, 0])
@@ -79,6 +76,8 @@ def test_a_slider_moves_along_its_axis():
     oblique = np.array([0.6, 0.0, 0.8])
     obj = tree(joint("box", "prismatic", at=(0, 2, 0), axis=oblique))
     np.testing.assert_allclose(child_at(obj, [0.5])[:3, 3], [0.3, 2, 0.4], atol=1e-15)
+    pivots = forward_kinematics(obj, JointState(np.array([0.7]))).pivots
+    np.testing.assert_array_equal(pivots, [[0, 2, 0]], "where it starts")
 
 
 def test_a_chain_is_the_planar_two_link_arm():
@@ -103,12 +102,6 @@ def test_the_world_transform_carries_links_pivots_and_axes():
     np.testing.assert_allclose(posed.T_world_part[0], T)
     np.testing.assert_allclose(posed.pivots, [[5, 1, 0]], atol=1e-15)
     np.testing.assert_allclose(posed.axes, [[0, 1, 0]], atol=1e-15)
-
-
-def test_the_pivot_of_a_slider_stays_where_the_slider_starts():
-    obj = tree(joint("box", "prismatic", at=(0, 2, 0), axis=X))
-    posed = forward_kinematics(obj, JointState(np.array([0.7])))
-    np.testing.assert_array_equal(posed.pivots, [[0, 2, 0]])
 
 
 def test_forward_kinematics_changes_nothing():
@@ -144,24 +137,19 @@ def test_part_motions_carry_the_canonical_pose_to_the_posed_one(angle, slide):
     np.testing.assert_allclose(apply(motions[1], canonical.pivots[0]), canonical.pivots[0])
 
 
-# ------------------------------------------------------------------ resolve
-
-
 def only(obj, settings=None, **choices):
     """The one moving joint of the resolved object."""
     (moving,) = resolve(obj, settings or Articulation(), **choices).moving_joints
     return moving
 
 
-def test_paper_protocol_hinge_is_sampled_from_0_to_135_degrees():
+def test_paper_protocol():
+    """Hinges from 0 to 135 degrees, sliders up to their limit."""
+    moving = only(tree(joint("box", "prismatic", limits=(-0.1, 0.5))))
+    assert (moving.lower, moving.upper) == (0.0, 0.5)
     moving = only(tree(joint("lid", limits=(0.0, 1.0))), clip=False)
     assert (moving.lower, moving.upper) == (0.0, pytest.approx(math.radians(135)))
     np.testing.assert_array_equal(moving.axis, Z)
-
-
-def test_paper_protocol_slider_is_sampled_up_to_the_limit():
-    moving = only(tree(joint("box", "prismatic", limits=(-0.1, 0.5))))
-    assert (moving.lower, moving.upper) == (0.0, 0.5)
 
 
 def test_a_slider_from_its_lower_limit_has_the_whole_way():
@@ -310,9 +298,6 @@ def test_the_resolved_joint_reaches_the_same_poses_as_the_urdf(ends, canonical, 
     )
 
 
-# ------------------------------------------------------------------ numbers of parts
-
-
 def plate(y, z, size=0.1):
     """A little square about (0, y, z)."""
     corners = [(0, y - size, z - size), (0, y + size, z - size), (0, y, z + size)]
@@ -325,15 +310,10 @@ def front(places, *, order, kinds=None, semantics=None, turn=0.0):
     links = [Link("base", plate(0, 0, 1.0))]
     links += [Link(n, plate(*places[n]), (semantics or {}).get(n, "part")) for n in order]
     root = transform(rotation_about(Z, turn))
-    joints = [
-        joint(n, kinds.get(n, "prismatic"), at=rotation_about_z(-turn), axis=X) for n in order
-    ]
+    back = transform(rotation_about(Z, -turn))
+    joints = [joint(n, kinds.get(n, "prismatic"), at=back, axis=X) for n in order]
     made = tree(*joints, T_world_root=root)
     return replace(made, links=tuple(links))
-
-
-def rotation_about_z(turn):
-    return transform(rotation_about(Z, turn))
 
 
 def numbered(obj, movable=("part",), **choices):
@@ -382,9 +362,6 @@ def test_parts_without_a_mesh_are_numbered_by_their_pivots():
     assert numbered(obj, ("*",)) == ["high", "low"]
 
 
-# ------------------------------------------------------------------ mimic
-
-
 def scissors(**driver):
     """Two blades and a slider: `b` turns -0.5 times as far as `a`, plus 0.25; `c` follows `b`."""
     return tree(
@@ -399,22 +376,19 @@ def scissors(**driver):
 def test_followers_stay_with_their_driver_after_it_is_zeroed_and_turned(canonical, limits):
     obj = scissors(limits=limits)
     resolved = resolve(obj, Articulation(), canonical=canonical)
-    a, b, c = resolved.moving_joints
-    assert b.mimic == Mimic("a", 0.5, 0.0)
+    a, follower, c = resolved.moving_joints
+    assert follower.mimic == Mimic("a", 0.5, 0.0)
     assert c.mimic == Mimic("a", 1.0, 0.0)
-    assert (b.lower, b.upper, c.upper) == (0.0, 0.5 * a.upper, a.upper)
+    assert (follower.lower, follower.upper, c.upper) == (0.0, 0.5 * a.upper, a.upper)
     start = {"zero": 0.0, "lower": limits[0], "upper": limits[1]}[canonical]
     sign = 1.0 if a.axis[1] > 0 else -1.0
     for seed in range(3):
         state = sample_joint_state(resolved, rng=np.random.default_rng(seed))
         turned = start + sign * state.q[0]
-        expected = child_at(obj, [turned, b_of(turned), 2 * b_of(turned) + 0.1], slice(None))
+        b = -0.5 * turned + 0.25
+        expected = child_at(obj, [turned, b, 2 * b + 0.1], slice(None))
         posed = forward_kinematics(resolved, state)
         np.testing.assert_allclose(posed.T_world_link, expected, atol=1e-12)
-
-
-def b_of(a):
-    return -0.5 * a + 0.25
 
 
 def test_canonical_state_of_an_unresolved_object_obeys_its_mimics():
@@ -423,9 +397,7 @@ def test_canonical_state_of_an_unresolved_object_obeys_its_mimics():
 
 def test_a_locked_driver_locks_its_followers():
     obj = tree(
-        joint("a", axis=Y),
-        joint("b", mimic=Mimic("a", 2.0, 0.5), limits=(0, 0)),
-        joint("lid"),
+        joint("a", axis=Y), joint("b", mimic=Mimic("a", 2.0, 0.5), limits=(0, 0)), joint("lid")
     )
     resolved = resolve(obj, Articulation(), canonical="upper", movable=("b", "lid"))
     assert [j.name for j in resolved.moving_joints] == ["lid"]
@@ -462,9 +434,6 @@ def test_a_long_chain_of_mimics_takes_no_time():
     assert time.process_time() - began < 1.0
 
 
-# ------------------------------------------------------------------ sampling
-
-
 def test_states_are_uniform_independent_and_inside_their_ranges():
     obj = resolve(
         tree(joint("lid"), joint("box", "prismatic", limits=(0.0, 0.4)), joint("door")),
@@ -489,8 +458,6 @@ def test_one_generator_gives_one_state():
     np.testing.assert_array_equal(first.q, again.q)
     assert not np.array_equal(first.q, other.q)
 
-
-# ------------------------------------------------------------------ real models, other programs
 
 READABLE = sorted(
     path for path in REAL_MODELS.rglob("*.urdf") if not path.name.startswith("error_")

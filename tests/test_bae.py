@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from ppd_data import write_boxes
-
-torch = pytest.importorskip("torch", reason="learners need torch")
+import torch
 
 from articugen.learning.bae.network import BAENet
 from articugen.learning.bae.settings import BAERecipe, ModelSettings
@@ -14,7 +12,7 @@ from articugen.learning.data.batch import Batch
 from articugen.learning.loop import Training, train
 from articugen.learning.method import find_method, load_recipe
 
-torch.set_num_threads(1)
+BOXES = {"train": 4, "test": 1, "states": 2}
 
 TINY = BAERecipe.model_validate(
     {
@@ -141,11 +139,6 @@ def test_the_voxel_encoder_is_a_pyramid_of_convolutions(normalised):
     assert x.shape == (2, 64, 4, 4, 4)
     code = sigmoid(np.einsum("bcxyz,ocxyz->bo", x, last.weight.detach().numpy()))  # biases are 0
     np.testing.assert_allclose(encoder(cloud).detach().numpy(), code, atol=1e-10)
-
-
-@pytest.fixture(scope="module")
-def boxes(tmp_path_factory):
-    return write_boxes(tmp_path_factory.mktemp("boxes"), train=4, test=1, states=2)
 
 
 def test_it_learns_and_is_judged_as_all_are(boxes, tmp_path):

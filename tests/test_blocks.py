@@ -1,11 +1,9 @@
 """Steps that do not wait for a GPU are the same steps; what went wrong is named all the same."""
 
 import pytest
+import torch
 
 from articugen.core.errors import TrainingDiverged
-
-torch = pytest.importorskip("torch", reason="PPD needs torch")
-
 from articugen.learning.blocks import Descent
 
 NAN = float("nan")

@@ -5,12 +5,11 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+import torch
 from digests import digest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from ppd_data import write_boxes
-
-torch = pytest.importorskip("torch", reason="learners need torch")
 
 from articugen.learning.bsp import learner as lesson
 from articugen.learning.bsp.learner import BSPLearner
@@ -22,8 +21,6 @@ from articugen.learning.data.batch import Batch
 from articugen.learning.loop import Training, train
 from articugen.learning.method import load_recipe
 from articugen.learning.run_folder import LATEST, read_checkpoint
-
-torch.set_num_threads(1)
 
 CPU = torch.device("cpu")
 SMALL = {"voxels": 16, "code": 8, "widths": (12, 16, 20), "planes": 9, "convexes": 4}

@@ -7,16 +7,12 @@ from typing import cast
 
 import numpy as np
 import pytest
+import torch
 from instances import SMALL, hinged_box
 from ppd_data import write_boxes
 
 from articugen.core.errors import UnfitData
 from articugen.core.records import is_material
-from articugen.store.shards import Shard, open_shard
-from articugen.store.writer import write_shard
-
-torch = pytest.importorskip("torch", reason="PPD needs torch")
-
 from articugen.learning.commands import hints
 from articugen.learning.data import cells
 from articugen.learning.data.batch import BatchSpec
@@ -27,6 +23,8 @@ from articugen.learning.data.fitness import (
     lying_otherwise,
 )
 from articugen.learning.data.split import load_split
+from articugen.store.shards import Shard, open_shard
+from articugen.store.writer import write_shard
 
 ASK = BatchSpec(
     surface_points=100, grid_points=40, near_points=30, band_points=60, varying_points=50

@@ -12,9 +12,6 @@ from typer.testing import CliRunner
 from articugen.cli import app
 from articugen.cli.saying import command
 
-torch = pytest.importorskip("torch", reason="PPD needs torch")
-torch.set_num_threads(1)
-
 RECIPE = """
 extends: ppd_plain
 data: {surface_points: 256, uniform_points: 128, near_points: 128, validation_objects: 1}

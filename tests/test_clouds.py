@@ -7,7 +7,6 @@ import zipfile
 import numpy as np
 import pytest
 import trimesh
-from ppd_data import write_boxes
 
 from articugen.core.errors import CorruptShard, InvalidSource
 from articugen.core.records import dequantize
@@ -15,10 +14,7 @@ from articugen.learning.clouds import cloud_of_shard
 from articugen.meshes.points import LONGEST_EDGE, MOST_BYTES, cloud_of_file
 from articugen.store.shards import open_shard
 
-
-@pytest.fixture(scope="module")
-def boxes(tmp_path_factory):
-    return write_boxes(tmp_path_factory.mktemp("boxes"), train=1, test=1, states=1)
+BOXES = {"train": 1, "test": 1, "states": 1}
 
 
 def points(count: int = 200, size: float = 0.9) -> np.ndarray:

@@ -4,20 +4,17 @@ import dataclasses
 
 import numpy as np
 import pytest
+import torch
 from ppd_data import write_boxes
 
-from articugen.core import schema
+from articugen.core import geometry, schema
 from articugen.core.errors import CorruptShard, UnfitData
 from articugen.core.records import dequantize
-from articugen.store.shards import open_shard
-from articugen.store.writer import write_shard
-
-torch = pytest.importorskip("torch", reason="PPD needs torch")
-
-from articugen.core import geometry
 from articugen.learning.data import split
 from articugen.learning.data.batch import BatchSpec
 from articugen.learning.data.split import _places, load_split, unpacked, voxel_centres
+from articugen.store.shards import open_shard
+from articugen.store.writer import write_shard
 
 ASK = BatchSpec(
     surface_points=300, grid_points=200, uniform_points=100, near_points=50, joints=(3, 4)

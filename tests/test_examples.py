@@ -93,8 +93,6 @@ def test_a_urdf_of_ones_own_with_another_name_goes_as_well(tmp_path: Path) -> No
     assert not (tmp_path / "made").exists()
 
 
-# --- the README and pages like it
-
 PAGES = ("README.md", "docs/commands.md", "docs/recipes.md", "docs/python.md")
 """Read in this order, as one story: what one makes the next may use."""
 

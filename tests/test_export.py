@@ -13,7 +13,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from instances import hinged_box
-from ppd_data import write_boxes
 from test_html_report import shard
 from typer.testing import CliRunner
 
@@ -27,10 +26,7 @@ from articugen.export.items import file_name
 from articugen.export.parts import unique
 from articugen.export.target import REPORT_NAME
 
-
-@pytest.fixture(scope="module")
-def boxes(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_boxes(tmp_path_factory.mktemp("data") / "box", train=2, test=1)
+BOXES = {"train": 2, "test": 1}
 
 
 def run(*arguments: object):

@@ -62,9 +62,6 @@ def apart(tmp_path_factory):
     return [maker[i].instance for i in range(4)], maker.recipe
 
 
-# Distances.
-
-
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 40))
 def test_distances_are_those_to_the_nearest_triangle(seed, count):
@@ -124,9 +121,6 @@ def test_a_share_of_near_points_lies_around_sharp_edges(tmp_path):
     far, _ = edges.query(dequantize(row.near_points))
     assert (far[300:] < 0.006).all()  # around the 200 points of edges that are stored
     assert (far[:300] > 0.02).mean() > 0.5
-
-
-# Sharp edges.
 
 
 def test_the_edges_of_a_box_are_drawn_by_their_length():
@@ -231,9 +225,6 @@ def test_sharp_points_move_with_their_parts(apart):
             assert (np.isclose(np.abs(points), half, atol=2e-5).sum(axis=1) >= 2).all()
 
 
-# Images.
-
-
 def test_images_of_a_ball_are_those_of_a_ball():
     ball = labelled(trimesh.creation.icosphere(subdivisions=5, radius=0.3))
     views = plain_pinhole_views(
@@ -282,9 +273,6 @@ def test_states_that_were_not_sampled_are_seen_by_the_same_cameras(tmp_path):
         )
 
 
-# Collisions.
-
-
 def test_how_deep_boxes_are_in_one_another(tmp_path):
     """The bolt's front is in the wall by how far it was pushed beyond 0.2 m."""
     maker = slide(tmp_path, 0.28)
@@ -326,9 +314,6 @@ def test_a_pair_that_overlaps_when_closed_counts_where_it_is_deeper():
     assert fusion.too_deep(closed + np.array([[0, 0.011], [0, 0]]), closed, 0.01)
 
 
-# What verify says of them.
-
-
 def test_sound_instances_have_no_faults(apart):
     rows, recipe = apart
     assert list(invariants.faults(rows, recipe)) == []
@@ -354,10 +339,7 @@ FAULTS = {
         ),
     ),
     "distance of the other sign": ("distances", lambda r: edited(r, "near_distance", np.negative)),
-    "distance too far": (
-        "distances",
-        lambda r: edited(r, "uniform_distance", lambda d: 2.0 * d),
-    ),
+    "distance too far": ("distances", lambda r: edited(r, "uniform_distance", lambda d: 2.0 * d)),
     "distance of a larger object": (
         "distances",
         lambda r: edited(r, "near_distance", lambda d: np.clip(1.5 * d, -0.1, 0.1)),
@@ -388,9 +370,6 @@ def test_what_was_not_asked_for_is_a_fault(apart):
     usual = recipe.model_copy(update={"images": type(recipe.images)()})
     found = list(invariants.faults(rows, usual))
     assert {fault.check for fault in found} == {"counts"}
-
-
-# In shards, and as people read them.
 
 
 def test_they_come_back_from_a_shard(tmp_path):

@@ -36,9 +36,6 @@ from articugen.verify.dataset import verify
 whole, mine, boxes = test_pipeline.whole, test_pipeline.mine, test_pipeline.boxes
 
 
-# --- what is no object's fault
-
-
 def test_a_fault_of_ours_ends_no_run_and_is_tried_again(
     boxes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -246,9 +243,6 @@ def test_what_a_run_needs_is_compared_with_what_is_free(whole: Path, tmp_path: P
         assert verify(disk / "out").ok
 
 
-# --- limits
-
-
 def test_an_object_over_its_time_is_rejected_until_it_may_take_more(tmp_path: Path) -> None:
     long = TINY.with_counts(objects=1, states=60).model_copy(update={"max_rejected_fraction": 1.0})
     hasty = job(
@@ -263,9 +257,6 @@ def test_an_object_over_its_time_is_rejected_until_it_may_take_more(tmp_path: Pa
     patient = replace(hasty, recipe=long, jobs=0)
     assert [task.why for task in planned(patient).tasks] == ["the recipe now allows it more"]
     assert len(made(patient)[0].objects) == 1
-
-
-# --- a parent that is killed
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")

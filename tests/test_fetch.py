@@ -78,9 +78,6 @@ def whole(folder: Path, *ids: str) -> bool:
     return all(files_in(folder / name) == model_files(CATEGORY[name]) for name in ids)
 
 
-# ------------------------------------------------------------------ the hub
-
-
 def test_a_category_comes_whole_with_its_terms_and_can_be_used(hub, tmp_path):
     done = run("partnet-mobility", "-c", "laptop", "-o", tmp_path)
     assert done.exit_code == 0, done.output
@@ -320,9 +317,6 @@ def test_nobody_there(tmp_path, monkeypatch, hub):
     assert "cannot be got" in done.output
 
 
-# ------------------------------------------------------------------ SAPIEN's site
-
-
 def test_the_site_gives_models_by_id(site, tmp_path):
     arguments = ["--via", "sapien", "--token", "sapien-secret", "-o", tmp_path]
     assert run("partnet-mobility", "--ids", "9748,45213", *arguments).exit_code == 0
@@ -373,9 +367,6 @@ def test_as_a_function(hub, tmp_path):
     assert seen[-1][:2] == (2, 2)
     with pytest.raises(InvalidArgument, match=r"ids='9748': must be a list: ids=\['9748'\]"):
         ag.fetch("partnet-mobility", tmp_path, ids="9748")
-
-
-# ------------------------------------------------------------------ trouble
 
 
 def test_two_do_not_fetch_into_one_folder(hub, tmp_path):
@@ -471,9 +462,6 @@ def test_killed_while_it_unpacks_leaves_no_half_model(hub, tmp_path):
     assert not list((tmp_path / ".fetch" / "unpacking").iterdir())
 
 
-# ------------------------------------------------------------------ archives at hand
-
-
 def test_archives_of_many_models_keep_their_folders(tmp_path):
     files = {f"laptop/{k}/{n}": d for k in ("0001", "0002") for n, d in shape2motion().items()}
     (tmp_path / "s2m.zip").write_bytes(zipped(files))
@@ -525,9 +513,6 @@ def test_the_command_refuses_in_a_sentence(tmp_path, arguments, sentence):
     done = run(*arguments, "-o", tmp_path)
     assert done.exit_code == 1
     assert sentence in done.output
-
-
-# ------------------------------------------------------------------ what is in the way
 
 
 @pytest.fixture

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
+import torch
 from ppd_data import write_boxes
-
-torch = pytest.importorskip("torch", reason="learners need torch")
 
 from articugen.learning.data.batch import BatchSpec
 from articugen.learning.data.split import load_split

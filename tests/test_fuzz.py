@@ -98,9 +98,6 @@ def test_tests_of_properties_draw_the_same_each_time_and_make_fuzz_anew(profile,
     assert settings.get_current_profile_name() in ("same", "chance")
 
 
-# --- what watches has eyes
-
-
 def _opens_outside(path: Path) -> None:
     (path.parents[1] / "outside" / "secret.obj").read_bytes()
 
@@ -198,9 +195,6 @@ def test_what_the_first_import_writes_is_no_escape(monkeypatch, tmp_path):
     assert [path.name.partition(".")[0] for path in tmp_path.glob("kept/**/*.pyc")] == [
         "never_before_imported"
     ]
-
-
-# --- what is mended is sound
 
 
 def test_hdf5_s_checksum_is_known():

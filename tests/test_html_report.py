@@ -5,7 +5,7 @@ import hashlib
 import io
 import re
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from browser import LAPTOP, PHONE, browser
+from browser import LAPTOP, PHONE
 from instances import SMALL, edited, hinged_box
 from PIL import Image
 from test_cli import TINY, run
@@ -303,12 +303,6 @@ def test_inspect_writes_a_report_with_what_was_left_out(laptops: Path, tmp_path:
                  "every object that was asked for", "IoU", "procedural", "MIT"):  # fmt: skip
         assert word in said
     assert len(said) < 5_000_000
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with browser() as opened:
-        yield opened
 
 
 def opened(chromium: Any, html: Path, screen: dict[str, int], **context: Any) -> tuple[Any, list]:

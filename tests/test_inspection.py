@@ -13,6 +13,8 @@ from instances import SMALL, hinged_box
 from numba import njit
 from PIL import Image
 from rich.console import Console
+from test_html_report import cube as sampled_cube
+from test_html_report import shard as write
 
 from articugen.core.colours import COLOURS, colour_of
 from articugen.core.errors import ArticugenError, InvalidArgument
@@ -29,7 +31,6 @@ from articugen.pictures.light import SurfaceCloud, occlusion, occlusion_in_detai
 from articugen.pictures.shading import PAPER
 from articugen.pictures.splats import draw
 from articugen.pictures.surfels import OrientedPoints, surfels
-from articugen.store.writer import write_shard
 
 
 def one_part(points: np.ndarray, normals: np.ndarray) -> OrientedPoints:
@@ -43,16 +44,6 @@ def sphere(radius: float, count: int = 6000, seed: int = 0):
     return radius * normals, normals
 
 
-def cube(half: float, count: int = 6000, seed: int = 0):
-    rng = np.random.default_rng(seed)
-    points = rng.uniform(-half, half, (count, 3))
-    axis, side = rng.integers(3, size=count), rng.choice((-1.0, 1.0), count)
-    normals = np.zeros((count, 3))
-    normals[np.arange(count), axis] = side
-    points[np.arange(count), axis] = half * side
-    return points, normals
-
-
 def boxes(recipe: Recipe = SMALL) -> list[Instance]:
     """Three objects in four states each."""
     return [
@@ -60,20 +51,15 @@ def boxes(recipe: Recipe = SMALL) -> list[Instance]:
     ]
 
 
+def cube(half: float, count: int = 6000, seed: int = 0):
+    points = sampled_cube(half, count, seed)
+    return points.points, points.normals
+
+
 def shard(
     folder: Path, recipe: Recipe = SMALL, instances: Sequence[Instance] | None = None
 ) -> Path:
-    path = folder / "train-00000.h5"
-    about = {
-        "category": "box",
-        "split": "train",
-        "recipe": recipe.text(),
-        "recipe_sha256": recipe.sha256(),
-        "seed": 0,
-        "articugen_version": "0",
-    }
-    write_shard(path, instances or boxes(recipe), about)
-    return path
+    return write(folder / "train-00000.h5", instances or boxes(recipe))
 
 
 def printed(shards: list[Path]) -> str:

@@ -30,9 +30,6 @@ CHECKS = {
 }
 
 
-# What is sound is left in peace.
-
-
 @pytest.mark.parametrize("rows", [ROWS, RICH_ROWS, ROWS[:1]], ids=["small", "rich", "canonical"])
 def test_sound_instances(rows):
     assert list(invariants.faults(rows, RICH if rows is RICH_ROWS else SMALL)) == []
@@ -60,9 +57,6 @@ def test_default_recipe_and_an_empty_one_are_sound():
 def test_any_joint_states_are_sound(states, seed):
     rows = hinged_box([(0.0, 0.0), *states], seed=seed)
     assert list(invariants.faults(rows, SMALL)) == []
-
-
-# Each fault trips its check.
 
 
 def put(index, value):
@@ -170,9 +164,7 @@ FAULTS = {
     "uniform points of another state": (
         "grids",
         lambda r: changed(
-            r,
-            uniform_points=RICH_ROWS[3].uniform_points,
-            uniform_label=RICH_ROWS[3].uniform_label,
+            r, uniform_points=RICH_ROWS[3].uniform_points, uniform_label=RICH_ROWS[3].uniform_label
         ),
     ),
     "coverage of another state": ("coverage", lambda r: changed(r, coverage=covered(RICH_ROWS[3]))),
@@ -208,10 +200,7 @@ FAULTS = {
         "cameras",
         lambda r: edited(r, "partial_T_camera_world", lambda T: T[::-1]),
     ),
-    "transform inverted": (
-        "cameras",
-        lambda r: edited(r, "partial_T_camera_world", np.linalg.inv),
-    ),
+    "transform inverted": ("cameras", lambda r: edited(r, "partial_T_camera_world", np.linalg.inv)),
     "no focal length": ("cameras", lambda r: edited(r, "partial_intrinsics", put((0, 0), 0.0))),
     "shorter focal length": (
         "cameras",
@@ -229,8 +218,7 @@ FAULTS = {
     "seen points are elsewhere": (
         "partial parts",
         lambda r: changed(
-            r,
-            partial_points=quantize(np.clip(dequantize(r.partial_points) * 0.5, -0.5, 0.5)),
+            r, partial_points=quantize(np.clip(dequantize(r.partial_points) * 0.5, -0.5, 0.5))
         ),
     ),
     "joints of another state": ("flow", _other_state),
@@ -349,9 +337,6 @@ def test_enclosed_space_is_a_label_but_where_the_rule_knows_none():
 
 def test_every_check_has_a_fault():
     assert {check for check, _ in (*FAULTS.values(), *OBJECT_FAULTS.values())} == CHECKS
-
-
-# How sure a share must be.
 
 
 def test_tolerances_leave_room_for_what_is_sound():

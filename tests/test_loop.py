@@ -7,12 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from digests import digest
 from ppd_data import write_boxes
 
 from articugen.core.errors import InvalidCheckpoint, InvalidRecipe, TrainingDiverged
 from articugen.core.yaml_files import known
+from articugen.learning.data import split
+from articugen.learning.data.batch import BatchSpec
+from articugen.learning.data.split import load_split
+from articugen.learning.loop import Training, batch_rows, split_objects, train
 from articugen.learning.method import load_recipe
+from articugen.learning.ppd import losses, objective
+from articugen.learning.ppd.discriminator import Discriminator
+from articugen.learning.ppd.network import PPD
 from articugen.learning.ppd.settings import (
     LossSettings,
     ModelSettings,
@@ -21,18 +29,6 @@ from articugen.learning.ppd.settings import (
     PPDStage,
 )
 from articugen.learning.recipe import DataSettings
-from articugen.store.shards import open_shard
-from articugen.store.writer import write_shard
-
-torch = pytest.importorskip("torch", reason="PPD needs torch")
-
-from articugen.learning.data import split
-from articugen.learning.data.batch import BatchSpec
-from articugen.learning.data.split import load_split
-from articugen.learning.loop import Training, batch_rows, split_objects, train
-from articugen.learning.ppd import losses, objective
-from articugen.learning.ppd.discriminator import Discriminator
-from articugen.learning.ppd.network import PPD
 from articugen.learning.run_folder import (
     BEST,
     LATEST,
@@ -40,8 +36,8 @@ from articugen.learning.run_folder import (
     RunFolder,
     read_checkpoint,
 )
-
-torch.set_num_threads(1)
+from articugen.store.shards import open_shard
+from articugen.store.writer import write_shard
 
 TINY = PPDRecipe(
     name="tiny",
@@ -61,11 +57,6 @@ TINY = PPDRecipe(
 )
 
 SPEC = BatchSpec.of(TINY.data)
-
-
-@pytest.fixture(scope="module")
-def boxes(tmp_path_factory):
-    return write_boxes(tmp_path_factory.mktemp("boxes"))
 
 
 def start(boxes, runs, recipe=TINY, *, seed=0, resume=None, **options):

@@ -148,10 +148,7 @@ def test_the_states_of_a_row_are_what_at_takes(cabinet, digits, index, share):
     """For models of 1 cm to 100 m; what a shard holds of the same pose is in the unit frame."""
     maker = ag.Maker(sized(cabinet, 10.0**digits), RIGID, seed=3)
     between = maker.at({joint.name: share * joint.upper for joint in maker.joints})
-    for inst, row in (
-        (maker[index], as_stored(maker[index])),
-        (between, between),
-    ):
+    for inst, row in ((maker[index], as_stored(maker[index])), (between, between)):
         again = maker.at({joint.name: joint.state for joint in row.joints})
         arrays = again.instance.arrays()
         for name, value in inst.instance.arrays().items():

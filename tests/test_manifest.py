@@ -124,9 +124,6 @@ def folder(complete, tmp_path):
     return copy
 
 
-# The manifest.
-
-
 def test_manifest_tells_what_was_made(complete):
     manifest = Manifest.read(complete)
     assert names_in(complete) == COMPLETE
@@ -209,9 +206,6 @@ def test_commit_is_the_one_checked_out():
     else:
         assert commit is not None
         assert commit.removesuffix("+changes") == done.stdout.strip()
-
-
-# The records.
 
 
 def test_complete_folder_is_left_alone(complete):

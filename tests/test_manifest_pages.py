@@ -68,9 +68,6 @@ def head(folder: Path) -> dict[str, Any]:
     return json.loads((folder / MANIFEST_NAME).read_text())
 
 
-# --- what is written
-
-
 def test_pages_and_one_file_say_the_same(
     whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -111,9 +108,6 @@ def test_ranks_are_merged_into_pages(whole: Path, tmp_path: Path) -> None:
     assert Manifest.read(out) == merged
     assert len(pages(out)) == 2
     assert verify(out).findings == ()
-
-
-# --- killed between pages
 
 
 class Killed(BaseException):
@@ -189,9 +183,6 @@ def test_only_what_is_called_like_a_page_goes(folder: Path) -> None:
     found = {f.shard for f in verify(folder).findings if f.check == "surplus"}
     assert found == {*mine, link.name, "manifest-00009-0123456789abcdef.json"}
     assert precious.read_text() == "mine"
-
-
-# --- what is damaged
 
 
 def flipped(folder: Path, _: Path) -> str:

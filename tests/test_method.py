@@ -5,21 +5,17 @@ import json
 
 import pytest
 from digests import digest
-from ppd_data import write_boxes
 from typer.testing import CliRunner
 
 from articugen.cli import app
 from articugen.core import plugins
 from articugen.core.errors import ArticugenError, BrokenPlugin, InvalidCheckpoint, InvalidRecipe
-from articugen.learning.method import find_method, load_recipe, method_names
-
-torch = pytest.importorskip("torch", reason="learning needs torch")
-
 from articugen.learning import commands
 from articugen.learning.evaluation.results import read_evaluation
+from articugen.learning.method import find_method, load_recipe, method_names
 from articugen.learning.run_folder import BEST, LATEST, read_checkpoint
 
-torch.set_num_threads(1)
+BOXES = {"train": 3, "test": 1, "states": 2}
 
 RECIPE = """
 method: nearest
@@ -31,11 +27,6 @@ schedule:
   validate_every: 2
   save_every: 2
 """
-
-
-@pytest.fixture(scope="module")
-def boxes(tmp_path_factory):
-    return write_boxes(tmp_path_factory.mktemp("boxes"), train=3, test=1, states=2)
 
 
 @pytest.fixture(autouse=True)

@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from digests import digest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ppd_data import write_boxes
-
-torch = pytest.importorskip("torch", reason="learners need torch")
 
 from articugen.learning.commands import evaluate
 from articugen.learning.data.batch import Batch
@@ -19,8 +18,6 @@ from articugen.learning.nsd.learner import NSDLearner, nearest, sphere, surface_
 from articugen.learning.nsd.network import directions_of, indicator
 from articugen.learning.nsd.settings import LossSettings, ModelSettings, NSDRecipe
 from articugen.learning.run_folder import LATEST, read_checkpoint
-
-torch.set_num_threads(1)
 
 CPU = torch.device("cpu")
 SMALL = {"code": 6, "stars": 3, "width": 5, "directions": 4}

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
+import torch
 from ppd_data import write_boxes
-
-torch = pytest.importorskip("torch", reason="learners need torch")
 
 from articugen.core.records import dequantize
 from articugen.learning import commands

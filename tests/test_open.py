@@ -156,8 +156,16 @@ def test_hover_texts_give_shapes_units_and_frames():
     ):
         for word in words:
             assert word in (text or ""), (word, text)
-    assert {"split", "occupancy"} < set(inspect.signature(ag.export).parameters)
-    assert "repair" in inspect.signature(ag.verify).parameters
+    for function, words in (
+        (ag.generate, "category source out recipe seed jobs"),
+        (ag.open, "path"),
+        (ag.load, "source object_id category"),
+        (ag.Maker, "obj recipe seed"),
+        (ag.export, "split occupancy"),
+        (ag.verify, "repair"),
+    ):
+        assert set(words.split()) <= set(inspect.signature(function).parameters)
+        assert inspect.getdoc(function)
 
 
 def test_flow_is_what_the_parts_motions_say(data):

@@ -4,14 +4,12 @@ import copy
 from pathlib import Path
 
 import pytest
-
-torch = pytest.importorskip("torch", reason="optimisers need torch")
+import torch
 
 from articugen.learning.optimisers import GREATEST_SIDE, Soap, optimiser_of
 from articugen.learning.ppd.shape import Grouped
 from articugen.learning.tensors import check_like
 
-torch.set_num_threads(1)
 NAMES = ("adam", "soap")
 WIDE = GREATEST_SIDE + 6
 

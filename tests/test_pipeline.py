@@ -128,9 +128,6 @@ def broken(monkeypatch: pytest.MonkeyPatch, object_id: str, error: Exception) ->
     monkeypatch.setattr(articulation, "resolve", resolved)
 
 
-# --- what is made
-
-
 def test_a_data_set_is_whole_and_holds_what_instance_makes(whole: Path) -> None:
     manifest = Manifest.read(whole)
     assert [s.name for s in manifest.shards] == ["test-00000.h5", *_train(3)]
@@ -239,9 +236,6 @@ def test_objects_caps_the_number_and_more_are_added_later(whole: Path, tmp_path:
     assert sum(r.reused for r in reports) == 2
     assert manifest.content_sha256 == Manifest.read(whole).content_sha256
     assert verify(out).findings == ()
-
-
-# --- plans
 
 
 def test_a_plan_writes_nothing_and_says_that_nothing_is_made_yet(tmp_path: Path) -> None:
@@ -392,9 +386,6 @@ def test_planning_makes_nothing_of_meshes(
     assert planned(ours).tasks == ()
 
 
-# --- what cannot be made
-
-
 def test_plain_urdfs_are_made_and_a_broken_one_is_told_of(boxes: Path, tmp_path: Path) -> None:
     (boxes / "box3.urdf").write_text(
         BOX.format(size=1).replace('child link="lid"', 'child link="x"')
@@ -515,9 +506,6 @@ def test_unknown_sources_and_categories_name_the_nearest(tmp_path: Path) -> None
         planned(job(tmp_path, source="procedurl"))
     with pytest.raises(InvalidSource, match="did you mean 'eyeglasses'"):
         planned(job(tmp_path, category="eyeglass"))
-
-
-# --- what is skipped, and what cannot even be planned
 
 
 def test_an_object_that_is_not_of_the_category_is_skipped_without_blame(

@@ -259,9 +259,6 @@ def test_a_package_adds_an_export_format(install: Install) -> None:
         formats.format_named("plian")
 
 
-# --- any one model by its path
-
-
 def test_one_model_by_its_path(tmp_path: Path) -> None:
     urdf = tmp_path / "lamp" / "urdf" / "lamp.urdf"
     urdf.parent.mkdir(parents=True)

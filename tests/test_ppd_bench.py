@@ -1,11 +1,8 @@
 """The training benchmark tells of the real loop: shares of the whole, none for what is off."""
 
 import pytest
-from ppd_data import write_boxes
-
-pytest.importorskip("torch", reason="PPD needs torch")
-
 from benchmarks.training import STAGES, _measured, markdown
+from ppd_data import write_boxes
 
 
 def test_shares_are_of_the_whole(tmp_path):

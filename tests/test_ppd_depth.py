@@ -4,28 +4,24 @@ import dataclasses
 import shutil
 
 import pytest
+import torch
 from digests import digest
-from ppd_data import write_boxes
-
-from articugen.core.errors import InvalidCheckpoint, InvalidRecipe, UnfitData
-from articugen.learning.method import load_recipe
-from articugen.learning.ppd.settings import LossSettings, PPDRecipe, PPDSchedule, PPDStage
-from articugen.learning.recipe import DataSettings
-
-torch = pytest.importorskip("torch", reason="PPD needs torch")
-
 from instances import hinged_box
 
+from articugen.core.errors import InvalidCheckpoint, InvalidRecipe, UnfitData
 from articugen.core.records import dequantize
 from articugen.learning.clouds import seen_by_a_camera
 from articugen.learning.commands import train as trained
 from articugen.learning.data.batch import BatchSpec
 from articugen.learning.data.split import load_split, unpacked
 from articugen.learning.loop import Training, train
+from articugen.learning.method import load_recipe
 from articugen.learning.ppd.depth import latents
+from articugen.learning.ppd.settings import LossSettings, PPDRecipe, PPDSchedule, PPDStage
+from articugen.learning.recipe import DataSettings
 from articugen.learning.run_folder import LATEST, RunFolder, read_checkpoint
 
-torch.set_num_threads(1)
+BOXES = {"train": 3, "test": 1, "states": 2}
 
 TINY = PPDRecipe(
     name="tiny",
@@ -47,11 +43,6 @@ PLAN = {
     "batch": 4, "learning_rate": 2e-3, "final_learning_rate": 2e-5, "log_every": 1,
     "validate_every": 20, "stages": [{"resolution": 1, "iterations": 20}],
 }  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def boxes(tmp_path_factory):
-    return write_boxes(tmp_path_factory.mktemp("boxes"), train=3, test=1, states=2)
 
 
 @pytest.fixture(scope="module")

@@ -5,18 +5,16 @@ and to read a number from it, as `float` or a boolean index would, raises.
 """
 
 import pytest
-from ppd_data import write_boxes
-
-from articugen.learning.method import load_recipe
-
-torch = pytest.importorskip("torch", reason="PPD needs torch")
-
+import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 from articugen.learning.data.split import load_split
+from articugen.learning.method import load_recipe
 from articugen.learning.ppd.learner import PPDLearner
 from articugen.learning.recipe import DataSettings
+
+BOXES = {"train": 2, "test": 0, "states": 1}
 
 META = torch.device("meta")
 SENDS = {"aten::lift_fresh", "aten::_to_copy", "aten::copy_"}
@@ -43,11 +41,6 @@ def test_the_guard_sees_mixtures_and_waiting():
         for waits in (lambda: float(x.sum()), lambda: bool((x > 0).any()), lambda: x[x > 0]):
             with pytest.raises((RuntimeError, NotImplementedError)):
                 waits()
-
-
-@pytest.fixture(scope="module")
-def boxes(tmp_path_factory):
-    return write_boxes(tmp_path_factory.mktemp("boxes"), train=2, test=0, states=1)
 
 
 @pytest.mark.parametrize("name", ["ppd_paper", "ppd_release", "ppd_plain"])

@@ -4,17 +4,14 @@ import copy
 
 import numpy as np
 import pytest
+import torch
 from python_process import printed
-
-torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen.learning.cpu import greatest
 from articugen.learning.ppd import shape
 from articugen.learning.ppd.cpu import fused, sine_kernels, warm
 from articugen.learning.ppd.network import PPD
 from articugen.learning.ppd.settings import ModelSettings
-
-torch.set_num_threads(1)
 
 
 def wavy(**settings):

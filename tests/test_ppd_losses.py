@@ -4,13 +4,11 @@ import math
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch", reason="PPD needs torch")
+import torch
 
 from articugen.learning.ppd import losses
 from articugen.learning.ppd.discriminator import Discriminator
 
-torch.set_num_threads(1)
 B, P, R, N = 3, 8, 3, 40
 
 

@@ -5,13 +5,11 @@ import math
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from articugen.core.geometry import rotation_about
-
-torch = pytest.importorskip("torch", reason="PPD needs torch")
-
 from articugen.learning.blocks import GridEncoder, PointNet, _merged, can_spare_patches, filled
 from articugen.learning.cpu.batches import argmax_of_points, distinct
 from articugen.learning.cpu.patches import patches
@@ -25,7 +23,6 @@ from articugen.learning.ppd.shape import (
     Quantizer,
 )
 
-torch.set_num_threads(1)
 PAPER = ModelSettings()
 
 

@@ -4,9 +4,8 @@ from functools import partial
 
 import numpy as np
 import pytest
+import torch
 from instances import hinged_box
-
-torch = pytest.importorskip("torch", reason="PPD needs torch")
 
 from articugen.core.geometry import apply
 from articugen.core.records import dequantize
@@ -17,8 +16,6 @@ from articugen.learning.ppd.network import PPD
 from articugen.learning.ppd.reconstruct import logits_at, reconstruction_of
 from articugen.learning.ppd.settings import ModelSettings
 from articugen.meshes.distances import distance
-
-torch.set_num_threads(1)
 
 
 def part_logits(model, predicted, resolution):

@@ -4,23 +4,16 @@ import dataclasses
 
 import numpy as np
 import pytest
-from ppd_data import write_boxes
 
 from articugen.core.errors import UnfitData
-
-pytest.importorskip("torch", reason="PPD needs torch")
-
 from articugen.learning.evaluation.evaluate import Protocol
 from articugen.learning.evaluation.reconstruction import Reconstruction, truth
 from articugen.learning.evaluation.results import LeftOut
 from articugen.learning.ppd.release import as_points, evaluate, release_meshes
 
+BOXES = {"train": 2, "test": 2, "states": 2}
+
 SOME = Protocol(points=300)
-
-
-@pytest.fixture(scope="module")
-def boxes(tmp_path_factory):
-    return write_boxes(tmp_path_factory.mktemp("boxes"), train=2, test=2, states=2)
 
 
 def ball_logits(R: int, centre: float = 0.0, steep: float = 10.0) -> np.ndarray:

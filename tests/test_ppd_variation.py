@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
+import torch
 from ppd_data import write_boxes
-
-torch = pytest.importorskip("torch")
 
 from articugen.core.errors import InvalidRecipe
 from articugen.core.records import JointKind

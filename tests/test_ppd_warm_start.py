@@ -4,10 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from ppd_data import write_boxes
-
-torch = pytest.importorskip("torch")
-
 from test_discovery import LID, posed, slide, turn
 
 from articugen.core.errors import InvalidCheckpoint, UnfitData

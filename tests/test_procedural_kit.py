@@ -25,12 +25,7 @@ from articugen.procedural.kit.solids import (
     stack,
     sweep,
 )
-from tests.procedural_truth import (
-    L_SHAPE,
-    is_closed,
-    mesh_volume,
-    truth_of,
-)
+from tests.procedural_truth import L_SHAPE, is_closed, mesh_volume, truth_of
 
 OCTAGON = outlines.circle(0.2, 8)
 OCTAGON_AREA = 4 * 0.2**2 * math.sin(math.pi / 4)
@@ -63,10 +58,7 @@ SOLIDS = {
         cylinder(0.5, 0, 2, sides=12, bevel=0.1),
         1.8 * n_gon_area(0.5, 12) + 2 * frustum(n_gon_area(0.4, 12), n_gon_area(0.5, 12), 0.1),
     ),
-    "block": (
-        block((0, 0, 0), (2, 2, 1), bevel=(0.0, 0.5)),
-        4 * 0.5 + frustum(4.0, 1.0, 0.5),
-    ),
+    "block": (block((0, 0, 0), (2, 2, 1), bevel=(0.0, 0.5)), 4 * 0.5 + frustum(4.0, 1.0, 0.5)),
     "ring": (
         ring(outlines.circle(2, 24), outlines.circle(1, 24), 0, 3),
         3 * (n_gon_area(2, 24) - n_gon_area(1, 24)),
@@ -180,10 +172,7 @@ def test_a_point_in_a_closed_box_is_enclosed_until_a_wall_is_missing() -> None:
     assert truth_of(*walls[:5]).blocked(points[:1], up, T).all()
 
 
-@given(
-    st.lists(st.floats(0.3, 1.0), min_size=3, max_size=14),
-    st.floats(0.0, 1.0),
-)
+@given(st.lists(st.floats(0.3, 1.0), min_size=3, max_size=14), st.floats(0.0, 1.0))
 @settings(max_examples=40, deadline=None)
 def test_convex_pieces_tile_any_star_polygon(radii: list[float], turn: float) -> None:
     angles = turn + np.arange(len(radii)) * 2 * np.pi / len(radii)

@@ -1,4 +1,4 @@
-"""Laptops: one hinge that opens, parts that never meet, and no two alike; as thin as real ones."""
+"""Laptops: one hinge that opens, and no two alike; as thin as real ones."""
 
 from functools import cache
 from pathlib import Path
@@ -11,34 +11,18 @@ from articugen.core.seeding import generator
 from articugen.procedural import build_model
 from articugen.procedural.kit.model import Model
 from articugen.procedural.laptop.shape import KINDS, draw_shape
-from tests.procedural_truth import (
-    assert_sound,
-    crossings,
-    link_frames,
-    object_id,
-    truth_of,
-    written,
-)
+from tests.procedural_truth import link_frames, object_id, truth_of, written
 
 IDS = [object_id("laptop", k) for k in range(86)]
 
 SHAPES = {name: draw_shape(generator(0, name, "procedural")) for name in IDS}
 EACH_KIND_OF_HINGE = sorted({(s.drops, s.hinge): name for name, s in SHAPES.items()}.values())
-EACH_KIND = sorted({s.kind: name for name, s in SHAPES.items()}.values())
+OF_ALL_KINDS = sorted({*{s.kind: n for n, s in SHAPES.items()}.values(), *EACH_KIND_OF_HINGE})
 
 
 @cache
 def model_of(name: str) -> Model:
     return build_model("laptop", name)
-
-
-@pytest.mark.parametrize("name", sorted({*EACH_KIND, *EACH_KIND_OF_HINGE}))
-def test_laptop_is_sound_and_its_parts_never_meet(name: str, tmp_path: Path) -> None:
-    assert_sound(model_of(name))
-    obj, truth = written("laptop", name, tmp_path / name)
-    rng = generator(0, name)
-    for degrees in (0.0, *rng.uniform(0, 135, 4), 135.0):
-        assert not crossings(obj, truth, np.radians([degrees])), degrees
 
 
 def test_the_lid_opens_about_y_from_closed_to_135_degrees(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from articugen.core.geometry import apply
 from articugen.core.records import Floats
 from articugen.core.seeding import generator
 from articugen.meshes.model_text import Visual, urdf_text
-from articugen.procedural import build_model, object_files, write_object
+from articugen.procedural import CATEGORIES, build_model, object_files, write_object
 from articugen.procedural.kit import writer
 from articugen.procedural.kit.model import Model, ModelJoint, ModelLink
 from articugen.procedural.kit.solids import box, prism
@@ -198,13 +198,16 @@ def _bytes(folder: Path) -> dict[str, bytes]:
     return {p.name: p.read_bytes() for p in sorted(folder.iterdir())}
 
 
-@pytest.mark.parametrize("messy", [False, True])
-def test_same_id_same_bytes_other_id_other_bytes(tmp_path: Path, *, messy: bool) -> None:
-    for folder, name in (("a", "laptop_0003"), ("b", "laptop_0003"), ("c", "laptop_0004")):
-        write_object("laptop", name, tmp_path / folder / name, messy=messy)
-    first = _bytes(tmp_path / "a" / "laptop_0003")
-    assert first == _bytes(tmp_path / "b" / "laptop_0003")
-    other = _bytes(tmp_path / "c" / "laptop_0004")
+@pytest.mark.parametrize(
+    ("category", "messy"), [*((c, False) for c in CATEGORIES), ("laptop", True)]
+)
+def test_same_id_same_bytes_other_id_other_bytes(
+    tmp_path: Path, category: str, *, messy: bool
+) -> None:
+    for folder, k in (("a", 3), ("b", 3), ("c", 4)):
+        write_object(category, object_id(category, k), tmp_path / folder, messy=messy)
+    first, again, other = (_bytes(tmp_path / folder) for folder in "abc")
+    assert first == again
     assert first["solids.json"] != other["solids.json"]
     assert first["model.urdf"] != other["model.urdf"]
 

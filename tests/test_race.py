@@ -3,20 +3,18 @@
 import json
 
 import pytest
+import torch
 from ppd_data import write_boxes
 
 from articugen.core.errors import InvalidCheckpoint, InvalidRecipe, TrainingDiverged, UnfitData
-from articugen.learning.ppd.settings import LossSettings, PPDRecipe, PPDSchedule, PPDStage
-from articugen.learning.recipe import DataSettings, Seeds
-
-torch = pytest.importorskip("torch", reason="PPD needs torch")
-
 from articugen.learning import race as race_module
 from articugen.learning.loop import Training, train
+from articugen.learning.ppd.settings import LossSettings, PPDRecipe, PPDSchedule, PPDStage
 from articugen.learning.race import RACE, best_half, race
+from articugen.learning.recipe import DataSettings, Seeds
 from articugen.learning.run_folder import BEST, LATEST, METRICS, read_checkpoint
 
-torch.set_num_threads(1)
+BOXES = {"train": 3, "test": 1, "states": 2}
 
 TINY = PPDRecipe(
     name="tiny",
@@ -32,11 +30,6 @@ TINY = PPDRecipe(
     ),
     seeds=Seeds(count=3, halve_at=(2, 4)),
 )
-
-
-@pytest.fixture(scope="module")
-def boxes(tmp_path_factory):
-    return write_boxes(tmp_path_factory.mktemp("boxes"), train=3, test=1, states=2)
 
 
 @pytest.fixture(scope="module")

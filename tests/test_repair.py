@@ -179,9 +179,6 @@ def test_numbers_that_are_wrong_in_a_sound_file_stay_wrong(folder):
     assert contents(folder) == before
 
 
-# --- the group `user`
-
-
 def add_scores(path: Path) -> None:
     with h5py.File(path, "r+") as shard:
         shard["user/score"] = np.arange(2.0)
@@ -235,9 +232,6 @@ def test_a_group_that_cannot_be_kept_is_lost_only_if_asked(folder, harm):
     assert verify(folder).extended == ()
 
 
-# --- runs, kills
-
-
 def test_a_repair_that_is_killed_has_lost_nothing(boxes, folder):
     for shard in folder.glob("*.h5"):
         damage(shard)
@@ -268,9 +262,6 @@ def test_not_while_a_run_is_at_work_or_can_go_on(folder):
     assert not done.ok
     assert "a run was cut short here; start it again" in done.done
     assert contents(folder) == before
-
-
-# --- manifests
 
 
 def test_a_lost_manifest_is_made_again_and_proven(folder):
@@ -379,9 +370,6 @@ def test_what_lies_beside_a_manifest_may_be_worded_otherwise_by_other_code(folde
     assert croissant.fault(json.dumps(told).encode(), manifest)
     path.unlink()  # it decides nothing
     assert verify(folder).ok
-
-
-# --- the doors
 
 
 def test_the_command_mends_and_says_what_it_did(folder, boxes):

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import safetensors.torch as safetensors
+import torch
 import yaml
 from digests import digest
-from ppd_data import write_boxes
 from test_report import result
 from trouble import unfit
 from typer.testing import CliRunner
@@ -18,14 +19,9 @@ from typer.testing import CliRunner
 from articugen.cli import app
 from articugen.core.errors import ArticugenError, InvalidCheckpoint, MachineFault
 from articugen.core.files import partial_name
-from articugen.learning.evaluation.results import read_evaluation
-
-torch = pytest.importorskip("torch", reason="PPD needs torch")
-
-import safetensors.torch as safetensors
-
 from articugen.learning import tensors
 from articugen.learning.commands import newest
+from articugen.learning.evaluation.results import read_evaluation
 from articugen.learning.loop import Training, train
 from articugen.learning.ppd.settings import (
     PPDRecipe,
@@ -42,7 +38,7 @@ from articugen.learning.run_folder import (
 )
 from articugen.learning.tensors import image_of, read_tensors, sealed
 
-torch.set_num_threads(1)
+BOXES = {"train": 2, "test": 1, "states": 1}
 
 TINY = PPDRecipe(
     name="tiny",
@@ -55,11 +51,6 @@ TINY = PPDRecipe(
         save_every=1,
     ),
 )
-
-
-@pytest.fixture(scope="module")
-def boxes(tmp_path_factory):
-    return write_boxes(tmp_path_factory.mktemp("boxes"), train=2, test=1, states=1)
 
 
 @pytest.fixture(scope="module")
@@ -81,9 +72,6 @@ def refused(read, *arguments) -> str:
         read(*arguments)
     assert "\n" not in str(caught.value)
     return str(caught.value)
-
-
-# Checkpoints.
 
 
 def test_a_sealed_file_is_ordinary_safetensors(sound):

@@ -364,9 +364,6 @@ def _kept(row: Instance) -> dict:
     return {name: v for name, v in row.arrays().items() if not name.startswith("occupancy_")}
 
 
-# Damage.
-
-
 def test_no_flipped_bit_goes_unnoticed(written, tmp_path):
     path, record = written
     whole = path.read_bytes()
@@ -402,9 +399,6 @@ def test_a_fifo_is_no_shard(tmp_path):
     os.mkfifo(tmp_path / "train-00000.h5")
     with pytest.raises(CorruptShard, match="it is a FIFO, not a regular file; move it away"):
         open_shard(tmp_path / "train-00000.h5")
-
-
-# Files that are not shards, or mean harm.
 
 
 def _rewrite(path, name, how) -> None:
@@ -628,9 +622,6 @@ def test_refused(copy, what):
         open_shard(copy)
     assert str(caught.value).startswith(f"{copy}: ")
     assert "\n" not in str(caught.value)
-
-
-# Disks that fail, processes that die.
 
 
 def _leftovers(folder):

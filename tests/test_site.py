@@ -6,13 +6,12 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import LAPTOP, PHONE, browser
+from browser import LAPTOP, PHONE
 
 import articugen as ag
 
@@ -158,12 +157,6 @@ def test_what_stands_in_angle_brackets_stays_in_the_reference(hooks: Any, site: 
     )
     commands = (site / "reference" / "commands.html").read_text(encoding="utf-8")
     assert "a folder &lt;category&gt; in here" in commands
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with browser() as opened:
-        yield opened
 
 
 def opened(chromium: Any, page: Path, screen: dict[str, int], **context: Any) -> tuple[Any, list]:

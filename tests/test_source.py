@@ -62,9 +62,6 @@ def own_sources(tmp_path, monkeypatch) -> Path:
     return folder
 
 
-# --- procedural
-
-
 @pytest.mark.parametrize("source", ["procedural", "procedural_messy"])
 @pytest.mark.parametrize("category", PAPER)
 def test_procedural_counts_are_the_papers(source, category):
@@ -101,9 +98,6 @@ def test_loading_a_procedural_object_writes_it(own_sources):
     assert [str(j.kind) for j in obj.moving_joints] == ["prismatic"] * 3
     np.testing.assert_allclose(obj.T_world_root[:3, :3] @ [1, 0, 0], [0, 1, 0], atol=1e-12)
     assert load(pickle.loads(pickle.dumps(ref))).sha256 == obj.sha256
-
-
-# --- any folder
 
 
 def test_folder_of_urdfs_in_many_layouts(tmp_path):
@@ -193,9 +187,6 @@ def test_own_source_with_lists_of_ids(own_sources, tmp_path):
     assert ids(refs, "train") == ["a", "c", "d"]
     assert ids(refs, "test") == ["b"]
     assert load(refs[0]).source == "mine"
-
-
-# --- categories by any name
 
 
 def add_many(folder: Path) -> None:
@@ -288,9 +279,6 @@ def test_a_partnet_model_is_read_as_what_its_meta_json_says(tmp_path):
     assert ref.settings.model_cat == ("Oven",)
 
 
-# --- some objects only
-
-
 @pytest.mark.parametrize("source", ["procedural", "folder"])
 def test_chosen_objects_keep_their_splits(source, tmp_path):
     for k in range(20):
@@ -325,9 +313,6 @@ def test_models_of_others_stay_inside_their_limits(tmp_path):
     assert open_source(str(tmp_path)).clips
     assert not open_source("procedural").clips
     assert not open_source("procedural_messy").clips
-
-
-# --- hostile objects
 
 
 def test_one_bad_object_stops_no_other(tmp_path):
@@ -401,9 +386,6 @@ def test_a_meta_json_that_is_a_link_out_of_the_model_is_not_read(tmp_path, to):
     (tmp_path / "1").mkdir()
     (tmp_path / "1" / "meta.json").symlink_to(to)
     assert meta_category(tmp_path / "1") == ""
-
-
-# --- one object by its id
 
 
 def laid_plain(folder, count):
@@ -527,9 +509,6 @@ def test_a_model_that_came_later_is_found_too(tmp_path):
         open_source(tmp_path).find("laptop", "c3")
 
 
-# --- refusals
-
-
 @pytest.mark.parametrize(
     ("source", "category", "objects", "problem"),
     [
@@ -598,9 +577,6 @@ def test_wrong_source_file(tmp_path, yaml, problem):
     with pytest.raises(InvalidSource, match=problem) as caught:
         read_source_file(path)
     assert str(path) in str(caught.value)
-
-
-# --- real models
 
 
 @pytest.mark.skipif("ARTICUGEN_REAL_MODELS" not in os.environ, reason="ARTICUGEN_REAL_MODELS unset")

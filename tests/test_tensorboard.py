@@ -5,7 +5,6 @@ import time
 
 import pytest
 
-pytest.importorskip("torch", reason="PPD needs torch")
 pytest.importorskip("tensorboard", reason="an extra")
 
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator

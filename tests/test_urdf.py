@@ -62,9 +62,6 @@ def link_frames(obj: ArticulatedObject) -> dict[str, Floats]:
     return T
 
 
-# --- what is read
-
-
 def test_links_joints_and_provenance(tmp_path):
     body = two_links('<origin xyz="1 2 3" rpy="0 0 1.5707963267948966"/><axis xyz="0 3 4"/>')
     obj = read(tmp_path, body, source="mine", semantics={"b": "lid"})
@@ -202,8 +199,6 @@ def test_meshes_beside_the_urdf_folder(tmp_path):
     with pytest.raises(InvalidSource, match="leads out of"):
         read(tmp_path / "robots", body)
 
-
-# --- what is refused
 
 VISUAL = '<link name="a"><visual>{}</visual></link>'
 REFUSED = {
@@ -444,8 +439,6 @@ def test_limits_on_size(tmp_path, monkeypatch):
     with pytest.raises(InvalidSource, match="cannot be read"):
         load_urdf(tmp_path / "none.urdf", object_id="1", category="c")
 
-
-# --- oracles
 
 numbers = st.floats(-3, 3).map(lambda x: round(x, 3))
 vectors = st.tuples(numbers, numbers, numbers).map(lambda v: "{} {} {}".format(*v))

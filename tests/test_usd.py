@@ -60,9 +60,6 @@ def world_of(made: model.Model, state: dict[str, float]) -> dict[str, np.ndarray
     return world
 
 
-# ------------------------------------------------------------------ ArtVIP's way
-
-
 def test_an_artvip_model_in_metres_and_z_up(tmp_path):
     made = read(artvip(tmp_path / "cab"))
     own = boxes(made)
@@ -121,8 +118,6 @@ def test_joints_are_known_without_meshes(tmp_path):
     with pytest.raises(InvalidSource, match="has prismatic joints alone"):
         open_source(tmp_path).objects("thing", joints=["prismatic"])
 
-
-# ------------------------------------------------------------------ beside OpenUSD
 
 OPS = {
     "translate": ("double3", "(1, -2, 0.5)"),
@@ -213,9 +208,6 @@ def test_joints_stand_where_openusd_has_them(tmp_path, seed):
     )
 
 
-# ------------------------------------------------------------------ joints
-
-
 def test_a_model_drawn_open_is_closed_at_zero(tmp_path):
     """The door's frame is 30 degrees on from the base's: as drawn it stands at 30 degrees."""
     half = np.radians(15)
@@ -297,9 +289,6 @@ def test_names_that_are_shared_are_told_by_their_paths(tmp_path):
     lids = "".join(body(n, inside=body("lid")) for n in ("left", "right", "world"))
     names = [name for name, _ in read(written(tmp_path, lids)).links]
     assert names == ["world", "left", "left.lid", "right", "right.lid", "world~", "world.lid"]
-
-
-# ------------------------------------------------------------------ surfaces
 
 
 def volume(made: model.Model, link: int = 0) -> float:
@@ -391,9 +380,6 @@ def test_a_file_without_a_unit_is_in_centimetres_and_says_so(tmp_path):
     made = read(path)
     assert np.ptp(boxes(made)["base"], axis=0).tolist() == [0.01] * 3
     assert "taken as centimetres" in made.notes[0]
-
-
-# ------------------------------------------------------------------ other forms
 
 
 def test_all_forms_of_a_model_are_the_same_model(tmp_path):

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import PHONE, browser
+from browser import PHONE
 from instances import SMALL, hinged_box
 from PIL import Image
 from test_html_report import HOSTILE, STATES, named, shard
@@ -106,17 +106,6 @@ def opened(chromium: Any, there: Served, screen: dict[str, int]) -> Window:
     tab.add_style_tag(content=STILL)
     tab.wait_for_selector("text=as it is stored")
     return Window(tab, there, faults)
-
-
-@pytest.fixture(scope="module")
-def viser() -> Any:
-    return pytest.importorskip("viser", reason="viser is not installed; make viewer installs it")
-
-
-@pytest.fixture(scope="module")
-def chromium(viser: Any) -> Iterator[Any]:
-    with browser() as started:
-        yield started
 
 
 @pytest.fixture(scope="module")

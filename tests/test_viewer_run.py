@@ -12,10 +12,8 @@ from ppd_data import write_boxes
 from test_cli import run
 from test_viewer_page import WINDOW, opened
 
-pytest.importorskip("torch", reason="PPD needs torch; make learner installs it")
 pytest.importorskip("viser", reason="viser is not installed; make viewer installs it")
 
-import torch
 from test_figures import solid_truth
 
 from articugen.core.colours import colour_of, rgb
@@ -26,8 +24,6 @@ from articugen.inspection.viewer.layers import Lines, Points, Solid
 from articugen.inspection.viewer.panel import PREDICTION
 from articugen.inspection.viewer.prediction import Predictor
 from articugen.inspection.viewer.serve import Served, served, what_to_show
-
-torch.set_num_threads(1)
 
 RECIPE = """
 extends: ppd_plain

@@ -18,6 +18,9 @@ def test_any_prefix_of_the_views_looks_from_all_around():
     directions = views.T_camera_world[:8, 2, :3]
     cosines = directions @ directions.T - 2 * np.eye(8)
     assert np.degrees(np.arccos(cosines.max())) > 50
+    every = views.T_camera_world[:, 2, :3]  # whose widest hole test_geometry.py measures
+    far = np.linalg.norm(every[:, None] - fibonacci_sphere(100), axis=2)
+    assert max(far.min(axis=0).max(), far.min(axis=1).max()) < 1e-9
 
 
 @pytest.mark.parametrize("projection", ["orthographic", "pinhole"])
@@ -33,13 +36,6 @@ def test_the_box_fills_each_image_up_to_the_margin(projection):
             u = focal * low_high / w + center
             assert u.min() == pytest.approx(MARGIN)
             assert u.max() == pytest.approx(200 - MARGIN)
-
-
-def test_a_hundred_views_leave_no_hole_wider_than_16_degrees():
-    directions = fusion_views(ViewSettings(), BOX).T_camera_world[:, 2, :3]
-    everywhere = np.random.default_rng(0).normal(size=(20_000, 3))
-    everywhere /= np.linalg.norm(everywhere, axis=1, keepdims=True)
-    assert np.degrees(np.arccos((everywhere @ directions.T).max(axis=1))).max() < 16.0
 
 
 def test_random_views_depend_on_the_generator_alone():

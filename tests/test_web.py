@@ -19,9 +19,6 @@ from tests.published import TOKEN
 hub, site = test_fetch.hub, test_fetch.site
 
 
-# ------------------------------------------------------------------ the web
-
-
 def test_a_remote_file_reads_like_the_file(hub):
     data = os.urandom(200_000)
     hub.cdn.files["r.bin"] = hub.files["r.bin"] = data

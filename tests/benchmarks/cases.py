@@ -228,10 +228,7 @@ def scene(model: Model, prepared: Prepared, state: int) -> Scene:
 def case(model: Model, prepared: Prepared, state: int, count: int) -> Case:
     """The object at its `state`-th joint state; `count` points of each kind to judge by."""
     made = sampled(prepared, state, count)
-    points = {
-        "uniform": dequantize(made.uniform_points),
-        "near": dequantize(made.near_points),
-    }
+    points = {"uniform": dequantize(made.uniform_points), "near": dequantize(made.near_points)}
     T = link_frames(prepared, state)
     meshes = [(T[link.name], link.mesh) for link in model.obj.links]
     pieces = [(prepared.unit.to_unit(apply(X, m.vertices)), m.faces) for X, m in meshes]

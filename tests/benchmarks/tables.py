@@ -3,16 +3,7 @@
 from collections.abc import Callable
 
 from tests.benchmarks.about import head
-from tests.benchmarks.cells import (
-    NOTHING,
-    Table,
-    iou,
-    mean,
-    middle,
-    number,
-    of,
-    sheet_and_growth,
-)
+from tests.benchmarks.cells import NOTHING, Table, iou, mean, middle, number, of, sheet_and_growth
 from tests.benchmarks.rows import Row, median_by_case
 from tests.benchmarks.scores import TRUTHS
 
@@ -161,14 +152,7 @@ def failures(report: Row) -> Table:
 
 
 def all_tables(report: Row) -> list[Table]:
-    tables: list[Callable[[Row], Table]] = [
-        comparison,
-        shapes,
-        stages,
-        end_to_end,
-        real,
-        failures,
-    ]
+    tables: list[Callable[[Row], Table]] = [comparison, shapes, stages, end_to_end, real, failures]
     made = [table(report) for table in tables]
     return [table for table in made if table.rows]
 
