@@ -135,14 +135,15 @@ def names() -> Sequence[str]:
     return (*BACKENDS, *_OTHERS.names(tuple(BACKENDS)))
 
 
-def check_name(name: str) -> None:
-    """Raise ValueError where there is no backend of that name."""
+def check_name(name: str) -> str:
+    """Return the name; ValueError where there is no backend of that name."""
     if name not in BACKENDS and name not in names():
         hint = nearest(name, list(names()))
         there = [f"{n} (needs {b.needs})" if b.needs else n for n, b in BACKENDS.items()]
         raise ValueError(
             f"no backend {name!r}{hint}; there are: {', '.join((*there, *names()[len(there) :]))}"
         )
+    return name
 
 
 def backend_named(name: str) -> Backend:

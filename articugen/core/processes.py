@@ -255,10 +255,6 @@ class Crew(Generic[T, R]):
         self._waiting: deque[int] = deque()
         self._alone: deque[int] = deque()
 
-    def _hire(self) -> _Worker:
-        does = (self.function, self.ready)
-        return self._idle.pop() if self._idle else _Worker(does, self.handles, self._clock)
-
     def __enter__(self) -> "Crew[T, R]":
         return self
 
@@ -328,7 +324,8 @@ class Crew(Generic[T, R]):
     def _give(self, numbers: deque[int], tasks: Sequence[T], *, alone: bool) -> bool:
         """Hand the next task to a worker; whether there was one to be had."""
         try:
-            worker = self._hire()
+            does = (self.function, self.ready)
+            worker = self._idle.pop() if self._idle else _Worker(does, self.handles, self._clock)
         except OSError as error:
             if self._at_work:
                 return False

@@ -72,11 +72,6 @@ class Articulation(_Section):
         return self
 
 
-def _known_backend(name: str) -> str:
-    backends.check_name(name)
-    return name
-
-
 _Sigma = Annotated[float, Field(gt=0.0, le=0.5)]
 
 
@@ -90,7 +85,7 @@ class ViewSettings(_Section):
     count: int = Field(default=100, ge=4, le=10_000)
     projection: Literal["orthographic", "pinhole"] = "orthographic"
     resolution: int = Field(default=256, ge=16, le=4096)
-    backend: Annotated[str, AfterValidator(_known_backend)] = "rasterizer"
+    backend: Annotated[str, AfterValidator(backends.check_name)] = "rasterizer"
 
     @model_validator(mode="after")
     def _fit_into_memory(self) -> "ViewSettings":

@@ -50,5 +50,5 @@ def clean(path: Path, *, dry_run: bool = False) -> list[Leftover]:
                 for name, why in leftovers.items()
             ]
             if not dry_run:
-                records.remove(leftovers)
+                records.place.delete(leftovers)
     return found

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import count
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -12,6 +12,9 @@ from articugen.core.ledger import Ledger
 from articugen.core.recipe import Recipe
 from articugen.store.bucket import Bucket
 from articugen.store.outcome import Key, Outcome, Sha256
+
+OF_JOB = ("source", "category", "seed", "ids", "exclude", "joints")
+"""What a `CommonPlan` takes from a job as it is."""
 
 NEVER_MADE = "it has not been made yet"
 
@@ -104,15 +107,11 @@ def with_free_names(names: dict[Key, str], keys: Sequence[Key]) -> dict[Key, str
         else:
             names[key] = new
             taken.add(new)
-    free = {split: _numbered(split) for split in place}
+    free = {split: (f"{split}-{number:05d}.h5" for number in count()) for split in place}
     for key in homeless:
         names[key] = next(name for name in free[key.split] if name not in taken)
         taken.add(names[key])
     return names
-
-
-def _numbered(split: str) -> Iterator[str]:
-    return (f"{split}-{number:05d}.h5" for number in count())
 
 
 def reasons_to_replace(
@@ -147,14 +146,13 @@ def what_differs(
 
 def record_in(ledger: Ledger, outcome: Outcome) -> None:
     """Write down what has become of an object; its shard must be in place."""
-    name = key_of((outcome.key.split, outcome.key.object_id))
-    ledger.record(name, outcome.model_dump_json().encode())
+    ledger.record(key_of(outcome.key.name), outcome.model_dump_json().encode())
 
 
 def recorded(ledger: Ledger, bucket: Bucket, key: Key) -> Outcome | None:
     """What another process has just recorded of an object in a store; None where that is not of
     the same object, made in the same way, and there."""
-    name = key_of((key.split, key.object_id))
+    name = key_of(key.name)
     try:
         outcome = Outcome.model_validate_json(ledger.known([name]).get(name, b""))
     except ValidationError:

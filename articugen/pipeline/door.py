@@ -56,7 +56,14 @@ def jobs_of(options: Options, share: Share | None = None) -> list[Job]:
             f"--scheduler {options.scheduler} shares out the objects by itself: no --shard"
         )
     if options.replace:
-        _check_can_replace(jobs[0])
+        way = "an object store" if is_url(out) else "--shard" if share else ""
+        if not way and jobs[0].executor.records:
+            way = jobs[0].scheduler
+        if way:
+            raise InvalidArgument(
+                f"--replace (replace=True) with {way}: processes that share out objects replace "
+                "nothing; give a new --out"
+            )
     return jobs
 
 
@@ -105,14 +112,3 @@ def make(
         first = (*manifest.failed, *manifest.rejected, *manifest.skipped)[0]
         raise ArticugenError(f"{job.out}: {manifest.shortfall}; the first, {first.sentence}")
     return manifest
-
-
-def _check_can_replace(job: Job) -> None:
-    """Raise InvalidArgument where processes share out the objects: they replace nothing."""
-    way = "an object store" if isinstance(job.out, Remote) else ""
-    way = way or ("--shard" if job.share else job.scheduler if job.executor.records else "")
-    if way:
-        raise InvalidArgument(
-            f"--replace (replace=True) with {way}: processes that share out objects replace "
-            "nothing; give a new --out"
-        )

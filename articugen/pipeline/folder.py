@@ -11,7 +11,7 @@ from articugen.core.ledger import LEDGER
 from articugen.pipeline.common import CommonPlan
 from articugen.store.croissant import NAME as CROISSANT_NAME
 from articugen.store.manifest import MANIFEST_NAME
-from articugen.store.manifest_pages import is_page_name, stale_pages
+from articugen.store.manifest_pages import is_page_name
 from articugen.store.outcome import Outcome, is_shard_name
 from articugen.store.shards import content_sha256, open_shard
 
@@ -28,18 +28,6 @@ def listed(folder: Path) -> list[str]:
     """
     try:
         return sorted(os.listdir(folder))
-    except OSError as error:
-        raise MachineFault(f"{folder}: cannot be read ({error.strerror})") from None
-
-
-def pages_left(folder: Path) -> list[str]:
-    """Pages that the folder's manifest does not list.
-
-    Raises:
-        MachineFault: the folder cannot be read.
-    """
-    try:
-        return stale_pages(folder / MANIFEST_NAME)
     except OSError as error:
         raise MachineFault(f"{folder}: cannot be read ({error.strerror})") from None
 
@@ -86,12 +74,6 @@ def is_of_plan(folder: Path, name: str, about: CommonPlan | None) -> bool:
     return is_shard_of_ours(folder, name, about)
 
 
-def unrecorded(folder: Path, recorded: Collection[str], about: CommonPlan | None) -> list[str]:
-    """List the shards of a plan that no record names."""
-    names = [name for name in listed(folder) if name not in recorded]
-    return [name for name in names if is_of_plan(folder, name, about)]
-
-
 def foreign_files(
     folder: Path,
     names: Iterable[str],
@@ -126,12 +108,6 @@ def check_is_not_of_before(folder: Path) -> None:
             f"{folder}: a run of an earlier version of articugen was cut short here; finish it "
             f"with that version, or delete {names[0]} and the shards beside it to start afresh"
         )
-
-
-def temporary_files(folder: Path) -> list[str]:
-    """Return the names of files that killed runs were writing, the ledger's apart."""
-    names = filter(is_temporary, listed(folder))
-    return [name for name in names if is_plain_file(folder / name)]
 
 
 def data_sets(path: Path, *, follow: bool = True) -> list[Path]:

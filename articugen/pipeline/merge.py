@@ -3,13 +3,14 @@ manifest."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
 from articugen.core.errors import ArticugenError
 from articugen.core.place import Folder
 from articugen.core.recipe import Recipe
-from articugen.pipeline.common import CommonPlan, listing_of
+from articugen.pipeline.common import OF_JOB, CommonPlan, listing_of
 from articugen.pipeline.job import Job
 from articugen.pipeline.plan import name_of_ref, objects_of, plan_recorded
 from articugen.pipeline.records import Records
@@ -97,14 +98,5 @@ def _job_of(common: CommonPlan, folder: Path, jobs: int) -> Job:
         raise ArticugenError(
             f"{folder}: the ranks' recipe is of another version of articugen; merge it there"
         ) from None
-    return Job(
-        source=common.source,
-        category=common.category,
-        recipe=recipe,
-        seed=common.seed,
-        out=folder,
-        jobs=jobs,
-        ids=common.ids,
-        exclude=common.exclude,
-        joints=common.joints,
-    )
+    choice: dict[str, Any] = {name: getattr(common, name) for name in OF_JOB}
+    return Job(**choice, recipe=recipe, out=folder, jobs=jobs)

@@ -16,7 +16,7 @@ from pathlib import Path
 from articugen.core import processes
 from articugen.core.errors import InvalidRecipe, MachineFault, NotOfCategory, printable
 from articugen.core.files import megabytes, room_at
-from articugen.core.recipe import Recipe, Sampling
+from articugen.core.recipe import Recipe
 from articugen.instance.again import generator_of
 from articugen.pipeline.common import Name
 from articugen.pipeline.job import Job
@@ -251,14 +251,22 @@ def run_seconds(recipe: Recipe, objects: int, workers: int, done: Sequence[Objec
     """Of the clock, to make `objects` objects; `done` are some that this recipe made before."""
     if objects == 0:
         return 0.0
-    each = object_seconds(recipe, recipe.articulation.states + 1) * _pace(recipe, done)
+    expected = sum(object_seconds(recipe, entry.instances) for entry in done)
+    taken = sum(entry.seconds for entry in done)
+    pace = taken / expected if taken > 0 and expected > 0 else 1.0
+    each = object_seconds(recipe, recipe.articulation.states + 1) * pace
     rounds = objects / max(1, min(workers, objects))
     return STARTUP + each * rounds
 
 
 def object_seconds(recipe: Recipe, instances: int) -> float:
     """Of one worker, for one object."""
-    return _shared_seconds(recipe) + instances * _instance_seconds(recipe)
+    views, sampling = recipe.views, recipe.sampling
+    voxels = sum(resolution**3 for resolution in sampling.grids)
+    shared = 0.6 + views.count * views.resolution**2 * 7.5e-8 + voxels * 3.3e-7
+    points = 2.2e-6 * sampling.surface_points + 1.2e-6 * sampling.near_points
+    clouds = 2e-3 * sampling.partial_views
+    return shared + instances * (0.01 + 3.5e-4 * views.count + points + clouds + 7e-8 * voxels)
 
 
 def instance_bytes(recipe: Recipe, done: Sequence[ShardEntry] = ()) -> int:
@@ -272,26 +280,3 @@ def instance_bytes(recipe: Recipe, done: Sequence[ShardEntry] = ()) -> int:
     }
     samples = (n for n, shape in recipe.instance_shapes().items() if shape and None not in shape)
     return sum(sizes[name] // shrunk[name] for name in samples) + 2000
-
-
-def _pace(recipe: Recipe, done: Sequence[ObjectEntry]) -> float:
-    """Return how much longer than estimated the objects took that this recipe made here before."""
-    expected = sum(object_seconds(recipe, entry.instances) for entry in done)
-    taken = sum(entry.seconds for entry in done)
-    return taken / expected if taken > 0 and expected > 0 else 1.0
-
-
-def _shared_seconds(recipe: Recipe) -> float:
-    pixels = recipe.views.count * recipe.views.resolution**2
-    return 0.6 + pixels * 7.5e-8 + _voxels(recipe.sampling) * 3.3e-7
-
-
-def _instance_seconds(recipe: Recipe) -> float:
-    sampling = recipe.sampling
-    points = 2.2e-6 * sampling.surface_points + 1.2e-6 * sampling.near_points
-    clouds = 2e-3 * sampling.partial_views
-    return 0.01 + 3.5e-4 * recipe.views.count + points + clouds + 7e-8 * _voxels(sampling)
-
-
-def _voxels(sampling: Sampling) -> int:
-    return sum(resolution**3 for resolution in sampling.grids)

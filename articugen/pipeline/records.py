@@ -39,15 +39,15 @@ from articugen.pipeline.common import (
 from articugen.pipeline.folder import (
     check_is_not_of_before,
     foreign_files,
+    is_of_plan,
     is_shard_of_ours,
+    is_temporary,
     is_whole,
-    pages_left,
-    temporary_files,
-    unrecorded,
+    listed,
 )
 from articugen.store.bucket import Bucket
 from articugen.store.manifest import MANIFEST_NAME, Manifest
-from articugen.store.manifest_pages import MOST_BYTES
+from articugen.store.manifest_pages import MOST_BYTES, stale_pages
 from articugen.store.outcome import Key, Outcome, ShardEntry
 
 _BEFORE = f"{LEDGER}/{MANIFEST_NAME}"
@@ -151,19 +151,19 @@ class Records:
         """Read the records of some objects."""
         wanted = list(names)
         if self._folder is None:
-            wanted = [name for name in wanted if not self._is_settled(self.outcomes.get(name))]
+            known = {name: self.outcomes.get(name) for name in wanted}
+            wanted = [n for n, o in known.items() if not o or o.fault or not self._is_trusted(o)]
         self._add(self.ledger.known(map(key_of, wanted)).values())
 
     def why(self, key: Key) -> str | None:
         """Return why the object must be made (again); None where what is there will do."""
-        name = (key.split, key.object_id)
-        if name not in self.outcomes and self.ledger.is_damaged(key_of(name)):
+        if key.name not in self.outcomes and self.ledger.is_damaged(key_of(key.name)):
             return "its record is damaged"
-        return why_again(key, self.outcomes.get(name), self._is_trusted)
+        return why_again(key, self.outcomes.get(key.name), self._is_trusted)
 
     def finished(self, key: Key) -> Outcome | None:
         """Return what became of the object, where that still holds: see `why`."""
-        return None if self.why(key) else self.outcomes[key.split, key.object_id]
+        return None if self.why(key) else self.outcomes[key.name]
 
     def is_complete(self, keys: Sequence[Key]) -> bool:
         """Whether a run for `keys` has nothing to do: all made, and the manifest says just that."""
@@ -175,7 +175,7 @@ class Records:
 
     def conflict(self, keys: Sequence[Key]) -> str | None:
         """Return one sentence, where the place holds data that a run for `keys` would replace."""
-        wanted = {(key.split, key.object_id): key for key in keys}
+        wanted = {key.name: key for key in keys}
         if self.is_shared:
             why = what_differs(self.outcomes, wanted, self._names)
             return why and (
@@ -198,7 +198,7 @@ class Records:
         names, whatever they have seen of the others' work.
         """
         if self.is_shared:
-            return {key: self._names[key.split, key.object_id] for key in keys}
+            return {key: self._names[key.name] for key in keys}
         names = {
             key: done.shard.name for key in keys if (done := self.finished(key)) and done.shard
         }
@@ -220,39 +220,34 @@ class Records:
         if self._lock is None:
             self._take_lock()
         trusted = {o.shard.name for o in self.outcomes.values() if o.shard}
-        foreign = (
-            []
-            if self._folder is None
-            else foreign_files(
-                self._folder, names, trusted, self._recorded, self.agreed or self._about
-            )
-        )
-        if foreign:
+        about = self.agreed or self._about
+        if self._folder and (
+            foreign := foreign_files(self._folder, names, trusted, self._recorded, about)
+        ):
             raise ArticugenError(
                 f"{self.place}/{foreign[0]}: exists and was not made by an earlier run here; "
                 "move it away or choose another output folder"
             )
-        about = self._about.model_dump_json().encode()
+        text = self._about.model_dump_json().encode()
         if self.is_shared:
-            self.agreed = self._plan_in(self.ledger.agree(about))
+            self.agreed = self._plan_in(self.ledger.agree(text))
             self._about.check_like(self.agreed, self.place)
         else:
-            self.remove([*self._unrecorded(), *self._temporary()])  # by the plan before this one
+            # by the plan before this one
+            self.place.delete([*self._unrecorded(), *self._temporary()])
             if self.manifest and self._folder:
-                text = read_regular(self._folder / MANIFEST_NAME, MOST_BYTES)
-                self.place.write(_BEFORE, text)
-            self.ledger.agree(about, anew=True)
+                self.place.write(_BEFORE, read_regular(self._folder / MANIFEST_NAME, MOST_BYTES))
+            self.ledger.agree(text, anew=True)
             self.agreed, self.manifest = self._about, None
-            self.remove([MANIFEST_NAME])
+            self.place.delete([MANIFEST_NAME])
         self._has_begun = True
 
     def record(self, outcome: Outcome) -> None:
         """Add a finished object. Its shard must be in place."""
         if not self._has_begun:
             raise ValueError("begin, with the shards' names, before the first record")
-        name = (outcome.key.split, outcome.key.object_id)
         record_in(self.ledger, outcome)
-        self.outcomes[name] = outcome
+        self.outcomes[outcome.key.name] = outcome
         if outcome.shard is not None:
             self._recorded.add(outcome.shard.name)
             self._trusted[outcome.shard.name] = outcome.shard, True
@@ -261,14 +256,6 @@ class Records:
         """What another process has recorded of an object; None where its shard is not there."""
         assert isinstance(self.place, Bucket)
         return recorded(self.ledger, self.place, key)
-
-    def is_free(self, key: Key) -> bool:
-        """Return whether nobody is at an object."""
-        return self.ledger.is_free(key_of((key.split, key.object_id)))
-
-    def free(self, key: Key) -> None:
-        """Give up the claim of an object."""
-        self.ledger.free(key_of((key.split, key.object_id)))
 
     def check_there(self, outcomes: Sequence[Outcome]) -> None:
         """See to it that the shards of these outcomes are there still, where others are at work.
@@ -300,7 +287,7 @@ class Records:
         self.ledger.seal(manifest.files(), keep=True)
         self.manifest = manifest
         if self._folder is not None:
-            self.remove(self._leftovers(manifest))
+            self.place.delete(self._leftovers(manifest))
         self._has_begun = False
 
     # --- what is left over
@@ -323,7 +310,8 @@ class Records:
             orphans += [name for name in names if is_shard_of_ours(self._folder, name)]
         found |= dict.fromkeys(orphans, "a shard that is not recorded")
         if self.manifest and self._folder:  # without one, pages are all that tells of the shards
-            found |= dict.fromkeys(pages_left(self._folder), "a page that no manifest lists")
+            stale = stale_pages(self._folder / MANIFEST_NAME)
+            found |= dict.fromkeys(stale, "a page that no manifest lists")
         if whole:
             files = [name for name in self.ledger.files() if name not in found]
             found |= dict.fromkeys(files, "the manifest says it all")
@@ -336,25 +324,25 @@ class Records:
         is_of_shares = self.agreed is not None and self.agreed.shares > 0
         return not is_of_shares or set(self.outcomes.values()) <= set(self.manifest.outcomes)
 
-    def remove(self, names: Iterable[str]) -> None:
-        """Remove files of this folder, in this order; what is not there is no fault."""
-        self.place.delete(names)
-
     def tidy(self) -> None:
         """Remove what workers of a plain run were writing as it ended early, none of which is left;
         where the disk does not let us, the next run does."""
         if not self.is_shared:
             with suppress(MachineFault):
-                self.remove(self._temporary())
+                self.place.delete(self._temporary())
 
     def _temporary(self) -> list[str]:
-        names = temporary_files(self._folder) if self._folder else []
+        """List files that killed runs were writing."""
+        folder, names = self._folder, list[str]()
+        if folder:
+            names = [n for n in listed(folder) if is_temporary(n) and is_plain_file(folder / n)]
         return names + self.ledger.leftovers()
 
     def _unrecorded(self) -> list[str]:
         """List the shards that a killed run has left without a record."""
         folder = self._folder
-        return unrecorded(folder, self._recorded, self.agreed) if folder else []
+        names = [n for n in listed(folder) if n not in self._recorded] if folder else []
+        return [n for n in names if folder and is_of_plan(folder, n, self.agreed)]
 
     def _take_lock(self, kind: int | None = None) -> None:
         if self._folder is None:
@@ -409,22 +397,17 @@ class Records:
 
     def _take(self, manifest: Manifest | None) -> None:
         for outcome in manifest.outcomes if manifest else ():
-            self.outcomes[outcome.key.split, outcome.key.object_id] = outcome
+            self.outcomes[outcome.key.name] = outcome
 
     def _add(self, texts: Iterable[bytes]) -> None:
         """Take what records say: of a thing that is known already, anything but a fault."""
         for text in texts:
             with suppress(ValidationError):  # of another version: it says nothing
                 outcome = Outcome.model_validate_json(text)
-                name = (outcome.key.split, outcome.key.object_id)
-                known = self.outcomes.get(name)
+                known = self.outcomes.get(outcome.key.name)
                 if known is None or known.fault or not outcome.fault:
                     self._has_news = self._has_news or outcome != known
-                    self.outcomes[name] = outcome
-
-    def _is_settled(self, outcome: Outcome | None) -> bool:
-        """Return whether no record can say more of an object."""
-        return outcome is not None and outcome.fault is None and self._is_trusted(outcome)
+                    self.outcomes[outcome.key.name] = outcome
 
     def _is_trusted(self, outcome: Outcome) -> bool:
         """Return whether its shard, if any, is whole: looked at once."""

@@ -21,7 +21,7 @@ from articugen.core.errors import ArticugenError, MachineFault
 from articugen.core.files import megabytes, room_at
 from articugen.core.recipe import Recipe
 from articugen.instance.again import generator_of
-from articugen.pipeline.common import NEVER_MADE, CommonPlan, listing_of
+from articugen.pipeline.common import NEVER_MADE, OF_JOB, CommonPlan, key_of, listing_of
 from articugen.pipeline.executors.work import Executor, Work
 from articugen.pipeline.job import Job
 from articugen.pipeline.making import Task, limit_of, not_made
@@ -146,7 +146,16 @@ class Run:
             return Finished(outcomes, None)
         width = executor.width(len(self.plan.keys)) if executor else self.job.jobs
         timings = timings_of(instances, time.perf_counter() - began, width)
-        manifest = manifest_of(self.job, outcomes, timings, self.licence)
+        manifest = Manifest.of(
+            outcomes,
+            category=self.job.category,
+            source=self.job.source,
+            licence=self.licence,
+            recipe=self.job.recipe.text(),
+            seed=self.job.seed,
+            timings=timings,
+            shortfall=_shortfall(outcomes, self.job.recipe),
+        )
         self.job.place.write(croissant.NAME, croissant.of_data_set(manifest))
         self.records.finish(manifest)
         return Finished(outcomes, manifest)
@@ -220,7 +229,7 @@ class Run:
                 recorded = [self.records.recorded(task.key) for task in waiting]
                 yield from ((outcome, True) for outcome in recorded if outcome)
                 left = [t for t, done in zip(waiting, recorded, strict=True) if done is None]
-                todo = [task for task in left if self.records.is_free(task.key)]
+                todo = [t for t in left if self.records.ledger.is_free(key_of(t.key.name))]
                 waiting = [task for task in left if task not in todo]
         finally:
             if claims:
@@ -243,7 +252,7 @@ class Run:
                 if outcome and not is_recorded:
                     records.record(outcome)
                     if claim:
-                        records.free(task.key)
+                        records.ledger.free(key_of(task.key.name))
                 yield task, outcome
 
     def _missing(self) -> str:
@@ -281,32 +290,13 @@ def common_plan(job: Job, refs: Sequence[ObjectRef], command: str) -> CommonPlan
     """Return what all processes that make these objects together are asked for."""
     shares = job.share.of if job.share else int(job.is_shared)
     return CommonPlan(
-        source=job.source,
-        category=job.category,
+        **{name: getattr(job, name) for name in OF_JOB},
         recipe=job.recipe.text(),
-        seed=job.seed,
-        ids=job.ids,
-        exclude=job.exclude,
-        joints=job.joints,
         objects=len(refs),
         listing=listing_of(map(name_of_ref, refs)),
         generator=generator_of(refs[0], job.recipe.text()) if refs else "",
         command=command or "articugen generate ...",
         shares=shares,
-    )
-
-
-def manifest_of(job: Job, outcomes: Sequence[Outcome], timings: Timings, licence: str) -> Manifest:
-    """Of a data set of which these are all objects."""
-    return Manifest.of(
-        outcomes,
-        category=job.category,
-        source=job.source,
-        licence=licence,
-        recipe=job.recipe.text(),
-        seed=job.seed,
-        timings=timings,
-        shortfall=_shortfall(outcomes, job.recipe),
     )
 
 

@@ -75,7 +75,7 @@ _MIME = {
     "urdf": "application/xml",
     "xml": "application/xml",
 }
-
+_UNKNOWN = "application/octet-stream"
 
 _CITATION = (
     "@misc{articugen, author = {{The articugen authors}}, title = {%s}, "
@@ -167,7 +167,7 @@ def objects(files: Sequence[File]) -> list[dict[str, Any]]:
             "name": file.name,
             "contentUrl": file.name,
             "contentSize": f"{file.bytes} B",
-            "encodingFormat": _mime(_ending(file.name)),
+            "encodingFormat": _MIME.get(_ending(file.name), _UNKNOWN),
             "sha256": file.sha256,
         }
         for file in files
@@ -182,7 +182,7 @@ def file_sets(files: Sequence[File]) -> list[dict[str, Any]]:
             "@id": f"{ending}-files",
             "name": f"{ending}-files",
             "includes": [f"*.{ending}", f"**/*.{ending}"],  # mlcroissant's ** needs a folder
-            "encodingFormat": _mime(ending),
+            "encodingFormat": _MIME.get(ending, _UNKNOWN),
         }
         for ending in sorted({_ending(file.name) for file in files})
     ]
@@ -190,7 +190,3 @@ def file_sets(files: Sequence[File]) -> list[dict[str, Any]]:
 
 def _ending(name: str) -> str:
     return name.rpartition("/")[2].rpartition(".")[2]
-
-
-def _mime(ending: str) -> str:
-    return _MIME.get(ending, "application/octet-stream")

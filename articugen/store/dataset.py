@@ -48,24 +48,14 @@ def open(path: str | Path) -> "DataSet":
         CorruptShard: it is damaged.
         MachineFault: an object store does not answer.
     """
-    return _whole(shelf_at(path))
-
-
-def _where(shelf: "Shelf") -> NDArray[np.int32]:
-    """(n, 2) the shard and the row of each instance, of which there may be a hundred million."""
+    shelf = shelf_at(path)
     counts = np.array([entry.instances for entry in shelf.entries], np.int64)
-    where = np.empty((counts.sum(), 2), np.int32)
+    where = np.empty((counts.sum(), 2), np.int32)  # of a hundred million instances, maybe
     where[:, 0] = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
     where[:, 1] = np.arange(len(where), dtype=np.int32)
     where[:, 1] -= np.repeat((counts.cumsum() - counts).astype(np.int32), counts)
-    return where
-
-
-def _whole(shelf: "Shelf") -> "DataSet":
-    """All instances, those for training first; drawn from in the order of the files, test objects
-    first, so that a seed draws what it always did."""
-    where = _where(shelf)
     last = np.array([entry.split != "train" for entry in shelf.entries], bool)[where[:, 0]]
+    # drawn from in the order of the files, so that a seed draws what it always did
     return DataSet(shelf, where[np.argsort(last, kind="stable")], where)
 
 
@@ -285,7 +275,8 @@ class DataSet(Sequence[Row]):
                     in_units(name, array, out=batch[name][n])
                 else:
                     batch[name][n] = array
-        return {name: _as_text(name, array) for name, array in batch.items()}
+        is_text = {name for name in fields if (f := schema.field_of(name)) and f.dtype == "S"}
+        return {n: np.char.decode(a, "utf-8") if n in is_text else a for n, a in batch.items()}
 
     def torch(
         self, *, fields: Sequence[str] = DEFAULT_FIELDS, points: int | None = None
@@ -303,11 +294,11 @@ class DataSet(Sequence[Row]):
             MissingExtra: torch is not installed.
             InvalidArgument: no such field, or fewer points.
         """
-        from articugen.store.torch_dataset import torch_dataset  # noqa: PLC0415 - torch is optional
+        from articugen.store.torch_dataset import TorchDataSet  # noqa: PLC0415 - torch is optional
 
         if len(self):
             self.batch([0], fields, points=points, rng=0)  # what cannot be had is said here
-        return torch_dataset(self, tuple(fields), points)
+        return TorchDataSet(self, tuple(fields), points)
 
     def _drawn(self, which: Any, rng: np.random.Generator) -> NDArray[np.int32]:
         """Return (n, 2) the places of the instances that a batch asks for."""
@@ -425,8 +416,3 @@ def _some(there: int, count: int, rng: np.random.Generator) -> NDArray[np.intp]:
             rng.integers(0, 256, count, np.uint8) & np.uint8(each - 1)
         )
     return np.arange(0, there, each) + rng.integers(0, each, count)
-
-
-def _as_text(name: str, array: NDArray[Any]) -> NDArray[Any]:
-    field = schema.field_of(name)
-    return np.char.decode(array, "utf-8") if field and field.dtype == "S" else array

@@ -14,13 +14,9 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError, model_validator
 
-from articugen.core.errors import CorruptShard, MachineFault, printable
-from articugen.core.files import (
-    UnfitFile,
-    cannot_write,
-    read_regular,
-    write_atomically,
-)
+from articugen.core.errors import CorruptShard, printable
+from articugen.core.files import UnfitFile, read_regular, write_atomically
+from articugen.core.place import Folder
 from articugen.core.schema import SCHEMA_VERSION
 from articugen.store.bucket import Files, Remote
 from articugen.store.manifest_pages import MOST_BYTES, Head, Page, head_in, page_of, stale_pages
@@ -230,11 +226,7 @@ class Manifest(Record):
         """
         for name, data in self.files():
             write_atomically(folder / name, data)
-        try:
-            for name in stale_pages(folder / MANIFEST_NAME):
-                (folder / name).unlink(missing_ok=True)
-        except OSError as error:
-            raise MachineFault(cannot_write(folder, error)) from None
+        Folder(folder).delete(stale_pages(folder / MANIFEST_NAME))
 
     def files(self) -> Iterator[tuple[str, bytes]]:
         """The names and bytes of the files that it is written as, in their order: pages, if it has

@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError, model_validator
 
+from articugen.core.errors import MachineFault
 from articugen.core.files import UnfitFile, is_plain_file, read_regular
 
 MOST_BYTES = 1 << 28
@@ -97,10 +98,13 @@ def stale_pages(manifest: Path) -> list[str]:
     of one that was not written to the end. Without a manifest these are all.
 
     Raises:
-        OSError: the folder cannot be read.
+        MachineFault: the folder cannot be read.
     """
-    there = sorted(filter(is_page_name, os.listdir(manifest.parent)))
-    listed = listed_pages(manifest) if there else set[str]()
+    try:
+        there = sorted(filter(is_page_name, os.listdir(manifest.parent)))
+        listed = listed_pages(manifest) if there else set[str]()
+    except OSError as error:
+        raise MachineFault(f"{manifest.parent}: cannot be read ({error.strerror})") from None
     return [n for n in there if n not in listed and is_plain_file(manifest.parent / n)]
 
 

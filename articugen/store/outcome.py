@@ -59,6 +59,11 @@ class Key(_Entry):
     seed: int
     generator: str
 
+    @property
+    def name(self) -> tuple[str, str]:
+        """The object, whatever it is made with."""
+        return self.split, self.object_id
+
     def difference(self, made: "Key") -> str | None:
         """Why data made for the key `made` will not do for this one; None where it does."""
         if made.ref != self.ref:

@@ -26,7 +26,16 @@ def shelf_at(path: str | Path) -> "Shelf":
         InvalidArgument, CorruptShard, MachineFault: as `dataset.open`.
     """
     if is_url(path):
-        return _remote_shelf(Remote(str(path)))
+        remote = Remote(str(path))
+        if remote.name.endswith(".h5"):
+            return Shelf(remote, (_entry_of(remote),), None)
+        manifest = Manifest.in_bucket(folder_at(remote.url))
+        if manifest is None:
+            raise CorruptShard(
+                f"{remote}: has no {MANIFEST_NAME}; make it with generate, and once more "
+                "where that was cut short"
+            )
+        return Shelf(remote, tuple(_entries(remote, manifest)), manifest)
     path = Path(path)
     if path.is_file():
         return Shelf(path, (_entry_of(path),), None)
@@ -34,22 +43,6 @@ def shelf_at(path: str | Path) -> "Shelf":
         manifest = Manifest.read(path)
         return Shelf(path, tuple(_entries(path, manifest)), manifest)
     return Shelf(path, tuple(map(_entry_of, _shards_in(path))), None)
-
-
-def _remote_shelf(folder: Remote) -> "Shelf":
-    """
-    Raises:
-        CorruptShard: no data set is there, or none that is whole.
-    """
-    if folder.name.endswith(".h5"):
-        return Shelf(folder, (_entry_of(folder),), None)
-    manifest = Manifest.in_bucket(folder_at(folder.url))
-    if manifest is None:
-        raise CorruptShard(
-            f"{folder}: has no {MANIFEST_NAME}; make it with generate, and once more "
-            "where that was cut short"
-        )
-    return Shelf(folder, tuple(_entries(folder, manifest)), manifest)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """A data set for torch's DataLoader: the only file of the store that imports torch."""
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,19 +17,10 @@ except ImportError:
 Sample = dict[str, Any]
 
 
-class Batches(Protocol):
-    """Source of batches: a `store.dataset.DataSet`."""
-
-    def __len__(self) -> int: ...
-    def batch(
-        self, which: Any, fields: Sequence[str], *, points: int | None, rng: Any
-    ) -> dict[str, NDArray[Any]]: ...
-
-
 class TorchDataSet(Dataset):
     """Instances as dicts of tensors; see `DataSet.torch`. It can be sent to worker processes."""
 
-    def __init__(self, data: Batches, fields: tuple[str, ...], points: int | None) -> None:
+    def __init__(self, data: Any, fields: tuple[str, ...], points: int | None) -> None:
         self.data, self.fields, self.points = data, fields, points
 
     def __len__(self) -> int:
@@ -52,19 +43,12 @@ class TorchDataSet(Dataset):
         return f"TorchDataSet({len(self):,} instances, {', '.join(self.fields)}, {points} points)"
 
 
-def torch_dataset(data: Batches, fields: tuple[str, ...], points: int | None) -> TorchDataSet:
-    """Return the instances of `data`; fields and points as in `DataSet.batch`."""
-    return TorchDataSet(data, fields, points)
-
-
 def _tensor(array: NDArray[Any]) -> Any:
     """Torch's like of an array; of text, which it has none for, the array's lists."""
     if array.dtype.kind == "U":
         return array.tolist()
     if array.dtype == np.float64:
         return torch.from_numpy(array.astype(np.float32))
-    return torch.from_numpy(array if array.dtype.itemsize == 1 else _known(array))
-
-
-def _known(array: NDArray[Any]) -> NDArray[Any]:
-    return array.astype(np.int64) if array.dtype.kind == "u" else array
+    if array.dtype.kind == "u" and array.dtype.itemsize > 1:
+        return torch.from_numpy(array.astype(np.int64))
+    return torch.from_numpy(array)

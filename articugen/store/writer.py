@@ -185,7 +185,10 @@ def _written(file: h5py.File, instances: Iterable[Instance]) -> Iterator[tuple[s
         if {name: array.shape for name, array in arrays.items()} != shapes:
             raise ValueError("instances that do not make a shard: of different fields or shapes")
         for name, array in arrays.items():
-            _append(datasets[name], count, array, compressed=_field(name).compressed)
+            datasets[name].set_extent((count + 1, *array.shape))
+            if array.size:
+                chunk = chunks.encoded(array.tobytes(), compressed=_field(name).compressed)
+                datasets[name].write_direct_chunk((count, *(0,) * array.ndim), chunk)
         count += 1
         yield row.object_id, row.state_index, instance_sha256(row.object_id, arrays.items())
     fault = schema.misfit({name: (count, *shape) for name, shape in shapes.items()})
@@ -248,16 +251,6 @@ def _new_dataset(file: h5py.File, name: str, row: NDArray[Any]) -> h5py.h5d.Data
         if text:
             dataset.attrs[key] = text
     return dataset.id
-
-
-def _append(
-    dataset: h5py.h5d.DatasetID, count: int, row: NDArray[Any], *, compressed: bool
-) -> None:
-    """Give a data set of `count` rows one more."""
-    dataset.set_extent((count + 1, *row.shape))
-    if row.size:
-        chunk = chunks.encoded(row.tobytes(), compressed=compressed)
-        dataset.write_direct_chunk((count, *(0,) * row.ndim), chunk)
 
 
 def _describe_file(file: h5py.File, attributes: Mapping[str, Attribute]) -> None:

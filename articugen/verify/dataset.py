@@ -199,7 +199,9 @@ def _manifest_findings(manifest: Manifest) -> Iterator[Finding]:
             yield Finding(
                 "manifest", "ref is neither its input's nor a name's", "", entry.key.object_id
             )
-    if recipe and not _is_plausible(manifest, recipe):
+    made = manifest.timings.instances_per_second * manifest.timings.seconds
+    most = len(keys) * (recipe.articulation.states + 1) if recipe else 0
+    if recipe and (made >= most + 0.5 or abs(made - round(made)) > 1e-6 * max(made, 1.0)):
         yield Finding("manifest", "timings tell of a number of instances that cannot be")
     unfinished = [outcome.fault for outcome in manifest.outcomes if outcome.fault]
     for fault in unfinished:
@@ -208,13 +210,6 @@ def _manifest_findings(manifest: Manifest) -> Iterator[Finding]:
     if manifest.shortfall and not unfinished:
         yield Finding("incomplete", manifest.shortfall)
     yield from _splits(manifest)
-
-
-def _is_plausible(manifest: Manifest, recipe: Recipe) -> bool:
-    """Whether rate times time is a whole number of instances, and not more than there can be."""
-    made = manifest.timings.instances_per_second * manifest.timings.seconds
-    most = len(manifest.keys) * (recipe.articulation.states + 1)
-    return made < most + 0.5 and abs(made - round(made)) <= 1e-6 * max(made, 1.0)
 
 
 def _splits(manifest: Manifest) -> Iterator[Finding]:

@@ -118,7 +118,12 @@ def _motion(row: Instance, _: Recipe) -> Iterator[str]:
         if TOLERANCES["unit"].exceeded_by(abs(np.linalg.norm(axis) - 1.0)):
             yield f"joint_axis[{j}] is not of unit length"
             continue
-        expected = _joint_motion(row, j) @ row.part_motion[row.joint_parent[j]]
+        pivot, q = row.joint_pivot[j], row.joint_state[j]
+        motion = transform(translation=q * axis)
+        if row.joint_kind[j] != JointKind.PRISMATIC:
+            R = rotation_about(axis, q)
+            motion = transform(R, pivot - R @ pivot)
+        expected = motion @ row.part_motion[row.joint_parent[j]]
         error = np.abs(expected - row.part_motion[j + 1]).max()
         if TOLERANCES["motion"].exceeded_by(error):
             yield f"part_motion[{j + 1}] differs by {error:.2g} from what its joint does"
@@ -127,15 +132,6 @@ def _motion(row: Instance, _: Recipe) -> Iterator[str]:
 def _moved(part_motion: Floats) -> bool:
     """Whether any of the (..., 4, 4) motions is one."""
     return bool(TOLERANCES["unit"].exceeded_by(np.abs(part_motion - np.eye(4)).max()))
-
-
-def _joint_motion(row: Instance, j: int) -> Floats:
-    """(4, 4) what joint j at its state does to what hangs on it, unit frame."""
-    axis, pivot, q = row.joint_axis[j], row.joint_pivot[j], row.joint_state[j]
-    if row.joint_kind[j] == JointKind.PRISMATIC:
-        return transform(translation=q * axis)
-    R = rotation_about(axis, q)
-    return transform(R, pivot - R @ pivot)
 
 
 def _inside_box(row: Instance, recipe: Recipe) -> Iterator[str]:

@@ -1,7 +1,6 @@
 """Instances of a data set made again from its source: the proof that it is what it claims to be."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,19 +13,10 @@ from articugen.instance.again import prepared_again
 from articugen.instance.make import make_instance
 from articugen.instance.preparing import Prepared, pose
 from articugen.store.manifest import Manifest
-from articugen.store.outcome import ObjectEntry
 from articugen.store.provenance import library_versions, this_machine
 from articugen.store.shards import open_shard
 from articugen.verify.bounds import BEHIND, IN_FRONT, on_level
 from articugen.verify.dataset import Finding
-
-
-@dataclass(frozen=True)
-class StoredInstance:
-    """An instance of a data set: the state of an object, and the shard that holds it."""
-
-    entry: ObjectEntry
-    state_index: int
 
 
 def replay(folder: Path, count: int) -> Iterator[Finding | None]:
@@ -38,24 +28,19 @@ def replay(folder: Path, count: int) -> Iterator[Finding | None]:
         ArticugenError: as `prepared_again`.
     """
     manifest = Manifest.read(folder)
-    for chosen in _chosen(manifest, count):
-        object_id = chosen.entry.key.object_id
+    rng = generator(manifest.seed, manifest.content_sha256, "replay")  # always the same ones
+    order = rng.permutation(len(manifest.objects))
+    spread = [manifest.objects[order[n % len(order)]] for n in range(count)] if len(order) else []
+    for entry, state in [(entry, int(rng.integers(entry.instances))) for entry in spread]:
+        object_id = entry.key.object_id
         prepared = prepared_again(manifest, object_id)
-        with open_shard(folder / chosen.entry.shard) as shard:
-            stored = shard.instance(chosen.state_index)
-        place = (chosen.entry.shard, object_id, chosen.state_index)
+        with open_shard(folder / entry.shard) as shard:
+            stored = shard.instance(state)
+        place = (entry.shard, object_id, state)
         for check, sentence in differences(prepared, stored):
             elsewhere = made_elsewhere(manifest) if check == "replay" else ""
             yield Finding(check, sentence + elsewhere, *place)
         yield None
-
-
-def _chosen(manifest: Manifest, count: int) -> list[StoredInstance]:
-    """`count` instances, spread over the objects; always the same ones."""
-    rng = generator(manifest.seed, manifest.content_sha256, "replay")
-    order = rng.permutation(len(manifest.objects))
-    chosen = [manifest.objects[order[n % len(order)]] for n in range(count)] if len(order) else []
-    return [StoredInstance(entry, int(rng.integers(entry.instances))) for entry in chosen]
 
 
 def made_elsewhere(manifest: Manifest) -> str:

@@ -112,6 +112,8 @@ def _grids_filled(seen: Samples, _: Recipe) -> Iterator[Share]:
     solid = np.concatenate([points[held], seen.surface])
     own = np.concatenate([label[held], row.surface_part + np.uint8(1)])
     whole = by_cell(solid)
+    # in which one of the uniform points lies, but for exp(-6)
+    ball = max(ANY_SURFACE, (18.0 / (4.0 * math.pi * max(len(row.uniform_points), 1))) ** (1 / 3))
     for part in range(len(row.part_motion)):
         of_part = by_cell(solid[own == part + 1])
         for resolution, grid in sorted(row.occupancy.items()):
@@ -121,7 +123,7 @@ def _grids_filled(seen: Samples, _: Recipe) -> Iterator[Share]:
                 "filling",
                 f"only {{share}} of the voxels of part {part} in occupancy_{resolution} are where "
                 "the points show anything",
-                any_within(occupied, centres, _ball(len(row.uniform_points))),
+                any_within(occupied, centres, ball),
             )
             met = centres[any_within(whole, centres, CLOSE)]
             yield _share(
@@ -232,11 +234,6 @@ def _spacing(count: int) -> float:
     """Within that of a place on a surface of area 3, the unit cube's in the middle of what objects
     have, lies one of `count` surface points, but for a chance of exp(-6)."""
     return math.sqrt(6.0 * 3.0 / (math.pi * max(count, 1)))
-
-
-def _ball(count: int) -> float:
-    """The radius of a ball in which one of `count` uniform points lies, but for exp(-6)."""
-    return max(ANY_SURFACE, (6.0 * 3.0 / (4.0 * math.pi * max(count, 1))) ** (1 / 3))
 
 
 def _cells(grid: NDArray[np.uint8], points: Floats) -> NDArray[np.uint8]:

@@ -3,7 +3,7 @@
 import tempfile
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from articugen.core import processes
@@ -36,8 +36,8 @@ class Local(Executor):
     ) -> Generator[processes.Ended[Outcome | None], None, None]:
         with ExitStack() as stack:
             if work.claim is not None:
-                temporary = tempfile.TemporaryDirectory(prefix="articugen-")
-                work = work.at(Path(stack.enter_context(temporary)))
+                aside = stack.enter_context(tempfile.TemporaryDirectory(prefix="articugen-"))
+                work = replace(work, aside=Path(aside))
             each = processes.each(
                 work.done,
                 tasks,

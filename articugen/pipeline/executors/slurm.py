@@ -11,7 +11,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import redirect_stderr
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -135,7 +135,7 @@ class Slurm(Executor):
             KeyboardInterrupt: the array is cancelled; finished objects are kept.
         """
         job = replace(work.job, out=work.job.folder.resolve(), scheduler="", jobs=self.array.cpus)
-        missing = {(task.key.split, task.key.object_id): n for n, task in enumerate(tasks)}
+        missing = {task.key.name: n for n, task in enumerate(tasks)}
         in_vain = 0
         with _Queue(job, self.array, notice) as queue:
             while missing:
@@ -145,10 +145,14 @@ class Slurm(Executor):
                     numbers = sorted({tasks[number].place % of for number in missing.values()})
                     shares = [replace(job, share=Share(number, of)) for number in numbers]
                     submitted = list(queue.submit([_Rank(one, self.command) for one in shares]))
-                for outcome in self._recorded(queue):
-                    number = missing.pop((outcome.key.split, outcome.key.object_id), None)
-                    if number is not None:
-                        yield Ended(number, outcome)
+                is_over = False
+                while not is_over:  # until SLURM lists none of them, and then once more
+                    is_over = not queue.listed()
+                    for outcome in map(Outcome.model_validate_json, self.ledger.news().values()):
+                        number = missing.pop(outcome.key.name, None)
+                        if number is not None:
+                            yield Ended(number, outcome)
+                    time.sleep(0.0 if is_over else POLL_SECONDS)
                 said = _sentence_of(submitted)
                 in_vain = 0 if len(missing) < before else in_vain + 1
                 if in_vain == IN_VAIN:
@@ -158,13 +162,6 @@ class Slurm(Executor):
                         f"missing, logs are in {job.folder / _LOGS}"
                     )
         shutil.rmtree(job.folder / _LOGS, ignore_errors=True)
-
-    def _recorded(self, queue: "_Queue") -> Iterator[Outcome]:
-        """Return what ranks record, until SLURM lists none of them."""
-        while queue.listed():
-            yield from map(Outcome.model_validate_json, self.ledger.news().values())
-            time.sleep(POLL_SECONDS)
-        yield from map(Outcome.model_validate_json, self.ledger.news().values())
 
 
 @dataclass(frozen=True)

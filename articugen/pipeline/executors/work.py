@@ -50,7 +50,7 @@ class Work:
         assert isinstance(bucket, Bucket)
         assert aside is not None
         ledger = Ledger(bucket, who=self.claim[0], lease=self.claim[1])
-        name = key_of((task.key.split, task.key.object_id))
+        name = key_of(task.key.name)
         if not ledger.claim(name):
             return None
         try:
@@ -64,10 +64,6 @@ class Work:
             (aside / task.shard).unlink(missing_ok=True)
             ledger.free(name)
         return outcome
-
-    def at(self, aside: Path) -> "Work":
-        """Return the same, with shards that are not in the store yet in this folder."""
-        return replace(self, aside=aside)
 
 
 @dataclass(frozen=True)
