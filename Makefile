@@ -43,7 +43,7 @@ replace = $(if $(REPLACE),--replace)
 option = $(if $($(1)),--$(2) "$($(1))")
 
 .DEFAULT_GOAL := help
-.PHONY: help dataset inspect report view verify train depth evaluate test check format bench accuracy bench-reading bench-train soundness fuzz chaos docs site-tools backends cluster learner exporters viewer clean
+.PHONY: help dataset inspect report view verify train depth evaluate comparison ablation test check format bench accuracy bench-reading bench-train soundness fuzz chaos docs site-tools backends cluster learner exporters viewer clean
 
 help:  ## list the targets
 	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1"
@@ -107,6 +107,19 @@ ifdef CATEGORY
 else
 	@echo "Choose one: make evaluate CATEGORY=laptop" >&2; exit 2
 endif
+
+comparison: $(learner)  ## train every method on CATEGORY= for BUDGET=10 minutes each; tables and a picture (SEEDS=1)
+	$(compare)
+
+ablation: $(learner)  ## the same with one thing left out at a time, of PPD in the paper's preset and in ours
+	$(compare)
+
+# Makes the data set first, if there is none.
+define compare
+@test -n "$(CATEGORY)" || { echo "Choose one: make $@ CATEGORY=laptop" >&2; exit 2; }
+@test -f "$(OUT)/$(CATEGORY)/manifest.json" || $(articugen) generate --category "$(CATEGORY)" --source "$(SOURCE)" --out "$(OUT)" $(options) $(settings) || test $$? = 3
+@$(articugen) compare "$(OUT)/$(CATEGORY)" --list $@ --budget "$(or $(BUDGET),10)" $(if $(SEEDS),--seeds "$(SEEDS)") $(if $(DEVICE),--device "$(DEVICE)")
+endef
 
 # A process a core, each of one thread: more threads only wait. What ARGS says counts (-n 0 --pdb).
 pytest := OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest -n logical --maxprocesses 16 --dist worksteal

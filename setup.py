@@ -8,7 +8,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 SOURCES = sorted(path.parent.as_posix() for path in Path().glob("urdf_sources/*/source.yaml"))
-FOLDERS = ["recipes", "urdf_sources", *SOURCES]
+FOLDERS = ["recipes", "recipes/lists", "urdf_sources", *SOURCES]
 BUNDLED = {f"articugen._bundled.{folder.replace('/', '.')}": folder for folder in FOLDERS}
 
 setup(

@@ -33,7 +33,7 @@ from articugen.learning.evaluation.results import (
     JointLine,
     JointState,
 )
-from articugen.pictures.layout import CAPTION, MARGIN, TILE, in_columns
+from articugen.pictures.layout import CAPTION, MARGIN, TILE, in_columns, sheet
 
 NAMES = Names([0, 1, 2], [0, 1, 2])
 FROM_ABOVE = float(np.radians(35.0))
@@ -61,6 +61,10 @@ def tiles(picture):
     return grid[:, :, CAPTION : CAPTION + TILE]
 
 
+def drawn(instances, reconstruct, names, **options):
+    return sheet(reconstructions(instances, [("", reconstruct, names)], FROM_ABOVE, **options))
+
+
 def pixels_of(path):
     with Image.open(path) as picture:
         return np.asarray(picture.convert("RGB")).astype(int)
@@ -68,12 +72,12 @@ def pixels_of(path):
 
 def test_the_truth_as_a_prediction_looks_like_the_truth():
     instances = by_opening(hinged_box())
-    true, predicted = tiles(reconstructions([instances], solid_truth, NAMES, FROM_ABOVE, states=2))
+    true, predicted = tiles(drawn(instances, solid_truth, NAMES, states=2))
     off = np.abs(true - predicted).max(-1)
     assert (off > 40).mean() < 0.02  # edges of points and of triangles
     assert np.median(off[true.min(-1) < 200]) < 12
     swapped = Names([0, 2, 1], [0, 2, 1])
-    _, wrong = tiles(reconstructions([instances], solid_truth, swapped, FROM_ABOVE, states=2))
+    _, wrong = tiles(drawn(instances, solid_truth, swapped, states=2))
     assert (np.abs(true - wrong).max(-1) > 40).mean() > 0.04
 
 
@@ -99,12 +103,27 @@ def test_a_test_object_of_each_run_stands_in_one_picture(tmp_path):
     result = Evaluation(
         means={}, votes=(), labels=(0, 1, 2), dominant=(0, 1, 2), objects=1, instances=1
     )
-    draw_examples(tmp_path / "examples.png", [Example("boxes", data, model, result)])
+    draw_examples(tmp_path / "examples.png", [Example("boxes", "model", data, model, result)])
     with Image.open(tmp_path / "examples.png") as picture:
         true, predicted = tiles(picture.convert("RGB"))
     assert len(true) == 3
     assert (np.abs(true - predicted).max(-1) > 40).mean() < 0.02
     assert np.abs(true[0] - true[2]).max() > 100  # they move
+
+
+def test_methods_stand_beside_each_other_in_rows_of_three(tmp_path):
+    data = write_boxes(tmp_path / "boxes", train=1, test=1, states=2)
+    (instances,) = objects_of(data, "test", None)
+    clouds = {dequantize(i.surface_points).tobytes(): i for i in instances}
+    model = Drawable(lambda cloud: solid_truth(clouds[cloud.tobytes()]))
+    result = Evaluation(
+        means={}, votes=(), labels=(0, 1, 2), dominant=(0, 1, 2), objects=1, instances=1
+    )
+    examples = [Example("boxes", name, data, model, result) for name in "abc"]
+    draw_examples(tmp_path / "examples.png", examples)
+    with Image.open(tmp_path / "examples.png") as picture:
+        assert picture.width == 3 * (3 * TILE + 2 * MARGIN)  # the truth, a, b; below it c
+        assert picture.height == 2 * (TILE + 2 * CAPTION + 2 * MARGIN)
 
 
 def test_nothing_predicted_is_drawn_as_nothing():
@@ -115,7 +134,7 @@ def test_nothing_predicted_is_drawn_as_nothing():
         )
 
     none = Names([-1, -1, -1], [-1, -1, -1])
-    _, predicted = tiles(reconstructions([hinged_box()], nothing, none, FROM_ABOVE, states=1))
+    _, predicted = tiles(drawn(hinged_box(), nothing, none, states=1))
     assert predicted.min() == 255
 
 

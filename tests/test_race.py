@@ -75,12 +75,12 @@ def test_processes_change_nothing(boxes, whole, tmp_path):
     run = race(Training(TINY, "box", boxes, tmp_path, seed=1), jobs=2, on_progress=seen.append)
     assert told(run) == told(whole)
     assert same_weights(run.path / LATEST, whole.path / LATEST)
-    assert {p.seed for p in seen} == {1, 2, 3}
+    assert {p.who for p in seen} == {"seed 1", "seed 2", "seed 3"}
 
 
 def test_an_interrupted_race_goes_on(boxes, whole, tmp_path):
     def interrupt(progress):
-        if (progress.seed, progress.iteration) == (2, 1):
+        if (progress.who, progress.iteration) == ("seed 2", 1):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -89,11 +89,11 @@ def test_an_interrupted_race_goes_on(boxes, whole, tmp_path):
     path = tmp_path / "000"
     run = race(
         Training(TINY, "box", boxes, tmp_path, seed=1, resume=path),
-        on_progress=lambda p: seen.append((p.seed, p.iteration)),
+        on_progress=lambda p: seen.append((p.who, p.iteration)),
     )
     assert told(run) == told(whole)
     assert same_weights(run.path / LATEST, whole.path / LATEST)
-    assert (1, 1) not in seen  # the first seed's first heat was done
+    assert ("seed 1", 1) not in seen  # the first seed's first heat was done
     other = TINY.with_seeds(2)
     with pytest.raises(InvalidCheckpoint, match="another recipe"):
         race(Training(other, "box", boxes, tmp_path, seed=1, resume=path))

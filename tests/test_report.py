@@ -45,13 +45,14 @@ def rows(text):
 
 
 def test_the_paper_s_numbers_stand_beside_ours():
-    text = tables([result(finer_label_iou=0.75, label_iou_all_poses=0.625)])
+    known = {"finer_label_iou": 0.75, "label_iou_all_poses": 0.625}
+    text = tables([result(**known)])
     labels = rows(text)
     assert labels["laptop, shapes", "laptop, shapes"] == ["T3 EPE", "T4 F-score"]
     assert labels["laptop, shapes", "r"] == ["3.000", "12.00"]  # Chamfer-L1 was not measured
     assert labels["laptop, shapes", "paper: NSD, 10 parts"] == ["-", "83.71"]
     assert labels["laptop, labels", "laptop, labels"] == [
-        "T2 label IoU", "T2 finer", "T8 all poses", "T8 less T2",
+        "T2 label IoU", "T2 finer", "T8 all", "T8 less T2",
     ]  # fmt: skip
     assert labels["laptop, labels", "floor"] == ["25.00", "25.00", "25.00", "-"]
     assert labels["laptop, labels", "paper: PPD, 8 parts"] == ["86.81", "86.81", "86.80", "-0.01"]
@@ -60,7 +61,10 @@ def test_the_paper_s_numbers_stand_beside_ours():
     assert labels["laptop, labels", "paper: BSP-Net, 8 parts"] == ["-", "-", "82.64", "-"]
     assert "25.11*" in text
     assert "one part stands for the whole shape" in text
-    assert max(map(len, text.splitlines())) <= 100
+    known |= {"assigned_parts": 1.0, "type_accuracy": 100.0, "epe_transform_all": 0.01}
+    whole = tables([result(**known, chamfer_l1=0.02)])
+    assert "T9 kinds" in whole
+    assert max(map(len, whole.splitlines())) <= 100
 
 
 def test_seeds_become_mean_and_spread():

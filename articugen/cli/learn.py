@@ -226,6 +226,43 @@ def tables(
             stdout.print(f"drawn: {figure}", soft_wrap=True)
 
 
+@app.command(epilog="Example: articugen compare data/laptop --list ablation --budget 60 --seeds 3")
+def compare(
+    data: Annotated[Path, typer.Argument(help="The folder of the data set.")],
+    recipes: Annotated[
+        str, typer.Option("--list", "-l", help="comparison, ablation, or a YAML list of recipes.")
+    ] = "comparison",
+    budget: Annotated[
+        float, typer.Option(min=0.001, help="CPU minutes of each training; on a GPU, the clock's.")
+    ] = 10.0,
+    seeds: Annotated[int, typer.Option(min=1, help="Seeds of each recipe.")] = 1,
+    states: Annotated[
+        int, typer.Option(min=0, help="Random states an object in the evaluation; 0 means all.")
+    ] = 8,
+    runs: Annotated[
+        Path | None, typer.Option(help="Where runs go.", show_default="a folder called as the list")
+    ] = None,
+    jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, max=2, help="Recipes at a time.")] = 2,
+    device: Device = "cpu",
+) -> None:
+    """Train several recipes for equally long, evaluate them alike, print tables, draw an object."""
+    with said("interrupted; what was last saved is kept, the same command resumes"):
+        with loading():
+            from articugen.core.compiling import compile_kernels
+            from articugen.learning.comparison import compare as compare_recipes
+            from articugen.pipeline.run import default_jobs
+
+        compile_kernels("train", jobs=default_jobs(), notice=stderr.print)
+        with _ProgressBar() as on_progress:
+            done = compare_recipes(
+                data, recipes, minutes=budget, runs=runs, seeds=seeds, states=states or None,
+                jobs=jobs, device=device, on_progress=on_progress,
+                on_done=lambda text: stderr.print(escape(text), soft_wrap=True),
+            )  # fmt: skip
+        stdout.print(done.text, soft_wrap=True, markup=False)
+        stdout.print(f"written: {done.folder}/tables.md, {done.figure.name}", soft_wrap=True)
+
+
 @app.command(
     epilog="Examples:\n\narticugen predict runs/laptop data/laptop/test-00000.h5 --row 3\n\n"
     "articugen predict runs/laptop cloud.ply --fit --out rig\n\n"
@@ -274,8 +311,8 @@ class _ProgressBar:
             console=stderr,
             disable=not stderr.is_terminal,
         )
-        self.tasks: dict[int | None, TaskID] = {}
-        self.latest: dict[int | None, str] = {}
+        self.tasks: dict[str, TaskID] = {}
+        self.latest: dict[str, str] = {}
         self.kept: set[str] = set()
 
     def __enter__(self) -> "Callable[[Progress], None]":
@@ -286,16 +323,16 @@ class _ProgressBar:
         self.bar.stop()
 
     def _tell(self, progress: "Progress") -> None:
-        if progress.seed not in self.tasks:
-            self.tasks[progress.seed] = self.bar.add_task("", total=None, state="")
-        task = self.tasks[progress.seed]
-        who = "" if progress.seed is None else f"seed {progress.seed}: "
+        if progress.who not in self.tasks:
+            self.tasks[progress.who] = self.bar.add_task("", total=None, state="")
+        task = self.tasks[progress.who]
+        who = progress.who and f"{progress.who}: "
         self.bar.update(task, completed=progress.iteration, total=progress.iterations)
-        before, self.latest[progress.seed] = self.latest.get(progress.seed, ""), progress.said
+        before, self.latest[progress.who] = self.latest.get(progress.who, ""), progress.said
         if before and before.partition(":")[0] != progress.said.partition(":")[0]:
             self._keep(before)
         if progress.said:
-            self.bar.update(task, state=progress.said)
+            self.bar.update(task, state=f"{who}{progress.said}")
         if progress.terms:
             speed = self.bar.tasks[task].speed or 0.0
             name, value = next(iter(progress.terms.items()))

@@ -182,7 +182,7 @@ def evaluate(
         on_object=on_object,
     )
 
-    learner = point.learner()
+    learner, budget = point.learner(), point.recipe.budget
     partial_clouds = learner.inputs.partial
 
     def at(grid: int) -> Reconstruct:
@@ -198,7 +198,7 @@ def evaluate(
         **point.about(), input="depth" if partial_clouds else "complete", protocol=protocol,
         label_poses="both" if label_poses == "all" else "canonical", states=states,
         knows=learner.inputs.knows, parameters=learner.parameters, resolution=resolution,
-        finer=finer, seconds=RunFolder(folder).seconds(),
+        finer=finer, seconds=RunFolder(folder).seconds() + (budget.start if budget else 0.0),
         on=None if on is None else str(on),
     )  # fmt: skip
     result = RunEvaluation(run=evaluated, **dict(measured))
@@ -257,8 +257,7 @@ def evaluated(folders: Sequence[FolderLike]) -> list[Path]:
 def draw_examples(
     runs: Sequence[FolderLike], path: FolderLike, data: FolderLike | None = None
 ) -> Path:
-    """Draw a test object of each evaluated run in three states: the truth above, its reconstruction
-    below.
+    """Draw a test object of each category in three states, and what each evaluated run makes of it.
 
     Args:
         runs: as `tables` takes them.
@@ -280,8 +279,8 @@ def draw_examples(
         own = own / point.category if data and (own / point.category).is_dir() else own
         check_splits(own, point.category)
         model = point.learner().drawable(min(4 * result.run.resolution, 128))
-        title = f"{point.category.replace('_', ' ')}, {point.recipe.name}"
-        examples.append(figures.Example(title, own, model, result))
+        about = (point.category, point.recipe.name)
+        examples.append(figures.Example(*about, own, model, result))
     figures.draw_examples(Path(path), examples)
     return Path(path)
 

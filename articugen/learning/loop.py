@@ -42,8 +42,8 @@ class Progress:
     iterations: int
     terms: dict[str, float] | None = None
     validation: dict[str, float] | None = None
-    seed: int | None = None
-    """Which of the seeds that race, if any do."""
+    who: str = ""
+    """Which of several trainings, if there are more: a seed that races, a recipe."""
     said: str = ""
     """What is done before the first iteration, where that takes time."""
 
@@ -176,8 +176,7 @@ class Course:
 
     def clock(self) -> float:
         """Return seconds of this process's CPU time, or of the clock where a GPU learns."""
-        on_cpu = self.training.surface.device.type == "cpu"
-        return time.process_time() if on_cpu else time.perf_counter()
+        return clock_of(self.training.surface.device.type)()
 
     def keep(self, name: str) -> None:
         """Write a checkpoint of where it stands."""
@@ -297,6 +296,12 @@ def follow(course: Course, stop_after: int | None, on_progress: Tell) -> RunFold
             checked = course.note(iteration, values, due, log)
             on_progress(Progress(course.iteration, plan.iterations, values, checked))
     return course.run
+
+
+def clock_of(device: str) -> Callable[[], float]:
+    """Return what training's seconds are counted by: this process's CPU time, or the clock where a
+    GPU learns."""
+    return time.process_time if device == "cpu" else time.perf_counter
 
 
 def shared_folder(run: RunFolder) -> Path:

@@ -55,7 +55,7 @@ class Heat:
                 train(
                     replace(self.what, name=str(self.what.seed), resume=resume),
                     stop_after=self.stop,
-                    on_progress=lambda now: report(replace(now, seed=self.what.seed)),
+                    on_progress=lambda now: report(replace(now, who=f"seed {self.what.seed}")),
                 )
             except TrainingDiverged:
                 return None

@@ -7,7 +7,7 @@ adds sections of its own (`learning/ppd/settings.py`); `method` says whose recip
 import hashlib
 import math
 from itertools import pairwise
-from typing import Any, Literal, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 import yaml
 from pydantic import Field, model_validator
@@ -112,18 +112,37 @@ class Seeds(Section):
     chosen_by: str = ""
 
 
+class Budget(Section):
+    """What a schedule was scaled to, see `learning.budget`.
+
+    Attributes:
+        seconds: of CPU time, or of the clock on a GPU, that training may take.
+        start: how many of them pass before the first iteration.
+        recipe_sha256: of the recipe that was scaled.
+    """
+
+    seconds: float = Field(gt=0)
+    start: float = Field(ge=0)
+    recipe_sha256: str
+
+
 class TrainRecipe(Section):
     """One training recipe, resolved: what every method has. See the sections for each key.
 
     Attributes:
         method: a name of `learning.method.METHODS`, or of an entry point.
+        budget: None of a recipe that was not scaled.
     """
+
+    COUNTED: ClassVar[tuple[str, ...]] = ()
+    """Keys of a method's own that are numbers of iterations."""
 
     name: str
     method: str
     data: DataSettings = DataSettings()
     schedule: Schedule
     seeds: Seeds = Seeds()
+    budget: Budget | None = None
 
     @property
     def variant(self) -> str:
@@ -152,6 +171,25 @@ class TrainRecipe(Section):
         seeds = {**self.seeds.model_dump(), "count": count}
         return validated(type(self), self.model_dump() | {"seeds": seeds}, "--seeds")
 
+    def scaled(self: Recipe, share: float, checks: int, **more: Any) -> Recipe:
+        """Return this recipe with each stage `share` times as long, and one seed.
+
+        Args:
+            checks: how often it is validated and saved.
+            more: other values of sections.
+        """
+
+        def times(count: int) -> int:
+            return max(int(share * count), 1) if count else 0
+
+        data = self.plain()
+        stages = [s | {"iterations": times(s["iterations"])} for s in data["schedule"]["stages"]]
+        every = -(-sum(s["iterations"] for s in stages) // checks)
+        often = {"stages": stages, "validate_every": every, "save_every": every}
+        data |= {"schedule": data["schedule"] | often, "seeds": {}}
+        data |= {key: times(data[key]) for key in self.COUNTED}
+        return validated(type(self), data | more, self.name)
+
     def same_but_seeds(self, other: "TrainRecipe") -> bool:
         """Return whether the other decides the same runs, however many of them race."""
         return self.sha256() == other.model_copy(update={"seeds": self.seeds}).sha256()
@@ -166,4 +204,5 @@ class TrainRecipe(Section):
 
     def sha256(self) -> str:
         """Return the digest of what decides a run: all but the name."""
-        return hashlib.sha256(self.model_dump_json(exclude={"name"}).encode()).hexdigest()
+        left_out = {"name"} if self.budget else {"name", "budget"}
+        return hashlib.sha256(self.model_dump_json(exclude=left_out).encode()).hexdigest()

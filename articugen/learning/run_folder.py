@@ -134,6 +134,7 @@ class Checkpoint:
 
     def about(self) -> dict[str, Any]:
         """What was trained, as an evaluation tells it."""
+        budget = self.recipe.budget
         return {
             "category": self.category,
             "method": self.recipe.method,
@@ -141,7 +142,8 @@ class Checkpoint:
             "variant": self.recipe.variant,
             "seed": self.seed,
             "iterations": self.iteration,
-            "recipe_sha256": self.recipe.sha256(),
+            "recipe_sha256": budget.recipe_sha256 if budget else self.recipe.sha256(),
+            "budget": budget.seconds if budget else None,
             "commit": this_commit(),
         }
 

@@ -57,6 +57,8 @@ class BSPRecipe(TrainRecipe):
             outside; nothing can be learned then, and other first weights are drawn.
     """
 
+    COUNTED = ("fourfold", "restart_after")
+
     method: Literal["bsp"] = "bsp"  # pyright: ignore[reportIncompatibleVariableOverride]
     model: ModelSettings = ModelSettings()
     fourfold: int = Field(default=0, ge=0)

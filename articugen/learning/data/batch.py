@@ -61,7 +61,8 @@ class BatchSpec:
         """What training is given beside shapes: true parts, or which instances show one object."""
         if self.parts or self.motions:
             return "labels"
-        return "groups" if self.poses or self.varying_points else ""
+        compares = self.poses or self.varying_points > 0
+        return "groups" if compares and not self.finds_objects else ""
 
 
 @dataclass(frozen=True)

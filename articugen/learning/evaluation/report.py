@@ -50,12 +50,12 @@ LABELS = (
     Metric("2", "label IoU", "label IoU, %", "label_iou", 100.0, 2, paper.LABEL_IOU),
     Metric("2", "finer", "label IoU, %, finer meshes", "finer_label_iou", 100.0, 2,
            paper.LABEL_IOU),
-    Metric("8", "all poses", "label IoU, %, all poses vote", "label_iou_all_poses", 100.0, 2,
+    Metric("8", "all", "label IoU, %, all poses vote", "label_iou_all_poses", 100.0, 2,
            paper.LABEL_IOU_ALL_POSES),
     Metric("8", "less T2", "all poses less canonical ones", "difference", 100.0, 2,
            paper.DIFFERENCE),
     Metric("9", "parts", "assigned parts", "assigned_parts", 1.0, 2, paper.ASSIGNED_PARTS),
-    Metric("9", "kinds, %", "part type accuracy, %", "type_accuracy", 1.0, 2, paper.TYPE_ACCURACY),
+    Metric("9", "kinds", "part type accuracy, %", "type_accuracy", 1.0, 2, paper.TYPE_ACCURACY),
 )  # fmt: skip
 SHAPES = (
     Metric("3", "EPE", "EPE x 100, by joints", "epe_joint_all", 100.0, 3, paper.EPE),

@@ -21,7 +21,7 @@ from articugen.learning.evaluation.figures.shapes import (
 )
 from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.evaluation.results import Evaluation
-from articugen.pictures.layout import in_columns, save
+from articugen.pictures.layout import in_columns, save, sheet
 from articugen.pictures.portrait import best_azimuth
 
 OBJECTS = 3
@@ -112,7 +112,11 @@ def draw_figures(
     path = folder / "reconstructions.png"
     some = evenly(objects, OBJECTS)
     azimuth = best_azimuth([instances[-1] for instances in some])
-    save(reconstructions(some, lambda i: model.reconstruct(_cloud(i)), names, azimuth), path)
+    rows = [
+        reconstructions(o, [(f"{o[0].object_id}: reconstruction", _of(model), names)], azimuth)
+        for o in some
+    ]
+    save(sheet([row for each in rows for row in each]), path)
     yield path
     if model.interpolate:
         path = folder / "interpolations.png"
@@ -128,10 +132,11 @@ class Example:
     """A trained model, and the data set of which it shows the first test object.
 
     Attributes:
-        title: of its rows.
+        category, title: of its rows.
         result: what `evaluate` has returned for this model.
     """
 
+    category: str
     title: str
     data: Path
     model: Drawable
@@ -139,23 +144,37 @@ class Example:
 
 
 def draw_examples(path: Path, examples: Sequence[Example]) -> None:
-    """Draw one test object of each, as it is above, its reconstruction below, into one picture.
+    """Draw one test object of each category: as it is, and what each model makes of it.
 
     Raises:
         ArticugenError: `path` cannot be written.
     """
-    sheets = []
+    groups: dict[tuple[str, Path], list[Example]] = {}
     for example in examples:
-        instances = by_opening(next(objects_of(example.data, "test", INSTANCES - 1)))
-        model, names = example.model, Names(example.result.labels, example.result.dominant)
-        azimuth = best_azimuth([instances[-1]])
-        sheets.append(
-            reconstructions(
-                [instances], lambda i, model=model: model.reconstruct(_cloud(i)), names, azimuth,
-                states=EXAMPLE_STATES, title=example.title, pool=INSTANCES,
+        groups.setdefault((example.category, example.data), []).append(example)
+    sheets = []
+    for (category, data), group in groups.items():
+        instances = by_opening(next(objects_of(data, "test", INSTANCES - 1)))
+        models = [
+            (
+                example.title,
+                _of(example.model),
+                Names(example.result.labels, example.result.dominant),
             )
+            for example in group
+        ]
+        rows = reconstructions(
+            instances, models, best_azimuth([instances[-1]]), states=EXAMPLE_STATES,
+            title=category.replace("_", " "), pool=INSTANCES,
         )  # fmt: skip
-    save(in_columns(sheets, 1 if len(sheets) <= EXAMPLE_STATES else 2), path)
+        several = len(group) > 1
+        sheets.append(in_columns([sheet([r]) for r in rows], 3) if several else sheet(rows))
+    wide = len(sheets) <= EXAMPLE_STATES or len(examples) > len(groups)
+    save(in_columns(sheets, 1 if wide else 2), path)
+
+
+def _of(model: Drawable) -> Callable[[Instance], Reconstruction]:
+    return lambda instance: model.reconstruct(_cloud(instance))
 
 
 def _half_open(instances: Sequence[Instance]) -> Instance:

@@ -57,49 +57,49 @@ def evenly(items: Sequence, count: int) -> list:
 
 
 def reconstructions(
-    objects: Sequence[Sequence[Instance]],
-    reconstruct: Reconstruct,
-    names: Names,
+    instances: Sequence[Instance],
+    models: Sequence[tuple[str, Reconstruct, Names]],
     azimuth: float,
     *,
     states: int = 4,
     title: str = "",
     pool: int = POOLED,
-) -> Picture:
-    """For each object a row of its true instances and one of their reconstructions.
+) -> list[Row]:
+    """Draw a row of an object's true instances, and one of what each model makes of them.
 
     Arrows are joint axes; captions tell how far joints have moved since the canonical pose.
 
     Args:
-        objects: the instances of each, `by_opening`.
-        title: of the rows, in the place of the objects' names.
-        pool: of so many instances the points make the true surface: more are slower and smoother.
+        instances: of the object, `by_opening`.
+        models: the title of the row, the reconstructions and whose parts they are.
+        title: in the place of the object's name.
+        pool: points of this many instances make the true surface: more are slower and smoother.
     """
-    rows: list[Row] = []
-    for instances in objects:
-        drawn = evenly(instances, states)
-        found = [reconstruct(instance) for instance in drawn]
-        discs = pooled(evenly(instances, pool))
-        axes = [_true_axes(instance) for instance in drawn]
-        points = np.concatenate(
-            [dequantize(i.surface_points) for i in drawn]
-            + [solid.triangles.reshape(-1, 3) for solid in (*axes, *found)]
-        )
-        camera = tile_camera(points, azimuth)
-        floor = float(min(dequantize(i.surface_points)[:, 2].min() for i in drawn))
-        pairs = list(zip(drawn, axes, strict=True))
-        true = [portrait(discs, i, camera, floor, beside=solid) for i, solid in pairs]
-        moved = [_caption(i, i.joint_state - drawn[0].joint_state) for i in drawn]
-        name = title or drawn[0].object_id
-        rows.append(Row(f"{name}: ground truth", true, moved))
-        pairs = list(zip(drawn, found, strict=True))
+    drawn = evenly(instances, states)
+    shapes = [[reconstruct(instance) for instance in drawn] for _, reconstruct, _ in models]
+    discs = pooled(evenly(instances, pool))
+    axes = [_true_axes(instance) for instance in drawn]
+    points = np.concatenate(
+        [dequantize(i.surface_points) for i in drawn]
+        + [solid.triangles.reshape(-1, 3) for solid in (*axes, *(x for row in shapes for x in row))]
+    )
+    camera = tile_camera(points, azimuth)
+    floor = float(min(dequantize(i.surface_points)[:, 2].min() for i in drawn))
+    true = [
+        portrait(discs, i, camera, floor, beside=solid)
+        for i, solid in zip(drawn, axes, strict=True)
+    ]
+    moved = [_caption(i, i.joint_state - drawn[0].joint_state) for i in drawn]
+    rows = [Row(f"{title or drawn[0].object_id}: ground truth", true, moved)]
+    for (name, _, names), some in zip(models, shapes, strict=True):
+        pairs = list(zip(drawn, some, strict=True))
         predicted = [
             solid_portrait(_solid(f, names), camera, floor, beside=_predicted_axes(i, f, names))
             for i, f in pairs
         ]
-        moved = [_caption(i, _changes(i, found[0], f, names)) for i, f in pairs]
-        rows.append(Row(f"{name}: reconstruction", predicted, moved))
-    return sheet(rows)
+        moved = [_caption(i, _changes(i, some[0], f, names)) for i, f in pairs]
+        rows.append(Row(name, predicted, moved))
+    return rows
 
 
 def _solid(found: Reconstruction, names: Names) -> ColouredMesh:

@@ -1,0 +1,201 @@
+"""Many recipes, each trained for equally long and measured alike: a comparison, or an ablation.
+
+Which recipes is a list in recipes/lists/. Each has a folder, `<runs>/<category>/<budget>/<name>/`,
+with a run for each seed, so that what is finished is known, and what was stopped resumes.
+"""
+
+import re
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from articugen.core.content import RECIPES
+from articugen.core.errors import ArticugenError, InvalidCheckpoint, InvalidRecipe, MachineFault
+from articugen.core.files import make_folder, write_atomically
+from articugen.core.processes import Crew, report
+from articugen.core.yaml_files import read_yaml
+from articugen.learning import commands, loop
+from articugen.learning.budget import scaled_to
+from articugen.learning.evaluation.report import tables
+from articugen.learning.evaluation.results import FILE, read_evaluation
+from articugen.learning.loop import Progress, Tell, Training
+from articugen.learning.method import load_recipe
+from articugen.learning.recipe import TrainRecipe
+from articugen.learning.run_folder import LATEST, RunFolder
+from articugen.store.manifest import Manifest
+
+AT_ONCE = 2
+TABLES, FIGURE = "tables.md", "figure.png"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A recipe that is compared.
+
+    Attributes:
+        what: its training, not scaled yet; `runs` are those of its seeds.
+        seeds: one after the other, all by the schedule that the first one got.
+        seconds: the budget of each.
+        states: as `evaluate` takes them.
+    """
+
+    what: Training
+    seeds: range
+    seconds: float
+    states: int | None
+
+    def run(self) -> str:
+        """Train and evaluate what is missing; return a sentence where that cannot be, else ""."""
+        try:
+            for seed in self.seeds:
+                self._run(seed)
+        except MachineFault:
+            raise
+        except ArticugenError as error:
+            return str(error)
+        return ""
+
+    def _run(self, seed: int) -> None:
+        path, tell = self.what.runs / str(seed), partial(_report, self.what.recipe.name)
+        if not (path / LATEST).is_file():
+            shutil.rmtree(path, ignore_errors=True)
+        recipe = self._scaled(tell)
+        resume = path if path.is_dir() else None
+        what = replace(self.what, recipe=recipe, seed=seed, name=str(seed), resume=resume)
+        if resume and (path / "evaluation" / FILE).is_file():
+            what.resumed(path)  # or raise that it is another one
+            return
+        loop.train(what, on_progress=tell)
+        n = recipe.schedule.iterations
+        folder = what.data if isinstance(what.data, Path) else what.data[0]
+        commands.evaluate(
+            path, folder, label_poses="all", states=self.states,
+            on_object=lambda name: tell(Progress(n, n, said=f"evaluating: {name}")),
+        )  # fmt: skip
+
+    def _scaled(self, tell: Tell) -> TrainRecipe:
+        """Return the recipe that the seeds are trained by: that of one that has begun, or new."""
+        asked = self.what.recipe
+        for path in sorted(self.what.runs.glob("*/recipe.yaml")):
+            if path.parent.name == "pace":
+                continue
+            recipe = RunFolder(path.parent).recipe()
+            if asked.sha256() not in (
+                recipe.budget and recipe.budget.recipe_sha256,
+                recipe.sha256(),
+            ):
+                raise InvalidCheckpoint(
+                    f"{path}: is of another recipe {asked.name}; move {self.what.runs} away"
+                )
+            return recipe
+        return scaled_to(self.seconds, self.what, tell)
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Outcome of a comparison.
+
+    Attributes:
+        folder: of all its runs, of the tables and of the picture.
+        text: the tables.
+        figure: one test object, and what each run makes of it.
+    """
+
+    folder: Path
+    text: str
+    figure: Path
+
+
+def compare(
+    data: commands.FolderLike,
+    recipes: str = "comparison",
+    *,
+    minutes: float = 10.0,
+    runs: commands.FolderLike | None = None,
+    seeds: int = 1,
+    states: int | None = commands.STATES,
+    jobs: int = AT_ONCE,
+    device: str = "cpu",
+    on_progress: Tell = lambda _: None,
+    on_done: Callable[[str], None] = lambda _: None,
+) -> Compared:
+    """Train each recipe of a list for equally long, evaluate all, write tables and a picture.
+
+    Args:
+        data: the folder of a data set.
+        recipes: a name under recipes/lists/, or a YAML file: a list of what `train` takes.
+        minutes: of CPU time that a seed of a recipe may train, or of the clock on a GPU.
+        runs: where runs go; None is a folder called as the list.
+        seeds: how many of each recipe, from 0.
+        states: random states an object, in votes and tests; None is all.
+        jobs: recipes at a time, each on one thread.
+        on_done: called with a sentence for each recipe.
+
+    Raises:
+        InvalidRecipe: the list, or a recipe in it.
+        UnfitData: there is no test object.
+        ArticugenError: no recipe of the list could be trained.
+    """
+    commands.prepare(device, threads=1)
+    data = Path(data)
+    category = Manifest.read(data).category
+    commands.check_splits(data, category)
+    folder = Path(runs or Path(recipes).stem) / category / f"{minutes:g}min"
+    entries = [
+        Entry(
+            Training(recipe, category, data, folder / _file_name(recipe.name), device=device),
+            range(seeds), 60.0 * minutes, states,
+        )
+        for recipe in recipes_of(recipes)
+    ]  # fmt: skip
+    refused: dict[str, str] = {}
+    make_folder(folder)
+    workers = 0 if jobs == 1 else jobs if device == "cpu" else 1
+    with Crew(
+        Entry.run, workers=workers, ready=partial(commands.prepare, threads=1),
+        on_report=on_progress,
+        name=lambda entry: entry.what.recipe.name,
+    ) as crew:  # fmt: skip
+        for ended in crew.each(entries):
+            name = entries[ended.number].what.recipe.name
+            if sentence := ended.value or ended.lost:
+                refused[name] = sentence
+            on_done(f"{name}: {sentence or 'finished'}")
+    finished = [entry for entry in entries if entry.what.recipe.name not in refused]
+    if not finished:
+        raise ArticugenError(next(iter(refused.values())))
+    paths = [entry.what.runs / str(seed) for entry in finished for seed in entry.seeds]
+    about = f"# {category}, {minutes:g} minutes each\n\n"
+    text = about + tables([read_evaluation(path) for path in paths], refused)
+    write_atomically(folder / TABLES, text.encode())
+    commands.draw_examples([entry.what.runs / "0" for entry in finished], folder / FIGURE, data)
+    return Compared(folder, text, folder / FIGURE)
+
+
+def recipes_of(name: str) -> list[TrainRecipe]:
+    """Return the recipes of a list: a name under recipes/lists/, or a YAML file.
+
+    Raises:
+        InvalidRecipe: there is none, it is no list, or a recipe in it is wrong.
+    """
+    path = RECIPES / "lists" / f"{name}.yaml"
+    path = path if path.is_file() else Path(name)
+    entries: Any = read_yaml(path, InvalidRecipe)
+    if not (isinstance(entries, list) and entries):
+        raise InvalidRecipe(f"{path}: is no list of recipes; write one after a hyphen on each line")
+    recipes = [load_recipe(e if isinstance(e, Mapping) else str(e)) for e in entries]
+    names = [_file_name(recipe.name) for recipe in recipes]
+    if twice := next((n for n in names if names.count(n) > 1), ""):
+        raise InvalidRecipe(f"{path}: two recipes are called {twice}; give one another name")
+    return recipes
+
+
+def _file_name(name: str) -> str:
+    return re.sub(r"[^\w.-]+", "-", name).strip(".") or "-"
+
+
+def _report(who: str, now: Progress) -> None:
+    report(replace(now, who=who))
