@@ -39,7 +39,7 @@ within each other and the square of a header's length; it is not let to read mor
 
 _DAMAGED = (
     *(zipfile.BadZipFile, tarfile.TarError, zlib.error, gzip.BadGzipFile, EOFError),
-    *(NotImplementedError, ValueError, RecursionError),
+    *(NotImplementedError, ValueError, OverflowError, RecursionError),
 )
 
 
