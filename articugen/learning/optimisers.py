@@ -11,9 +11,9 @@ Nothing here waits for a GPU but SOAP's first step.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor, nn
@@ -66,26 +66,19 @@ class Adam:
         self.named, self.betas = named, betas
         # One call for all parameters; the other devices have no such kernel.
         self.fused = {p.device.type for p in named.values()} <= {"cpu", "cuda"}
-        self.kept: dict[str, _Moments] = {}
-
-    def _moments(self, name: str) -> _Moments:
-        """Made when they are first asked for, of the type that the parameter has by then."""
-        if name not in self.kept:
-            p = self.named[name]
-            steps = torch.zeros((), device=p.device if self.fused else "cpu")
-            self.kept[name] = _Moments(p.new_zeros(p.shape), p.new_zeros(p.shape), steps)
-        return self.kept[name]
+        self.mean, self.square = ({n: p.new_zeros(p.shape) for n, p in named.items()} for _ in "12")
+        self.steps = {
+            n: torch.zeros((), device=p.device if self.fused else "cpu") for n, p in named.items()
+        }
 
     @torch.no_grad()
     def step(self, rate: float) -> None:
-        there = [(p, p.grad, self._moments(n)) for n, p in self.named.items() if p.grad is not None]
+        there = {name: p.grad for name, p in self.named.items() if p.grad is not None}
+        of = self.named, there, self.mean, self.square
         adam(
-            [p for p, _, _ in there],
-            [gradient for _, gradient, _ in there],
-            [kept.mean for _, _, kept in there],
-            [kept.square for _, _, kept in there],
+            *([some[name] for name in there] for some in of),
             [],
-            [kept.steps for _, _, kept in there],
+            [self.steps[name] for name in there],
             fused=self.fused or None,
             amsgrad=False,
             beta1=self.betas[0],
@@ -98,28 +91,10 @@ class Adam:
 
     def state(self) -> dict[str, Any]:
         """By the names of the parameters."""
-        kept = {name: self._moments(name) for name in self.named}
-        return {
-            "step": {name: moments.steps.cpu() for name, moments in kept.items()},
-            "exp_avg": {name: moments.mean for name, moments in kept.items()},
-            "exp_avg_sq": {name: moments.square for name, moments in kept.items()},
-        }
+        return {"step": self.steps, "exp_avg": self.mean, "exp_avg_sq": self.square}
 
     def load(self, state: dict[str, Any]) -> None:
-        for name in self.named:
-            kept = self._moments(name)
-            kept.steps.copy_(state["step"][name])
-            kept.mean.copy_(state["exp_avg"][name])
-            kept.square.copy_(state["exp_avg_sq"][name])
-
-
-class _Moments(NamedTuple):
-    """What Adam keeps of one parameter: running means of its gradient and of the square, and how
-    many steps it has made, ()."""
-
-    mean: Tensor
-    square: Tensor
-    steps: Tensor
+        _fill(self.state(), state)
 
 
 class Soap:
@@ -131,98 +106,113 @@ class Soap:
     for them alone. A side of 1, or of more than `GREATEST_SIDE`, keeps its own axes. The mean of
     the gradients is kept in the bases and turned along when they change: the same as the paper's,
     which turns it at every step.
+
+    Attributes:
+        stacks: weights whose matrices are of one shape, by name.
+        shapes: (k, m, n) of each stack's matrices, all together.
+        mean, square: what Adam keeps of them, in one vector, stack by stack.
+        sides: the left and the right side of each stack, None where one has no basis.
     """
 
     BETAS: Betas = (0.95, 0.95)
     RENEW_EVERY = 10
 
     def __init__(self, named: Named) -> None:
-        self.flat, others = _sorted_out(named, lambda m, n: _has_basis(m) or _has_basis(n))
-        self.rest = Adam(others, self.BETAS)
-        self.steps = 0
-        self.mean, self.square = self.flat.zeros(), self.flat.zeros()
-        counts: dict[int, int] = {}
-        for stack in self.flat.stacks:
-            for n in filter(_has_basis, stack.shape[1:]):
-                counts[n] = counts.get(n, 0) + stack.shape[0]
-        self.sides = {n: _Side.new(count, n, self.mean) for n, count in counts.items()}
-        taken = dict.fromkeys(counts, 0)
-
-        def take(count: int, n: int) -> _Side | None:
-            if not _has_basis(n):
-                return None
-            taken[n] += count
-            return self.sides[n].of(slice(taken[n] - count, taken[n]))
-
-        self.bases = [(take(k, m), take(k, n)) for k, m, n in (s.shape for s in self.flat.stacks)]
+        by_shape: dict[tuple[int, int], Named] = {}
+        for name, p in named.items():
+            is_weight = name.rpartition(".")[2] == "weight" and p.ndim > 1
+            if is_weight and any(map(_has_basis, p.shape[-2:])):
+                by_shape.setdefault((p.shape[-2], p.shape[-1]), {})[name] = p
+        self.stacks = list(by_shape.values())
+        self.weights = {name: p for stack in self.stacks for name, p in stack.items()}
+        self.rest = Adam({n: p for n, p in named.items() if n not in self.weights}, self.BETAS)
+        self.shapes = [
+            (sum(p.numel() for p in stack.values()) // (m * n), m, n)
+            for (m, n), stack in by_shape.items()
+        ]
+        self.steps = torch.tensor(0, device="cpu")
+        self.empty = next(iter(named.values())).new_empty(0)
+        size = sum(p.numel() for p in self.weights.values())
+        self.mean, self.square = self.empty.new_zeros(size), self.empty.new_zeros(size)
+        self.sides = [
+            [_Side.new(k, n, self.mean) if _has_basis(n) else None for n in sides]
+            for k, *sides in self.shapes
+        ]
 
     @torch.no_grad()
     def step(self, rate: float) -> None:
         self.rest.step(rate)
-        gradient = self.flat.gradient()
-        if self.steps:
-            self._descend(gradient, rate)
-        for G, (left, right) in zip(self.flat.split(gradient), self.bases, strict=True):
+        steps = int(self.steps)
+        gradient = self._joined(
+            torch.zeros_like(w) if w.grad is None else w.grad for w in self.weights.values()
+        )
+        if steps:
+            self._descend(gradient, rate, steps)
+        for G, (left, right) in zip(self._split(gradient), self.sides, strict=True):
             if left:
                 left.follow(G, self.BETAS[1])
             if right:
                 right.follow(G.mT, self.BETAS[1])
-        if self.steps == 0:
-            for side in self.sides.values():
-                side.find()
-        elif self.steps % self.RENEW_EVERY == 0:
+        if steps % self.RENEW_EVERY == 0:
             mean = self._turned(self.mean, back=True)
-            for side in self.sides.values():
-                side.renew()
+            for side in (side for both in self.sides for side in both if side):
+                side.renew() if steps else side.find()
             self.mean = self._turned(mean)
         self.steps += 1
 
-    def _descend(self, gradient: Tensor, rate: float) -> None:
+    def _descend(self, gradient: Tensor, rate: float, steps: int) -> None:
         """Adam's step in the bases."""
         turned, (keep, keep_square) = self._turned(gradient), self.BETAS
         self.mean.lerp_(turned, 1.0 - keep)
         self.square.mul_(keep_square).addcmul_(turned, turned, value=1.0 - keep_square)
-        root = math.sqrt(1.0 - keep_square**self.steps)
+        root = math.sqrt(1.0 - keep_square**steps)
         direction = self.mean / self.square.sqrt().add_(EPSILON * root)
-        factor = root / (1.0 - keep**self.steps)
-        self.flat.descend(self._turned(direction, back=True), factor * rate)
+        factor = root / (1.0 - keep**steps)
+        weights = self.weights.values()
+        pieces = self._turned(direction, back=True).split([w.numel() for w in weights])
+        for weight, piece in zip(weights, pieces, strict=True):
+            weight.add_(piece.view(weight.shape), alpha=-(factor * rate))
+
+    def _joined(self, pieces: Iterable[Tensor]) -> Tensor:
+        """Return a new flat vector."""
+        return torch.cat([self.empty, *(piece.flatten() for piece in pieces)])
+
+    def _split(self, flat: Tensor) -> list[Tensor]:
+        """Views (k, m, n) of the stacks in a flat vector."""
+        pieces = flat.split([math.prod(shape) for shape in self.shapes])
+        return [piece.view(shape) for piece, shape in zip(pieces, self.shapes, strict=True)]
 
     def _turned(self, flat: Tensor, back: bool = False) -> Tensor:
         """Q_L^T X Q_R of every matrix X, or `back`, Q_L X Q_R^T."""
         pieces = []
-        for matrices, (left, right) in zip(self.flat.split(flat), self.bases, strict=True):
+        for matrices, (left, right) in zip(self._split(flat), self.sides, strict=True):
             x = matrices
             if left:
                 x = torch.bmm(left.basis if back else left.basis.mT, x)
             if right:
                 x = torch.bmm(x, right.basis.mT if back else right.basis)
             pieces.append(x)
-        return self.flat.joined(pieces)
+        return self._joined(pieces)
 
     def state(self) -> dict[str, Any]:
-        """By the names of the parameters; `left` and `right` are the sides of out and of in."""
-        grams: dict[str, Tensor] = {}
-        bases: dict[str, Tensor] = {}
-        for stack, sides in zip(self.flat.stacks, self.bases, strict=True):
-            for which, side in zip(("left", "right"), sides, strict=True):
-                if side:
-                    names = [f"{name}.{which}" for name in stack.counts]
-                    counts = list(stack.counts.values())
-                    grams |= zip(names, side.gram.split(counts), strict=True)
-                    bases |= zip(names, side.basis.split(counts), strict=True)
+        """As it lies in memory, sides by the number of their stack; Adam's by names."""
+        sides = {
+            f"{i}.{which}": side
+            for i, both in enumerate(self.sides)
+            for which, side in zip(("left", "right"), both, strict=True)
+            if side
+        }
         return {
-            "step": torch.tensor(self.steps),
-            "mean": self.flat.named(self.mean),
-            "square": self.flat.named(self.square),
-            "gram": grams,
-            "basis": bases,
+            "step": self.steps,
+            "mean": self.mean,
+            "square": self.square,
+            "gram": {name: side.gram for name, side in sides.items()},
+            "basis": {name: side.basis for name, side in sides.items()},
             "rest": self.rest.state(),
         }
 
     def load(self, state: dict[str, Any]) -> None:
-        self.steps = int(state["step"])
-        _fill(self.state(), state, but=("rest",))
-        self.rest.load(state["rest"])
+        _fill(self.state(), state)
 
 
 def _has_basis(side: int) -> bool:
@@ -231,7 +221,7 @@ def _has_basis(side: int) -> bool:
 
 @dataclass(frozen=True)
 class _Side:
-    """Some sides of one length.
+    """The sides of one stack, of one length.
 
     Attributes:
         gram, basis: (count, n, n) Gram matrices and their eigenbases; an eigenvector is a column.
@@ -245,10 +235,6 @@ class _Side:
         """Nothing is known yet."""
         basis = like.new_empty(count, n, n)
         return _Side(like.new_zeros(count, n, n), basis.copy_(torch.eye(n, device="cpu")))
-
-    def of(self, some: slice) -> _Side:
-        """Views of some."""
-        return _Side(self.gram[some], self.basis[some])
 
     def follow(self, G: Tensor, keep: float) -> None:
         """Let the Gram matrices follow gradients (count, n, any)."""
@@ -264,88 +250,10 @@ class _Side:
         self.basis.copy_(torch.linalg.qr(torch.bmm(self.gram, self.basis)).Q)
 
 
-@dataclass(frozen=True)
-class _Stack:
-    """Matrices of one shape.
-
-    Attributes:
-        counts: how many are of each parameter.
-        shape: (k, m, n) of all together.
-    """
-
-    counts: dict[str, int]
-    shape: tuple[int, int, int]
-
-
-class _Flat:
-    """Weights of a network in one flat vector, stack by stack.
-
-    Attributes:
-        weights: in that order.
-    """
-
-    def __init__(self, named: Named, like: Tensor) -> None:
-        by_shape: dict[tuple[int, int], Named] = {}
-        for name, weight in named.items():
-            m, n = weight.shape[-2:]
-            by_shape.setdefault((m, n), {})[name] = weight
-        self.stacks: list[_Stack] = []
-        for (m, n), own in by_shape.items():
-            counts = {name: weight.numel() // (m * n) for name, weight in own.items()}
-            self.stacks.append(_Stack(counts, (sum(counts.values()), m, n)))
-        self.weights = {n: w for own in by_shape.values() for n, w in own.items()}
-        self._empty = like.new_empty(0)
-        self._sizes = [weight.numel() for weight in self.weights.values()]
-
-    def zeros(self) -> Tensor:
-        """Return a number for each."""
-        return self._empty.new_zeros(sum(self._sizes))
-
-    def gradient(self) -> Tensor:
-        """That of all weights, 0 for those that have none."""
-        each = self.weights.values()
-        return self.joined([torch.zeros_like(w) if w.grad is None else w.grad for w in each])
-
-    def joined(self, pieces: list[Tensor]) -> Tensor:
-        """Return a new flat vector."""
-        return torch.cat([self._empty, *(piece.flatten() for piece in pieces)])
-
-    def split(self, flat: Tensor) -> list[Tensor]:
-        """Views (k, m, n) of the stacks in a flat vector."""
-        shapes = [stack.shape for stack in self.stacks]
-        pieces = flat.split([math.prod(shape) for shape in shapes])
-        return [piece.view(shape) for piece, shape in zip(pieces, shapes, strict=True)]
-
-    def named(self, flat: Tensor) -> dict[str, Tensor]:
-        """Views of the weights' own in a flat vector."""
-        pieces = zip(self.weights.items(), flat.split(self._sizes), strict=True)
-        return {name: piece.view(weight.shape) for (name, weight), piece in pieces}
-
-    def descend(self, direction: Tensor, rate: float) -> None:
-        """Move the weights against a direction."""
-        for weight, piece in zip(
-            self.weights.values(), self.named(direction).values(), strict=True
-        ):
-            weight.add_(piece, alpha=-rate)
-
-
-def _sorted_out(named: Named, wanted: Callable[[int, int], bool]) -> tuple[_Flat, Named]:
-    """Return the weights whose sides are `wanted`, and all the rest."""
-
-    def is_wanted(name: str, parameter: nn.Parameter) -> bool:
-        is_weight = name.rpartition(".")[2] == "weight" and parameter.ndim > 1
-        return is_weight and wanted(*parameter.shape[-2:])
-
-    chosen = {name: p for name, p in named.items() if is_wanted(name, p)}
-    rest = {name: p for name, p in named.items() if name not in chosen}
-    return _Flat(chosen, next(iter(named.values()))), rest
-
-
-def _fill(into: dict[str, Any], state: dict[str, Any], but: tuple[str, ...] = ()) -> None:
+def _fill(into: dict[str, Any], state: dict[str, Any]) -> None:
     """Give the tensors in nested dicts the values of another's."""
     for key, value in into.items():
         if isinstance(value, dict):
-            if key not in but:
-                _fill(value, state[key])
+            _fill(value, state[key])
         else:
             value.copy_(state[key])

@@ -45,7 +45,7 @@ from articugen.learning.tensors import (
 )
 from articugen.store.provenance import this_commit, this_machine
 
-FORMAT = "articugen checkpoint 4"
+FORMAT = "articugen checkpoint 5"
 LATEST, BEST, METRICS = "latest.safetensors", "best.safetensors", "metrics.jsonl"
 MOST_BYTES = 1 << 28
 """That a recipe, run.json or metrics may have."""
