@@ -10,7 +10,7 @@ import trimesh
 
 from articugen.core.errors import CorruptShard, InvalidSource
 from articugen.core.records import dequantize
-from articugen.learning.clouds import cloud_of_shard
+from articugen.learning.predict import cloud_of_shard
 from articugen.meshes.points import LONGEST_EDGE, MOST_BYTES, cloud_of_file
 from articugen.store.shards import open_shard
 

@@ -10,7 +10,6 @@ from instances import hinged_box
 
 from articugen.core.errors import InvalidCheckpoint, InvalidRecipe, UnfitData
 from articugen.core.records import dequantize
-from articugen.learning.clouds import seen_by_a_camera
 from articugen.learning.commands import train as trained
 from articugen.learning.data.batch import BatchSpec
 from articugen.learning.data.split import load_split, unpacked
@@ -18,6 +17,7 @@ from articugen.learning.loop import Training, train
 from articugen.learning.method import load_recipe
 from articugen.learning.ppd.depth import latents
 from articugen.learning.ppd.settings import LossSettings, PPDRecipe, PPDSchedule, PPDStage
+from articugen.learning.predict import seen_by_a_camera
 from articugen.learning.recipe import DataSettings
 from articugen.learning.run_folder import LATEST, RunFolder, read_checkpoint
 

@@ -9,7 +9,7 @@ pytest.importorskip("tensorboard", reason="an extra")
 
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from articugen.learning import tensorboard
+from articugen.learning import run_folder
 from articugen.learning.run_folder import METRICS, RunFolder
 
 
@@ -49,7 +49,7 @@ def test_tensorboard_shows_the_json_lines(tmp_path, monkeypatch):
 
 
 def test_without_it_the_json_lines_are_all(tmp_path, monkeypatch):
-    monkeypatch.setattr(tensorboard, "find_spec", lambda _: None)
+    monkeypatch.setattr(run_folder, "find_spec", lambda _: None)
     run = RunFolder(tmp_path)
     with run.metrics_from(0) as log:
         log(records(1, 1)[0])

@@ -4,10 +4,11 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from articugen.core.errors import ArticugenError, InvalidCheckpoint, MissingExtra
+from articugen.core.errors import ArticugenError, InvalidCheckpoint, MissingExtra, installing
 
 try:
     import safetensors  # noqa: F401 - what checkpoints are written with
@@ -20,8 +21,7 @@ from articugen.core.files import write_atomically
 from articugen.core.records import JointKind, dequantize
 from articugen.core.schema import Instance
 from articugen.core.yaml_files import with_settings
-from articugen.learning import loop, tensorboard
-from articugen.learning.clouds import cloud_of_shard, seen_by_a_camera
+from articugen.learning import loop
 from articugen.learning.data.fitness import lying_otherwise
 from articugen.learning.evaluation.evaluate import Protocol, Reconstruct, check_splits
 from articugen.learning.evaluation.evaluate import evaluate as evaluate_as_paper
@@ -31,7 +31,7 @@ from articugen.learning.evaluation.report import tables as written
 from articugen.learning.evaluation.results import EvaluatedRun, RunEvaluation, read_evaluation
 from articugen.learning.loop import Tell
 from articugen.learning.method import Yardstick, find_method, load_recipe
-from articugen.learning.predict import write_rig
+from articugen.learning.predict import cloud_of_shard, seen_by_a_camera, write_rig
 from articugen.learning.race import race
 from articugen.learning.recipe import TrainRecipe
 from articugen.learning.run_folder import LATEST, RunFolder, read_checkpoint
@@ -372,7 +372,12 @@ def hints(data: FolderLike | Sequence[FolderLike]) -> list[str]:
                 "category is learnt in a frame that its objects share, so turn those that lie "
                 "turned by mistake"
             )
-    return found if tensorboard.is_installed() else [*found, tensorboard.MISSING]
+    if not find_spec("tensorboard"):
+        found.append(
+            "tensorboard is not installed, so metrics go to metrics.jsonl alone; for both: "
+            + installing("tensorboard")
+        )
+    return found
 
 
 def _folders(data: FolderLike | Sequence[FolderLike]) -> tuple[Path, ...]:

@@ -8,7 +8,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +22,10 @@ from articugen.core.memory import given_back
 from articugen.core.seeding import generator as seeded
 from articugen.learning.data.split import Folders, PackedSplit, folders_of, load_split
 from articugen.learning.method import Learner, find_method
-from articugen.learning.recipe import Schedule, TrainRecipe
+from articugen.learning.recipe import TrainRecipe
 from articugen.learning.run_folder import (
     BEST,
     LATEST,
-    META,
     Checkpoint,
     RunFolder,
     read_checkpoint,
@@ -93,15 +92,6 @@ class Training:
             count = self.recipe.data.validation_objects
             kept, held_out = split_objects(everything.object_id, count)
             return everything.of(kept).to(where), everything.of(held_out).to(where)
-
-    def look(self) -> Callable[[Path, Callable[[str], None]], None]:
-        """Raise UnfitData where `train` would, before a run's folder is made.
-
-        Returns:
-            `Learner.begin` on the training instances, for all seeds of a race at once.
-        """
-        learner = find_method(self.recipe.method).start(self.recipe, seed=0, device=META)
-        return partial(learner.begin, self.split(learner, "cpu")[0])
 
     def new_run(self) -> RunFolder:
         """Return a new run's folder, which says what it is trained on."""
@@ -180,71 +170,40 @@ class Course:
 
     def keep(self, name: str) -> None:
         """Write a checkpoint of where it stands."""
-        self.run.keep(
-            Checkpoint.of(self.learner, self.category, self.seed, self.iteration, self.best), name
-        )
-
-    def rows(self, iteration: int) -> list[int]:
-        """Return the instances of an iteration's batch."""
-        plan = self.learner.settings.schedule
-        return batch_rows(iteration, plan.batch, len(self.training), self.seed, self._method)
-
-    def seed_at(self, iteration: int) -> int:
-        """Of everything that an iteration draws."""
-        return draw(self.seed, self._method, "batch", iteration)
+        state, where = self.learner.state(), (self.category, self.seed, self.iteration, self.best)
+        self.run.keep(Checkpoint(self.learner.settings, *where, state), name)
 
     def note(
-        self, iteration: int, terms: dict[str, float] | None, due: "Due", log: Log
-    ) -> dict[str, float] | None:
+        self, terms: Mapping[str, Tensor], log: Log, *, stops: bool
+    ) -> tuple[dict[str, float] | None, dict[str, float] | None]:
         """Note that an iteration is done: what is due is logged, validated, kept.
 
         Returns:
-            What the objects that are held out say, if they were asked.
+            The terms as numbers and what the objects held out say, where they were due.
         """
-        plan = self.learner.settings.schedule
-        self.iteration = iteration + 1
-        if terms:
+        plan, done = self.learner.settings.schedule, self.iteration
+        last = done == plan.iterations
+        logs = last or done % plan.log_every == 0
+        validates = len(self.held_out) > 0 and (last or done % plan.validate_every == 0)
+        saves = last or stops or done % plan.save_every == 0
+        if logs or validates or saves:
+            self.learner.check()
+        values = checked = None
+        if logs:  # read from the device at once
+            numbers = torch.stack([value.detach() for value in terms.values()]).tolist()
+            values = dict(zip(terms, numbers, strict=True))
+            about = {"terms": values, "learning_rate": plan.rate_at(done - 1)}
             seconds = round(self.clock() - self.begun, 2)
-            about = {"terms": terms, "learning_rate": plan.rate_at(iteration)}
-            stage = plan.index_at(iteration)
-            log({"iteration": self.iteration, "stage": stage, **about, "seconds": seconds})
-        checked, saves = None, due.saves
-        if due.validates:
+            log({"iteration": done, "stage": plan.index_at(done - 1), **about, "seconds": seconds})
+        if validates:
             checked = self.learner.validate(self.held_out)
-            log({"iteration": self.iteration, "validation": checked})
-        if checked and (loss := next(iter(checked.values()))) < self.best:
-            self.best = loss
-            self.keep(BEST)
-            saves = True
+            log({"iteration": done, "validation": checked})
+            if (loss := next(iter(checked.values()))) < self.best:
+                self.best, saves = loss, True
+                self.keep(BEST)
         if saves:
             self.keep(LATEST)
-        return checked
-
-    @property
-    def _method(self) -> str:
-        return self.learner.settings.method
-
-
-@dataclass(frozen=True)
-class Due:
-    """What has to be done after an iteration."""
-
-    logs: bool
-    validates: bool
-    saves: bool
-
-    @staticmethod
-    def after(iteration: int, plan: Schedule, stop_after: int | None, held_out: int) -> "Due":
-        """As a schedule says; `held_out` is how many instances there are to validate on."""
-        done, last = iteration + 1, iteration + 1 == plan.iterations
-        return Due(
-            logs=done % plan.log_every == 0 or last,
-            validates=held_out > 0 and (done % plan.validate_every == 0 or last),
-            saves=done % plan.save_every == 0 or last or done == stop_after,
-        )
-
-    def __bool__(self) -> bool:
-        return self.logs or self.validates or self.saves
+        return values, checked
 
 
 def train(
@@ -271,6 +230,7 @@ def train(
 def follow(course: Course, stop_after: int | None, on_progress: Tell) -> RunFolder:
     """Return the loop: from where the course stands to its schedule's end, or to `stop_after`."""
     learner, plan = course.learner, course.learner.settings.schedule
+    method, end = learner.settings.method, min(plan.iterations, stop_after or plan.iterations)
     with given_back(SHARDS):
         learner.begin(
             course.training,
@@ -280,21 +240,17 @@ def follow(course: Course, stop_after: int | None, on_progress: Tell) -> RunFold
         training = course.training = course.training.for_batches()
     with course.run.metrics_from(course.iteration) as log:
         course.begun = course.clock() - course.run.seconds()
-        for iteration in range(
-            course.iteration, min(plan.iterations, stop_after or plan.iterations)
-        ):
+        for iteration in range(course.iteration, end):
             rng = torch.Generator(training.surface.device)
-            rng.manual_seed(course.seed_at(iteration))
+            rng.manual_seed(draw(course.seed, method, "batch", iteration))
             resolution = plan.stages[plan.index_at(iteration)].resolution
-            batch = training.batch(course.rows(iteration), learner.inputs, resolution, rng)
+            rows = batch_rows(iteration, plan.batch, len(training), course.seed, method)
+            batch = training.batch(rows, learner.inputs, resolution, rng)
             terms = learner.learn(batch, rng, iteration=iteration)
 
-            due = Due.after(iteration, plan, stop_after, len(course.held_out))
-            if due:
-                learner.check()
-            values = _values(terms) if due.logs else None
-            checked = course.note(iteration, values, due, log)
-            on_progress(Progress(course.iteration, plan.iterations, values, checked))
+            course.iteration = iteration + 1
+            noted = course.note(terms, log, stops=course.iteration == stop_after)
+            on_progress(Progress(course.iteration, plan.iterations, *noted))
     return course.run
 
 
@@ -320,12 +276,6 @@ def split_objects(object_ids: Iterable[str], held_out: int) -> tuple[list[str], 
     chosen = seeded(0, "validation").permutation(len(objects))[:count]
     out = {objects[i] for i in chosen}
     return [o for o in objects if o not in out], sorted(out)
-
-
-def _values(terms: Mapping[str, Tensor]) -> dict[str, float]:
-    """As numbers, read from the device at once."""
-    values = torch.stack([value.detach() for value in terms.values()])
-    return dict(zip(terms, values.tolist(), strict=True))
 
 
 def draw(seed: int, *path: str | int) -> int:

@@ -1,4 +1,5 @@
-"""A rigged model from one cloud: a mesh a part, and a URDF whose joints are the predicted ones."""
+"""Predictions: clouds out of the shards of a data set, and the rigged model that is made of one, a
+mesh a part and a URDF whose joints are the predicted ones."""
 
 import math
 from pathlib import Path
@@ -6,12 +7,57 @@ from pathlib import Path
 import numpy as np
 
 from articugen.core.colours import colour_of
-from articugen.core.errors import ArticugenError
+from articugen.core.errors import ArticugenError, InvalidSource, UnfitData
 from articugen.core.files import write_atomically
-from articugen.core.records import Floats, JointKind, Normalization
+from articugen.core.records import Floats, JointKind, Normalization, dequantize
+from articugen.core.schema import Instance
+from articugen.core.seeding import generator
 from articugen.learning.evaluation.reconstruction import PartJoints, Reconstruction
 from articugen.meshes.model_text import Joint, Visual, obj_text, urdf_text
-from articugen.meshes.points import UNIT
+from articugen.meshes.points import UNIT, Cloud, checked
+from articugen.store.shards import open_shard
+
+
+def cloud_of_shard(
+    path: Path, row: int = 0, *, category: str | None = None, camera: int | None = None
+) -> Cloud:
+    """Return the surface points of a shard's instance.
+
+    Args:
+        category: what the shard must be of.
+        camera: what this depth camera sees instead.
+
+    Raises:
+        CorruptShard: it cannot be read.
+        InvalidSource: it is of another category, or has no such row or camera.
+    """
+    with open_shard(path) as shard:
+        have = shard.attributes["category"]
+        if category is not None and have != category:
+            raise InvalidSource(f"{path}: holds {have}, the model is of {category}")
+        if row >= len(shard):
+            raise InvalidSource(f"{path}: has {len(shard)} instances, from 0; there is no {row}")
+        cameras = shard.fields["partial_points"][1]
+        if camera is not None and camera >= cameras:
+            raise InvalidSource(f"{path}: has {cameras} cameras, from 0; there is no {camera}")
+        name, at = ("surface_points", ...) if camera is None else ("partial_points", camera)
+        return Cloud(checked(dequantize(shard.read(name, row)[at]), str(path)))
+
+
+def seen_by_a_camera(instance: Instance) -> Floats:
+    """Return (M, 3) what one of the instance's depth cameras sees, always the same one.
+
+    Raises:
+        UnfitData: it has none.
+    """
+    cameras = len(instance.partial_points)
+    if not cameras:
+        raise UnfitData(
+            f"{instance.object_id}: has no partial clouds; set sampling.partial_views and make the "
+            "data set again"
+        )
+    chosen = generator(0, "camera", instance.object_id, instance.state_index).integers(cameras)
+    return dequantize(instance.partial_points[chosen])
 
 
 def write_rig(
@@ -48,8 +94,12 @@ def write_rig(
             origin = frame.to_world(found.joints.pivot[i])
         links[link] = []
         if len(triangles):
-            write_atomically(folder / f"{link}.obj", _obj(triangles - origin).encode())
-            links[link] = [Visual(f"{link}.obj", rgba=_rgba(colour_of(i)))]
+            corners = (triangles - origin).reshape(-1, 3)
+            vertices, faces = np.unique(corners, axis=0, return_inverse=True)
+            text = obj_text([(vertices, faces.reshape(-1, 3))])
+            write_atomically(folder / f"{link}.obj", text.encode())
+            red, green, blue = (int(colour_of(i)[k : k + 2], 16) / 255.0 for k in (1, 3, 5))
+            links[link] = [Visual(f"{link}.obj", rgba=(red, green, blue, 1.0))]
         if found.joints and kind != JointKind.FIXED:
             joints.append(_moving(found.joints, i, origin, frame.scale))
         elif i:
@@ -73,13 +123,3 @@ def _moving(joints: PartJoints, i: int, origin: Floats, unit: float) -> Joint:
         lower=-state,
         upper=most - state,
     )
-
-
-def _rgba(colour: str) -> tuple[float, float, float, float]:
-    red, green, blue = (int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
-    return red, green, blue, 1.0
-
-
-def _obj(triangles: Floats) -> str:
-    vertices, faces = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
-    return obj_text([(vertices, faces.reshape(-1, 3))])

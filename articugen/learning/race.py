@@ -30,7 +30,8 @@ from articugen.learning.loop import (
     shared_folder,
     train,
 )
-from articugen.learning.run_folder import BEST, LATEST, METRICS, RunFolder, read_checkpoint
+from articugen.learning.method import find_method
+from articugen.learning.run_folder import BEST, LATEST, META, METRICS, RunFolder, read_checkpoint
 
 RACE = "race.json"
 
@@ -49,8 +50,11 @@ class Heat:
 
     def run(self) -> dict[str, float] | None:
         """Train from where the seed stands to `stop`; return the validation there."""
-        if not self.is_done():
-            resume = self.path if self.is_started() else None
+        is_started = (self.path / LATEST).is_file()
+        if not is_started:  # without a checkpoint there is nothing to resume
+            shutil.rmtree(self.path, ignore_errors=True)
+        if not is_started or read_checkpoint(self.path / LATEST).iteration < self.stop:
+            resume = self.path if is_started else None
             try:
                 train(
                     replace(self.what, name=str(self.what.seed), resume=resume),
@@ -59,22 +63,6 @@ class Heat:
                 )
             except TrainingDiverged:
                 return None
-        return self.reached()
-
-    def is_done(self) -> bool:
-        """Return whether the seed stands at `stop`, or beyond."""
-        if not self.is_started():
-            return False
-        return read_checkpoint(self.path / LATEST).iteration >= self.stop
-
-    def is_started(self) -> bool:
-        """Return whether there is a checkpoint to resume; without one, remove what is there."""
-        if not (self.path / LATEST).is_file():
-            shutil.rmtree(self.path, ignore_errors=True)
-        return (self.path / LATEST).is_file()
-
-    def reached(self) -> dict[str, float]:
-        """Return the validation at `stop`."""
         there = [r for r in RunFolder(self.path).metrics() if r["iteration"] == self.stop]
         found = [r["validation"] for r in there if r.get("validation")]
         if not found:
@@ -108,14 +96,22 @@ def race(
         ArticugenError: another process races there.
         Others as `train`.
     """
-    recipe, begin = what.recipe, what.look()
+    recipe = what.recipe
+    # Shapes alone: joints are looked for once for all seeds, and data that do not fit are refused
+    # before there is a folder.
+    learner = find_method(recipe.method).start(recipe, seed=0, device=META)
+    training = what.split(learner, "cpu")[0]
     run = what.resumed(what.resume)[0] if what.resume else what.new_run()
     total = recipe.schedule.iterations
     alone = replace(what, runs=run.path / SEEDS)
     with run.locked():
         with given_back(SHARDS):
-            begin(shared_folder(run), lambda said: on_progress(Progress(0, total, said=said)))
-        del begin  # it holds all instances
+            learner.begin(
+                training,
+                shared_folder(run),
+                lambda said: on_progress(Progress(0, total, said=said)),
+            )
+        del learner, training  # all instances
         with _crew(jobs, on_progress) as crew:
             racing = list(range(what.seed, what.seed + recipe.seeds.count))
             rounds: list[dict[str, Any]] = []

@@ -14,6 +14,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar
 
@@ -33,12 +34,10 @@ from articugen.core.files import (
     write_atomically,
 )
 from articugen.core.yaml_files import resolved
-from articugen.learning import tensorboard
 from articugen.learning.method import Learner, find_method, parse_recipe
 from articugen.learning.recipe import TrainRecipe
 from articugen.learning.tensors import (
     CURE,
-    check_is_of_this_version,
     check_like,
     read_tensors,
     write_tensors,
@@ -50,6 +49,9 @@ LATEST, BEST, METRICS = "latest.safetensors", "best.safetensors", "metrics.jsonl
 MOST_BYTES = 1 << 28
 """That a recipe, run.json or metrics may have."""
 
+GROUPS = ("validation", "terms")
+"""Of the numbers in a line of the metrics."""
+
 CPU, META = torch.device("cpu"), torch.device("meta")
 
 
@@ -60,15 +62,12 @@ class _Told(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
 
-class _Folder(_Told):
-    folder: str
-    content_sha256: Sha256
-
-
-class _Data(_Folder):
+class _Data(_Told):
     """What it is trained on; `also`: further data sets."""
 
-    also: list[_Folder] = []
+    folder: str
+    content_sha256: Sha256
+    also: list["_Data"] = []
 
 
 class _About(_Told):
@@ -116,12 +115,6 @@ class Checkpoint:
     best: float
     state: dict[str, Any]
 
-    @staticmethod
-    def of(learner: Learner, category: str, seed: int, iteration: int, best: float) -> "Checkpoint":
-        """Return where a learner stands."""
-        recipe, state = learner.settings, learner.state()
-        return Checkpoint(recipe, category, seed, iteration, best, state)
-
     def write(self, path: Path) -> None:
         """Write it in one step."""
         write_tensors(path, {**vars(self), "recipe": self.recipe.plain()}, FORMAT)
@@ -154,14 +147,6 @@ def read_checkpoint(path: Path) -> Checkpoint:
     Raises:
         InvalidCheckpoint: there is none, it is damaged, or not one of ours.
     """
-    point = _read_checkpoint(path)
-    learner = find_method(point.recipe.method).start(point.recipe, seed=0, device=META)
-    check_like(point.state, learner.state(), path)  # shapes alone: whatever it says costs nothing
-    return point
-
-
-def _read_checkpoint(path: Path) -> Checkpoint:
-    """Return a checkpoint whose state nobody has looked at yet."""
     data = read_tensors(path, FORMAT)
     recipe = data.pop("recipe", None)
     try:
@@ -174,6 +159,8 @@ def _read_checkpoint(path: Path) -> Checkpoint:
     kinds = [type(x) for x in (point.category, point.seed, point.iteration, point.best)]
     if not (kinds == [str, int, int, float] and 0 <= point.iteration <= recipe.schedule.iterations):
         raise InvalidCheckpoint(f"{path}: a checkpoint that makes no sense; {CURE}")
+    learner = find_method(recipe.method).start(recipe, seed=0, device=META)
+    check_like(point.state, learner.state(), path)  # shapes alone: whatever it says costs nothing
     return point
 
 
@@ -234,10 +221,11 @@ class RunFolder:
         """
         if not (path / "run.json").is_file() and not (path / LATEST).is_file():
             raise InvalidCheckpoint(f"{path}: has no {LATEST} to go on from; start a new run")
-        check_is_of_this_version(path / LATEST)
-        run = RunFolder(path)
+        run, ours = RunFolder(path), ("recipe.yaml", "run.json", "race.json", METRICS, LATEST, BEST)
         with run.locked():
-            run.remove_temporary()
+            for left in path.glob(".*.partial"):  # by a process that was killed while it wrote
+                if whole_name(left.name) in ours:
+                    left.unlink(missing_ok=True)
         return run
 
     @contextmanager
@@ -247,21 +235,12 @@ class RunFolder:
         Raises:
             ArticugenError: one is at work.
         """
-        try:
+        with _machine_s_faults(self.path):
             handle = lock_folder(self.path)
-        except OSError as error:
-            raise MachineFault(cannot_write(self.path, error)) from None
         try:
             yield
         finally:
             os.close(handle)
-
-    def remove_temporary(self) -> None:
-        """Remove what a process that was killed while it wrote has left."""
-        ours = ("recipe.yaml", "run.json", "race.json", METRICS, LATEST, BEST)
-        for path in self.path.glob(".*.partial"):
-            if whole_name(path.name) in ours:
-                path.unlink(missing_ok=True)
 
     def recipe(self) -> TrainRecipe:
         """Return the recipe that the run was started with.
@@ -305,27 +284,26 @@ class RunFolder:
             MachineFault: the disk is full, or the like.
         """
         path = self.path / METRICS
-        try:
-            with path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(record) + "\n")
-        except OSError as error:
-            raise MachineFault(cannot_write(path, error)) from None
+        with _machine_s_faults(path), path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(record) + "\n")
 
     @contextmanager
     def metrics_from(self, iteration: int) -> Iterator[Callable[[dict[str, Any]], None]]:
-        """What appends a line to the metrics and tells TensorBoard of it; what there is of later
-        iterations is dropped first, since they will be done again.
+        """What appends a line to the metrics, and its numbers to what TensorBoard reads, where that
+        is installed. What there is of later iterations is dropped first: they are done again.
 
         Raises:
             ArticugenError: another process trains here.
             MachineFault: the disk is full, or the like.
         """
-        with self.locked(), tensorboard.board(self.path, iteration) as tell:
-            self.forget_after(iteration)
+        with self.locked(), _board(self.path, iteration) as add_scalars:
+            kept = [r for r in self.metrics() if r["iteration"] <= iteration]
+            text = "".join(json.dumps(record) + "\n" for record in kept)
+            write_atomically(self.path / METRICS, text.encode())
 
             def log(record: dict[str, Any]) -> None:
                 self.log(record)
-                tell(record)
+                add_scalars(record)
 
             yield log
 
@@ -356,11 +334,41 @@ class RunFolder:
             return sum(RunFolder(path).seconds() for path in raced)
         return max((line.get("seconds", 0.0) for line in self.metrics()), default=0.0)
 
-    def forget_after(self, iteration: int) -> None:
-        """Drop metrics of later iterations."""
-        kept = [r for r in self.metrics() if r["iteration"] <= iteration]
-        text = "".join(json.dumps(record) + "\n" for record in kept)
-        write_atomically(self.path / METRICS, text.encode())
+
+@contextmanager
+def _machine_s_faults(path: Path) -> Iterator[None]:
+    """Raise MachineFault where `path` cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        raise MachineFault(cannot_write(path, error)) from None
+
+
+@contextmanager
+def _board(folder: Path, after: int) -> Iterator[Callable[[dict[str, Any]], None]]:
+    """What appends the numbers of a record for TensorBoard, by the names they have there; what was
+    written of iterations later than `after` is dropped."""
+    if not find_spec("tensorboard"):
+        yield lambda _: None
+        return
+    from torch.utils.tensorboard import SummaryWriter  # noqa: PLC0415 - takes a second
+
+    with _machine_s_faults(folder):
+        writer = SummaryWriter(str(folder), purge_step=after + 1)
+
+    def add(record: dict[str, Any]) -> None:
+        numbers = {f"{g}/{n}": x for g in GROUPS for n, x in record.get(g, {}).items()}
+        numbers |= {n: record[n] for n in ("learning_rate",) if n in record}
+        with _machine_s_faults(folder):
+            for name, value in numbers.items():
+                writer.add_scalar(name, value, record["iteration"])
+            writer.flush()  # a process that is killed leaves no gap in the curve
+
+    try:
+        yield add
+    finally:
+        with suppress(OSError):  # where the disk is full the JSON lines are what says so
+            writer.close()
 
 
 def _next_number(runs: Path) -> Path:

@@ -114,25 +114,12 @@ def _put(data: dict[str, Any], keys: list[str], tensor: Tensor) -> None:
     data[last] = tensor
 
 
-def check_is_of_this_version(path: Path) -> None:
-    """Check that a checkpoint, if there is one, is no file of an earlier version.
-
-    Raises:
-        InvalidCheckpoint: it is.
-    """
-    if not path.is_file() and path.with_suffix(".pt").is_file():
-        raise InvalidCheckpoint(
-            f"{path}: is not there, only a .pt of an earlier version; train again"
-        )
-
-
 def _unsealed(path: Path) -> bytes:
     try:
         image = read_regular(path, MOST_BYTES)
     except UnfitFile as error:
         raise InvalidCheckpoint(f"{path}: {error.strerror}; {CURE}") from None
     except OSError as error:
-        check_is_of_this_version(path)
         raise InvalidCheckpoint(f"{path}: cannot be read ({error.strerror}); {CURE}") from None
     try:
         is_whole = sealed(image) == image

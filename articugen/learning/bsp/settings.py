@@ -7,9 +7,6 @@ from pydantic import Field
 from articugen.core.yaml_files import Section
 from articugen.learning.recipe import Schedule, Stage, TrainRecipe
 
-Loss = Literal["continuous", "hard", "hard_overlap", "soft", "soft_overlap"]
-"""The losses of the authors' phases 0 to 4."""
-
 
 class ModelSettings(Section):
     """The network.
@@ -33,12 +30,11 @@ class BSPStage(Stage):
     """A stretch of training.
 
     Attributes:
-        loss: `continuous`, where planes and convexes are summed with weights; `hard`, where a plane
-            bounds a convex or does not; `soft`, where such weights are led to 0 and 1. `_overlap`
-            also keeps convexes from lying in each other.
+        loss: `continuous`, where planes and convexes are summed with weights; or `hard`, where a
+            plane bounds a convex or does not: the authors' phases 0 and 1.
     """
 
-    loss: Loss = "continuous"
+    loss: Literal["continuous", "hard"] = "continuous"
 
 
 class BSPSchedule(Schedule):

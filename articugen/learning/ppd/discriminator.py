@@ -43,9 +43,9 @@ class Discriminator(nn.Module):
         widths = ((4, 64), (64, 128), (128, 256), (256, 256), (256, 128), (128, 1))
         self.layers = nn.ModuleList(SpectralLinear(*width) for width in widths)
 
-    def forward(self, cloud: Tensor) -> Tensor:
+    def forward(self, cloud: Tensor, weights: list[Weight] | None = None) -> Tensor:
         """The scores; at most 256 points of a cloud decide its maximum, only those get a graph."""
-        weights = self.weights()
+        weights = weights or self.weights()
         if torch.is_grad_enabled():
             cloud = gather_points(cloud, self.decisive(cloud, weights))
         return self.score(cloud, weights)

@@ -28,14 +28,10 @@ def reconstruction(part_logits: Tensor, occupied: Tensor) -> Tensor:
     return POINTS_OF_THE_PAPER * binary_cross_entropy_with_logits(whole, occupied.to(whole.dtype))
 
 
-def relu_volume(part_logits: Tensor) -> Tensor:
-    """E_x[relu(max_i F_i(x))] of Eq. 3, over the batch and points (B, P, n) spread evenly."""
-    return part_logits.amax(1).relu().mean()
-
-
 def volume(moved: Tensor, still: Tensor) -> Tensor:
-    """Eq. 3: the square of the difference of two `relu_volume`s."""
-    return (moved - still).square()
+    """Eq. 3: the square of the difference of two E_x[relu(max_i F_i(x))], over the batch and points
+    (B, P, n) spread evenly."""
+    return (moved.amax(1).relu().mean() - still.amax(1).relu().mean()).square()
 
 
 def quantization(before: Tensor, code: Tensor) -> Tensor:
@@ -88,14 +84,10 @@ def location(pivots: Tensor, points: Tensor, occupied: Tensor, inside: Tensor) -
             S_ij where any other revolute part is; an empty one counts 0.
     """
     anywhere = occupied[:, None].expand_as(inside)
-    chosen = torch.stack([anywhere, inside, _others(inside)])
+    others = (inside.sum(1, keepdim=True) - inside.to(torch.int64)) > 0
+    chosen = torch.stack([anywhere, inside, others])
     to_any, to_own, to_other = nearest_distance(pivots, points, chosen)
     return (to_any + 0.5 * (to_own + to_other)).mean()
-
-
-def _others(inside: Tensor) -> Tensor:
-    """Return (B, R, n): inside any revolute part but this."""
-    return (inside.sum(1, keepdim=True) - inside.to(torch.int64)) > 0
 
 
 def release_location(pivots: Tensor, points: Tensor, occupied: Tensor, fields: Tensor) -> Tensor:
@@ -115,13 +107,12 @@ def release_location(pivots: Tensor, points: Tensor, occupied: Tensor, fields: T
     return nearest_distance(pivots, points, chosen).square().mean((-2, -1))
 
 
-def release_chain_squares(pivots: Tensor, points: Tensor, fields: Tensor) -> tuple[Tensor, Tensor]:
-    """Squared distances to the points that part i owns, and to those any other part owns.
+def release_chain(pivots: Tensor, points: Tensor, fields: Tensor) -> Tensor:
+    """Half the sum of the mean squared distances to the points that part i owns, and to those any
+    other part owns: where its field is the greatest of all and above 0.
 
-    A part owns a point where its field is the greatest of all and above 0.
-
-    Returns:
-        The squares (B, 2, R), and 1 where there is such a point, else 0.
+    A part's term is the mean over the samples in which there are points, the whole the mean over
+    parts.
     """
     R = pivots.shape[1]
     greatest, owner = fields.max(1)
@@ -129,16 +120,8 @@ def release_chain_squares(pivots: Tensor, points: Tensor, fields: Tensor) -> tup
     mine = owner[:, None] == torch.arange(1, 1 + R, device=owner.device)[:, None]
     both = torch.stack([solid & mine, solid & ~mine])
     squares = nearest_distance(pivots, points, both).square()
-    return squares.transpose(0, 1), both.any(-1).to(pivots.dtype).transpose(0, 1)
-
-
-def release_chain(squares: Tensor, there: Tensor) -> Tensor:
-    """Half the sum of both `release_chain_squares`.
-
-    A part's term is the mean over the samples in which there are points, the whole the mean over
-    parts.
-    """
-    return 0.5 * (squares.sum(0) / there.sum(0).clamp(min=1.0)).mean(1).sum()
+    there = both.any(-1).to(pivots.dtype)
+    return 0.5 * (squares.sum(1) / there.sum(1).clamp(min=1.0)).mean(1).sum()
 
 
 def state_variation(state: Tensor) -> Tensor:
@@ -177,11 +160,6 @@ def _std(state: Tensor) -> Tensor:
     return (state.var(0) + 1e-7).sqrt()
 
 
-def discriminator_score(fake: Tensor, real: Tensor) -> Tensor:
-    """Eq. 8, first term: E[D(fake)] - E[D(real)] from scores (B,)."""
-    return fake.mean() - real.mean()
-
-
 def gradient_penalty(
     score: Callable[[Tensor], Tensor], fake: Tensor, real: Tensor, mix: Tensor
 ) -> Tensor:
@@ -195,8 +173,3 @@ def gradient_penalty(
     between = torch.lerp(fake, real, mix[:, None, None]).detach().requires_grad_()
     (slope,) = torch.autograd.grad(score(between).sum(), between, create_graph=True)
     return (slope.flatten(1).norm(dim=1) - 1.0).square().mean()
-
-
-def generator_score(fake: Tensor) -> Tensor:
-    """Eq. 9: -E[D(fake)] from scores (B,)."""
-    return -fake.mean()

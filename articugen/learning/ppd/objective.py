@@ -5,6 +5,8 @@ Terms are weighted and named; a recipe's weight of 0 leaves a term out and costs
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -14,9 +16,12 @@ from articugen.learning.data.batch import Batch
 from articugen.learning.method import Terms
 from articugen.learning.ppd import losses
 from articugen.learning.ppd.discriminator import Discriminator
-from articugen.learning.ppd.network import PPD, Pose, Prediction
+from articugen.learning.ppd.network import PPD, Prediction
 from articugen.learning.ppd.settings import LossSettings
 from articugen.learning.ppd.shape import PartLogits, ShapeCode
+
+Unasked = dict[str, Callable[[], Tensor]]
+"""Terms without their weights, computed where one has a weight."""
 
 
 @dataclass(frozen=True)
@@ -65,16 +70,10 @@ def discriminator_terms(
     """L_adv_d (Eq. 8)."""
     fake = torch.cat([batch.points, posed.occupancy[..., None]], 2)
     real = torch.cat([batch.points, batch.occupied[..., None].to(fake.dtype)], 2)
-    weights = discriminator.weights()
-
-    def score(clouds: Tensor) -> Tensor:
-        return discriminator.score(
-            gather_points(clouds, discriminator.decisive(clouds, weights)), weights
-        )
-
+    score = partial(discriminator, weights=discriminator.weights())
     penalty = losses.gradient_penalty(score, fake, real, posed.mix)
     return {
-        "adv_d": weigh.adv_d * losses.discriminator_score(score(fake), score(real)),
+        "adv_d": weigh.adv_d * (score(fake).mean() - score(real).mean()),
         "gradient_penalty": weigh.gradient_penalty * penalty,
     }
 
@@ -91,25 +90,17 @@ def generator_terms(
     """Everything the model itself minimises; L_adv_g where there are random poses, and what a warm
     start asks of it and the fields (B, P, n) where there is an `aim`."""
     fields = model.fields(prediction.shape, model.motion(prediction.pose), batch.points)
-    pose, form = prediction.pose, FORMS[weigh.form](model, weigh)
-    terms: Terms = {}
-    if weigh.rec:
-        terms["rec"] = weigh.rec * losses.reconstruction(fields.product, batch.occupied)
-    if weigh.rec_common and model.settings.common_shape:
-        common = losses.reconstruction(fields.common, batch.occupied)
-        terms["rec_common"] = weigh.rec_common * common
-    if weigh.vol:
-        terms["vol"] = weigh.vol * form.volume(prediction.shape, fields, batch)
-    if weigh.vq:
-        terms["vq"] = weigh.vq * form.quantization(prediction)
-    if weigh.dev and model.settings.common_pose:
-        terms["dev"] = weigh.dev * form.deviation(pose)
-    if weigh.loc:
-        terms["loc"] = weigh.loc * form.location(pose, fields.product.detach(), batch)
-    if weigh.var_state:
-        terms["var_state"] = weigh.var_state * form.state_variation(pose)
-    if weigh.var_pivot:
-        terms["var_pivot"] = weigh.var_pivot * form.pivot_variation(pose)
+    there = {
+        "rec": lambda: losses.reconstruction(fields.product, batch.occupied),
+        "rec_common": lambda: losses.reconstruction(fields.common, batch.occupied),
+        **FORMS[weigh.form](model, prediction, fields, batch, weigh.var_width),
+    }
+    if not model.settings.common_shape:
+        del there["rec_common"]
+    if not model.settings.common_pose:
+        del there["dev"]
+    weights = {name: getattr(weigh, name) for name in there}
+    terms = {name: weights[name] * term() for name, term in there.items() if weights[name]}
     if aim:
         terms |= aim(prediction, fields.product)
     if weigh.adv_g and discriminator is not None and posed is not None:
@@ -117,90 +108,81 @@ def generator_terms(
     return terms
 
 
-class Paper:
-    """Losses L_vol, L_vq, L_dev, L_loc and L_var, as Eq. 3 to 7 are printed."""
+def paper_terms(
+    model: PPD, found: Prediction, fields: PartLogits, batch: Batch, width: float
+) -> Unasked:
+    """Return L_vol, L_vq, L_dev, L_loc and L_var, as Eq. 3 to 7 are printed."""
+    pose, turning = found.pose, slice(1, 1 + len(model.settings.revolute))
+    joints = model.settings.joints
 
-    def __init__(self, model: PPD, weigh: LossSettings) -> None:
-        self.model, self.weigh, self.settings = model, weigh, model.settings
-        self.revolute = slice(1, 1 + len(model.settings.revolute))
+    def location() -> Tensor:
+        inside = fields.product.detach()[:, turning] > 0
+        return losses.location(pose.pivot[:, turning], batch.points, batch.occupied, inside)
 
-    def volume(self, shape: ShapeCode, fields: PartLogits, batch: Batch) -> Tensor:
-        """Return L_vol over the points that are spread evenly."""
-        still = self.model.still(shape, batch.points[:, : batch.spread])
-        moved, unmoved = (
-            losses.relu_volume(self._logit(of)[..., : batch.spread]) for of in (fields, still)
-        )
-        return losses.volume(moved, unmoved)
-
-    def _logit(self, of: PartLogits) -> Tensor:
-        return of.instance
-
-    def quantization(self, prediction: Prediction) -> Tensor:
-        """Return L_vq of the pose's quantiser."""
-        total = prediction.pose.state.new_zeros(())
-        if self.settings.common_pose:
-            total = total + losses.quantization(*prediction.pose.quantizer)
-        return total
-
-    def deviation(self, pose: Pose) -> Tensor:
-        total = losses.deviation(pose.pivot_residual[:, self.revolute])
+    def deviation() -> Tensor:
+        total = losses.deviation(pose.pivot_residual[:, turning])
         if pose.euler_residual is not None:
             total = total + losses.deviation(pose.euler_residual[:, 1:])
         return total
 
-    def location(self, pose: Pose, product: Tensor, batch: Batch) -> Tensor:
-        inside = product[:, self.revolute] > 0
-        return losses.location(pose.pivot[:, self.revolute], batch.points, batch.occupied, inside)
+    vq = {"vq": lambda: losses.quantization(*pose.quantizer)} if model.settings.common_pose else {}
+    return {
+        "vol": lambda: _volume(model, found.shape, fields, batch, "instance"),
+        **vq,
+        "dev": deviation,
+        "loc": location,
+        "var_state": lambda: losses.state_variation(pose.state),
+        "var_pivot": lambda: losses.pivot_variation(pose.pivot[:, turning], joints, width),
+    }
 
-    def state_variation(self, pose: Pose) -> Tensor:
-        return losses.state_variation(pose.state)
 
-    def pivot_variation(self, pose: Pose) -> Tensor:
-        pivots, width = pose.pivot[:, self.revolute], self.weigh.var_width
-        return losses.pivot_variation(pivots, self.settings.joints, width)
+def release_terms(
+    model: PPD, found: Prediction, fields: PartLogits, batch: Batch, width: float
+) -> Unasked:
+    """Return the same as the authors' release computes them, which has a quantiser of the shape's
+    template, with one code, as well."""
+    pose, R, has_common = found.pose, len(model.settings.revolute), model.settings.common_pose
+    turning = slice(1, 1 + R)
 
-
-class Mixed(Paper):
-    """Losses in the release's forms, but L_dev, which is the paper's."""
-
-    def _logit(self, of: PartLogits) -> Tensor:
-        return of.product
-
-    def quantization(self, prediction: Prediction) -> Tensor:
-        """Return L_vq of the pose's quantiser, and of the shape template's, which has one code."""
-        total = prediction.pose.state.new_zeros(())
-        if self.settings.common_pose:
-            total = total + losses.release_quantization(*prediction.pose.quantizer)
-        return total + losses.release_quantization(*prediction.shape.quantizer)
-
-    def location(self, pose: Pose, product: Tensor, batch: Batch) -> Tensor:
-        pivots = pose.pivot[:, self.revolute]
-        squares = losses.release_chain_squares(pivots, batch.points, product)
-        chain = losses.release_chain(*squares)
-        both = [pivots]
-        if self.settings.common_pose:
-            both.append(pose.pivot_common[:, self.revolute])
+    def location() -> Tensor:
+        pivots, product = pose.pivot[:, turning], fields.product.detach()
+        chain = losses.release_chain(pivots, batch.points, product)
+        both = [pivots, *[pose.pivot_common[:, turning]] * has_common]
         near = losses.release_location(torch.stack(both), batch.points, batch.occupied, product)
         return near.sum() + chain
 
-    def state_variation(self, pose: Pose) -> Tensor:
-        return losses.release_state_variation(pose.state, len(self.settings.revolute))
+    def quantization() -> Tensor:
+        both = [*[pose.quantizer] * has_common, found.shape.quantizer]
+        return torch.stack([losses.release_quantization(*each) for each in both]).sum()
 
-    def pivot_variation(self, pose: Pose) -> Tensor:
-        return losses.release_pivot_variation(pose.pivot[:, self.revolute], self.weigh.var_width)
-
-
-class Release(Mixed):
-    """Losses as the authors' release computes them."""
-
-    def deviation(self, pose: Pose) -> Tensor:
+    def deviation() -> Tensor:
         total = losses.release_deviation(pose.pivot, pose.pivot_common)
         if pose.euler_residual is not None:
             total = total + losses.release_deviation(pose.euler, pose.euler_common)
         return total
 
+    return {
+        "vol": lambda: _volume(model, found.shape, fields, batch, "product"),
+        "vq": quantization,
+        "dev": deviation,
+        "loc": location,
+        "var_state": lambda: losses.release_state_variation(pose.state, R),
+        "var_pivot": lambda: losses.release_pivot_variation(pose.pivot[:, turning], width),
+    }
 
-FORMS = {"paper": Paper, "mixed": Mixed, "release": Release}
+
+def mixed_terms(*given: Any) -> Unasked:
+    """Return the release's, but for L_dev, which is the paper's."""
+    return {**release_terms(*given), "dev": paper_terms(*given)["dev"]}
+
+
+FORMS = {"paper": paper_terms, "mixed": mixed_terms, "release": release_terms}
+
+
+def _volume(model: PPD, shape: ShapeCode, fields: PartLogits, batch: Batch, of: str) -> Tensor:
+    """Return L_vol over the points that are spread evenly."""
+    still = model.still(shape, batch.points[:, : batch.spread])
+    return losses.volume(getattr(fields, of)[..., : batch.spread], getattr(still, of))
 
 
 def _adversarial(
@@ -215,6 +197,4 @@ def _adversarial(
     cloud = torch.cat([batch.points, posed.occupancy[..., None]], 2)
     decisive = gather_points(batch.points, discriminator.decisive(cloud, weights))
     occupancy = _composed(model, prediction, posed.state, decisive)
-    return losses.generator_score(
-        discriminator.score(torch.cat([decisive, occupancy[..., None]], 2), weights)
-    )
+    return -discriminator.score(torch.cat([decisive, occupancy[..., None]], 2), weights).mean()
