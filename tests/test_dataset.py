@@ -171,7 +171,7 @@ def test_what_is_not_asked_for_is_not_kept(folder):
         ({"resolutions": [64]}, "has no occupancy_64; add 64 to sampling.grids"),
         (
             {"ask": dataclasses.replace(ASK, joints=(3, 0))},
-            "has a prismatic joint, the recipe's model no part that could move so",
+            "and 1 prismatic joints, the recipe's model 3 and 0 such parts",
         ),
         ({"ask": BatchSpec(surface_points=5000)}, "has 2048 surface_points an instance"),
     ],

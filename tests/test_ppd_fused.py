@@ -8,8 +8,9 @@ import torch
 from python_process import printed
 
 from articugen.learning.cpu import greatest
+from articugen.learning.cpu.batches import takes_kernels
 from articugen.learning.ppd import shape
-from articugen.learning.ppd.cpu import fused, sine_kernels, warm
+from articugen.learning.ppd.cpu import sine_kernels, warm
 from articugen.learning.ppd.network import PPD
 from articugen.learning.ppd.settings import ModelSettings
 
@@ -106,13 +107,13 @@ def test_threads_change_nothing(model):
         torch.testing.assert_close(gradient, right[name], rtol=0.0, atol=near)
 
 
-def test_other_kinds_of_points_go_the_plain_way(monkeypatch):
+def test_other_kinds_of_points_go_the_plain_way():
     points = torch.rand(1, 5, 3)
-    assert fused.can_fuse(points)
-    assert not fused.can_fuse(points.double())
-    assert not fused.can_fuse(points.to("meta"))
-    assert not fused.can_fuse(points.requires_grad_())
-    assert shape.can_fuse is fused.can_fuse
+    assert takes_kernels(points)
+    assert not takes_kernels(points.double())
+    assert not takes_kernels(points.to("meta"))
+    assert not takes_kernels(points.requires_grad_())
+    assert shape.takes_kernels is takes_kernels
 
 
 def test_sines_are_right_to_a_few_units_in_the_last_place():

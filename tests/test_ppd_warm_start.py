@@ -21,7 +21,7 @@ from articugen.learning.ppd.warm import found as found_module
 from articugen.learning.ppd.warm.found import (
     _Asked,
     _Clouds,
-    _discovered,
+    _look,
     _looked_for,
     discovered,
     kinds_of,
@@ -369,7 +369,9 @@ def test_who_is_unlike_the_others_is_looked_at_again(tmp_path):
         clouds.append(_Clouds(stored.view(np.int16), unknown))
     said = []
     found = _looked_for(clouds, WAYS, tmp_path, said.append)
-    first, last = (_discovered(_Asked(clouds[i], KINDS, WAYS, tmp_path)) for i in (0, 4))
+    first, last = (
+        _look(_Asked(clouds[i], KINDS, WAYS, tmp_path / f"{i}.safetensors")) for i in (0, 4)
+    )
     assert kinds_of(found) == {JointKind.PRISMATIC}
     np.testing.assert_array_equal(found[0].part, first.part)
     assert JointKind.REVOLUTE in {joint.kind for joint in last.joints}

@@ -19,6 +19,7 @@ from articugen.learning.cpu.batches import (
     gather_points,
     one_by_one,
     spares,
+    takes_kernels,
 )
 from articugen.learning.cpu.patches import patches
 from articugen.learning.method import Terms
@@ -114,7 +115,7 @@ class GridEncoder(nn.Module):
 
     def forward(self, cloud: Tensor) -> Tensor:
         """The latent (B, code) of clouds (B, n, 3), whatever the order of their points."""
-        x = self._few(cloud) if can_spare_patches(cloud) else self._all(cloud)
+        x = self._few(cloud) if takes_kernels(cloud) else self._all(cloud)
         return self.latent(self.whole(x).relu())
 
     def _all(self, cloud: Tensor) -> Tensor:
@@ -130,11 +131,6 @@ class GridEncoder(nn.Module):
         few = _Few(place, 2.0 * (held * (_USUAL / cloud.shape[1])).log1p(), held.new_zeros(4**3))
         few = few.joined(self.patch).merged(16).joined(self.first).merged(8).joined(self.second)
         return few.all(len(cloud) * 4**3).view(len(cloud), -1)
-
-
-def can_spare_patches(cloud: Tensor) -> bool:
-    """Whether patches that hold nothing are left out: on a CPU, in single precision."""
-    return spares(cloud) and cloud.dtype == torch.float32 and not cloud.requires_grad
 
 
 class _Few(NamedTuple):

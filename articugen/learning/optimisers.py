@@ -11,9 +11,9 @@ Nothing here waits for a GPU but SOAP's first step.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -30,29 +30,6 @@ EPSILON = 1e-8
 
 Named = dict[str, nn.Parameter]
 """Parameters by their names in the network."""
-
-
-class Optimiser(Protocol):
-    """Steps of one network."""
-
-    def step(self, rate: float) -> None:
-        """One step of the learning rate `rate` along the parameters' gradients; where a parameter
-        has none it stays."""
-        ...
-
-    def state(self) -> dict[str, Any]:
-        """All that `load` needs to go on exactly; its keys, shapes and types never change."""
-        ...
-
-    def load(self, state: dict[str, Any]) -> None:
-        """Go on from another one's `state`."""
-        ...
-
-
-def optimiser_of(name: str, network: nn.Module, betas: Betas = BETAS) -> Optimiser:
-    """Return the one that recipes call `name`, at its beginning; `betas` are Adam's."""
-    named = dict(network.named_parameters())
-    return Soap(named) if name == "soap" else Adam(named, betas)
 
 
 class Adam:
@@ -73,12 +50,20 @@ class Adam:
 
     @torch.no_grad()
     def step(self, rate: float) -> None:
+        """Make a step of the learning rate `rate` along the parameters' gradients; where a
+        parameter has none it stays."""
         there = {name: p.grad for name, p in self.named.items() if p.grad is not None}
-        of = self.named, there, self.mean, self.square
+
+        def of_them(kept: Mapping[str, Tensor]) -> list[Tensor]:
+            return [kept[name] for name in there]
+
         adam(
-            *([some[name] for name in there] for some in of),
+            of_them(self.named),
+            list(there.values()),
+            of_them(self.mean),
+            of_them(self.square),
             [],
-            [self.steps[name] for name in there],
+            of_them(self.steps),
             fused=self.fused or None,
             amsgrad=False,
             beta1=self.betas[0],
@@ -90,7 +75,7 @@ class Adam:
         )
 
     def state(self) -> dict[str, Any]:
-        """By the names of the parameters."""
+        """Return all that `load` needs to go on exactly, by the names of the parameters."""
         return {"step": self.steps, "exp_avg": self.mean, "exp_avg_sq": self.square}
 
     def load(self, state: dict[str, Any]) -> None:
@@ -213,6 +198,12 @@ class Soap:
 
     def load(self, state: dict[str, Any]) -> None:
         _fill(self.state(), state)
+
+
+def optimiser_of(name: str, network: nn.Module, betas: Betas = BETAS) -> Adam | Soap:
+    """Return the one that recipes call `name`, at its beginning; `betas` are Adam's."""
+    named = dict(network.named_parameters())
+    return Soap(named) if name == "soap" else Adam(named, betas)
 
 
 def _has_basis(side: int) -> bool:

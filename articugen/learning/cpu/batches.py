@@ -18,6 +18,11 @@ def spares(x: Tensor) -> bool:
     return x.device.type == "cpu"
 
 
+def takes_kernels(x: Tensor) -> bool:
+    """Return whether kernels take it: on a CPU, in single precision, and it gets no gradient."""
+    return spares(x) and x.dtype == torch.float32 and not x.requires_grad
+
+
 def one_by_one(function: Callable[..., Tensor], *batches: Tensor) -> Tensor:
     """`function` of batches, on a CPU one sample after the other.
 

@@ -70,11 +70,6 @@ def voxel_centres(index: Tensor, resolution: int) -> Tensor:
     return (at + 0.5) / resolution - 0.5
 
 
-def none(instances: int) -> Packed:
-    """What is packed where no such cells are asked for."""
-    return np.zeros((instances, 2, 0), np.int32), np.zeros((instances, 2), np.int32)
-
-
 def pack(
     kind: str,
     chosen: Iterable[Bools],
@@ -85,7 +80,7 @@ def pack(
     """`index` and `count` of `LabelledCells`: at most `KEPT` of each label, chosen at random.
 
     Args:
-        kind: a key of `CHOOSE`. Which cells are kept depends on it, names and states alone.
+        kind: `band` or `varying`. Which cells are kept depends on it, names and states alone.
         chosen: for each instance a mask (R, R, R).
         occupied: (N, R, R, R).
         names, states: (N,) the objects, and which pose of it each is.
@@ -111,16 +106,8 @@ def differing(occupied: Bools, names: NDArray[Any]) -> list[Bools]:
     return [of[name] for name in names.tolist()]
 
 
-def bands(occupied: Bools, _: NDArray[Any]) -> list[Bools]:
-    """For each instance which cells have both labels within `REACH` cells along each axis."""
-    return [_band(inside) for inside in occupied]
-
-
-CHOOSE = {"band": bands, "varying": differing}
-"""What says which cells are candidates, from occupancies (N, R, R, R) and names of objects (N,)."""
-
-
-def _band(inside: Bools) -> Bools:
+def band(inside: Bools) -> Bools:
+    """Which cells (R, R, R) have both labels within `REACH` cells along each axis."""
     both = _packed_near(inside) & _packed_near(~inside)
     return np.unpackbits(both, axis=2, count=inside.shape[2]).view(np.bool_)
 

@@ -18,9 +18,6 @@ from articugen.store.shards import Shard, open_shard
 if TYPE_CHECKING:
     from articugen.learning.data.batch import BatchSpec
 
-KINDS = ("revolute", "prismatic")
-"""Of joints: kinds 1 and 2, and the keys of PPD's directions."""
-
 COS_30 = math.cos(math.radians(30.0))
 
 SAME = 1e-6
@@ -60,15 +57,8 @@ def _check_joints(shard: Shard, joints: tuple[int, int] | None) -> None:
     kind = shard.read("joint_kind")
     if not kind.size:
         raise UnfitData(f"{shard.path}: has no joint; what never moves teaches no parts")
-    for number, (name, most) in enumerate(zip(KINDS, joints, strict=True), start=1):
-        have = int((kind == number).sum(1).max())
-        if have and not most:
-            raise UnfitData(
-                f"{shard.path}: an object has a {name} joint, the recipe's model no part that "
-                f"could move so; add directions to model.{name}"
-            )
-    have = (int((kind == 1).sum(1).max()), int((kind == 2).sum(1).max()))
-    if have[0] > joints[0] or have[1] > joints[1]:
+    have = [int((kind == number).sum(1).max()) for number in (1, 2)]
+    if any(has > most for has, most in zip(have, joints, strict=True)):
         raise UnfitData(
             f"{shard.path}: an object has {have[0]} revolute and {have[1]} prismatic joints, the "
             f"recipe's model {joints[0]} and {joints[1]} such parts; add directions to model"

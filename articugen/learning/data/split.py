@@ -390,12 +390,16 @@ def _cells(
     """Return the cells that query points are drawn at, as `LabelledCells` holds them."""
     row: dict[str, NDArray[Any]] = {}
     for kind, wanted in (("band", spec.band_points), ("varying", spec.varying_points)):
-        row[kind], row[f"{kind}_count"] = cells.none(len(names))
+        row[kind] = np.zeros((len(names), 2, 0), np.int32)
+        row[f"{kind}_count"] = np.zeros((len(names), 2), np.int32)
         if grid is not None and wanted:
             occupied = grid > 0
-            chosen = cells.CHOOSE[kind](occupied, names)
+            if kind == "band":
+                chosen = [cells.band(inside) for inside in occupied]
+            else:
+                chosen = cells.differing(occupied, names)
             if kind == "varying" and spec.finds_objects:  # an object may have been found once
-                around = zip(chosen, cells.bands(occupied, names), strict=True)
+                around = zip(chosen, map(cells.band, occupied), strict=True)
                 chosen = [mask if mask.any() else band for mask, band in around]
             elif kind == "varying":
                 check_varies(path, names, chosen)

@@ -206,24 +206,16 @@ class PPDRecipe(TrainRecipe):
     schedule: PPDSchedule = PPDSchedule()  # pyright: ignore[reportIncompatibleVariableOverride]
 
     @model_validator(mode="after")
-    def _has_points_in_the_volume(self) -> "PPDRecipe":
+    def _fits_together(self) -> "PPDRecipe":
         if self.data.grid_points + self.data.uniform_points == 0:
             raise ValueError(
                 "data.grid_points or uniform_points must be more than 0: L_vol needs them"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _knows_what_it_varies(self) -> "PPDRecipe":
         if self.vary and not self.warm_start.share:
             raise ValueError(
                 "vary needs a warm start, which finds what turns about which axis: set "
                 "warm_start.share, or leave vary out"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _chooses_by_what_is_measured(self) -> "PPDRecipe":
         if self.seeds.chosen_by not in ("", *MEASURED):
             raise ValueError(f"seeds.chosen_by must be one of {', '.join(MEASURED)}")
         return self

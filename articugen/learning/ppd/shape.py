@@ -7,8 +7,8 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
-from articugen.learning.cpu.batches import one_by_one, spares
-from articugen.learning.ppd.cpu.fused import can_fuse, sine_parts
+from articugen.learning.cpu.batches import one_by_one, takes_kernels
+from articugen.learning.ppd.cpu.fused import sine_parts
 from articugen.learning.ppd.kinematics import InverseMotion
 from articugen.learning.ppd.settings import ModelSettings
 
@@ -70,12 +70,6 @@ class ShapeCode:
         box = self.box and PartBox(self.box.middle[:, parts], self.box.size[:, parts])
         template, detail = self.template[:, parts], self.detail[:, parts]
         return ShapeCode(template, detail, self.quantizer, box)
-
-    def detach(self) -> "ShapeCode":
-        before, code = self.quantizer
-        box = self.box and PartBox(self.box.middle.detach(), self.box.size.detach())
-        quantizer = before.detach(), code.detach()
-        return ShapeCode(self.template.detach(), self.detail.detach(), quantizer, box)
 
 
 @dataclass(frozen=True)
@@ -157,7 +151,7 @@ class ShapeDecoder(nn.Module):
             W, at = W * (PLAIN_SIZE / code.box.size)[:, :, None], at - code.box.middle
         moved, shift = W @ motion.rotation, (W @ at[..., None])[..., 0] + b
         given = points, moved, shift, code.template, code.detail
-        if spares(points) and can_fuse(points):
+        if takes_kernels(points):
             both = sine_parts(*given, *self._weights())
         else:
             both = one_by_one(self._heads, *given)

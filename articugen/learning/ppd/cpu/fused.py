@@ -15,14 +15,9 @@ from torch.autograd.function import once_differentiable
 from articugen.learning.ppd.cpu import sine_kernels
 
 
-def can_fuse(points: Tensor) -> bool:
-    """Return whether `sine_parts` takes these points; they get no gradient."""
-    is_plain = points.device.type == "cpu" and points.dtype == torch.float32
-    return is_plain and not points.requires_grad
-
-
 def sine_parts(points: Tensor, *rest: Tensor) -> Tensor:
-    """(B, 2 P, n): F^{s,c} of all parts, then F^{s,z}, from all that `sine_kernels` names."""
+    """(B, 2 P, n): F^{s,c} of all parts, then F^{s,z}, from all that `sine_kernels` names, where
+    `takes_kernels` says so of the points."""
     return _SineParts.apply(points, *rest)  # pyright: ignore[reportReturnType]
 
 

@@ -127,6 +127,11 @@ def _gathered(d, x, n_out, n_in, gW, gb):
         i += 1
 
 
+@helper
+def _transposed(W):
+    return np.ascontiguousarray(W.transpose(0, 2, 1))
+
+
 @kernel
 def forward(
     points, moved, shift, template, detail, W1, b1, W2, b2, W3, b3, W4, b4, W5, b5, first, last, out
@@ -189,14 +194,8 @@ def backward(  # noqa: PLR0912, PLR0915 - one pass, in the order of the layers
     d, e = np.zeros((most, BLOCK), np.float32), np.zeros((most, BLOCK), np.float32)
     g, own = np.zeros((1, BLOCK), np.float32), np.zeros((m, BLOCK), np.float32)
     none, chosen = np.zeros(most, np.float32), np.zeros(n, np.int64)
-    T1, T2 = np.zeros((c, h), np.float32), np.zeros((h, m), np.float32)
-    T3, T4 = np.zeros((2, m, h), np.float32), np.zeros((2, h, c), np.float32)
+    T1, T2, T3, T4 = _transposed(W1), _transposed(W2), _transposed(W3), _transposed(W4)
     for p in range(first, last):
-        _transpose(W1[p], T1)
-        _transpose(W2[p], T2)
-        for head in range(2):
-            _transpose(W3[p + head * P], T3[head])
-            _transpose(W4[p + head * P], T4[head])
         for b in range(B):
             total = 0
             for j in range(n):
@@ -237,12 +236,12 @@ def backward(  # noqa: PLR0912, PLR0915 - one pass, in the order of the layers
                         for j in range(BLOCK):
                             d[o, j] = W5[at, 0, o] * g[0, j] * c4[o, j]
                     _gathered(d, s3, c, h, g_W4[at], g_b4[at])
-                    _affine(T4[head], none, d, e)
+                    _affine(T4[at], none, d, e)
                     for o in range(h):
                         for j in range(BLOCK):
                             d[o, j] = e[o, j] * c3[o, j]
                     _gathered(d, s2, h, m, g_W3[at], g_b3[at])
-                    _affine(T3[head], none, d, e)
+                    _affine(T3[at], none, d, e)
                     for o in range(m):
                         for j in range(BLOCK):
                             own[o, j] += e[o, j]
@@ -255,12 +254,12 @@ def backward(  # noqa: PLR0912, PLR0915 - one pass, in the order of the layers
                     for j in range(BLOCK):
                         d[o, j] = own[o, j] * c2[o, j]
                 _gathered(d, s1, m, h, g_W2[p], g_b2[p])
-                _affine(T2, none, d, e)
+                _affine(T2[p], none, d, e)
                 for o in range(h):
                     for j in range(BLOCK):
                         d[o, j] = e[o, j] * c1[o, j]
                 _gathered(d, s0, h, c, g_W1[p], g_b1[p])
-                _affine(T1, none, d, e)
+                _affine(T1[p], none, d, e)
                 _added(e, c, g_template[b, p])
                 for o in range(c):
                     for j in range(BLOCK):
@@ -276,10 +275,3 @@ def _added(d, count, to):
         for j in range(BLOCK):
             total += d[o, j]
         to[o] += total
-
-
-@helper
-def _transpose(W, T):
-    for o in range(W.shape[0]):
-        for i in range(W.shape[1]):
-            T[i, o] = W[o, i]

@@ -24,7 +24,7 @@ from articugen.discovery import KINDS, Directions, Discovery, FoundJoint, discov
 from articugen.learning.data.split import PackedSplit, unpacked
 from articugen.learning.tensors import read_tensors, write_tensors
 
-FORMAT = "articugen joints 5"
+FORMAT = "articugen joints 6"
 """Of the files that keep what was found; to be raised when something else would be found."""
 
 MOST_POSES = 128
@@ -35,6 +35,8 @@ LEAST_SCORE = 0.4
 
 FEW_OBJECTS = 0.25
 """A kind of joint that a smaller share of the objects has is a mistake."""
+
+_JOINT = ("kind", "axis", "pivot", "states", "score")
 
 Found = list[Discovery | None]
 """What was found in each object; None where that cannot be told."""
@@ -133,7 +135,11 @@ def _looked_for(
             found.append(each)
             tell(f"looking for joints in the training objects: {len(found)} of {len(clouds)}")
         kinds = kinds_of(found)
-        again = [i for i, each in enumerate(found) if not _has_only(each, kinds)]
+        again = [
+            i
+            for i, each in enumerate(found)
+            if not each or {joint.kind for joint in each.joints} - kinds
+        ]
         if 0 < len(kinds) < len(KINDS):
             looks = crew.in_order([asked(i, tuple(sorted(kinds))) for i in again])
             for n, (i, each) in enumerate(zip(again, looks, strict=True), 1):
@@ -142,29 +148,18 @@ def _looked_for(
     return found
 
 
-def _has_only(found: Discovery | None, kinds: set[JointKind]) -> bool:
-    return found is not None and {joint.kind for joint in found.joints} <= kinds
-
-
 def _look(asked: _Asked) -> Discovery | None:
     """What is found in an object, or was found there before this run was killed."""
     with suppress(InvalidCheckpoint):  # not there, or of a disk that lost power
         return _read(read_tensors(asked.path, FORMAT)["object"], asked.poses)
-    found = _discovered(asked)
+    points, normals = list(asked.poses.unpacked()), list(asked.poses.normals / 127.0)
+    found = None
+    with suppress(InvalidArgument):  # nothing moves, or not as one joint would
+        found = discover(points, normals=normals, kinds=asked.kinds, directions=asked.directions)
+    if found and not (found.joints and min(j.score for j in found.joints) >= LEAST_SCORE):
+        found = None
     write_tensors(asked.path, {"object": _plain(found)}, FORMAT)
     return found
-
-
-def _discovered(asked: _Asked) -> Discovery | None:
-    """With sure joints alone."""
-    normals = asked.poses.normals / 127.0
-    how = {"kinds": asked.kinds, "directions": asked.directions}
-    try:
-        found = discover(list(asked.poses.unpacked()), normals=list(normals), **how)
-    except InvalidArgument:  # nothing moves, or not as one joint would
-        return None
-    sure = found.joints and min(joint.score for joint in found.joints) >= LEAST_SCORE
-    return found if sure else None
 
 
 def _digest(clouds: Sequence[_Clouds], directions: Directions) -> str:
@@ -180,30 +175,18 @@ def _plain(found: Discovery | None) -> dict[str, Any]:
     """As `write_tensors` wants it."""
     if found is None:
         return {}
-    joints = {
-        str(i): {
-            "kind": int(joint.kind),
-            "axis": torch.from_numpy(joint.axis),
-            "pivot": torch.from_numpy(joint.pivot),
-            "states": torch.from_numpy(joint.states),
-            "score": float(joint.score),
-        }
-        for i, joint in enumerate(found.joints)
-    }
-    return {"part": torch.from_numpy(found.part.astype(np.uint8)), "joints": joints}
+    columns = {n: np.array([getattr(joint, n) for joint in found.joints]) for n in _JOINT}
+    columns["part"] = found.part.astype(np.uint8)
+    return {name: torch.from_numpy(column) for name, column in columns.items()}
 
 
 def _read(kept: dict[str, Any], poses: _Clouds) -> Discovery | None:
     if not kept:
         return None
     joints = tuple(
-        FoundJoint(
-            kind=JointKind(joint["kind"]),
-            axis=joint["axis"].numpy(),
-            pivot=joint["pivot"].numpy(),
-            states=joint["states"].numpy(),
-            score=joint["score"],
+        FoundJoint(JointKind(int(kind)), axis, pivot, states, float(score))
+        for kind, axis, pivot, states, score in zip(
+            *(kept[name].numpy() for name in _JOINT), strict=True
         )
-        for joint in kept["joints"].values()
     )
     return Discovery(joints, poses.unpacked()[0], kept["part"].numpy().astype(np.int64))

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import permutations
+from typing import Any
 
 import numpy as np
 import torch
@@ -128,26 +129,34 @@ def targets(
     """
     R = split.band.resolution
     doubt = [torch.ones(R**3, dtype=torch.float16)]
-    tables = [_Table(len(split), model) for _ in range(1 + mirrored)]
+    tables = [_unknown(len(split), model) for _ in range(1 + mirrored)]
     for each, mine in zip(likely(found, model), rows, strict=True):
         if not each:
             continue
-        placed: dict[tuple[float, ...], _Placed] = {}
+        placed: dict[tuple[float, ...], tuple[Floats, Ownership, int]] = {}
         for table, seen in zip(tables, (each, in_mirror(each)), strict=False):
             taken = [(-1, 1.0), *assigned(seen, model)]
             senses = tuple(slot[1] if slot else 1.0 for slot in taken)
             if senses not in placed:
-                placed[senses] = _Placed.of(split, mine, each, senses, len(doubt))
-                doubt += [torch.from_numpy(d).flatten().half() for d in placed[senses].own.doubt]
-            table.fill(mine, each, taken, placed[senses])
-    joined = {name: np.concatenate([getattr(t, name) for t in tables]) for name in _Table.NAMES}
+                motion = _from_closed(each, senses)
+                own = _owned(split, mine, motion)
+                placed[senses] = motion, own, len(doubt)
+                doubt += [torch.from_numpy(d).flatten().half() for d in own.doubt]
+            _fill(table, mine, each, taken, *placed[senses])
+            points = unpacked(split.surface[torch.from_numpy(mine)].cpu()).double().flatten(0, 1)
+            low, high = points.amin(0).numpy(), points.amax(0).numpy()
+            table["centre"][mine], table["extent"][mine] = 0.5 * (low + high), high - low
     device = split.surface.device
-    told = {name: torch.from_numpy(array).float().to(device) for name, array in joined.items()}
+    told = {
+        name: torch.from_numpy(np.concatenate([table[name] for table in tables])).to(device)
+        for name in tables[0]
+    }
+    grid = told.pop("grid")
+    told = {name: tensor.float() for name, tensor in told.items()}
     told["still"] = told["known"][:, None] * told["there"].amax(0) * (1.0 - told["there"])
     told["state"] = in_range(
         told["state"] + rest_states(told["state"], len(model.revolute)), len(model.revolute)
     )
-    grid = torch.from_numpy(np.concatenate([table.grid for table in tables])).to(device)
     return Targets(**told, grid=grid, doubt=torch.stack(doubt).to(device), cells=R)
 
 
@@ -157,87 +166,58 @@ def in_range(states: Tensor, revolute: int) -> Tensor:
     return torch.maximum(torch.minimum(states, widest(states, revolute) - beside), beside)
 
 
-@dataclass(frozen=True, eq=False)
-class _Placed:
-    """Where an object's material is, if its joints open in these senses.
+def _unknown(count: int, model: ModelSettings) -> dict[str, NDArray[Any]]:
+    """Return what `Targets` holds of instances of which nothing is known."""
+    J = model.joints
+    return {
+        "known": np.zeros(count),
+        "there": np.zeros((count, J)),
+        "state": np.zeros((count, J)),
+        "axis": np.zeros((count, J, 3)),
+        "pivot": np.zeros((count, J, 3)),
+        "owns": np.zeros((count, J + 1)),
+        "middle": np.ones((count, J + 1, 3)),
+        "size": np.ones((count, J + 1, 3)),
+        "rotation": np.tile(np.eye(3), (count, J + 1, 1, 1)),
+        "offset": np.zeros((count, J + 1, 3)),
+        "centre": np.zeros((count, 3)),
+        "extent": np.ones((count, 3)),
+        "alike": np.full((count, 3, 3), 1.0 / 3.0),
+        "grid": np.zeros((count, J + 1), np.int64),
+    }
 
-    Attributes:
+
+def _fill(
+    table: dict[str, NDArray[Any]],
+    rows: NDArray[np.intp],
+    found: Discovery,
+    taken: list[tuple[int, float] | None],
+    motion: Floats,
+    own: Ownership,
+    first: int,
+) -> None:
+    """Tell of an object's instances.
+
+    Args:
+        taken: as `assigned` gives it, with the fixed part.
         motion: (K, P, 4, 4) of each part from its rest frame.
-        own: whose it is; `first`: the place of part 0's cells among those of all objects.
-        centre, extent: (3,) of a box that holds all poses.
+        own: whose its material is; `first`: the place of part 0's cells in `doubt`.
     """
-
-    motion: NDArray[np.float64]
-    own: Ownership
-    first: int
-    centre: Floats
-    extent: Floats
-
-    @staticmethod
-    def of(
-        split: PackedSplit,
-        rows: NDArray[np.intp],
-        found: Discovery,
-        senses: tuple[float, ...],
-        first: int,
-    ) -> _Placed:
-        motion = _from_closed(found, senses)
-        points = unpacked(split.surface[torch.from_numpy(rows)].cpu()).double().flatten(0, 1)
-        low, high = points.amin(0).numpy(), points.amax(0).numpy()
-        own = _owned(split, rows, motion)
-        return _Placed(motion, own, first, 0.5 * (low + high), high - low)
-
-
-class _Table:
-    """What `Targets` holds of I instances, while it is filled in; I instances of which nothing is
-    known."""
-
-    NAMES = (
-        "known", "there", "state", "axis", "pivot", "owns", "middle", "size", "rotation", "offset",
-        "centre", "extent", "alike",
-    )  # fmt: skip
-
-    def __init__(self, count: int, model: ModelSettings) -> None:
-        J = model.joints
-        self.known = np.zeros(count)
-        self.there, self.state = np.zeros((count, J)), np.zeros((count, J))
-        self.axis, self.pivot = np.zeros((count, J, 3)), np.zeros((count, J, 3))
-        self.owns = np.zeros((count, J + 1))
-        self.middle, self.size = np.ones((2, count, J + 1, 3))
-        self.rotation = np.tile(np.eye(3), (count, J + 1, 1, 1))
-        self.offset = np.zeros((count, J + 1, 3))
-        self.centre, self.extent = np.zeros((count, 3)), np.ones((count, 3))
-        self.alike = np.full((count, 3, 3), 1.0 / 3.0)
-        self.grid = np.zeros((count, J + 1), np.int64)
-
-    def fill(
-        self,
-        rows: NDArray[np.intp],
-        found: Discovery,
-        taken: list[tuple[int, float] | None],
-        placed: _Placed,
-    ) -> None:
-        """Tell of an object's instances; `taken` as `assigned` gives it, with the fixed part."""
-        T, own = invert_rigid(placed.motion), placed.own
-        self.known[rows] = 1.0
-        self.centre[rows], self.extent[rows] = placed.centre, placed.extent
-        self.alike[rows] = _alike(found)
-        for part, candidate in enumerate(taken):
-            if candidate is None:
-                continue
-            slot, sense = candidate
-            self.rotation[rows, slot + 1] = T[:, part, :3, :3]
-            self.offset[rows, slot + 1] = T[:, part, :3, 3]
-            self.owns[rows, slot + 1] = own.owns[part]
-            self.middle[rows, slot + 1] = own.middle[part]
-            self.size[rows, slot + 1] = own.size[part]
-            self.grid[rows, slot + 1] = placed.first + part
-            if part:
-                joint = found.joints[part - 1]
-                self.there[rows, slot], self.axis[rows, slot] = 1.0, sense * joint.axis
-                opened = sense * joint.states
-                self.state[rows, slot] = opened - opened.min()
-                self.pivot[rows, slot] = joint.pivot
+    T = invert_rigid(motion)
+    table["known"][rows], table["alike"][rows] = 1.0, _alike(found)
+    for part, candidate in enumerate(taken):
+        if candidate is None:
+            continue
+        slot, sense = candidate
+        at = rows, slot + 1
+        table["rotation"][at], table["offset"][at] = T[:, part, :3, :3], T[:, part, :3, 3]
+        table["owns"][at], table["grid"][at] = own.owns[part], first + part
+        table["middle"][at], table["size"][at] = own.middle[part], own.size[part]
+        if part:
+            joint, at = found.joints[part - 1], (rows, slot)
+            table["there"][at], table["axis"][at] = 1.0, sense * joint.axis
+            opened = sense * joint.states
+            table["state"][at], table["pivot"][at] = opened - opened.min(), joint.pivot
 
 
 def in_mirror(found: Discovery) -> Discovery:
