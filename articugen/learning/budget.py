@@ -13,9 +13,10 @@ import numpy as np
 
 from articugen.core.errors import ArticugenError
 from articugen.learning import loop
-from articugen.learning.loop import META, Progress, Tell, Training
+from articugen.learning.loop import Progress, Tell, Training
 from articugen.learning.method import find_method
 from articugen.learning.recipe import Budget, TrainRecipe
+from articugen.learning.run_folder import META
 
 PROBED, SKIPPED = 12, 2
 """Iterations of each stage that are tried, and how many of them are not yet at their pace."""
