@@ -101,6 +101,7 @@ NOT_RUN = {
     "make dataset CATEGORY=dishwasher,oven": "PartNet-Mobility's models",
     "make dataset CATEGORY=cabinet SOURCE=partnet_mobility": "PartNet-Mobility's models",
     "make dataset CATEGORY=laptop REPLACE=1": "takes minutes",
+    "make comparison": "takes minutes",
     "make train": "takes minutes",
     "make evaluate": "wants the run of that training",
     "articugen train": "takes minutes",
