@@ -173,10 +173,11 @@ def test_a_method_without_joints_has_no_numbers_of_joints(boxes):
     assert segments.means == {name: full.means[name] for name in segments.means}
     assert segments.joint_states == segments.joint_lines == segments.joint_errors == ()
     assert (segments.labels, segments.votes) == (full.labels, full.votes)
+    # states and directions follow from motions
     motions = evaluate(boxes, lambda i: replace(exactly(i), joints=None), FEW)
     assert motions.means["epe_transform_all"] == pytest.approx(0.0, abs=1e-15)
     assert motions.means["matched_rotation_degrees_all"] == pytest.approx(0.0, abs=1e-6)
-    of_joints = ("epe_joint", "assigned", "matched_direction", "matched_pivot", "matched_state")
+    of_joints = ("epe_joint", "type", "matched_pivot", "revolute_axis")
     assert not any(name.startswith(of_joints) for name in motions.means)
 
 

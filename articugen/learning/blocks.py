@@ -6,7 +6,7 @@ of them with a number that is not finite.
 
 from collections.abc import Callable
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -22,8 +22,11 @@ from articugen.learning.cpu.batches import (
     takes_kernels,
 )
 from articugen.learning.cpu.patches import patches
-from articugen.learning.method import Terms
+from articugen.learning.data.batch import Batch
+from articugen.learning.method import Learner, Terms
 from articugen.learning.optimisers import BETAS, Betas, optimiser_of
+from articugen.learning.recipe import TrainRecipe
+from articugen.learning.tensors import made
 
 _GRID = 64
 """Cells along an edge of the grid that clouds fill."""
@@ -334,3 +337,61 @@ def _blame(network: nn.Module, terms: Terms) -> str:
             if not all(bool(g.isfinite().all()) for g in gradients if g is not None):
                 bad.append(name)
     return f"the gradient of {' and '.join(bad or terms)}"
+
+
+class NetworkLearner(Learner):
+    """Learner of one network: a method adds settings, a network, a loss and how it is judged.
+
+    Args:
+        network: makes it; `seed` decides its weights, whatever the device.
+        betas: of Adam, where the recipe asks for that.
+    """
+
+    def __init__(
+        self,
+        settings: TrainRecipe,
+        network: Callable[[], nn.Module],
+        seed: int,
+        device: torch.device,
+        *,
+        betas: Betas = BETAS,
+    ) -> None:
+        self.settings = settings
+        with made(seed, device):
+            self.network: Any = network()
+        self.network.to(device)
+        self.device, self.betas, self.iteration = device, betas, 0
+        self._begin_stage()
+
+    def loss(self, batch: Batch) -> Terms:
+        """Return the terms to minimise for a batch, at `self.iteration`."""
+        raise NotImplementedError
+
+    def _begin_stage(self) -> None:
+        """Make a new optimiser, as at the start of each stage."""
+        optimiser = self.settings.schedule.optimiser
+        self.descent = Descent(self.network, optimiser, betas=self.betas)
+
+    def learn(self, batch: Batch, rng: torch.Generator | None, *, iteration: int) -> Terms:
+        plan = self.settings.schedule
+        if plan.index_at(iteration) != plan.index_at(self.iteration):
+            self._begin_stage()
+        self.iteration = iteration
+        terms = self.loss(batch)
+        self.descent.step(terms, lambda: self.loss(batch), iteration, plan.rate_at(iteration))
+        return terms
+
+    def check(self) -> None:
+        self.descent.check()
+
+    def state(self) -> dict[str, Any]:
+        return {
+            "iteration": self.iteration,
+            "network": self.network.state_dict(),
+            "optimiser": self.descent.state(),
+        }
+
+    def load(self, state: dict[str, Any]) -> None:
+        self.iteration = state["iteration"]
+        self.network.load_state_dict(state["network"])
+        self.descent.load(state["optimiser"])

@@ -15,15 +15,13 @@ from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from articugen.core.records import Floats
-from articugen.learning.blocks import Descent
-from articugen.learning.data.batch import Batch, BatchSpec
+from articugen.learning.blocks import NetworkLearner
+from articugen.learning.data.batch import BatchSpec
 from articugen.learning.data.split import PackedSplit, unpacked, voxel_centres
 from articugen.learning.evaluation.figures.draw import Drawable
 from articugen.learning.evaluation.reconstruction import PartJoints, Reconstruction
-from articugen.learning.method import Learner, Terms
 from articugen.learning.optimisers import BETAS, Betas
 from articugen.learning.recipe import TrainRecipe
-from articugen.learning.tensors import made
 from articugen.meshes.marching_cubes import zero_level
 
 VALIDATION_GRID = 32
@@ -256,12 +254,11 @@ class PartFields(nn.Module):
         raise NotImplementedError
 
 
-class FieldLearner(Learner):
+class FieldLearner(NetworkLearner):
     """Learner of part fields: a method adds settings, a network and a loss.
 
     Args:
-        network: makes it; `seed` decides its weights, whatever the device.
-        betas: of Adam, where the recipe asks for that.
+        network, betas: as `NetworkLearner`.
     """
 
     def __init__(
@@ -273,35 +270,9 @@ class FieldLearner(Learner):
         *,
         betas: Betas = BETAS,
     ) -> None:
-        self.settings = settings
         grids = (VALIDATION_GRID,) if settings.data.validation_objects else ()
         self.inputs = BatchSpec.of(settings.data, grids=grids)
-        with made(seed, device):
-            self.network = network()
-        self.network.to(device)
-        self.device, self.betas, self.iteration = device, betas, 0
-        self._begin_stage()
-
-    def loss(self, batch: Batch) -> Terms:
-        """Return the terms to minimise for a batch, at `self.iteration`."""
-        raise NotImplementedError
-
-    def _begin_stage(self) -> None:
-        """Make a new optimiser, as at the start of each stage."""
-        optimiser = self.settings.schedule.optimiser
-        self.descent = Descent(self.network, optimiser, betas=self.betas)
-
-    def learn(self, batch: Batch, rng: torch.Generator | None, *, iteration: int) -> Terms:
-        plan = self.settings.schedule
-        if plan.index_at(iteration) != plan.index_at(self.iteration):
-            self._begin_stage()
-        self.iteration = iteration
-        terms = self.loss(batch)
-        self.descent.step(terms, lambda: self.loss(batch), iteration, plan.rate_at(iteration))
-        return terms
-
-    def check(self) -> None:
-        self.descent.check()
+        super().__init__(settings, network, seed, device, betas=betas)
 
     def validate(self, held_out: PackedSplit) -> dict[str, float]:
         """Return `rec`, `iou` and `parts`, see `held_out_fit`."""
@@ -319,18 +290,6 @@ class FieldLearner(Learner):
     @property
     def parts(self) -> int:
         return self.network.parts
-
-    def state(self) -> dict[str, Any]:
-        return {
-            "iteration": self.iteration,
-            "network": self.network.state_dict(),
-            "optimiser": self.descent.state(),
-        }
-
-    def load(self, state: dict[str, Any]) -> None:
-        self.iteration = state["iteration"]
-        self.network.load_state_dict(state["network"])
-        self.descent.load(state["optimiser"])
 
     @torch.no_grad()
     def fields_of(self, cloud: Floats) -> Fields:

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 METHODS = {
     "bae": "articugen.learning.bae:METHOD",
     "bsp": "articugen.learning.bsp:METHOD",
+    "npcs": "articugen.learning.npcs:METHOD",
     "nsd": "articugen.learning.nsd:METHOD",
     "one_part": "articugen.learning.one_part:METHOD",
     "ppd": "articugen.learning.ppd:METHOD",

@@ -75,6 +75,11 @@ def write_rig(
     Raises:
         ArticugenError: there is no surface at all, or the folder cannot be written to.
     """
+    if found.whole is None:
+        raise ArticugenError(
+            f"{folder}: this model's method labels points and makes no surface, so there are no "
+            "meshes; `articugen evaluate` measures it"
+        )
     if not len(found.triangles):
         raise ArticugenError(f"{folder}: the model sees no surface in this cloud; nothing to write")
     try:

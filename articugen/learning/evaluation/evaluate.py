@@ -18,9 +18,16 @@ from articugen.core.records import Floats, JointKind, dequantize, is_material
 from articugen.core.schema import Instance
 from articugen.core.seeding import generator
 from articugen.learning.evaluation import metrics
-from articugen.learning.evaluation.matched import Matching, joint_errors, matching, pose_errors
+from articugen.learning.evaluation.matched import (
+    STILL,
+    Matching,
+    joint_errors,
+    kinds_of,
+    matching,
+    pose_errors,
+)
 from articugen.learning.evaluation.metrics import DIAGONAL, NO_LABEL, Ints
-from articugen.learning.evaluation.reconstruction import Reconstruction
+from articugen.learning.evaluation.reconstruction import Reconstruction, joints_of
 from articugen.learning.evaluation.results import (
     Evaluation,
     JointError,
@@ -150,7 +157,7 @@ def evaluate(
             for errors in (pose_errors, joint_errors):
                 for name, error in errors((canonical, instance), (first, found), matched):
                     tally.add(**{name: error})
-        if finer:
+        if finer and first.whole is not None:
             for instance in (canonical, *posed):
                 tally.add_label_iou(*_nearest_parts(instance, finer(instance), protocol), "finer_")
         on_object(canonical.object_id)
@@ -240,6 +247,8 @@ def _measure_shape(
             reconstruction_iou=metrics.occupancy_iou(found.occupied, true_grid),
             voxels_label_iou=_voxels_label_iou(grid, *surface_of(instance, protocol.points)),
         )
+    if found.whole is None:
+        return matched
     surface = dequantize(instance.surface_points)
     to_predicted = np.minimum(distance(surface, found.whole), DIAGONAL)
     to_true = np.full(1, DIAGONAL)
@@ -356,31 +365,45 @@ def _measure_joints(
     instances: tuple[Instance, Instance],
     found: tuple[Reconstruction, Reconstruction],
 ) -> None:
-    """Appendix E: right where one part of the same kind is assigned, its error below a limit."""
-    first, joints = (each.joints for each in found)
-    if first is None or joints is None:
-        return
+    """Appendix E: right where one part of the same kind is assigned, its error below a limit.
+
+    Kinds of joints that are read off motions are known, not predicted, their pivots are not; what
+    has hardly moved shows no direction.
+    """
     canonical, instance = instances
+    both = joints_of(*found, kinds_of(tally.labels, instance))
+    if both is None:
+        return
+    first, joints = both
+    fitted = found[1].joints is None
     for j, kind in enumerate(instance.joint_kind.tolist()):
         parts = np.flatnonzero(tally.labels == j + 1)
         same = len(parts) == 1 and int(first.kind[parts[0]]) == kind
-        tally.add(assigned_parts=float(len(parts)), type_accuracy=100.0 * same)
+        true_change = float(instance.joint_state[j] - canonical.joint_state[j])
+        judged = {"state", "direction", "axis"}
+        tally.add(assigned_parts=float(len(parts)))
+        if fitted:
+            still = abs(true_change) < STILL[kind]
+            tally.add(direction_not_judged=100.0 * still)
+            judged -= {"axis", "direction"} if still else {"axis"}
+        else:
+            tally.add(type_accuracy=100.0 * same)
         state = direction = axis = None
         if same:
             i = parts[0]
             u, v = joints.direction[i], instance.joint_axis[j]
-            change = joints.change_since(first, i, v)
-            state = float(abs(change - (instance.joint_state[j] - canonical.joint_state[j])))
-            direction = metrics.angle_between_lines(u, v)
-            if kind == JointKind.REVOLUTE:
+            state = abs(joints.change_since(first, i, v) - true_change)
+            if "direction" in judged:
+                direction = metrics.angle_between_lines(u, v)
+            if "axis" in judged and kind == JointKind.REVOLUTE:
                 axis = metrics.line_distance(joints.pivot[i], u, instance.joint_pivot[j], v)
         error = JointError(**_which(instance, j), state=state, direction=direction, axis=axis)
         tally.joint_errors.append(error)
-        tally.add(**_right(error))
+        tally.add(**_right(error, judged))
 
 
-def _right(error: JointError) -> dict[str, float]:
-    """100 or 0: whether a joint is right by each quantity within each limit."""
+def _right(error: JointError, judged: set[str]) -> dict[str, float]:
+    """Return 100 or 0: whether a joint is right by each quantity that is judged, within limits."""
     angle, length = (np.degrees(1.0), DEGREES), (1.0, LENGTHS)
     limits = {"state": length, "direction": angle}
     if error.kind == "revolute":
@@ -388,6 +411,7 @@ def _right(error: JointError) -> dict[str, float]:
     return {
         f"{error.kind}_{what}_below_{limit:g}": 100.0 * (value is not None and unit * value < limit)
         for what, (unit, thresholds) in limits.items()
+        if what in judged
         for value in (getattr(error, what),)
         for limit in thresholds
     }

@@ -17,9 +17,12 @@ from articugen.core.records import Floats, JointKind, dequantize
 from articugen.core.schema import Instance
 from articugen.learning.evaluation import metrics
 from articugen.learning.evaluation.metrics import DIAGONAL, NO_LABEL, Ints
-from articugen.learning.evaluation.reconstruction import Reconstruction
+from articugen.learning.evaluation.reconstruction import Reconstruction, joints_of
 
 RIGHT_ANGLE = 90.0
+
+STILL: dict[int, float] = {JointKind.REVOLUTE: float(np.radians(5.0)), JointKind.PRISMATIC: 0.02}
+"""Of a joint that has moved by less, fitted motions do not show the direction: it is not judged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,9 +100,13 @@ def joint_errors(
         instances, matched: as `pose_errors` takes them.
     """
     canonical, instance = instances
-    first, joints = (each.joints for each in found)
-    if first is None or joints is None:
+    label = np.full(found[1].parts, NO_LABEL)
+    there = np.flatnonzero(matched.predicted != NO_LABEL)
+    label[matched.predicted[there]] = there
+    both = joints_of(*found, kinds_of(label, instance))
+    if both is None:
         return
+    (first, joints), fitted = both, found[1].joints is None
     for j, kind in enumerate(instance.joint_kind.tolist()):
         i, true_axis = int(matched.predicted[j + 1]), instance.joint_axis[j]
         revolute = kind == JointKind.REVOLUTE
@@ -111,9 +118,20 @@ def joint_errors(
             pivot = metrics.point_to_line(joints.pivot[i], instance.joint_pivot[j], true_axis)
             change = joints.change_since(first, i, true_axis)
         state = abs(change - true_change)
-        yield "matched_direction_degrees", direction
+        if not fitted or abs(true_change) >= STILL[kind]:
+            yield "matched_direction_degrees", direction
         if revolute:
-            yield "matched_pivot_distance", pivot
+            if not fitted:
+                yield "matched_pivot_distance", pivot
             yield "matched_state_degrees", float(np.degrees(state))
         else:
             yield "matched_state_length", state
+
+
+def kinds_of(label: Ints, instance: Instance) -> Ints:
+    """Return (P,) the kind of the joint that each predicted part moves by, from the true parts that
+    these stand for (P,)."""
+    kind = np.full(len(label), int(JointKind.FIXED))
+    for j, of_joint in enumerate(instance.joint_kind.tolist()):
+        kind[label == j + 1] = of_joint
+    return kind

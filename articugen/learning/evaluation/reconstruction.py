@@ -1,6 +1,7 @@
 """What a learner says of one cloud: part surfaces and, where it knows them, motions and joints."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,28 +38,31 @@ class Reconstruction:
     """The parts of one posed shape, in the unit frame.
 
     Attributes:
-        triangles, part: (F, 3, 3) the surfaces of all parts, (F,) whose each is.
-        whole: (G, 3, 3) the surface of the whole.
+        triangles, part: (F, 3, 3) the surfaces of all parts, (F,) whose each is; labelled points,
+            as triangles of no size, of a method without surfaces.
+        whole: (G, 3, 3) the surface of the whole; None of a method without surfaces.
         occupied: (R, R, R) whether a voxel's centre lies in any part; R = 0 where that is unknown.
         parts: P, how many parts there can be; the same for all shapes of a learner.
         T_part: (P, 4, 4) the rigid transform of each part from a rest frame that is the same in
-            every pose; None of a method that knows no motion.
+            every pose, nan of a part that has none; None of a method that knows no motion.
         joints: None of a method that knows none.
     """
 
     triangles: Floats
     part: NDArray[np.int64]
-    whole: Floats
+    whole: Floats | None
     occupied: NDArray[np.bool_]
     parts: int
     T_part: Floats | None = None
     joints: PartJoints | None = None
 
     def motion_to(self, posed: "Reconstruction") -> Floats | None:
-        """Return how parts moved by their transforms, T(posed) T(here)^-1: (P, 4, 4)."""
+        """Return how parts moved by their transforms, T(posed) T(here)^-1: (P, 4, 4). What has no
+        transform stays."""
         if self.T_part is None or posed.T_part is None:
             return None
-        return posed.T_part @ invert_rigid(self.T_part)
+        motion = posed.T_part @ invert_rigid(self.T_part)
+        return np.where(np.isfinite(motion), motion, np.eye(4))
 
     def joint_motion_to(self, posed: "Reconstruction") -> Floats | None:
         """How parts moved by this shape's axes and the difference of joint states: (P, 4, 4)."""
@@ -72,6 +76,54 @@ class Reconstruction:
         for i in np.flatnonzero(mine.kind == JointKind.PRISMATIC):
             motion[i, :3, 3] = change[i] * mine.direction[i]
         return motion
+
+
+def joints_of(
+    first: Reconstruction, posed: Reconstruction, kind: NDArray[np.int64]
+) -> tuple[PartJoints, PartJoints] | None:
+    """Return the joints of one object in two poses: those that the method predicts or, where it
+    knows motions alone, those that take part 0 for the base: state 0 in the first pose, in the
+    other how far each part has turned or slid, and along which direction; pivots are nan.
+
+    Args:
+        kind: (P,) of the joint that each part is known to hang on.
+    """
+    if first.joints is not None and posed.joints is not None:
+        return first.joints, posed.joints
+    motion = first.motion_to(posed)
+    if motion is None:
+        return None
+    state, direction = np.zeros(len(kind)), np.tile([0.0, 0.0, 1.0], (len(kind), 1))
+    for i, T in enumerate(invert_rigid(motion[0]) @ motion):
+        if kind[i] == JointKind.REVOLUTE:
+            state[i], direction[i] = turn_of(T[:3, :3])
+        elif kind[i] == JointKind.PRISMATIC and T[:3, 3].any():
+            state[i] = np.linalg.norm(T[:3, 3])
+            direction[i] = T[:3, 3] / state[i]
+    pivot = np.full_like(direction, np.nan)
+    before = PartJoints(kind, np.zeros(len(kind)), pivot, direction)
+    return before, PartJoints(kind, state, pivot, direction)
+
+
+def turn_of(R: Floats) -> tuple[float, Floats]:
+    """Return the angle in [0, pi] and the unit axis (3,) of a rotation (3, 3)."""
+    twist = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])  # 2 sin(angle) axis
+    axis = np.linalg.svd(R - np.eye(3))[2][2]
+    axis = -axis if axis @ twist < 0.0 else axis
+    return float(np.arctan2(0.5 * axis @ twist, 0.5 * (np.trace(R) - 1.0))), axis
+
+
+def labelled_points(
+    points: Floats, part: NDArray[np.int64], parts: int, **known: Any
+) -> Reconstruction:
+    """Return what a method without surfaces makes of a cloud: points (n, 3) of parts (n,), each a
+    triangle of no size, so that what lies nearest has the label of the nearest point.
+
+    Args:
+        known: `T_part` and `joints` of `Reconstruction`.
+    """
+    triangles = np.repeat(points[:, None], 3, axis=1)
+    return Reconstruction(triangles, part, None, np.zeros((0, 0, 0), bool), parts, **known)
 
 
 def truth(instance: Instance, resolution: int = 32) -> Reconstruction:

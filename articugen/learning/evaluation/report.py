@@ -91,6 +91,7 @@ _DETAILS = (
     ("reconstruction IoU on the meshes' grid, %", "reconstruction_iou", 100.0),
     ("label IoU of the true labels of that grid's voxels, %", "voxels_label_iou", 100.0),
     ("instances without any surface, %", "no_surface", 100.0),
+    ("joints too still for motions to show a direction, %", "direction_not_judged", 1.0),
 )
 
 

@@ -18,6 +18,13 @@ Reconstruct = Callable[[Instance], Reconstruction]
 
 POOLED = 8
 _CUBE = np.array([[-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]])
+_GRAIN = (
+    0.006
+    * np.array([[1, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]])[
+        [[0, 1, 3], [0, 2, 1], [0, 3, 2], [1, 2, 3]]
+    ]
+)
+"""A tetrahedron (4, 3, 3) as which a point is drawn."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +110,11 @@ def reconstructions(
 
 
 def _solid(found: Reconstruction, names: Names) -> ColouredMesh:
-    return ColouredMesh(found.triangles, found.part, names.colours)
+    triangles, part = found.triangles, found.part
+    if found.whole is None:  # of points alone
+        triangles = (triangles[:, None] + _GRAIN).reshape(-1, 3, 3)
+        part = part.repeat(len(_GRAIN))
+    return ColouredMesh(triangles, part, names.colours)
 
 
 def _changes(
