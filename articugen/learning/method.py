@@ -34,6 +34,7 @@ METHODS = {
     "bsp": "articugen.learning.bsp:METHOD",
     "npcs": "articugen.learning.npcs:METHOD",
     "nsd": "articugen.learning.nsd:METHOD",
+    "opalign": "articugen.learning.opalign:METHOD",
     "one_part": "articugen.learning.one_part:METHOD",
     "ppd": "articugen.learning.ppd:METHOD",
     "ppd_depth": "articugen.learning.ppd:DEPTH_METHOD",
