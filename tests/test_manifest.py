@@ -254,16 +254,16 @@ def test_killed_between_manifest_and_ledger(folder):
 def test_killed_where_the_manifest_is_taken_away(complete, folder, monkeypatch):
     """What was finished before is known still, and goes once the next manifest is written."""
     fewer = keys(seed=7)[1:]
-    remove = Records.remove
+    delete = Folder.delete
     for steps in range(3):
         left = iter(range(steps))
 
-        def die(records, names, left=left):
+        def die(place, names, left=left):
             if next(left, None) is None:
                 raise KeyboardInterrupt
-            remove(records, names)
+            delete(place, names)
 
-        monkeypatch.setattr(Records, "remove", die)
+        monkeypatch.setattr(Folder, "delete", die)
         with pytest.raises(KeyboardInterrupt):
             run(folder, fewer)
         with records_in(folder) as records:

@@ -204,7 +204,9 @@ def test_each_toggle_draws_something_and_takes_it_away(window: Window) -> None:
     assert window.faults == []
 
 
-def test_hostile_names_are_text_and_many_objects_no_trouble(chromium: Any, tmp_path: Path) -> None:
+def test_hostile_names_are_text_and_many_objects_no_trouble(
+    viser: Any, chromium: Any, tmp_path: Path
+) -> None:
     few = {"grids": (8,), "surface_points": 256, "uniform_points": 64, "near_points": 256}
     recipe = SMALL.model_copy(update={"sampling": SMALL.sampling.model_copy(update=few)})
     one = named(hinged_box(STATES, recipe=recipe)[0])

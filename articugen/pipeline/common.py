@@ -107,9 +107,9 @@ def with_free_names(names: dict[Key, str], keys: Sequence[Key]) -> dict[Key, str
         else:
             names[key] = new
             taken.add(new)
-    free = {split: (f"{split}-{number:05d}.h5" for number in count()) for split in place}
     for key in homeless:
-        names[key] = next(name for name in free[key.split] if name not in taken)
+        places = (f"{key.split}-{number:05d}.h5" for number in count())
+        names[key] = next(name for name in places if name not in taken)
         taken.add(names[key])
     return names
 

@@ -151,7 +151,7 @@ def _rows(whole: bytes) -> list[tuple[int, int, Any]]:
         path.write_bytes(whole)
         with open_shard(path) as opened:
             for name in opened.fields:
-                stored = opened.stored(name)
+                stored = opened.columns[name]
                 for first, size in zip(stored.offset.tolist(), stored.size.tolist(), strict=True):
                     found.append((first, first + size - CHECKSUM_BYTES, fletcher32))
     return found

@@ -171,7 +171,7 @@ def _read_shard(path: Path) -> object:
         handle = os.open(path, os.O_RDONLY)
         try:
             for name in shard.fields:
-                stored = shard.stored(name)
+                stored = shard.columns[name]
                 shard.read(name)
                 try:
                     offset, size = stored.span(0)
