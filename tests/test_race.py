@@ -118,7 +118,8 @@ def test_a_seed_that_diverges_loses(boxes, tmp_path, monkeypatch):
 def test_data_that_cannot_be_learnt_from_leave_no_run(tmp_path):
     data = write_boxes(tmp_path / "data", train=2, test=0, states=0)
     settings = DataSettings(surface_points=100, grid_points=100, varying_points=20)
-    recipe = TINY.model_copy(update={"data": settings})
+    warm_start = TINY.warm_start.model_copy(update={"groups": "given"})
+    recipe = TINY.model_copy(update={"data": settings, "warm_start": warm_start})
     with pytest.raises(UnfitData, match="holds one pose of box-0"):
         race(Training(recipe, "box", data, tmp_path / "runs"))
     assert not (tmp_path / "runs").exists()

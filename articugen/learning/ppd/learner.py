@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from articugen.core.records import Floats
+from articugen.core.tables import counted
 from articugen.learning.blocks import Descent
 from articugen.learning.data.batch import Batch, BatchSpec
 from articugen.learning.data.split import PackedSplit, unpacked
@@ -128,7 +129,8 @@ class PPDLearner(Predictor):
             model = self.settings.model
             if self.inputs.groups == "found":
                 objects = len(set(training.object_id.tolist()))
-                tell(f"{len(training)} training instances show {objects} objects, by their clouds")
+                shown = counted(objects, "object")
+                tell(f"{len(training)} training instances show {shown}, by their clouds")
             found, rows = discovered(training, beside, directions_of(model), tell)
             known = sum(each is not None for each in likely(found, model))
             tell(f"joints are known of {known} of {len(found)} training objects")
