@@ -6,9 +6,9 @@ from typing import Literal
 import numpy as np
 import torch
 
+from articugen.evaluation.reconstruction import Reconstruction
 from articugen.learning.data.batch import Batch, BatchSpec
 from articugen.learning.data.split import PackedSplit, unpacked
-from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.method import Learner, Method
 from articugen.learning.recipe import Schedule, Stage, TrainRecipe
 

@@ -53,7 +53,7 @@ def test_training_says_what_was_found_of_joints(tmp_path):
 
 
 def test_evaluate_predict(folder, monkeypatch):
-    monkeypatch.setattr("articugen.learning.evaluation.figures.draw.STEPS", 2)
+    monkeypatch.setattr("articugen.evaluation.figures.draw.STEPS", 2)
     data, runs = folder / "data", folder / "runs"
     done = articugen("evaluate", runs / "box", "-d", data, "--no-figures")
     assert re.search(r"box, labels +\| T2 label IoU \| T2 finer ", done.output)
@@ -76,7 +76,7 @@ def test_evaluate_predict(folder, monkeypatch):
     drawn = []
     (folder / "sets").mkdir()
     (folder / "sets" / "box").symlink_to(data)
-    monkeypatch.setattr("articugen.learning.evaluation.figures.draw.EXAMPLE_STATES", 1)
+    monkeypatch.setattr("articugen.evaluation.figures.draw.EXAMPLE_STATES", 1)
     for given in ((), ("--data", folder / "sets")):
         drawn.append(folder / f"examples-{len(given)}.png")
         done = articugen("tables", runs / "box", "--figure", drawn[-1], *given)

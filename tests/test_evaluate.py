@@ -11,9 +11,9 @@ from ppd_data import write_boxes
 
 from articugen.core.errors import UnfitData
 from articugen.core.geometry import transform
-from articugen.learning.evaluation import evaluate as evaluation_module
-from articugen.learning.evaluation.evaluate import Protocol, evaluate, label_votes, objects_of
-from articugen.learning.evaluation.reconstruction import PartJoints, truth
+from articugen.evaluation import evaluate as evaluation_module
+from articugen.evaluation.evaluate import Protocol, evaluate, label_votes, objects_of
+from articugen.evaluation.reconstruction import PartJoints, truth
 
 FEW = Protocol(points=100, surface_samples=200)
 

@@ -16,18 +16,18 @@ from articugen.core.colours import COLOURS, UNNAMED, part_colours
 from articugen.core.geometry import apply
 from articugen.core.records import Normalization, dequantize
 from articugen.core.schema import Instance
-from articugen.learning.evaluation.evaluate import objects_of
-from articugen.learning.evaluation.figures import plots
-from articugen.learning.evaluation.figures.draw import (
+from articugen.evaluation.evaluate import objects_of
+from articugen.evaluation.figures import plots
+from articugen.evaluation.figures.draw import (
     Drawable,
     Example,
     cutting_plane,
     draw_examples,
     draw_figures,
 )
-from articugen.learning.evaluation.figures.shapes import Names, by_opening, reconstructions
-from articugen.learning.evaluation.reconstruction import Reconstruction, truth
-from articugen.learning.evaluation.results import (
+from articugen.evaluation.figures.shapes import Names, by_opening, reconstructions
+from articugen.evaluation.reconstruction import Reconstruction, truth
+from articugen.evaluation.results import (
     Evaluation,
     JointError,
     JointLine,

@@ -8,10 +8,10 @@ from instances import changed, hinged_box
 
 from articugen.core.geometry import apply, rotation_about, transform
 from articugen.core.records import dequantize
-from articugen.learning.evaluation import metrics
-from articugen.learning.evaluation.matched import Matching, joint_errors, matching, pose_errors
-from articugen.learning.evaluation.metrics import NO_LABEL
-from articugen.learning.evaluation.reconstruction import truth
+from articugen.evaluation import metrics
+from articugen.evaluation.matched import Matching, joint_errors, matching, pose_errors
+from articugen.evaluation.metrics import NO_LABEL
+from articugen.evaluation.reconstruction import truth
 
 EACH = Matching(np.arange(3), np.ones(3))
 """Every true part with its own number."""

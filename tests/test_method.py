@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 from articugen.cli import app
 from articugen.core import plugins
 from articugen.core.errors import ArticugenError, BrokenPlugin, InvalidCheckpoint, InvalidRecipe
+from articugen.evaluation.results import read_evaluation
 from articugen.learning import commands
-from articugen.learning.evaluation.results import read_evaluation
 from articugen.learning.method import find_method, load_recipe, method_names
 from articugen.learning.run_folder import BEST, LATEST, read_checkpoint
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from articugen.core.geometry import rotation_about, transform
-from articugen.learning.evaluation import metrics
+from articugen.evaluation import metrics
 from articugen.meshes.distances import distance, sample
 
 

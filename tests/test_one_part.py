@@ -6,8 +6,8 @@ import torch
 from ppd_data import write_boxes
 
 from articugen.core.records import dequantize
+from articugen.evaluation.evaluate import Protocol, evaluate
 from articugen.learning import commands
-from articugen.learning.evaluation.evaluate import Protocol, evaluate
 from articugen.learning.method import find_method, load_recipe
 
 CPU = torch.device("cpu")

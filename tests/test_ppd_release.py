@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from articugen.core.errors import UnfitData
-from articugen.learning.evaluation.evaluate import Protocol
-from articugen.learning.evaluation.reconstruction import Reconstruction, truth
-from articugen.learning.evaluation.results import LeftOut
+from articugen.evaluation.evaluate import Protocol
+from articugen.evaluation.reconstruction import Reconstruction, truth
+from articugen.evaluation.results import LeftOut
 from articugen.learning.ppd.release import as_points, evaluate, release_meshes
 
 BOXES = {"train": 2, "test": 2, "states": 2}

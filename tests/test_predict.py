@@ -10,7 +10,7 @@ from yourdfpy import URDF
 from articugen.core.errors import ArticugenError
 from articugen.core.geometry import apply
 from articugen.core.records import Normalization
-from articugen.learning.evaluation.reconstruction import Reconstruction, truth
+from articugen.evaluation.reconstruction import Reconstruction, truth
 from articugen.learning.predict import write_rig
 from articugen.meshes.distances import distance
 from articugen.meshes.marching_cubes import zero_level

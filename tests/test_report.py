@@ -5,9 +5,9 @@ from itertools import pairwise
 import pytest
 
 from articugen.core.errors import InvalidCheckpoint
-from articugen.learning.evaluation import paper
-from articugen.learning.evaluation.report import markdown, tables
-from articugen.learning.evaluation.results import (
+from articugen.evaluation import paper
+from articugen.evaluation.report import markdown, tables
+from articugen.evaluation.results import (
     EvaluatedRun,
     Evaluation,
     JointLine,

@@ -19,9 +19,9 @@ from typer.testing import CliRunner
 from articugen.cli import app
 from articugen.core.errors import ArticugenError, InvalidCheckpoint, MachineFault
 from articugen.core.files import partial_name
+from articugen.evaluation.results import read_evaluation
 from articugen.learning import tensors
 from articugen.learning.commands import newest
-from articugen.learning.evaluation.results import read_evaluation
 from articugen.learning.loop import Training, train
 from articugen.learning.ppd.settings import (
     PPDRecipe,

@@ -172,8 +172,8 @@ def evaluate(
 ) -> None:
     """Evaluate a run's last checkpoint on the test objects, as the paper does."""
     with said():
+        from articugen.evaluation.report import markdown
         from articugen.learning import commands
-        from articugen.learning.evaluation.report import markdown
 
         with stderr.status("evaluating ...") as status:
             result = commands.evaluate(

@@ -21,14 +21,14 @@ from articugen.core.files import write_atomically
 from articugen.core.records import JointKind, dequantize
 from articugen.core.schema import Instance
 from articugen.core.yaml_files import with_settings
+from articugen.evaluation.evaluate import Protocol, Reconstruct, check_splits
+from articugen.evaluation.evaluate import evaluate as evaluate_as_paper
+from articugen.evaluation.reconstruction import Reconstruction
+from articugen.evaluation.report import markdown
+from articugen.evaluation.report import tables as written
+from articugen.evaluation.results import EvaluatedRun, RunEvaluation, read_evaluation
 from articugen.learning import loop
 from articugen.learning.data.fitness import lying_otherwise
-from articugen.learning.evaluation.evaluate import Protocol, Reconstruct, check_splits
-from articugen.learning.evaluation.evaluate import evaluate as evaluate_as_paper
-from articugen.learning.evaluation.reconstruction import Reconstruction
-from articugen.learning.evaluation.report import markdown
-from articugen.learning.evaluation.report import tables as written
-from articugen.learning.evaluation.results import EvaluatedRun, RunEvaluation, read_evaluation
 from articugen.learning.loop import Tell
 from articugen.learning.method import Yardstick, find_method, load_recipe
 from articugen.learning.predict import cloud_of_shard, seen_by_a_camera, write_rig
@@ -224,7 +224,7 @@ def draw(run: FolderLike, data: FolderLike, result: RunEvaluation) -> Iterator[P
         run, data: as `evaluate` took them.
         result: what it has returned.
     """
-    from articugen.learning.evaluation.figures.draw import draw_figures  # noqa: PLC0415
+    from articugen.evaluation.figures.draw import draw_figures  # noqa: PLC0415
 
     folder = newest(run)
     learner = read_checkpoint(folder / LATEST).learner()
@@ -270,7 +270,7 @@ def draw_examples(
         UnfitData: a data set has no test object, or is of another category.
         ArticugenError: the picture cannot be written.
     """
-    from articugen.learning.evaluation.figures import draw as figures  # noqa: PLC0415
+    from articugen.evaluation.figures import draw as figures  # noqa: PLC0415
 
     examples = []
     for folder in evaluated(runs):

@@ -17,10 +17,10 @@ from articugen.core.errors import ArticugenError, InvalidCheckpoint, InvalidReci
 from articugen.core.files import make_folder, write_atomically
 from articugen.core.processes import Crew, report
 from articugen.core.yaml_files import read_yaml
+from articugen.evaluation.report import tables
+from articugen.evaluation.results import FILE, read_evaluation
 from articugen.learning import commands, loop
 from articugen.learning.budget import scaled_to
-from articugen.learning.evaluation.report import tables
-from articugen.learning.evaluation.results import FILE, read_evaluation
 from articugen.learning.loop import Progress, Tell, Training
 from articugen.learning.method import load_recipe
 from articugen.learning.recipe import TrainRecipe

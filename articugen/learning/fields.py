@@ -15,11 +15,11 @@ from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from articugen.core.records import Floats
+from articugen.evaluation.figures.draw import Drawable
+from articugen.evaluation.reconstruction import PartJoints, Reconstruction
 from articugen.learning.blocks import NetworkLearner
 from articugen.learning.data.batch import BatchSpec
 from articugen.learning.data.split import PackedSplit, unpacked, voxel_centres
-from articugen.learning.evaluation.figures.draw import Drawable
-from articugen.learning.evaluation.reconstruction import PartJoints, Reconstruction
 from articugen.learning.optimisers import BETAS, Betas
 from articugen.learning.recipe import TrainRecipe
 from articugen.meshes.marching_cubes import zero_level

@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     import torch
 
     from articugen.core.records import Floats
+    from articugen.evaluation.figures.draw import Drawable
+    from articugen.evaluation.reconstruction import Reconstruction
+    from articugen.evaluation.results import Evaluation
     from articugen.learning.data.batch import Batch, BatchSpec
     from articugen.learning.data.split import PackedSplit
-    from articugen.learning.evaluation.figures.draw import Drawable
-    from articugen.learning.evaluation.reconstruction import Reconstruction
-    from articugen.learning.evaluation.results import Evaluation
 
 METHODS = {
     "bae": "articugen.learning.bae:METHOD",
@@ -113,7 +113,7 @@ class Learner(Protocol):
 
     def drawable(self, resolution: int) -> Drawable:
         """What figures ask of it; without a body of one's own shapes and curves alone are drawn."""
-        from articugen.learning.evaluation.figures.draw import Drawable  # noqa: PLC0415
+        from articugen.evaluation.figures.draw import Drawable  # noqa: PLC0415
 
         return Drawable(lambda cloud: self.reconstruct(cloud, resolution=resolution))
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from articugen.core.records import Floats
-from articugen.learning.evaluation.reconstruction import Reconstruction
+from articugen.evaluation.reconstruction import Reconstruction
 from articugen.learning.method import Learner, Method, Terms
 from articugen.learning.recipe import TrainRecipe
 from articugen.meshes.read import box

@@ -12,7 +12,7 @@ from articugen.core.files import write_atomically
 from articugen.core.records import Floats, JointKind, Normalization, dequantize
 from articugen.core.schema import Instance
 from articugen.core.seeding import generator
-from articugen.learning.evaluation.reconstruction import PartJoints, Reconstruction
+from articugen.evaluation.reconstruction import PartJoints, Reconstruction
 from articugen.meshes.model_text import Joint, Visual, obj_text, urdf_text
 from articugen.meshes.points import UNIT, Cloud, checked
 from articugen.store.shards import open_shard

@@ -180,7 +180,7 @@ def metrics() -> Iterable[bytes]:
 
 
 def evaluations() -> Iterable[bytes]:
-    from articugen.learning.evaluation.results import RunEvaluation
+    from articugen.evaluation.results import RunEvaluation
     from tests.test_report import result
 
     del RunEvaluation

@@ -286,7 +286,7 @@ def _read_metrics(path: Path) -> object:
 
 
 def _read_evaluation(path: Path) -> object:
-    from articugen.learning.evaluation.results import read_evaluation
+    from articugen.evaluation.results import read_evaluation
 
     return read_evaluation(path.parents[1])
 

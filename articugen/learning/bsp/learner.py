@@ -6,11 +6,11 @@ import torch
 from torch import Tensor
 
 from articugen.core.records import Floats
+from articugen.evaluation.reconstruction import Reconstruction
 from articugen.learning.bsp.network import BSPNet, filled, outside
 from articugen.learning.bsp.polytopes import cut, reconstruction_of_polytopes
 from articugen.learning.bsp.settings import BSPRecipe
 from articugen.learning.data.batch import Batch
-from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.fields import FieldLearner
 from articugen.learning.method import Terms
 from articugen.learning.tensors import made

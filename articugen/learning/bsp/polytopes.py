@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.records import Floats
-from articugen.learning.evaluation.reconstruction import Reconstruction
+from articugen.evaluation.reconstruction import Reconstruction
 from articugen.learning.fields import grid_centres, reconstruction_of_surfaces
 
 EPSILON = 1e-9  # lengths below which a vertex lies on a plane

@@ -10,10 +10,10 @@ from torch import Tensor
 from articugen.core.errors import UnfitData
 from articugen.core.records import Floats
 from articugen.core.seeding import generator
+from articugen.evaluation.reconstruction import Reconstruction, labelled_points
 from articugen.learning.blocks import NetworkLearner
 from articugen.learning.data.batch import Batch, BatchSpec
 from articugen.learning.data.split import PackedSplit, at_rest, unpacked
-from articugen.learning.evaluation.reconstruction import Reconstruction, labelled_points
 from articugen.learning.method import Terms
 from articugen.learning.npcs.fit import poses
 from articugen.learning.npcs.network import KEPT, WIDTH, NPCSNet

@@ -8,8 +8,8 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from articugen.core.records import Floats
+from articugen.evaluation.reconstruction import Reconstruction
 from articugen.learning.data.batch import Batch
-from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.fields import FieldLearner, fields_on_grid, reconstruction_of_surfaces
 from articugen.learning.method import Terms
 from articugen.learning.nsd.network import SCALE, NSDNet, directions_of, indicator

@@ -6,15 +6,15 @@ from torch import Tensor
 
 from articugen.core.geometry import invert_rigid
 from articugen.core.records import Floats, JointKind
-from articugen.learning.blocks import NetworkLearner
-from articugen.learning.cpu.batches import gather_points
-from articugen.learning.data.batch import Batch, BatchSpec
-from articugen.learning.data.split import PackedSplit, unpacked
-from articugen.learning.evaluation.reconstruction import (
+from articugen.evaluation.reconstruction import (
     PartJoints,
     Reconstruction,
     labelled_points,
 )
+from articugen.learning.blocks import NetworkLearner
+from articugen.learning.cpu.batches import gather_points
+from articugen.learning.data.batch import Batch, BatchSpec
+from articugen.learning.data.split import PackedSplit, unpacked
 from articugen.learning.method import Terms
 from articugen.learning.opalign.network import Joints, OPAlignNet, Posed, alignment, between
 from articugen.learning.opalign.settings import OPAlignRecipe

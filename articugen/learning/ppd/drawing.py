@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from articugen.core.records import Floats, JointKind
-from articugen.learning.evaluation.figures.draw import Between, Drawable, Opening
-from articugen.learning.evaluation.reconstruction import Reconstruction
+from articugen.evaluation.figures.draw import Between, Drawable, Opening
+from articugen.evaluation.reconstruction import Reconstruction
 from articugen.learning.fields import probability
 from articugen.learning.ppd.network import PPD, Prediction
 from articugen.learning.ppd.reconstruct import logits_at, reconstruction_of

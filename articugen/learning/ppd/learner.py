@@ -13,10 +13,10 @@ from torch import Tensor
 
 from articugen.core.records import Floats
 from articugen.core.tables import counted
+from articugen.evaluation.reconstruction import Reconstruction
 from articugen.learning.blocks import Descent
 from articugen.learning.data.batch import Batch, BatchSpec
 from articugen.learning.data.split import PackedSplit, unpacked
-from articugen.learning.evaluation.reconstruction import Reconstruction
 from articugen.learning.fields import VALIDATION_GRID, Meshes, held_out_fit
 from articugen.learning.method import Learner, Terms
 from articugen.learning.ppd import objective
@@ -31,7 +31,7 @@ from articugen.learning.ppd.warm.variation import CHANCES, Variation, is_mirrore
 from articugen.learning.tensors import made
 
 if TYPE_CHECKING:
-    from articugen.learning.evaluation.figures.draw import Drawable
+    from articugen.evaluation.figures.draw import Drawable
 
 MOVED_POSES, MOVED_POINTS = 6, 2048
 

@@ -10,8 +10,8 @@ from torch.func import functional_call
 
 from articugen.core.geometry import invert_rigid
 from articugen.core.records import Floats, JointKind
+from articugen.evaluation.reconstruction import PartJoints, Reconstruction
 from articugen.learning import fields
-from articugen.learning.evaluation.reconstruction import PartJoints, Reconstruction
 from articugen.learning.fields import Meshes, grid_centres, in_blocks
 from articugen.learning.ppd.kinematics import InverseMotion
 from articugen.learning.ppd.network import PPD, Prediction

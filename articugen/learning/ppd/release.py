@@ -17,8 +17,8 @@ import numpy as np
 from articugen.core.records import Floats
 from articugen.core.schema import Instance
 from articugen.core.seeding import generator
-from articugen.learning.evaluation import metrics
-from articugen.learning.evaluation.evaluate import (
+from articugen.evaluation import metrics
+from articugen.evaluation.evaluate import (
     Protocol,
     Reconstruct,
     Tally,
@@ -29,9 +29,9 @@ from articugen.learning.evaluation.evaluate import (
     surface_of,
     tested,
 )
-from articugen.learning.evaluation.metrics import NO_LABEL
-from articugen.learning.evaluation.reconstruction import Reconstruction
-from articugen.learning.evaluation.results import Evaluation, LeftOut
+from articugen.evaluation.metrics import NO_LABEL
+from articugen.evaluation.reconstruction import Reconstruction
+from articugen.evaluation.results import Evaluation, LeftOut
 from articugen.learning.ppd.learner import Predictor
 from articugen.meshes.distances import sample
 from articugen.meshes.marching_cubes import zero_level

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from articugen.core.errors import InvalidCheckpoint
 from articugen.core.records import Floats, JointKind
 from articugen.core.yaml_files import Section
-from articugen.learning.evaluation.paper import COMPLETE
+from articugen.evaluation.paper import COMPLETE
 from articugen.learning.recipe import Schedule, Stage, TrainRecipe
 
 Direction = tuple[float, float, float]

@@ -15,9 +15,9 @@ import numpy as np
 from articugen.core.geometry import apply
 from articugen.core.records import Floats, JointKind, dequantize
 from articugen.core.schema import Instance
-from articugen.learning.evaluation import metrics
-from articugen.learning.evaluation.metrics import DIAGONAL, NO_LABEL, Ints
-from articugen.learning.evaluation.reconstruction import Reconstruction, joints_of
+from articugen.evaluation import metrics
+from articugen.evaluation.metrics import DIAGONAL, NO_LABEL, Ints
+from articugen.evaluation.reconstruction import Reconstruction, joints_of
 
 RIGHT_ANGLE = 90.0
 

@@ -17,8 +17,8 @@ from articugen.core.errors import UnfitData
 from articugen.core.records import Floats, JointKind, dequantize, is_material
 from articugen.core.schema import Instance
 from articugen.core.seeding import generator
-from articugen.learning.evaluation import metrics
-from articugen.learning.evaluation.matched import (
+from articugen.evaluation import metrics
+from articugen.evaluation.matched import (
     STILL,
     Matching,
     joint_errors,
@@ -26,9 +26,9 @@ from articugen.learning.evaluation.matched import (
     matching,
     pose_errors,
 )
-from articugen.learning.evaluation.metrics import DIAGONAL, NO_LABEL, Ints
-from articugen.learning.evaluation.reconstruction import Reconstruction, joints_of
-from articugen.learning.evaluation.results import (
+from articugen.evaluation.metrics import DIAGONAL, NO_LABEL, Ints
+from articugen.evaluation.reconstruction import Reconstruction, joints_of
+from articugen.evaluation.results import (
     Evaluation,
     JointError,
     JointLine,

@@ -10,17 +10,17 @@ import numpy as np
 from articugen.core.colours import COLOURS
 from articugen.core.records import Floats, JointKind, dequantize
 from articugen.core.schema import Instance
-from articugen.learning.evaluation.evaluate import objects_of, tested
-from articugen.learning.evaluation.figures import plots
-from articugen.learning.evaluation.figures.shapes import (
+from articugen.evaluation.evaluate import objects_of, tested
+from articugen.evaluation.figures import plots
+from articugen.evaluation.figures.shapes import (
     Names,
     by_opening,
     evenly,
     interpolations,
     reconstructions,
 )
-from articugen.learning.evaluation.reconstruction import Reconstruction
-from articugen.learning.evaluation.results import Evaluation
+from articugen.evaluation.reconstruction import Reconstruction
+from articugen.evaluation.results import Evaluation
 from articugen.pictures.layout import in_columns, save, sheet
 from articugen.pictures.portrait import best_azimuth
 

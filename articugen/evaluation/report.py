@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from articugen.learning.evaluation import paper
-from articugen.learning.evaluation.results import (
+from articugen.evaluation import paper
+from articugen.evaluation.results import (
     EvaluatedRun,
     Evaluation,
     JointLine,

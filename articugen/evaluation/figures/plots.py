@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from articugen.core.errors import ArticugenError, MissingExtra
 from articugen.core.records import Floats
-from articugen.learning.evaluation.results import Evaluation, JointError, JointLine, JointState
+from articugen.evaluation.results import Evaluation, JointError, JointLine, JointState
 
 try:
     from matplotlib.axes import Axes

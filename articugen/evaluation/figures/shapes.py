@@ -8,7 +8,7 @@ import numpy as np
 from articugen.core.colours import colour_of, part_colours, shaded
 from articugen.core.records import Floats, JointKind, dequantize
 from articugen.core.schema import Instance
-from articugen.learning.evaluation.reconstruction import Reconstruction
+from articugen.evaluation.reconstruction import Reconstruction
 from articugen.pictures.layout import Caption, Row, sheet
 from articugen.pictures.portrait import pooled, portrait, solid_portrait, tile_camera
 from articugen.pictures.shading import Picture
