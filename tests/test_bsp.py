@@ -95,7 +95,8 @@ def test_the_layers_are_what_they_are_called(seed):
     np.testing.assert_allclose(fields, np.maximum(2.0 - 200.0 * out, -2.0), atol=1e-6)
 
 
-def test_planes_that_bound_nothing_are_left_out_exactly():
+@pytest.mark.parametrize("overlap", [False, True])
+def test_planes_that_bound_nothing_are_left_out_exactly(overlap):
     """All of them, as the authors' program takes them: the same values and gradients."""
     net = BSPNet(ModelSettings(**SMALL))
     spread(net, 4)
@@ -107,7 +108,7 @@ def test_planes_that_bound_nothing_are_left_out_exactly():
     true = (torch.rand(2, 40) < 0.5).double()
     all_of_them = (net.T.detach() > 0.01).double()
     some, everything = (
-        lesson.union_loss(out, true)
+        lesson.union_loss(out, true) + overlap * lesson.overlap_loss(out, true)
         for out in (
             outside(net.encode(cloud), net.bounds(), points),
             outside(net.all_planes(cloud), all_of_them, points),
@@ -129,15 +130,22 @@ def test_each_loss_is_what_its_formula_says(seed, inside):
     out = np.maximum(rng.normal(0.0, 0.6, (B, n, c)), 0.0) * rng.choice([0.01, 1.0], (B, n, c))
     true = rng.integers(0, 2, (B, n)).astype(float)
     T, W = rng.normal(0.3, 0.8, (p, c)), rng.normal(0.5, 0.5, (c, 1))
-    union = t = 0.0
+    union = binary = overlap = t = 0.0
     for b, i in np.ndindex(B, n):
         least = min(out[b, i])
         union += max(least, 0.0) if true[b, i] else 1.0 - min(least, 1.0)
+        within = [k for k in range(c) if out[b, i, k] < 0.01]
+        if len(within) > 1:
+            overlap -= sum(out[b, i, k] * true[b, i] for k in within)
     for entry in T.flat:
         t += max(entry - 1.0, 0.0) - min(entry, 0.0)
+        binary += abs(entry) if entry < 0.01 else abs(entry - 1.0)
     tensors = [torch.from_numpy(x) for x in (out, true, T, W)]
     ours_out, ours_true, ours_T, ours_W = tensors
     assert float(lesson.union_loss(ours_out, ours_true)) == pytest.approx(union / (B * n))
+    overlaps = float(lesson.overlap_loss(ours_out, ours_true))
+    assert overlaps == pytest.approx(overlap / (B * n * c), abs=1e-12)
+    assert float(lesson.binary_loss(ours_T)) == pytest.approx(binary)
     terms = lesson.weights_loss(ours_T, ours_W)
     assert float(terms["t"]) == pytest.approx(t)
     assert float(terms["w"]) == pytest.approx(sum(abs(w - 1.0) for w in W[:, 0]))
@@ -149,7 +157,7 @@ def batch_of(cloud, points, occupied) -> Batch:
 
 
 def test_each_stage_has_its_terms_and_the_first_iterations_are_fourfold():
-    names = ("continuous", "hard")
+    names = ("continuous", "hard", "hard_overlap", "soft", "soft_overlap")
     learner = BSPLearner(recipe(*((name, 2) for name in names), fourfold=1), 3, CPU)
     net = learner.network
     spread(net, 5)
@@ -157,16 +165,19 @@ def test_each_stage_has_its_terms_and_the_first_iterations_are_fourfold():
     occupied = torch.rand(2, 30) < 0.4
     with torch.no_grad():
         terms = []
-        for learner.iteration in range(4):
+        for learner.iteration in range(10):
             terms.append(learner.loss(batch_of(cloud, points, occupied)))
         soft = outside(net.all_planes(cloud), net.T, points)
         hard = outside(net.all_planes(cloud), (net.T > 0.01).double(), points)
-    assert [set(t) for t in terms[::2]] == [{"rec", "w", "t"}, {"rec"}]
+    assert [set(t) for t in terms[::2]] == [
+        {"rec", "w", "t"}, {"rec"}, {"rec", "overlap"}, {"rec", "t"}, {"rec", "t", "overlap"},
+    ]  # fmt: skip
     S, o = filled(soft, net.W).detach().numpy(), occupied.numpy()
     assert float(terms[0]["rec"]) == pytest.approx(np.mean((4.0 * o - S) ** 2))
     assert float(terms[1]["rec"]) == pytest.approx(np.mean((o - S) ** 2))
-    rec = float(lesson.union_loss(hard, occupied.double()))
-    assert float(terms[2]["rec"]) == pytest.approx(rec)
+    for i, out in ((2, hard), (4, hard), (6, soft), (8, soft)):
+        rec = float(lesson.union_loss(out, occupied.double()))
+        assert float(terms[i]["rec"]) == pytest.approx(rec)
     assert vars(learner.descent.optimiser)["betas"] == (0.5, 0.999)
 
 

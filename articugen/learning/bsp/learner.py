@@ -7,7 +7,7 @@ from torch import Tensor
 
 from articugen.core.records import Floats
 from articugen.evaluation.reconstruction import Reconstruction
-from articugen.learning.bsp.network import BSPNet, filled, outside
+from articugen.learning.bsp.network import NEAR, USED, BSPNet, filled, outside
 from articugen.learning.bsp.polytopes import cut, reconstruction_of_polytopes
 from articugen.learning.bsp.settings import BSPRecipe
 from articugen.learning.data.batch import Batch
@@ -46,8 +46,15 @@ class BSPLearner(FieldLearner):
             self.stuck = torch.where(between, 0, self.stuck + 1)
             inside = INSIDE if self.iteration < self.settings.fourfold else 1.0
             return {"rec": (inside * true - output).square().mean(), **weights_loss(net.T, net.W)}
-        out = outside(net.encode(batch.cloud), net.bounds(), batch.points)
-        return {"rec": union_loss(out, true)}
+        if loss.startswith("hard"):
+            out = outside(net.encode(batch.cloud), net.bounds(), batch.points)
+            terms = {"rec": union_loss(out, true)}
+        else:
+            out = outside(net.all_planes(batch.cloud), net.T, batch.points)
+            terms = {"rec": union_loss(out, true), "t": binary_loss(net.T)}
+        if loss.endswith("overlap"):
+            terms["overlap"] = overlap_loss(out, true)
+        return terms
 
     def learn(self, batch: Batch, rng: torch.Generator | None, *, iteration: int) -> Terms:
         if iteration % LOOK_EVERY == 0 and int(self.stuck) >= self.settings.restart_after:
@@ -85,8 +92,23 @@ def weights_loss(T: Tensor, W: Tensor) -> Terms:
     return {"w": (W - 1.0).abs().sum(), "t": ((T - 1.0).relu() + (-T).relu()).sum()}
 
 
+def binary_loss(T: Tensor) -> Tensor:
+    """Return what leads each entry of T to the nearer side of `USED`, 0 or 1."""
+    return torch.where(T < USED, T.abs(), (T - 1.0).abs()).sum()
+
+
 def union_loss(out: Tensor, true: Tensor) -> Tensor:
     """Return the mean error of the union of convexes, from `outside` (B, n, c) and 0 or 1 (B, n):
     an occupied point should be in some convex, any other at least 1 beyond all."""
     least = out.amin(2)
     return ((1.0 - true) * (1.0 - least.clamp(max=1.0)) + true * least.clamp(min=0.0)).mean()
+
+
+def overlap_loss(out: Tensor, true: Tensor) -> Tensor:
+    """Return a mean that is less where occupied points are in fewer convexes at a time.
+
+    As in the authors' program, which they say is right where the paper's formula is not.
+    """
+    within = out < NEAR
+    shared = within & (within.sum(2, keepdim=True) > 1)
+    return -(out * shared * true[..., None]).mean()

@@ -30,11 +30,12 @@ class BSPStage(Stage):
     """A stretch of training.
 
     Attributes:
-        loss: `continuous`, where planes and convexes are summed with weights; or `hard`, where a
-            plane bounds a convex or does not: the authors' phases 0 and 1.
+        loss: `continuous`, where planes and convexes are summed with weights; `hard`, where a plane
+            bounds a convex or does not; `soft`, where such weights are led to 0 and 1. `_overlap`
+            also keeps convexes from lying in each other. The authors' phases 0, 1, 3, 2 and 4.
     """
 
-    loss: Literal["continuous", "hard"] = "continuous"
+    loss: Literal["continuous", "hard", "hard_overlap", "soft", "soft_overlap"] = "continuous"
 
 
 class BSPSchedule(Schedule):
