@@ -318,7 +318,7 @@ def test_one_pose_is_enough_where_none_are_compared(tmp_path):
 
 def test_a_joint_that_no_candidate_can_follow_is_refused(folder):
     for joints in ((0, 4), (3, 0)):
-        said = f"model {joints[0]} and {joints[1]} such parts; add directions to model"
+        said = f"model {joints[0]} and {joints[1]} such parts; take one with more"
         with pytest.raises(UnfitData, match=said):
             load_split(folder, "train", dataclasses.replace(ASK, joints=joints), [8])
 

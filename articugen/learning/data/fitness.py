@@ -61,7 +61,7 @@ def _check_joints(shard: Shard, joints: tuple[int, int] | None) -> None:
     if any(has > most for has, most in zip(have, joints, strict=True)):
         raise UnfitData(
             f"{shard.path}: an object has {have[0]} revolute and {have[1]} prismatic joints, the "
-            f"recipe's model {joints[0]} and {joints[1]} such parts; add directions to model"
+            f"recipe's model {joints[0]} and {joints[1]} such parts; take one with more"
         )
 
 
