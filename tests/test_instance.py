@@ -24,6 +24,7 @@ from articugen.core.geometry import (
     transform,
     voxel_centres,
 )
+from articugen.core.near import by_cell, nearest_within
 from articugen.core.recipe import Recipe, Sampling, load_recipe
 from articugen.core.records import (
     ENCLOSED,
@@ -413,6 +414,25 @@ def test_partial_clouds_come_from_the_recipes_backend(
     pixels = made.recipe.sampling.partial_resolution
     assert asked.count(("pinhole", pixels, 1)) == made.obj.part_count
     assert len(asked) == made.obj.part_count + 1
+
+
+def test_held_cameras_are_alike_and_above_the_middle(make: Maker) -> None:
+    made = make("laptop", 0)
+    recipe = made.recipe.model_dump()
+    recipe["sampling"] |= {"partial_cameras": "held", "partial_views": 6}
+    prepared = replace(made.prepared, recipe=Recipe.model_validate(recipe))
+    instance = make_instance(prepared, 1)
+    check_partial_clouds(made, 1, instance)
+    assert np.ptp(instance.partial_intrinsics[:, :2]) == 0.0
+    corners = dequantize(instance.surface_points)
+    eyes = np.array([invert_rigid(T)[:3, 3] for T in instance.partial_T_camera_world])
+    assert (eyes[:, 2] > 0.5 * (corners[:, 2].min() + corners[:, 2].max()) - 0.02).all()
+    recipe["sampling"] |= {"kinect_metres": 0.5}
+    noisy = make_instance(replace(prepared, recipe=Recipe.model_validate(recipe)), 1)
+    np.testing.assert_array_equal(noisy.partial_intrinsics, instance.partial_intrinsics)
+    clouds = dequantize(noisy.partial_points).reshape(-1, 3)
+    assert (nearest_within(by_cell(corners), clouds, 0.05) >= 0).mean() > 0.99
+    assert np.abs(noisy.partial_points.astype(int) - instance.partial_points).max() > 50
 
 
 def check_partial_clouds(made: Made, s: int, instance: Instance) -> None:

@@ -4,7 +4,7 @@ import trimesh
 
 from articugen.core.errors import RejectedInstance
 from articugen.core.geometry import voxel_centres
-from articugen.core.recipe import Fusion
+from articugen.core.recipe import Fusion, Sampling
 from articugen.fusion.field import fuse
 from articugen.fusion.reachable import touched
 from articugen.instance import sampling
@@ -124,7 +124,8 @@ def test_partial_clouds_lie_on_what_their_camera_sees(noise):
     rng = np.random.default_rng(0)
     views = random_pinhole_views(3, 96, np.array([[-0.3, -0.3, -0.05], [0.3, 0.3, 0.45]]), rng=rng)
     maps = render(mesh, views)
-    clouds = sampling.partial_clouds(maps, mesh.part_of_face, 500, noise, rng=rng)
+    wanted = Sampling(partial_points=500, depth_noise=noise)
+    clouds = sampling.partial_clouds(maps, mesh.part_of_face, wanted, rng=rng)
     for k in range(3):
         assert len(np.unique(clouds.points[k], axis=0)) == 500
         T = views.T_camera_world[k]
@@ -137,3 +138,27 @@ def test_partial_clouds_lie_on_what_their_camera_sees(noise):
         assert error.std() == pytest.approx(noise, rel=0.15, abs=1e-6)
         parts = mesh.part_of_face[maps.face[k][rows, columns]]
         assert np.array_equal(clouds.part[k], parts)
+
+
+@pytest.mark.parametrize("metres", [0.3, 1.0])
+def test_a_kinect_reads_one_of_its_disparities_half_a_pixel_off(metres):
+    """Two plates that face the camera, 1.5 and 1.7 away; the far one is seen beside the near."""
+    depth, face = np.zeros((120, 160)), np.full((120, 160), -1)
+    depth[20:100, 20:140], face[20:100, 20:140] = 1.7, 1
+    depth[40:80, 40:120], face[40:80, 40:120] = 1.5, 0
+    measured, shows = sampling.as_kinect(depth, face, metres, rng=np.random.default_rng(3))
+    for number, z in enumerate((1.5, 1.7)):
+        steps = 35130 / (100 * metres * measured[shows == number])
+        assert np.allclose(steps, np.rint(steps), atol=1e-9)
+        exact = 35130 / (100 * metres * z)
+        choices = np.floor(exact + np.random.default_rng(4).normal(0, 1 / 6, 10**6) + 0.5)
+        assert steps.mean() == pytest.approx(choices.mean(), abs=0.03)
+        assert steps.std() == pytest.approx(choices.std(), abs=0.03)
+    changed = np.argwhere(shows != face)
+    borders = np.argwhere((face[1:, 1:] != face[:-1, 1:]) | (face[1:, 1:] != face[1:, :-1]))
+    gaps = np.abs(changed[:, None] - borders[None]).max(2).min(1)
+    assert len(changed) > 100
+    assert gaps.max() <= 3
+    assert np.mean(gaps <= 1) > 0.95  # beyond, three standard deviations
+    lost = (face >= 0) & (shows < 0)
+    assert 0.1 < lost[20, 20:140].mean() < 0.3  # a pixel reads the row above with 16 % each

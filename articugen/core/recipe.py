@@ -135,7 +135,11 @@ class Sampling(_Section):
         sharp_degrees: an edge is sharp where its faces turn by this or more.
         partial_views, partial_points, partial_resolution: how many depth cameras, points of each,
             pixels along the edge of its image.
+        partial_cameras: where they are: `around` the object, each image just filled by it; or
+            `held`, above its middle, with square pixels and one field of view as those of `images`.
         depth_noise: standard deviation of what they measure.
+        kinect_metres: they measure as a Kinect does that sees the unit frame as a cube of this
+            edge, in metres; 0 for exact ones. See `instance.sampling.as_kinect`.
     """
 
     grids: tuple[int, ...] = (16, 32, 64)
@@ -151,7 +155,9 @@ class Sampling(_Section):
     partial_views: int = Field(default=4, ge=0, le=256)
     partial_points: int = Field(default=1024, ge=0, le=1_000_000)
     partial_resolution: int = Field(default=192, ge=16, le=2048)
+    partial_cameras: Literal["around", "held"] = "around"
     depth_noise: float = Field(default=0.0, ge=0.0, le=0.1)
+    kinect_metres: float = Field(default=0.0, ge=0.0, le=10.0)
 
     @model_validator(mode="after")
     def _makes_sense(self) -> "Sampling":
@@ -181,7 +187,10 @@ class Images(_Section):
 
 _LATER = {
     "articulation": ("collision", "collision_depth"),
-    "sampling": ("near_sharp", "signed_distance", "sharp_points", "sharp_degrees"),
+    "sampling": (
+        *("near_sharp", "signed_distance", "sharp_points", "sharp_degrees"),
+        *("partial_cameras", "kinect_metres"),
+    ),
     "images": tuple(Images.model_fields),
 }
 """Keys that ask for nothing by default and that the recipes of older data sets do not have."""

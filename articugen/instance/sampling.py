@@ -12,6 +12,7 @@ import numpy as np
 from articugen.core.arrays import Bools, Bytes, Floats, Indices, Ints
 from articugen.core.errors import RejectedInstance
 from articugen.core.geometry import apply, cross, invert_rigid, points_on_triangles
+from articugen.core.recipe import Sampling
 from articugen.core.records import DepthMaps, LabelledMesh
 
 IsFree = Callable[[Floats, Indices], Bools]
@@ -126,33 +127,60 @@ def surface_points(
 
 
 def partial_clouds(
-    maps: DepthMaps, part_of_face: Bytes, count: int, noise: float, *, rng: np.random.Generator
+    maps: DepthMaps, part_of_face: Bytes, wanted: Sampling, *, rng: np.random.Generator
 ) -> PartialClouds:
-    """`count` points of each view's depth map, without repeats where it has that many.
+    """Return `partial_points` of each view's depth map, without repeats where it has that many.
 
     Args:
         maps: pinhole depth maps that say which face is seen.
-        noise: standard deviation of the depth, unit frame; 0 for none.
+        wanted: how many, and how exactly the cameras measure.
 
     Raises:
         RejectedInstance: a view sees nothing.
     """
     assert maps.depth is not None
     assert maps.face is not None
-    views = maps.views
+    views, count, noise = maps.views, wanted.partial_points, wanted.depth_noise
     clouds = np.zeros((len(views), count, 3))
     parts = np.zeros((len(views), count), np.uint8)
     for k in range(len(views)):
-        hits = np.flatnonzero(maps.face[k] >= 0)
+        depth, face = maps.depth[k].astype(np.float64), maps.face[k]
+        if wanted.kinect_metres > 0.0:
+            depth, face = as_kinect(depth, face, wanted.kinect_metres, rng=rng)
+        hits = np.flatnonzero(face >= 0)
         if not len(hits):
             raise RejectedInstance("a depth camera sees nothing of the object")
         chosen = rng.permutation(hits)[np.arange(count) % len(hits)]
         i, j = np.divmod(chosen, views.width)
-        z = maps.depth[k][i, j].astype(np.float64)
+        z = depth[i, j]
         if noise > 0.0:
             z = z + noise * rng.normal(size=count)
         x = (j + 0.5 - views.cx[k]) / views.fx[k] * z
         y = (i + 0.5 - views.cy[k]) / views.fy[k] * z
         clouds[k] = apply(invert_rigid(views.T_camera_world[k]), np.stack([x, y, z], axis=1))
-        parts[k] = part_of_face[maps.face[k][i, j]]
+        parts[k] = part_of_face[face[i, j]]
     return PartialClouds(np.clip(clouds, -0.5, 0.5), parts)
+
+
+def as_kinect(
+    depth: Floats, face: Indices, metres: float, *, rng: np.random.Generator
+) -> tuple[Floats, Indices]:
+    """Return a depth map (H, W), unit frame, and the faces it shows, -1 for none, as measured.
+
+    A pixel reads the depth about half a pixel off (a standard deviation of 1/2 along each axis of
+    the image), and none where nothing is there; what it reads is one of the sensor's disparities,
+    so that steps and errors grow with the square of the depth. Barron and Malik, "Intrinsic Scene
+    Properties from a Single RGB-D Image", CVPR 2013: z' = 35130 / floor(35130 / z + n + 1/2) with
+    z in cm and n of standard deviation 1/6. Angles to the surface and lost patches are left out.
+
+    Args:
+        metres: what the unit frame's edge is for the sensor.
+    """
+    height, width = face.shape
+    off = np.rint(0.5 * rng.normal(size=(2, height, width))).astype(np.intp)
+    rows = np.clip(np.arange(height)[:, None] + off[0], 0, height - 1)
+    columns = np.clip(np.arange(width) + off[1], 0, width - 1)
+    read, face = 100.0 * metres * depth[rows, columns], face[rows, columns]
+    steps = 35130.0 / np.where(face >= 0, read, 1.0) + rng.normal(size=face.shape) / 6.0
+    measured = 35130.0 / np.maximum(np.floor(steps + 0.5), 1.0)
+    return measured / (100.0 * metres), face

@@ -193,7 +193,8 @@ def _zero_level(seen: Samples, _: Recipe) -> Iterator[Share]:
 
 def _partial_parts(seen: Samples, recipe: Recipe) -> Iterator[Share]:
     row = seen.row
-    if recipe.sampling.depth_noise > MOST_NOISE or not len(seen.surface):
+    wanted = recipe.sampling
+    if wanted.depth_noise > MOST_NOISE or wanted.kinect_metres or not len(seen.surface):
         return
     partial = dequantize(row.partial_points).reshape(-1, 3)
     nearest = nearest_within(seen.near_surface, partial, SAME_SURFACE)
