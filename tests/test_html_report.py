@@ -23,8 +23,7 @@ from articugen.core.errors import MachineFault
 from articugen.core.geometry import apply, rotation_about
 from articugen.core.records import dequantize
 from articugen.core.schema import Instance
-from articugen.inspection.report.alike import nearest_pairs, outliers
-from articugen.inspection.report.facts import CLOUD, ObjectFacts, PartSize, facts
+from articugen.inspection.report.facts import facts
 from articugen.inspection.report.markup import el, text
 from articugen.inspection.report.page import write_report
 from articugen.inspection.report.skin import skin
@@ -114,36 +113,6 @@ def test_facts_are_those_of_the_boxes(page: Path) -> None:
     np.testing.assert_allclose(box.parts[1].box, [0.6, 0.6, 0.06], atol=0.01)
     solid = 0.6 * 0.6 * (0.08 + 0.06) + 0.1 * 0.12 * 0.055
     assert box.occupied.mean() == pytest.approx(solid / box.scale**3, rel=0.15)
-
-
-def cloud(points: OrientedPoints, name: str, **changes: Any) -> ObjectFacts:
-    return replace(_PLAIN, object_id=name, cloud=points.points, normals=points.normals, **changes)
-
-
-_PLAIN = ObjectFacts(
-    "", "train", Path(), (0,), 1.0, (), (), np.ones(1), 0.0, np.ones(1), np.ones(1)
-)
-
-
-def test_the_same_shape_sampled_twice_is_a_near_duplicate_and_a_smaller_one_is_none() -> None:
-    seven = [cloud(cube(0.3 + 0.02 * k, CLOUD, k), f"cube-{k}") for k in range(4)]
-    pairs = nearest_pairs([*seven, cloud(cube(0.34, CLOUD, 9), "again")], 3)
-    assert {pairs[0].first.object_id, pairs[0].second.object_id} == {"cube-2", "again"}
-    assert [pair.same for pair in pairs] == [True, False, False]
-    assert pairs[1].apart == pytest.approx(0.02, rel=0.3)
-
-
-def test_an_object_ten_times_as_large_is_an_outlier() -> None:
-    rng = np.random.default_rng(0)
-    part = PartSize("", "", 1.0, 1.0, np.ones(3))
-    every = [
-        cloud(cube(0.3, 8), f"{k}", parts=(part,), scale=float(rng.normal(1.0, 0.05)))
-        for k in range(12)
-    ]
-    assert outliers(every) == []
-    found = outliers([*every, replace(every[0], object_id="huge", scale=10.0)])
-    assert [(o.object.object_id, o.what) for o in found] == [("huge", "length of the unit frame")]
-    assert outliers(every[:3]) == []
 
 
 @pytest.fixture(scope="module")

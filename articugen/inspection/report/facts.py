@@ -13,8 +13,6 @@ from articugen.core.records import ENCLOSED, JointKind, dequantize, is_material
 from articugen.store.columns import Attribute
 from articugen.store.shards import Shard, open_shard
 
-CLOUD = 1024  # points that stand for an object's shape where objects are compared
-
 
 @dataclass(frozen=True, eq=False)
 class JointStates:
@@ -65,8 +63,8 @@ class ObjectFacts:
         shard: the file that holds it.
         scale: metres that the unit frame's unit is long.
         occupied: (n,) the share of the unit cube inside of it, of each instance; nan unless known.
-        enclosed: the same of what no view sees and no part holds, over all instances.
-        cloud, normals: (m, 3) some surface points of its canonical pose, unit frame.
+        points: how many surface points an instance has.
+        box: (3,) of those in its canonical pose, its model's unit; nan without any.
     """
 
     object_id: str
@@ -77,14 +75,8 @@ class ObjectFacts:
     joints: tuple[JointStates, ...]
     parts: tuple[PartSize, ...]
     occupied: Floats
-    enclosed: float
-    cloud: Floats
-    normals: Floats
-
-    @property
-    def box(self) -> Floats:
-        """(3,) in the unit of its model, canonical pose; nan without surface points."""
-        return _box(self.cloud, self.scale)
+    points: int
+    box: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,9 +147,8 @@ def _object(
             for k in range(len(first.part_motion))
         ),
         occupied=solid.mean(axis=1) if solid.size else np.full(len(rows), np.nan),
-        enclosed=_share(inside == ENCLOSED),
-        cloud=points[:CLOUD],
-        normals=first.surface_normals[:CLOUD] / 127.0,
+        points=len(points),
+        box=_box(points, scale),
     )
 
 

@@ -17,7 +17,6 @@ from articugen.core.content import VERSION
 from articugen.core.errors import InvalidArgument
 from articugen.core.files import check_place, write_atomically
 from articugen.inspection.report import sections
-from articugen.inspection.report.alike import nearest_pairs, outliers
 from articugen.inspection.report.facts import Facts, facts
 from articugen.inspection.report.markup import Markup, el
 from articugen.inspection.report.truth import Measured, measured
@@ -28,8 +27,6 @@ from articugen.store.manifest import MANIFEST_NAME, Manifest
 OBJECTS, STATES = 12, 3  # of the contact sheet, unless more are asked for
 PICTURE = 168  # pixels along an edge of a picture on the sheet
 POOLED = 3  # the points of so many instances make a picture: it is smaller than a sheet's
-PAIRS = 5
-"""The most alike pairs of objects that are listed, even where they are not near-duplicates."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +72,7 @@ def write_report(
     drawable = [  # as is known without reading a shard again
         Chosen(category, each.split, each.object_id, [(each.shard, row) for row in each.rows])
         for each in found.objects
-        if len(each.cloud) > 1
+        if each.points > 1
     ]
     report = Report(
         path=path,
@@ -149,11 +146,6 @@ def _sections(report: Report) -> list[tuple[str, str, Markup]]:
         ("joints", "Joints", sections.joints(every)),
         ("parts", "Parts", sections.parts(every)),
         ("truth", "Truth", sections.truth(report.measured)),
-        (
-            "alike",
-            "Alike and unlike",
-            sections.alike(nearest_pairs(every, PAIRS), outliers(every), len(every)),
-        ),
         ("objects", "Objects", sections.objects(every, manifest)),
         ("left-out", "Left out", sections.left_out(manifest)),
         ("recipe", "Recipe", sections.recipe(found, manifest)),

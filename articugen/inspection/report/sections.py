@@ -11,7 +11,6 @@ import numpy as np
 from articugen.core.colours import colour_of
 from articugen.core.records import JointKind
 from articugen.core.tables import counted, duration, size
-from articugen.inspection.report.alike import FEWEST, SAME, UNLIKE, Outlier, Pair
 from articugen.inspection.report.facts import (
     Facts,
     JointStates,
@@ -255,53 +254,6 @@ def truth(found: Measured) -> Markup:
         el("div", table(("", ">All together", ">Worst instance"), rows, "Agreement"),
            class_="card narrow"),
     )  # fmt: skip
-
-
-def alike(pairs: Sequence[Pair], unlike: Sequence[Outlier], count: int) -> Markup:
-    """Write the pairs of `count` objects that are nearly the same, and the outliers."""
-    same = [pair for pair in pairs if pair.same]
-    rows = [
-        [f"{p.first.object_id} ({p.first.split})", f"{p.second.object_id} ({p.second.split})",
-         f"{100.0 * p.apart:.2f} %", f"{p.ratio:.1f}"]
-        for p in pairs
-    ]  # fmt: skip
-    verdict = f"{counted(len(same), 'pair')} of" if same else "No two"
-    kind = "warn" if same else "good"
-    about = (
-        "The most alike canonical poses. Apart: the mean distance of one's points to the other's "
-        "surface, of the unit frame. Ratio: over the same between two halves of one object's "
-        f"points; below {SAME} two objects cannot be distinguished."
-    )
-    far = [
-        [o.object.object_id, o.what, f"{o.value:.4g}{o.unit}", f"{o.typical:.4g}{o.unit}",
-         f"{o.score:.1f}"]
-        for o in unlike[:MOST_ROWS]
-    ]  # fmt: skip
-    return el(
-        "div",
-        card(
-            el("h3", "Near-duplicates"),
-            *(
-                (
-                    el("p", f"{verdict} objects are near-duplicates.", class_=kind),
-                    hint(about),
-                    table(("One", "Other", ">Apart", ">Ratio"), rows, "Most alike pairs"),
-                )
-                if pairs
-                else (hint("There are no two objects to compare."),)
-            ),
-        ),
-        card(
-            el("h3", "Outliers"),
-            hint(f"Objects more than {UNLIKE} modified z-scores from the median."),
-            table(("Object", "What", ">Value", ">Median", ">Score"), far, "Outliers")
-            if far
-            else el("p", "None.", class_="good")
-            if count >= FEWEST
-            else hint(f"Fewer than {FEWEST} objects do not tell what is usual."),
-        ),
-        class_="pair",
-    )
 
 
 def objects(every: Sequence[ObjectFacts], manifest: Manifest | None) -> Markup:

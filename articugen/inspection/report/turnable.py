@@ -46,7 +46,7 @@ class Turnable:
 
 def turnable(objects: Sequence[ObjectFacts]) -> Turnable | None:
     """Show the first object of those with the most joints; None where no surface is stored."""
-    shown = [each for each in objects if len(each.cloud) >= FEWEST]
+    shown = [each for each in objects if each.points >= FEWEST]
     if not shown:
         return None
     chosen = max(shown, key=lambda each: len(each.joints))
