@@ -173,7 +173,7 @@ viewer: $(viewer)  ## install viser, which `make view` shows objects with
 
 cluster: $(clusters)  ## install Dask, submitit and obstore, which other machines and object stores need, and their tests
 
-learner: $(learner)  ## install torch and matplotlib, which train and evaluate need
+learner: $(learner)  ## install torch, which train and evaluate need
 
 clean:  ## remove caches and build files; keep data and the environment
 	@rm -rf build dist .pytest_cache .ruff_cache .hypothesis

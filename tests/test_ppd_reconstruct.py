@@ -1,4 +1,4 @@
-"""What PPD's model says of a cloud: surfaces where its field is zero, and what lies between two."""
+"""What PPD's model says of a cloud: surfaces where its field is zero."""
 
 from functools import partial
 
@@ -11,7 +11,6 @@ from articugen.core.geometry import apply
 from articugen.core.records import dequantize
 from articugen.learning.fields import fields_on_grid, meshes_of_greatest
 from articugen.learning.ppd import reconstruct as reconstruction
-from articugen.learning.ppd.drawing import between
 from articugen.learning.ppd.network import PPD
 from articugen.learning.ppd.reconstruct import logits_at, reconstruction_of
 from articugen.learning.ppd.settings import ModelSettings
@@ -79,29 +78,6 @@ def test_a_part_is_not_far_outside_of_its_box():
     far = ((off - reconstruction.ROOM) * box.size[0, :, None] > reconstruction._MARGIN).any(-1)
     assert (found[far.numpy()] == reconstruction._NOWHERE).all()
     assert (found[beyond & ~far.numpy()] > reconstruction._NOWHERE).any()
-
-
-def test_interpolation_holds_what_it_holds():
-    torch.manual_seed(0)
-    model = PPD(ModelSettings()).eval()
-    clouds = [dequantize(i.surface_points) for i in hinged_box()]
-    openings = [(clouds[1], clouds[0], clouds[3]), (clouds[0], clouds[2], clouds[2])]
-    first, shapes, states = between(model, openings, 5, True)
-    openings = openings if first == 0 else openings[::-1]
-    one, other, low, high = (
-        model(torch.as_tensor(cloud, dtype=torch.float32)[None])
-        for cloud in (openings[0][1], openings[1][1], openings[0][0], openings[0][2])
-    )
-    assert len(shapes) == len(states) == 5
-    torch.testing.assert_close(shapes[0].shape.detail, one.shape.detail)
-    torch.testing.assert_close(shapes[-1].shape.detail, other.shape.detail)
-    assert not torch.equal(shapes[2].shape.detail, one.shape.detail)
-    for prediction in shapes:
-        torch.testing.assert_close(prediction.pose.state, one.pose.state)
-    torch.testing.assert_close(states[0].pose.state, low.pose.state)
-    torch.testing.assert_close(states[-1].pose.state, high.pose.state)
-    for prediction in states:
-        torch.testing.assert_close(prediction.shape.detail, one.shape.detail)
 
 
 def test_some_parts_alone_have_the_fields_that_they_have_among_all():

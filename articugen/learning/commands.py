@@ -1,7 +1,7 @@
 """What the commands of learning do, as functions that a notebook can call as well."""
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -18,7 +18,7 @@ except ImportError as error:
     raise MissingExtra(name, "ppd") from None
 
 from articugen.core.files import write_atomically
-from articugen.core.records import JointKind, dequantize
+from articugen.core.records import Floats, JointKind, dequantize
 from articugen.core.schema import Instance
 from articugen.core.yaml_files import with_settings
 from articugen.evaluation.evaluate import Protocol, Reconstruct, check_splits
@@ -217,21 +217,25 @@ def evaluation_folder(
     return newest(run) / "-".join([*parts, *([] if on is None else ["on", Path(on).name])])
 
 
-def draw(run: FolderLike, data: FolderLike, result: RunEvaluation) -> Iterator[Path]:
-    """Draw the figures of an evaluation into its folder, and yield each path when it is there.
+def draw(run: FolderLike, data: FolderLike, result: RunEvaluation) -> list[Path]:
+    """Draw an evaluation's figures into its folder, and return their paths.
 
     Args:
         run, data: as `evaluate` took them.
         result: what it has returned.
     """
-    from articugen.evaluation.figures.draw import draw_figures  # noqa: PLC0415
+    from articugen.evaluation.figures import draw_reconstructions  # noqa: PLC0415
 
-    folder = newest(run)
-    learner = read_checkpoint(folder / LATEST).learner()
-    model = learner.drawable(min(4 * result.run.resolution, 128))
     on = Path(result.run.on) if result.run.on else None
-    out, metrics = evaluation_folder(folder, on=on), RunFolder(folder).metrics()
-    yield from draw_figures(out, metrics, Path(data), model, result, on=on)
+    path = evaluation_folder(run, on=on) / "reconstructions.png"
+    draw_reconstructions(path, Path(data), _reconstruct(newest(run), result), result, on=on)
+    return [path]
+
+
+def _reconstruct(run: Path, result: RunEvaluation) -> Callable[[Floats], Reconstruction]:
+    """Return how a run is drawn: on a finer grid than it was evaluated on."""
+    learner = read_checkpoint(run / LATEST).learner()
+    return partial(learner.reconstruct, resolution=min(4 * result.run.resolution, 128))
 
 
 def tables(runs: Sequence[FolderLike]) -> str:
@@ -270,7 +274,7 @@ def draw_examples(
         UnfitData: a data set has no test object, or is of another category.
         ArticugenError: the picture cannot be written.
     """
-    from articugen.evaluation.figures import draw as figures  # noqa: PLC0415
+    from articugen.evaluation import figures  # noqa: PLC0415
 
     examples = []
     for folder in evaluated(runs):
@@ -278,9 +282,8 @@ def draw_examples(
         own = Path(data or RunFolder(folder).about()["data"]["folder"])
         own = own / point.category if data and (own / point.category).is_dir() else own
         check_splits(own, point.category)
-        model = point.learner().drawable(min(4 * result.run.resolution, 128))
-        about = (point.category, point.recipe.name)
-        examples.append(figures.Example(*about, own, model, result))
+        about = (point.category, point.recipe.name, own)
+        examples.append(figures.Example(*about, _reconstruct(folder, result), result))
     figures.draw_examples(Path(path), examples)
     return Path(path)
 

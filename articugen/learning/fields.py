@@ -15,7 +15,6 @@ from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from articugen.core.records import Floats
-from articugen.evaluation.figures.draw import Drawable
 from articugen.evaluation.reconstruction import PartJoints, Reconstruction
 from articugen.learning.blocks import NetworkLearner
 from articugen.learning.data.batch import BatchSpec
@@ -308,14 +307,3 @@ class FieldLearner(NetworkLearner):
     def reconstruct(self, cloud: Floats, *, resolution: int) -> Reconstruction:
         """Return parts without motions or joints."""
         return reconstruction_of(self.fields_of(cloud), self.parts, resolution)
-
-    def drawable(self, resolution: int) -> Drawable:
-        return Drawable(
-            lambda cloud: self.reconstruct(cloud, resolution=resolution),
-            lambda cloud, where: probability(self.fields_of(cloud)(torch.from_numpy(where))),
-        )
-
-
-def probability(logits: Floats) -> Floats:
-    """Return the sigmoid."""
-    return 1.0 / (1.0 + np.exp(-np.clip(logits, -50.0, 50.0)))

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     import torch
 
     from articugen.core.records import Floats
-    from articugen.evaluation.figures.draw import Drawable
     from articugen.evaluation.reconstruction import Reconstruction
     from articugen.evaluation.results import Evaluation
     from articugen.learning.data.batch import Batch, BatchSpec
@@ -110,12 +109,6 @@ class Learner(Protocol):
     def reconstruct(self, cloud: Floats, *, resolution: int) -> Reconstruction:
         """What it makes of one cloud (n, 3) in the unit frame, on a grid of `resolution`^3."""
         ...
-
-    def drawable(self, resolution: int) -> Drawable:
-        """What figures ask of it; without a body of one's own shapes and curves alone are drawn."""
-        from articugen.evaluation.figures.draw import Drawable  # noqa: PLC0415
-
-        return Drawable(lambda cloud: self.reconstruct(cloud, resolution=resolution))
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ INK, GREY = "#333333", "#8a8a8a"
 
 TILE, MARGIN, CAPTION, GAP = 288, 10, 22, 12
 
-Caption = Sequence[tuple[str, str]]  # texts, each after a dot of its colour, if it has one
+Caption = Sequence[tuple[str, str]]  # texts, each after a dot of its colour
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ def save(picture: Picture, path: Path) -> None:
 
 def _lines(caption: Caption) -> list[Caption]:
     """Return the caption in lines that are no wider than a tile, as even as can be."""
-    widths = [_width(entry) for entry in caption]
+    widths = [_width(text) for text, _ in caption]
     most = max(int((TILE + GAP) / (max(widths, default=0.0) + GAP)), 1)
     if sum(widths) + GAP * (len(widths) - 1) <= TILE:
         most = len(caption)
@@ -72,17 +72,15 @@ def _lines(caption: Caption) -> list[Caption]:
     return [caption[k * width : (k + 1) * width] for k in range(count)]
 
 
-def _width(entry: tuple[str, str]) -> float:
-    text, colour = entry
-    return 16 * bool(colour) + ImageFont.load_default(14).getlength(text)
+def _width(text: str) -> float:
+    return 16 + ImageFont.load_default(14).getlength(text)
 
 
 def _write(pen: ImageDraw.ImageDraw, line: Caption, middle: int, top: int) -> None:
     font = ImageFont.load_default(14)
-    widths = [_width(entry) for entry in line]
+    widths = [_width(text) for text, _ in line]
     x = middle - (sum(widths) + GAP * (len(widths) - 1)) / 2
     for (text, colour), width in zip(line, widths, strict=True):
-        if colour:
-            pen.ellipse((x, top + 4, x + 10, top + 14), colour)
-        pen.text((x + 16 * bool(colour), top), text, INK, font)
+        pen.ellipse((x, top + 4, x + 10, top + 14), colour)
+        pen.text((x + 16, top), text, INK, font)
         x += width + GAP

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -29,9 +29,6 @@ from articugen.learning.ppd.warm.found import discovered
 from articugen.learning.ppd.warm.targets import is_one_sided, likely, targets
 from articugen.learning.ppd.warm.variation import CHANCES, Variation, is_mirrored
 from articugen.learning.tensors import made
-
-if TYPE_CHECKING:
-    from articugen.evaluation.figures.draw import Drawable
 
 MOVED_POSES, MOVED_POINTS = 6, 2048
 
@@ -70,14 +67,6 @@ class Predictor(Learner):
         """Part i's surface encloses where its field is above 0 and the greatest of all, unless
         `meshes` says otherwise."""
         return reconstruction_of(self.model, self.predict(cloud), resolution, meshes)
-
-    def drawable(self, resolution: int) -> Drawable:
-        from articugen.learning.ppd.drawing import drawable  # noqa: PLC0415
-
-        return drawable(
-            self.model, self.predict, self.model.settings, resolution,
-            points=self.points, residual_direction=self.residual_direction,
-        )  # fmt: skip
 
 
 class PPDLearner(Predictor):

@@ -93,10 +93,7 @@ class PPD(nn.Module):
         Args:
             residual_direction: whether r^z counts; false in the paper's first stage.
         """
-        return self.decode(self.encoder(cloud), residual_direction=residual_direction)
-
-    def decode(self, latent: Tensor, *, residual_direction: bool = True) -> Prediction:
-        """Return the prediction for latents (B, 512)."""
+        latent = self.encoder(cloud)
         z_pose, z_shape, z_template, z_common = latent.split([POSE, SHAPE, TEMPLATE, COMMON], 1)
         return Prediction(
             self.shape.code(z_shape, z_template),

@@ -1,23 +1,39 @@
-"""Pictures of what a learner reconstructs: beside the truth, and between two shapes or states."""
+"""Pictures of what learners reconstruct, beside the truth."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from articugen.core.colours import colour_of, part_colours, shaded
 from articugen.core.records import Floats, JointKind, dequantize
 from articugen.core.schema import Instance
+from articugen.evaluation.evaluate import objects_of, tested
 from articugen.evaluation.reconstruction import Reconstruction
-from articugen.pictures.layout import Caption, Row, sheet
-from articugen.pictures.portrait import pooled, portrait, solid_portrait, tile_camera
-from articugen.pictures.shading import Picture
+from articugen.evaluation.results import Evaluation
+from articugen.pictures.contact_sheet import evenly
+from articugen.pictures.layout import Caption, Row, in_columns, save, sheet
+from articugen.pictures.portrait import (
+    best_azimuth,
+    pooled,
+    portrait,
+    solid_portrait,
+    tile_camera,
+)
 from articugen.pictures.solids import ColouredMesh, arrow
 
-Reconstruct = Callable[[Instance], Reconstruction]
+Reconstruct = Callable[[Floats], Reconstruction]
+"""From a cloud (n, 3)."""
+
+OBJECTS = 3
+INSTANCES = 16
+"""Of each object so many are read, the canonical one among them."""
+
+EXAMPLE_STATES = 3
+"""Of the one object that stands for its category."""
 
 POOLED = 8
-_CUBE = np.array([[-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]])
 _GRAIN = (
     0.006
     * np.array([[1, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]])[
@@ -58,9 +74,66 @@ def by_opening(instances: Sequence[Instance]) -> list[Instance]:
     return sorted(instances, key=moved)
 
 
-def evenly(items: Sequence, count: int) -> list:
-    """`count` of the items from the first to the last, or all of them."""
-    return [items[round(i)] for i in np.linspace(0, len(items) - 1, min(count, len(items)))]
+def draw_reconstructions(
+    path: Path, data: Path, reconstruct: Reconstruct, result: Evaluation, *, on: Path | None = None
+) -> None:
+    """Draw some test objects of a data set, and below each what a trained model makes of it.
+
+    Args:
+        result: what `evaluate` has returned for this model.
+        on: as `evaluate` took it.
+
+    Raises:
+        ArticugenError: `path` cannot be written.
+    """
+    model = (reconstruct, Names(result.labels, result.dominant))
+    some = evenly([by_opening(i) for i in tested(data, on, INSTANCES - 1)], OBJECTS)
+    azimuth = best_azimuth([instances[-1] for instances in some])
+    rows = [
+        reconstructions(o, [(f"{o[0].object_id}: reconstruction", *model)], azimuth) for o in some
+    ]
+    save(sheet([row for each in rows for row in each]), path)
+
+
+@dataclass(frozen=True)
+class Example:
+    """A trained model, and the data set of which it shows the first test object.
+
+    Attributes:
+        category, title: of its rows.
+        result: what `evaluate` has returned for this model.
+    """
+
+    category: str
+    title: str
+    data: Path
+    reconstruct: Reconstruct
+    result: Evaluation
+
+
+def draw_examples(path: Path, examples: Sequence[Example]) -> None:
+    """Draw one test object of each category: as it is, and what each model makes of it.
+
+    Raises:
+        ArticugenError: `path` cannot be written.
+    """
+    groups: dict[tuple[str, Path], list[Example]] = {}
+    for example in examples:
+        groups.setdefault((example.category, example.data), []).append(example)
+    sheets = []
+    for (category, data), group in groups.items():
+        instances = by_opening(next(objects_of(data, "test", INSTANCES - 1)))
+        models = [
+            (e.title, e.reconstruct, Names(e.result.labels, e.result.dominant)) for e in group
+        ]
+        rows = reconstructions(
+            instances, models, best_azimuth([instances[-1]]), states=EXAMPLE_STATES,
+            title=category.replace("_", " "), pool=INSTANCES,
+        )  # fmt: skip
+        several = len(group) > 1
+        sheets.append(in_columns([sheet([r]) for r in rows], 3) if several else sheet(rows))
+    wide = len(sheets) <= EXAMPLE_STATES or len(examples) > len(groups)
+    save(in_columns(sheets, 1 if wide else 2), path)
 
 
 def reconstructions(
@@ -83,15 +156,16 @@ def reconstructions(
         pool: points of this many instances make the true surface: more are slower and smoother.
     """
     drawn = evenly(instances, states)
-    shapes = [[reconstruct(instance) for instance in drawn] for _, reconstruct, _ in models]
+    clouds = [dequantize(instance.surface_points) for instance in drawn]
+    shapes = [[reconstruct(cloud) for cloud in clouds] for _, reconstruct, _ in models]
     discs = pooled(evenly(instances, pool))
     axes = [_true_axes(instance) for instance in drawn]
     points = np.concatenate(
-        [dequantize(i.surface_points) for i in drawn]
+        clouds
         + [solid.triangles.reshape(-1, 3) for solid in (*axes, *(x for row in shapes for x in row))]
     )
     camera = tile_camera(points, azimuth)
-    floor = float(min(dequantize(i.surface_points)[:, 2].min() for i in drawn))
+    floor = float(min(cloud[:, 2].min() for cloud in clouds))
     true = [
         portrait(discs, i, camera, floor, beside=solid)
         for i, solid in zip(drawn, axes, strict=True)
@@ -182,32 +256,3 @@ def _axis(
     return arrow(
         through + low * axis, through + (along.max() + 0.14) * axis, 0.006, shaded(colour, -0.4)
     )
-
-
-def interpolations(
-    shapes: Sequence[Reconstruction],
-    states: Sequence[Reconstruction],
-    names: Names,
-    instance: Instance,
-    azimuth: float,
-) -> Picture:
-    """Two rows: the shape between two objects, and the joint states of one.
-
-    Args:
-        instance: the first object in the pose that is held: its joints and its scale.
-    """
-    middle = [f"{100 * share:.0f} %" for share in np.linspace(0.0, 1.0, len(shapes))[1:-1]]
-    shares: list[Caption] = [[(text, "")] for text in ("one object", *middle, "another")]
-    moved = [_caption(instance, _changes(instance, states[0], f, names)) for f in states]
-    points = np.concatenate([f.triangles.reshape(-1, 3) for f in (*shapes, *states)])
-    points = points if len(points) else _CUBE
-    camera, floor = tile_camera(points, azimuth), float(points[:, 2].min())
-
-    def row(title: str, found: Sequence[Reconstruction], captions: Sequence[Caption]) -> Row:
-        pictures = [solid_portrait(_solid(f, names), camera, floor) for f in found]
-        return Row(title, pictures, captions)
-
-    return sheet([
-        row("shape interpolated, pose held", shapes, shares),
-        row("joint state interpolated, shape held", states, moved),
-    ])  # fmt: skip
