@@ -32,7 +32,11 @@ FLOORS = (
 FLOOR = {room: level for level, rooms in enumerate(FLOORS, start=1) for room in rooms}
 
 MOST_ARROWS = 70
+<<<<<<< HEAD
 MOST_LINES = 50_980
+=======
+MOST_LINES = 50_400
+>>>>>>> 8923847 (The viewer shows data and models: a run's prediction is a model as soon as predict has written it, and voxels are points)
 """Of the whole package; it is lowered as the package shrinks."""
 LARGEST_ROOM = 0.2
 """Its share of the lines."""

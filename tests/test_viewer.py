@@ -30,9 +30,9 @@ from articugen.core.geometry import apply, look_along, rotation_about
 from articugen.core.records import ENCLOSED, FREE, JointKind, dequantize
 from articugen.core.schema import Instance
 from articugen.inspection.viewer import layers, words
-from articugen.inspection.viewer.layers import Lines, Points, Solid
+from articugen.inspection.viewer.layers import Lines, Points
 from articugen.inspection.viewer.panel import MESHES
-from articugen.inspection.viewer.serve import served, what_to_show
+from articugen.inspection.viewer.serve import served
 from articugen.inspection.viewer.shown import Joint, Shown
 from articugen.inspection.viewer.sources import source_of
 from articugen.inspection.viewer.stage import FIELD_OF_VIEW, FILL, eye_of
@@ -182,21 +182,14 @@ def only(drawn: list[Any], kind: type) -> Any:
     return found
 
 
-def test_voxels_are_closed_cubes_that_share_no_wall() -> None:
+def test_voxels_are_points_in_their_middles() -> None:
     grid = np.zeros((4, 4, 4), np.uint8)
-    grid[1, 2, 0] = grid[2, 2, 0] = 1
+    grid[1, 2, 0] = 1
     grid[3, 3, 3] = ENCLOSED
-    instance = replace(hinged_box()[0], occupancy={4: grid})
-    two, enclosed = layers.voxels(instance, 4)
-    for drawn, count, faces in ((two, 2, 20), (enclosed, 1, 12)):
-        assert isinstance(drawn, Solid)
-        assert len(drawn.faces) == faces
-        solid = trimesh.Trimesh(drawn.vertices, drawn.faces)
-        assert solid.is_watertight
-        assert solid.volume == pytest.approx(count / 64)
-    assert isinstance(two, Solid)
-    np.testing.assert_allclose(two.vertices.min(axis=0), [-0.25, 0.0, -0.5])
-    np.testing.assert_allclose(two.vertices.max(axis=0), [0.25, 0.25, -0.25])
+    drawn = only(layers.voxels(replace(hinged_box()[0], occupancy={4: grid}), 4), Points)
+    np.testing.assert_allclose(drawn.points, [[-0.125, 0.125, -0.375], [0.375, 0.375, 0.375]])
+    np.testing.assert_array_equal(drawn.colours, layers.LABEL_COLOURS[[1, ENCLOSED]])
+    assert drawn.size == 0.25
 
 
 def test_query_points_are_inside_or_outside(box: Instance) -> None:
@@ -325,14 +318,14 @@ def test_what_cannot_be_shown_is_said_in_a_sentence(folder: Path, tmp_path: Path
     (whole,) = (folder / "data" / "cabinet").glob("*.h5")
     (tmp_path / "cut.h5").write_bytes(whole.read_bytes()[:-5000])
     with pytest.raises(InvalidSource, match="no such shard, folder, URDF or source"):
-        what_to_show(str(tmp_path / "nowhere"))
+        source_of(str(tmp_path / "nowhere"))
     with h5py.File(shard(tmp_path / "old.h5", hinged_box(STATES)), "r+") as file:
         file.attrs["schema_version"] = 99
     for name in ("broken.h5", "cut.h5", "old.h5: schema version 99, this articugen reads"):
         with pytest.raises(CorruptShard, match=name):
-            what_to_show(str(tmp_path / name.partition(":")[0]))
+            source_of(str(tmp_path / name.partition(":")[0]))
     with pytest.raises(InvalidArgument, match="open one of: cabinet"):
-        what_to_show(str(folder / "data"))
+        source_of(str(folder / "data"))
     with pytest.raises(NotOfCategory, match=r"^stuck: no joint moves"):
         source_of(str(tmp_path / "stuck.urdf")).shown("stuck")
 

@@ -3,7 +3,6 @@
 # Everything heavy is imported where it is used: --help should not wait for numba.
 # ruff: noqa: PLC0415
 from contextlib import suppress
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -15,22 +14,15 @@ from articugen.cli.saying import said, stderr, stdout
 
 @app.command(
     epilog="Examples:\n\narticugen view data/laptop\n\narticugen view cabinet.urdf --open\n\n"
-    "articugen view urdfs --category drawer --recipe quick\n\narticugen view runs/laptop"
+    "articugen view urdfs --category drawer --recipe quick"
 )
 def view(
     path: Annotated[
         str,
         typer.Argument(
-            help="A shard, a data set's folder, a URDF, a folder of models, a source's name, or a "
-            "run's folder."
+            help="A shard, a data set's folder, a URDF, a folder of models, or a source's name."
         ),
     ],
-    data: Annotated[
-        Path | None,
-        typer.Option(
-            "--data", "-d", help="Of a run: the data set to show.", show_default="its own"
-        ),
-    ] = None,
     category: Annotated[
         str | None,
         typer.Option(
@@ -63,15 +55,14 @@ def view(
         import webbrowser
 
         from articugen.core.compiling import compile_kernels
-        from articugen.inspection.viewer.serve import served, what_to_show
+        from articugen.inspection.viewer.serve import served
+        from articugen.inspection.viewer.sources import source_of
         from articugen.pipeline.run import default_jobs
 
         for command in ("generate", "inspect"):
             compile_kernels(command, jobs=default_jobs(), notice=stderr.print)
-        source, predictor = what_to_show(
-            path, data=data, category=category, recipe=recipe, seed=seed
-        )
-        with served(source, predictor, host=host, port=port) as shown:
+        source = source_of(path, category=category, recipe=recipe, seed=seed)
+        with served(source, host=host, port=port) as shown:
             stdout.print(f"{escape(path)} is shown at {shown.url}; Ctrl-C ends it", soft_wrap=True)
             if open_browser:
                 webbrowser.open(shown.url)

@@ -10,10 +10,10 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.core.arrays import Bools, Bytes, Floats, Ints
+from articugen.core.arrays import Bytes, Floats
 from articugen.core.colours import PALETTE, rgb
 from articugen.core.geometry import apply, invert_rigid
-from articugen.core.records import ENCLOSED, FREE, JointKind, Mesh, dequantize
+from articugen.core.records import FREE, JointKind, Mesh, dequantize
 from articugen.core.schema import Instance
 from articugen.pictures.portrait import oriented_points
 
@@ -50,13 +50,12 @@ class Lines:
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """`vertices` (V, 3), `faces` (F, 3), one `colour`; `opacity` None is opaque. `T` (4, 4)
-    is where it stands: the same one elsewhere is not sent again."""
+    """`vertices` (V, 3), `faces` (F, 3), one `colour`. `T` (4, 4) is where it stands: the same one
+    elsewhere is not sent again."""
 
     vertices: Floats
     faces: NDArray[np.int32]
     colour: tuple[int, int, int]
-    opacity: float | None = None
     T: Floats = field(default_factory=lambda: np.eye(4))
 
 
@@ -87,42 +86,10 @@ def normals(instance: Instance) -> list[Drawn]:
 
 
 def voxels(instance: Instance, resolution: int) -> list[Drawn]:
-    """The occupied voxels of a stored grid, as cubes: a solid for each label that there is."""
+    """The occupied voxels of a stored grid, a point each as wide as they are."""
     grid = instance.occupancy[resolution]
-    drawn: list[Drawn] = []
-    for label in np.unique(grid[grid != FREE]):
-        vertices, faces = _open_sides(grid, int(label))
-        opacity = 0.4 if label == ENCLOSED else None
-        drawn.append(Solid(vertices, faces, _bytes(LABEL_COLOURS[label]), opacity))
-    return drawn
-
-
-def _open_sides(grid: Bytes, label: int) -> tuple[Floats, NDArray[np.int32]]:
-    """Return the sides that a label's cubes turn to free voxels: (4n, 3) corners, (2n, 3) faces."""
-    R, mine = len(grid), np.pad(grid == label, 1)
-    free, corners = np.pad(grid == FREE, 1, constant_values=True), []
-    for axis in range(3):
-        for side in (0, 1):
-            open_there = mine & np.roll(free, 1 - 2 * side, axis)
-            corners.append((np.argwhere(open_there)[:, None] - 1) + _SIDES[axis, side])
-    at = np.concatenate(corners).reshape(-1, 3) / R - 0.5
-    first = 4 * np.arange(len(at) // 4)[:, None, None]
-    both = first + np.array([[0, 1, 2], [0, 2, 3]])
-    return at, both.reshape(-1, 3).astype(np.int32)
-
-
-def _sides() -> Ints:
-    """Return (3, 2, 4, 3) the corners of each side of the unit cube, counter-clockwise."""
-    sides = np.zeros((3, 2, 4, 3), np.int64)
-    ring = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    for axis in range(3):
-        others = [(axis + 1) % 3, (axis + 2) % 3]
-        sides[axis, 0][:, others], sides[axis, 1][:, others] = ring[::-1], ring
-        sides[axis, 1, :, axis] = 1
-    return sides
-
-
-_SIDES = _sides()
+    at = np.argwhere(grid != FREE)
+    return [Points((at + 0.5) / resolution - 0.5, LABEL_COLOURS[grid[tuple(at.T)]], 1 / resolution)]
 
 
 def queries(instance: Instance, *, inside: bool) -> list[Drawn]:
@@ -169,18 +136,10 @@ def meshes(parts: Sequence[Mesh], T_part: Floats) -> list[Drawn]:
 
 
 def joints(instance: Instance) -> list[Drawn]:
-    """Each joint's axis as an arrow, and its pivot, in the colour of the part that it moves."""
-    return axes(
-        instance.joint_pivot,
-        instance.joint_axis,
-        PALETTE[1 : 1 + len(instance.joint_kind)],
-        instance.joint_kind == JointKind.REVOLUTE,
-    )
-
-
-def axes(pivots: Floats, directions: Floats, colours: Bytes, revolute: Bools) -> list[Drawn]:
-    """Arrows along axes (n, 3) through pivots (n, 3). Of a hinge the whole line is drawn, of a
-    slide the half that it opens along."""
+    """Each joint's axis as an arrow, and its pivot, in the colour of the part that it moves. Of a
+    hinge the whole line is drawn, of a slide the half that it opens along."""
+    pivots, directions = instance.joint_pivot, instance.joint_axis
+    revolute = instance.joint_kind == JointKind.REVOLUTE
     tail = pivots - AXIS_REACH * directions * revolute[:, None]
     tip = pivots + AXIS_REACH * directions
     across = np.cross(directions, np.where(np.abs(directions[:, 2:]) < 0.9, [0, 0, 1], [1, 0, 0]))
@@ -188,7 +147,7 @@ def axes(pivots: Floats, directions: Floats, colours: Bytes, revolute: Bools) ->
     ends = [np.stack([tail, tip], axis=1)]
     for sign in (1, -1):
         ends.append(np.stack([tip, tip - ARROW * (directions - sign * 0.5 * across)], axis=1))
-    dark = (colours * 0.7).astype(np.uint8)
+    dark = (PALETTE[1 : 1 + len(pivots)] * 0.7).astype(np.uint8)
     both = np.tile(dark, (3, 1))
     return [
         Lines(np.concatenate(ends), np.stack([both, both], axis=1), 3.0),

@@ -18,12 +18,12 @@ from articugen.inspection.viewer.words import Scale
 if TYPE_CHECKING:
     import viser
 
-SURFACE, NORMALS, MESHES, GRID, INSIDE, OUTSIDE, PARTIAL, AXES, PREDICTION = LAYERS = (
+SURFACE, NORMALS, MESHES, GRID, INSIDE, OUTSIDE, PARTIAL, AXES = LAYERS = (
     "Surface points", "Normals", "Part meshes", "Occupancy grid", "Query points inside",
-    "Query points outside", "Partial clouds, cameras", "Axes and pivots", "Prediction beside",
+    "Query points outside", "Partial clouds, cameras", "Axes and pivots",
 )  # fmt: skip
 
-AT_FIRST = frozenset({MESHES, AXES, PREDICTION})
+AT_FIRST = frozenset({MESHES, AXES})
 
 EASY_GRID = 64  # the finest occupancy grid that is shown unless a finer one is asked for
 
@@ -57,13 +57,10 @@ class Panel:
         title: str,
         objects: Sequence[str],
         ask: Callable[[Change], None],
-        *,
-        predicts: bool,
     ) -> None:
         """
         Args:
             ask: is called, on the server's event loop, with what is to become of the wish.
-            predicts: whether there is a prediction to show.
         """
         self._gui, self._ask = server.gui, ask
         self._shown: Shown | None = None
@@ -73,7 +70,7 @@ class Panel:
         )
         server.gui.set_panel_label("articugen")
         server.gui.main_panel.dock_right()
-        self._build(title, objects, [n for n in LAYERS if predicts or n != PREDICTION])
+        self._build(title, objects)
 
     def open(self, shown: Shown | None) -> None:
         """Have sliders for an object's joints, and its states to choose from; None: have none."""
@@ -106,7 +103,7 @@ class Panel:
         self._grid.value = words.grid_of(chosen) if resolutions else "none"
         self._grid.visible = visible and len(resolutions) > 1
 
-    def _build(self, title: str, objects: Sequence[str], shown: Sequence[str]) -> None:
+    def _build(self, title: str, objects: Sequence[str]) -> None:
         gui, names = self._gui, words.names_of(objects)
         gui.add_html(str(words.heading(title, len(objects))))
         chooser = gui.add_dropdown("Object", tuple(names))
@@ -114,7 +111,7 @@ class Panel:
         self._said = gui.add_html("")
         self._joints = gui.add_folder("Joints")
         with gui.add_folder("Show"):
-            for name in shown:
+            for name in LAYERS:
                 self._box(name)
                 if name == GRID:
                     self._grid: Any = gui.add_dropdown("Voxels", ("none",), visible=False)

@@ -5,15 +5,12 @@ import io
 import socket
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from articugen.core.errors import ArticugenError, MissingExtra
 from articugen.inspection.viewer.guard import guarded
-from articugen.inspection.viewer.prediction import Predictor
 from articugen.inspection.viewer.session import Session
-from articugen.inspection.viewer.sources import Source, StoredObjects, is_run, source_of
-from articugen.store.dataset import open as open_data_set
+from articugen.inspection.viewer.sources import Source
 
 if TYPE_CHECKING:
     import viser
@@ -30,45 +27,8 @@ class Served:
     url: str
 
 
-def what_to_show(
-    path: str,
-    *,
-    data: Path | None = None,
-    category: str | None = None,
-    recipe: str | None = None,
-    seed: int = 0,
-) -> tuple[Source, Predictor | None]:
-    """Open the source at a path; for a run, its data, test objects first, and its predictor.
-
-    Args:
-        data: of a run: another data set than it was trained on.
-        category, recipe, seed: of models, see `sources.source_of`.
-
-    Raises:
-        ArticugenError: there is nothing of the kind, or it cannot be read.
-    """
-    if not is_run(path):
-        return source_of(path, category=category, recipe=recipe, seed=seed), None
-    predictor = Predictor(path)
-    folder = data or predictor.data
-    if not folder.exists():
-        raise ArticugenError(
-            f"{folder}: the data that {predictor.path} was trained on are not there; name others "
-            "with --data"
-        )
-    source = StoredObjects(open_data_set(folder), first="test")
-    predictor.check(source.category)
-    return source, predictor
-
-
 @contextlib.contextmanager
-def served(
-    source: Source,
-    predictor: Predictor | None = None,
-    *,
-    host: str = LOOPBACK,
-    port: int | None = None,
-) -> Iterator[Served]:
+def served(source: Source, *, host: str = LOOPBACK, port: int | None = None) -> Iterator[Served]:
     """Show a source for as long as the context lasts.
 
     Args:
@@ -79,7 +39,7 @@ def served(
         ArticugenError: the host or port cannot be listened on; the only object cannot be shown.
     """
     server = _server(host, port)
-    session = Session(server, source, predictor)
+    session = Session(server, source)
     try:
         if len(source.objects) == 1 and session.wait(None) and session.seen is None:
             raise ArticugenError(session.fault)

@@ -21,7 +21,6 @@ from articugen.inspection.report.markup import Markup, join
 from articugen.inspection.viewer import layers, panel, words
 from articugen.inspection.viewer.layers import Drawn
 from articugen.inspection.viewer.panel import Change, Panel, Wish
-from articugen.inspection.viewer.prediction import Predictor
 from articugen.inspection.viewer.shown import Seen, Shown
 from articugen.inspection.viewer.sources import Source
 from articugen.inspection.viewer.stage import Stage
@@ -31,7 +30,6 @@ from articugen.pictures.portrait import best_azimuth, swept
 if TYPE_CHECKING:
     import viser
 
-APART = 1.1  # from the truth to the prediction that stands beside it, unit frame
 LOOKED_AT = 5  # states of the first object that decide from where one looks
 
 
@@ -44,14 +42,9 @@ class Session:
         fault: the sentence that says why it cannot be as it is wished for, or "".
     """
 
-    def __init__(
-        self, server: "viser.ViserServer", source: Source, predictor: Predictor | None = None
-    ) -> None:
-        self._source, self._predictor = source, predictor
-        self._stage = Stage(server)
-        self._panel = Panel(
-            server, source.title, source.objects, self.ask, predicts=predictor is not None
-        )
+    def __init__(self, server: "viser.ViserServer", source: Source) -> None:
+        self._source, self._stage = source, Stage(server)
+        self._panel = Panel(server, source.title, source.objects, self.ask)
         self.seen: Seen | None = None
         self.fault = ""
         self._shown: Shown | None = None
@@ -148,7 +141,7 @@ class Session:
                 azimuth = best_azimuth(instances)
             else:
                 points = box_corners(np.array([[-0.5] * 3, [0.5] * 3]))
-            self._stage.frame(azimuth, points, APART if self._predictor else 0.0)
+            self._stage.frame(azimuth, points)
         grids = sorted(instance.occupancy)
         edge = wish.resolution
         if edge not in grids:
@@ -158,8 +151,6 @@ class Session:
             self._clear(layer)
         for layer in panel.LAYERS:
             now = (self.seen, edge) if layer == panel.GRID else (self.seen,)
-            if layer == panel.PREDICTION and wish is not self.wish:
-                continue  # it takes seconds, and something else is wished for already
             if layer in wish.layers and self._drawn.get(layer) != now:
                 self._stage.draw(layer, self._layer(layer, shown, instance, edge))
                 self._drawn[layer] = now
@@ -173,9 +164,6 @@ class Session:
             if not shown.part_meshes:  # a shard may hold no grid
                 return layers.surface(instance)
             return layers.meshes(shown.part_meshes, instance.part_motion)
-        if layer == panel.PREDICTION:
-            aside = APART * self._stage.right
-            return self._predictor.drawn(instance, aside) if self._predictor else []
         return _OF_INSTANCE[layer](instance)
 
     def _clear(self, layer: str) -> None:

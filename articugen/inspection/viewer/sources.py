@@ -1,4 +1,4 @@
-"""What can be looked at: a shard, a data set, a model or a folder of models, a trained run."""
+"""What can be looked at: a shard, a data set, a model or a folder of models."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -26,12 +26,10 @@ class Source(Protocol):
 
     Attributes:
         title: where they come from.
-        category: of all of them.
         objects: their ids.
     """
 
     title: str
-    category: str
     objects: Sequence[str]
 
     def shown(self, object_id: str) -> Shown:
@@ -40,13 +38,11 @@ class Source(Protocol):
 
 
 class StoredObjects:
-    """The objects of a data set, in the order of its shards; `first` come before the others."""
+    """The objects of a data set, in the order of its shards."""
 
-    def __init__(self, data: DataSet, first: str = "") -> None:
+    def __init__(self, data: DataSet) -> None:
         self.title, self._data = str(data.path), data
-        self.category = data.category if len(data) else ""
-        splits = {name: rows[0].split for name, rows in data.by_object()}
-        self.objects: Sequence[str] = sorted(splits, key=lambda name: splits[name] != first)
+        self.objects: Sequence[str] = [name for name, _ in data.by_object()]
         if not self.objects:
             raise InvalidSource(f"{data.path}: holds no instance; make some with generate")
 
@@ -126,12 +122,12 @@ class ModelObjects:
     ) -> None:
         self.title, self._recipe, self._seed = source, recipe, seed
         refs = models(source, category)
-        self.category = refs[0].category
+        self._category = refs[0].category
         self.objects: Sequence[str] = [ref.object_id for ref in refs]
         self._source = source
 
     def shown(self, object_id: str) -> Shown:
-        model = load(self._source, object_id, category=self.category)
+        model = load(self._source, object_id, category=self._category)
         try:
             maker = Maker(model, self._recipe, self._seed)
         except NotOfCategory as error:
@@ -166,9 +162,3 @@ def source_of(
             f"{path}: there is no such shard, folder, URDF or source; correct its path"
         )
     return ModelObjects(path, category, recipe, seed)
-
-
-def is_run(path: str) -> bool:
-    """Whether it is the folder of a trained run, or of several."""
-    place = Path(path)
-    return (place / "run.json").is_file() or any(place.glob("*/run.json"))

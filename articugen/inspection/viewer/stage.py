@@ -39,19 +39,13 @@ class Stage:
         server.scene.configure_environment_map(environment_intensity=0.45)
         server.on_client_connect(self._welcome)
 
-    @property
-    def right(self) -> Floats:
-        """(3,) what is to the right for who looks."""
-        across = np.cross([0.0, 0.0, 1.0], self._toward_eye)
-        return across / np.linalg.norm(across)
-
-    def frame(self, azimuth: float, points: Floats, beside: float = 0.0) -> None:
-        """Look from this side (rad) at points (n, 3), and at as many so far to the right."""
+    def frame(self, azimuth: float, points: Floats) -> None:
+        """Look from this side (rad) at points (n, 3)."""
         flat = np.cos(ELEVATION)
         self._toward_eye = np.array(
             [flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(ELEVATION)]
         )
-        self._points = np.concatenate([points, points + beside * self.right])
+        self._points = points
         self.framed = True
         for client in self._server.get_clients().values():
             self._place(client)
@@ -101,7 +95,6 @@ class Stage:
             drawn.vertices.astype(np.float32),
             drawn.faces,
             color=drawn.colour,
-            opacity=drawn.opacity,
             flat_shading=True,
             side="double",
             cast_shadow=False,
