@@ -1,7 +1,6 @@
 """What is read of strangers: for each kind of file who reads it, what it may refuse it with, and
 inputs to begin with."""
 
-import json
 import os
 import shutil
 import signal
@@ -10,7 +9,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from articugen.core.errors import CorruptShard, InvalidCheckpoint, InvalidRecipe, InvalidSource
+from articugen.core.errors import (
+    ArticugenError,
+    CorruptShard,
+    InvalidCheckpoint,
+    InvalidRecipe,
+    InvalidSource,
+)
 from tests.fuzz import making, mending
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "fuzz"
@@ -108,17 +113,15 @@ _BESIDE = ("mobility_v2.json", "semantics.txt", "meta.json")
 
 
 def _read_usd(path: Path) -> object:
-    """What the process of its own answers, in this one; there a crash is a sentence as well."""
-    from articugen.sources.usd.child import _answer
+    """As the process of its own reads it, in this one; whatever is amiss is a sentence there."""
+    from articugen.sources.usd.model import read_model
 
-    said, _, _ = _answer(
-        {"path": path, "root": path.parent, "with_meshes": True, "only_hashed": False}
-    ).partition(b"\n")
-    if "refused" in (answer := json.loads(said)):
-        raise InvalidSource(answer["refused"])
-    if "sha256" not in answer:
-        raise AssertionError(answer)
-    return answer
+    try:
+        return read_model(path, path.parent)
+    except (ArticugenError, MemoryError):
+        raise
+    except Exception as error:
+        raise InvalidSource(f"{path}: {error}; correct it") from error
 
 
 def _meshes_around(folder: Path) -> None:
