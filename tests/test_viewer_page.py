@@ -22,7 +22,7 @@ from test_maker import CABINET, TINY
 import articugen as ag
 from articugen.core.geometry import rotation_about
 from articugen.inspection.viewer import layers
-from articugen.inspection.viewer.panel import AT_FIRST, LAYERS, PREDICTION
+from articugen.inspection.viewer.panel import AT_FIRST, LAYERS
 from articugen.inspection.viewer.serve import Served, served
 from articugen.inspection.viewer.sources import source_of
 
@@ -192,15 +192,14 @@ def test_it_is_dark_where_the_system_is(chromium: Any, cabinet: Served) -> None:
 
 def test_each_toggle_draws_something_and_takes_it_away(window: Window) -> None:
     window.as_at_first()
-    for name in AT_FIRST - {PREDICTION}:
+    for name in AT_FIRST:
         window.toggle(name)
     blank = window.picture(lambda now: (now == 255).all())
     for name in LAYERS:
-        if name != PREDICTION:
-            window.toggle(name)
-            window.other_than(blank)
-            window.toggle(name)
-            window.picture(lambda now: (now == 255).all())
+        window.toggle(name)
+        window.other_than(blank)
+        window.toggle(name)
+        window.picture(lambda now: (now == 255).all())
     assert window.faults == []
 
 
