@@ -1,12 +1,15 @@
 """The encoder for depth input: it learns the first one's latents, stops and resumes exactly."""
 
 import dataclasses
+import json
 import shutil
 
 import pytest
 import torch
 from digests import digest
 from instances import hinged_box
+from PIL import Image
+from ppd_data import write_boxes
 
 from articugen.core.errors import InvalidCheckpoint, InvalidRecipe, UnfitData
 from articugen.core.records import dequantize
@@ -19,7 +22,10 @@ from articugen.learning.ppd.depth import latents
 from articugen.learning.ppd.settings import LossSettings, PPDRecipe, PPDSchedule, PPDStage
 from articugen.learning.predict import seen_by_a_camera
 from articugen.learning.recipe import DataSettings
+from articugen.learning.recorded import watch
 from articugen.learning.run_folder import LATEST, RunFolder, read_checkpoint
+from articugen.pictures.layout import TILE
+from tests.test_recorded import LAYOUTS, scene
 
 BOXES = {"train": 3, "test": 1, "states": 2}
 
@@ -143,3 +149,21 @@ def test_a_camera_sees_a_part_of_the_surface_and_is_the_same_each_time():
     )
     with pytest.raises(UnfitData, match=r"has no partial clouds; set sampling\.partial_views"):
         seen_by_a_camera(blind)
+
+
+def test_it_watches_a_recorded_laptop(tmp_path):
+    data = write_boxes(tmp_path / "laptop", category="laptop", **BOXES)
+    base = train(Training(TINY, "laptop", data, tmp_path / "runs")).path
+    recipe = load_recipe({"extends": "ppd_depth", "teacher": str(base), "schedule": PLAN})
+    run = train(Training(recipe, "laptop", data, tmp_path / "depth")).path
+    write, intrinsics = LAYOUTS["aod"]
+    folder = write(scene(tmp_path, 3, intrinsics), tmp_path)
+    outcome = watch(run, folder, images=3, out=tmp_path / "out", resolution=16)
+    assert outcome.numbers["images"] == 3
+    assert 0.0 < outcome.numbers["label_iou"] <= 1.0
+    assert json.loads((tmp_path / "out/numbers.json").read_text()).keys() == outcome.numbers.keys()
+    with Image.open(outcome.figure) as picture:
+        assert picture.width > 2 * TILE
+        assert len(set(picture.convert("L").tobytes())) > 50
+    with pytest.raises(InvalidCheckpoint, match="make depth CATEGORY=laptop"):
+        watch(base, folder, out=tmp_path)

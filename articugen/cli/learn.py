@@ -295,6 +295,27 @@ def predict(
         stdout.print(f"written: {made.path}", soft_wrap=True)
 
 
+@app.command()
+def watch(
+    run: Run,
+    folder: Annotated[
+        Path, typer.Argument(help="A sequence of RBO or of the Articulated Object Dataset.")
+    ],
+    images: Annotated[int, typer.Option(min=2, help="How many of the sequence.")] = 8,
+    out: Annotated[Path, typer.Option(help="The folder for picture and numbers.")] = Path(
+        "recorded"
+    ),
+) -> None:
+    """Reconstruct a laptop that a depth camera has recorded, and compare with its true poses."""
+    with said():
+        from articugen.learning.recorded import watch as watch_recorded
+
+        outcome = watch_recorded(run, folder, images=images, out=out)
+        for name, value in outcome.numbers.items():
+            stdout.print(f"{name}: {value:.3g}")
+        stdout.print(f"written: {outcome.figure}", soft_wrap=True)
+
+
 class _ProgressBar:
     """A bar with rate and time left on a terminal; elsewhere a line at each validation, and the
     last that was said of each thing done before: counts come to an end, findings stay."""

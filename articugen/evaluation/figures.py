@@ -175,7 +175,7 @@ def reconstructions(
     for (name, _, names), some in zip(models, shapes, strict=True):
         pairs = list(zip(drawn, some, strict=True))
         predicted = [
-            solid_portrait(_solid(f, names), camera, floor, beside=_predicted_axes(i, f, names))
+            solid_portrait(solid_of(f, names), camera, floor, beside=_predicted_axes(i, f, names))
             for i, f in pairs
         ]
         moved = [_caption(i, _changes(i, some[0], f, names)) for i, f in pairs]
@@ -183,7 +183,8 @@ def reconstructions(
     return rows
 
 
-def _solid(found: Reconstruction, names: Names) -> ColouredMesh:
+def solid_of(found: Reconstruction, names: Names) -> ColouredMesh:
+    """Return a reconstruction as it is drawn; points become tetrahedra."""
     triangles, part = found.triangles, found.part
     if found.whole is None:  # of points alone
         triangles = (triangles[:, None] + _GRAIN).reshape(-1, 3, 3)
