@@ -326,4 +326,4 @@ def test_it_learns_and_is_judged_and_makes_no_mesh(boxes, tmp_path):
     with pytest.raises(ArticugenError, match="makes no surface"):
         predict(run.path, next(boxes.glob("test-*.h5")), out=tmp_path / "rig")
     assert not (tmp_path / "rig").exists()
-    assert len(list(draw(run.path, boxes, found))) == 2  # curves and labelled points
+    assert len(list(draw(run.path, boxes, found))) == 1  # labelled points
