@@ -118,7 +118,7 @@ ablation: $(learner)  ## the same with one thing left out at a time, of PPD in t
 define compare
 @test -n "$(CATEGORY)" || { echo "Choose one: make $@ CATEGORY=laptop" >&2; exit 2; }
 @test -f "$(OUT)/$(CATEGORY)/manifest.json" || $(articugen) generate --category "$(CATEGORY)" --source "$(SOURCE)" --out "$(OUT)" $(options) $(settings) || test $$? = 3
-@$(articugen) compare "$(OUT)/$(CATEGORY)" --list $@ --budget "$(or $(BUDGET),10)" $(if $(SEEDS),--seeds "$(SEEDS)") $(if $(DEVICE),--device "$(DEVICE)")
+@$(articugen) train-all "$(OUT)/$(CATEGORY)" --list $@ --budget "$(or $(BUDGET),10)" $(if $(SEEDS),--seeds "$(SEEDS)") $(if $(DEVICE),--device "$(DEVICE)")
 endef
 
 # A process a core, each of one thread: more threads only wait. What ARGS says counts (-n 0 --pdb).

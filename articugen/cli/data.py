@@ -14,6 +14,7 @@ from rich.markup import escape
 from articugen.cli.app import app
 from articugen.cli.options import DataSets
 from articugen.cli.saying import FAILED, command, counting_bar, said, stderr, stdout
+from articugen.core.tables import DIM, quiet_table
 
 if TYPE_CHECKING:
     from articugen.verify.dataset import Repair
@@ -72,6 +73,42 @@ def inspect(
             with stderr.status("looking at all of it ..."):
                 written = write_report(path, shards, html, **asked)
             stdout.print(escape(f"report: {html}, {size(written)}"), soft_wrap=True)
+
+
+@app.command(epilog="Example: articugen compare data/oven real/oven --image farthest.png")
+def compare(
+    first: Annotated[Path, typer.Argument(help="A set, or a shard: what is at hand.")],
+    second: Annotated[Path, typer.Argument(help="Another: what it is to be like.")],
+    image: Annotated[
+        Path | None,
+        typer.Option("--image", "-i", help="Draw the second set's farthest into this PNG."),
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print numbers for other programs.")] = False,
+) -> None:
+    """Say how alike two sets of objects are: neighbours, proportions, parts, joints."""
+    with said():
+        from articugen.core.compiling import compile_kernels
+        from articugen.inspection import likeness
+        from articugen.pipeline.run import default_jobs
+
+        compile_kernels("inspect", jobs=default_jobs(), notice=stderr.print)
+        with stderr.status("comparing all objects ..."):
+            found = likeness.likeness(first, second)
+            if image is not None:
+                likeness.draw_farthest(found, image)
+        if json:
+            stdout.print_json(data=found.numbers)
+            return
+        table = quiet_table("", ">first", ">second")
+        for line in likeness.rows(found):
+            table.add_row(*line)
+        stdout.print(table)
+        stdout.print(
+            "Distances: Chamfer, canonical pose, a longest edge is 1. Others: median (10 %, 90 %).",
+            style=DIM,
+        )
+        if image is not None:
+            stdout.print(escape(f"drawn: {image}"), soft_wrap=True)
 
 
 @app.command(

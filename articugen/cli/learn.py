@@ -226,8 +226,8 @@ def tables(
             stdout.print(f"drawn: {figure}", soft_wrap=True)
 
 
-@app.command(epilog="Example: articugen compare data/laptop --list ablation --budget 60 --seeds 3")
-def compare(
+@app.command(epilog="Example: articugen train-all data/laptop -l ablation --budget 60 --seeds 3")
+def train_all(
     data: Annotated[Path, typer.Argument(help="The folder of the data set.")],
     recipes: Annotated[
         str, typer.Option("--list", "-l", help="comparison, ablation, or a YAML list of recipes.")

@@ -1,0 +1,256 @@
+"""How alike two sets of objects are: neighbours in and between them, proportions, parts, joints.
+
+Distances are Chamfer distances of 1,200 points of the surface in the canonical pose, each object in
+the middle of its box, whose longest edge is 1.
+"""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from articugen.core.arrays import Floats
+from articugen.core.colours import colour_of
+from articugen.core.errors import InvalidArgument
+from articugen.core.geometry import bounds
+from articugen.core.jit import helper, kernel
+from articugen.core.records import JointKind, dequantize
+from articugen.core.schema import Instance
+from articugen.core.seeding import generator
+from articugen.inspection.summary import shards_of
+from articugen.pictures.contact_sheet import Chosen, chosen_of, portraits
+from articugen.pictures.layout import Row, save, sheet
+from articugen.store.shards import open_shard
+
+POINTS = 1200
+MOST = 300  # objects of a set that are compared, chosen evenly
+
+MEASURES = (
+    "depth (x)", "width (y)", "height (z)", "moving parts", "a part's longest edge",
+    "a part's surface", "height of a joint", "range, degrees", "range, of the object",
+)  # fmt: skip
+"""What is known of an object or of its moving parts; lengths in parts of its longest edge."""
+
+
+@dataclass(frozen=True, eq=False)
+class Objects:
+    """One set.
+
+    Attributes:
+        chosen: its objects, in the order of all that follows.
+        points: (n, 1200, 3) of each.
+        floor: the mean distance of other points of an object from these: nothing is nearer.
+        measures: (m,) every value of a measure, by its name in `MEASURES`.
+    """
+
+    chosen: list[Chosen]
+    points: Floats
+    floor: float
+    measures: dict[str, Floats]
+
+
+@dataclass(frozen=True, eq=False)
+class Likeness:
+    """Outcome of `likeness` for sets of n and m objects.
+
+    Attributes:
+        first, second: the two sets.
+        between: (m, n) distances of each object of the second set from each of the first.
+        pairs: distances between objects of the same set: their mean in the first and the second.
+        nearest: how far the nearest other object of the same set is, likewise.
+    """
+
+    first: Objects
+    second: Objects
+    between: Floats
+    pairs: tuple[float, float]
+    nearest: tuple[float, float]
+
+    @property
+    def floor(self) -> tuple[float, float]:
+        """How far an object is from itself, seen by other points: in the first and the second."""
+        return self.first.floor, self.second.floor
+
+    @property
+    def reached(self) -> float:
+        """How far objects of the second set are from their nearest in the first, on average."""
+        return float(self.between.min(axis=1).mean())
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """All there is to say in numbers; quantiles 0.1, 0.5 and 0.9 of each measure."""
+        numbers = {
+            "first: objects": len(self.first.chosen), "second: objects": len(self.second.chosen),
+            "first: pairs": self.pairs[0], "second: pairs": self.pairs[1],
+            "first: same object": self.floor[0], "second: same object": self.floor[1],
+            "first: own nearest": self.nearest[0], "second: own nearest": self.nearest[1],
+            "second to nearest first": self.reached,
+            "second to nearest first, over own nearest": self.reached / self.nearest[1],
+            "pairs, first over second": self.pairs[0] / self.pairs[1],
+        }  # fmt: skip
+        for name, some in (("first", self.first), ("second", self.second)):
+            for measure, values in some.measures.items():
+                for q in (0.1, 0.5, 0.9):
+                    at = float(np.quantile(values, q)) if len(values) else float("nan")
+                    numbers[f"{name}: {measure}, quantile {q}"] = at
+        return {key: round(float(value), 6) for key, value in numbers.items()}
+
+
+def likeness(first: Path, second: Path) -> Likeness:
+    """Compare two sets: folders of shards, or shards.
+
+    Of each set 300 objects at most are compared, chosen evenly.
+
+    Raises:
+        InvalidArgument: a path holds no shard, or fewer than two objects.
+        CorruptShard: a shard cannot be read.
+    """
+    a, b = _objects(first), _objects(second)
+    within = [_distances(some.points, some.points) for some in (a, b)]
+    for square in within:
+        np.fill_diagonal(square, np.inf)
+    pairs = [float(square[np.isfinite(square)].mean()) for square in within]
+    nearest = [float(square.min(axis=1).mean()) for square in within]
+    between = _distances(b.points, a.points)
+    return Likeness(a, b, between, (pairs[0], pairs[1]), (nearest[0], nearest[1]))
+
+
+def draw_farthest(found: Likeness, path: Path, *, count: int = 6) -> None:
+    """Draw the objects of the second set that are farthest from the first, their nearest below.
+
+    Raises:
+        InvalidArgument: `path` is not named like a PNG.
+    """
+    if path.suffix.lower() != ".png":  # it may be somebody's data
+        raise InvalidArgument(f"{path}: pictures are PNGs; give it a name ending in .png")
+    distance, nearest = found.between.min(axis=1), found.between.argmin(axis=1)
+    far = np.argsort(-distance, kind="stable")[:count]
+    rows = []
+    for title, some, picked, colour in (
+        ("second set: farthest from the first", found.second, far, 1),
+        ("first set: nearest to the one above", found.first, nearest[far], 2),
+    ):
+        drawn = portraits([some.chosen[k] for k in picked], states=1)
+        captions = [
+            [(f"{d.object_id}  {distance[k]:.3f}", colour_of(colour))]
+            for d, k in zip(drawn, far, strict=True)
+        ]
+        rows.append(Row(title, [d.pictures[0] for d in drawn], captions))
+    save(sheet(rows), path)
+
+
+def _objects(path: Path) -> Objects:
+    chosen = chosen_of(shards_of(path), MOST)
+    if len(chosen) < 2:
+        raise InvalidArgument(f"{path}: holds one object; a set has two or more to compare")
+    points: list[Floats] = []
+    floors: list[float] = []
+    measures: dict[str, list[float]] = {name: [] for name in MEASURES}
+    for each in chosen:
+        instance = _canonical(each)
+        cloud = dequantize(instance.surface_points)
+        low, high = bounds(cloud)
+        longest = float((high - low).max())
+        cloud = (cloud - (low + high) / 2) / longest
+        _measure(instance, cloud, longest, measures)
+        rng = generator(0, each.object_id, "likeness")
+        some, others = np.resize(rng.permutation(cloud, axis=0), (2, POINTS, 3)).astype(np.float64)
+        points.append(some)
+        floors.append(float(_distances(some[None], others[None])[0, 0]))
+    return Objects(
+        chosen,
+        np.array(points),
+        float(np.mean(floors)),
+        {k: np.array(v) for k, v in measures.items()},
+    )
+
+
+def _canonical(each: Chosen) -> Instance:
+    """Return the object's first instance, which is its canonical pose where a set has that."""
+    path, index = each.places[0]
+    with open_shard(path) as shard:
+        return shard.instance(index)
+
+
+def _measure(instance: Instance, cloud: Floats, longest: float, to: dict[str, list[float]]) -> None:
+    for name, extent in zip(MEASURES[:3], np.ptp(cloud, axis=0), strict=True):
+        to[name].append(extent)
+    to["moving parts"].append(len(instance.joint_kind))
+    floor = float((dequantize(instance.surface_points))[:, 2].min())
+    for j, kind in enumerate(instance.joint_kind):
+        part = cloud[instance.surface_part == j + 1]
+        to["a part's surface"].append(len(part) / len(cloud))
+        if len(part):
+            to["a part's longest edge"].append(np.ptp(part, axis=0).max())
+        reach = float(instance.joint_upper[j] - instance.joint_lower[j])
+        if kind == JointKind.REVOLUTE:
+            to["range, degrees"].append(np.degrees(reach))
+            to["height of a joint"].append((float(instance.joint_pivot[j][2]) - floor) / longest)
+        else:
+            to["range, of the object"].append(reach / longest)
+
+
+def _distances(first: Floats, second: Floats) -> Floats:
+    """Return the Chamfer distances (n, m) of clouds (n, k, 3) from clouds (m, k, 3)."""
+    by_axis = np.ascontiguousarray(second.transpose(0, 2, 1), np.float32)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        clouds = np.ascontiguousarray(first.transpose(0, 2, 1), np.float32)
+        return np.array(list(pool.map(lambda cloud: chamfer(cloud, by_axis), clouds)))
+
+
+@kernel
+def chamfer(cloud, others):  # pragma: no cover - compiled
+    """Return (m,): half the mean distance of points from the nearest of the other cloud, and back.
+
+    Every pair of points is looked at, eight at a time: clouds are (3, k), others (m, 3, k). A tree
+    takes longer for so few.
+    """
+    found = np.zeros(len(others))
+    for m in range(len(others)):
+        found[m] = (_one_way(cloud, others[m]) + _one_way(others[m], cloud)) / 2
+    return found
+
+
+@helper
+def _one_way(cloud, other):  # pragma: no cover - compiled
+    """Return the mean distance of the points of `other` from their nearest in `cloud`."""
+    count = other.shape[1]
+    least = np.full(count, np.float32(np.inf))
+    for i in range(cloud.shape[1]):
+        x, y, z = cloud[0, i], cloud[1, i], cloud[2, i]
+        for j in range(count):
+            dx, dy, dz = other[0, j] - x, other[1, j] - y, other[2, j] - z
+            least[j] = min(least[j], dx * dx + dy * dy + dz * dz)
+    total = 0.0
+    for j in range(count):
+        total += np.sqrt(least[j])
+    return total / count
+
+
+def rows(found: Likeness) -> Sequence[tuple[str, str, str]]:
+    """Name, first set, second set: the lines of a table."""
+
+    def both(name: str, values: tuple[float, float]) -> tuple[str, str, str]:
+        return name, f"{values[0]:.3f}", f"{values[1]:.3f}"
+
+    lines = [
+        ("objects", str(len(found.first.chosen)), str(len(found.second.chosen))),
+        both("any two in a set", found.pairs),
+        both("an object, by other points", found.floor),
+        both("nearest in its own set", found.nearest),
+        ("nearest in the first", "", f"{found.reached:.3f}"),
+    ]
+    for name in MEASURES:
+        first, second = found.first.measures[name], found.second.measures[name]
+        lines.append((name, _spread(first), _spread(second)))
+    return lines
+
+
+def _spread(values: Floats) -> str:
+    if not len(values):
+        return "none"
+    low, middle, high = np.quantile(values, (0.1, 0.5, 0.9))
+    return f"{middle:.3g} ({low:.3g}, {high:.3g})"
