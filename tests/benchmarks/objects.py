@@ -58,7 +58,13 @@ def _faults(source: str, category: str, name: str, folder: Path) -> Iterator[Fau
     write_model(model, folder, object_id=name, category=category)
     obj = load_urdf(folder / URDF_NAME, object_id=name, category=category)
     truth = read_truth((folder / TRUTH_NAME).read_bytes())
-    obj = resolve(obj, load_recipe(None, category, source).articulation, clip=False)
+    of = open_source(source)
+    obj = resolve(
+        obj,
+        load_recipe(None, category, source).articulation,
+        clip=of.clips,
+        movable=of.file.categories[category].movable,
+    )
     upper = np.array([joint.upper for joint in obj.moving_joints])
     between = generator(0, name, "between").uniform(0.0, upper)
     for q in (0.0 * upper, upper, between):

@@ -39,7 +39,17 @@ _T_WORLD_USER = transform([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 def build(rng: np.random.Generator) -> Model:
     """Build a laptop with links `body` and `lid` and the joint `hinge`."""
-    shape = draw_shape(rng)
+    return _built(rng, draw_shape(rng), RANGE[1])
+
+
+def build_varied(rng: np.random.Generator) -> Model:
+    """Build one of any age, as thin or as thick as there are, some of which open less far."""
+    shape = draw_shape(rng, varied=True)
+    upper = np.deg2rad(rng.uniform(95.0, 135.0)) if rng.random() < 0.3 else RANGE[1]
+    return _built(rng, shape, upper)
+
+
+def _built(rng: np.random.Generator, shape: LaptopShape, upper: float) -> Model:
     base_knuckles, lid_knuckles = _hinge(rng, shape)
     base = [*_chassis(shape), *_feet(rng, shape), *_deck(rng, shape), *base_knuckles]
     lid = [*_lid(rng, shape), *lid_knuckles]
@@ -54,7 +64,7 @@ def build(rng: np.random.Generator) -> Model:
         child="lid",
         origin=T[:3, 3],
         axis=(0.0, 1.0, 0.0),
-        upper=RANGE[1],
+        upper=upper,
     )
     links = (
         ModelLink("body", "base_body", tuple(s.moved(T) for s in base)),
@@ -76,7 +86,7 @@ def _chassis(s: LaptopShape) -> list[Solid]:
     body = [loft(rings)]
     if not s.drops and s.shelf - bottom > MM:
         body.append(prism(_behind(s, -s.width / 2, s.width / 2), bottom, s.shelf))
-    if s.kind in ("gaming", "retro"):
+    if s.behind > 0.0:
         body += _rear_block(s, bottom)
     return body
 
@@ -92,7 +102,7 @@ def _behind(s: LaptopShape, left: float, right: float) -> Array:
 
 def _rear_block(s: LaptopShape, bottom: float) -> list[Solid]:
     """Build the block behind the hinge, below the lid's reach: an exhaust, or ports."""
-    back = s.reach + (14 if s.kind == "gaming" else 6) * MM
+    back = s.reach + s.behind
     top = min(s.shelf, s.lowest_lid - 1.5 * MM)
     if top - bottom < 4.5 * MM:
         return []

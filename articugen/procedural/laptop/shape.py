@@ -53,10 +53,26 @@ KINDS = {  # diagonal, height, wedge, lid, corner, bezel; hinges, dropping
     "netbook": Kind((8.9, 11.6), (0.043, 0.06), (0.7, 1), (0.022, 0.032), (12, 26), (12, 22),
                     ("full", "center"), 0.3),
 }
+OTHERS = {
+    "slim": Kind((12, 16), (0.026, 0.036), (0.35, 1), (0.011, 0.017), (4, 20), (4, 12),
+                 ("center", "full"), 0.5),
+    "broad": Kind((13, 17.5), (0.042, 0.075), (0.5, 1), (0.014, 0.032), (2, 22), (6, 26),
+                  ("pair", "center", "full"), 0.4),
+    "brick": Kind((12, 16), (0.065, 0.11), (0.7, 1), (0.024, 0.05), (2, 16), (12, 32),
+                  ("pair", "full"), 0.3),
+    "tablet": Kind((10, 13.5), (0.03, 0.045), (0.7, 1), (0.024, 0.042), (6, 22), (8, 18),
+                   ("center", "full"), 0.2),
+}
 # fmt: on
+"""What varied ones may be besides: 5 mm thin, or as thick as they were in 1995; lids thicker than
+what they close."""
+
+_BEHIND = {"gaming": 14 * MM, "retro": 6 * MM}
+
 _PROUD = 0.5 * MM  # about how far keys and trackpad stand out of the deck
 
 _ASPECTS = (16 / 9, 16 / 10, 3 / 2, 4 / 3)
+_OLD = ("retro", "brick")
 
 
 @dataclass(frozen=True)
@@ -80,6 +96,7 @@ class LaptopShape:
         recess: by how much the screen lies behind its bezel.
         bezel: its width at the sides, at the free edge and at the hinge.
         hinge: "pair", "center" or "full".
+        behind: how far the base reaches behind the lid's rear edge, if at all.
         drops: the hinge lies below the lid, which drops behind the base; otherwise it lies between
             lid and base, in notches of the base.
     """
@@ -104,6 +121,7 @@ class LaptopShape:
     recess: float
     bezel: tuple[float, float, float]
     hinge: str
+    behind: float
     drops: bool
 
     @property
@@ -168,15 +186,19 @@ class LaptopShape:
         return self.bottom_front + t * (self.bottom_rear - self.bottom_front)
 
 
-def draw_shape(rng: np.random.Generator) -> LaptopShape:
-    """Return the measures of a laptop of any kind."""
-    kind = str(rng.choice(list(KINDS)))
-    ranges = KINDS[kind]
+def draw_shape(rng: np.random.Generator, *, varied: bool = False) -> LaptopShape:
+    """Return the measures of a laptop of any kind; a varied one has others at its choice, too, a
+    higher chin, or reaches far behind its hinge."""
+    kind = str(rng.choice([*KINDS, *OTHERS, *OTHERS] if varied else list(KINDS)))
+    ranges = (KINDS | OTHERS)[kind]
     diagonal = rng.uniform(*ranges.diagonal) * 25.4 * MM
-    ratio = _ASPECTS[2 + rng.integers(2)] if kind == "retro" else _ASPECTS[rng.integers(3)]
+    ratio = _ASPECTS[2 + rng.integers(2)] if kind in _OLD else _ASPECTS[rng.integers(3)]
     screen = diagonal * np.array([ratio, 1.0]) / norm((ratio, 1.0))
     side = rng.uniform(*ranges.bezel) * MM
-    top, chin = side * rng.uniform(1.0, 1.6), side * rng.uniform(1.3, 3.0)
+    top, chin = (
+        side * rng.uniform(1.0, 1.6),
+        side * rng.uniform(1.3, 5.0 if kind in OTHERS else 3.0),
+    )
     width = screen[0] + 2 * side
     lid = rng.uniform(*ranges.lid) * width
     foot = rng.uniform(0.8, 2.0) * MM
@@ -197,6 +219,9 @@ def draw_shape(rng: np.random.Generator) -> LaptopShape:
     # The lid behind the axis: closed it is above 45 degrees, opened it ends above the floor.
     over = min(rng.uniform(0.75, 1.0) * barrel, -1.2 * bottom_rear - deck - gap - lid)
     over = max(over, 0.5 * barrel)
+    behind = _BEHIND.get(kind, 0.0)
+    if varied and rng.random() < 0.4:
+        behind = rng.uniform(4, 40) * MM
     thick = deck - bottom_rear
     front = max(thick * rng.uniform(*ranges.wedge), min(thick, 5 * MM))
     return LaptopShape(
@@ -220,5 +245,6 @@ def draw_shape(rng: np.random.Generator) -> LaptopShape:
         recess=rng.uniform(0.12, 0.3) * lid,
         bezel=(side, top, chin),
         hinge=str(rng.choice(ranges.hinges)),
+        behind=behind,
         drops=drops,
     )

@@ -1,10 +1,12 @@
-"""Ranges, wall ovens, cookers and toaster ovens: one door that drops open about +y.
+"""Ranges, wall ovens, cookers and toaster ovens: one door that drops open about +y; varied ones may
+have two, or doors that swing open about z.
 
-The body is solid around a cavity with racks. The door hangs in front of it, hinged at its lower
+The body is solid around a cavity with racks. A door hangs in front of it, hinged at its lower
 outer edge: no point of it but its handle lies beyond its outer face, and none below its lower
 edge, so it can swing by 135 degrees without meeting what is below.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,18 +16,44 @@ from articugen.procedural.kit.model import Model, ModelJoint, ModelLink
 from articugen.procedural.kit.outlines import circle, matched
 from articugen.procedural.kit.parts import Rect, frame, handle, plate, rod, row, tapered
 from articugen.procedural.kit.solids import Solid, along_x, box, prism, ring
-from articugen.procedural.oven.plans import Oven, draw_plan
+from articugen.procedural.oven.plans import Leaf, Oven, draw_plan
 from articugen.procedural.oven.stovetop import back_guard, control_panel, cooktop
 
 _CORNER = 0.06  # the radius of the cavity's corners, part of its height
 
 
+@dataclass(frozen=True)
+class Cavity:
+    """The space behind a door: its opening, and the x of its back."""
+
+    opening: Rect
+    back: float
+
+
 def build(rng: np.random.Generator) -> Model:
     """Build one object: links body and door."""
-    oven = draw_plan(rng)
-    opening, back = _cavity(rng, oven)
+    return _built(rng, draw_plan(rng), RANGE[1], loose=False)
+
+
+def build_varied(rng: np.random.Generator) -> Model:
+    """Build one of any layout: one or two doors, hinged below or at a side, that open by about a
+    right angle; some have racks that slide out, which recipes lock."""
+    oven = draw_plan(rng, varied=True)
+    return _built(rng, oven, np.deg2rad(rng.uniform(85.0, 95.0)), loose=bool(rng.uniform() < 0.5))
+
+
+def _built(rng: np.random.Generator, oven: Oven, upper: float, *, loose: bool) -> Model:
+    """Build an oven whose doors open up to `upper`, rad; its racks are `loose` or fixed."""
+    cavities = [_cavity(rng, oven, leaf.rect) for leaf in oven.doors]
     pull = _pull(rng, oven)
-    body = [*_casing(oven, opening, back), *_furnishings(rng, oven, opening, back), *_feet(oven)]
+    racks: list[list[Solid]] = []
+    body = _casing(oven, cavities)
+    for cavity in cavities:
+        shelves = _racks(rng, oven, cavity, loose=loose)
+        racks += shelves if loose else []
+        body += [] if loose else [s for shelf in shelves for s in shelf]
+        body += _furnishings(rng, oven, cavity)
+    body += _feet(oven)
     if oven.controls is not None:
         body += control_panel(rng, oven, oven.controls)
     body += [*cooktop(rng, oven), *back_guard(rng, oven)]
@@ -33,46 +61,101 @@ def build(rng: np.random.Generator) -> Model:
         body += [*_door(oven, rect, 0.0), *pull.on(rect)]
     for rect in oven.drawers:
         body += [plate(rect, 0.0, oven.thickness, bevel=0.12 * oven.thickness), *pull.low(rect)]
-    door = [*_door(oven, oven.door, GAP), *pull.on(oven.door, GAP), *_plug(rng, oven, opening)]
-    hinge = (GAP + oven.thickness, oven.door.center[0], oven.door.z0)
-    joint = ModelJoint("door_hinge", "revolute", "body", "door", hinge, (0.0, 1.0, 0.0), *RANGE)
-    links = (ModelLink("body", "oven_body", tuple(body)), ModelLink("door", "door", tuple(door)))
-    return Model(links, (joint,))
+    links, joints = [ModelLink("body", "oven_body", tuple(body))], []
+    for k, (leaf, cavity) in enumerate(zip(oven.doors, cavities, strict=True)):
+        name = "door" if len(cavities) == 1 else f"door_{k}"
+        solids = [*_door(oven, leaf.rect, GAP), *pull.on(leaf.rect, GAP, leaf.hinge)]
+        if leaf.hinge == "bottom":
+            solids += _plug(rng, oven, leaf.rect, cavity.opening)
+        links.append(ModelLink(name, "door", tuple(solids)))
+        at, axis = _axis(leaf)
+        hinge = (GAP + oven.thickness, *at)
+        joints.append(
+            ModelJoint(f"{name}_hinge", "revolute", "body", name, hinge, axis, 0.0, upper)
+        )
+    for k, rack in enumerate(racks):
+        links.append(ModelLink(f"rack_{k}", "shelf", tuple(rack)))
+        slide = (f"rack_{k}_slide", "prismatic", "body", f"rack_{k}", rack[0].vertices[0])
+        joints.append(ModelJoint(*slide, (1.0, 0.0, 0.0), 0.0, round(0.5 * oven.depth, 4)))
+    return Model(tuple(links), tuple(joints))
 
 
-def _cavity(rng: np.random.Generator, oven: Oven) -> tuple[Rect, float]:
-    """Return the cavity's opening behind the door, and the x of its back."""
-    small = min(oven.door.width, oven.door.height)
+def _axis(leaf: Leaf) -> tuple[tuple[float, float], tuple[float, float, float]]:
+    """Return (y, z) of a point on a door's hinge, and the axis about which it opens."""
+    (y, z), r = leaf.rect.center, leaf.rect
+    return {
+        "bottom": ((y, r.z0), (0.0, 1.0, 0.0)),
+        "left": ((r.y0, z), (0.0, 0.0, -1.0)),
+        "right": ((r.y1, z), (0.0, 0.0, 1.0)),
+    }[leaf.hinge]
+
+
+def _cavity(rng: np.random.Generator, oven: Oven, door: Rect) -> Cavity:
+    """Return the space behind a door."""
+    small = min(door.width, door.height)
     side = min(rng.uniform(0.09, 0.14) * small, 0.3 * small)
     wall = 0.03 * oven.extent
-    opening = oven.door.shrunk(side)
+    opening = door.shrunk(side)
     left = max(opening.y0, oven.body.y0 + oven.flange + wall)
     right = min(opening.y1, oven.body.y1 - oven.flange - wall)
-    return Rect(left, opening.z0, right, opening.z1), -oven.depth + rng.uniform(1.2, 2.5) * wall
+    back = -oven.depth + rng.uniform(1.2, 2.5) * wall
+    return Cavity(Rect(left, opening.z0, right, opening.z1), back)
 
 
-def _casing(oven: Oven, opening: Rect, back: float) -> list[Solid]:
-    """Build the solid body around the cavity, with a rim if it is for building in."""
-    body, rim = oven.body, -0.02 * oven.extent
-    inner = body.shrunk(oven.flange)
+def _casing(oven: Oven, cavities: Sequence[Cavity]) -> list[Solid]:
+    """Build the solid body around the cavities, with a rim if it is for building in."""
+    rim = -0.02 * oven.extent
+    inner = oven.body.shrunk(oven.flange)
     start = rim if oven.flange > 0.0 else 0.0
 
-    def around(outer: Rect, x0: float, x1: float) -> Solid:
-        corner = _CORNER * opening.height
-        return frame(outer, opening, x0, x1, outer_radius=oven.radius, inner_radius=corner)
+    def around(outer: Rect, opening: Rect, x0: float, x1: float) -> Solid:
+        corner, radius = _CORNER * opening.height, oven.radius if len(cavities) == 1 else 0.0
+        return frame(outer, opening, x0, x1, outer_radius=radius, inner_radius=corner)
 
-    solids = [plate(inner, -oven.depth, back, radius=oven.radius), around(inner, back, start)]
-    return [*solids, around(body, rim, 0.0)] if oven.flange > 0.0 else solids
-
-
-def _furnishings(rng: np.random.Generator, oven: Oven, opening: Rect, back: float) -> list[Solid]:
-    """Racks between the cavity's sides, a fan cover, a heating element."""
-    r = 0.0065 * oven.extent
-    y, z = opening.center
-    count = int(rng.integers(1, 4)) if opening.height > 0.25 else 1
     solids = []
-    for height in row(z, 0.42 * opening.height, count):
-        solids += _rack(rng, opening, back, height, r)
+    for cavity, block, whole in zip(
+        cavities, _blocks(inner, cavities), _blocks(oven.body, cavities), strict=True
+    ):
+        radius = oven.radius if len(cavities) == 1 else 0.0
+        solids.append(plate(block, -oven.depth, cavity.back, radius=radius))
+        solids.append(around(block, cavity.opening, cavity.back, start))
+        if oven.flange > 0.0:
+            solids.append(around(whole, cavity.opening, rim, 0.0))
+    return solids
+
+
+def _blocks(body: Rect, cavities: Sequence[Cavity]) -> list[Rect]:
+    """Return the body cut between its cavities, which lie side by side or one above the other."""
+    if len(cavities) == 1:
+        return [body]
+    a, b = (cavity.opening for cavity in cavities)
+    if a.z1 < b.z0:
+        z = (a.z1 + b.z0) / 2
+        return [Rect(body.y0, body.z0, body.y1, z), Rect(body.y0, z, body.y1, body.z1)]
+    y = (min(a.y1, b.y1) + max(a.y0, b.y0)) / 2
+    halves = [Rect(body.y0, body.z0, y, body.z1), Rect(y, body.z0, body.y1, body.z1)]
+    return halves if a.y0 < b.y0 else halves[::-1]
+
+
+def _racks(
+    rng: np.random.Generator, oven: Oven, cavity: Cavity, *, loose: bool
+) -> list[list[Solid]]:
+    """Build the racks between the cavity's sides; loose ones stay clear of them."""
+    opening, r = cavity.opening, 0.0065 * oven.extent
+    count = int(rng.integers(1, 4)) if opening.height > 0.25 else 1
+    aside = r + GAP + _CORNER * opening.height
+    wide = opening.shrunk(aside, 0.0) if loose else opening
+    back = cavity.back + 4 * r if loose else cavity.back  # before the fan
+    half = (0.3 if loose else 0.42) * opening.height  # below the heating element
+    heights = row(opening.center[1], half, count)
+    return [_rack(rng, wide, back, height, r) for height in heights]
+
+
+def _furnishings(rng: np.random.Generator, oven: Oven, cavity: Cavity) -> list[Solid]:
+    """A fan cover, a heating element."""
+    opening, back, r = cavity.opening, cavity.back, 0.0065 * oven.extent
+    y, z = opening.center
+    solids = []
     if rng.uniform() < 0.6:
         radius = 0.3 * min(opening.width, opening.height)
         hoop = ring(circle(radius, 28), circle(0.85 * radius, 28), back, back + 1.5 * r)
@@ -128,14 +211,14 @@ def _door(oven: Oven, rect: Rect, x: float) -> list[Solid]:
     return [leaf, plate(field, x + 0.65 * t, x + t, radius=corner, bevel=0.3 * t)]
 
 
-def _plug(rng: np.random.Generator, oven: Oven, opening: Rect) -> list[Solid]:
-    """Build the door's inner panel, which stands a little into the cavity.
+def _plug(rng: np.random.Generator, oven: Oven, door: Rect, opening: Rect) -> list[Solid]:
+    """Build a door's inner panel, which stands a little into the cavity.
 
     Its upper inner edge swings on a circle about the hinge and must pass below the opening's edge.
     """
     if rng.uniform() < 0.3:
         return []
-    deep, z0 = 0.013 * oven.extent, oven.door.z0
+    deep, z0 = 0.013 * oven.extent, door.z0
     reach = oven.thickness + GAP + deep
     top = float(np.sqrt((opening.z1 - z0 - GAP) ** 2 - reach**2)) + z0
     # The cavity's corners are round: stay clear of them.
@@ -158,8 +241,14 @@ class Pull:
     girth: float
     face: float
 
-    def on(self, rect: Rect, x: float = 0.0) -> list[Solid]:
-        """Near the upper edge of a door whose back is at `x`."""
+    def on(self, rect: Rect, x: float = 0.0, hinge: str = "bottom") -> list[Solid]:
+        """Near the edge away from the hinge of a door whose back is at `x`."""
+        if hinge != "bottom":
+            inset = max(0.07 * rect.width, 1.3 * self.girth)
+            y = rect.y1 - inset if hinge == "left" else rect.y0 + inset
+            length = self.share * rect.height
+            solids = handle(self.kind, length, self.reach, self.girth, upright=True)
+            return [s.shifted(x + 0.6 * self.face, y, rect.center[1]) for s in solids]
         z = rect.z1 - max(0.07 * rect.height, 1.3 * self.girth)
         solids = handle(self.kind, self.share * rect.width, self.reach, self.girth)
         return [s.shifted(x + 0.6 * self.face, rect.center[0], z) for s in solids]

@@ -12,12 +12,20 @@ from articugen.procedural.kit.ranges import Either, draw_all
 
 
 @dataclass(frozen=True)
+class Leaf:
+    """A door that opens; `hinge` is the edge it turns about: bottom, left or right (at y0, y1)."""
+
+    rect: Rect
+    hinge: str = "bottom"
+
+
+@dataclass(frozen=True)
 class Oven:
     """The plan of one oven; the front face of its body is x = 0, rectangles lie in (y, z).
 
     Attributes:
         body: the outside of the body, above its feet.
-        door: the one that opens.
+        doors: those that open, each before a cavity; side by side, or one above the other.
         fixed_doors, drawers: fronts that only look as if they opened.
         controls: None, or where the control panel is.
         depth: of the body; its back is x = -depth.
@@ -33,7 +41,7 @@ class Oven:
     """
 
     body: Rect
-    door: Rect
+    doors: tuple[Leaf, ...]
     fixed_doors: tuple[Rect, ...]
     drawers: tuple[Rect, ...]
     controls: Rect | None
@@ -52,12 +60,13 @@ class Oven:
     def extent(self) -> float:
         """About the longest side of the oven in all its states."""
         height = self.body.z1 + self.guard
-        return max(self.body.width, height, self.depth + self.door.height)
+        return max(self.body.width, height, self.depth + self.doors[0].rect.height)
 
 
-def draw_plan(rng: np.random.Generator) -> Oven:
-    """Return the plan of an oven of any kind."""
-    drawn = _PLAIN | draw_all(rng, _KINDS[rng.integers(len(_KINDS))])
+def draw_plan(rng: np.random.Generator, *, varied: bool = False) -> Oven:
+    """Return the plan of an oven of any kind; of some that others have too where it is varied."""
+    kinds = _KINDS + _OTHERS if varied else _KINDS
+    drawn = _PLAIN | draw_all(rng, kinds[rng.integers(len(kinds))])
     kept = {k: v for k, v in drawn.items() if k in {field.name for field in fields(Oven)}}
     return Oven(**_rectangles(SimpleNamespace(**drawn)), **kept)
 
@@ -89,16 +98,54 @@ def _rectangles(d: SimpleNamespace) -> dict[str, Any]:
             rows = ((floor, middle), (middle + 0.02, ceiling))
             doors = [_hung(a, z, b, end, d.thickness) for z, end in rows for a, b in columns]
             fixed = doors[: d.opens] + doors[d.opens + 1 :]
-    door = doors[d.opens]
+        case "two beside":
+            spans = ((left, d.cut * d.width), (d.cut * d.width + GAP, right))
+            doors = [_hung(a, floor, b, ceiling, d.thickness) for a, b in spans]
+        case "two above":
+            middle = floor + d.middle * (ceiling - floor)
+            doors = [
+                _hung(left, z, right, end, d.thickness)
+                for z, end in ((floor, middle), (middle + 0.02, ceiling))
+            ]
+        case "tower":
+            low = floor + d.below * (ceiling - floor - d.tall)
+            high = low + d.tall
+            doors = [_hung(left, low, right, high, d.thickness)]
+            fixed = [*_closed(d, floor, low, left, right), *_closed(d, high, ceiling, left, right)]
+    if d.hinge == "bottom":
+        leaves = [Leaf(door) for door in (doors if d.both else [doors[d.opens]])]
+    else:
+        sides = ("left", "right") if d.hinge == "sides" else (d.hinge,)
+        leaves = [_swung(r, side, d.thickness) for r, side in zip(doors, sides, strict=True)]
     if d.mirrored:
-        door, *fixed = (Rect(-r.y1, r.z0, -r.y0, r.z1) for r in (door, *fixed))
+        leaves = [_mirrored(leaf) for leaf in leaves]
+        fixed = [Rect(-r.y1, r.z0, -r.y0, r.z1) for r in fixed]
     return {
         "body": Rect(-half, d.lift, half, top),
-        "door": door,
+        "doors": tuple(leaves),
         "fixed_doors": tuple(fixed),
         "drawers": tuple(drawers),
         "controls": None if d.guard_controls else panel,
     }
+
+
+def _closed(d: SimpleNamespace, z0: float, z1: float, left: float, right: float) -> list[Rect]:
+    """Return the fronts that fill a tower from z0 to z1: none where it is lower than a hand."""
+    count = min(d.fronts, int((z1 - z0) / 0.1))
+    edges = np.linspace(z0, z1, count + 1)
+    return [Rect(left, edges[k] + GAP, right, edges[k + 1] - GAP) for k in range(count)]
+
+
+def _mirrored(leaf: Leaf) -> Leaf:
+    r, other = leaf.rect, {"bottom": "bottom", "left": "right", "right": "left"}
+    return Leaf(Rect(-r.y1, r.z0, -r.y0, r.z1), other[leaf.hinge])
+
+
+def _swung(rect: Rect, side: str, thickness: float) -> Leaf:
+    """Return a door hinged at a side that may fill the rectangle: as `_hung`, sideways."""
+    width = float(np.sqrt((rect.width - GAP) ** 2 - (thickness + GAP) ** 2))
+    y0, y1 = (rect.y0, rect.y0 + width) if side == "left" else (rect.y1 - width, rect.y1)
+    return Leaf(Rect(y0, rect.z0, y1, rect.z1), side)
 
 
 def _hung(y0: float, z0: float, y1: float, ceiling: float, thickness: float) -> Rect:
@@ -114,12 +161,14 @@ def _hung(y0: float, z0: float, y1: float, ceiling: float, thickness: float) -> 
 # Metres, and as in `Oven`. The body begins at `lift` and ends at `height`, or at `rise` above it;
 # `side`, `sill` and `strip` are left free beside, below and above the door. What `front` says of
 # another door or the panel: the door ends at `cut` of the width, counted from the middle, or at
-# `middle` of the height.
+# `middle` of the height; a tower's door is `tall`, `below` of what is left lies under it, and
+# `fronts` at most close what is left on either side. `both` doors open; `hinge` is "bottom",
+# "left", "right", or "sides" of two.
 # fmt: off
 _PLAIN = {
     "front": "plain", "height": 0.0, "lift": 0.0, "side": 0.0, "drawer": False, "mirrored": False,
     "opens": 0, "radius": 0.0, "flange": 0.0, "feet": "none", "sloped": False, "stove": "none",
-    "guard": 0.0, "guard_controls": False,
+    "guard": 0.0, "guard_controls": False, "hinge": "bottom", "both": False,
 }
 """What an oven has where its kind says nothing else."""
 
@@ -179,3 +228,46 @@ _KINDS = (
     *(_TOASTER,) * 2,
     _CAST_IRON,
 )
+
+# fmt: off
+_TALL = {  # an oven low in a tower or high over drawers, as fitted kitchens have
+    "width": (0.5, 0.66), "height": (1.1, 2.1), "depth": (0.5, 0.66), "thickness": (0.02, 0.042),
+    "sill": (0.02, 0.12), "strip": (0.03, 0.1), "front": "tower", "fronts": [1, 1, 2, 3],
+    "below": Either(0.4, (0.0, 0.1), (0.2, 0.7)), "tall": (0.3, 0.65), "side": (0.0, 0.02),
+    "look": ["window", "wide", "glass", "solid"],
+}
+_WIDE = _PROFESSIONAL | {  # two ovens side by side under one hob
+    "width": (0.9, 1.25), "lift": (0.02, 0.16), "front": "two beside", "both": True,
+    "cut": [-0.12, 0.0, 0.0, 0.1, 0.16], "feet": ["legs", "plinth", "feet"],
+    "stove": ["gas", "gas", "coil", "glass", "plates"],
+}
+_FRENCH = _WIDE | {"width": (0.6, 0.95), "cut": 0.0, "hinge": "sides"}
+_STACKED = _DOUBLE | {  # both of which open
+    "height": (0.9, 1.4), "lift": (0.0, 0.1), "front": "two above", "middle": (0.45, 0.6),
+    "both": True, "flange": 0.0, "side": (0.0, 0.012), "feet": "plinth",
+    "stove": ["none", "none", "gas", "glass"],
+}
+_LOW = {  # built in, wider than high
+    "width": (0.58, 0.92), "height": (0.4, 0.62), "depth": (0.5, 0.75), "thickness": (0.02, 0.045),
+    "strip": (0.06, 0.2), "sill": (0.006, 0.03), "side": (0.0, 0.012),
+    "look": ["wide", "glass", "window", "solid"],
+}
+_PLAIN_RANGE = _RANGE | {  # the door reaches from edge to edge, and nearly to the floor
+    "width": (0.56, 0.92), "height": (0.7, 0.95), "depth": (0.5, 0.78), "lift": (0.0, 0.06),
+    "thickness": (0.02, 0.05), "side": (0.0, 0.006), "drawer": Either(0.35),
+    "stove": ["gas", "gas", "none", "coil", "glass", "plates"],
+}
+_SIDEWAYS = _PLAIN_RANGE | {"hinge": ["left", "right"]}
+_SIDEWAYS_LOW = _LOW | {"hinge": ["left", "right"]}
+# fmt: on
+_OTHERS = (
+    *(_PLAIN_RANGE,) * 3,
+    *(_WIDE,) * 2,
+    *(_TALL,) * 2,
+    *(_STACKED,) * 2,
+    *(_LOW,) * 2,
+    _FRENCH,
+    _SIDEWAYS,
+    _SIDEWAYS_LOW,
+)
+"""What else there is among real ovens: in towers, two doors, side by side, hinged at a side."""

@@ -1,9 +1,11 @@
 """Front loaders: one round or square door that opens about +z or -z in front of a hollow drum.
+Varied ones are loaded from above, too.
 
 The body is solid around the drum. The door hangs in front of it, hinged at its outer edge on one
 side; its bowl reaches through the opening and is so tapered that it swings out without touching.
 """
 
+from collections.abc import Callable
 from contextlib import suppress
 
 import numpy as np
@@ -13,9 +15,11 @@ from articugen.core.portable import arctan2
 from articugen.procedural.kit import GAP, RANGE
 from articugen.procedural.kit.model import Model, ModelJoint, ModelLink
 from articugen.procedural.kit.outlines import circle, matched, rounded_rectangle
-from articugen.procedural.kit.parts import Rect, handle, knob, lathe, plate, row, tapered
+from articugen.procedural.kit.parts import Rect, handle, lathe, plate, row, tapered
 from articugen.procedural.kit.solids import Solid, along_x, along_y, block, box, prism, ring
+from articugen.procedural.washing_machine.controls import panel
 from articugen.procedural.washing_machine.plan import Washer, draw
+from articugen.procedural.washing_machine.top_loader import build_top_loader
 
 
 def build(rng: np.random.Generator) -> Model:
@@ -24,15 +28,30 @@ def build(rng: np.random.Generator) -> Model:
     One in a hundred draws has a drum that comes through the casing, or a bowl too flat for its
     wall: it is drawn again.
     """
+    return _sound(lambda: _drawn(rng, draw(rng), RANGE[1]))
+
+
+def build_varied(rng: np.random.Generator) -> Model:
+    """Build one that is loaded in front, its door wherever there is room, or from above."""
+
+    def drawn() -> Model:
+        if rng.uniform() < 0.45:
+            return build_top_loader(rng)
+        return _drawn(rng, draw(rng, varied=True), np.deg2rad(rng.uniform(90.0, 135.0)))
+
+    return _sound(drawn)
+
+
+def _sound(drawn: Callable[[], Model]) -> Model:
+    """Return the first that is drawn with convex cells."""
     while True:
-        model = _drawn(rng)
+        model = drawn()
         with suppress(ValueError):  # cells that are not convex, which outlines that cross give
             if all(len(s.half_spaces) for link in model.links for s in link.solids):
                 return model
 
 
-def _drawn(rng: np.random.Generator) -> Model:
-    washer = draw(rng)
+def _drawn(rng: np.random.Generator, washer: Washer, upper: float) -> Model:
     unit = [*_casing(washer), *_drum(rng, washer), *_top(rng, washer), *_controls(rng, washer)]
     door = _door(rng, washer)
     body = [*unit, *_base(rng, washer), *_hinge(washer)]
@@ -48,7 +67,9 @@ def _drawn(rng: np.random.Generator) -> Model:
     if side < 0.0:
         body, door = ([s.mirrored(1) for s in solids] for solids in (body, door))
     hinge = (GAP + washer.thickness, side * washer.rim, washer.middle)
-    joint = ModelJoint("door_hinge", "revolute", "body", "door", hinge, (0.0, 0.0, side), *RANGE)
+    joint = ModelJoint(
+        "door_hinge", "revolute", "body", "door", hinge, (0.0, 0.0, side), 0.0, upper
+    )
     links = (
         ModelLink("body", "washing_machine_body", tuple(body)),
         ModelLink("door", "door", tuple(door)),
@@ -125,7 +146,7 @@ def _controls(rng: np.random.Generator, washer: Washer) -> list[Solid]:
         middle = (back + (foot + head) / 2, 0.0, washer.body.z1 + high / 2)
         lean = arctan2(foot - head, high)
         T = transform(rotation_about((0, 1, 0), -lean), middle)
-        placed = _panel(rng, rect.width, 0.8 * high, e, tray=False)
+        placed = panel(rng, rect.width, 0.8 * high, e, tray=False)
         return [board, *(s.moved(T) for s in placed)]
     slab = rect.shrunk(0.5 * washer.radius, 0.25 * washer.radius).shrunk(0.0, 0.002)
     y, z = slab.center
@@ -137,48 +158,8 @@ def _controls(rng: np.random.Generator, washer: Washer) -> list[Solid]:
         board = plate(slab, 0.0, out, radius=0.3 * washer.radius, bevel=0.2 * out)
     turn = rotation_about((0, 1, 0), -arctan2(lean, slab.height))
     T = transform(turn, (out + lean / 2, y, z))
-    placed = _panel(rng, slab.width, slab.height, e, tray=True)
+    placed = panel(rng, slab.width, slab.height, e, tray=True)
     return [board, *(s.moved(T) for s in placed)]
-
-
-def _panel(
-    rng: np.random.Generator, width: float, height: float, e: float, *, tray: bool
-) -> list[Solid]:
-    """Build the controls around the origin, on the plane x = 0."""
-    left, tall = -0.47 * width, 0.36 * height
-    solids, used = [], left
-    if tray:
-        used = left + rng.uniform(0.22, 0.34) * width
-        solids += _tray(rng, Rect(left, -tall, used, tall), e)
-    dial_y = float(rng.choice([0.0, 0.12, 0.38])) * width
-    radius = min(rng.uniform(0.75, 1.0) * tall, 0.055)
-    collar = along_x(ring(circle(1.25 * radius, 28), circle(radius, 28), 0.0, 0.4 * e))
-    kind, reach = str(rng.choice(["plain", "grip", "cone"])), rng.uniform(1.5, 2.6) * e
-    dial = [collar, *knob(kind, radius, reach, sides=28)]
-    solids += [s.shifted(y=dial_y) for s in dial]
-    free = [(used, dial_y - 1.4 * radius), (dial_y + 1.4 * radius, 0.48 * width)]
-    a, b = max(free, key=lambda span: span[1] - span[0])
-    middle, half = (a + b) / 2, (b - a) / 2
-    if rng.uniform() < 0.75:
-        screen = Rect(middle - 0.75 * half, -0.05 * tall, middle + 0.75 * half, 0.75 * tall)
-        solids.append(plate(screen, 0.0, 0.5 * e, bevel=0.2 * e))
-    size = min(0.12 * half, 0.2 * tall)
-    for y in row(middle, 0.8 * half, int(rng.integers(3, 7))):
-        key = Rect(y - size, -0.6 * tall - size, y + size, -0.6 * tall + size)
-        solids.append(plate(key, 0.0, 0.6 * e, radius=0.4 * size))
-    return solids
-
-
-def _tray(rng: np.random.Generator, rect: Rect, e: float) -> list[Solid]:
-    """Build the front of a detergent tray, with a cup or a lip to pull."""
-    front = 0.9 * e
-    solids = [plate(rect, 0.0, front, radius=0.15 * rect.height, bevel=0.25 * e)]
-    y, z = rect.center
-    if rng.uniform() < 0.5:
-        made = handle("cup", 0.6 * rect.width, 2.0 * e, e)
-    else:
-        made = [plate(Rect(-0.3 * rect.width, -0.5 * e, 0.3 * rect.width, 0.5 * e), 0.0, 1.2 * e)]
-    return [*solids, *(s.shifted(front, y, z) for s in made)]
 
 
 def _base(rng: np.random.Generator, washer: Washer) -> list[Solid]:

@@ -1,6 +1,6 @@
 """What kinds of front loaders there are: their proportions and what they consist of."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -66,8 +66,9 @@ class Washer:
         return self.opening - 2 * GAP - inward**2 / (2 * self.rim)
 
 
-def draw(rng: np.random.Generator) -> Washer:
-    """Return the plan of one machine."""
+def draw(rng: np.random.Generator, *, varied: bool = False) -> Washer:
+    """Return the plan of one machine; in a varied one the door may be smaller, square, and to one
+    side."""
     u = rng.uniform
     kind = str(rng.choice(_KINDS))
     (w_low, w_high), (d_low, d_high), (h_low, h_high) = _SIZES[kind]
@@ -85,7 +86,7 @@ def draw(rng: np.random.Generator) -> Washer:
     tall = 2 * h if kind == "stacked" else h
     extent = max(tall + lift, depth + 2 * rim)
     opening = rim - u(0.03, 0.055) * extent
-    return Washer(
+    washer = Washer(
         body,
         depth,
         radius=u(0.07, 0.12) if kind == "mini" else float(rng.choice([0.0, 0.015, 0.04])),
@@ -104,6 +105,24 @@ def draw(rng: np.random.Generator) -> Washer:
         stacked=kind == "stacked",
         sides=24 if kind == "stacked" else 40,
     )
+    return _aside(rng, washer, w / 2 - 0.045) if varied else washer
+
+
+def _aside(rng: np.random.Generator, washer: Washer, room: float) -> Washer:
+    """Return the machine with its door elsewhere: the body is moved, the door stays at y = 0."""
+    u = rng.uniform
+    share = u(0.72, 1.0)
+    rim = share * washer.rim
+    opening = share * washer.opening
+    most = max(min(room - rim, washer.body.width / 2 - 0.06 - opening), 0.0)  # room for the drum
+    far = 0.0 if washer.console or washer.stacked else u(-1.0, 1.0) * most
+    radius = min(washer.drum[0], washer.body.width / 2 - 0.03 - abs(far))
+    square = float(rng.choice([0.0, 0.35, 0.2])) * rim
+    body, fascia = (Rect(r.y0 + far, r.z0, r.y1 + far, r.z1) for r in (washer.body, washer.fascia))
+    return replace(
+        washer, body=body, fascia=fascia, rim=rim, opening=opening, square=square,
+        drum=(radius, washer.drum[1]),
+    )  # fmt: skip
 
 
 _KINDS = ("standard",) * 3 + ("slim", "large", "large", "compact", "mini", "narrow", "stacked")
