@@ -1,4 +1,4 @@
-"""Bundled objects as various as those of others: one to three drawers, upright hinges."""
+"""Bundled objects as various as those of others: tables, towers, top loaders, upright hinges."""
 
 from itertools import product
 from pathlib import Path
@@ -26,10 +26,10 @@ def drawers_of(name: str) -> list[str]:
     return [joint.child for joint in model.joints]
 
 
-def test_cabinets_have_one_to_three_drawers() -> None:
+def test_cabinets_have_one_to_six_drawers() -> None:
     counts = [len(drawers_of(name)) for name in DRAWERS]
     assert all(counts.count(n) >= 6 for n in (1, 2, 3)), counts
-    assert sum(counts.count(n) for n in (1, 2, 3)) == len(counts)
+    assert 3 < max(counts) <= 6
     strokes = []
     for name in DRAWERS:
         model = build_model("drawer", name, varied=True)
@@ -37,8 +37,9 @@ def test_cabinets_have_one_to_three_drawers() -> None:
         for joint in model.joints:
             points = np.concatenate([s.vertices for s in links[joint.child].solids])
             strokes.append(joint.upper / np.ptp(points[:, 0]))
-    assert 0.5 < min(strokes) < max(strokes) < 1.0
-    assert max(strokes) > 0.9, "some slide nearly all the way out"
+    boxes = [s for s in strokes if s < 1.0]  # a front alone slides farther than it is deep
+    assert len(boxes) > 0.8 * len(strokes)
+    assert 0.5 < min(boxes) < 0.9 < max(boxes), "some slide nearly all the way out"
 
 
 @settings(max_examples=8, deadline=None)
@@ -65,23 +66,51 @@ def test_no_drawer_meets_anything(name: str, tmp_path: Path) -> None:
 
 
 def test_no_temple_meets_anything_where_hinges_stand_upright(tmp_path: Path) -> None:
-    for k in (1, 3):
+    upright = []
+    for k in range(8):
         name = object_id("eyeglasses", k)
         obj, truth = written("eyeglasses", name, tmp_path / name, varied=True)
         left, right = obj.moving_joints
-        np.testing.assert_array_equal(left.axis, (0, 0, 1))
+        if abs(left.axis[2]) < 1.0:
+            continue
         np.testing.assert_array_equal(right.axis, (0, 0, -1))
-        for q in product(np.radians((0, 30, 60, 90)), repeat=2):
+        for q in product(np.linspace(0.0, left.upper, 4), repeat=2):
             assert not crossings(obj, truth, np.array(q)), (name, q)
         assert crossings(obj, truth, np.full(2, np.pi)), "turned to the front, they are in it"
+        upright.append(name)
+    assert len(upright) >= 2
 
 
-def test_what_is_not_varied_is_not_offered() -> None:
-    offered = "drawer, eyeglasses"
-    with pytest.raises(InvalidSource, match=f"procedural_varied has no .*'oven'; it has {offered}"):
-        build_model("oven", object_id("oven", 2), varied=True)
-    with pytest.raises(InvalidSource, match=f"has no category 'laptop'; there are: {offered}"):
-        open_source(SOURCE).objects("laptop")
+@pytest.mark.parametrize("category", ["oven", "laptop", "washing_machine"])
+def test_others_keep_clear_over_their_ranges(category: str, tmp_path: Path) -> None:
+    for k in range(12):
+        name = object_id(category, k)
+        assert_sound(build_model(category, name, varied=True))
+        obj, truth = written(category, name, tmp_path / name, varied=True)
+        rng = generator(0, name, "varied")
+        locked = np.array([joint.name.startswith("rack") for joint in obj.moving_joints])
+        upper = np.where(locked, 0.0, [joint.upper for joint in obj.moving_joints])
+        for q in (0.0 * upper, upper, *(rng.uniform(0.0, upper) for _ in range(4))):
+            assert not crossings(obj, truth, q), (name, q)
+        doors = [joint for joint in obj.moving_joints if not joint.name.startswith("rack")]
+        assert all(np.radians(65) < joint.upper <= np.radians(135) for joint in doors)
+    axes = set()
+    for k in range(40):
+        model = build_model(category, object_id(category, k), varied=True)
+        hinges = [joint for joint in model.joints if joint.kind == "revolute"]
+        axes.add((len(hinges), *np.abs(hinges[0].axis).tolist()))
+    along_y, along_z = (1, 0, 1, 0), (1, 0, 0, 1)
+    assert axes >= {"oven": {along_y, along_z, (2, 0, 1, 0)}, "laptop": {along_y}}.get(
+        category, {along_y, along_z}
+    )
+
+
+def test_a_category_that_is_not_there_is_refused() -> None:
+    offered = "drawer, eyeglasses, laptop, oven, washing_machine"
+    with pytest.raises(InvalidSource, match=f"procedural_varied has no .*'sofa'; it has {offered}"):
+        build_model("sofa", object_id("sofa", 2), varied=True)
+    with pytest.raises(InvalidSource, match=f"has no category 'sofa'; there are: {offered}"):
+        open_source(SOURCE).objects("sofa")
     assert ", ".join(open_source(SOURCE).categories(["all"])) == offered
 
 

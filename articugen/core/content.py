@@ -30,6 +30,8 @@ STAGES = {
 MODELS = {"drawer": 2, "eyeglasses": 2, "laptop": 2, "oven": 1, "washing_machine": 1}
 """The same for the shapes of bundled models, by category: models and their data are made again."""
 
+VARIED = 2  # the same for all varied models
+
 _INSTALLED = Path(__file__).resolve().parents[1] / "_bundled"
 _ROOT = _INSTALLED if _INSTALLED.is_dir() else _INSTALLED.parent.parent
 
@@ -49,14 +51,16 @@ def model_version(category: str) -> int | str:
     return f"draft {hashlib.sha256(code).hexdigest()[:12]}"
 
 
-def declared(models: str | None, recipe: str) -> str:
+def declared(models: str | None, recipe: str, *, varied: bool = False) -> str:
     """All numbers that decide an object's data, as text.
 
     Args:
         models: the category of which it is a bundled model; None for any other object.
         recipe: its text, which names what it asks for besides and nothing else of that.
+        varied: whether it is a varied one.
     """
     own = {f"{models} models": model_version(models)} if models else {}
+    own |= {"varied models": VARIED} if varied else {}
     asks = '"sharp_points":' in recipe
     numbers = {n: v for n, v in (STAGES | own).items() if asks or n != "sharp"}
     return ", ".join(f"{name} {number}" for name, number in numbers.items())

@@ -1,11 +1,11 @@
 """Chests, consoles, desks and sideboards with three drawers that slide out along +x; varied ones
-may have two drawers or one.
+have one to six, under table tops or in deep cabinets, too.
 
 A front is cut into compartments: some hold drawers, others are open shelves or doors that do not
 open (what they would hide is filled). Every drawer is a hollow box behind a front plate.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,6 +34,8 @@ class Style:
         level: how high on the front pulls sit, 0.5 in the middle.
         side_height: of the box's boards, part of the opening's height.
         stroke: the upper limit, part of the box's depth.
+        deep: the box's depth, part of the room there is.
+        box: which of its boards there are: all, no floor, or none behind the front.
     """
 
     mount: str
@@ -49,6 +51,8 @@ class Style:
     level: float
     side_height: float
     stroke: float
+    deep: float = 1.0
+    box: str = "all"
 
 
 MOST_STROKE, MOST_STROKE_VARIED = 0.9, 1.0
@@ -57,19 +61,28 @@ MOST_STROKE, MOST_STROKE_VARIED = 0.9, 1.0
 
 def build(rng: np.random.Generator) -> Model:
     """Build one object: links body and drawer_0 to drawer_2."""
-    return _built(rng, draw_layout(rng), MOST_STROKE)
+    return _built(rng, draw_layout(rng), varied=False)
 
 
 def build_varied(rng: np.random.Generator) -> Model:
-    """Build one with one to three drawers, which may slide all the way out."""
-    return _built(rng, draw_layout(rng, varied=True), MOST_STROKE_VARIED)
+    """Build one with one to six drawers, which may slide all the way out; some are shallow, have no
+    pull, no bottom, or consist of a front alone."""
+    return _built(rng, draw_layout(rng, varied=True), varied=True)
 
 
-def _built(rng: np.random.Generator, layout: Layout, most_stroke: float) -> Model:
+def _built(rng: np.random.Generator, layout: Layout, *, varied: bool) -> Model:
     width, depth, height = layout.size
     extent = max(width, height, 1.9 * depth)
     board = rng.uniform(0.017, 0.025) * extent
-    style = _style(rng, extent, board, most_stroke)
+    style = _style(rng, extent, board, MOST_STROKE_VARIED if varied else MOST_STROKE)
+    if varied:
+        style = replace(
+            style,
+            pull="none" if rng.uniform() < 0.2 else style.pull,
+            deep=rng.uniform(0.6, 1.0),
+            box=str(rng.choice(["all"] * 8 + ["no floor", "none"])),
+        )
+        board *= rng.uniform(0.6, 1.0)
     legs, lift = support(rng, layout, board)
     slab = rng.uniform(0.9, 1.5) * board
     span = (-width / 2 + layout.kneehole * width, width / 2)
@@ -78,12 +91,18 @@ def _built(rng: np.random.Generator, layout: Layout, most_stroke: float) -> Mode
     overhang = GAP + style.thickness if style.mount != "inset" else 0.0
 
     cells, boards = divided(layout.cells, carcass)
-    body = [*shell(rng, carcass), *boards, *legs]
-    body += top(rng, layout, carcass, slab, overhang, style.bow)
+    if varied:  # pulls are no higher than half of the lowest front
+        lowest = min(cell.opening.height for cell in cells if cell.kind == "drawer")
+        style = replace(style, girth=min(style.girth, 0.2 * lowest))
+    body = [*shell(rng, carcass, layout), *boards, *legs]
+    body += [] if layout.lidless else top(rng, layout, carcass, slab, overhang, style.bow)
     links, joints = [], []
     for cell in cells:
         if cell.kind == "door":
             body += _false_door(cell, carcass, style)
+        elif cell.kind == "blank":
+            o, x1 = cell.opening, carcass.x1
+            body.append(box((x1 - board, o.y0, o.z0), (x1, o.y1, o.z1)))
         elif cell.kind == "drawer":
             name = f"drawer_{len(links)}"
             solids, length = _drawer(cell, carcass, style)
@@ -143,13 +162,15 @@ def _drawer(cell: Cell, carcass: Carcass, style: Style) -> tuple[list[Solid], fl
     if style.front == "slot":  # The box's front is the plate: it must reach over the walls' edges.
         z1 = min(z1, z0 + 0.7 * inside.height)
     x0, wall = carcass.x0 + carcass.back + 3 * GAP, style.wall
-    solids += [
+    x0 += (1.0 - style.deep) * (x_front - x0)
+    boards = [
         box((x0, y0, z0), (x_front, y0 + wall, z1)),
         box((x0, y1 - wall, z0), (x_front, y1, z1)),
         box((x0, y0 + wall, z0), (x0 + wall, y1 - wall, z1)),
         box((x0 + wall, y0 + wall, z0), (x_front, y1 - wall, z0 + wall), panel=True),
     ]
-    return solids, x_front - x0
+    boards = {"all": boards, "no floor": boards[:3], "none": []}[style.box]
+    return [*solids, *boards], x_front - x0
 
 
 def _false_door(cell: Cell, carcass: Carcass, style: Style) -> list[Solid]:

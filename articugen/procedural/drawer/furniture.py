@@ -82,8 +82,8 @@ def _divided(
     return cells, boards
 
 
-def shell(rng: np.random.Generator, carcass: Carcass) -> list[Solid]:
-    """Sides, floor, ceiling and back; some sides are frames around a thinner panel."""
+def shell(rng: np.random.Generator, carcass: Carcass, layout: Layout) -> list[Solid]:
+    """Sides, floor, ceiling and back; some sides are frames around a thinner panel, or posts."""
     o, t, x0, x1 = carcass.outer, carcass.board, carcass.x0, carcass.x1
     inner = o.shrunk(t)
     solids = [
@@ -92,6 +92,12 @@ def shell(rng: np.random.Generator, carcass: Carcass) -> list[Solid]:
         box((x0, inner.y0, inner.z0), (x0 + carcass.back, inner.y1, inner.z1), panel=True),
     ]
     framed = rng.uniform() < 0.35
+    if layout.lidless:
+        solids[1] = box((x0, inner.y0, inner.z1), (x0 + 4 * t, inner.y1, o.z1))
+        solids.append(box((x1 - 4 * t, inner.y0, inner.z1), (x1, inner.y1, o.z1)))
+    if layout.bare:
+        x, y, z = (x0, x1 - 2 * t), ((o.y0, inner.y0), (inner.y1, o.y1)), (o.z0, o.z1)
+        return [*solids, *(box((a, b, z[0]), (a + 2 * t, c, z[1])) for a in x for b, c in y)]
     for y0, y1, outward in ((o.y0, inner.y0, -1), (inner.y1, o.y1, 1)):
         if not framed:
             solids.append(box((x0, y0, o.z0), (x1, y1, o.z1)))
@@ -115,7 +121,7 @@ def top(
 ) -> list[Solid]:
     """The slab on top, `slab` thick; it reaches at least `front` over the carcass's front edge."""
     width, _, height = layout.size
-    side = float(rng.choice([0.0, 0.6, 1.2])) * carcass.board
+    side = float(rng.choice([0.0, 0.6, 1.2])) * carcass.board + layout.overhang
     reach = front + float(rng.choice([0.0, 0.4, 1.0])) * carcass.board
     low = (carcass.x0, -width / 2 - side, height - slab)
     high = (carcass.x1 + reach, width / 2 + side, height)
@@ -142,6 +148,8 @@ def support(rng: np.random.Generator, layout: Layout, board: float) -> tuple[lis
     y0 = -width / 2 + layout.kneehole * width
     foot = Rect(-depth / 2, y0, depth / 2, width / 2)  # (x, y) instead of (y, z)
     lift = _LIFTS[kind] * height * rng.uniform(0.85, 1.25)
+    if kind.startswith("high"):
+        lift = min(lift, height - 6.5 * board - 0.06)  # or no hand would get into the drawers
     solids = _SUPPORTS[kind](foot, lift, board)
     if layout.kneehole > 0.0:
         x, y = depth / 2, -width / 2
@@ -162,6 +170,10 @@ _LIFTS = {
     "casters": 0.1,
     "tall": 0.42,
     "tall_round": 0.6,
+    "high": 0.7,
+    "high_round": 0.7,
+    "high_shelf": 0.7,
+    "high_bars": 0.7,
 }
 """The floor of the carcass above the ground, part of the whole height."""
 
@@ -264,7 +276,8 @@ def _tall(foot: Rect, lift: float, board: float) -> list[Solid]:
 def _tall_round(foot: Rect, lift: float, board: float) -> list[Solid]:
     """Turned legs, two stretchers and a bar between them."""
     solids = _legs_round(foot, lift, board)
-    z, inset, r = 0.16 * lift, 1.5 * board, 0.6 * board
+    inset, r = 1.5 * board, 0.6 * board
+    z = max(0.16 * lift, r)
     a, b = foot.y0 + inset, foot.y1 - inset
     for y in (foot.z0 + inset, foot.z1 - inset):
         solids.append(rod([(a, y, z), (b, y, z)], r))
@@ -283,4 +296,8 @@ _SUPPORTS: dict[str, Callable[[Rect, float, float], list[Solid]]] = {
     "casters": _casters,
     "tall": _tall,
     "tall_round": _tall_round,
+    "high": _legs,
+    "high_round": _legs_round,
+    "high_shelf": _tall,
+    "high_bars": _tall_round,
 }

@@ -1,6 +1,6 @@
 """What pieces of furniture with drawers there are, and how their fronts are divided."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from articugen.procedural.kit.ranges import Either, Range, draw
 
-Kind = Literal["drawer", "shelf", "door"]
+Kind = Literal["drawer", "shelf", "door", "blank"]
 
 
 @dataclass(frozen=True)
@@ -33,22 +33,36 @@ class Layout:
         cells: how the front is divided.
         supports: names in `_SUPPORTS` that suit it.
         kneehole: the part of the width that is left open at one side: a desk.
+        overhang: how far the top reaches over each side, metres.
+        bare: posts at the corners stand for the sides.
+        lidless: there is no top, as of cabinets that a worktop will cover.
     """
 
     size: tuple[float, float, float]
     cells: Split
     supports: tuple[str, ...]
     kneehole: float
+    overhang: float = 0.0
+    bare: bool = False
+    lidless: bool = False
 
 
 def draw_layout(rng: np.random.Generator, *, varied: bool = False) -> Layout:
-    """The layout of any of the pieces with three drawers; of any at all where it may be varied."""
-    pieces = _PIECES + _WITH_FEWER if varied else _PIECES
+    """The layout of any of the pieces with three drawers; of any at all where it may be varied,
+    half of them tables."""
+    pieces = _PIECES
+    if varied:
+        pieces = _TABLES if rng.uniform() < 0.5 else _PIECES[::2] + _WITH_FEWER + _DEEP
     piece = pieces[rng.integers(len(pieces))]
     growth = draw(rng, piece.growth)
     width, depth, height = (draw(rng, side) for side in piece.size)
     cells = piece.cells.drawn(rng, growth)
-    return Layout((width, depth, height), cells, piece.supports, draw(rng, piece.kneehole))
+    layout = Layout((width, depth, height), cells, piece.supports, draw(rng, piece.kneehole))
+    if not varied:
+        return layout
+    over = rng.uniform(0.0, piece.overhang) * width
+    bare, lidless = (bool(rng.uniform() < share) for share in (piece.bare, piece.lidless))
+    return replace(layout, overhang=over, bare=bare, lidless=lidless)
 
 
 @dataclass(frozen=True)
@@ -76,7 +90,8 @@ _rows, _columns = partial(_Cut, "rows"), partial(_Cut, "columns")
 @dataclass(frozen=True)
 class _Piece:
     """The ranges of one piece: its (width, depth, height), and as in `Layout`; `growth` is how
-    much larger each drawer is than the one above."""
+    much larger each drawer is than the one above, `overhang` the most of the width, `bare` and
+    `lidless` how many are."""
 
     size: tuple[Range, Range, Range]
     cells: _Cut
@@ -85,6 +100,9 @@ class _Piece:
     )  # fmt: skip
     kneehole: Range | float = 0.0
     growth: Range | float = 1.0
+    overhang: float = 0.0
+    bare: float = 0.0
+    lidless: float = 0.0
 
 
 _THREE: tuple[Kind, ...] = ("drawer", "drawer", "drawer")
@@ -167,3 +185,44 @@ _WITH_FEWER = (
 )
 # fmt: on
 """Those with one or two."""
+
+_HIGH = ("high", "high", "high_round", "high_shelf", "high_bars")
+_ROW = partial(_columns, children=("blank", "drawer", "blank"))
+
+# fmt: off
+_TABLES = (
+    _Piece(((0.4, 0.95), (0.35, 0.8), (0.5, 0.85)),  # one drawer from leg to leg
+           _rows((1,), ("drawer",)), _HIGH, overhang=0.1, bare=0.3),
+    *(_Piece(((0.45, wide), (0.4, 0.9), (0.6, 0.85)),  # one drawer in the middle
+             _ROW(shares=((0.15, 0.8), 1, (0.15, 0.8))), _HIGH, overhang=0.1)
+      for wide in (1.7, 0.9)),
+    _Piece(((0.9, 1.8), (0.4, 0.9), (0.4, 0.8)), _columns((1, (0.8, 1.25)), _TWO), _HIGH,
+           overhang=0.08, bare=0.2),
+    _Piece(((1.1, 1.9), (0.4, 0.9), (0.6, 0.8)), _columns((1, (0.8, 2.5), 1), _THREE), _HIGH,
+           overhang=0.08),
+    _Piece(((1.1, 1.9), (0.45, 0.9), (0.65, 0.8)),  # drawers at both ends
+           _columns((1, (0.8, 2.5), 1), ("drawer", "blank", "drawer")), _HIGH, overhang=0.08),
+    _Piece(((1.0, 1.8), (0.5, 0.9), (0.65, 0.8)),  # in a hanging pedestal
+           _rows((1, (1.0, 1.6)), _TWO), ("high", "legs"), kneehole=(0.55, 0.75)),
+    _Piece(((0.4, 0.7), (0.4, 0.7), (0.4, 0.65)),  # at a bed or a sofa
+           _rows((1,), ("drawer",)), ("tall", "high_shelf", "high"), overhang=0.08, bare=0.5),
+)
+"""Desks, side tables and consoles with shallow drawers under their tops."""
+
+_DEEP = (
+    _Piece(((0.4, 0.7), (0.4, 0.7), (0.35, 0.7)),  # cubes
+           _rows(((0.4, 1.2), 1), ("drawer", Either(0.5, "blank", "drawer"))),
+           ("floor", "plinth"), lidless=0.2),
+    _Piece(((0.5, 1.0), (0.5, 0.66), (0.7, 0.95)),  # for a kitchen
+           _rows(((0.25, 0.5), 1), ("drawer", _BELOW)), ("plinth",), lidless=0.5),
+    _Piece(((0.3, 0.6), (0.5, 0.66), (0.7, 0.95)), _rows((1, 1, 1, 1), ("drawer",) * 4),
+           ("plinth", "floor"), growth=(1.0, 1.3), lidless=0.4),
+    _Piece(((0.5, 1.0), (0.35, 0.55), (0.8, 1.3)), _rows((1,) * 5, ("drawer",) * 5),  # tallboys
+           growth=(1.0, 1.15)),
+    _Piece(((0.9, 1.6), (0.4, 0.55), (0.6, 1.0)),  # two banks
+           _columns((1, 1), (_rows((1, 1), _TWO), _rows((1, 1), _TWO)))),
+    _Piece(((1.0, 1.7), (0.4, 0.55), (0.6, 1.0)),
+           _columns((1, 1), (_rows((1, 1, (1, 1.4)), _THREE), _rows((1, 1, (1, 1.4)), _THREE)))),
+)
+# fmt: on
+"""Cabinets as deep as they are wide, and those with four to six drawers."""

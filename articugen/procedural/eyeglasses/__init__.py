@@ -11,17 +11,18 @@ hinges lean about x by the same few degrees, as opticians set them: the temples 
 planes, and `_lean` is the angle at which the left one, bent tip and all, passes over the right one.
 
 Modellers rarely know: their hinges stand upright, and folded temples pass through each other. Those
-of varied glasses stand upright too, the left one higher than the right one by what the temples,
-which are low and nearly straight there, need to pass each other.
+of half of the varied glasses stand upright too, the left one higher than the right one by what the
+temples, which are low and nearly straight there, need to pass each other.
 """
 
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
 from articugen.core.geometry import Array, rotation_about, transform
-from articugen.core.portable import cos, norm, power, product, sin, turned
-from articugen.procedural.eyeglasses.lenses import lens_outline, lens_shapes
+from articugen.core.portable import cos, norm, power, product, sin
+from articugen.procedural.eyeglasses.shape import HIGHEST, Glasses, draw, elsewise
 from articugen.procedural.kit import MM
 from articugen.procedural.kit.model import Model, ModelJoint, ModelLink
 from articugen.procedural.kit.outlines import circle, ellipse, rounded_rectangle
@@ -32,67 +33,30 @@ _SLEEVE, _SLEEVE_GROWTH = 0.62, 1.25
 _SLIT = 0.35 * MM  # between the knuckles of a hinge and between a folding temple and the front
 _BETWEEN = 0.6 * MM  # between the planes of the two temples
 _MOST_LEAN = float(np.deg2rad(13.0))  # of the hinges; 5 to 11 degrees are usual
-_HIGHEST = 0.75  # a hinge's height over the lenses' middle, part of theirs
 _BENDS = 0.55
 """The room along x that an end piece needs so that no bend folds over, part of its thickness."""
 _LOW = 5.0 * MM  # how high temples are at most where hinges stand upright
 
 
-@dataclass(frozen=True)
-class _Shape:
-    """One pair of glasses, metres.
-
-    Attributes:
-        style: "wire" (metal rims), "acetate" (broad rims), "half" (rims above only), "browline"
-            (broad above, wire below), "rimless" or "shield" (one curved pane).
-        lens: its outline, x outward and y up, about its middle.
-        lens_y: from the middle of the face to the middle of a lens.
-        wire: radius of the metal parts.
-        rim: (width across the lens's edge, depth along x) of a broad rim.
-        wrap: by how much a lens is turned about z, following the face, radians.
-        hinge_z: height of hinges and temples above the lenses' middle.
-        temple: (thickness, height) at the hinge.
-        round_temple: of round section, as wire frames have it.
-        hug: how far a temple's tip reaches inwards, as heads are.
-    """
-
-    style: str
-    lens: Array
-    lens_y: float
-    lens_thickness: float
-    wire: float
-    rim: tuple[float, float]
-    wrap: float
-    hinge_z: float
-    temple: tuple[float, float]
-    round_temple: bool
-    hug: float
-
-    def placed(self, solid: Solid) -> Solid:
-        """A solid drawn about the right lens's middle (along_x applied), moved to its place."""
-        turn = transform(rotation_about((0, 0, 1), -self.wrap))
-        return solid.moved(turn).shifted(y=self.lens_y)
-
-    def place(self, point: Array) -> Array:
-        """Return (y, z) on the right lens's plane to where it stands (x, y, z)."""
-        wrapped = turned(rotation_about((0, 0, 1), -self.wrap), (0.0, *point))
-        return wrapped + np.array([0.0, self.lens_y, 0.0])
-
-
 def build(rng: np.random.Generator) -> Model:
     """Eyeglasses with links `front`, `left_temple`, `right_temple` and a joint for each temple."""
-    return _built(rng, upright=False)
+    return _built(rng, draw(rng), upright=False)
 
 
 def build_varied(rng: np.random.Generator) -> Model:
-    """Build the same with upright hinges at two heights."""
-    return _built(rng, upright=True)
+    """Build glasses of any proportions, some without lenses, whose hinges lean or stand upright at
+    two heights."""
+    while True:
+        shape, upright = elsewise(rng, draw(rng)), bool(rng.uniform() < 0.5)
+        if upright:
+            shape = replace(shape, temple=(shape.temple[0], min(shape.temple[1], _LOW)))
+        with suppress(ValueError):  # temples too tall to fold, a bow that folds over itself
+            model = _built(rng, shape, upright=upright)
+            if all(len(s.half_spaces) for link in model.links for s in link.solids):
+                return model
 
 
-def _built(rng: np.random.Generator, *, upright: bool) -> Model:
-    shape = _draw(rng)
-    if upright:
-        shape = replace(shape, temple=(shape.temple[0], min(shape.temple[1], _LOW)))
+def _built(rng: np.random.Generator, shape: Glasses, *, upright: bool) -> Model:
     if shape.style == "shield":
         face, end = _shield(rng, shape)
         highest = float(end[2])
@@ -100,7 +64,7 @@ def _built(rng: np.random.Generator, *, upright: bool) -> Model:
         right, end = _eye(shape), None
         middle = [*_bridge(rng, shape), *_nose_pads(rng, shape)]
         face = [*right, *(s.mirrored(1) for s in right), *middle]
-        highest = _HIGHEST * float(shape.lens[:, 1].max())
+        highest = HIGHEST * float(shape.lens[:, 1].max())
     # From the middle of the face to the right hinge, which lies outside the lens.
     outermost = max(float(solid.vertices[:, 1].max()) for solid in face)
     across = outermost + shape.temple[0] / 2 + 0.5 * MM
@@ -145,7 +109,7 @@ def _built(rng: np.random.Generator, *, upright: bool) -> Model:
             child=f"{side}_temple",
             origin=hinges[side] * (1.0, sign, 1.0) - (0.0, 0.0, lowest),
             axis=-sign * np.array([0.0, -sin(lean), cos(lean)]),
-            upper=np.deg2rad(90.0),
+            upper=shape.upper,
         )
         for side, sign in _SIDES.items()
     ]
@@ -155,68 +119,27 @@ def _built(rng: np.random.Generator, *, upright: bool) -> Model:
 _SIDES = {"left": -1.0, "right": 1.0}
 
 
-_STYLES = {
-    "wire": 0.27,
-    "acetate": 0.33,
-    "half": 0.09,
-    "browline": 0.11,
-    "rimless": 0.1,
-    "shield": 0.1,
-}
-
-
-def _draw(rng: np.random.Generator) -> _Shape:
-    style = str(rng.choice(list(_STYLES), p=list(_STYLES.values())))
-    shapes = lens_shapes(rng)
-    name = str(rng.choice(list(shapes)))
-    if style in ("half", "browline") and name in ("round", "polygon"):
-        name = "trapezoid"
-    width = rng.uniform(42, 58) * MM
-    outline = lens_outline(shapes[name], width, slant=rng.uniform(0.0, 0.08))
-    wire = rng.uniform(1.6, 2.4) * MM
-    broad = rng.uniform(3.6, 8.5) * MM
-    rim = {"wire": 2 * wire, "rimless": 0.0}.get(style, broad)
-    metal = style in ("wire", "rimless") or (style in ("half", "browline") and rng.random() < 0.5)
-    tall = rng.uniform(5.0, 16.0) if style in ("acetate", "shield") else rng.uniform(4.0, 8.0)
-    round_temple = metal and rng.random() < 0.5
-    return _Shape(
-        style=style,
-        lens=outline,
-        lens_y=float(rng.uniform(14, 21) * MM / 2 + rim / 2 - outline[:, 0].min()),
-        lens_thickness=rng.uniform(0.6, 2.4) * MM,
-        wire=wire,
-        rim=(broad, rng.uniform(3.6, 5.5) * MM),
-        wrap=np.deg2rad(rng.uniform(0.0, 9.0)),
-        hinge_z=float(outline[:, 1].max() * rng.uniform(0.15, _HIGHEST)),
-        temple=(2.2 * wire, 2.2 * wire)
-        if round_temple
-        else (rng.uniform(2.6, 4.4) * MM, tall * MM),
-        round_temple=round_temple,
-        hug=rng.uniform(0.0, 5.0) * MM,
-    )
-
-
-def _eye(s: _Shape) -> list[Solid]:
+def _eye(s: Glasses) -> list[Solid]:
     """Build the right lens and what holds it."""
     t = s.lens_thickness if s.style != "rimless" else max(s.lens_thickness, 1.8 * MM)
-    lens = s.placed(along_x(prism(s.lens, -t / 2, t / 2, panel=True)))
+    lens = [s.placed(along_x(prism(s.lens, -t / 2, t / 2, panel=True)))] if s.glazed else []
     path = np.c_[np.zeros(len(s.lens)), s.lens]
     wire = circle(s.wire, 8)
     broad = _flat_section(*s.rim)
     if s.style == "rimless":
-        return [lens]
+        return lens
     if s.style in ("wire", "acetate"):
         section = wire if s.style == "wire" else broad
-        return [lens, s.placed(sweep(path, section, closed=True, up=(1, 0, 0)))]
+        return [*lens, s.placed(sweep(path, section, closed=True, up=(1, 0, 0)))]
     upper = path[_upper_run(s.lens)]
     brow = s.placed(sweep(upper, broad, up=(1, 0, 0)))
     if s.style == "half":
-        return [lens, brow]
+        return [*lens, brow]
     thin = circle(min(s.wire, 1.7 * MM), 8)
-    return [lens, brow, s.placed(sweep(path, thin, closed=True, up=(1, 0, 0)))]
+    return [*lens, brow, s.placed(sweep(path, thin, closed=True, up=(1, 0, 0)))]
 
 
-def _shield(rng: np.random.Generator, s: _Shape) -> tuple[list[Solid], Array]:
+def _shield(rng: np.random.Generator, s: Glasses) -> tuple[list[Solid], Array]:
     """Build one pane bent around the face, with a bar above, and the top of its right end."""
     half, bend = rng.uniform(62, 72) * MM, np.deg2rad(rng.uniform(28, 48))
     radius = half / sin(bend)
@@ -253,7 +176,7 @@ def _upper_run(outline: Array) -> list[int]:
     return [(first + k) % n for k in range(int(above.sum()))]
 
 
-def _bridge(rng: np.random.Generator, s: _Shape) -> list[Solid]:
+def _bridge(rng: np.random.Generator, s: Glasses) -> list[Solid]:
     """Build the bridge between the eyes: a saddle, a wire, two wires, or a straight bar above."""
     heights = [rng.uniform(0.15, 0.45)]
     if s.style in ("wire", "rimless") and rng.random() < 0.35:
@@ -266,7 +189,7 @@ def _bridge(rng: np.random.Generator, s: _Shape) -> list[Solid]:
     return bars
 
 
-def _arch(s: _Shape, start: Array, rise: float, forward: float) -> Solid:
+def _arch(s: Glasses, start: Array, rise: float, forward: float) -> Solid:
     """Build a bar from `start`, in the right rim, to its mirror image, arched up and forward."""
     u = np.linspace(1.0, -1.0, 11)
     bow = 1.0 - u**2
@@ -280,7 +203,7 @@ def _arch(s: _Shape, start: Array, rise: float, forward: float) -> Solid:
     return sweep(path, section)
 
 
-def _inner_point(s: _Shape, z: float) -> Array:
+def _inner_point(s: Glasses, z: float) -> Array:
     """Return the point (y, z) of the lens's edge that is nearest to the nose at height `z`."""
     inner = s.lens[s.lens[:, 0] < 0.0]
     order = np.argsort(inner[:, 1], kind="stable")
@@ -288,7 +211,7 @@ def _inner_point(s: _Shape, z: float) -> Array:
     return np.array([np.interp(z, inner[order, 1], inner[order, 0]) + depth, z])
 
 
-def _nose_pads(rng: np.random.Generator, s: _Shape) -> list[Solid]:
+def _nose_pads(rng: np.random.Generator, s: Glasses) -> list[Solid]:
     """Two pads on arms, or, on broad rims, two swellings of the rim."""
     point = _inner_point(s, -0.25 * s.lens[:, 1].max())
     start = s.place(point)
@@ -310,11 +233,11 @@ def _nose_pads(rng: np.random.Generator, s: _Shape) -> list[Solid]:
     return [*solids, *(solid.mirrored(1) for solid in solids)]
 
 
-def _knuckle_radius(s: _Shape) -> float:
+def _knuckle_radius(s: Glasses) -> float:
     return float(np.clip(0.5 * s.temple[0], 1.5 * MM, 2.2 * MM))
 
 
-def _clear(s: _Shape) -> float:
+def _clear(s: Glasses) -> float:
     """Return how far end piece and temple stay from the hinge's axis."""
     half = (s.temple[0] + s.temple[1] * sin(_MOST_LEAN)) / 2
     return max(half, _knuckle_radius(s)) + _SLIT
@@ -339,7 +262,7 @@ def _lean(temple: list[Solid], across: float) -> float:
     return high
 
 
-def _hinge_depth(s: _Shape, face: list[Solid], temple: list[Solid], lean: float) -> float:
+def _hinge_depth(s: Glasses, face: list[Solid], temple: list[Solid], lean: float) -> float:
     """Return the x of the hinges' axes: behind all that either folded temple passes."""
     deepest = max(float(solid.vertices[:, 0].max()) for solid in face)
     points = np.concatenate([solid.vertices for solid in temple])
@@ -348,13 +271,13 @@ def _hinge_depth(s: _Shape, face: list[Solid], temple: list[Solid], lean: float)
     return max(deepest + max(inward, _knuckle_radius(s)) + _SLIT, _clear(s) + 2 * MM)
 
 
-def _temple_section(s: _Shape, scale: float = 1.0) -> Array:
+def _temple_section(s: Glasses, scale: float = 1.0) -> Array:
     if s.round_temple:
         return circle(s.temple[0] / 2 * scale, 8)
     return _flat_section(s.temple[0], s.temple[1] * scale)
 
 
-def _outer_point(s: _Shape, z: float) -> Array:
+def _outer_point(s: Glasses, z: float) -> Array:
     """Return where the right end piece starts at a height: on the rim or, without one, a little
     inside the lens."""
     outer = s.lens[s.lens[:, 0] > 0.0]
@@ -363,7 +286,7 @@ def _outer_point(s: _Shape, z: float) -> Array:
     return s.place(np.array([y - (4 * MM if s.style == "rimless" else 0.0), z]))
 
 
-def _end_piece(s: _Shape, start: Array, hinge: Array) -> Solid:
+def _end_piece(s: Glasses, start: Array, hinge: Array) -> Solid:
     """From the right rim outwards and back to the hinge."""
     end = hinge - np.array([_clear(s), 0.0, 0.0])
     bend = min(3 * MM, 0.6 * (end[0] - start[0]))
@@ -372,7 +295,7 @@ def _end_piece(s: _Shape, start: Array, hinge: Array) -> Solid:
     return sweep(path, _temple_section(s))
 
 
-def _knuckles(s: _Shape, *, of_temple: bool) -> list[Solid]:
+def _knuckles(s: Glasses, *, of_temple: bool) -> list[Solid]:
     """The hinge's barrel around z: the front's knuckles above and below that of the temple."""
     height = max(s.temple[1], 5.0 * MM)
     third = height / 3
@@ -393,12 +316,12 @@ def _knuckles(s: _Shape, *, of_temple: bool) -> list[Solid]:
     return solids
 
 
-def _temple(rng: np.random.Generator, s: _Shape, across: float, *, level: bool) -> list[Solid]:
+def _temple(rng: np.random.Generator, s: Glasses, across: float, *, level: bool) -> list[Solid]:
     """Build the right temple, its hinge at the origin: back along +x, then bent down behind the ear
     (hardly, where `level`), sometimes with a sleeve. `across` is from the middle of the face to
     the hinge."""
     start = _clear(s)
-    straight, tip = rng.uniform(92, 112) * MM, rng.uniform(26, 45) * MM
+    straight, tip = rng.uniform(*s.straight) * MM, rng.uniform(26, 45) * MM
     bend = np.deg2rad(rng.choice([rng.uniform(8, 18), rng.uniform(28, 48), rng.uniform(60, 120)]))
     radius = rng.uniform(8, 16) * MM
     tip = min(tip, 12 * MM) if bend > np.deg2rad(60) else tip
