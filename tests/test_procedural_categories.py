@@ -27,7 +27,7 @@ SAMPLE = [(c, object_id(c, k)) for c in CATEGORIES for k in (1, 2, 5, 10, 17)]
 SAMPLE += [("laptop", name) for name in OF_ALL_KINDS]
 DOCS = Path(__file__).parents[1] / "docs"
 
-BEYOND = {"drawer": -0.03, "eyeglasses": np.pi}
+BEYOND = {"box": -0.5, "drawer": -0.03, "eyeglasses": np.pi}
 """States in which parts would cross, to see that a crossing is seen: drawers pushed in, temples
 turned to the front. None where there is no such state, as of a fan."""
 

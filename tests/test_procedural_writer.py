@@ -237,7 +237,7 @@ def test_a_model_is_written_nowhere_else(tmp_path: Path) -> None:
 
 
 def test_unknown_category_is_refused() -> None:
-    with pytest.raises(InvalidSource, match="no category 'chair'; it has drawer, eyeglasses"):
+    with pytest.raises(InvalidSource, match="no category 'chair'; it has box, drawer, eyeglasses"):
         build_model("chair", "chair_0000")
 
 

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     "articugen generate -c oven -r quick --set views.count=50 --set 'sampling.grids=[16, 32]'\n\n"
     "articugen generate --category cabinet --source path/to/urdfs --dry-run\n\n"
     "On many machines that share a folder, the same line on each, here as a SLURM array "
-    "(docs/scale.md has Kubernetes, HTCondor and GNU parallel):\n\n"
+    "(docs/scale.md has other launchers):\n\n"
     "sbatch --array=0-99 --cpus-per-task=4 --wrap 'articugen generate -c laptop -o /shared/data "
     "--shard $SLURM_ARRAY_TASK_ID/100'\n\n"
     "articugen merge /shared/data/laptop\n\n"

@@ -220,7 +220,7 @@ def draw_shape(rng: np.random.Generator, *, varied: bool = False) -> LaptopShape
     over = min(rng.uniform(0.75, 1.0) * barrel, -1.2 * bottom_rear - deck - gap - lid)
     over = max(over, 0.5 * barrel)
     behind = _BEHIND.get(kind, 0.0)
-    if varied and rng.random() < 0.4:
+    if varied and kind != "rugged" and rng.random() < 0.4:  # whose bumpers turn behind it
         behind = rng.uniform(4, 40) * MM
     thick = deck - bottom_rear
     front = max(thick * rng.uniform(*ranges.wedge), min(thick, 5 * MM))

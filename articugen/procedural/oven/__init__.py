@@ -16,7 +16,7 @@ from articugen.procedural.kit.model import Model, ModelJoint, ModelLink
 from articugen.procedural.kit.outlines import circle, matched
 from articugen.procedural.kit.parts import Rect, frame, handle, plate, rod, row, tapered
 from articugen.procedural.kit.solids import Solid, along_x, box, prism, ring
-from articugen.procedural.oven.plans import Leaf, Oven, draw_plan
+from articugen.procedural.oven.plans import KINDS, VARIED, Leaf, Oven, draw_plan
 from articugen.procedural.oven.stovetop import back_guard, control_panel, cooktop
 
 _CORNER = 0.06  # the radius of the cavity's corners, part of its height
@@ -32,18 +32,27 @@ class Cavity:
 
 def build(rng: np.random.Generator) -> Model:
     """Build one object: links body and door."""
-    return _built(rng, draw_plan(rng), RANGE[1], loose=False)
+    return assembled(rng, draw_plan(rng, KINDS), RANGE[1])
 
 
 def build_varied(rng: np.random.Generator) -> Model:
     """Build one of any layout: one or two doors, hinged below or at a side, that open by about a
     right angle; some have racks that slide out, which recipes lock."""
-    oven = draw_plan(rng, varied=True)
-    return _built(rng, oven, np.deg2rad(rng.uniform(85.0, 95.0)), loose=bool(rng.uniform() < 0.5))
+    oven = draw_plan(rng, VARIED)
+    upper = np.deg2rad(rng.uniform(85.0, 95.0))
+    return assembled(rng, oven, upper, loose=bool(rng.uniform() < 0.5))
 
 
-def _built(rng: np.random.Generator, oven: Oven, upper: float, *, loose: bool) -> Model:
-    """Build an oven whose doors open up to `upper`, rad; its racks are `loose` or fixed."""
+def assembled(
+    rng: np.random.Generator, oven: Oven, upper: float, *, loose: bool = False, name: str = "oven"
+) -> Model:
+    """Build what the plan of an oven, a refrigerator or a microwave says.
+
+    Args:
+        upper: how far doors open, rad.
+        loose: racks slide out, each on a joint of its own.
+        name: of the object; what is no oven has no fan and no heating element.
+    """
     cavities = [_cavity(rng, oven, leaf.rect) for leaf in oven.doors]
     pull = _pull(rng, oven)
     racks: list[list[Solid]] = []
@@ -52,7 +61,7 @@ def _built(rng: np.random.Generator, oven: Oven, upper: float, *, loose: bool) -
         shelves = _racks(rng, oven, cavity, loose=loose)
         racks += shelves if loose else []
         body += [] if loose else [s for shelf in shelves for s in shelf]
-        body += _furnishings(rng, oven, cavity)
+        body += _furnishings(rng, oven, cavity) if name == "oven" else []
     body += _feet(oven)
     if oven.controls is not None:
         body += control_panel(rng, oven, oven.controls)
@@ -61,17 +70,17 @@ def _built(rng: np.random.Generator, oven: Oven, upper: float, *, loose: bool) -
         body += [*_door(oven, rect, 0.0), *pull.on(rect)]
     for rect in oven.drawers:
         body += [plate(rect, 0.0, oven.thickness, bevel=0.12 * oven.thickness), *pull.low(rect)]
-    links, joints = [ModelLink("body", "oven_body", tuple(body))], []
+    links, joints = [ModelLink("body", f"{name}_body", tuple(body))], []
     for k, (leaf, cavity) in enumerate(zip(oven.doors, cavities, strict=True)):
-        name = "door" if len(cavities) == 1 else f"door_{k}"
+        door = "door" if len(cavities) == 1 else f"door_{k}"
         solids = [*_door(oven, leaf.rect, GAP), *pull.on(leaf.rect, GAP, leaf.hinge)]
         if leaf.hinge == "bottom":
             solids += _plug(rng, oven, leaf.rect, cavity.opening)
-        links.append(ModelLink(name, "door", tuple(solids)))
+        links.append(ModelLink(door, "door", tuple(solids)))
         at, axis = _axis(leaf)
         hinge = (GAP + oven.thickness, *at)
         joints.append(
-            ModelJoint(f"{name}_hinge", "revolute", "body", name, hinge, axis, 0.0, upper)
+            ModelJoint(f"{door}_hinge", "revolute", "body", door, hinge, axis, 0.0, upper)
         )
     for k, rack in enumerate(racks):
         links.append(ModelLink(f"rack_{k}", "shelf", tuple(rack)))

@@ -1,5 +1,6 @@
 """What kinds of ovens there are: their proportions and what their fronts hold."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from types import SimpleNamespace
 from typing import Any
@@ -63,10 +64,9 @@ class Oven:
         return max(self.body.width, height, self.depth + self.doors[0].rect.height)
 
 
-def draw_plan(rng: np.random.Generator, *, varied: bool = False) -> Oven:
-    """Return the plan of an oven of any kind; of some that others have too where it is varied."""
-    kinds = _KINDS + _OTHERS if varied else _KINDS
-    drawn = _PLAIN | draw_all(rng, kinds[rng.integers(len(kinds))])
+def draw_plan(rng: np.random.Generator, kinds: Sequence[Mapping[str, Any]]) -> Oven:
+    """Return the plan of one of these kinds, tables of ranges as those below."""
+    drawn = PLAIN | draw_all(rng, kinds[int(rng.integers(len(kinds)))])
     kept = {k: v for k, v in drawn.items() if k in {field.name for field in fields(Oven)}}
     return Oven(**_rectangles(SimpleNamespace(**drawn)), **kept)
 
@@ -115,7 +115,7 @@ def _rectangles(d: SimpleNamespace) -> dict[str, Any]:
     if d.hinge == "bottom":
         leaves = [Leaf(door) for door in (doors if d.both else [doors[d.opens]])]
     else:
-        sides = ("left", "right") if d.hinge == "sides" else (d.hinge,)
+        sides = _SIDES[d.hinge]
         leaves = [_swung(r, side, d.thickness) for r, side in zip(doors, sides, strict=True)]
     if d.mirrored:
         leaves = [_mirrored(leaf) for leaf in leaves]
@@ -162,10 +162,14 @@ def _hung(y0: float, z0: float, y1: float, ceiling: float, thickness: float) -> 
 # `side`, `sill` and `strip` are left free beside, below and above the door. What `front` says of
 # another door or the panel: the door ends at `cut` of the width, counted from the middle, or at
 # `middle` of the height; a tower's door is `tall`, `below` of what is left lies under it, and
-# `fronts` at most close what is left on either side. `both` doors open; `hinge` is "bottom",
-# "left", "right", or "sides" of two.
+# `fronts` at most close what is left on either side. `both` doors open; `hinge` is "bottom" or
+# one of `_SIDES`.
 # fmt: off
-_PLAIN = {
+_SIDES = {
+    "left": ("left",), "right": ("right",), "lefts": ("left",) * 2, "rights": ("right",) * 2,
+    "sides": ("left", "right"),
+}
+PLAIN = {
     "front": "plain", "height": 0.0, "lift": 0.0, "side": 0.0, "drawer": False, "mirrored": False,
     "opens": 0, "radius": 0.0, "flange": 0.0, "feet": "none", "sloped": False, "stove": "none",
     "guard": 0.0, "guard_controls": False, "hinge": "bottom", "both": False,
@@ -219,7 +223,7 @@ _CAST_IRON = {  # a heavy cooker: four doors, of which one opens, and lidded hot
     "feet": "plinth", "look": "solid", "stove": "lids",
 }
 # fmt: on
-_KINDS = (
+KINDS = (
     *(_RANGE,) * 3,
     _PROFESSIONAL,
     _RETRO,
@@ -260,7 +264,8 @@ _PLAIN_RANGE = _RANGE | {  # the door reaches from edge to edge, and nearly to t
 _SIDEWAYS = _PLAIN_RANGE | {"hinge": ["left", "right"]}
 _SIDEWAYS_LOW = _LOW | {"hinge": ["left", "right"]}
 # fmt: on
-_OTHERS = (
+VARIED = (
+    *KINDS,
     *(_PLAIN_RANGE,) * 3,
     *(_WIDE,) * 2,
     *(_TALL,) * 2,
@@ -270,4 +275,4 @@ _OTHERS = (
     _SIDEWAYS,
     _SIDEWAYS_LOW,
 )
-"""What else there is among real ovens: in towers, two doors, side by side, hinged at a side."""
+"""With what else there is: in towers, two doors, side by side, hinged at a side."""
