@@ -67,7 +67,8 @@ def test_evaluate_predict(folder, monkeypatch):
     done = articugen("evaluate", runs / "box", "-d", data, "--resolution", 8, "--on", data)
     assert done.exit_code == 0, done.output
     assert f"3 objects of {data}, none trained on, 6 instances" in done.output
-    assert (runs / "box" / "000" / "evaluation-on-data" / "reconstructions.png").is_file()
+    for figure in ("reconstructions", "interpolations"):
+        assert (runs / "box" / "000" / "evaluation-on-data" / f"{figure}.png").is_file()
     done = articugen("tables", runs / "box")
     assert done.exit_code == 0, done.output
     assert re.search(r"\| tiny +\| +\d+\.\d\d \|", done.output)

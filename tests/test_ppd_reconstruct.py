@@ -1,4 +1,4 @@
-"""What PPD's model says of a cloud: surfaces where its field is zero."""
+"""What PPD's model says of a cloud: surfaces where its field is zero, and what is between two."""
 
 from functools import partial
 
@@ -10,7 +10,9 @@ from instances import hinged_box
 from articugen.core.geometry import apply
 from articugen.core.records import dequantize
 from articugen.learning.fields import fields_on_grid, meshes_of_greatest
+from articugen.learning.ppd import learner as module
 from articugen.learning.ppd import reconstruct as reconstruction
+from articugen.learning.ppd.learner import Predictor
 from articugen.learning.ppd.network import PPD
 from articugen.learning.ppd.reconstruct import logits_at, reconstruction_of
 from articugen.learning.ppd.settings import ModelSettings
@@ -78,6 +80,29 @@ def test_a_part_is_not_far_outside_of_its_box():
     far = ((off - reconstruction.ROOM) * box.size[0, :, None] > reconstruction._MARGIN).any(-1)
     assert (found[far.numpy()] == reconstruction._NOWHERE).all()
     assert (found[beyond & ~far.numpy()] > reconstruction._NOWHERE).any()
+
+
+def test_interpolation_holds_what_it_holds(monkeypatch):
+    torch.manual_seed(0)
+    learner = Predictor.__new__(Predictor)
+    learner.model, learner.points = PPD(ModelSettings()).eval(), None
+    learner.residual_direction = True
+    clouds = [dequantize(i.surface_points) for i in hinged_box()]
+    seen = []
+    monkeypatch.setattr(module, "reconstruction_of", lambda _, p, resolution: seen.append(p))
+    learner.between(clouds[0], clouds[3], 5, resolution=8)
+    one, other = learner.predict(clouds[0]), learner.predict(clouds[3])
+    shapes, states = seen[:5], seen[5:]
+    torch.testing.assert_close(shapes[0].shape.detail, one.shape.detail)
+    torch.testing.assert_close(shapes[-1].shape.detail, other.shape.detail)
+    half = (one.shape.detail + other.shape.detail) / 2
+    torch.testing.assert_close(shapes[2].shape.detail, half)
+    for prediction in shapes:
+        torch.testing.assert_close(prediction.pose.state, one.pose.state)
+    torch.testing.assert_close(states[0].pose.state, one.pose.state)
+    torch.testing.assert_close(states[-1].pose.state, other.pose.state)
+    for prediction in states:
+        torch.testing.assert_close(prediction.shape.detail, one.shape.detail)
 
 
 def test_some_parts_alone_have_the_fields_that_they_have_among_all():

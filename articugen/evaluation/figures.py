@@ -13,7 +13,7 @@ from articugen.evaluation.evaluate import objects_of, tested
 from articugen.evaluation.reconstruction import Reconstruction
 from articugen.evaluation.results import Evaluation
 from articugen.pictures.contact_sheet import evenly
-from articugen.pictures.layout import Caption, Row, in_columns, save, sheet
+from articugen.pictures.layout import GREY, Caption, Row, in_columns, save, sheet
 from articugen.pictures.portrait import (
     best_azimuth,
     pooled,
@@ -26,6 +26,10 @@ from articugen.pictures.solids import ColouredMesh, arrow
 Reconstruct = Callable[[Floats], Reconstruction]
 """From a cloud (n, 3)."""
 
+Between = Callable[[Floats, Floats, int], tuple[Sequence[Reconstruction], Sequence[Reconstruction]]]
+"""From two clouds in so many steps: shapes, and states."""
+
+STEPS = 6
 OBJECTS = 3
 INSTANCES = 16
 """Of each object so many are read, the canonical one among them."""
@@ -93,6 +97,35 @@ def draw_reconstructions(
         reconstructions(o, [(f"{o[0].object_id}: reconstruction", *model)], azimuth) for o in some
     ]
     save(sheet([row for each in rows for row in each]), path)
+
+
+def draw_interpolations(
+    path: Path, data: Path, between: Between, result: Evaluation, *, on: Path | None = None
+) -> None:
+    """Draw shapes between two test objects in the pose of the one, and its states towards the
+    other's pose.
+
+    Args:
+        result, on: as `draw_reconstructions` takes them.
+
+    Raises:
+        ArticugenError: `path` cannot be written.
+    """
+    objects = [by_opening(i) for i in tested(data, on, INSTANCES - 1)]
+    one, other = evenly(objects[0], 3)[1], objects[-1][-1]
+    clouds = [dequantize(instance.surface_points) for instance in (one, other)]
+    names = Names(result.labels, result.dominant)
+    found = between(clouds[0], clouds[1], STEPS)
+    points = np.concatenate([*clouds, *(f.triangles.reshape(-1, 3) for row in found for f in row)])
+    camera = tile_camera(points, best_azimuth([other]))
+    floor = float(clouds[0][:, 2].min())
+    shares: list[Caption] = [[(f"{s:.0f} %", GREY)] for s in np.linspace(0.0, 100.0, STEPS)]
+    titles = (f"{one.object_id} to {other.object_id}: shapes in one pose", "states of one shape")
+    rows = [
+        Row(title, [solid_portrait(solid_of(f, names), camera, floor) for f in row], shares)
+        for title, row in zip(titles, found, strict=True)
+    ]
+    save(sheet(rows), path)
 
 
 @dataclass(frozen=True)

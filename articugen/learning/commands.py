@@ -18,7 +18,7 @@ except ImportError as error:
     raise MissingExtra(name, "ppd") from None
 
 from articugen.core.files import write_atomically
-from articugen.core.records import Floats, JointKind, dequantize
+from articugen.core.records import JointKind, dequantize
 from articugen.core.schema import Instance
 from articugen.core.yaml_files import with_settings
 from articugen.evaluation.evaluate import Protocol, Reconstruct, check_splits
@@ -224,18 +224,24 @@ def draw(run: FolderLike, data: FolderLike, result: RunEvaluation) -> list[Path]
         run, data: as `evaluate` took them.
         result: what it has returned.
     """
-    from articugen.evaluation.figures import draw_reconstructions  # noqa: PLC0415
+    from articugen.evaluation import figures  # noqa: PLC0415
 
     on = Path(result.run.on) if result.run.on else None
-    path = evaluation_folder(run, on=on) / "reconstructions.png"
-    draw_reconstructions(path, Path(data), _reconstruct(newest(run), result), result, on=on)
-    return [path]
+    folder, learner = evaluation_folder(run, on=on), read_checkpoint(newest(run) / LATEST).learner()
+    paths = [folder / "reconstructions.png"]
+    finer = _finer(result)
+    reconstruct = partial(learner.reconstruct, resolution=finer)
+    figures.draw_reconstructions(paths[0], Path(data), reconstruct, result, on=on)
+    if between := getattr(learner, "between", None):  # what tells shapes and poses apart
+        paths.append(folder / "interpolations.png")
+        between = partial(between, resolution=finer)
+        figures.draw_interpolations(paths[1], Path(data), between, result, on=on)
+    return paths
 
 
-def _reconstruct(run: Path, result: RunEvaluation) -> Callable[[Floats], Reconstruction]:
-    """Return how a run is drawn: on a finer grid than it was evaluated on."""
-    learner = read_checkpoint(run / LATEST).learner()
-    return partial(learner.reconstruct, resolution=min(4 * result.run.resolution, 128))
+def _finer(result: RunEvaluation) -> int:
+    """Return the grid of meshes that are drawn: finer than that which was evaluated on."""
+    return min(4 * result.run.resolution, 128)
 
 
 def tables(runs: Sequence[FolderLike]) -> str:
@@ -283,7 +289,8 @@ def draw_examples(
         own = own / point.category if data and (own / point.category).is_dir() else own
         check_splits(own, point.category)
         about = (point.category, point.recipe.name, own)
-        examples.append(figures.Example(*about, _reconstruct(folder, result), result))
+        reconstruct = partial(point.learner().reconstruct, resolution=_finer(result))
+        examples.append(figures.Example(*about, reconstruct, result))
     figures.draw_examples(Path(path), examples)
     return Path(path)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -67,6 +68,20 @@ class Predictor(Learner):
         """Part i's surface encloses where its field is above 0 and the greatest of all, unless
         `meshes` says otherwise."""
         return reconstruction_of(self.model, self.predict(cloud), resolution, meshes)
+
+    def between(
+        self, one: Floats, other: Floats, steps: int, *, resolution: int
+    ) -> tuple[list[Reconstruction], list[Reconstruction]]:
+        """From one cloud (n, 3) to another in so many steps: shapes in the pose of the one, and
+        states of its own shape (the paper's figure of interpolations)."""
+        first, last = self.predict(one), self.predict(other)
+        shapes, states = [], []
+        for share in np.linspace(0.0, 1.0, steps).tolist():
+            state = torch.lerp(first.pose.state, last.pose.state, share)
+            shapes.append(replace(first, shape=first.shape.towards(last.shape, share)))
+            states.append(replace(first, pose=replace(first.pose, state=state)))
+        drawn = partial(reconstruction_of, self.model, resolution=resolution)
+        return list(map(drawn, shapes)), list(map(drawn, states))
 
 
 class PPDLearner(Predictor):

@@ -71,6 +71,15 @@ class ShapeCode:
         template, detail = self.template[:, parts], self.detail[:, parts]
         return ShapeCode(template, detail, self.quantizer, box)
 
+    def towards(self, other: "ShapeCode", share: float) -> "ShapeCode":
+        """That of a shape between this one (0) and another (1)."""
+        template = torch.lerp(self.template, other.template, share)
+        detail, box = torch.lerp(self.detail, other.detail, share), None
+        if self.box and other.box:
+            middle = torch.lerp(self.box.middle, other.box.middle, share)
+            box = PartBox(middle, torch.lerp(self.box.size, other.box.size, share))
+        return ShapeCode(template, detail, self.quantizer, box)
+
 
 @dataclass(frozen=True)
 class PartBox:

@@ -1,5 +1,5 @@
 """Chests, consoles, desks and sideboards with three drawers that slide out along +x; varied ones
-have one to six, under table tops or in deep cabinets, too.
+have one to four, under table tops or in deep cabinets, too.
 
 A front is cut into compartments: some hold drawers, others are open shelves or doors that do not
 open (what they would hide is filled). Every drawer is a hollow box behind a front plate.
@@ -65,8 +65,8 @@ def build(rng: np.random.Generator) -> Model:
 
 
 def build_varied(rng: np.random.Generator) -> Model:
-    """Build one with one to six drawers, which may slide all the way out; some are shallow, have no
-    pull, no bottom, or consist of a front alone."""
+    """Build one with one to four drawers, which may slide all the way out; some are shallow, some
+    have no pull or no bottom, or consist of a front alone."""
     return _built(rng, draw_layout(rng, varied=True), varied=True)
 
 

@@ -217,12 +217,10 @@ _DEEP = (
            _rows(((0.25, 0.5), 1), ("drawer", _BELOW)), ("plinth",), lidless=0.5),
     _Piece(((0.3, 0.6), (0.5, 0.66), (0.7, 0.95)), _rows((1, 1, 1, 1), ("drawer",) * 4),
            ("plinth", "floor"), growth=(1.0, 1.3), lidless=0.4),
-    _Piece(((0.5, 1.0), (0.35, 0.55), (0.8, 1.3)), _rows((1,) * 5, ("drawer",) * 5),  # tallboys
-           growth=(1.0, 1.15)),
+    _Piece(((0.5, 1.0), (0.35, 0.55), (0.8, 1.3)), _rows((1,) * 4, ("drawer",) * 4),  # tallboys
+           growth=(1.0, 1.2)),
     _Piece(((0.9, 1.6), (0.4, 0.55), (0.6, 1.0)),  # two banks
            _columns((1, 1), (_rows((1, 1), _TWO), _rows((1, 1), _TWO)))),
-    _Piece(((1.0, 1.7), (0.4, 0.55), (0.6, 1.0)),
-           _columns((1, 1), (_rows((1, 1, (1, 1.4)), _THREE), _rows((1, 1, (1, 1.4)), _THREE)))),
 )
 # fmt: on
-"""Cabinets as deep as they are wide, and those with four to six drawers."""
+"""Cabinets as deep as they are wide, and those with four drawers: PPD has no more sliding parts."""
