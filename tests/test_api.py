@@ -76,7 +76,7 @@ def test_generate_goes_on_replaces_and_refuses(folder, tmp_path):
     assert not report.ok
     assert "Report(1 finding: " in repr(report)
     assert "train-00009.h5" in repr(report)
-    with pytest.raises(InvalidArgument, match="'all' means 5 data sets"):
+    with pytest.raises(InvalidArgument, match="'all' means 8 data sets"):
         ag.generate("all", out=tmp_path)
 
 

@@ -369,7 +369,9 @@ def test_surface_points_of_messy_objects_lie_within_half_a_voxel(
         inwards = made.holds(s, points - 0.5 / 256 * normals)[each, part]
         thick = made.holds(s, points - thickness / 2 * normals)[each, part]
         assert np.mean(inwards | thick) >= 0.995
-        assert np.mean(made.holds(s, points + 0.5 / 256 * normals).any(axis=1)) < 0.02
+        # The gap around doors is 3 mm: less than half a voxel of what is two metres high.
+        out = 0.25 / 256 if category == "refrigerator" else 0.5 / 256
+        assert np.mean(made.holds(s, points + out * normals).any(axis=1)) < 0.02
 
 
 @pytest.mark.parametrize("category", CATEGORIES)

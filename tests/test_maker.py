@@ -249,7 +249,7 @@ def test_any_model_that_a_source_reads(folder, tmp_path, monkeypatch):
     drawer = ag.load("procedural", "drawer_0003")
     assert (drawer.category, drawer.clips_to_limits) == ("drawer", False)
     for wrong, error, sentence in (
-        (lambda: ag.load("procedural"), InvalidSource, r"name one, as in load\('procedural', 'd"),
+        (lambda: ag.load("procedural"), InvalidSource, r"name one, as in load\('procedural', 'b"),
         (lambda: ag.load(tmp_path / "none.urdf"), InvalidSource, "there is no such file"),
         (lambda: ag.Maker(model, "quikc"), InvalidRecipe, "did you mean 'quick'"),
         (lambda: ag.Maker(model, {"views": {"cont": 3}}), InvalidRecipe, "did you mean 'count'"),

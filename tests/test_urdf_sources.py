@@ -45,7 +45,11 @@ def test_messy_objects_are_the_clean_ones_and_varied_ones_are_some():
     )
     assert clean.categories == messy.categories
     assert set(clean.categories) == set(procedural.CATEGORIES)
-    assert varied.categories == {n: clean.categories[n] for n in ("drawer", "eyeglasses")}
+    five = ("drawer", "eyeglasses", "laptop", "oven", "washing_machine")
+    assert tuple(varied.categories) == five
+    assert varied.categories["oven"].movable == ("door*",)  # racks are locked
+    counts = {n: (own.train, own.test) for n, own in varied.categories.items()}
+    assert counts == {n: (clean.categories[n].train, clean.categories[n].test) for n in five}
     assert (clean.messy, messy.messy, varied.messy) == (False, True, False)
     assert (clean.varied, messy.varied, varied.varied) == (False, False, True)
 

@@ -10,6 +10,7 @@ import signal
 import sys
 from contextlib import suppress
 from functools import partial
+from types import FrameType
 from typing import Annotated, NoReturn
 
 import typer
@@ -50,10 +51,19 @@ def main() -> None:
         raise
 
 
-def _stop_once(stopped: list[int], number: int, _: object) -> None:
-    """The first Ctrl-C or SIGTERM stops the work; what is then put in order takes no second one."""
+def _stop_once(stopped: list[int], number: int, frame: FrameType | None) -> None:
+    """The first Ctrl-C or SIGTERM stops the work; what is then put in order takes no second one.
+
+    A module that is just being imported may catch whatever is raised there, as trimesh does around
+    what is optional, and the work would go on: then the process ends as if it were killed, after
+    which everything can be resumed as well.
+    """
     for each in STOPPED:
         signal.signal(each, signal.SIG_IGN)
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            _leave_at_once(STOPPED[number])
+        frame = frame.f_back
     stopped.append(number)
     raise Stopped(number)
 

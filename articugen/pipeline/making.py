@@ -179,8 +179,8 @@ def not_made(key: Key, ended: processes.Ended, limit: processes.Limit) -> Outcom
     if ended.over:
         return Outcome(rejected=_unmade(key, over[ended.over]))
     reason = (
-        f"its worker {ended.lost}; use fewer --jobs, or end other programs, and run it again; if it "
-        "stays so, report it, and leave it out with --exclude"
+        f"its worker {ended.lost}; use fewer --jobs, or end other programs, and run it again; if "
+        "it stays so, report it, and leave it out with --exclude"
     )
     return Outcome(failed=Rejection(key=key, reason=reason))
 
