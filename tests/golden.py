@@ -22,6 +22,7 @@ from articugen.export.formats import FORMATS, format_named
 from articugen.export.run import export
 from articugen.pipeline import door
 from articugen.pipeline.job import Job
+from articugen.sources.source import open_source
 from articugen.store.provenance import library_versions
 
 GOLDEN = Path(__file__).with_name("data") / "golden.json"
@@ -33,12 +34,10 @@ WRITTEN = ("messy", "varied")
 
 RENEW = "python -m tests.golden --write"
 
-VARIED = ("drawer", "eyeglasses", "laptop", "oven", "washing_machine")
-
 SETS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(CATEGORIES, ()),
     "laptop, messy": (),
-    **{f"{category}, varied": () for category in VARIED},
+    **{f"{category}, varied": () for category in open_source("procedural_varied").file.categories},
     "boxes": (),
     "boxes, rigid": ("fusion.rule=rigid",),
     "boxes, reachable": ("fusion.rule=reachable", "sampling.coverage=true"),

@@ -89,8 +89,11 @@ def compare(
     with said():
         from articugen.core.compiling import compile_kernels
         from articugen.inspection import likeness
+        from articugen.pictures.layout import check_picture
         from articugen.pipeline.run import default_jobs
 
+        if image is not None:
+            check_picture(image)
         compile_kernels("inspect", jobs=default_jobs(), notice=stderr.print)
         with stderr.status("comparing all objects ..."):
             found = likeness.likeness(first, second)

@@ -22,7 +22,7 @@ from articugen.core.schema import Instance
 from articugen.core.seeding import generator
 from articugen.inspection.summary import shards_of
 from articugen.pictures.contact_sheet import Chosen, chosen_of, portraits
-from articugen.pictures.layout import Row, save, sheet
+from articugen.pictures.layout import Row, check_picture, save, sheet
 from articugen.store.shards import open_shard
 
 POINTS = 1200
@@ -81,21 +81,19 @@ class Likeness:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """All there is to say in numbers; quantiles 0.1, 0.5 and 0.9 of each measure."""
+        """All there is to say in numbers; quantiles 0.1, 0.5 and 0.9 of each measure that any
+        object has."""
         numbers = {
             "first: objects": len(self.first.chosen), "second: objects": len(self.second.chosen),
             "first: pairs": self.pairs[0], "second: pairs": self.pairs[1],
             "first: same object": self.floor[0], "second: same object": self.floor[1],
             "first: own nearest": self.nearest[0], "second: own nearest": self.nearest[1],
             "second to nearest first": self.reached,
-            "second to nearest first, over own nearest": self.reached / self.nearest[1],
-            "pairs, first over second": self.pairs[0] / self.pairs[1],
         }  # fmt: skip
         for name, some in (("first", self.first), ("second", self.second)):
             for measure, values in some.measures.items():
-                for q in (0.1, 0.5, 0.9):
-                    at = float(np.quantile(values, q)) if len(values) else float("nan")
-                    numbers[f"{name}: {measure}, quantile {q}"] = at
+                for q in (0.1, 0.5, 0.9) if len(values) else ():
+                    numbers[f"{name}: {measure}, quantile {q}"] = float(np.quantile(values, q))
         return {key: round(float(value), 6) for key, value in numbers.items()}
 
 
@@ -124,8 +122,7 @@ def draw_farthest(found: Likeness, path: Path, *, count: int = 6) -> None:
     Raises:
         InvalidArgument: `path` is not named like a PNG.
     """
-    if path.suffix.lower() != ".png":  # it may be somebody's data
-        raise InvalidArgument(f"{path}: pictures are PNGs; give it a name ending in .png")
+    check_picture(path)
     distance, nearest = found.between.min(axis=1), found.between.argmin(axis=1)
     far = np.argsort(-distance, kind="stable")[:count]
     rows = []
@@ -155,7 +152,7 @@ def _objects(path: Path) -> Objects:
         low, high = bounds(cloud)
         longest = float((high - low).max())
         cloud = (cloud - (low + high) / 2) / longest
-        _measure(instance, cloud, longest, measures)
+        _measure(instance, cloud, (low + high) / 2, longest, measures)
         rng = generator(0, each.object_id, "likeness")
         some, others = np.resize(rng.permutation(cloud, axis=0), (2, POINTS, 3)).astype(np.float64)
         points.append(some)
@@ -175,11 +172,13 @@ def _canonical(each: Chosen) -> Instance:
         return shard.instance(index)
 
 
-def _measure(instance: Instance, cloud: Floats, longest: float, to: dict[str, list[float]]) -> None:
+def _measure(
+    instance: Instance, cloud: Floats, middle: Floats, longest: float, to: dict[str, list[float]]
+) -> None:
+    """Note what is measured of an object; `cloud`, `middle` and `longest` are of its box."""
     for name, extent in zip(MEASURES[:3], np.ptp(cloud, axis=0), strict=True):
         to[name].append(extent)
     to["moving parts"].append(len(instance.joint_kind))
-    floor = float((dequantize(instance.surface_points))[:, 2].min())
     for j, kind in enumerate(instance.joint_kind):
         part = cloud[instance.surface_part == j + 1]
         to["a part's surface"].append(len(part) / len(cloud))
@@ -188,7 +187,8 @@ def _measure(instance: Instance, cloud: Floats, longest: float, to: dict[str, li
         reach = float(instance.joint_upper[j] - instance.joint_lower[j])
         if kind == JointKind.REVOLUTE:
             to["range, degrees"].append(np.degrees(reach))
-            to["height of a joint"].append((float(instance.joint_pivot[j][2]) - floor) / longest)
+            height = (float(instance.joint_pivot[j][2]) - middle[2]) / longest
+            to["height of a joint"].append(height - float(cloud[:, 2].min()))
         else:
             to["range, of the object"].append(reach / longest)
 

@@ -19,11 +19,10 @@ import numpy as np
 
 from articugen.core.arrays import Floats
 from articugen.core.colours import colour_of
-from articugen.core.errors import ArticugenError, InvalidArgument
-from articugen.core.files import check_place
+from articugen.core.errors import ArticugenError
 from articugen.core.records import JointKind, dequantize
 from articugen.core.schema import Instance
-from articugen.pictures.layout import TILE, Caption, Row, save, sheet
+from articugen.pictures.layout import TILE, Caption, Row, check_picture, save, sheet
 from articugen.pictures.portrait import best_azimuth, pooled, portrait, tile_camera
 from articugen.pictures.shading import Picture
 from articugen.pictures.surfels import Surfels
@@ -91,9 +90,7 @@ def contact_sheet(shards: Sequence[Path], path: Path, *, objects: int = 4, state
         ArticugenError: there is nothing to draw, `path` is not named like a PNG, or it cannot be
             written.
     """
-    if path.suffix.lower() != ".png":  # it may be somebody's data
-        raise InvalidArgument(f"{path}: a contact sheet is a PNG; give it a name ending in .png")
-    check_place(path)
+    check_picture(path)
     drawn = portraits(chosen_of(shards, objects), states=states)
     rows = [Row(f"{d.object_id}  {d.split}", d.pictures, d.captions) for d in drawn]
     save(sheet(rows), path)

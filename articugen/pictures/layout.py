@@ -6,7 +6,8 @@ from pathlib import Path
 
 from PIL import Image, ImageDraw, ImageFont
 
-from articugen.core.files import written_atomically
+from articugen.core.errors import InvalidArgument
+from articugen.core.files import check_place, written_atomically
 from articugen.pictures.shading import PAPER, Picture
 
 INK, GREY = "#333333", "#8a8a8a"
@@ -53,6 +54,13 @@ def in_columns(sheets: Sequence[Picture], columns: int) -> Picture:
         for c, sheet in enumerate(row):
             canvas.paste(sheet, (c * width, sum(heights[:r])))
     return canvas
+
+
+def check_picture(path: Path) -> None:
+    """Raise an error, before any work, where no PNG can be written."""
+    if path.suffix.lower() != ".png":  # it may be somebody's data
+        raise InvalidArgument(f"{path}: pictures are PNGs; give it a name ending in .png")
+    check_place(path)
 
 
 def save(picture: Picture, path: Path) -> None:

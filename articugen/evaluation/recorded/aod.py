@@ -18,11 +18,11 @@ from articugen.evaluation.recorded.frames import (
     Frame,
     Recording,
     contents,
-    evenly,
     picture,
     seen_by,
 )
 from articugen.meshes.points import FEWEST_POINTS
+from articugen.pictures.contact_sheet import evenly
 
 DEPTH = ("depth_filled", "depth_noseg")
 

@@ -73,11 +73,6 @@ class Posed:
     pivot: Floats
 
 
-def evenly(items: Sequence, count: int) -> list:
-    """`count` of the items from the first to the last, or all of them."""
-    return [items[round(i)] for i in np.linspace(0, len(items) - 1, min(count, len(items)))]
-
-
 def contents(path: Path) -> bytes:
     """Return a file's bytes, or raise InvalidSource."""
     try:

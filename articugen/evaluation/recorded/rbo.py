@@ -27,12 +27,12 @@ from articugen.evaluation.recorded.frames import (
     Frame,
     Recording,
     contents,
-    evenly,
     parts_by_surfaces,
     seen_by,
 )
 from articugen.meshes.distances import sample
 from articugen.meshes.read import read_mesh
+from articugen.pictures.contact_sheet import evenly
 
 DEPTH = ("camera_depth_registered",)
 _OPTICAL = "camera_rgb_optical_frame"

@@ -17,7 +17,7 @@ from articugen.procedural.kit.model import Model, ModelJoint, ModelLink
 from articugen.procedural.kit.outlines import circle, matched, rounded_rectangle
 from articugen.procedural.kit.parts import Rect, handle, lathe, plate, row, tapered
 from articugen.procedural.kit.solids import Solid, along_x, along_y, block, box, prism, ring
-from articugen.procedural.washing_machine.controls import panel
+from articugen.procedural.washing_machine.controls import console, panel
 from articugen.procedural.washing_machine.plan import Washer, draw
 from articugen.procedural.washing_machine.top_loader import build_top_loader
 
@@ -138,16 +138,9 @@ def _controls(rng: np.random.Generator, washer: Washer) -> list[Solid]:
     """A panel with a detergent tray, a dial, a display and buttons, in front or on a console."""
     rect, e = washer.fascia, washer.wall
     if washer.console:
-        high = rng.uniform(0.1, 0.16)
-        rect = Rect(washer.body.y0, 0.0, washer.body.y1, high)
-        back, foot, head = -washer.depth, rng.uniform(0.09, 0.14), 0.04
-        outline = np.array([(0.0, 0.0), (high, 0.0), (high, head), (0.0, foot)])
-        board = along_y(prism(outline, rect.y0, rect.y1)).shifted(x=back, z=washer.body.z1)
-        middle = (back + (foot + head) / 2, 0.0, washer.body.z1 + high / 2)
-        lean = arctan2(foot - head, high)
-        T = transform(rotation_about((0, 1, 0), -lean), middle)
-        placed = panel(rng, rect.width, 0.8 * high, e, tray=False)
-        return [board, *(s.moved(T) for s in placed)]
+        high, foot = rng.uniform(0.1, 0.16), rng.uniform(0.09, 0.14)
+        at = (-washer.depth, washer.body.z1)
+        return console(rng, at, (washer.body.width, high), (foot, 0.04), e)
     slab = rect.shrunk(0.5 * washer.radius, 0.25 * washer.radius).shrunk(0.0, 0.002)
     y, z = slab.center
     out = rng.uniform(0.4, 1.2) * e

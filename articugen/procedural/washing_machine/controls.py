@@ -2,9 +2,11 @@
 
 import numpy as np
 
+from articugen.core.geometry import rotation_about, transform
+from articugen.core.portable import arctan2
 from articugen.procedural.kit.outlines import circle
 from articugen.procedural.kit.parts import Rect, handle, knob, plate, row
-from articugen.procedural.kit.solids import Solid, along_x, ring
+from articugen.procedural.kit.solids import Solid, along_x, along_y, prism, ring
 
 
 def panel(
@@ -33,6 +35,29 @@ def panel(
         key = Rect(y - size, -0.6 * tall - size, y + size, -0.6 * tall + size)
         solids.append(plate(key, 0.0, 0.6 * e, radius=0.4 * size))
     return solids
+
+
+def console(
+    rng: np.random.Generator,
+    at: tuple[float, float],
+    size: tuple[float, float],
+    deep: tuple[float, float],
+    e: float,
+) -> list[Solid]:
+    """Build a board along the top's rear edge, leaning back, with the controls.
+
+    Args:
+        at: (x, z) of its rear lower edge.
+        size: its width and height.
+        deep: how deep it is at its foot and at its head.
+    """
+    (back, z), (width, high), (foot, head) = at, size, deep
+    outline = np.array([(0.0, 0.0), (high, 0.0), (high, head), (0.0, foot)])
+    board = along_y(prism(outline, -width / 2, width / 2)).shifted(x=back, z=z)
+    middle = (back + (foot + head) / 2, 0.0, z + high / 2)
+    T = transform(rotation_about((0, 1, 0), -arctan2(foot - head, high)), middle)
+    placed = panel(rng, width, 0.8 * high, e, tray=False)
+    return [board, *(s.moved(T) for s in placed)]
 
 
 def _tray(rng: np.random.Generator, rect: Rect, e: float) -> list[Solid]:

@@ -7,13 +7,12 @@ that before it stands upright; a console behind it limits it to that.
 import numpy as np
 
 from articugen.core.geometry import rotation_about, transform
-from articugen.core.portable import arctan2
 from articugen.procedural.kit import GAP
 from articugen.procedural.kit.model import Model, ModelJoint, ModelLink
 from articugen.procedural.kit.outlines import circle, matched, rectangle
 from articugen.procedural.kit.parts import row, tapered
-from articugen.procedural.kit.solids import Solid, along_y, block, box, prism, ring
-from articugen.procedural.washing_machine.controls import panel
+from articugen.procedural.kit.solids import Solid, block, box, prism, ring
+from articugen.procedural.washing_machine.controls import console
 
 
 def build_top_loader(rng: np.random.Generator) -> Model:
@@ -22,10 +21,10 @@ def build_top_loader(rng: np.random.Generator) -> Model:
     width, depth, height = u(0.4, 0.74), u(0.5, 0.74), u(0.78, 1.0)
     wall, lift = 0.0125 * (height + 0.5 * depth), u(0.012, 0.035)
     deck = lift + height
-    console = u(0.09, 0.15) if u() < 0.65 else 0.0  # how deep it is
-    behind = console + 3.0 * wall if console else 0.02  # knobs reach 2.6 walls out of the console
+    foot = u(0.09, 0.15) if u() < 0.65 else 0.0  # how deep the console is
+    behind = foot + 3.0 * wall if foot else 0.02  # knobs reach 2.6 walls out of the console
     hinge_x = -depth + behind + GAP
-    front = u(0.02, 0.1) if console else u(0.06, 0.12)  # of the deck, before the lid
+    front = u(0.02, 0.1) if foot else u(0.06, 0.12)  # of the deck, before the lid
     radius = min(width / 2, (depth - behind - 0.01 - front) / 2) - u(0.025, 0.05)
     middle = (hinge_x - front) / 2
     body = [*_casing(width, depth, lift, deck, (middle, radius), wall), *_inside(
@@ -33,8 +32,9 @@ def build_top_loader(rng: np.random.Generator) -> Model:
     )]  # fmt: skip
     body += _feet(width, depth, lift, wall)
     upper = np.deg2rad(u(75.0, 90.0))
-    if console:
-        body += _console(rng, width, depth, deck, console, wall)
+    if foot:
+        high, head = u(0.08, 0.18), u(0.3, 0.8) * foot
+        body += console(rng, (-depth, deck), (width, high), (foot, head), wall)
     else:
         body += _keys(rng, width, deck, front, wall)
         upper = np.deg2rad(u(80.0, 105.0))
@@ -85,21 +85,6 @@ def _feet(width: float, depth: float, lift: float, wall: float) -> list[Solid]:
     foot = tapered(np.array((1.6, 1.28)) * wall, (0.0, lift + wall))
     x, y = depth / 2 - 0.06, width / 2 - 0.06
     return [foot.shifted(-depth / 2 + i * x, j * y) for i in (-1, 1) for j in (-1, 1)]
-
-
-def _console(
-    rng: np.random.Generator, width: float, depth: float, deck: float, foot: float, wall: float
-) -> list[Solid]:
-    """Build a board along the rear edge, leaning back, with the controls."""
-    high, head = rng.uniform(0.08, 0.18), rng.uniform(0.3, 0.8) * foot
-    outline = np.array([(0.0, 0.0), (high, 0.0), (high, head), (0.0, foot)])  # (z, x)
-    board = along_y(prism(outline, -width / 2, width / 2)).shifted(x=-depth, z=deck)
-    lean = arctan2(foot - head, high)
-    T = transform(
-        rotation_about((0, 1, 0), -lean), (-depth + (foot + head) / 2, 0.0, deck + high / 2)
-    )
-    placed = panel(rng, width, 0.8 * high, wall, tray=False)
-    return [board, *(s.moved(T) for s in placed)]
 
 
 def _keys(
