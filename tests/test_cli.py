@@ -393,6 +393,45 @@ def test_a_second_ctrl_c_or_sigterm_changes_nothing(
     assert done.stderr == "finished work is kept; run the same command to resume\n"
 
 
+STUBBORN = """
+import os, signal
+try:
+    os.kill(os.getpid(), signal.{signal})
+    for _ in range(100):  # the handler runs between two instructions
+        pass
+except BaseException:
+    pass
+"""
+IMPORTING = """
+from importlib import import_module
+
+app = import_module("articugen.cli.app")
+
+def work(**_):
+    import stubborn
+    print("went on")
+
+app.app = work
+app.main()
+"""
+
+
+@pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143)])
+def test_a_stop_is_not_swallowed_by_a_module_that_is_imported(
+    tmp_path: Path, name: str, status: int
+) -> None:
+    (tmp_path / "stubborn.py").write_text(STUBBORN.format(signal=name))
+    path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
+    done = subprocess.run(
+        [sys.executable, "-c", IMPORTING],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONPATH": path},
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (status, "", "")
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
 @pytest.mark.parametrize("arguments", [["sources"], ["--help"], ["inspect", "SET"]])
 def test_a_full_standard_output_is_one_sentence(arguments: list[str], made: Path) -> None:

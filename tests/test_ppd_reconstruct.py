@@ -10,7 +10,6 @@ from instances import hinged_box
 from articugen.core.geometry import apply
 from articugen.core.records import dequantize
 from articugen.learning.fields import fields_on_grid, meshes_of_greatest
-from articugen.learning.ppd import learner as module
 from articugen.learning.ppd import reconstruct as reconstruction
 from articugen.learning.ppd.learner import Predictor
 from articugen.learning.ppd.network import PPD
@@ -82,27 +81,25 @@ def test_a_part_is_not_far_outside_of_its_box():
     assert (found[beyond & ~far.numpy()] > reconstruction._NOWHERE).any()
 
 
-def test_interpolation_holds_what_it_holds(monkeypatch):
+def test_interpolation_holds_what_it_holds():
     torch.manual_seed(0)
     learner = Predictor.__new__(Predictor)
     learner.model, learner.points = PPD(ModelSettings()).eval(), None
     learner.residual_direction = True
-    clouds = [dequantize(i.surface_points) for i in hinged_box()]
-    seen = []
-    monkeypatch.setattr(module, "reconstruction_of", lambda _, p, resolution: seen.append(p))
-    learner.between(clouds[0], clouds[3], 5, resolution=8)
-    one, other = learner.predict(clouds[0]), learner.predict(clouds[3])
-    shapes, states = seen[:5], seen[5:]
-    torch.testing.assert_close(shapes[0].shape.detail, one.shape.detail)
-    torch.testing.assert_close(shapes[-1].shape.detail, other.shape.detail)
-    half = (one.shape.detail + other.shape.detail) / 2
-    torch.testing.assert_close(shapes[2].shape.detail, half)
-    for prediction in shapes:
-        torch.testing.assert_close(prediction.pose.state, one.pose.state)
-    torch.testing.assert_close(states[0].pose.state, one.pose.state)
-    torch.testing.assert_close(states[-1].pose.state, other.pose.state)
-    for prediction in states:
-        torch.testing.assert_close(prediction.shape.detail, one.shape.detail)
+    one, other = (dequantize(i.surface_points) for i in hinged_box()[::3])
+    shapes, states = learner.between(one, other, 3, resolution=16)
+    first, last = learner.predict(one), learner.predict(other)
+    low, high = (p.pose.state[0].double().numpy() for p in (first, last))
+    assert not np.allclose(low, high)
+    for found in shapes:
+        np.testing.assert_array_equal(found.joints.state[1:], low)
+    for found, share in zip(states, (0.0, 0.5, 1.0), strict=True):
+        np.testing.assert_allclose(found.joints.state[1:], (1 - share) * low + share * high, 1e-5)
+    codes = [first.shape.towards(last.shape, share) for share in (0.0, 0.5, 1.0)]
+    torch.testing.assert_close(codes[0].detail, first.shape.detail)
+    torch.testing.assert_close(codes[1].detail, (first.shape.detail + last.shape.detail) / 2)
+    torch.testing.assert_close(codes[2].detail, last.shape.detail)
+    assert not torch.equal(codes[0].detail, codes[2].detail)
 
 
 def test_some_parts_alone_have_the_fields_that_they_have_among_all():
