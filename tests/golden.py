@@ -29,7 +29,7 @@ GOLDEN = Path(__file__).with_name("data") / "golden.json"
 
 CATEGORIES = tuple(content.MODELS)
 
-WRITTEN = ("messy", "varied")
+WRITTEN = ("messy", "varied", "rough")
 """The sources procedural_<how> whose objects are other ones, or written otherwise."""
 
 RENEW = "python -m tests.golden --write"
@@ -38,6 +38,8 @@ SETS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(CATEGORIES, ()),
     "laptop, messy": (),
     **{f"{category}, varied": () for category in open_source("procedural_varied").file.categories},
+    "laptop, rough": (),
+    "oven, rough": (),
     "boxes": (),
     "boxes, rigid": ("fusion.rule=rigid",),
     "boxes, reachable": ("fusion.rule=reachable", "sampling.coverage=true"),
@@ -153,7 +155,7 @@ def made(folder: Path) -> dict[str, Any]:
     """What golden.json must hold: the declared versions, and what this code makes."""
     return {
         "stages": dict(content.STAGES),
-        "models": content.MODELS | {"varied": content.VARIED},
+        "models": content.MODELS | content.FORMS,
         "data": {name: data(name, folder / "data" / name) for name in SETS},
         "shapes": {name: shapes(name, folder / "shapes" / name) for name in CATEGORIES},
         "exports": exports(folder / "exports"),

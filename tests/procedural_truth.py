@@ -27,7 +27,7 @@ def object_id(category: str, index: int) -> str:
 
 
 def written(
-    category: str, object_id: str, folder: Path, *, messy: bool = False, varied: bool = False
+    category: str, object_id: str, folder: Path, *, messy: int = 0, varied: bool = False
 ) -> tuple[ArticulatedObject, Truth]:
     """An object written to `folder`, read back, and its truth."""
     path = write_object(category, object_id, folder, messy=messy, varied=varied)

@@ -14,11 +14,12 @@ from articugen.sources.source_file import read_source_file
 FOLDERS = sorted(path.parent for path in SOURCES.glob("*/source.yaml"))
 
 
-def test_the_five_sources_are_there():
+def test_the_six_sources_are_there():
     assert {folder.name for folder in FOLDERS} >= {
         "partnet_mobility",
         "procedural",
         "procedural_messy",
+        "procedural_rough",
         "procedural_varied",
         "shape2motion",
     }
@@ -39,19 +40,20 @@ def test_source_is_described(folder: Path):
 
 
 def test_messy_objects_are_the_clean_ones_and_varied_ones_are_some():
-    clean, messy, varied = (
+    clean, messy, varied, rough = (
         read_source_file(SOURCES / name / "source.yaml")
-        for name in ("procedural", "procedural_messy", "procedural_varied")
+        for name in ("procedural", "procedural_messy", "procedural_varied", "procedural_rough")
     )
     assert clean.categories == messy.categories
+    assert varied.categories == rough.categories
     assert set(clean.categories) == set(procedural.CATEGORIES)
     five = ("drawer", "eyeglasses", "laptop", "oven", "washing_machine")
     assert tuple(varied.categories) == five
     assert varied.categories["oven"].movable == ("door*",)  # racks are locked
     counts = {n: (own.train, own.test) for n, own in varied.categories.items()}
     assert counts == {n: (clean.categories[n].train, clean.categories[n].test) for n in five}
-    assert (clean.messy, messy.messy, varied.messy) == (False, True, False)
-    assert (clean.varied, messy.varied, varied.varied) == (False, False, True)
+    assert [source.messy for source in (clean, messy, varied, rough)] == [0, 1, 0, 2]
+    assert [source.varied for source in (clean, messy, varied, rough)] == [False, False, True, True]
 
 
 def test_no_model_is_committed():

@@ -9,6 +9,7 @@ Bundled recipes and sources lie beside the package in a checkout, else inside of
 """
 
 import hashlib
+from collections.abc import Iterable
 from pathlib import Path
 
 from platformdirs import user_cache_path
@@ -33,7 +34,7 @@ MODELS = {
 }  # fmt: skip
 """The same for the shapes of bundled models, by category: models and their data are made again."""
 
-VARIED = 2  # the same for all varied models
+FORMS = {"varied": 2, "rough": 1}  # the same for all models drawn, or written, in such a form
 
 _INSTALLED = Path(__file__).resolve().parents[1] / "_bundled"
 _ROOT = _INSTALLED if _INSTALLED.is_dir() else _INSTALLED.parent.parent
@@ -54,16 +55,16 @@ def model_version(category: str) -> int | str:
     return f"draft {hashlib.sha256(code).hexdigest()[:12]}"
 
 
-def declared(models: str | None, recipe: str, *, varied: bool = False) -> str:
+def declared(models: str | None, recipe: str, forms: Iterable[str] = ()) -> str:
     """All numbers that decide an object's data, as text.
 
     Args:
         models: the category of which it is a bundled model; None for any other object.
         recipe: its text, which names what it asks for besides and nothing else of that.
-        varied: whether it is a varied one.
+        forms: which of FORMS it has.
     """
     own = {f"{models} models": model_version(models)} if models else {}
-    own |= {"varied models": VARIED} if varied else {}
+    own |= {f"{form} models": FORMS[form] for form in forms}
     asks = '"sharp_points":' in recipe
     numbers = {n: v for n, v in (STAGES | own).items() if asks or n != "sharp"}
     return ", ".join(f"{name} {number}" for name, number in numbers.items())

@@ -58,7 +58,7 @@ def _builder(category: str, *, varied: bool) -> Callable[[np.random.Generator], 
 
 
 def object_files(
-    category: str, object_id: str, *, messy: bool = False, varied: bool = False
+    category: str, object_id: str, *, messy: int = 0, varied: bool = False
 ) -> dict[str, bytes]:
     """Return the files of one object, by name: `model.urdf`, OBJ meshes and `semantics.txt`.
 
@@ -74,7 +74,7 @@ def object_files(
 
 
 def write_object(
-    category: str, object_id: str, folder: Path, *, messy: bool = False, varied: bool = False
+    category: str, object_id: str, folder: Path, *, messy: int = 0, varied: bool = False
 ) -> Path:
     """Write one object as `folder`, for other programs; return its URDF's path.
 

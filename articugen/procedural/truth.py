@@ -107,7 +107,7 @@ def truth_of(
     category: str,
     object_id: str,
     *,
-    messy: bool = False,
+    messy: int = 0,
     varied: bool = False,
     sheet_thickness: float | None = None,
 ) -> Truth:

@@ -111,7 +111,7 @@ class ObjectRef:
             was the model's file.
         own_category: what the model itself says that it is; "" where it does not.
         is_made: whether it is made on demand, by a generator.
-        messy: of objects that are made, whether as badly as real ones come.
+        messy: of objects that are made, how badly they are written: from 0 to 2.
         varied: of objects that are made, whether as various as those of others are.
         licence: the source's.
         settings: what the source says of its category, but for the splits.
@@ -127,7 +127,12 @@ class ObjectRef:
     reader: str = "urdf"
     own_category: str = ""
     is_made: bool = False
-    messy: bool = False
+    messy: int = 0
     varied: bool = False
     licence: str = NO_LICENCE
     settings: CategorySettings = CategorySettings()  # noqa: RUF009 - it is frozen
+
+    @property
+    def forms(self) -> tuple[str, ...]:
+        """Which of `content.FORMS` it has."""
+        return ("varied",) * self.varied + ("rough",) * (self.messy > 1)

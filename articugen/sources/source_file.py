@@ -28,7 +28,7 @@ class SourceFile(Section):
         frame: the frame and unit of the models as they come, in words.
         reader: the layout they are in, a name of `readers.READERS` or of another package's.
         clip_to_limits: whether recipes that leave it to the source stay inside the URDF's limits.
-        messy: (procedural only) write the objects as badly as real data come.
+        messy: (procedural only) write the objects as badly as real data come: 1, or as rough: 2.
         varied: (procedural only) draw them as various as those of others are.
         path: the folder of the models, absolute or relative to source.yaml; by default
             $ARTICUGEN_SOURCES/<source> where that exists, else the folder of source.yaml.
@@ -40,7 +40,7 @@ class SourceFile(Section):
     frame: str
     reader: str = "urdf"
     clip_to_limits: bool = True
-    messy: bool = False
+    messy: int = Field(0, ge=0, le=2)
     varied: bool = False
     path: Path | None = None
     categories: dict[str, CategorySettings] = Field(min_length=1)

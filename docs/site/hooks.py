@@ -22,6 +22,7 @@ import reference  # noqa: E402
 _SOURCES = (
     "procedural",
     "procedural_messy",
+    "procedural_rough",
     "procedural_varied",
     "partnet_mobility",
     "shape2motion",
