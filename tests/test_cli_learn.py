@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -69,6 +70,15 @@ def test_evaluate_predict(folder, monkeypatch):
     assert f"3 objects of {data}, none trained on, 6 instances" in done.output
     for figure in ("reconstructions", "interpolations"):
         assert (runs / "box" / "000" / "evaluation-on-data" / f"{figure}.png").is_file()
+    others = ("--resolution", 8, "--no-figures", "--on", data, "--on")
+    shutil.copytree(data, folder / "again")
+    done = articugen("evaluate", runs / "box", "-d", data, *others, folder / "again")
+    assert done.exit_code == 0, done.output
+    again = (runs / "box" / "000" / "evaluation-on-again" / "evaluation.md").read_text()
+    assert sum(line.startswith("| box-") for line in again.splitlines()) == 3
+    done = articugen("evaluate", runs / "box", "-d", data, *others, data)
+    assert done.exit_code == 2
+    assert "two of the data sets have one name" in done.output
     done = articugen("tables", runs / "box")
     assert done.exit_code == 0, done.output
     assert re.search(r"\| tiny +\| +\d+\.\d\d \|", done.output)

@@ -14,6 +14,7 @@ from articugen.core.geometry import transform
 from articugen.evaluation import evaluate as evaluation_module
 from articugen.evaluation.evaluate import Protocol, evaluate, label_votes, objects_of
 from articugen.evaluation.reconstruction import PartJoints, truth
+from articugen.evaluation.report import _details
 
 FEW = Protocol(points=100, surface_samples=200)
 
@@ -273,6 +274,28 @@ def test_all_objects_of_another_data_set_are_tested(boxes, tmp_path):
     lamps = write_boxes(tmp_path / "lamps", train=1, test=0, states=1, category="lamp")
     with pytest.raises(UnfitData, match="lamps: holds lamp, the model is of box"):
         evaluate(boxes, exactly, FEW, on=lamps, category="box")
+
+
+def test_every_instance_has_its_measures_and_every_object_a_row(boxes):
+    """They say which object is wrong; their means are those of the whole."""
+
+    def wrong_once(instance):
+        found = exactly(instance)
+        wrong = instance.object_id == "box-2" and instance.state_index > 0
+        return replace(found, part=np.zeros_like(found.part)) if wrong else found
+
+    result = evaluate(boxes, wrong_once, FEW, finer=exactly)
+    assert [(m.object, m.state_index) for m in result.measures] == [
+        (f"box-{k}", state) for k in (2, 3) for state in range(3)
+    ]
+    for name in ("label_iou", "finer_label_iou", "f_score", "epe_joint_all"):
+        values = [m.values[name] for m in result.measures if name in m.values]
+        assert np.mean(values) == pytest.approx(result.means[name])
+    assert "epe_joint_all" not in result.measures[0].values, "the canonical pose has not moved"
+    wrong = [m.values["label_iou"] < 1.0 for m in result.measures]
+    assert wrong == [False, True, True, False, False, False]
+    rows = [line for line in _details(result) if line.startswith("| box-")]
+    assert [row.split()[1:4:2] for row in rows] == [["box-2", "3"], ["box-3", "3"]]
 
 
 def test_a_data_set_without_test_objects_is_refused(tmp_path):

@@ -65,7 +65,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The site with a gallery of one object a category, in a folder of no simple name."""
     root = tmp_path_factory.mktemp("a site, ünusual")
     (root / "little.yaml").write_text(LITTLE)
-    little = ("--recipe", root / "little.yaml", "--jobs", 0)
+    little = ("--recipe", root / "little.yaml", "--jobs", 0, "--many", 2)
     made = called(HERE / "gallery.py", root / "gallery", *little)
     assert made.returncode == 0, made.stderr
     assert "gallery: oven, 4 of 5 ..." in made.stdout

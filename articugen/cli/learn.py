@@ -162,8 +162,12 @@ def evaluate(
         int, typer.Option(min=0, help="Random states an object; 0 means all, as in the paper.")
     ] = 8,
     on: Annotated[
-        Path | None,
-        typer.Option(help="Another data set: test all its objects, of which none was trained on."),
+        list[Path] | None,
+        typer.Option(
+            help="Another data set: test all its objects, of which none was trained on. May be "
+            "given several times, for an evaluation each.",
+            show_default="the test objects",
+        ),
     ] = None,
     figures: Annotated[bool, typer.Option(help="Draw figures as well.")] = True,
     threads: Annotated[
@@ -175,25 +179,28 @@ def evaluate(
         from articugen.evaluation.report import markdown
         from articugen.learning import commands
 
-        with stderr.status("evaluating ...") as status:
-            result = commands.evaluate(
-                run,
-                data,
-                protocol=protocol,
-                resolution=resolution,
-                label_poses=label_poses,
-                states=states or None,
-                threads=threads,
-                on=on,
-                on_object=lambda name: status.update(f"evaluated {name}"),
-            )
-        stdout.print(markdown(result), soft_wrap=True, markup=False)
-        out = commands.evaluation_folder(run, protocol, on)
-        stdout.print(f"written: {out}/evaluation.json, evaluation.md", soft_wrap=True)
-        if figures and protocol == "paper":
-            with stderr.status("drawing ..."):
-                for path in commands.draw(run, data, result):
-                    stdout.print(f"drawn: {path}", soft_wrap=True)
+        folders = [commands.evaluation_folder(run, protocol, place) for place in on or [None]]
+        if len(set(folders)) < len(folders):
+            raise typer.BadParameter("--on: two of the data sets have one name; rename a folder")
+        for place, out in zip(on or [None], folders, strict=True):
+            with stderr.status("evaluating ...") as status:
+                result = commands.evaluate(
+                    run,
+                    data,
+                    protocol=protocol,
+                    resolution=resolution,
+                    label_poses=label_poses,
+                    states=states or None,
+                    threads=threads,
+                    on=place,
+                    on_object=lambda name, status=status: status.update(f"evaluated {name}"),
+                )
+            stdout.print(markdown(result), soft_wrap=True, markup=False)
+            stdout.print(f"written: {out}/evaluation.json, evaluation.md", soft_wrap=True)
+            if figures and protocol == "paper":
+                with stderr.status("drawing ..."):
+                    for path in commands.draw(run, data, result):
+                        stdout.print(f"drawn: {path}", soft_wrap=True)
 
 
 @app.command(epilog="Example: articugen tables runs --figure examples.png")

@@ -35,6 +35,7 @@ from articugen.evaluation.results import (
     JointState,
     Kind,
     LeftOut,
+    Measures,
 )
 from articugen.meshes.distances import distance, sample
 from articugen.meshes.marching_cubes import zero_level
@@ -74,12 +75,12 @@ class Protocol:
 @dataclass
 class Tally:
     """What has been measured so far, by votes (P, K) that are cast already: those of canonical
-    poses, and of all if those were asked."""
+    poses, and of all if those were asked. What is added is of the instance named last by `at`."""
 
     votes: Floats
     all_votes: Floats | None = None
     objects: int = 0
-    values: dict[str, list[float]] = field(default_factory=dict)
+    values: dict[tuple[str, int], dict[str, list[float]]] = field(default_factory=dict)
     joint_states: list[JointState] = field(default_factory=list)
     joint_errors: list[JointError] = field(default_factory=list)
 
@@ -89,9 +90,12 @@ class Tally:
         by_all = self.votes if self.all_votes is None else self.all_votes
         self.labels_by_all = metrics.labels_from(by_all)
 
+    def at(self, instance: Instance) -> None:
+        self._row = self.values.setdefault((instance.object_id, instance.state_index), {})
+
     def add(self, **values: float) -> None:
         for name, value in values.items():
-            self.values.setdefault(name, []).append(value)
+            self._row.setdefault(name, []).append(value)
 
     def add_label_iou(self, near: Ints, true: Ints, prefix: str = "") -> None:
         """Add the label IoU of points (n,) by their nearest predicted parts and their true ones."""
@@ -100,18 +104,30 @@ class Tally:
             self.add(label_iou_all_poses=_label_iou(self.labels_by_all, near, true))
 
     def evaluation(self, left_out: LeftOut | None = None) -> Evaluation:
+        rows = self.values.values()
+        names = dict.fromkeys(name for row in rows for name in row)
+        values = {name: [v for row in rows for v in row.get(name, ())] for name in names}
         return Evaluation(
-            means={name: float(np.mean(values)) for name, values in self.values.items()},
+            means={name: float(np.mean(numbers)) for name, numbers in values.items()},
             votes=tuple(tuple(row) for row in self.votes.tolist()),
             labels=tuple(self.labels.tolist()),
             dominant=tuple(self.dominant.tolist()),
             objects=self.objects,
-            instances=len(self.values.get("label_iou", [])),
+            instances=len(values.get("label_iou", [])),
             left_out=left_out,
             joint_states=tuple(self.joint_states),
             joint_lines=tuple(_joint_lines(self.joint_states)),
             joint_errors=tuple(self.joint_errors),
+            measures=tuple(
+                Measures(object=name, state_index=index, values=_means(row))
+                for (name, index), row in self.values.items()
+            ),
         )
+
+
+def _means(row: dict[str, list[float]]) -> dict[str, float]:
+    """Return the means of an instance's measures, but for those that follow from its errors."""
+    return {n: float(np.mean(values)) for n, values in row.items() if "_below_" not in n}
 
 
 def evaluate(
@@ -146,10 +162,12 @@ def evaluate(
     for canonical, *posed in tested(data, on, protocol.states):
         tally.objects += 1
         first = reconstruct(canonical)
+        tally.at(canonical)
         _measure_shape(tally, canonical, first, protocol)
         _note_joint_states(tally, canonical, first)
         for instance in posed:
             found = reconstruct(instance)
+            tally.at(instance)
             matched = _measure_shape(tally, instance, found, protocol)
             _note_joint_states(tally, instance, found)
             _measure_motion(tally, (canonical, instance), (first, found), protocol)
@@ -159,6 +177,7 @@ def evaluate(
                     tally.add(**{name: error})
         if finer and first.whole is not None:
             for instance in (canonical, *posed):
+                tally.at(instance)
                 tally.add_label_iou(*_nearest_parts(instance, finer(instance), protocol), "finer_")
         on_object(canonical.object_id)
     return tally.evaluation()

@@ -95,6 +95,10 @@ _DETAILS = (
 )
 
 
+_OF_OBJECTS = (*LABELS[:2], SHAPES[0], SHAPES[2])
+"""Columns of the table of objects."""
+
+
 @dataclass(frozen=True)
 class Line:
     """The runs of one recipe: a row of the tables."""
@@ -326,7 +330,33 @@ def _details(result: Evaluation) -> list[str]:
         angle = quantity == "direction" or (kind, quantity) == ("revolute", "state")
         unit = "°" if angle else " of the unit frame"
         lines.append(f"| {kind} {quantity} | {limit}{unit} | {value:.1f} |")
-    return [*lines, ""]
+    return [*lines, *_objects(result), ""]
+
+
+def _objects(result: Evaluation) -> list[str]:
+    """Return a row an object, means over its instances, the worst labels first."""
+    rows: dict[str, list[Mapping[str, float]]] = {}
+    for row in result.measures:
+        rows.setdefault(row.object, []).append(row.values)
+    columns = [m for m in _OF_OBJECTS if any(m.name in row.values for row in result.measures)]
+    table = []
+    for name, values in rows.items():
+        means = [[row[m.name] for row in values if m.name in row] for m in columns]
+        cells = [
+            m.factor * np.mean(v) if v else np.nan for m, v in zip(columns, means, strict=True)
+        ]
+        table.append((name, len(values), cells))
+    table.sort(key=lambda row: row[2][:1])
+    head = [["object", "instances", *(m.title.replace("label IoU, %, ", "") for m in columns)]]
+    lines = [
+        [
+            name.replace("|", "\\|"),
+            f"{count}",
+            *(f"{x:.{m.decimals}f}" for m, x in zip(columns, cells, strict=True)),
+        ]
+        for name, count, cells in table
+    ]
+    return ["", *_aligned(head + lines)] if lines else []
 
 
 def _joint_lines(joints: Sequence[JointLine]) -> list[str]:

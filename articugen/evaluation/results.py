@@ -48,6 +48,14 @@ class JointError(_OfJoint):
     axis: float | None
 
 
+class Measures(_Record):
+    """What was measured of one instance: of several joints, the mean over them."""
+
+    object: str
+    state_index: int
+    values: dict[str, float]
+
+
 class JointLine(_Record):
     """The line through a joint's predicted over its true states; None where there is none.
 
@@ -82,6 +90,7 @@ class Evaluation(_Record):
         objects, instances: how many were evaluated.
         left_out: of the release's protocol alone.
         joint_states, joint_lines, joint_errors: empty for a method without joints.
+        measures: of every instance, by the names of `means`; empty in evaluations of before.
     """
 
     means: dict[str, float]
@@ -94,6 +103,7 @@ class Evaluation(_Record):
     joint_states: tuple[JointState, ...] = ()
     joint_lines: tuple[JointLine, ...] = ()
     joint_errors: tuple[JointError, ...] = ()
+    measures: tuple[Measures, ...] = ()
 
 
 class EvaluatedRun(_Record):

@@ -1,4 +1,5 @@
-"""The gallery of the site: a small data set of each category, its contact sheet and its report.
+"""The gallery of the site: a small data set of each category, its contact sheet and its report, and
+many objects of the plain and of the varied source.
 
 `python docs/site/gallery.py build/gallery` makes it as `generate` and `inspect` do; data that
 are there already are kept. `pages` then tells mkdocs what came out.
@@ -8,10 +9,13 @@ are there already are kept. `pages` then tells mkdocs what came out.
 # ruff: noqa: PLC0415
 import argparse
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 CATEGORIES = ("drawer", "eyeglasses", "laptop", "oven", "washing_machine")
+MANY, COLUMNS = 60, 10
+SOURCES = ("procedural", "procedural_varied")
 
 _OVERVIEW = """# Gallery
 
@@ -28,6 +32,13 @@ _ENTRY = """## {name}
 
 {about} [Open its report]({category}.md).
 
+{many}
+
+"""
+
+_MANY = """`{source}`:
+
+![Objects of {source}, each opened somewhere]({category}-{source}.png){{ loading=lazy }}
 """
 
 _REPORT = """---
@@ -42,8 +53,12 @@ hide: [navigation, toc]
 """
 
 
-def make(folder: Path, recipe: str, jobs: int | None = None) -> None:
-    """Make what is missing of the gallery in `folder`, with so many workers, None for all cores."""
+def make(folder: Path, recipe: str, jobs: int | None = None, many: int = MANY) -> None:
+    """Make what is missing of the gallery in `folder`, with so many workers, None for all cores.
+
+    Args:
+        many: so many objects of each source are drawn.
+    """
     import articugen as ag
     from articugen.inspection.report.page import write_report
     from articugen.pictures.contact_sheet import contact_sheet
@@ -53,6 +68,23 @@ def make(folder: Path, recipe: str, jobs: int | None = None) -> None:
         data = ag.generate(category, out=folder / "data", recipe=recipe, jobs=jobs, replace=True)
         contact_sheet(data.shards, folder / f"{category}.png")
         write_report(data.path, data.shards, folder / f"{category}-report.html")
+        for source in SOURCES:
+            crowd = ag.generate(
+                category, source=source, recipe=recipe, objects=many, states=2, jobs=jobs,
+                out=folder / "many" / source, replace=True,
+            )  # fmt: skip
+            _draw_many(crowd.shards, many, folder / f"{category}-{source}.png")
+
+
+def _draw_many(shards: Sequence[Path], many: int, path: Path) -> None:
+    """Draw so many objects as a PNG, each in the state in which its joints have moved most."""
+    from articugen.pictures.contact_sheet import chosen_of, portraits
+    from articugen.pictures.layout import Row, save, sheet
+
+    drawn = [each.pictures[-1] for each in portraits(chosen_of(shards, many), states=2)]
+    rows = [drawn[k : k + COLUMNS] for k in range(0, len(drawn), COLUMNS)]
+    drawing = sheet([Row("", row, [()] * len(row)) for row in rows])
+    save(drawing.resize((drawing.width // 2, drawing.height // 2)), path)
 
 
 def pages(folder: Path) -> dict[str, str | Path]:
@@ -67,9 +99,13 @@ def pages(folder: Path) -> dict[str, str | Path]:
         manifest = json.loads((folder / "data" / category / "manifest.json").read_text("utf-8"))
         told = {"category": category, "name": category.replace("_", " ").capitalize()}
         told |= {"about": _about(manifest), "count": _objects(manifest)}
+        crowds = [f"{category}-{source}.png" for source in SOURCES]
+        told["many"] = "\n".join(
+            _MANY.format(source=source, category=category) for source in SOURCES
+        )
         entries.append(_ENTRY.format(**told))
         made[f"gallery/{category}.md"] = _REPORT.format(**told)
-        for name in (f"{category}.png", f"{category}-report.html"):
+        for name in (f"{category}.png", f"{category}-report.html", *crowds):
             (folder / name).stat()
             made[f"gallery/{name}"] = folder / name
         recipe = json.loads(manifest["recipe"])["name"]
@@ -95,5 +131,6 @@ if __name__ == "__main__":
     parser.add_argument("folder", type=Path, help="where it goes")
     parser.add_argument("--recipe", default="quick", help="of the data sets")
     parser.add_argument("--jobs", type=int, help="worker processes; without it all cores")
+    parser.add_argument("--many", type=int, default=MANY, help="objects drawn of each source")
     asked = parser.parse_args()
-    make(asked.folder, asked.recipe, asked.jobs)
+    make(asked.folder, asked.recipe, asked.jobs, asked.many)

@@ -93,9 +93,11 @@ def evaluate(
     for canonical, *posed in tested(data, on, protocol.states):
         tally.objects += 1
         first = in_points(canonical)
+        tally.at(canonical)
         _label_iou(tally, left_out, canonical, first, protocol)
         for instance in posed:
             found = in_points(instance)
+            tally.at(instance)
             _label_iou(tally, left_out, instance, found, protocol)
             _epe(tally, left_out, (canonical, instance), (first, found), protocol)
         on_object(canonical.object_id)
