@@ -11,10 +11,9 @@ from PIL import Image
 from test_cli import run as invoke
 from test_html_report import STATES, shard
 
-from articugen.core.errors import InvalidArgument
 from articugen.core.records import dequantize, quantize
 from articugen.core.schema import Instance
-from articugen.inspection.likeness import POINTS, chamfer, draw_farthest, likeness, rows
+from articugen.inspection.likeness import POINTS, chamfer, likeness, rows
 
 
 @pytest.fixture(scope="module")
@@ -86,8 +85,15 @@ def test_the_command_prints_draws_and_refuses(
         assert drawn.width > 500
     numbers = json.loads(invoke("compare", *sets, "--json").stdout)
     assert numbers["second: objects"] == 2
-    with pytest.raises(InvalidArgument, match=r"ending in \.png"):
-        draw_farthest(likeness(*sets), tmp_path / "models.urdf")
+    done = invoke("compare", *sets, "--image", tmp_path / "models.urdf")
+    assert done.exit_code == 1
+    assert "ending in .png" in done.output.replace("\n", "")
+    html = tmp_path / "report.html"
+    assert invoke("inspect", sets[0], "--html", html, "--beside", sets[1]).exit_code == 0
+    page = html.read_text("utf-8")
+    assert 'id="likeness"' in page
+    assert f"{likeness(*sets).reached:.3f}" in page
+    assert invoke("inspect", sets[0], "--beside", sets[1]).exit_code == 2
     alone = shard(tmp_path / "train-00000.h5", [box])
     assert "holds one object" in invoke("compare", alone, sets[0]).output
     assert "there is no such" in invoke("compare", sets[0], tmp_path / "nowhere").output

@@ -35,6 +35,10 @@ def inspect(
         Path | None,
         typer.Option("--html", help="Write a report of all of it into this one HTML file."),
     ] = None,
+    beside: Annotated[
+        Path | None,
+        typer.Option(help="Another set or shard: the report says how alike they are, as compare."),
+    ] = None,
     objects: Annotated[
         int | None,
         typer.Option(min=1, max=64, help="Rows of the sheet.", show_default="4; report 12"),
@@ -45,6 +49,8 @@ def inspect(
     ] = None,
 ) -> None:
     """Print what a shard or a data set holds, draw it, and report on it."""
+    if beside and not html:
+        raise typer.BadParameter("--beside is a section of the report; name that with --html")
     with said():
         from articugen.cli.console import left_out
         from articugen.inspection.summary import shards_of, summary
@@ -71,7 +77,7 @@ def inspect(
             from articugen.inspection.report.page import write_report
 
             with stderr.status("looking at all of it ..."):
-                written = write_report(path, shards, html, **asked)
+                written = write_report(path, shards, html, beside=beside, **asked)
             stdout.print(escape(f"report: {html}, {size(written)}"), soft_wrap=True)
 
 
@@ -89,7 +95,7 @@ def compare(
     with said():
         from articugen.core.compiling import compile_kernels
         from articugen.inspection import likeness
-        from articugen.pictures.layout import check_picture
+        from articugen.pictures.layout import check_picture, save
         from articugen.pipeline.run import default_jobs
 
         if image is not None:
@@ -98,7 +104,7 @@ def compare(
         with stderr.status("comparing all objects ..."):
             found = likeness.likeness(first, second)
             if image is not None:
-                likeness.draw_farthest(found, image)
+                save(likeness.farthest(found), image)
         if json:
             stdout.print_json(data=found.numbers)
             return

@@ -22,7 +22,8 @@ from articugen.core.schema import Instance
 from articugen.core.seeding import generator
 from articugen.inspection.summary import shards_of
 from articugen.pictures.contact_sheet import Chosen, chosen_of, portraits
-from articugen.pictures.layout import Row, check_picture, save, sheet
+from articugen.pictures.layout import Row, sheet
+from articugen.pictures.shading import Picture
 from articugen.store.shards import open_shard
 
 POINTS = 1200
@@ -116,13 +117,8 @@ def likeness(first: Path, second: Path) -> Likeness:
     return Likeness(a, b, between, (pairs[0], pairs[1]), (nearest[0], nearest[1]))
 
 
-def draw_farthest(found: Likeness, path: Path, *, count: int = 6) -> None:
-    """Draw the objects of the second set that are farthest from the first, their nearest below.
-
-    Raises:
-        InvalidArgument: `path` is not named like a PNG.
-    """
-    check_picture(path)
+def farthest(found: Likeness, *, count: int = 6) -> Picture:
+    """Draw the objects of the second set that are farthest from the first, their nearest below."""
     distance, nearest = found.between.min(axis=1), found.between.argmin(axis=1)
     far = np.argsort(-distance, kind="stable")[:count]
     rows = []
@@ -136,7 +132,7 @@ def draw_farthest(found: Likeness, path: Path, *, count: int = 6) -> None:
             for d, k in zip(drawn, far, strict=True)
         ]
         rows.append(Row(title, [d.pictures[0] for d in drawn], captions))
-    save(sheet(rows), path)
+    return sheet(rows)
 
 
 def _objects(path: Path) -> Objects:

@@ -16,12 +16,14 @@ from pathlib import Path
 from articugen.core.content import VERSION
 from articugen.core.errors import InvalidArgument
 from articugen.core.files import check_place, write_atomically
+from articugen.inspection.likeness import Likeness, farthest, likeness
 from articugen.inspection.report import sections
 from articugen.inspection.report.facts import Facts, facts
 from articugen.inspection.report.markup import Markup, el
 from articugen.inspection.report.truth import Measured, measured
 from articugen.inspection.report.turnable import Turnable, turnable
 from articugen.pictures.contact_sheet import Chosen, Portraits, portraits, some_of
+from articugen.pictures.shading import Picture
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 
 OBJECTS, STATES = 12, 3  # of the contact sheet, unless more are asked for
@@ -38,6 +40,7 @@ class Report:
         manifest: of the folder; None of a shard or an unfinished folder.
         sheet: the pictures; none where no surface is stored.
         turnable: the object that can be turned, likewise.
+        alike: another set, and how alike its objects are.
     """
 
     path: Path
@@ -46,21 +49,29 @@ class Report:
     sheet: Sequence[Portraits]
     turnable: Turnable | None
     measured: Measured
+    alike: tuple[Path, Likeness] | None
 
 
 def write_report(
-    path: Path, shards: Sequence[Path], html: Path, *, objects: int = OBJECTS, states: int = STATES
+    path: Path,
+    shards: Sequence[Path],
+    html: Path,
+    *,
+    beside: Path | None = None,
+    objects: int = OBJECTS,
+    states: int = STATES,
 ) -> int:
     """Write the report of a data set, or of one shard, as an HTML file; its size in bytes.
 
     Args:
         path: the folder, or the shard; `shards` those that it stands for.
         html: the file to write.
+        beside: another data set, or a shard, to which its objects are compared.
         objects, states: rows and columns of the contact sheet.
 
     Raises:
         CorruptShard: a shard or the manifest cannot be read.
-        InvalidArgument: `html` is named like something else.
+        InvalidArgument: `html` is named like something else; there is nothing to compare.
         MachineFault: `html` cannot be written.
     """
     if html.suffix.lower() not in (".html", ".htm"):  # it may be somebody's data
@@ -81,6 +92,7 @@ def write_report(
         sheet=portraits(some_of(drawable, objects), states=states, pooling=POOLED, size=PICTURE),
         turnable=turnable(found.objects),
         measured=measured(found.objects, manifest),
+        alike=None if beside is None else (beside, likeness(path, beside)),
     )
     data = page(report).encode()
     write_atomically(html, data)
@@ -139,6 +151,10 @@ def _sections(report: Report) -> list[tuple[str, str, Markup]]:
     pictures = {p.object_id: webp(p) for p in report.sheet}
     turned = report.turnable
     still = pictures.get(turned.object_id, [""])[0] if turned else ""
+    alike = []
+    if report.alike:
+        picture = address(farthest(report.alike[1]))
+        alike = [("likeness", "Likeness", sections.alike(*report.alike, picture))]
     return [
         ("overview", "Overview", sections.overview(found, manifest)),
         ("turn", "Turn it", sections.turning(turned, every, still)),
@@ -146,6 +162,7 @@ def _sections(report: Report) -> list[tuple[str, str, Markup]]:
         ("joints", "Joints", sections.joints(every)),
         ("parts", "Parts", sections.parts(every)),
         ("truth", "Truth", sections.truth(report.measured)),
+        *alike,
         ("objects", "Objects", sections.objects(every, manifest)),
         ("left-out", "Left out", sections.left_out(manifest)),
         ("recipe", "Recipe", sections.recipe(found, manifest)),
@@ -155,12 +172,14 @@ def _sections(report: Report) -> list[tuple[str, str, Markup]]:
 
 def webp(drawn: Portraits) -> list[str]:
     """Return the pictures as addresses that hold them."""
-    addresses = []
-    for picture in drawn.pictures:
-        file = BytesIO()
-        picture.save(file, "WEBP", quality=82, method=4)
-        addresses.append(f"data:image/webp;base64,{base64.b64encode(file.getvalue()).decode()}")
-    return addresses
+    return [address(picture) for picture in drawn.pictures]
+
+
+def address(picture: Picture) -> str:
+    """Return an address that holds a picture."""
+    file = BytesIO()
+    picture.save(file, "WEBP", quality=82, method=4)
+    return f"data:image/webp;base64,{base64.b64encode(file.getvalue()).decode()}"
 
 
 def _digest(text: str) -> str:

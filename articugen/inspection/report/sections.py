@@ -11,6 +11,7 @@ import numpy as np
 from articugen.core.colours import colour_of
 from articugen.core.records import JointKind
 from articugen.core.tables import counted, duration, size
+from articugen.inspection.likeness import Likeness, rows
 from articugen.inspection.report.facts import (
     Facts,
     JointStates,
@@ -253,6 +254,18 @@ def truth(found: Measured) -> Markup:
         hint(said),
         el("div", table(("", ">All together", ">Worst instance"), rows, "Agreement"),
            class_="card narrow"),
+    )  # fmt: skip
+
+
+def alike(other: Path, found: Likeness, picture: str) -> Markup:
+    """Return how alike the objects are to those of another set, and those that are least so."""
+    lines = table(("", ">These", f">{other}"), rows(found), "Likeness")
+    return join(
+        hint("Distances are Chamfer distances in the canonical pose, a longest edge is 1; all else "
+             "is the median (10 %, 90 %). The pictures are of the others that are farthest from "
+             "any object here, with the nearest one here below."),
+        el("div", lines, class_="card narrow"),
+        card(el("figure", el("img", src=picture, alt="The farthest of the other set"))),
     )  # fmt: skip
 
 
