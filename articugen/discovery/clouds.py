@@ -61,7 +61,7 @@ class Surface:
     def shaped(self, of: "Cells", near: float) -> "Surface":
         """With what the cloud `of` (one pose) around the points tells; normals that are known
         stay."""
-        normals, stiffness = kernels.shapes(self.points, of.points, of.starts, 0, 1.8 * near)
+        normals, stiffness = kernels.shapes(self.points, of.points, of.starts, 1.8 * near)
         return replace(self, normals=self.normals if self.signed else normals, stiffness=stiffness)
 
 
@@ -103,9 +103,7 @@ class Cells:
         if steps not in self._within:
             marks = self._marks()
             R = kernels.VOTES
-            self._within[steps] = _widened(marks.reshape(-1, R, R, R), steps).reshape(
-                len(marks), -1
-            )
+            self._within[steps] = widened(marks.reshape(-1, R, R, R), steps).reshape(len(marks), -1)
         return self._within[steps]
 
     def _marks(self) -> NDArray[np.uint8]:
@@ -131,13 +129,10 @@ class Cells:
         return kernels.distances(*self._of(surface, motions, reach=reach))
 
     def agreement(self, surface: Surface, motions: Floats, reach: float) -> Floats:
-        """Return (K,) how well points, moved by `motions` (K, 3, 4), lie on each pose, the more the
-        nearer they are to it."""
-        return kernels.agreement(*self._of(surface, motions, reach=reach))
-
-    def profiles(self, surface: Surface, steps: Floats, reach: float) -> Floats:
-        """Return (K, T) the same for each of `steps` (T, 3, 4) in each pose."""
-        return kernels.profiles(*self._of(surface, steps, reach=reach))
+        """Return (K, T) how well points lie on each pose, the more the nearer they are to it, moved
+        by each of `motions`: (K, T, 3, 4), or (T, 3, 4) of every pose."""
+        of_each = np.array(np.broadcast_to(motions, (len(self), *motions.shape[-3:])))
+        return kernels.agreement(*self._of(surface, of_each, reach=reach))
 
     def across(self, reach: float) -> float:
         """Return how far from plane to plane points within `reach` may be: planes are known better
@@ -207,7 +202,7 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
     first = Cells.of([Surface.bare(points[0])])
     # most points of a surface are nearer to one another than `near`
     some = points[0][:: max(len(points[0]) // 2000, 1)]
-    gaps = kernels.spacing(some, first.points, first.starts, 0, 2.0 / kernels.CELLS)
+    gaps = kernels.spacing(some, first.points, first.starts, 2.0 / kernels.CELLS)
     near = float(np.clip(1.25 * np.quantile(gaps, 0.97), *_NEAR))
     left = _left(points, near)
     if left.max() > 1.0 - _STAYS:
@@ -234,7 +229,7 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
     return Change(frame, clouds, near, start, first, chosen, searched, targets, gone, movers)
 
 
-def _widened(bits: NDArray[np.uint8], steps: int) -> NDArray[np.uint8]:
+def widened(bits: NDArray[np.uint8], steps: int) -> NDArray[np.uint8]:
     """Grids (G, R, R, R) of bits, with those of all that is so many cells away along each axis."""
     for axis in (1, 2, 3):
         wider = bits.copy()
@@ -311,7 +306,7 @@ def _share_about(cloud: Floats, flags: NDArray[np.bool_], near: float) -> Floats
     """(n,) which share of the points around each has its flag set; its own does not count."""
     cells = Cells.of([Surface.bare(cloud)])
     values = flags[np.argsort(cell_of(cloud), kind="stable")].astype(np.float64)
-    found = kernels.about(cloud, values, cells.points, cells.starts, 0, 1.5 * near, True)
+    found = kernels.about(cloud, values, cells.points, cells.starts, 1.5 * near, True)
     return found[:, 1] / np.maximum(found[:, 0], 1.0)
 
 

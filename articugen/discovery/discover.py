@@ -410,7 +410,7 @@ def _as_neighbours(
     votes = np.array(
         [
             kernels.about(
-                cloud, (sorted_label == k) * 1.0, cells.points, cells.starts, 0, 2 * near, False
+                cloud, (sorted_label == k) * 1.0, cells.points, cells.starts, 2 * near, False
             )[:, 1]
             for k in range(count)
         ]

@@ -57,7 +57,7 @@ def states_of(joint: Candidate, part: Surface, cells: Cells, near: float) -> Flo
     else:
         steps = np.linspace(-1.0, 1.0, STEPS + 1)
     few = part[some(np.arange(len(part)), _FEW[part.signed])]
-    heights = cells.profiles(few, motions(joint, steps), 1.5 * near)
+    heights = cells.agreement(few, motions(joint, steps), 1.5 * near)
     found, fit = [], []
     for _ in range(_PEAKS):
         peak = heights.argmax(1)
@@ -65,7 +65,7 @@ def states_of(joint: Candidate, part: Surface, cells: Cells, near: float) -> Flo
         for reach in (2.0 * near, near):
             close = fitted(close, few, cells, reach, 4, states_alone=True)
         found.append(close.states)
-        fit.append(cells.agreement(few, motions(close), near))
+        fit.append(cells.agreement(few, motions(close)[:, None], near)[:, 0])
         for k, at in enumerate(peak):
             heights[k, max(at - 2, 0) : at + 3] = -1.0
     best = replace(joint, states=np.choose(np.argmax(fit, axis=0), found))

@@ -170,15 +170,15 @@ def met(
 
 
 @kernel
-def about(queries, values, points, starts, pose, reach, skip_self):
-    """Return (n, 2) of the points of a pose within `reach` of each query: how many, and the sum of
-    their `values`; `skip_self` leaves out those that are where the query is."""
+def about(queries, values, points, starts, reach, skip_self):
+    """Return (n, 2) of the points of one pose within `reach` of each query: how many, and the sum
+    of their `values`; `skip_self` leaves out those that are where the query is."""
     out = np.zeros((len(queries), 2))
     for i in range(len(queries)):
         x, y, z = queries[i, 0], queries[i, 1], queries[i, 2]
         for a in _span(x, reach):
             for b in _span(y, reach):
-                for n in _row(starts, pose, a, b, z, reach):
+                for n in _row(starts, 0, a, b, z, reach):
                     dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
                     d = dx * dx + dy * dy + dz * dz
                     if d <= reach * reach and not (skip_self and d == 0.0):
@@ -188,7 +188,7 @@ def about(queries, values, points, starts, pose, reach, skip_self):
 
 
 @kernel
-def spacing(queries, points, starts, pose, reach):
+def spacing(queries, points, starts, reach):
     """(n,) how far the nearest other point of the same cloud is; `reach` where none is nearer."""
     out = np.empty(len(queries))
     for i in range(len(queries)):
@@ -196,7 +196,7 @@ def spacing(queries, points, starts, pose, reach):
         best = reach * reach
         for a in _span(x, reach):
             for b in _span(y, reach):
-                for n in _row(starts, pose, a, b, z, reach):
+                for n in _row(starts, 0, a, b, z, reach):
                     dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
                     d = dx * dx + dy * dy + dz * dz
                     if 0.0 < d < best:
@@ -279,7 +279,7 @@ def _shape(C, normal, stiffness):  # noqa: PLR0912 - two rotations a line each
 
 
 @kernel
-def shapes(queries, points, starts, pose, reach):
+def shapes(queries, points, starts, reach):
     """Of what is within `reach` of each query: (n, 3) the unit normal, of either sign, of the plane
     through it, zeros where that is no plane; (n, 3, 3) its stiffness, see `_shape`."""
     out, stiffness = np.zeros((len(queries), 3)), np.zeros((len(queries), 3, 3))
@@ -290,7 +290,7 @@ def shapes(queries, points, starts, pose, reach):
         sx = sy = sz = count = 0.0
         for a in _span(x, reach):
             for b in _span(y, reach):
-                for n in _row(starts, pose, a, b, z, reach):
+                for n in _row(starts, 0, a, b, z, reach):
                     dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
                     if dx * dx + dy * dy + dz * dz > reach * reach:
                         continue
@@ -349,48 +349,23 @@ def votes(turned, offsets, weights, grid):
     return most, step
 
 
-@helper
-def _agreement(
-    queries, query_normals, M, points, normals, signed, starts, within, pose, reach, across
-):  # fmt: skip
-    """How well query points, moved by M, lie on a pose: the sum over them of 1 - (d / reach)^2."""
-    total = 0.0
-    for i in range(len(queries)):
-        x, y, z, nx, ny, nz = moved(M, queries[i], query_normals[i])
-        if is_void(within, pose, x, y, z):
-            continue
-        at, d = nearest(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, across)
-        if at >= 0:
-            total += 1.0 - d / (reach * reach)
-    return total
-
-
 @kernel
 def agreement(
     queries, query_normals, motions, points, normals, signed, starts, within, reach, across
 ):  # fmt: skip
-    """Return (K,) how well query points (m, 3), moved by `motions` (K, 3, 4), lie on each pose: the
-    sum over them of 1 - (d / reach)^2, 0 beyond it. `within` as in `is_void`."""
-    out = np.zeros(len(motions))
-    for k in range(len(motions)):
-        out[k] = _agreement(
-            queries, query_normals, motions[k], points, normals, signed, starts, within, k, reach,
-            across,
-        )  # fmt: skip
-    return out
-
-
-@kernel
-def profiles(
-    queries, query_normals, steps, points, normals, signed, starts, within, reach, across
-):  # fmt: skip
-    """Return (K, T) the `agreement` of query points, moved by each of `steps` (T, 3, 4), with each
-    of the poses."""
-    out = np.zeros((len(starts), len(steps)))
-    for k in range(len(starts)):
-        for t in range(len(steps)):
-            out[k, t] = _agreement(
-                queries, query_normals, steps[t], points, normals, signed, starts, within, k, reach,
-                across,
-            )  # fmt: skip
+    """Return (K, T) how well query points (m, 3), moved by each of `motions` (K, T, 3, 4), lie on
+    each pose: the sum over them of 1 - (d / reach)^2, 0 beyond it. `within` as in `is_void`."""
+    K, T = motions.shape[:2]
+    out = np.zeros((K, T))
+    for k in range(K):
+        for t in range(T):
+            for i in range(len(queries)):
+                x, y, z, nx, ny, nz = moved(motions[k, t], queries[i], query_normals[i])
+                if is_void(within, k, x, y, z):
+                    continue
+                at, d = nearest(
+                    points, normals, signed, starts, k, x, y, z, nx, ny, nz, reach, across
+                )
+                if at >= 0:
+                    out[k, t] += 1.0 - d / (reach * reach)
     return out

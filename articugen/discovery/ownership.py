@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from articugen.core.geometry import invert_rigid
 from articugen.core.records import Floats
 from articugen.discovery import kernels
-from articugen.discovery.clouds import Cells, Surface
+from articugen.discovery.clouds import Cells, Surface, widened
 
 ASKED, ASKING, POINTS = 21, 41, 400
 """So many poses are asked, about points of so many poses, at most so many of each."""
@@ -81,7 +81,8 @@ def assign_material(
     """
     K, P = motion.shape[:2]
     asked = np.unique(np.linspace(0, K - 1, ASKED).astype(int))
-    evidence = _Evidence.of([clouds[k] for k in asked], hidden[asked], motion[asked])
+    surfaces = Cells.of([Surface.bare(clouds[k]) for k in asked])
+    evidence = _Evidence(surfaces, widened(hidden[asked].astype(np.uint8), 1), motion[asked])
     asking = np.unique(np.linspace(0, K - 1, ASKING).astype(int))
     some = [clouds[k][:: len(clouds[k]) // POINTS + 1] for k in asking]
     back = zip(some, invert_rigid(motion[asking]), strict=True)
@@ -118,14 +119,6 @@ class _Evidence:
     taken: NDArray[np.uint8]
     motion: NDArray[np.float64]
 
-    @staticmethod
-    def of(
-        clouds: list[Floats], hidden: NDArray[np.bool_], motion: NDArray[np.float64]
-    ) -> "_Evidence":
-        return _Evidence(
-            Cells.of([Surface.bare(cloud) for cloud in clouds]), _grown(hidden), motion
-        )
-
     def against(self, rest: Floats, part: int) -> Floats:
         """(n,) in which share of the poses points, at rest (n, 3), come to where nothing is."""
         M = np.ascontiguousarray(self.motion[:, part, :3])
@@ -149,17 +142,6 @@ class _Evidence:
         out = np.zeros(asked.shape)
         out[asked] = self.against((np.argwhere(asked) + 0.5) / len(asked) - 0.5, part)
         return out
-
-
-def _grown(grids: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Grids (K, R, R, R) with all that is beside a voxel, corners included."""
-    grown = grids.astype(np.uint8)
-    for axis in (1, 2, 3):
-        before = np.moveaxis(grown.copy(), axis, 0)
-        after = np.moveaxis(grown, axis, 0)
-        after[1:] |= before[:-1]
-        after[:-1] |= before[1:]
-    return grown
 
 
 def _box_of_sure(rest: Floats, doubt: Floats, part: int) -> Floats | None:
