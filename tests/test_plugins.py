@@ -221,9 +221,9 @@ def test_the_name_of_no_reader_has_its_nearest(tmp_path: Path) -> None:
 
 def test_ours_say_what_they_are() -> None:
     assert [name for name, each in READERS.items() if isinstance(each, Maker)] == ["procedural"]
-    for each in READERS.values():
+    for name, each in READERS.items():
         assert each.detect(Path(__file__)) is None
-        assert each.find(Path(__file__).parent / "fuzz") == []  # a folder of code
+        assert readers.find(name, Path(__file__).parent / "fuzz") == []  # a folder of code
 
 
 def test_a_package_adds_a_renderer(install: Install) -> None:

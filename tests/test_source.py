@@ -359,7 +359,7 @@ def test_what_a_reader_did_not_expect_is_the_objects_fault(tmp_path, monkeypatch
         (OSError(errno.EIO, "Input/output error"), MachineFault),
         (OSError(errno.EMFILE, "Too many open files"), MachineFault),
     ):
-        monkeypatch.setattr("articugen.sources.urdf_files.load_urdf", raising(error))
+        monkeypatch.setattr("articugen.sources.urdf.load_urdf", raising(error))
         with pytest.raises(kind) as caught:
             load(ref)
         assert "\n" not in str(caught.value)

@@ -9,9 +9,8 @@ from os.path import isfile
 from pathlib import Path
 
 from articugen.core.records import ArticulatedObject
-from articugen.sources.folders import visible
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
-from articugen.sources.urdf import load_urdf
+from articugen.sources.urdf import load_object
 
 _URDF = "mobility.urdf"
 
@@ -23,18 +22,6 @@ def detect(path: Path) -> Found | None:
     return None
 
 
-def find(base: Path) -> list[Found]:
-    """Return the folders in `base` that are models."""
-    return [found for folder in visible(base) if (found := detect(folder))]
-
-
 def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
     """Read one; see `urdf.load_urdf`."""
-    return load_urdf(
-        ref.location / _URDF,
-        object_id=ref.object_id,
-        category=ref.category,
-        source=ref.source,
-        root=ref.location,
-        T_world_root=settings.turn,
-    )
+    return load_object(ref, settings, ref.location / _URDF, root=ref.location)

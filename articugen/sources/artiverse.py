@@ -10,9 +10,9 @@ from pathlib import Path
 
 from articugen.core.errors import InvalidSource
 from articugen.core.records import ArticulatedObject
-from articugen.sources.folders import ending_in, visible
+from articugen.sources.folders import ending_in
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
-from articugen.sources.urdf import load_urdf
+from articugen.sources.urdf import load_object
 
 _FOLDER = "urdf_w_collider"
 
@@ -22,11 +22,6 @@ def detect(path: Path) -> Found | None:
     if isfile(path / f"{path.name}.articulations.json") or isdir(path / _FOLDER):
         return Found(path.name, path, path.name, category_above=2)
     return None
-
-
-def find(base: Path) -> list[Found]:
-    """Return the folders in `base` that are models."""
-    return [found for folder in visible(base) if (found := detect(folder))]
 
 
 def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
@@ -39,14 +34,7 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
     urdfs = ending_in(folder, ".urdf")
     if not urdfs:
         raise InvalidSource(f"{folder}: holds no URDF; get the model again, or leave it out")
-    obj = load_urdf(
-        urdfs[0],
-        object_id=ref.object_id,
-        category=ref.category,
-        source=ref.source,
-        root=folder,
-        T_world_root=settings.turn,
-    )
+    obj = load_object(ref, settings, urdfs[0], root=folder)
     if len(urdfs) == 1:
         return obj
     others = ", ".join(path.name for path in urdfs[1:])

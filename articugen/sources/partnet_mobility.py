@@ -12,9 +12,9 @@ from pathlib import Path
 from articugen.core.errors import InvalidSource
 from articugen.core.records import ArticulatedObject
 from articugen.meshes.model_files import MAX_TEXT_BYTES, ModelFiles, quoted
-from articugen.sources.folders import meta_category, visible
+from articugen.sources.folders import meta_category
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
-from articugen.sources.urdf import load_urdf
+from articugen.sources.urdf import load_object
 
 URDF = "mobility.urdf"
 
@@ -25,11 +25,6 @@ KNOWN_MISSING = "new-*.obj"
 def detect(path: Path) -> Found | None:
     """Return the model that a folder with mobility.urdf and meta.json is."""
     return _found(path) if isfile(path / URDF) and isfile(path / "meta.json") else None
-
-
-def find(base: Path) -> list[Found]:
-    """Return the folders in `base` that have a mobility.urdf."""
-    return [model for folder in visible(base) for model in find_at(folder)]
 
 
 def find_at(child: Path) -> list[Found]:
@@ -51,15 +46,13 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
     files = ModelFiles(folder)
     # semantics.txt: the name of each link's part; a line is `link_0 hinge rotation_door`
     table = [line.split() for line in (_text(files, "semantics.txt") or "").splitlines()]
-    obj = load_urdf(
+    obj = load_object(
+        ref,
+        settings,
         folder / URDF,
-        object_id=ref.object_id,
-        category=ref.category,
-        source=ref.source,
         root=folder,
         missing_ok=KNOWN_MISSING,
         semantics={words[0]: words[2] for words in table if len(words) == 3},
-        T_world_root=settings.turn,
     )
     notes = list(obj.notes)
     name = meta_category(folder)

@@ -7,7 +7,7 @@ from articugen import procedural
 from articugen.core.records import ArticulatedObject
 from articugen.meshes.model_files import FilesInMemory
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
-from articugen.sources.urdf import load_urdf
+from articugen.sources.urdf import load_object
 
 CATEGORIES = procedural.CATEGORIES
 
@@ -15,11 +15,6 @@ CATEGORIES = procedural.CATEGORIES
 def detect(path: Path) -> Found | None:
     """None: what was written of them reads as any URDF does."""
     return None
-
-
-def find(base: Path) -> list[Found]:
-    """None: which there are is a matter of counting."""
-    return []
 
 
 def object_id(category: str, index: int) -> str:
@@ -38,14 +33,8 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
     contents = procedural.object_files(
         ref.category, ref.object_id, messy=ref.messy, varied=ref.varied
     )
-    return load_urdf(
-        Path(ref.object_id, procedural.URDF_NAME),
-        object_id=ref.object_id,
-        category=ref.category,
-        source=ref.source,
-        files=FilesInMemory(contents),
-        T_world_root=settings.turn,
-    )
+    path = Path(ref.object_id, procedural.URDF_NAME)
+    return load_object(ref, settings, path, files=FilesInMemory(contents))
 
 
 def write(ref: ObjectRef, folder: Path) -> None:

@@ -6,7 +6,8 @@ names it as an entry point of the group `articugen.readers`: see docs/extending.
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -26,6 +27,7 @@ from articugen.sources import (
     shape2motion,
     urdf_files,
 )
+from articugen.sources.folders import visible
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.usd import reader as usd
 
@@ -33,16 +35,16 @@ MAX_METRES = 1e6  # how far from its link's origin anything may lie
 
 
 class Reader(Protocol):
-    """One layout; a module with these three functions is one."""
+    """One layout; a module with these functions is one.
+
+    A module of another package has a third one, `find(base) -> list[Found]`: the models in a folder
+    of a source whose source.yaml names this reader. Without it they are what `find_at(child)`, if
+    there is one, or else `detect` makes of each thing in that folder.
+    """
 
     def detect(self, path: Path) -> Found | None:
         """The model that a file or folder is, as it is named in a folder of others; None where it
         is none of this layout. Asked of everything in a folder: a look at a few names must do."""
-        ...
-
-    def find(self, base: Path) -> list[Found]:
-        """Return the models in a folder of a source whose source.yaml names this reader; mostly
-        what `detect` makes of each thing in it."""
         ...
 
     def load(self, ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
@@ -125,13 +127,11 @@ def detect(path: Path) -> Found | None:
     Raises:
         InvalidSource: another package's reader fails at it.
     """
-    for name, each in (READERS | _OTHERS.load_all(tuple(READERS))).items():
-        try:
-            found = each.detect(path)
-        except Exception as error:
-            raise _failed(name, path, error) from error
-        if found:
-            return replace(found, reader=name)
+    for name, layout in (READERS | _OTHERS.load_all(tuple(READERS))).items():
+        with _examining(name, path):
+            model = layout.detect(path)
+        if model:
+            return replace(model, reader=name)
     return None
 
 
@@ -141,28 +141,41 @@ def find(name: str, base: Path) -> list[Found]:
     Raises:
         InvalidSource, BrokenPlugin: as `reader` and `detect`.
     """
-    try:
-        return [replace(found, reader=name) for found in reader(name).find(base)]
-    except Exception as error:
-        raise _failed(name, base, error) from error
+    of_all = getattr(reader(name), "find", None)
+    if of_all is None:
+        return [model for child in visible(base) for model in find_at(name, child)]
+    with _examining(name, base):
+        return [replace(model, reader=name) for model in of_all(base)]
 
 
 def find_at(name: str, child: Path) -> list[Found]:
-    """What `find` makes of one thing in a folder; nothing where the reader is another package's,
-    which tells that of whole folders alone.
+    """Return what `find` makes of one thing in a folder; nothing where the reader is another
+    package's, which tells that of whole folders alone.
 
     Raises:
         InvalidSource: the reader fails at it.
     """
     if name not in READERS:
         return []
-    own = READERS[name]
-    more = getattr(own, "find_at", None)  # where `find` makes more of it than `detect` does
+    more = getattr(READERS[name], "find_at", None)  # where there may be several, or other marks
+    with _examining(name, child):
+        models = more(child) if more else [READERS[name].detect(child)]
+        return [replace(model, reader=name) for model in models if model]
+
+
+@contextmanager
+def _examining(name: str, path: Path) -> Iterator[None]:
+    """Make a refusal of whatever nobody thought of, as the reader of that name examines `path`."""
     try:
-        models = more(child) if more else [own.detect(child)]
-        return [replace(found, reader=name) for found in models if found]
+        yield
+    except (ArticugenError, MemoryError):
+        raise
     except Exception as error:
-        raise _failed(name, child, error) from error
+        reason = printable(f"{type(error).__name__}: {error}")[:200]
+        raise machine_fault(error) or InvalidSource(
+            f"{printable(str(path))}: the reader {name!r} cannot examine it ({reason}); leave it "
+            "out and report it, please"
+        ) from error
 
 
 def load(ref: ObjectRef) -> ArticulatedObject:
@@ -250,14 +263,3 @@ def check_sound(obj: ArticulatedObject, where: str) -> None:
                 f"{where}: joint {printable(joint.name)}: its range is {joint.lower:g} to "
                 f"{joint.upper:g}; name the lesser end first"
             )
-
-
-def _failed(name: str, path: Path, error: Exception) -> Exception:
-    """What to raise where a reader raised `error` as it examined `path`."""
-    if isinstance(error, ArticugenError | MemoryError):
-        return error
-    reason = printable(f"{type(error).__name__}: {error}")[:200]
-    return machine_fault(error) or InvalidSource(
-        f"{printable(str(path))}: the reader {name!r} cannot examine it ({reason}); leave it out "
-        "and report it, please"
-    )

@@ -22,9 +22,9 @@ from articugen.core.records import ArticulatedObject, Floats, Joint, JointKind, 
 from articugen.meshes.model_files import MAX_NAME_BYTES, MAX_TEXT_BYTES, ModelFiles, quoted
 from articugen.meshes.read import read_mesh
 from articugen.meshes.scenes import check_size
-from articugen.sources.folders import ending_in, meta_category, visible
+from articugen.sources.folders import ending_in, meta_category
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
-from articugen.sources.urdf import load_urdf
+from articugen.sources.urdf import load_object
 from articugen.sources.urdf_check import MAX_LINKS, MAX_NUMBER
 
 _ATTRIBUTES = "motion_attributes.json"
@@ -64,11 +64,6 @@ def detect(path: Path) -> Found | None:
     return _found(path) if isfile(path / _ATTRIBUTES) and isdir(path / "part_objs") else None
 
 
-def find(base: Path) -> list[Found]:
-    """Return the folders in `base` that hold a model in either form."""
-    return [model for folder in visible(base) for model in find_at(folder)]
-
-
 def find_at(child: Path) -> list[Found]:
     """Return the model in either form that a folder is."""
     forms = (_ATTRIBUTES, "*.urdf")
@@ -87,22 +82,15 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
         InvalidSource: anything amiss in the folder, or a spiral joint.
     """
     raw = (ref.location / _ATTRIBUTES).is_file()
-    return (_load_raw if raw else _load_urdf_form)(ref, settings.turn)
+    return (_load_raw if raw else _load_urdf_form)(ref, settings)
 
 
-def _load_urdf_form(ref: ObjectRef, turn: Floats) -> ArticulatedObject:
+def _load_urdf_form(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
     folder = ref.location
     variants = ending_in(folder, ".urdf")
     if not variants:
         raise InvalidSource(f"{folder}: has neither {_ATTRIBUTES} nor a .urdf file; add one")
-    obj = load_urdf(
-        variants[0],
-        object_id=ref.object_id,
-        category=ref.category,
-        source=ref.source,
-        root=folder,
-        T_world_root=turn,
-    )
+    obj = load_object(ref, settings, variants[0], root=folder)
     notes = list(obj.notes)
     if len(variants) > 1:
         others = ", ".join(path.name for path in variants[1:])
@@ -121,7 +109,7 @@ def _load_urdf_form(ref: ObjectRef, turn: Floats) -> ArticulatedObject:
     return replace(obj, joints=tuple(joints), notes=tuple(notes))
 
 
-def _load_raw(ref: ObjectRef, turn: Floats) -> ArticulatedObject:
+def _load_raw(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
     folder = ref.location
     files = ModelFiles(folder)
     path = folder / _ATTRIBUTES
@@ -154,7 +142,7 @@ def _load_raw(ref: ObjectRef, turn: Floats) -> ArticulatedObject:
         category=ref.category,
         links=tuple(links),
         joints=tuple(joints),
-        T_world_root=turn,
+        T_world_root=settings.turn,
         sha256=files.sha256(),
         source=ref.source,
         notes=_unused_parts(folder, links),

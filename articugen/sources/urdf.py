@@ -22,6 +22,7 @@ from articugen.core.records import ArticulatedObject, Floats, Joint, JointKind, 
 from articugen.meshes import read, scenes
 from articugen.meshes.model_files import MAX_TEXT_BYTES, ModelFiles, quoted
 from articugen.meshes.xml_strict import tostring
+from articugen.sources.refs import CategorySettings, ObjectRef
 from articugen.sources.urdf_check import MAX_NUMBER, checked_robot
 
 MAX_OBJECT_FACES = scenes.MAX_FACES
@@ -94,6 +95,20 @@ def load_urdf(
     if not any(len(link.mesh.faces) for link in obj.links):
         raise InvalidSource(f"{path}: no link has a <visual> with a shape; add one")
     return obj
+
+
+def load_object(
+    ref: ObjectRef, settings: CategorySettings, path: Path, **options: Any
+) -> ArticulatedObject:
+    """Read the URDF at `path` as what a source lists; `options` are those of `load_urdf`."""
+    return load_urdf(
+        path,
+        object_id=ref.object_id,
+        category=ref.category,
+        source=ref.source,
+        T_world_root=settings.turn,
+        **options,
+    )
 
 
 def _take_visuals(checked: Any) -> dict[str, list[tuple[Any, Floats]]]:

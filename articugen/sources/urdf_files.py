@@ -4,9 +4,8 @@ from os.path import isdir, isfile
 from pathlib import Path
 
 from articugen.core.records import ArticulatedObject
-from articugen.sources.folders import visible
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
-from articugen.sources.urdf import load_urdf
+from articugen.sources.urdf import load_object
 
 
 def detect(path: Path) -> Found | None:
@@ -14,11 +13,6 @@ def detect(path: Path) -> Found | None:
     if path.suffix.lower() == ".urdf" and not isdir(path):
         return Found(path.stem, path, path.stem)
     return None
-
-
-def find(base: Path) -> list[Found]:
-    """URDF files directly in `base`, and those up to three folders deep in a folder of it."""
-    return [model for child in visible(base) for model in find_at(child)]
 
 
 def find_at(child: Path) -> list[Found]:
@@ -39,12 +33,5 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
     """Read one; see `urdf.load_urdf`. A file that was named by itself stands for the ROS package
     that it lies in."""
     package = (f for f in ref.location.absolute().parents if isfile(f / "package.xml"))
-    return load_urdf(
-        ref.location,
-        object_id=ref.object_id,
-        category=ref.category,
-        source=ref.source,
-        root=ref.root,
-        top=ref.top or next(package, None),
-        T_world_root=settings.turn,
-    )
+    top = ref.top or next(package, None)
+    return load_object(ref, settings, ref.location, root=ref.root, top=top)

@@ -38,11 +38,6 @@ def detect(path: Path) -> Found | None:
     return Found(path.stem, path, path.stem)
 
 
-def find(base: Path) -> list[Found]:
-    """Return the files and folders in `base` that are models."""
-    return [found for child in visible(base) if (found := detect(child))]
-
-
 def main_file(folder: Path) -> Path | None:
     """Return the file of a folder that is a model: of several the one that is called like the
     folder, or model_<...>; a single one where layers lie in a folder beside it."""
