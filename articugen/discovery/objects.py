@@ -277,10 +277,8 @@ def mean_error(objects: Sequence[ObjectJoints], name: str) -> float | None:
 
 
 def check_poses(paths: Sequence[Path], *, groups: bool = False) -> None:
-    """Raises:
-    InvalidArgument: these files are neither a data set nor several poses, or not a data set where
-        its instances are to be grouped.
-    """
+    """Raise InvalidArgument where files are neither a data set nor several poses, or no data set
+    whose instances are to be grouped."""
     is_cloud = paths[0].is_file() and paths[0].suffix != ".h5"
     if groups and (len(paths) > 1 or is_cloud):
         raise InvalidArgument(

@@ -69,11 +69,8 @@ def _crossed_edges(inside: Bools, strides: Ints) -> Ints:
 
 
 def _loops(case: int, faces: Sequence[Sequence[int]]) -> list[list[_Edge]]:
-    """Return the closed lines in which a surface crosses the faces of a cell, each once around.
-
-    Args:
-        case: bit c says whether corner c is inside.
-    """
+    """Return the closed lines in which a surface crosses the faces of a cell, each once around; bit
+    c of `case` says whether corner c is inside."""
 
     def inside(corner: int) -> bool:
         return bool(case >> corner & 1)

@@ -49,10 +49,8 @@ class CommonPlan(BaseModel):
     shares: int = 0
 
     def check_like(self, theirs: "CommonPlan", place: object) -> None:
-        """
-        Raises:
-            ArticugenError: processes that make `theirs` in this place were asked for another set.
-        """
+        """Raise ArticugenError where processes that make `theirs` here were asked for another
+        set."""
         words = {
             "listing": "list of objects",
             "objects": "number of objects",

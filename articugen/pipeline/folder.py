@@ -98,10 +98,7 @@ def foreign_files(
 
 
 def check_is_not_of_before(folder: Path) -> None:
-    """
-    Raises:
-        ArticugenError: a run of the version before was cut short here.
-    """
+    """Raise ArticugenError where a run of the version before was cut short."""
     names = list(filter(_EARLIER.fullmatch, listed(folder)))
     if names:
         raise ArticugenError(

@@ -33,10 +33,7 @@ class Share:
 
     @staticmethod
     def of_text(text: str) -> "Share":
-        """
-        Raises:
-            InvalidArgument: it is not like 3/8, or not below 8/8.
-        """
+        """Return the share that is written so; InvalidArgument unless it is like 3/8, below 8/8."""
         match = re.fullmatch(r"(\d{1,7})/(\d{1,7})", text)
         number, of = (int(match[1]), int(match[2])) if match else (0, 0)
         if not 0 <= number < of <= 1_000_000:
@@ -78,10 +75,7 @@ class Job:
     share: Share | None = None
 
     def __post_init__(self) -> None:
-        """
-        Raises:
-            InvalidRecipe: what no folder, shard or manifest can be called or hold.
-        """
+        """Raise InvalidRecipe for what no folder, shard or manifest can be called or hold."""
         check_category(self.category)
         if not -(2**63) <= self.seed < 2**63:
             raise InvalidRecipe(f"the seed is {self.seed}; choose one of at most 18 digits")

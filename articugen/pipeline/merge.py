@@ -72,10 +72,8 @@ def _check_merged(records: Records, folder: Path) -> Manifest:
 
 
 def _check_listing(records: Records, refs: Sequence[ObjectRef]) -> None:
-    """
-    Raises:
-        ArticugenError: these are not the objects that were shared out, or more are recorded.
-    """
+    """Raise ArticugenError if these are not the objects that were shared out, or fewer than are
+    recorded."""
     names, about = list(map(name_of_ref, refs)), records.agreed
     assert about is not None
     if listing_of(names) != about.listing:

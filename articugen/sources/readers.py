@@ -101,10 +101,7 @@ def names() -> tuple[str, ...]:
 
 
 def check_name(name: str) -> None:
-    """
-    Raises:
-        InvalidSource: there is no reader of that name.
-    """
+    """Raise InvalidSource where there is no reader of that name."""
     if name not in READERS and name not in names():
         hint = nearest(name, list(names()))
         raise InvalidSource(f"no reader {name!r}{hint}; there are: {', '.join(names())}")

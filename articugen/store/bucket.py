@@ -57,10 +57,7 @@ def _is_plain(url: str) -> bool:
 
 
 def check_can_be_shared(url: str) -> None:
-    """
-    Raises:
-        InvalidArgument: processes cannot share out objects there.
-    """
+    """Raise InvalidArgument where processes cannot share out objects."""
     if scheme_of(url) not in SCHEMES:
         kinds = ", ".join(f"{scheme}://" for scheme in SCHEMES)
         raise InvalidArgument(
@@ -163,11 +160,7 @@ class Bucket:
     at_once = 16
 
     def __init__(self, url: str) -> None:
-        """
-        Raises:
-            MissingExtra: obstore is not installed.
-            InvalidArgument: no store is called so.
-        """
+        """Raise MissingExtra without obstore, InvalidArgument where no store is called so."""
         self.url = url.rstrip("/")
         if scheme_of(url) not in READ_SCHEMES:
             kinds = ", ".join(f"{scheme}://" for scheme in READ_SCHEMES)

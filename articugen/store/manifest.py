@@ -285,11 +285,8 @@ class Manifest(Record):
 
 
 def _parsed(text: bytes, path: Path | Remote, read: Callable[[Page], bytes | None]) -> Manifest:
-    """The manifest that lies at `path`; `read` gives its pages, None where one is not there.
-
-    Raises:
-        CorruptShard: as `Manifest.read`.
-    """
+    """Return the manifest that lies at `path`, or CorruptShard; `read` gives its pages, None where
+    one is not there."""
     with suppress(ValidationError):
         version = _Version.model_validate_json(text).schema_version
         if version not in range(1, SCHEMA_VERSION + 1):
@@ -311,11 +308,8 @@ def _parsed(text: bytes, path: Path | Remote, read: Callable[[Page], bytes | Non
 def _with_entries(
     head: Head, path: Path | Remote, read: Callable[[Page], bytes | None]
 ) -> dict[str, Any]:
-    """What a manifest says that lists pages, with all that is in them.
-
-    Raises:
-        CorruptShard: a page is not there, or not the one that is listed.
-    """
+    """Return what a manifest says that lists pages, with all that is in them; CorruptShard if a
+    page is not there, or another one."""
     rest = dict(head.model_extra or {})
     for name in rest.keys() & LISTS:
         raise CorruptShard(f"{path}: lists pages, and {name} of its own; fetch it again")

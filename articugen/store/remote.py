@@ -42,13 +42,9 @@ class FileSystem:
     """A folder of any file system that fsspec knows, to read; as `Bucket`."""
 
     def __init__(self, url: str) -> None:
-        """
-        Raises:
-            MissingExtra: fsspec is not installed.
-            InvalidArgument: it knows of no such file system, or there is no such folder.
-            ArticugenError: what it wants for this one is not installed.
-            MachineFault: it does not answer.
-        """
+        """Raise MissingExtra without fsspec, or ArticugenError without what it wants for this file
+        system; InvalidArgument where it knows of none, or there is no such folder; MachineFault
+        where it does not answer."""
         self.url = url.rstrip("/")
         try:
             import fsspec  # noqa: PLC0415 - optional
@@ -126,11 +122,7 @@ class RangeFile(io.RawIOBase):
     """A remote file to read from here and there: only blocks that are asked for come over."""
 
     def __init__(self, file: Remote) -> None:
-        """
-        Raises:
-            FileNotFoundError: there is none.
-            MachineFault, MissingExtra, InvalidArgument: as `folder_at`.
-        """
+        """Raise FileNotFoundError where there is none; else as `folder_at`."""
         self._folder, self._name, self._at = folder_at(file.parent.url), file.name, 0
         size = self._folder.size(self._name)
         if size is None:

@@ -218,10 +218,8 @@ class Row:
         split: str = "",
         category: str = "",
     ) -> None:
-        """
-        Args:
-            read: gives what is stored of several fields; called once for each field.
-        """
+        """Take `read`, which gives what is stored of several fields, and is called once for
+        each."""
         self._read = read
         self._known: dict[str, Any] = {}
         self.fields = tuple(sorted(fields))

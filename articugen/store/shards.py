@@ -87,10 +87,7 @@ class _Handle:
     """A file that is open for reading until nobody holds this."""
 
     def __init__(self, path: Path) -> None:
-        """
-        Raises:
-            OSError: it cannot be opened.
-        """
+        """Raise OSError where it cannot be opened."""
         self.number = os.open(path, os.O_RDONLY)
         about = os.fstat(self.number)
         self.seen = (about.st_ino, about.st_size, about.st_mtime_ns)

@@ -91,10 +91,7 @@ def _entry_of(path: Path | Remote) -> _Entry:
 
 
 def _shards_in(folder: Path) -> list[Path]:
-    """
-    Raises:
-        InvalidArgument: there is none.
-    """
+    """Return the shards in a folder; InvalidArgument where there is none."""
     if not folder.is_dir():
         raise InvalidArgument(f"{folder}: there is no such shard or folder; correct its path")
     shards = sorted(folder.glob("*.h5"))

@@ -138,11 +138,7 @@ def _witness(folder: Path, name: str) -> _Witness | None:
 
 
 def _common(whole: Mapping[str, _Witness]) -> Mapping[str, Attribute]:
-    """What all shards say alike.
-
-    Raises:
-        ArticugenError: there is none, or they do not.
-    """
+    """Return what all shards say alike; ArticugenError if there is none, or they do not."""
     if not whole:
         raise ArticugenError(
             "no shard is whole that could tell what the data set was; fetch manifest.json again, "
@@ -246,11 +242,8 @@ def _agrees(outcome: Outcome, witness: _Witness | None) -> bool:
 
 
 def _proven(folder: Path, witness: _Witness) -> Outcome:
-    """The outcome of an object of which only the shard tells.
-
-    Raises:
-        ArticugenError: its source, or the code, is not what it was.
-    """
+    """Return the outcome of an object of which only the shard says anything; ArticugenError if its
+    source, or the code, is not what it was."""
     about, object_id = witness.about, witness.object_id
     source, category = str(about["source"]), str(about["category"])
     ref = open_source(source).find(category, object_id)

@@ -151,11 +151,8 @@ def _shards(
 
 
 def _task(manifest: Manifest, shard: str) -> Task:
-    """What makes a shard again.
-
-    Raises:
-        ArticugenError: something that decides its content is not what it was, or not there.
-    """
+    """Return what makes a shard again; ArticugenError if what decides its content has changed, or
+    is gone."""
     entry, *others = (o for o in manifest.objects if o.shard == shard)
     if others:
         raise ArticugenError(f"it holds {1 + len(others)} objects; make the data set again")
@@ -194,10 +191,7 @@ class _AsRecorded:
     drop_user: bool
 
     def __call__(self, temporary: Path, record: ShardRecord) -> None:
-        """
-        Raises:
-            RejectedInstance: it must not.
-        """
+        """Raise RejectedInstance where it must not."""
         entry = self.objects[record.name]
         if content_sha256(record.content) != entry.content_sha256:
             raise RejectedInstance(
@@ -216,11 +210,8 @@ class _AsRecorded:
 
 
 def _check_whose(path: Path, object_id: str) -> None:
-    """See to it that no group `user` comes to belong to another object's instances.
-
-    Raises:
-        CorruptShard: it would.
-    """
+    """Raise CorruptShard where a group `user` would come to belong to another object's
+    instances."""
     try:
         with open_shard(path) as shard:
             others = set(shard.object_ids()) - {object_id} if shard.extended else ()

@@ -44,11 +44,7 @@ class Dask(Executor):
         return cls(job.scheduler)
 
     def get_ready(self, job: Job, notice: Notice) -> None:
-        """
-        Raises:
-            MissingExtra: distributed is not installed.
-            MachineFault: no scheduler answers.
-        """
+        """Raise MissingExtra without distributed, MachineFault where no scheduler answers."""
         self.width(0)
 
     def width(self, tasks: int) -> int:
@@ -58,12 +54,8 @@ class Dask(Executor):
     def ends(
         self, work: Work, tasks: Sequence[Task], notice: Notice
     ) -> Generator[Ended[Outcome | None], None, None]:
-        """
-        Raises:
-            MissingExtra: distributed is not installed.
-            MachineFault: no scheduler answers, or it has gone.
-            ArticugenError: a worker has other code, or does not see the folder.
-        """
+        """Raise MissingExtra without distributed, MachineFault where no scheduler answers or it has
+        gone, ArticugenError where a worker has other code or does not see the folder."""
         return each(Elsewhere.of(work), tasks, address=self.address, notice=notice)
 
 

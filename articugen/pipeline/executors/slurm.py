@@ -69,10 +69,8 @@ class Array:
 
     @staticmethod
     def of_address(address: str) -> "Array":
-        """
-        Raises:
-            InvalidArgument: it is not like slurm://partition?tasks=100&cpus=4&time=60.
-        """
+        """Return what an address asks for; InvalidArgument if it is not like
+        slurm://partition?tasks=100&cpus=4&time=60."""
         parts = urlsplit(address if "://" in address else f"{address}://")
         try:
             said = dict(parse_qsl(parts.query, keep_blank_values=True, strict_parsing=True))
@@ -108,11 +106,7 @@ class Slurm(Executor):
         return cls(array, command, ledger)
 
     def get_ready(self, job: Job, notice: Notice) -> None:
-        """
-        Raises:
-            MissingExtra: submitit is not installed.
-            ArticugenError: SLURM is not here.
-        """
+        """Raise MissingExtra without submitit, ArticugenError where SLURM is not here."""
         _submitit()
         if not all(map(shutil.which, ("sbatch", "squeue", "srun"))):
             raise ArticugenError(
@@ -210,11 +204,7 @@ class _Queue:
         )
 
     def submit(self, tasks: Sequence[_Rank]) -> Sequence[Any]:
-        """Queue an array; submitit's jobs.
-
-        Raises:
-            ArticugenError: SLURM refuses it.
-        """
+        """Queue an array; submitit's jobs, or ArticugenError where SLURM refuses it."""
         submitit = _submitit()
         try:
             with redirect_stderr(io.StringIO()):
@@ -265,10 +255,7 @@ def _sentence_of(tasks: Iterable[Any]) -> str:
 
 
 def _submitit() -> Any:
-    """
-    Raises:
-        MissingExtra: it is not installed.
-    """
+    """Return the module; MissingExtra where it is not installed."""
     try:
         import submitit  # noqa: PLC0415 - optional
         import submitit.helpers  # noqa: PLC0415

@@ -203,12 +203,8 @@ class Target:
         return True
 
     def _free(self, place: PurePosixPath) -> Path:
-        """Return the folder of a model, where it may be had.
-
-        Raises:
-            InvalidSource: its name is kept for others, a model is in a model, or something that was
-                not fetched is in the way.
-        """
+        """Return the folder of a model; InvalidSource if its name is kept for others, a model is in
+        a model, or something that was not fetched is in the way."""
         to = self.folder / place
         first = place.parts[0].casefold() if place.parts else ""
         if (

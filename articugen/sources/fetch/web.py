@@ -187,11 +187,8 @@ class Server:
         return digest
 
     def _continue(self, address: str, part: Path, size: int | None, marks: dict[str, str]) -> None:
-        """Ask for what is missing of a file and append it.
-
-        Args:
-            marks: what the server called the version of the file that came so far.
-        """
+        """Ask for what is missing of a file and append it; `marks` is what the server called the
+        version that came so far."""
         have = _length(part)
         headers = {"Range": f"bytes={have}-"} if have else {}
         if have and marks.get("ETag"):

@@ -53,14 +53,8 @@ class Layers:
     """
 
     def __init__(self, path: Path, files: ModelFiles) -> None:
-        """
-        Args:
-            path: the main file.
-            files: reads all of them.
-
-        Raises:
-            InvalidSource: a layer is missing, elsewhere or damaged, or there are too many.
-        """
+        """Read them all, from the main file at `path` on; InvalidSource if one is missing,
+        elsewhere or damaged, or there are too many."""
         self._files = files
         self._packages: dict[Path, zipfile.ZipFile] = {}
         self._names: dict[Place, dict[str, Place]] = {}
