@@ -122,11 +122,8 @@ def share_table(outcomes: Iterable[Outcome]) -> RenderableType:
 
 
 def left_out(folder: Path) -> RenderableType:
-    """Return the objects that are not in a data set, and why; nothing where there is no manifest.
-
-    Raises:
-        CorruptShard: its manifest is damaged.
-    """
+    """Return the objects that are not in a data set, and why; nothing where there is no manifest,
+    and CorruptShard where it is damaged."""
     table = facts()
     if (folder / MANIFEST_NAME).is_file():
         _add_left_out(table, Manifest.read(folder))
@@ -207,11 +204,8 @@ def _title(category: str, folder: object) -> Text:
 
 
 def tell(manifest: Manifest, where: object) -> int:
-    """Say what has become of a data set; the exit status.
-
-    Raises:
-        ArticugenError: it is not what its recipe asks for.
-    """
+    """Print what has become of a data set, and return the exit status; ArticugenError where the set
+    is not what its recipe asks for."""
     stdout.print(made_table(manifest, where))
     if manifest.shortfall:
         raise ArticugenError(manifest.shortfall)
@@ -219,11 +213,8 @@ def tell(manifest: Manifest, where: object) -> int:
 
 
 def tell_share(outcomes: Sequence[Outcome], job: Job) -> int:
-    """Say what has become of a share, and what comes next; the exit status.
-
-    Raises:
-        ArticugenError: some objects have failed.
-    """
+    """Print what has become of a share, and what comes next, and return the exit status;
+    ArticugenError where objects have failed."""
     stdout.print(share_table(outcomes))
     failed = [outcome.failed for outcome in outcomes if outcome.failed]
     if failed:

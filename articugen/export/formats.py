@@ -50,12 +50,8 @@ def names() -> tuple[str, ...]:
 
 
 def format_named(name: str) -> Format:
-    """Return the format of that name.
-
-    Raises:
-        InvalidArgument: there is none; the sentence lists them.
-        BrokenPlugin: it is another package's and cannot be used.
-    """
+    """Return the format of that name; InvalidArgument, which lists all, if there is none,
+    BrokenPlugin if it is another package's and cannot be used."""
     if name in FORMATS:
         return EntryPoint(name, FORMATS[name], _OTHERS.name).load()
     if name not in names():

@@ -17,11 +17,8 @@ from articugen.store.manifest import Manifest
 
 
 def jobs_of(options: Options, share: Share | None = None) -> list[Job]:
-    """Return the data sets that are asked for, one a category.
-
-    Raises:
-        ArticugenError: no such source, category, object or recipe.
-    """
+    """Return the data sets that are asked for, one a category; ArticugenError if there is no such
+    source, category, object or recipe."""
     source, out = os.fspath(options.source), options.out
     wanted = [options.category] if isinstance(options.category, str) else options.category
     opened = open_source(source)

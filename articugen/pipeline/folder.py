@@ -21,11 +21,7 @@ _EARLIER = re.compile(r"\.articugen-(plan\.json|journal\..*jsonl)")
 
 
 def listed(folder: Path) -> list[str]:
-    """Return what a folder itself holds.
-
-    Raises:
-        MachineFault: it cannot be read.
-    """
+    """Return what a folder itself holds; MachineFault where it cannot be read."""
     try:
         return sorted(os.listdir(folder))
     except OSError as error:

@@ -112,11 +112,8 @@ def _unmade(key: Key, error: Exception) -> Rejection:
 
 
 def verdict_on(error: Exception, ref: ObjectRef, recipe: Recipe) -> Exception | None:
-    """Return what `error` says of the object; None where it is a fault of our code.
-
-    Raises:
-        Exception: it says nothing of the object, and ends the run or has the object tried again.
-    """
+    """Return what `error` says of the object, None where it is a fault of our code; raise it where
+    it ends the run or has the object tried again."""
     fault = machine_fault(error)
     asked = getattr(fault, "_total_size", 0) / 1e6  # of numpy's own MemoryError
     if asked > recipe.memory_per_object_mb:
@@ -147,11 +144,8 @@ def _instances(job: Job, task: Task) -> tuple[ResolvedObject, Iterator[Instance]
 
 
 def source_digest(recipe: Recipe, ref: ObjectRef) -> str:
-    """Of an object's files; where they cannot be read, why: making it will tell the same.
-
-    Raises:
-        MachineFault, MemoryError: it says nothing about the object.
-    """
+    """Return the digest of an object's files, or why they cannot be read, as making it will;
+    MachineFault or MemoryError where that says nothing of the object."""
     try:
         return readers.digest(ref)
     except Exception as error:  # an object must not take the others down with it

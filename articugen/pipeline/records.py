@@ -134,11 +134,8 @@ class Records:
     # --- what is there
 
     def expect(self, about: CommonPlan, names: Sequence[Name], ours: Sequence[Name]) -> None:
-        """Say what is to be made: all of it, the names of all objects, and those of this share.
-
-        Raises:
-            ArticugenError: other processes make something else here.
-        """
+        """Take what is to be made, the names of all objects and those of this share; ArticugenError
+        if other processes make something else here."""
         self._about = about
         if not self.is_shared:
             return
@@ -258,11 +255,8 @@ class Records:
         return recorded(self.ledger, self.place, key)
 
     def check_there(self, outcomes: Sequence[Outcome]) -> None:
-        """See to it that the shards of these outcomes are there still, where others are at work.
-
-        Raises:
-            ArticugenError: some were removed or replaced meanwhile.
-        """
+        """Raise ArticugenError if shards of these outcomes were removed or replaced meanwhile,
+        where others are at work."""
         if not self.is_shared:
             return
         self._sizes_only = True
@@ -275,12 +269,9 @@ class Records:
             )
 
     def finish(self, manifest: Manifest) -> None:
-        """Write the manifest, then remove the ledger and those of our shards it does not name; in a
-        store, where others may be reading it, the ledger stays.
-
-        Raises:
-            ArticugenError: another process is at work in the folder.
-        """
+        """Write the manifest, then remove the ledger, which stays in a store where others may be
+        reading it, and those of our shards it does not name; ArticugenError if another process is
+        at work."""
         if self._lock is None or self.is_shared:
             self.close()
             self._take_lock(fcntl.LOCK_EX)

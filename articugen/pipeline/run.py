@@ -100,11 +100,8 @@ class Run:
     licence: str
 
     def check_replaces(self, *, replace: bool, cure: str) -> None:
-        """See to it that data of another run are replaced only where somebody asked for that.
-
-        Raises:
-            ArticugenError: they would be; `cure` is what to add.
-        """
+        """Raise ArticugenError where data of another run would be replaced and nobody asked for
+        that; `cure` is what to add."""
         if self.plan.conflict and self.job.is_shared:
             raise ArticugenError(self.plan.conflict)
         if self.plan.conflict and not replace:

@@ -25,11 +25,8 @@ def detect(path: Path) -> Found | None:
 
 
 def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
-    """Read one; of several URDFs the one with the shortest name, which its notes say.
-
-    Raises:
-        InvalidSource: it has none, or anything is amiss with it; see `urdf.load_urdf`.
-    """
+    """Read one; of several URDFs the one with the shortest name, which its notes say. Raises as
+    `urdf.load_urdf`, and where there is none."""
     folder = ref.location / _FOLDER
     urdfs = ending_in(folder, ".urdf")
     if not urdfs:

@@ -13,12 +13,8 @@ KINDS = tuple(str(kind) for kind in JointKind if kind != JointKind.FIXED)
 
 
 def of_joints(refs: list[ObjectRef], joints: Collection[str], category: str) -> list[ObjectRef]:
-    """Return the objects that have joints that move, all of them of the kinds `joints`: as
-    `Source.objects` says.
-
-    Raises:
-        InvalidSource: none is left, or a word is no kind of joint.
-    """
+    """Return the objects that have joints that move, all of them of the kinds `joints`, as
+    `Source.objects` says; InvalidSource if none is left, or a word is no kind of joint."""
     for word in joints:
         if word not in KINDS:
             raise InvalidSource(

@@ -37,11 +37,7 @@ def _found(folder: Path) -> Found:
 
 
 def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
-    """Return one model; a note says where meta.json tells another category.
-
-    Raises:
-        InvalidSource: anything amiss in the folder.
-    """
+    """Return one model, or InvalidSource; a note says where meta.json has another category."""
     folder = ref.location
     files = ModelFiles(folder)
     # semantics.txt: the name of each link's part; a line is `link_0 hinge rotation_door`

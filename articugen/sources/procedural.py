@@ -38,9 +38,5 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
 
 
 def write(ref: ObjectRef, folder: Path) -> None:
-    """Write one object's files, its exact solids among them, as `folder`.
-
-    Raises:
-        MachineFault: the folder cannot be written to.
-    """
+    """Write one object's files, its exact solids among them, as `folder`; or MachineFault."""
     procedural.write_object(ref.category, ref.object_id, folder, messy=ref.messy, varied=ref.varied)

@@ -108,22 +108,15 @@ def check_name(name: str) -> None:
 
 
 def reader(name: str) -> Reader:
-    """Return the reader of that name, ours or another package's.
-
-    Raises:
-        InvalidSource: there is none.
-        BrokenPlugin: the other package's cannot be used.
-    """
+    """Return the reader of that name; InvalidSource if there is none, BrokenPlugin if it is another
+    package's and cannot be used."""
     check_name(name)
     return READERS[name] if name in READERS else _OTHERS.load(name)
 
 
 def detect(path: Path) -> Found | None:
-    """Return the model that a file or folder is, by the first reader that says so.
-
-    Raises:
-        InvalidSource: another package's reader fails at it.
-    """
+    """Return the model that a file or folder is, by the first reader that says so; InvalidSource
+    where one fails at it."""
     for name, layout in (READERS | _OTHERS.load_all(tuple(READERS))).items():
         with _examining(name, path):
             model = layout.detect(path)
@@ -133,11 +126,8 @@ def detect(path: Path) -> Found | None:
 
 
 def find(name: str, base: Path) -> list[Found]:
-    """Return the models in `base` that the reader of that name finds.
-
-    Raises:
-        InvalidSource, BrokenPlugin: as `reader` and `detect`.
-    """
+    """Return the models in `base` that the reader of that name finds; raises as `reader` and
+    `detect`."""
     of_all = getattr(reader(name), "find", None)
     if of_all is None:
         return [model for child in visible(base) for model in find_at(name, child)]
@@ -146,12 +136,8 @@ def find(name: str, base: Path) -> list[Found]:
 
 
 def find_at(name: str, child: Path) -> list[Found]:
-    """Return what `find` makes of one thing in a folder; nothing where the reader is another
-    package's, which tells that of whole folders alone.
-
-    Raises:
-        InvalidSource: the reader fails at it.
-    """
+    """Return what `find` makes of one thing in a folder, or InvalidSource; nothing where the reader
+    is another package's, which knows whole folders alone."""
     if name not in READERS:
         return []
     more = getattr(READERS[name], "find_at", None)  # where there may be several, or other marks
@@ -196,11 +182,7 @@ def load(ref: ObjectRef) -> ArticulatedObject:
 
 def digest(ref: ObjectRef) -> str:
     """Return the sha256 that `load` gives a sound object, without making anything of its meshes; of
-    one whose meshes are unsound, some digest of its files.
-
-    Raises:
-        InvalidSource, BrokenPlugin, MachineFault, MemoryError: as `load`.
-    """
+    one whose meshes are unsound, some digest of its files. Raises as `load`."""
     from articugen.meshes.read import hashed_only  # noqa: PLC0415 - slow to import
 
     with hashed_only():
@@ -231,12 +213,8 @@ def _read(ref: ObjectRef) -> ArticulatedObject:
 
 
 def check_sound(obj: ArticulatedObject, where: str) -> None:
-    """Whatever a reader makes: its numbers are finite, of a size that floats can work with, and
-    ranges have their ends in order.
-
-    Raises:
-        InvalidSource: they are not.
-    """
+    """Raise InvalidSource unless numbers are finite, of a size that floats can work with, and
+    ranges have their ends in order, whatever reader has made them."""
     for link in obj.links:
         if not (np.abs(link.mesh.vertices) <= MAX_METRES).all():
             raise InvalidSource(

@@ -76,11 +76,8 @@ def _found(folder: Path) -> Found:
 
 
 def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
-    """Return one model, with limits of -inf and inf where the data set has none.
-
-    Raises:
-        InvalidSource: anything amiss in the folder, or a spiral joint.
-    """
+    """Return one model, with limits of -inf and inf where the data set has none; InvalidSource if
+    anything is amiss in the folder, or a joint is a spiral."""
     raw = (ref.location / _ATTRIBUTES).is_file()
     return (_load_raw if raw else _load_urdf_form)(ref, settings)
 

@@ -171,12 +171,8 @@ class Source:
     def share_out(
         self, names: Sequence[str], ids: Collection[str], exclude: Collection[str]
     ) -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
-        """Return of each category the `ids` and `exclude` that are its own; with ids, none without
-        any.
-
-        Raises:
-            InvalidSource: an id is of none of the categories.
-        """
+        """Return of each category the `ids` and `exclude` that are its own, with ids none without
+        any; InvalidSource if an id is of none of the categories."""
         wanted = (*ids, *exclude)
         if len(names) == 1 or not wanted:
             return {name: (tuple(ids), tuple(exclude)) for name in names}
@@ -371,11 +367,7 @@ def open_source(source: str | Path) -> Source:
 
 
 def named_sources() -> list[Source]:
-    """Return every named source, by name.
-
-    Raises:
-        InvalidSource: a source.yaml is wrong.
-    """
+    """Return every named source, by name; InvalidSource if a source.yaml is wrong."""
     return [open_source(name) for name in sorted(source_files())]
 
 

@@ -140,11 +140,8 @@ def _parsed(path: str, data: bytes) -> Any:
 
 
 def source_files() -> dict[str, Path]:
-    """Return every source.yaml by the source's name; $ARTICUGEN_SOURCES goes first.
-
-    Raises:
-        InvalidSource: that is no folder.
-    """
+    """Return every source.yaml by the source's name; $ARTICUGEN_SOURCES goes first, InvalidSource
+    if that is no folder."""
     paths: dict[str, Path] = {}
     for root in filter(None, (users_folder(), SOURCES)):
         for path in sorted(root.glob("*/source.yaml")):
@@ -153,11 +150,8 @@ def source_files() -> dict[str, Path]:
 
 
 def users_folder() -> Path | None:
-    """Return the folder that $ARTICUGEN_SOURCES names, or None.
-
-    Raises:
-        InvalidSource: it is no folder.
-    """
+    """Return the folder in $ARTICUGEN_SOURCES, None if that is unset; InvalidSource if it is
+    none."""
     text = os.environ.get("ARTICUGEN_SOURCES")
     if text and not Path(text).is_dir():
         raise InvalidSource(f"ARTICUGEN_SOURCES={text} is not a folder; correct or unset it")
@@ -165,9 +159,6 @@ def users_folder() -> Path | None:
 
 
 def common_categories() -> SourceFile:
-    """Return PartNet-Mobility's, whose names of categories are those that folders of models have.
-
-    Raises:
-        InvalidSource: its source.yaml is wrong.
-    """
+    """Return PartNet-Mobility's, whose names of categories are those that folders of models have;
+    InvalidSource if its source.yaml is wrong."""
     return read_source_file(source_files()["partnet_mobility"])

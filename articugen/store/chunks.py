@@ -33,11 +33,8 @@ def most_bytes(row_bytes: int) -> int:
 
 
 def decoded(chunk: memoryview, row_bytes: int, *, compressed: bool) -> memoryview | bytes:
-    """Return the row that a chunk holds; no more than about `row_bytes` are ever made of it.
-
-    Raises:
-        ValueError: it does not hold exactly that many, or its checksum is wrong.
-    """
+    """Return the row that a chunk holds, of which no more than about `row_bytes` are ever made;
+    ValueError if it does not hold exactly that many, or its checksum is wrong."""
     stored, checksum = chunk[:-CHECKSUM_BYTES], chunk[-CHECKSUM_BYTES:]
     if fletcher32(stored) != int.from_bytes(checksum, "little"):
         raise ValueError("its checksum is wrong")

@@ -152,11 +152,7 @@ def _attribute(file: h5py.File, name: str) -> Attribute:
 
 
 def columns_of(file: h5py.File) -> dict[str, Column]:
-    """Check that all is as the schema says; every data set then.
-
-    Raises:
-        CorruptShard: it is not.
-    """
+    """Return every data set, once all is as the schema says; CorruptShard if it is not."""
     columns: dict[str, Column] = {}
     for name in map(str, file):
         field = schema.field_of(name)

@@ -218,12 +218,8 @@ class Manifest(Record):
         )
 
     def write(self, folder: Path) -> None:
-        """Write manifest.json in one step, after its pages where it has any; those of an earlier
-        one are removed then.
-
-        Raises:
-            ArticugenError: the disk is full, the folder cannot be written to.
-        """
+        """Write manifest.json in one step, after its pages where it has any, and remove those of an
+        earlier one; ArticugenError if the disk is full, or the folder cannot be written to."""
         for name, data in self.files():
             write_atomically(folder / name, data)
         Folder(folder).delete(stale_pages(folder / MANIFEST_NAME))
@@ -268,12 +264,8 @@ class Manifest(Record):
 
     @staticmethod
     def in_bucket(bucket: Files) -> "Manifest | None":
-        """That of a data set in an object store, or elsewhere; None where there is none.
-
-        Raises:
-            CorruptShard: as `read`.
-            MachineFault: the store does not answer.
-        """
+        """Return that of a data set in an object store, or elsewhere; None where there is none,
+        CorruptShard as `read`, MachineFault if the store does not answer."""
         text = bucket.read(MANIFEST_NAME)
         path = Remote(bucket.url) / MANIFEST_NAME
 

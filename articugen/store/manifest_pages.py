@@ -75,11 +75,8 @@ class _Pages(BaseModel):
 
 
 def head_in(text: bytes) -> Head | None:
-    """Return what a manifest says that lists pages; None where it has its entries in it.
-
-    Raises:
-        ValidationError: it lists them wrongly.
-    """
+    """Return what a manifest says that lists pages, or ValidationError if it does so wrongly; None
+    where it has its entries in it."""
     try:
         if len(text) > MOST_HEAD_BYTES or _Pages.model_validate_json(text).pages is None:
             return None
@@ -94,12 +91,9 @@ def is_page_name(name: str) -> bool:
 
 
 def stale_pages(manifest: Path) -> list[str]:
-    """Return the names of pages in a manifest's folder that it does not list: of an earlier one, or
-    of one that was not written to the end. Without a manifest these are all.
-
-    Raises:
-        MachineFault: the folder cannot be read.
-    """
+    """Return the names of pages in a manifest's folder that it does not list, of an earlier one or
+    of one that was not written to the end; without a manifest all. MachineFault if the folder
+    cannot be read."""
     try:
         there = sorted(filter(is_page_name, os.listdir(manifest.parent)))
         listed = listed_pages(manifest) if there else set[str]()
@@ -109,11 +103,8 @@ def stale_pages(manifest: Path) -> list[str]:
 
 
 def listed_pages(manifest: Path) -> set[str]:
-    """Return the names of the pages that a manifest lists; none where it is damaged or not there.
-
-    Raises:
-        OSError: it cannot be read.
-    """
+    """Return the names of the pages that a manifest lists; none where it is damaged or not there,
+    OSError where it cannot be read."""
     try:
         head = head_in(read_regular(manifest, MOST_HEAD_BYTES))
     except (FileNotFoundError, UnfitFile, ValidationError):

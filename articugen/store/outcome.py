@@ -89,11 +89,7 @@ class ShardEntry(_Entry):
     instances: int = Field(gt=0)
 
     def is_of(self, path: Path) -> bool:
-        """Whether the file has this size and digest.
-
-        Raises:
-            OSError: it is not there, or cannot be read.
-        """
+        """Return whether the file has this size and digest; OSError if it cannot be read."""
         return path.stat().st_size == self.bytes and sha256_of(path) == self.sha256
 
 

@@ -30,11 +30,7 @@ _REFUSED, _ABSENT = (401, 403), (404, 410)
 
 
 def folder_at(url: str) -> "Bucket | FileSystem":
-    """What reads files of the folder `url`.
-
-    Raises:
-        MissingExtra, InvalidArgument, ArticugenError: as `Bucket` and `FileSystem`.
-    """
+    """Return what reads files of the folder `url`; raises as `Bucket` and `FileSystem`."""
     return Bucket(url) if scheme_of(url) in READ_SCHEMES else FileSystem(url)
 
 
@@ -159,11 +155,7 @@ class RangeFile(io.RawIOBase):
         return count
 
     def read_spans(self, spans: Sequence[tuple[int, int]]) -> Sequence[bytes]:
-        """Parts of the file, in as few requests as they take.
-
-        Raises:
-            OSError: it is gone.
-        """
+        """Return parts of the file, in as few requests as they take; OSError if it is gone."""
         parts = self._folder.ranges(self._name, spans)
         if parts is None:
             raise FileNotFoundError(2, "No such file or directory", self._name)

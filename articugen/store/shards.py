@@ -196,11 +196,8 @@ class Shard:
         return self.instance_of(self.stored_row(index))
 
     def stored_row(self, index: int) -> dict[str, NDArray[Any]]:
-        """All fields of row `index` as they are stored, for `instance_of` and `instance_sha256`.
-
-        Raises:
-            CorruptShard, IndexError: as `instance`.
-        """
+        """Return all fields of row `index` as they are stored, for `instance_of` and
+        `instance_sha256`; raises as `instance`."""
         if not 0 <= index < len(self):
             raise IndexError(f"{self.path}: no instance {index}, there are {len(self)}")
         with self._as_damage("an instance"):

@@ -20,11 +20,8 @@ _OPEN_FILES = 64
 
 
 def shelf_at(path: str | Path) -> "Shelf":
-    """The shards of a folder, or one shard, on the disk or elsewhere.
-
-    Raises:
-        InvalidArgument, CorruptShard, MachineFault: as `dataset.open`.
-    """
+    """Return the shards of a folder, or one shard, on the disk or elsewhere; raises as
+    `dataset.open`."""
     if is_url(path):
         remote = Remote(str(path))
         if remote.name.endswith(".h5"):

@@ -159,11 +159,7 @@ class Disk(io.RawIOBase):
 
 @contextmanager
 def new_hdf5(disk: Disk, **options: Any) -> Iterator[h5py.File]:
-    """An HDF5 file on `disk`, with h5py's options.
-
-    Raises:
-        OSError: as the disk gave it.
-    """
+    """An HDF5 file on `disk`, with h5py's options; OSError as the disk gave it."""
     try:
         with h5py.File(disk, "w", **options) as hdf5:
             yield hdf5

@@ -43,11 +43,8 @@ _NO_RUN = Timings(seconds=0.0, instances_per_second=0.0, peak_memory_bytes=0, wo
 
 
 def rebuild(folder: Path, *, jobs: int) -> str:
-    """Write the manifest of a data set anew; what was done, in one sentence.
-
-    Raises:
-        ArticugenError: its shards do not tell enough; a run is at work or was cut short.
-    """
+    """Write the manifest of a data set again, and return what was done, in one sentence;
+    ArticugenError if its shards say too little, or a run is at work or was cut short."""
     lock = lock_folder(folder)
     try:
         if any(map(is_unfinished, os.listdir(folder))):

@@ -240,11 +240,8 @@ class _Queue:
 
 
 def _sentence_of(tasks: Iterable[Any]) -> str:
-    """What ended a task of an array that is over, where a machine was at fault and it could say so.
-
-    Raises:
-        ArticugenError: no object can be made.
-    """
+    """Return what ended a task of an array that is over, where a machine was at fault and it could
+    say so; ArticugenError where no object can be made."""
     said = ""
     for task in tasks:
         error = task.result() if task.paths.result_pickle.exists() else None

@@ -137,11 +137,8 @@ def checked_members(archive: Archive, path: Path) -> list[Member]:
 
 
 def contents(archive: Archive, path: Path) -> Iterator[tuple[Member, IO[bytes]]]:
-    """The files of an archive with their bytes, checked again; each must be read before the next.
-
-    Raises:
-        InvalidSource: as `checked_members`.
-    """
+    """Yield the files of an archive with their bytes, checked again as by `checked_members`; each
+    must be read before the next."""
     for entry in archive():
         name = _plain_name(entry, path)
         if name is not None and not entry.folder and (data := entry.open()):

@@ -48,11 +48,8 @@ def hub(token: str | None, cure: str) -> Server:
 
 
 def files(server: Server, repository: str) -> list[Published]:
-    """All files of a data set as it is now, by name.
-
-    Raises:
-        AccessRefused, NotFetched: it is not told.
-    """
+    """Return all files of a data set as it is now, by name; AccessRefused or NotFetched if there is
+    no list."""
     about, _ = server.json(f"/api/datasets/{repository}/revision/main")
     listed: list[_Listed] = []
     try:

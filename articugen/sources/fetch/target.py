@@ -160,11 +160,8 @@ class Target:
         self.receipts = {n: r for n, r in self._recorded.items() if r and self._is_whole(n, r)}
 
     def path(self, name: str) -> Path:
-        """Return the path of something of that name in the folder, to be written.
-
-        Raises:
-            MachineFault: a symbolic link leads there.
-        """
+        """Return the path of something of that name in the folder, to be written; MachineFault
+        where a symbolic link leads there."""
         try:
             return within(self.folder, name)
         except UnfitFile as error:

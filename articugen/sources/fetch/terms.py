@@ -44,11 +44,8 @@ NAMES = ("partnet-mobility", "shape2motion", *_OTHERS)
 
 
 def terms_of(name: str) -> Terms:
-    """Return the terms of a data set, by its name in any writing.
-
-    Raises:
-        InvalidArgument: there is none of that name.
-    """
+    """Return the terms of a data set, by its name in any writing; InvalidArgument if there is
+    none."""
     own = next((known for known in NAMES if plain(known) == plain(name)), None)
     if own is None:
         raise InvalidArgument(

@@ -104,11 +104,8 @@ class Server:
     stop: Event = field(default_factory=Event, repr=False, compare=False)
 
     def json(self, address: str) -> tuple[Any, str]:
-        """What an address answers, and the address of the next page, "" after the last.
-
-        Raises:
-            AccessRefused, NotFetched: it does not answer, or with something else.
-        """
+        """Return what an address answers, and the address of the next page, "" after the last;
+        AccessRefused or NotFetched where it does not answer, or with something else."""
 
         def once() -> tuple[bytes, str]:
             with self._ask(address) as response:
@@ -131,11 +128,8 @@ class Server:
         return answer, whole.removeprefix(self.base)
 
     def part(self, address: str, first: int, last: int) -> bytes:
-        """Return the bytes `first` to `last` of a file, both counted.
-
-        Raises:
-            AccessRefused, NotFetched: it does not answer, or not with these.
-        """
+        """Return the bytes `first` to `last` of a file, both counted; AccessRefused or NotFetched
+        where it does not answer, or not with these."""
 
         def once() -> bytes:
             with self._ask(address, {"Range": f"bytes={first}-{last}"}) as response:

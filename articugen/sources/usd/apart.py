@@ -38,11 +38,7 @@ def read_apart(path: Path, root: Path, *, with_meshes: bool = True) -> model.Mod
 
 
 def digest_apart(path: Path, root: Path) -> str:
-    """As `model.digest`.
-
-    Raises:
-        InvalidSource, MachineFault, MemoryError: as `read_apart`.
-    """
+    """Return the same as `model.digest`; raises as `read_apart`."""
     return _apart(partial(model.digest, root=root), path)
 
 

@@ -44,11 +44,7 @@ class Model:
 
 
 def read_model(path: Path, root: Path, *, with_meshes: bool = True) -> Model:
-    """Read a model.
-
-    Args:
-        path: its main layer, or a package.
-        root: the folder that its layers may not leave.
+    """Read a model from its main layer, or a package, at `path`; its layers may not leave `root`.
 
     Raises:
         InvalidSource: anything amiss with it.
@@ -60,11 +56,7 @@ def read_model(path: Path, root: Path, *, with_meshes: bool = True) -> Model:
 
 
 def digest(path: Path, root: Path) -> str:
-    """Return the digest of all layers of a model.
-
-    Raises:
-        InvalidSource, MachineFault, MemoryError: as `read_model`.
-    """
+    """Return the digest of all layers of a model; raises as `read_model`."""
     files = ModelFiles(path.parent, root)
     Layers(path, files)
     return files.sha256()

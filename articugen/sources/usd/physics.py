@@ -93,11 +93,8 @@ def body_of(prim: Any) -> Any | None:
 
 
 def read_joint(prim: Any, stage: Stage) -> PhysicsJoint | None:
-    """Return the joint that a prim is; None of one that is switched off.
-
-    Raises:
-        InvalidSource: it is of a kind that is not read, or anything is amiss with it.
-    """
+    """Return the joint that a prim is, None of one that is switched off; InvalidSource if it is of
+    a kind that is not read, or anything is amiss with it."""
     (UsdPhysics,) = pxr("UsdPhysics")
     by = f"{stage.where}: {prim.GetPath()}"
     joint = UsdPhysics.Joint(prim)

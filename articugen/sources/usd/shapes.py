@@ -36,11 +36,8 @@ class Shapes:
         self.left_out: set[str] = set()
 
     def shown(self, prim: Any) -> bool:
-        """Return whether a prim is a surface that is seen: not a guide or proxy, not hidden.
-
-        Raises:
-            InvalidSource: it is of a kind without which the model would not be itself.
-        """
+        """Return whether a prim is a surface that is seen: not a guide or proxy, not hidden;
+        InvalidSource for a kind without which the model would not be itself."""
         (UsdGeom,) = pxr("UsdGeom")
         kind = str(prim.GetTypeName())
         if kind not in (*_REFUSED, *_NOT_READ, *_MAKERS):
@@ -60,11 +57,8 @@ class Shapes:
         return True
 
     def triangles(self, prim: Any) -> Mesh:
-        """Return (V, 3) in stage coordinates and (F, 3) of a prim that is `shown`.
-
-        Raises:
-            InvalidSource: anything amiss with it, or all together are too many.
-        """
+        """Return (V, 3) in stage coordinates and (F, 3) of a prim that is `shown`; InvalidSource if
+        anything is amiss with it, or all together are too many."""
         by = f"{self._path}: {prim.GetPath()}"
         self._count += 1
         if self._count > MAX_SHAPES:

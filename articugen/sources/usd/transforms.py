@@ -69,11 +69,8 @@ def _steps(xformable: Any, by: str) -> list[Any]:
 
 
 def value_of(attribute: Any, by: str) -> Any:
-    """Return the value of an attribute at the default time.
-
-    Raises:
-        InvalidSource: it changes with time.
-    """
+    """Return the value of an attribute at the default time; InvalidSource if it changes with
+    time."""
     if attribute.GetNumTimeSamples() > 0:
         raise InvalidSource(
             f"{by}: {attribute.GetName()} changes with time; export the model without animation"
@@ -82,11 +79,8 @@ def value_of(attribute: Any, by: str) -> Any:
 
 
 def numbers(value: Any, shape: tuple[int, ...], by: str, what: str) -> Array:
-    """Return a value as an array of that shape.
-
-    Raises:
-        InvalidSource: it is none, or of a number that is not finite or too large.
-    """
+    """Return a value as an array of that shape; InvalidSource if it is none, or of a number that is
+    not finite or too large."""
     try:
         array = np.array(value, np.float64)
     except (TypeError, ValueError):
@@ -99,11 +93,7 @@ def numbers(value: Any, shape: tuple[int, ...], by: str, what: str) -> Array:
 
 
 def rotation_of(quaternion: Any, by: str, what: str) -> Array:
-    """Return (3, 3) of a quaternion of OpenUSD, which need not be of unit length.
-
-    Raises:
-        InvalidSource: it is none.
-    """
+    """Return (3, 3) of a quaternion of OpenUSD, of any length; InvalidSource if it is none."""
     parts = None if quaternion is None else (quaternion.GetReal(), *quaternion.GetImaginary())
     q = numbers(parts, (4,), by, what)
     length = norm(q)
@@ -120,11 +110,7 @@ def rotation_of(quaternion: Any, by: str, what: str) -> Array:
 
 
 def inverse(T: Array, by: str) -> Array:
-    """Return (4, 4) of an affine transform, by cofactors.
-
-    Raises:
-        InvalidSource: it has none.
-    """
+    """Return (4, 4) of an affine transform, by cofactors; InvalidSource if it has none."""
     x, y, z = T[:3, 0], T[:3, 1], T[:3, 2]
     volume = dot(x, cross(y, z))
     if volume == 0.0:
@@ -136,12 +122,9 @@ def inverse(T: Array, by: str) -> Array:
 
 
 def turn_of(T: Array, by: str) -> Array:
-    """Return (3, 3) the rotation in a transform that turns, scales and perhaps mirrors. Of a
-    mirrored one all three scales count as negative, as OpenUSD has it.
-
-    Raises:
-        InvalidSource: it shears, or is scaled to nothing.
-    """
+    """Return (3, 3) the rotation in a transform that turns, scales and perhaps mirrors;
+    InvalidSource if it shears, or scales to nothing. Of a mirrored one all three scales count as
+    negative, as OpenUSD has it."""
     columns = T[:3, :3]
     lengths = norm(columns.T)
     if not (lengths > 0.0).all():
@@ -157,11 +140,7 @@ def turn_of(T: Array, by: str) -> Array:
 
 
 def axis_of(token: Any, by: str) -> tuple[float, float, float]:
-    """Return the unit vector that X, Y or Z stands for.
-
-    Raises:
-        InvalidSource: it is none of them.
-    """
+    """Return the unit vector that X, Y or Z stands for; InvalidSource for anything else."""
     if str(token) not in _AXES:
         raise InvalidSource(f"{by}: its axis is {quoted(str(token))}; make it X, Y or Z")
     return _AXES[str(token)]
