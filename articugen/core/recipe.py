@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from articugen.core import backends, schema
 from articugen.core.content import RECIPES
@@ -254,6 +254,14 @@ class Recipe(_Section):
                     del told[section][key]
         told = {name: value for name, value in told.items() if value != {}}
         return json.dumps(told, sort_keys=True, separators=(",", ":"))
+
+    @staticmethod
+    def of_text(text: str) -> "Recipe | None":
+        """Return the recipe that has this `text`; None where it is of another version."""
+        try:
+            return Recipe.model_validate_json(text)
+        except ValidationError:
+            return None
 
     def fields(self) -> dict[str, Described]:
         """Return the data sets of a shard by this recipe, by name."""

@@ -66,10 +66,8 @@ class CommonPlan(BaseModel):
 
     def recipe_of_objects(self) -> str:
         """The digest that shards of it have of their recipe; "" if it is of another version."""
-        try:
-            return Recipe.model_validate_json(self.recipe).for_one_object().sha256()
-        except ValidationError:
-            return ""
+        recipe = Recipe.of_text(self.recipe)
+        return recipe.for_one_object().sha256() if recipe else ""
 
 
 def listing_of(names: Iterable[Name]) -> str:

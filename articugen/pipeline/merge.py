@@ -5,8 +5,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from articugen.core.errors import ArticugenError
 from articugen.core.place import Folder
 from articugen.core.recipe import Recipe
@@ -90,11 +88,10 @@ def _check_listing(records: Records, refs: Sequence[ObjectRef]) -> None:
 
 
 def _job_of(common: CommonPlan, folder: Path, jobs: int) -> Job:
-    try:
-        recipe = Recipe.model_validate_json(common.recipe)
-    except ValidationError:
+    recipe = Recipe.of_text(common.recipe)
+    if recipe is None:
         raise ArticugenError(
             f"{folder}: the ranks' recipe is of another version of articugen; merge it there"
-        ) from None
+        )
     choice: dict[str, Any] = {name: getattr(common, name) for name in OF_JOB}
     return Job(**choice, recipe=recipe, out=folder, jobs=jobs)

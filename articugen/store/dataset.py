@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from articugen.core import schema
 from articugen.core.errors import CorruptShard, InvalidArgument
@@ -107,14 +106,13 @@ class DataSet(Sequence[Row]):
         Raises:
             CorruptShard: by a recipe of another version.
         """
-        manifest = self.manifest
-        try:
-            text = manifest.recipe if manifest else self._attributes()["recipe"]
-            return Recipe.model_validate_json(str(text))
-        except ValidationError:
+        text = self.manifest.recipe if self.manifest else self._attributes()["recipe"]
+        recipe = Recipe.of_text(str(text))
+        if recipe is None:
             raise CorruptShard(
                 f"{self.path}: its recipe is of another version of articugen; read it there"
-            ) from None
+            )
+        return recipe
 
     @cached_property
     def objects(self) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from articugen.core import processes
 from articugen.core.errors import CorruptShard, spelt_out
@@ -257,11 +257,8 @@ def _leftovers(folder: Path) -> Iterator[Finding]:
 
 
 def _recipe_of(text: str) -> Recipe | None:
-    try:
-        recipe = Recipe.model_validate_json(text)
-    except ValidationError:
-        return None
-    return recipe if recipe.text() == text else None
+    recipe = Recipe.of_text(text)
+    return recipe if recipe and recipe.text() == text else None
 
 
 def _expected_attributes(manifest: Manifest) -> dict[str, str | int]:
@@ -328,12 +325,10 @@ def _row_findings(
     shard: Shard, entry: ShardEntry, objects: list[ObjectEntry]
 ) -> tuple[list[Finding], list[Finding]]:
     """What is wrong with the content, and with the geometry; each row is read once for both."""
-    name, about, recipe = shard.path.name, str(shard.attributes["recipe"]), None
+    name, recipe = shard.path.name, Recipe.of_text(str(shard.attributes["recipe"]))
     content: list[Finding] = []
     geometry: list[Finding] = []
-    try:
-        recipe = Recipe.model_validate_json(about)
-    except ValidationError:
+    if recipe is None:
         sentence = "recipe is not a recipe of this version"
         geometry.append(Finding("attributes", sentence, name))
     if len(shard) != entry.instances:

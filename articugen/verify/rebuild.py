@@ -207,9 +207,8 @@ def _is_of(key: Key, about: Mapping[str, Attribute]) -> bool:
 def _recipe(told: dict[str, Any], about: Mapping[str, Attribute]) -> str | None:
     """Return the whole recipe, of which shards have what decides one object; None if damaged."""
     text = str(told.get("recipe"))
-    try:
-        recipe = Recipe.model_validate_json(text)
-    except ValidationError:
+    recipe = Recipe.of_text(text)
+    if recipe is None:
         return None
     digest = hashlib.sha256(text.encode()).hexdigest()
     fits = recipe.text() == text and recipe.for_one_object().text() == about["recipe"]

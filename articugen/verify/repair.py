@@ -10,8 +10,6 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pydantic import ValidationError
-
 from articugen.core.errors import ArticugenError, CorruptShard, RejectedInstance
 from articugen.core.files import write_atomically
 from articugen.core.place import Folder
@@ -172,12 +170,10 @@ def _task(manifest: Manifest, shard: str) -> Task:
 
 
 def _recipe(manifest: Manifest) -> Recipe:
-    try:
-        return Recipe.model_validate_json(manifest.recipe)
-    except ValidationError:
-        raise ArticugenError(
-            "its recipe is of another version of articugen; repair it there"
-        ) from None
+    recipe = Recipe.of_text(manifest.recipe)
+    if recipe is None:
+        raise ArticugenError("its recipe is of another version of articugen; repair it there")
+    return recipe
 
 
 @dataclass(frozen=True)
