@@ -117,10 +117,10 @@ def fetch_models(
 def _print(done: "Fetched") -> None:
     from articugen.sources.fetch.target import LIST_NAME
 
-    for name, why in done.refused.items():
-        stdout.print(f"[yellow]refused[/] {_line(name, why)}", soft_wrap=True)
-    for name, why in done.failed.items():
-        stdout.print(f"[yellow]not fetched[/] {_line(name, why)}", soft_wrap=True)
+    for word, reasons in (("refused", done.refused), ("not fetched", done.failed)):
+        for name, why in reasons.items():
+            line = escape(printable(f"{name}: {why}"))
+            stdout.print(f"[yellow]{word}[/] {line}", soft_wrap=True)
     sound = done.models - len(done.refused)
     stdout.print(
         f"{escape(str(done.folder))}: {done.models} models, {done.new} of them new, {sound} sound; "
@@ -132,7 +132,3 @@ def _print(done: "Fetched") -> None:
         f"next: {escape(command('generate', '--source', done.folder, '--category', category))}",
         soft_wrap=True,
     )
-
-
-def _line(name: str, why: str) -> str:
-    return escape(printable(f"{name}: {why}"))

@@ -102,7 +102,8 @@ def train(
                 on_progress=on_progress,
             )
         stdout.print(f"done: {run.path}", soft_wrap=True)
-        _say_next(run.path, data[0])
+        then = command("evaluate", run.path, "--data", data[0])
+        stdout.print(f"next: {escape(then)}", soft_wrap=True)
 
 
 @app.command(epilog="Example: articugen train-depth runs/laptop --data data/laptop")
@@ -132,11 +133,6 @@ def train_depth(
         category, [data], recipe, changes=settings, runs=runs, resume=resume, device=device,
         threads=threads,
     )  # fmt: skip
-
-
-def _say_next(run: Path, data: Path) -> None:
-    what = command("evaluate", run, "--data", data)
-    stdout.print(f"next: {escape(what)}", soft_wrap=True)
 
 
 @app.command(epilog="Example: articugen evaluate runs/laptop --data data/laptop")

@@ -40,11 +40,6 @@ class Share:
     def is_refused(self) -> bool:
         return BOUNDS[self.bound].refuses(self.agree, self.judged)
 
-    @property
-    def could_be_refused(self) -> bool:
-        """Whether so many places were judged that it would be refused if none agreed."""
-        return BOUNDS[self.bound].refuses(0, self.judged)
-
     def in_words(self) -> str:
         return self.sentence.format(share=f"{self.agree / self.judged:.0%}")
 

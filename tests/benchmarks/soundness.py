@@ -30,7 +30,7 @@ from articugen.instance.preparing import Prepared, prepare
 from articugen.sources.refs import ObjectRef
 from articugen.sources.source import open_source
 from articugen.verify import invariants, replay
-from articugen.verify.bounds import TOLERANCES, Tolerance
+from articugen.verify.bounds import BOUNDS, TOLERANCES, Tolerance
 
 CATEGORIES = ("drawer", "eyeglasses", "laptop", "oven", "washing_machine")
 
@@ -85,7 +85,7 @@ class Made:
         """By bound, of the shares that could have been refused."""
         least: dict[str, float] = {}
         for _, _, share in invariants.shares(self.rows, self.recipe):
-            if share.could_be_refused:
+            if BOUNDS[share.bound].refuses(0, share.judged):  # if none agreed
                 agree = share.agree / share.judged
                 least[share.bound] = min(agree, least.get(share.bound, 1.0))
         return least

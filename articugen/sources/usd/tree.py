@@ -96,7 +96,7 @@ class Tree:
         name = f"{self._names[body]}_held"
         while name in self._joint_names:
             name += "~"
-        self.joints.append(_fixed(name, self._names[WORLD], self._names[body], np.zeros(3)))
+        self.joints.append(_fixed(name, self._names[WORLD], self._names[body]))
 
     def _add(self, number: int, parent: int, child: int, turned_round: bool) -> None:
         joint, name = self._joints[number], self._joint_names[number]
@@ -105,7 +105,7 @@ class Tree:
         if joint.kind == JointKind.FIXED:
             self._rigid[child] = self._rigid[parent]
             self.origins[child] = self.origins[parent]
-            self.joints.append(_fixed(name, *names, np.zeros(3)))
+            self.joints.append(_fixed(name, *names))
             return
         axis, rest = self._axis(joint)
         self.origins[child] = joint.frames[0][:3, 3]
@@ -152,7 +152,5 @@ def _turn_about(R: Array, axis: Sequence[float]) -> float:
     return float(arctan2(R[z, y] - R[y, z], R[y, y] + R[z, z]))
 
 
-def _fixed(name: str, parent: str, child: str, offset: Array) -> Joint:
-    return Joint(
-        name, JointKind.FIXED, parent, child, transform(None, offset), np.array([1.0, 0.0, 0.0])
-    )
+def _fixed(name: str, parent: str, child: str) -> Joint:
+    return Joint(name, JointKind.FIXED, parent, child, np.eye(4), np.array([1.0, 0.0, 0.0]))
