@@ -34,13 +34,11 @@ _SHADES = (0.0, 0.45, -0.35, 0.7, -0.6)
 
 
 def part_colours(labels: Sequence[int], dominant: Sequence[int]) -> list[str]:
-    """#rrggbb of each predicted part: that of the true part whose label it has.
+    """Return #rrggbb of each predicted part: that of the true part whose label it has, where
+    `labels` and `dominant` are as in the result of `evaluate`; -1 is no label.
 
-    Where several share a label, the dominant one has the colour itself, the others paler and
-    darker shades of it.
-
-    Args:
-        labels, dominant: as in the result of `evaluate`; -1 is no label.
+    Where several share a label, the dominant one has the colour itself, the others paler and darker
+    shades of it.
     """
     colours = [UNNAMED] * len(labels)
     for label in sorted(set(labels) - {-1}):

@@ -58,15 +58,9 @@ class Ledger:
     # --- what is made
 
     def agree(self, about: bytes, *, anew: bool = False) -> bytes:
-        """Write down what is made here, unless somebody has; what stands there then.
-
-        Args:
-            about: the same bytes for the same work.
-            anew: replace what is there: nobody else is at work.
-
-        Raises:
-            ArticugenError: what stands there is damaged.
-        """
+        """Write down what is made here, the same bytes for the same work, unless somebody has;
+        return what stands there then, or ArticugenError if that is damaged. What nobody else is at
+        work on may be replaced: `anew`."""
         data = _sealed("", about)
         if anew:
             self.place.write(_PLAN, data)
@@ -197,12 +191,9 @@ class Ledger:
         return [name for name in self.files() if whole_name(name.rpartition("/")[2]) is not None]
 
     def seal(self, report: Iterable[tuple[str, bytes]], *, keep: bool = False) -> None:
-        """Write the files that tell of all of it, in their order, then remove the ledger.
-
-        Args:
-            report: names and bytes; all is counted as finished once the last is written.
-            keep: leave the ledger there: others may still be reading it.
-        """
+        """Write files, by name, that tell of all of it, in their order, the last of which makes it
+        count as finished; then remove the ledger, unless others may still be reading it
+        (`keep`)."""
         for name, data in report:
             self.place.write(name, data)
         if not keep:

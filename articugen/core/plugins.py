@@ -33,12 +33,8 @@ class Group:
         return tuple(_found(self.name, tuple(ours)))
 
     def load(self, name: str) -> Any:
-        """Return the object of that name.
-
-        Raises:
-            BrokenPlugin: it cannot be imported or lacks what it needs; names the package.
-            MachineFault, MemoryError: the disk does not answer, or the like.
-        """
+        """Return the object of that name; BrokenPlugin, with the package, if it cannot be imported
+        or lacks what it needs, or MachineFault or MemoryError."""
         return _load(self, _installed(self.name)[name])
 
     def load_all(self, ours: Sequence[str] = ()) -> dict[str, Any]:

@@ -168,10 +168,8 @@ class Section(BaseModel):
 
 
 def with_settings(recipe: Model, texts: Sequence[str]) -> Model:
-    """`recipe` with other values, as `--set` takes them; the last one of a key counts.
-
-    Args:
-        texts: `key=value` or `section.key=value`, the value as in YAML: `sampling.grids=[16, 32]`.
+    """Return `recipe` with other values, `section.key=value` as `--set` takes them, the value as in
+    YAML; the last one of a key counts.
 
     Raises:
         InvalidRecipe: no such key (with the nearest valid one), or a bad value.

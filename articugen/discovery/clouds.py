@@ -181,10 +181,8 @@ class Change:
 
 
 def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change:
-    """What changes between the poses of one object.
-
-    Args:
-        normals: of each pose's points, out of the material.
+    """Return what changes between the poses of one object, with `normals` of their points out of
+    the material where they are known.
 
     Raises:
         InvalidArgument: there is one pose only, one is no cloud of points, they share no frame, or

@@ -225,11 +225,8 @@ def _enters(q, inverse, reach, low, high):
 
 @helper
 def in_front(p, w, plane):
-    """Return how far `p` lies in front of a face's plane, along the direction `w` to the camera.
-
-    Args:
-        plane: normal and offset, the first four columns of the `triangle_table`.
-    """
+    """Return how far `p` lies in front of a face's `plane`, normal and offset as in the
+    `triangle_table`, along the direction `w` to the camera."""
     a, b, c, offset = plane
     slope = a * w[0] + b * w[1] + c * w[2]
     if slope == 0.0:

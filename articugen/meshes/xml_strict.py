@@ -9,13 +9,9 @@ from articugen.core.errors import InvalidSource
 
 
 def parse_xml(data: bytes, path: Path) -> Any:
-    """Return the root element (lxml) of a well-formed document without DOCTYPE, comments removed.
-
-    libxml2's own limits stay on (`huge_tree=False`): depth 256, 10 MB in one text.
-
-    Args:
-        data: the bytes of the file.
-        path: its name, for messages only.
+    """Return the root element (lxml) of a well-formed document without DOCTYPE, comments removed;
+    `path` is its name for messages. libxml2's own limits stay on (`huge_tree=False`): depth 256, 10
+    MB in one text.
 
     Raises:
         InvalidSource: not well-formed, too deep, too large, or with a DOCTYPE.

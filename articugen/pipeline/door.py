@@ -91,14 +91,12 @@ def make(
     on_object: OnObject = ignore,
     on_notice: OnNotice = ignore,
 ) -> Manifest:
-    """Make one data set of `jobs_of`, or what is missing of it; see `generate`.
-
-    Args:
-        on_notice: called with one sentence where a worker was lost, and the like.
+    """Make one data set of `jobs_of`, or what is missing of it; see `generate`. `on_notice` is
+    called with one sentence where a worker was lost, and the like.
 
     Raises:
-        ArticugenError, KeyboardInterrupt: as `generate`; the manifest is written first, and tells
-            of a `shortfall`, too.
+        ArticugenError, KeyboardInterrupt: as `generate`; the manifest is written first, and has a
+            `shortfall`, too.
     """
     executor = job.executor.of(job, "")
     with started(job) as run:

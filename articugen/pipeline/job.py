@@ -84,11 +84,7 @@ class Job:
 
     @property
     def place(self) -> Folder | Bucket:
-        """Where the data set goes.
-
-        Raises:
-            InvalidArgument, MissingExtra: as `Bucket`.
-        """
+        """The place where the data set goes; raises as `Bucket`."""
         return Bucket(self.out.url) if isinstance(self.out, Remote) else Folder(self.out)
 
     @property

@@ -173,12 +173,9 @@ def plan_recorded(
     refs: Sequence[ObjectRef],
     on_object: Callable[[int, int, str], None],
 ) -> Plan:
-    """The same by records alone: what objects are made from is not read again, the plain command
-    does that.
-
-    Args:
-        on_object: called with how many objects were checked, of how many, and the last one.
-    """
+    """Return the same by records alone: what objects are made from is not read again, the plain
+    command does that. `on_object` is called with how many objects were checked, of how many, and
+    the last one."""
     generator = generator_of(refs[0], job.recipe.text())
 
     def check(ref: ObjectRef) -> tuple[Key, str | None]:

@@ -204,12 +204,11 @@ class Records:
     # --- a run
 
     def begin(self, names: Iterable[str]) -> None:
-        """Say that shards of these names are about to be written; a plain run takes the manifest
-        away, if there is one.
+        """Take note that shards of these names are about to be written; a plain run takes the
+        manifest away, if there is one.
 
         Raises:
-            ArticugenError: a file of that name is there and not ours; other processes make
-                something else here.
+            ArticugenError: a file of that name is not ours; other processes make something else.
             MachineFault: the place cannot be written.
         """
         assert self._about is not None, "say what is expected before anything is begun"

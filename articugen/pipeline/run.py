@@ -60,11 +60,8 @@ class Finished:
 
 @contextmanager
 def started(job: Job, *, command: str = "") -> Iterator["Run"]:
-    """A run that has agreed with whoever is at work in its place, and has made nothing yet.
-
-    Args:
-        job: the data set, or a share of it.
-        command: that makes all of it, as people write it, for what is said to them.
+    """A run that has agreed with whoever is at work in its place, and has made nothing yet;
+    `command` makes all of it, as people write it.
 
     Raises:
         ArticugenError: unknown source or category; the folder is in use or damaged; processes make

@@ -10,12 +10,8 @@ from articugen.meshes.model_files import MAX_TEXT_BYTES, ModelFiles, unreadable
 
 
 def visible(base: Path) -> list[Path]:
-    """What lies in a folder, by name, hidden things left out; of no folder nothing.
-
-    Raises:
-        InvalidSource: it cannot be listed.
-        MachineFault, MemoryError: the disk does not answer, or the like.
-    """
+    """Return what a folder has in it, by name, without hidden things; nothing of what is no folder.
+    InvalidSource if it cannot be listed, or MachineFault or MemoryError."""
     if not isdir(base):
         return []
     try:

@@ -34,10 +34,8 @@ def of_category(models: Collection[Found], file: SourceFile, name: str) -> list[
 
 def in_folder(path: Path, file: SourceFile, category: str) -> list[Found]:
     """Return the models of a category in a folder that no source.yaml describes, or the one in a
-    file; any name will do for those that do not tell theirs.
-
-    Args:
-        file: says what categories are called.
+    file; any name will do for those that do not tell theirs. `file` says what categories are
+    called.
 
     Raises:
         InvalidSource: there is none; models that tell their category, all another.
@@ -94,13 +92,10 @@ def any_models(base: Path) -> list[Found]:
 
 
 def called(object_id: str, base: Path, reader: str) -> list[Found]:
-    """Return the models in `base` whose file or folder has the name `object_id`, and they that id;
-    others are not examined. None where only a listing can tell: an id with a dot may be the path
-    of one of two that share a name, and another package's reader may name models as it likes.
-
-    Args:
-        reader: that of the source; "" where no source.yaml names one.
-    """
+    """Return the models in `base` whose file or folder has the name `object_id`, and they that id,
+    by the source's `reader`, "" where no source.yaml names one; others are not examined. None where
+    only a listing can tell: an id with a dot may be the path of one of two that share a name, and
+    another package's reader may name models as it likes."""
     if not object_id or object_id != Path(object_id).name or "." in object_id:
         return []
     there = base / object_id

@@ -63,11 +63,8 @@ class SourceFile(Section):
 
     @property
     def maker(self) -> Maker | None:
-        """The reader, where it makes its objects on demand.
-
-        Raises:
-            BrokenPlugin: it is another package's and cannot be used.
-        """
+        """The reader, where it makes its objects on demand; BrokenPlugin if it is another package's
+        and cannot be used."""
         own = reader(self.reader)
         return own if isinstance(own, Maker) else None
 
@@ -115,11 +112,8 @@ def unknown(where: str, name: str, there: Collection[str]) -> InvalidSource:
 
 
 def read_source_file(path: Path) -> SourceFile:
-    """Read and check one source.yaml.
-
-    Raises:
-        InvalidSource: unreadable, not YAML, an unknown key (with the nearest valid one), bad value.
-    """
+    """Read and check one source.yaml; InvalidSource if it is unreadable, not YAML, or has an
+    unknown key (with the nearest valid one) or a bad value."""
     try:
         return SourceFile.model_validate(_parsed(str(path), yaml_bytes(path, InvalidSource)))
     except ValidationError as error:

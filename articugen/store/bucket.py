@@ -83,17 +83,11 @@ def tried(
     cure: str,
     times: int,
 ) -> R | None:
-    """What `act` returns, tried again where nobody answers; None where there is no such file.
-
-    Args:
-        act: a request.
-        where: the file, for what is said.
-        answer: what an error says.
-        cure: of a refusal.
-        times: that it is asked at most.
+    """Return what `act`, a request for the file `where`, returns; None where there is no such file.
+    It is tried again, `times` at most, where nobody answers; `answer` says what an error means.
 
     Raises:
-        ArticugenError: access is refused.
+        ArticugenError: access is refused; `cure` says what to do.
         MachineFault: the store does not answer.
         Exception: nonsense.
     """

@@ -109,13 +109,8 @@ def document(
     distribution: list[dict[str, Any]],
     records: Sequence[dict[str, Any]] = (),
 ) -> bytes:
-    """Return the text of a croissant.json.
-
-    Args:
-        manifest: tells licence and source.
-        distribution: as `listed` gives it.
-        records: RecordSets.
-    """
+    """Return the text of a croissant.json: `manifest` has licence and source, `distribution` is
+    what `listed` gives, `records` are RecordSets."""
     told: dict[str, Any] = {
         "@context": _CONTEXT,
         "@type": "sc:Dataset",

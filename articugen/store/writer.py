@@ -77,16 +77,9 @@ def write_shard(
 
 
 def copy_user_group(path: Path, into: Path, written: int) -> None:
-    """Copy the group `user`, if any, of a file that may be damaged into a shard, which is otherwise
-    left as it is.
-
-    Args:
-        path: of the file, which need not be there.
-        written: bytes that it had when it was written: a larger one may have such a group.
-
-    Raises:
-        CorruptShard: there is one that cannot be read, or there may be.
-    """
+    """Copy the group `user`, if any, of a file that may be damaged, or not be there, into a shard,
+    which is otherwise left as it is. A file of more bytes than were `written` may have one:
+    CorruptShard if that cannot be read, or if nobody can tell."""
     if not os.path.lexists(path):
         return
     is_there = path.stat().st_size > written

@@ -120,13 +120,8 @@ class Report:
 
 
 def verify(folder: Path, *, jobs: int = 1, on_shard: Callable[[str], None] | None = None) -> Report:
-    """Check a data set: the folder that holds manifest.json and its shards.
-
-    Args:
-        folder: of the data set.
-        jobs: processes to work with; with 1 it is this one.
-        on_shard: called with the name of each shard once it has been looked at.
-    """
+    """Check a data set: the folder that holds manifest.json and its shards. With `jobs` of 1
+    this process does; `on_shard` is called with the name of each shard once it is examined."""
     try:
         manifest = Manifest.read(folder)
     except CorruptShard as error:

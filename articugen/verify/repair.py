@@ -45,9 +45,6 @@ def repair(
     done about each file.
 
     Args:
-        folder: of the data set.
-        report: what is wrong.
-        jobs: worker processes.
         drop_user: whether a group `user` may be lost where it cannot be read.
         on_notice: called with one sentence where it takes a while, or a worker was lost.
 

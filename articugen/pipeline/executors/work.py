@@ -131,14 +131,8 @@ class Executor(Protocol):
 
     @classmethod
     def of(cls, job: Job, command: str) -> "Executor":
-        """Return the executor that `job.scheduler` names.
-
-        Args:
-            command: that makes the whole data set, as people write it.
-
-        Raises:
-            InvalidArgument: the address makes no sense.
-        """
+        """Return the executor that `job.scheduler` names, whose address may make no sense:
+        InvalidArgument. `command` makes the whole data set, as people write it."""
         ...
 
     def get_ready(self, job: Job, notice: Notice) -> None:

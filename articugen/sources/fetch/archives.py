@@ -94,11 +94,8 @@ def opened(path: Path) -> Iterator[Archive]:
 
 
 def checked_members(archive: Archive, path: Path) -> list[Member]:
-    """The files of an archive whose names and sizes are all in order, as `contents` will have them.
-
-    Raises:
-        InvalidSource: one is not, or together they break a bound; names the archive and the entry.
-    """
+    """Return the files of an archive whose names and sizes are all in order, as `contents` will
+    have them; InvalidSource, with the entry, if one is not, or together they break a bound."""
     packed = path.stat().st_size
     most_bytes = max(_ALWAYS_BYTES, MAX_RATIO * packed)
     most_entries = min(MAX_FILES, _ALWAYS_ENTRIES + packed // MAX_DENSITY)

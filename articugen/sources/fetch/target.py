@@ -177,12 +177,10 @@ class Target:
 
     def lacks(self, place: PurePosixPath, archive_sha256: str | None, name: str) -> bool:
         """Return whether a model is to be fetched: it is not there whole, from just that archive
-        (None: from any), and nothing is in its way; what is in the way is noted.
+        (None: from any), and nothing is in its way; what is in the way is noted under the model's
+        `name`.
 
         A model that is there and was checked by another version is checked again.
-
-        Args:
-            name: what it is called where it cannot be fetched.
         """
         receipt = self.receipts.get(str(place))
         if receipt and archive_sha256 in (None, receipt.archive_sha256):
@@ -236,11 +234,7 @@ class Target:
             place: the folder here of a model's folder in the archive.
 
         Returns:
-            the places of all models in it, and how many came now.
-
-        Raises:
-            InvalidSource: unsafe, damaged, or without a model.
-            MachineFault, MemoryError: the disk is full, or the like.
+            the places of all models in it, and how many came now; raises as `unpack`.
         """
         new = 0
 

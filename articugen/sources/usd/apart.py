@@ -28,12 +28,9 @@ _OURS = ("PXR_", "USD_", "SDF_", "PCP_", "TF_", "USDC_")
 
 
 def read_apart(path: Path, root: Path, *, with_meshes: bool = True) -> model.Model:
-    """As `model.read_model`; also refused: what takes too long or too much memory.
-
-    Raises:
-        InvalidSource: also where OpenUSD is not installed.
-        MachineFault, MemoryError: as there; or the system ended it.
-    """
+    """Return the same as `model.read_model`, and raise as that does; InvalidSource also where it
+    takes too long or too much memory, or OpenUSD is not installed, MemoryError where the system
+    ended it."""
     return _apart(partial(model.read_model, root=root, with_meshes=with_meshes), path)
 
 

@@ -57,12 +57,8 @@ def main_file(folder: Path) -> Path | None:
 
 
 def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
-    """Read one.
-
-    Raises:
-        InvalidSource: anything amiss with it, or OpenUSD is not installed.
-        MachineFault, MemoryError: the disk does not answer, or the like.
-    """
+    """Read one; InvalidSource if anything is amiss with it, or OpenUSD is not installed. Else
+    raises as `apart.read_apart`."""
     path = main_file(ref.location) if isdir(ref.location) else ref.location
     if path is None:
         raise InvalidSource(
