@@ -28,9 +28,7 @@ MAX_COORDINATE = 1e9
 
 _Arrays = tuple[Floats, Ints]
 
-
-_HASHED_ONLY = ContextVar("_HASHED_ONLY", default=False)
-_UNREAD = ContextVar("_UNREAD", default=False)
+_WANTED = ContextVar("_WANTED", default="meshes")
 
 _NAME_OTHER_FILES = (".glb", ".gltf")
 """Formats whose files must be understood before one knows all bytes that count."""
@@ -38,36 +36,24 @@ _NAME_OTHER_FILES = (".glb", ".gltf")
 STAND_IN = Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32))
 
 
-def of_interest() -> bool:
-    """Whether anybody wants meshes, and neither `hashed_only` nor `unread` holds."""
-    return not (_HASHED_ONLY.get() or _UNREAD.get())
-
-
-def only_hashed() -> bool:
-    """Whether `hashed_only` holds."""
-    return _HASHED_ONLY.get()
+def wanted() -> str:
+    """Return what is wanted of mesh files: their "meshes", their "hash" alone, or "nothing"."""
+    return _WANTED.get()
 
 
 @contextmanager
-def hashed_only() -> Iterator[None]:
-    """Meanwhile `read_mesh` reads files, so that their bytes count in the model's hash, and makes
-    nothing of them: a stand-in of one triangle. The hash of a sound model is what it always is."""
-    token = _HASHED_ONLY.set(True)
+def wanting(what: str) -> Iterator[None]:
+    """Meanwhile have `read_mesh` give a stand-in of one triangle for any file.
+
+    Where the "hash" of a model is wanted it reads files all the same, so that their bytes count:
+    that of a sound model is what it always is. Where "nothing" is but its joints, no file is opened
+    and the hash is of no use.
+    """
+    token = _WANTED.set(what)
     try:
         yield
     finally:
-        _HASHED_ONLY.reset(token)
-
-
-@contextmanager
-def unread() -> Iterator[None]:
-    """Meanwhile `read_mesh` gives the stand-in without opening a file, for whom a model's joints
-    are all that matters. The model's hash is then of no use."""
-    token = _UNREAD.set(True)
-    try:
-        yield
-    finally:
-        _UNREAD.reset(token)
+        _WANTED.reset(token)
 
 
 class EmptyMesh(InvalidSource):
@@ -96,10 +82,10 @@ def read_mesh(path: Path, files: ModelFiles | None = None) -> Mesh:
             f"{path}: {quoted(path.suffix)} is no known mesh format; convert it to one of "
             f"{', '.join(_READERS)}"
         )
-    if _UNREAD.get():
+    if wanted() == "nothing":
         return STAND_IN
     data = files.read(path)
-    if _HASHED_ONLY.get() and path.suffix.lower() not in _NAME_OTHER_FILES:
+    if wanted() == "hash" and path.suffix.lower() not in _NAME_OTHER_FILES:
         return STAND_IN
     vertices, faces = read(data, path, files)
     return checked(vertices, faces, path)
@@ -139,38 +125,38 @@ def box(size: ArrayLike) -> Mesh:
     )
 
 
-def cylinder(radius: float, length: float, sections: int = 64) -> Mesh:
-    """A closed cylinder about z, centred on the origin; `sections` corners on the circle."""
-    return _lathe(
-        np.array([0.0, radius, radius, 0.0]), np.array([-0.5, -0.5, 0.5, 0.5]) * length, sections
-    )
+_SECTIONS = 64  # corners of a circle, meridians of a sphere; it has half as many parallels
 
 
-def sphere(radius: float, sections: int = 64) -> Mesh:
-    """A closed sphere about the origin, `sections` meridians, half as many parallels."""
-    polar = np.linspace(np.pi, 0.0, sections // 2 + 1)
+def cylinder(radius: float, length: float) -> Mesh:
+    """Return a closed cylinder about z, centred on the origin."""
+    return _lathe(np.array([0.0, radius, radius, 0.0]), np.array([-0.5, -0.5, 0.5, 0.5]) * length)
+
+
+def sphere(radius: float) -> Mesh:
+    """Return a closed sphere about the origin."""
+    polar = np.linspace(np.pi, 0.0, _SECTIONS // 2 + 1)
     around = sin(polar)
     around[[0, -1]] = 0.0
-    return _lathe(radius * around, radius * cos(polar), sections)
+    return _lathe(radius * around, radius * cos(polar))
 
 
-def capsule(radius: float, length: float, sections: int = 64) -> Mesh:
-    """A closed cylinder about z of that length, centred on the origin, with a half sphere on each
-    end; `sections` meridians, half as many parallels on the two halves together."""
-    polar = np.linspace(np.pi, 0.5 * np.pi, sections // 4 + 1)
+def capsule(radius: float, length: float) -> Mesh:
+    """Return a closed cylinder about z of that length, centred on the origin, with a half sphere on
+    each end."""
+    polar = np.linspace(np.pi, 0.5 * np.pi, _SECTIONS // 4 + 1)
     around, along = sin(polar), cos(polar)
     around[0], along[-1] = 0.0, 0.0
     half = 0.5 * length
     return _lathe(
         radius * np.concatenate([around, around[::-1]]),
         np.concatenate([radius * along - half, half - radius * along[::-1]]),
-        sections,
     )
 
 
-def cone(radius: float, height: float, sections: int = 64) -> Mesh:
-    """A closed cone about z with its tip up, centred on the origin as its box is."""
-    return _lathe(np.array([0.0, radius, 0.0]), np.array([-0.5, -0.5, 0.5]) * height, sections)
+def cone(radius: float, height: float) -> Mesh:
+    """Return a closed cone about z with its tip up, centred on the origin as its box is."""
+    return _lathe(np.array([0.0, radius, 0.0]), np.array([-0.5, -0.5, 0.5]) * height)
 
 
 PRIMITIVE_FACES = {"box": 12, "cylinder": 4 * 64, "sphere": 62 * 64, "capsule": 64 * 64}
@@ -197,22 +183,23 @@ def fans(corners: NDArray[np.integer], counts: NDArray[np.integer]) -> Ints:
     return np.asarray(corners, np.int64)[picked]
 
 
-def _lathe(radii: Floats, heights: Floats, sections: int) -> Mesh:
-    """The closed surface of a profile turned about z: radius 0 at both ends, heights ascending."""
-    turn = 2.0 * np.pi * np.arange(sections) / sections
-    ring = np.stack([cos(turn), sin(turn), np.zeros(sections)], axis=1)
+def _lathe(radii: Floats, heights: Floats) -> Mesh:
+    """Return the closed surface of a profile turned about z: radius 0 at both ends, heights
+    ascending."""
+    turn = 2.0 * np.pi * np.arange(_SECTIONS) / _SECTIONS
+    ring = np.stack([cos(turn), sin(turn), np.zeros(_SECTIONS)], axis=1)
     rings = [ring * r + [0.0, 0.0, z] for r, z in zip(radii[1:-1], heights[1:-1], strict=True)]
     poles = [[0.0, 0.0, heights[0]], [0.0, 0.0, heights[-1]]]
-    here = np.arange(sections)
-    there = (here + 1) % sections
-    bottom = len(rings) * sections
-    last = bottom - sections
-    faces = [np.stack([there, here, np.full(sections, bottom)], axis=1)]
-    for low in range(0, last, sections):
-        high = low + sections
+    here = np.arange(_SECTIONS)
+    there = (here + 1) % _SECTIONS
+    bottom = len(rings) * _SECTIONS
+    last = bottom - _SECTIONS
+    faces = [np.stack([there, here, np.full(_SECTIONS, bottom)], axis=1)]
+    for low in range(0, last, _SECTIONS):
+        high = low + _SECTIONS
         faces.append(np.stack([low + here, low + there, high + there], axis=1))
         faces.append(np.stack([low + here, high + there, high + here], axis=1))
-    faces.append(np.stack([last + here, last + there, np.full(sections, bottom + 1)], axis=1))
+    faces.append(np.stack([last + here, last + there, np.full(_SECTIONS, bottom + 1)], axis=1))
     return Mesh(np.concatenate([*rings, poles]), np.concatenate(faces).astype(np.int32))
 
 

@@ -120,10 +120,10 @@ def _is_of_category(recipe: Recipe, ref: ObjectRef) -> bool:
     """Whether something of an object moves in the recipe's sense; no mesh is read. One that cannot
     be read counts: its turn comes to be refused, with the reason."""
     from articugen.instance.again import resolved  # noqa: PLC0415 - slow to import
-    from articugen.meshes.read import unread  # noqa: PLC0415
+    from articugen.meshes.read import wanting  # noqa: PLC0415
 
     try:
-        with unread():
+        with wanting("nothing"):
             resolved(ref, recipe)
     except NotOfCategory:
         return False

@@ -31,10 +31,10 @@ def of_joints(refs: list[ObjectRef], joints: Collection[str], category: str) -> 
 
 
 def _fits(ref: ObjectRef, wanted: frozenset[str]) -> bool:
-    from articugen.meshes.read import unread  # noqa: PLC0415 - slow to import
+    from articugen.meshes.read import wanting  # noqa: PLC0415 - slow to import
 
     try:
-        with unread():
+        with wanting("nothing"):
             obj = readers.load(ref)
     except InvalidSource:
         return True

@@ -183,9 +183,9 @@ def load(ref: ObjectRef) -> ArticulatedObject:
 def digest(ref: ObjectRef) -> str:
     """Return the sha256 that `load` gives a sound object, without making anything of its meshes; of
     one whose meshes are unsound, some digest of its files. Raises as `load`."""
-    from articugen.meshes.read import hashed_only  # noqa: PLC0415 - slow to import
+    from articugen.meshes.read import wanting  # noqa: PLC0415 - slow to import
 
-    with hashed_only():
+    with wanting("hash"):
         return load(ref).sha256
 
 

@@ -66,11 +66,11 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
             "layers into resource/"
         )
     root = ref.root or path.parent
-    if read.only_hashed():
+    if read.wanted() == "hash":
         links, joints, notes = ((Link("world", read.STAND_IN),), (), ())
         sha256 = digest_apart(path, root)
     else:
-        made = read_apart(path, root, with_meshes=read.of_interest())
+        made = read_apart(path, root, with_meshes=read.wanted() == "meshes")
         links = tuple(Link(n, read.STAND_IN if m is None else m) for n, m in made.links)
         joints, notes, sha256 = made.joints, made.notes, made.sha256
     return ArticulatedObject(
