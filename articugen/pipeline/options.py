@@ -8,7 +8,7 @@ It imports nothing that takes time: `articugen generate --help` reads it.
 import inspect
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field, fields
+from dataclasses import KW_ONLY, MISSING, dataclass, field, fields
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, Union
@@ -51,31 +51,25 @@ OnObject = Callable[[ObjectReport], None]
 OnNotice = Callable[[str], None]
 
 
-def about(sentence: str, *flags: str, **shown: Any) -> dict[str, Any]:
-    """Return a field's metadata: its help, its flags besides --<name>, or instead of that, and
-    further arguments of `typer.Option`."""
-    return {"help": sentence, "flags": flags, "shown": shown}
-
-
 def ignore(_: object) -> None:
     """Do nothing, where nobody wants to be called."""
 
 
 def option(default: Any, sentence: str, *flags: str, **shown: Any) -> Any:
-    """Return a field with a default; the rest as `about`."""
-    return field(default=default, metadata=about(sentence, *flags, **shown))
+    """Return a field with a default, or MISSING, and its help, its flags besides --<name>, or
+    instead of that, and further arguments of `typer.Option`."""
+    return field(default=default, metadata={"help": sentence, "flags": flags, "shown": shown})
 
 
 @dataclass(frozen=True)
 class Options:
     """What is asked of `generate`."""
 
-    category: str | Sequence[str] = field(
-        metadata=about(
-            "What to make, as `articugen sources` lists it; several, or `all`: each into its own "
-            "folder.",
-            "-c",
-        )
+    category: str | Sequence[str] = option(
+        MISSING,
+        "What to make, as `articugen sources` lists it; several, or `all`: each into its own "
+        "folder.",
+        "-c",
     )
     source: Folder = option("procedural", "A source's name, or a folder of URDFs.", "-s")
     out: Folder = option(
