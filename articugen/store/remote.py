@@ -123,7 +123,7 @@ class RangeFile(io.RawIOBase):
         size = self._folder.size(self._name)
         if size is None:
             raise FileNotFoundError(2, "No such file or directory", file.url)
-        self.size, self._blocks = size, dict[int, bytes]()
+        self.size, self.stamp, self._blocks = size, (size,), dict[int, bytes]()
 
     def readable(self) -> bool:
         return True
@@ -156,12 +156,14 @@ class RangeFile(io.RawIOBase):
 
     def read_spans(self, spans: Sequence[tuple[int, int]]) -> Sequence[bytes]:
         """Return parts of the file, in as few requests as they take; OSError if it is gone."""
-        parts = self._folder.ranges(self._name, spans)
+        asked = [span for span in spans if span[1]]
+        parts = self._folder.ranges(self._name, asked)
         if parts is None:
             raise FileNotFoundError(2, "No such file or directory", self._name)
-        if [len(part) for part in parts] != [size for _, size in spans]:
+        if [len(part) for part in parts] != [size for _, size in asked]:
             raise MachineFault(
                 f"{self._folder.url}/{self._name}: parts of it come over as others than were asked "
                 "for; copy the data set, and open the copy"
             )
-        return parts
+        left = iter(parts)
+        return [next(left) if size else b"" for _, size in spans]

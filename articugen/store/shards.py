@@ -90,9 +90,9 @@ class _Handle:
         """Raise OSError where it cannot be opened."""
         self.number = os.open(path, os.O_RDONLY)
         about = os.fstat(self.number)
-        self.seen = (about.st_ino, about.st_size, about.st_mtime_ns)
+        self.stamp = (about.st_ino, about.st_size, about.st_mtime_ns)
 
-    def read(self, spans: Sequence[tuple[int, int]]) -> list[bytes]:
+    def read_spans(self, spans: Sequence[tuple[int, int]]) -> Sequence[bytes]:
         return [os.pread(self.number, size, at) for at, size in spans]
 
     def __del__(self, close: Callable[[int], None] = os.close) -> None:
@@ -100,24 +100,12 @@ class _Handle:
             close(self.number)
 
 
-class _RemoteHandle:
-    """The same, of a file in an object store."""
-
-    def __init__(self, path: Remote) -> None:
-        self._file = RangeFile(path)
-        self.seen = (self._file.size,)
-
-    def read(self, spans: Sequence[tuple[int, int]]) -> list[bytes]:
-        parts = iter(self._file.read_spans([span for span in spans if span[1]]))
-        return [next(parts) if size else b"" for _, size in spans]
-
-
-Handle = _Handle | _RemoteHandle
+Handle = _Handle | RangeFile
 
 
 def handle_of(path: Path | Remote) -> Handle:
     """Return what reads parts of a file, by where they begin and their bytes; or OSError."""
-    return _RemoteHandle(path) if isinstance(path, Remote) else _Handle(path)
+    return RangeFile(path) if isinstance(path, Remote) else _Handle(path)
 
 
 class Shard:
@@ -243,10 +231,10 @@ class Shard:
                 array[place] = column.row(part)
         return array
 
-    def _read(self, spans: Iterable[tuple[int, int]]) -> list[bytes]:
+    def _read(self, spans: Iterable[tuple[int, int]]) -> Sequence[bytes]:
         if self._handle is None:
             raise ValueError("it is closed")
-        return self._handle.read(list(spans))
+        return self._handle.read_spans(list(spans))
 
     @contextmanager
     def _as_damage(self, what: str) -> Iterator[None]:

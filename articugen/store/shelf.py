@@ -145,7 +145,7 @@ class Shelf:
         handle = self._handle(shard)
         try:
             stored = [self._stored[shard, name] for name in names]
-            parts = handle.read([each.span(row) for each in stored])
+            parts = handle.read_spans([each.span(row) for each in stored])
             return [each.row(part) for each, part in zip(stored, parts, strict=True)]
         except (OSError, ValueError) as error:
             raise machine_fault(error) or CorruptShard(
@@ -182,7 +182,7 @@ class Shelf:
                 raise machine_fault(error) or CorruptShard(
                     f"{path}: cannot be opened ({error.strerror})"
                 ) from error
-            if self._seen.setdefault(shard, handle.seen) != handle.seen:
+            if self._seen.setdefault(shard, handle.stamp) != handle.stamp:
                 raise CorruptShard(f"{path}: was made again since; open the data set again")
             while len(self._handles) >= _OPEN_FILES:
                 self._handles.pop(next(iter(self._handles)), None)
