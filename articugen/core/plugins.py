@@ -18,12 +18,8 @@ _LOG = logging.getLogger("articugen")
 
 @dataclass(frozen=True)
 class Group:
-    """A group of entry points.
-
-    Attributes:
-        name: for instance "articugen.readers".
-        needs: the attributes that each object must have.
-    """
+    """A group of entry points, "articugen.readers" say, and the attributes that each object must
+    have."""
 
     name: str
     needs: tuple[str, ...]

@@ -270,13 +270,8 @@ class Normalization:
 
 @dataclass(frozen=True, eq=False)
 class LabelledMesh:
-    """A posed triangle soup in the unit frame with the part of every face.
-
-    Attributes:
-        vertices: (V, 3).
-        faces: (F, 3) int32.
-        part_of_face: (F,) uint8.
-    """
+    """A posed triangle soup in the unit frame with the part of every face: `vertices` (V, 3),
+    `faces` (F, 3) int32, `part_of_face` (F,) uint8."""
 
     vertices: Floats
     faces: NDArray[np.int32]

@@ -124,13 +124,8 @@ def discover_all(
 
 @dataclass(frozen=True, eq=False)
 class ObjectGroups:
-    """A data set's instances by the object that they show, as their clouds tell.
-
-    Attributes:
-        groups: of each instance.
-        keys: (object id, state index) of each, as the data set has them.
-        agreement: `groups.agreement` with the data set's objects.
-    """
+    """A data set's instances in groups, by the object that each shows, as their clouds have it;
+    their keys (object id, state index), and the `groups.agreement` with the data set's objects."""
 
     groups: Groups
     keys: list[tuple[str, int]]

@@ -107,13 +107,8 @@ def assign_material(
 
 @dataclass(frozen=True, eq=False)
 class _Evidence:
-    """What the poses that are asked say.
-
-    Attributes:
-        cells: their surfaces.
-        taken: (K, R, R, R) voxels that have something in them, or beside them.
-        motion: (K, P, 4, 4).
-    """
+    """What the poses that are asked say: `cells` of their surfaces, `taken` (K, R, R, R) voxels
+    that have something in them or beside them, `motion` (K, P, 4, 4)."""
 
     cells: Cells
     taken: NDArray[np.uint8]

@@ -39,12 +39,8 @@ class Options:
 
 @dataclass(frozen=True)
 class Item:
-    """Files that are written together, and again if that was interrupted.
-
-    Attributes:
-        key: no other item of the export has it; also what its files are called after.
-        rows: the instances that are in it.
-    """
+    """Files that are written together, and again if that was interrupted: they hold the instances
+    `rows`, and are called after `key`, which no other item of the export has."""
 
     key: str
     rows: DataSet

@@ -11,13 +11,7 @@ from articugen.pipeline.records import Records
 
 @dataclass(frozen=True)
 class Leftover:
-    """A file that a killed run left.
-
-    Attributes:
-        path: of it.
-        why: it is not needed, in a few words.
-        bytes: that it takes.
-    """
+    """A file that a killed run left, why it is not needed, in a few words, and its bytes."""
 
     path: Path
     why: str

@@ -48,11 +48,8 @@ _NAMED, _NUMBERS = 5, 100
 
 @dataclass(frozen=True)
 class Finished:
-    """What a run came to: what became of each of its objects, and the manifest; None for a share.
-
-    Attributes:
-        outcomes: those that were there already first.
-    """
+    """What a run came to: what became of each of its objects, those that were there already first,
+    and the manifest; None for a share."""
 
     outcomes: Sequence[Outcome]
     manifest: Manifest | None
@@ -83,12 +80,8 @@ def started(job: Job, *, command: str = "") -> Iterator["Run"]:
 
 @dataclass(frozen=True)
 class Run:
-    """A run with a plan; see `started`.
-
-    Attributes:
-        objects: of the whole data set, of which the plan may be a share.
-        licence: of the models.
-    """
+    """A run with a plan, see `started`; `objects` is the number of the whole data set, of which the
+    plan may be a share."""
 
     job: Job
     records: Records

@@ -28,13 +28,8 @@ _NAME = re.compile(r"manifest-[0-9]{5}-[0-9a-f]{16}\.json")
 
 
 class Page(BaseModel):
-    """A page as the manifest lists it.
-
-    Attributes:
-        name: of the file, in the manifest's folder: its number and the beginning of its digest.
-        entries: of all lists together.
-        bytes, sha256: of the file.
-    """
+    """A page as the manifest lists it: its name in the manifest's folder, the entries of all lists
+    together, size and digest of the file."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 

@@ -119,11 +119,8 @@ _OUR_FAULT = "internal error, please report it: "
 
 
 class Rejection(Record):
-    """An object that is not in the data, and why: one sentence.
-
-    Attributes:
-        over: where it exceeded a limit of the recipe: the limit's key and value; else ().
-    """
+    """An object that is not in the data, and why: one sentence; `over` is the recipe's limit that
+    it exceeded, key and value, else ()."""
 
     key: Key
     reason: str

@@ -29,15 +29,8 @@ Content = tuple[tuple[str, int, str], ...]
 
 @dataclass(frozen=True)
 class ShardRecord:
-    """What the manifest says of one shard.
-
-    Attributes:
-        name: of the file, without its folder.
-        sha256: hex digest of the file.
-        bytes: its size.
-        instances: how many it holds.
-        content: (object_id, state_index, hex digest) of each.
-    """
+    """A shard that was written: its name in the folder, digest and size of the file, how many
+    instances it holds, and (object_id, state_index, hex digest) of each."""
 
     name: str
     sha256: str

@@ -14,12 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Greatest error of a number that is known exactly.
-
-    Attributes:
-        most: what is let through.
-        sound: the most that was measured in sound sets.
-    """
+    """Greatest error of a number that is known exactly: `most` is let through, `sound` is the most
+    that was measured in sound sets."""
 
     most: float
     sound: float

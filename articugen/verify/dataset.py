@@ -67,14 +67,8 @@ class Finding:
 
 @dataclass(frozen=True)
 class Repair:
-    """What was wrong with one file of a data set, and what was done about it.
-
-    Attributes:
-        name: of the file.
-        wrong: in one sentence.
-        done: or why nothing was; in one sentence.
-        ok: whether it is whole again.
-    """
+    """What was wrong with one file of a data set, in a sentence; what was done about it, or why
+    nothing was; and whether it is whole again."""
 
     name: str
     wrong: str

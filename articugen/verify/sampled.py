@@ -50,11 +50,7 @@ def _share(bound: str, sentence: str, agree: NDArray[np.bool_]) -> Share:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """What is sampled of an instance, in the unit frame, made ready once for all checks.
-
-    Attributes:
-        row: the instance.
-    """
+    """What is sampled of an instance, in the unit frame, made ready once for all checks."""
 
     row: Instance
 

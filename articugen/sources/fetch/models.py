@@ -21,12 +21,8 @@ _USD = (".usd", ".usda", ".usdc", ".usdz")
 
 @dataclass(frozen=True)
 class Unpacked:
-    """A model that has been unpacked: its folder in the archive, and what came of it.
-
-    Attributes:
-        listing: the SHA-256 of each file, by its name in the model's folder.
-        bytes: of all files.
-    """
+    """A model that was unpacked: its folder in the archive, the SHA-256 of each file, by its name
+    in there, and the bytes of all."""
 
     root: PurePosixPath
     listing: Mapping[str, str]

@@ -99,12 +99,8 @@ _RECEIPT = TypeAdapter(Receipt)
 
 
 class Target:
-    """A folder that one process at a time fetches into.
-
-    Attributes:
-        folder: where it is.
-        receipts: of all models that are there whole, by the name of their folder in it.
-    """
+    """A folder that one process at a time fetches into; `receipts` are of all models that are there
+    whole, by the name of their folder in it."""
 
     def __init__(
         self, folder: Path, terms: Terms, notice: Callable[[str], None] = lambda _: None

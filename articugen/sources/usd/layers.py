@@ -46,11 +46,7 @@ class Place:
 
 
 class Layers:
-    """All layers of a model, from its main file on.
-
-    Attributes:
-        root: the main layer, an Sdf.Layer.
-    """
+    """All layers of a model, from its main file on, whose Sdf.Layer is `root`."""
 
     def __init__(self, path: Path, files: ModelFiles) -> None:
         """Read them all, from the main file at `path` on; InvalidSource if one is missing,

@@ -24,11 +24,8 @@ _NOT_READ = ("BasisCurves", "NurbsCurves", "HermiteCurves", "NurbsPatch", "Point
 
 
 class Shapes:
-    """Makes the meshes of the prims of one stage, and counts them.
-
-    Attributes:
-        left_out: types of prims that show something and are not read.
-    """
+    """Makes the meshes of the prims of one stage, and counts them; `left_out` are types of prims
+    that show something and are not read."""
 
     def __init__(self, path: Path, places: Places) -> None:
         self._path, self._places = path, places
