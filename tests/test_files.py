@@ -21,6 +21,7 @@ from articugen.core.files import (
     whole_name,
     within,
     write_atomically,
+    written_atomically,
 )
 from articugen.inspection.report.page import write_report
 from articugen.instance.again import write_mesh
@@ -121,7 +122,8 @@ def test_each_write_has_a_temporary_name_of_its_own(tmp_path):
         assert whole_name(temporary.name) == "a.h5"
         write_atomically(tmp_path / "a.h5", b"of another run")
 
-    write_atomically(tmp_path / "a.h5", b"mine", check=look)
+    with written_atomically(tmp_path / "a.h5", check=look) as file:
+        file.write(b"mine")
     assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("a.h5", b"mine")]
 
 

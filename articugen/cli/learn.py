@@ -353,8 +353,10 @@ class _ProgressBar:
         who = progress.who and f"{progress.who}: "
         self.bar.update(task, completed=progress.iteration, total=progress.iterations)
         before, self.latest[progress.who] = self.latest.get(progress.who, ""), progress.said
-        if before and before.partition(":")[0] != progress.said.partition(":")[0]:
-            self._keep(before)
+        is_over = before and before.partition(":")[0] != progress.said.partition(":")[0]
+        if is_over and before not in self.kept:  # whichever of the seeds that race say so
+            self.kept.add(before)
+            self.bar.console.print(before, soft_wrap=True)
         if progress.said:
             self.bar.update(task, state=f"{who}{progress.said}")
         if progress.terms:
@@ -365,9 +367,3 @@ class _ProgressBar:
             values = ", ".join(f"{k} {v:.4f}" for k, v in progress.validation.items())
             line = f"{who}{progress.iteration}/{progress.iterations} held-out objects: {values}"
             self.bar.console.print(line, soft_wrap=True)
-
-    def _keep(self, said: str) -> None:
-        """Print it once, whichever of the seeds that race say so."""
-        if said not in self.kept:
-            self.kept.add(said)
-            self.bar.console.print(said, soft_wrap=True)

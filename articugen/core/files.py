@@ -139,11 +139,9 @@ def _check_regular(found: os.stat_result, most_bytes: int) -> None:
         )
 
 
-def write_atomically(
-    path: Path, data: bytes, *, check: Callable[[Path], None] | None = None
-) -> None:
+def write_atomically(path: Path, data: bytes) -> None:
     """Write `data` so that `path` is what it was or all of it; MachineFault where that fails."""
-    with written_atomically(path, check=check, size=len(data)) as file:
+    with written_atomically(path, size=len(data)) as file:
         file.write(data)
 
 

@@ -70,7 +70,7 @@ class Body:
 def bodies(item: Item, target: Target) -> tuple[Body, ...]:
     """Return the parts of the object whose instances `item` holds, part 0 first."""
     row = canonical(item.rows)
-    joints = metric_joints(row)
+    joints, names = metric_joints(row), part_names(row)
     at = [np.zeros(3), *(joint.pivot for joint in joints)]
     built = []
     for part, unit_mesh in enumerate(target.meshes.of(item.rows)):
@@ -79,8 +79,7 @@ def bodies(item: Item, target: Target) -> tuple[Body, ...]:
         joint = joints[part - 1] if part else None
         hulls = convex_parts(mesh) if target.options.collision else ()
         origin = at[part] - at[joint.parent] if joint else at[0]
-        name, solid = part_names(row)[part], inertia(mesh, DENSITY)
-        built.append(Body(name, origin, mesh, hulls, solid, joint))
+        built.append(Body(names[part], origin, mesh, hulls, inertia(mesh, DENSITY), joint))
     return tuple(built)
 
 

@@ -91,11 +91,11 @@ def key_of(name: Name) -> str:
 
 def with_free_names(names: dict[Key, str], keys: Sequence[Key]) -> dict[Key, str]:
     """Add a shard's name for each other key: that of its place, or one that is free."""
-    names, taken, place = dict(names), set(names.values()), Counter[str]()
+    names, taken = dict(names), set(names.values())
+    of_place = shard_names(key.name for key in keys)
     homeless: list[Key] = []
     for key in keys:
-        new = f"{key.split}-{place[key.split]:05d}.h5"
-        place[key.split] += 1
+        new = of_place[key.name]
         if key in names:
             continue
         if new in taken:

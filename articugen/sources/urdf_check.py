@@ -22,6 +22,7 @@ MIN_SIZE = 1e-9  # smallest size (m) of a shape, and scale of a mesh
 _MAX_LETTERS = 1_000  # of an attribute with numbers
 
 _READ = tuple(map(str, JointKind))
+_ANY_READ = f"{', '.join(_READ[:-1])} or {_READ[-1]}"
 _REFUSED = ("planar", "floating", "spherical")
 _UNUSED = (
     *("inertial", "collision", "material", "transmission", "gazebo"),
@@ -162,10 +163,10 @@ class _Check:
             raise self.refuse(
                 joint,
                 f"type {quoted(kind)} has more than one degree of freedom and is not read; make it "
-                f"{_either(_READ)}",
+                f"{_ANY_READ}",
             )
         if kind not in _READ:
-            raise self.refuse(joint, f"unknown type {quoted(kind or '')}; make it {_either(_READ)}")
+            raise self.refuse(joint, f"unknown type {quoted(kind or '')}; make it {_ANY_READ}")
         for tag in ("parent", "child"):
             if not self.child(joint, tag, required=True).get("link"):
                 raise self.refuse(joint, f"<{tag}> names no link; add link=")
@@ -259,10 +260,6 @@ class _Check:
         if attribute in element.attrib:
             element.set(attribute, " ".join(map(repr, values)))
         return values
-
-
-def _either(words: tuple[str, ...]) -> str:
-    return f"{', '.join(words[:-1])} or {words[-1]}"
 
 
 def _check_tree(check: _Check, links: list[str], joints: dict[str, Any]) -> None:
