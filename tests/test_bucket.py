@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 from bucket_server import BUCKET, Trouble, bucket_server
+from command_line import run as articugen
 from test_pipeline import TINY, contents, job, made
-from typer.testing import CliRunner
 
 import articugen as ag
-from articugen.cli import app
 from articugen.core.errors import (
     ArticugenError,
     CorruptShard,
@@ -235,8 +234,7 @@ def test_nothing_in_a_store_is_replaced(server: Trouble) -> None:
     url = f"s3://{BUCKET}/replaced"
     with pytest.raises(InvalidArgument, match=r"with an object store: .* new --out"):
         ag.generate("eyeglasses", out=url, recipe=TINY, jobs=0, replace=True)
-    command = ["generate", "-c", "eyeglasses", "-o", url, "--replace"]
-    told = CliRunner().invoke(app, command)
+    told = articugen("generate", "-c", "eyeglasses", "-o", url, "--replace")
     assert (told.exit_code, "with an object store" in told.output) == (1, True)
     assert Bucket(url).list("") == {}
 

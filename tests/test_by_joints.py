@@ -4,9 +4,8 @@ import json
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
+from command_line import run
 
-from articugen.cli import app
 from articugen.core.errors import InvalidSource
 from articugen.sources.readers import load
 from articugen.sources.source import open_source
@@ -96,6 +95,6 @@ def test_refusals_name_the_cure(folder, joints, sentence):
 
 def test_the_command_makes_those_alone(folder, tmp_path):
     arguments = f"-c Table -s {folder} -r quick -j 0 -o {tmp_path} --joints prismatic --dry-run"
-    told = CliRunner().invoke(app, ["generate", *arguments.split()])
+    told = run("generate", *arguments.split())
     assert told.exit_code == 0, told.output
     assert "1 object (100)" in told.output

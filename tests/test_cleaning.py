@@ -3,12 +3,11 @@
 import shutil
 from pathlib import Path
 
+import command_line
 import pytest
 from test_manifest import COMPLETE, about, key, keys, make, names_in, run
 from trouble import held_by_another_run
-from typer.testing import CliRunner
 
-from articugen.cli import app
 from articugen.core.errors import ArticugenError, CorruptShard
 from articugen.core.files import partial_name
 from articugen.core.ledger import LEDGER, Ledger
@@ -128,7 +127,7 @@ def test_links_are_followed_neither_in_a_data_set_nor_to_one(folder, tmp_path):
     (data := tmp_path / "data").mkdir()
     (data / "box").symlink_to(elsewhere)
     for command in ("clean", "merge"):
-        done = CliRunner().invoke(app, [command, str(data)])
+        done = command_line.run(command, data)
         assert (done.exit_code, "a link to elsewhere; name that" in done.output) == (1, True)
     assert (elsewhere / part).exists()
     assert data_sets(data) == [data / "box"]  # to read it
@@ -186,7 +185,7 @@ def test_the_command_says_what_it_removed(folder):
     (folder / name).write_bytes(b"half")
 
     def said(*arguments: str) -> str:
-        done = CliRunner().invoke(app, ["clean", str(folder), *arguments])
+        done = command_line.run("clean", folder, *arguments)
         assert done.exit_code == 0, done.output
         return done.output
 

@@ -9,10 +9,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
+from command_line import run
 
 from articugen import __version__
-from articugen.cli import app, saying
+from articugen.cli import saying
 from articugen.core.errors import NotOfCategory
 from articugen.instance import articulation
 from articugen.store.shards import open_shard
@@ -32,10 +32,6 @@ BOX = """<robot name="box"><link name="base"><visual><geometry><box size="1 1 0.
 </geometry></visual></link><joint name="hinge" type="revolute"><origin xyz="-0.5 0 0"/>
 <axis xyz="0 -1 0"/><limit lower="0" upper="1.5" effort="1" velocity="1"/><parent link="base"/>
 <child link="lid"/></joint></robot>"""
-
-
-def run(*arguments: object):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 @pytest.fixture(scope="module")

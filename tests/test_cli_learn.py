@@ -6,11 +6,10 @@ import shutil
 
 import numpy as np
 import pytest
+from command_line import run as articugen
 from PIL import Image
 from ppd_data import write_boxes
-from typer.testing import CliRunner
 
-from articugen.cli import app
 from articugen.cli.saying import command
 
 RECIPE = """
@@ -19,10 +18,6 @@ data: {surface_points: 256, uniform_points: 128, near_points: 128, validation_ob
 schedule: {batch: 3, stages: [{resolution: 16, iterations: 3}], validate_every: 3}
 seeds: {count: 1, halve_at: []}
 """
-
-
-def articugen(*arguments: object):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 @pytest.fixture(scope="module")

@@ -7,12 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 from ppd_data import write_boxes
 from rich.console import Console
-from typer.testing import CliRunner
 
 import articugen as ag
-from articugen.cli import app
 from articugen.cli.discover import _summary, _table
 from articugen.core.errors import InvalidArgument
 from articugen.core.geometry import apply, rotation_about, transform
@@ -217,7 +216,7 @@ def test_grids_are_as_good_as_clouds(tmp_path: Path) -> None:
     files = [tmp_path / f"{k}.npy" for k in range(len(grids))]
     for file, grid in zip(files, grids, strict=True):
         np.save(file, grid)
-    done = CliRunner().invoke(app, ["discover", *map(str, files), "--json", str(tmp_path / "j")])
+    done = run("discover", *files, "--json", tmp_path / "j")
     assert done.exit_code == 0, done.output
     (joint,) = json.loads((tmp_path / "j").read_text())["joints"]
     assert joint["kind"] == "revolute"
@@ -250,7 +249,7 @@ def test_the_command_says_what_is_wrong(
     np.save("a.npy", cloud)
     np.save("b.npy", cloud + 3.0)
     np.save("empty.npy", np.zeros((8, 8, 8), bool))
-    done = CliRunner().invoke(app, ["discover", *files])
+    done = run("discover", *files)
     assert done.exit_code == 1
     assert sentence in " ".join(done.output.split())
 

@@ -10,14 +10,13 @@ from itertools import product
 from pathlib import Path
 
 import pytest
+from command_line import run
 from hypothesis import given
 from hypothesis import strategies as st
 from instances import hinged_box
 from test_html_report import shard
-from typer.testing import CliRunner
 
 import articugen as ag
-from articugen.cli import app
 from articugen.core.errors import ArticugenError, InvalidArgument, MissingExtra
 from articugen.core.ledger import LEDGER, Ledger
 from articugen.core.place import Folder
@@ -27,10 +26,6 @@ from articugen.export.parts import unique
 from articugen.export.target import REPORT_NAME
 
 BOXES = {"train": 2, "test": 1}
-
-
-def run(*arguments: object):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 def files_in(folder: Path) -> dict[str, bytes]:

@@ -13,11 +13,10 @@ import tarfile
 import time
 from pathlib import Path
 
+import command_line
 import pytest
-from typer.testing import CliRunner
 
 import articugen as ag
-from articugen.cli import app
 from articugen.core.errors import InvalidArgument, MachineFault
 from articugen.core.ledger import Ledger
 from articugen.core.place import Folder as LocalFolder
@@ -62,7 +61,7 @@ def site(monkeypatch):
 
 
 def run(*arguments: object):
-    return CliRunner().invoke(app, ["fetch", *map(str, arguments)])
+    return command_line.run("fetch", *arguments)
 
 
 def files_in(folder: Path) -> dict[str, bytes]:

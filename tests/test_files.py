@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_cli import run
+from command_line import run
 
 from articugen.core import files
 from articugen.core.errors import InvalidArgument, InvalidSource, MachineFault

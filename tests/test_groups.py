@@ -4,12 +4,11 @@ import json
 
 import numpy as np
 import pytest
+from command_line import run
 from hypothesis import given
 from hypothesis import strategies as st
-from typer.testing import CliRunner
 
 import articugen
-from articugen.cli import app
 from articugen.core.errors import InvalidArgument, UnfitData
 from articugen.discovery import groups
 from articugen.discovery.groups import CUT, agreement, group_instances
@@ -125,9 +124,7 @@ def test_a_data_set_is_grouped_and_compared_with_its_objects(laptops):
 
 
 def test_the_command_prints_and_writes_groups(laptops, tmp_path):
-    done = CliRunner().invoke(
-        app, ["discover", str(laptops), "--groups", "--json", str(tmp_path / "groups.json")]
-    )
+    done = run("discover", laptops, "--groups", "--json", tmp_path / "groups.json")
     assert done.exit_code == 0
     assert "16 instances in 4 groups; the data set names 4 objects" in done.output
     assert json.loads((tmp_path / "groups.json").read_text()) == group_all(laptops).as_json()
@@ -136,7 +133,7 @@ def test_the_command_prints_and_writes_groups(laptops, tmp_path):
 def test_the_command_wants_a_data_set_for_groups(tmp_path):
     cloud = tmp_path / "closed.ply"
     cloud.touch()
-    done = CliRunner().invoke(app, ["discover", str(cloud), "--groups"])
+    done = run("discover", cloud, "--groups")
     assert done.exit_code != 0
     assert "needs one data set" in " ".join(done.output.split())
 

@@ -15,9 +15,10 @@ import h5py
 import numpy as np
 import pytest
 from browser import LAPTOP, PHONE
+from command_line import run
 from instances import SMALL, edited, hinged_box
 from PIL import Image
-from test_cli import TINY, run
+from test_cli import TINY
 
 from articugen.core.errors import MachineFault
 from articugen.core.geometry import apply, rotation_about

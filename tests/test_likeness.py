@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run as invoke
 from instances import LIMITS, hinged_box
 from PIL import Image
-from test_cli import run as invoke
 from test_html_report import STATES, shard
 
 from articugen.core.records import dequantize, quantize

@@ -4,10 +4,9 @@ through the same functions and commands as PPD."""
 import json
 
 import pytest
+from command_line import run
 from digests import digest
-from typer.testing import CliRunner
 
-from articugen.cli import app
 from articugen.core import plugins
 from articugen.core.errors import ArticugenError, BrokenPlugin, InvalidCheckpoint, InvalidRecipe
 from articugen.evaluation.results import read_evaluation
@@ -46,7 +45,7 @@ def installed(tmp_path, monkeypatch):
 
 
 def articugen(*arguments: object) -> str:
-    done = CliRunner().invoke(app, [str(a) for a in arguments])
+    done = run(*arguments)
     assert done.exit_code == 0, done.output
     return done.output
 

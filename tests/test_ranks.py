@@ -9,11 +9,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from command_line import run
 from test_pipeline import BOX, TINY, contents, job, made, planned
 from trouble import held_by_another_run
-from typer.testing import CliRunner
 
-from articugen.cli import app
 from articugen.core.errors import ArticugenError, InvalidArgument, InvalidRecipe
 from articugen.core.files import partial_name
 from articugen.core.ledger import LEDGER, Ledger
@@ -175,9 +174,6 @@ def test_the_command_line_makes_shares_and_merges_them(tmp_path: Path) -> None:
     recipe = tmp_path / "tiny.json"
     recipe.write_text(TINY.with_counts(objects=3).text())
     command = ["generate", "-c", "eyeglasses", "-r", recipe, "-j", 0, "-o", tmp_path / "data"]
-
-    def run(*arguments: object):
-        return CliRunner().invoke(app, [str(a) for a in arguments])
 
     dry = run(*command, "--shard", "1/2", "--dry-run")
     assert "shard 1/2: 1 of 3 objects" in dry.stdout

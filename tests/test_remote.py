@@ -6,12 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 from test_pipeline import TINY, job, made
-from typer.testing import CliRunner
 from web_server import Site, site
 
 import articugen as ag
-from articugen.cli import app
 from articugen.core.errors import ArticugenError, InvalidArgument, MachineFault, MissingExtra
 from articugen.store import bucket, remote
 
@@ -100,6 +99,6 @@ def test_what_cannot_be_read_says_what_is_wanted(monkeypatch: pytest.MonkeyPatch
 
 
 def test_nothing_is_made_where_processes_cannot_share_out_objects() -> None:
-    told = CliRunner().invoke(app, ["generate", "-c", "laptop", "-o", "hf://datasets/some/set"])
+    told = run("generate", "-c", "laptop", "-o", "hf://datasets/some/set")
     assert told.exit_code == 1
     assert "make it in a folder and copy that there" in " ".join(told.output.split())

@@ -11,11 +11,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from command_line import run
 from trouble import held_by_another_run
-from typer.testing import CliRunner
 
 import articugen as ag
-from articugen.cli import app
 from articugen.core import content
 from articugen.core.errors import ArticugenError, CorruptShard, InvalidArgument
 from articugen.core.ledger import LEDGER
@@ -374,10 +373,10 @@ def test_what_lies_beside_a_manifest_may_be_worded_otherwise_by_other_code(folde
 
 def test_the_command_mends_and_says_what_it_did(folder, boxes):
     damage(folder / SHARD)
-    found = CliRunner().invoke(app, ["verify", str(folder), "--jobs", "1"])
+    found = run("verify", folder, "--jobs", 1)
     assert found.exit_code == 1
     assert f"articugen verify {folder} --repair" in " ".join(found.output.split())
-    done = CliRunner().invoke(app, ["verify", str(folder), "--repair", "--jobs", "1"])
+    done = run("verify", folder, "--repair", "--jobs", 1)
     assert done.exit_code == 0
     assert f"{SHARD}: not the file that the manifest records" in done.output
     assert AGAIN in done.output

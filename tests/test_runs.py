@@ -6,6 +6,7 @@ import shutil
 from contextlib import suppress
 from pathlib import Path
 
+import command_line
 import numpy as np
 import pytest
 import safetensors.torch as safetensors
@@ -14,9 +15,7 @@ import yaml
 from digests import digest
 from test_report import result
 from trouble import unfit
-from typer.testing import CliRunner
 
-from articugen.cli import app
 from articugen.core.errors import ArticugenError, InvalidCheckpoint, MachineFault
 from articugen.core.files import partial_name
 from articugen.evaluation.results import read_evaluation
@@ -405,7 +404,7 @@ def test_commands_refuse_a_damaged_run_in_one_sentence(run, boxes, name):
         METRICS: {"train"},
     }
     for command in sorted(reads[name]):
-        done = CliRunner().invoke(app, [command, *map(str, commands[command])])
+        done = command_line.run(command, *commands[command])
         assert done.exit_code == 1, (command, done.output)
         assert f"{path}: " in done.stderr.replace("\n", "")
         assert "Traceback" not in done.output

@@ -12,12 +12,11 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from command_line import run
 from slurm_cluster import Daemon, processes_of, said, slurm
 from test_pipeline import PACKAGE, TINY, contents, job, made
-from typer.testing import CliRunner
 
 import articugen as ag
-from articugen.cli import app
 from articugen.core.errors import ArticugenError, InvalidArgument, MachineFault, MissingExtra
 from articugen.core.ledger import Ledger
 from articugen.core.place import Folder
@@ -174,8 +173,8 @@ def test_addresses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ):
         with pytest.raises(InvalidArgument, match=r"give slurm, or slurm://partition\?tasks=100"):
             Array.of_address(wrong)
-    command = ["generate", "-c", "laptop", "-o", str(tmp_path), "--scheduler", "slurm", "--replace"]
-    told = CliRunner().invoke(app, command)
+    command = ("generate", "-c", "laptop", "-o", tmp_path, "--scheduler", "slurm")
+    told = run(*command, "--replace")
     assert told.exit_code == 1
     assert "--replace (replace=True) with slurm: " in told.output
     monkeypatch.setitem(sys.modules, "submitit", None)

@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from command_line import run
 from published import zipped
-from typer.testing import CliRunner
 from usd_models import artvip
 
 import articugen as ag
-from articugen.cli import app
 from articugen.core.geometry import apply
 from articugen.core.records import ArticulatedObject, JointKind, JointState
 from articugen.export.parts import metric_joints, part_names
@@ -22,10 +21,6 @@ from articugen.sources.source import load_path, open_source
 pytest.importorskip("pxr", reason="pip install 'articugen[usd]'")
 
 TINY = {"extends": "quick", "views": {"count": 30, "resolution": 128}, "sampling": {"grids": [16]}}
-
-
-def run(*arguments: object):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 def state_of(obj: ArticulatedObject, row: ag.Row) -> JointState:

@@ -12,6 +12,7 @@ from functools import reduce
 from operator import getitem
 from pathlib import Path
 
+import command_line
 import h5py
 import numpy as np
 import pytest
@@ -21,10 +22,9 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 from test_manifest import STATES, TIMINGS, attributes, key, keys, make, manifest_of, records_in, run
-from typer.testing import CliRunner
 
 import articugen as ag
-from articugen.cli import app, saying
+from articugen.cli import saying
 from articugen.core.errors import CorruptShard
 from articugen.core.files import partial_name
 from articugen.core.ledger import LEDGER
@@ -132,7 +132,7 @@ def test_what_a_file_says_moves_no_cursor(folder):
     with_manifest(folder, edit)
     (folder / "[red]\x1b[2J").write_text("x")
     for command in ("verify", "inspect", "merge", "clean"):
-        done = CliRunner().invoke(app, [command, str(folder)], color=True)
+        done = command_line.run(command, folder, color=True)
         assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
         output = re.sub(r"\x1b\[[0-9;]*m", "", done.output)
         assert output.replace("\n", "").isprintable(), ascii(output)
@@ -167,7 +167,7 @@ def test_whatever_a_manifest_says_ends_in_a_report(folder, where, value):
     with_manifest(folder, edit)
     before = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
     for more in ([], ["--repair"], ["--replay", "1"]):
-        done = CliRunner().invoke(app, ["verify", str(folder), "-j", "1", *more])
+        done = command_line.run("verify", folder, "-j", 1, *more)
         assert isinstance(done.exception, SystemExit | None), done.exception
     if where[-1] == "instances":
         with pytest.raises(CorruptShard, match="65536"):
@@ -349,7 +349,7 @@ def test_what_users_add_is_left_alone_and_told_of(folder):
         assert records.is_complete(keys())
     with h5py.File(folder / "train-00000.h5") as shard:
         assert shard["user/score"][:].tolist() == [0.0, 1.0]
-    done = CliRunner().invoke(app, ["verify", str(folder)])
+    done = command_line.run("verify", folder)
     assert "1 with a group 'user', which was not looked at" in " ".join(done.output.split())
     with h5py.File(folder / "train-00000.h5", "r+") as shard:
         del shard["user"]  # the file is no longer what it was, and nothing explains it

@@ -11,8 +11,8 @@ import h5py
 import numpy as np
 import pytest
 import trimesh
+from command_line import run
 from instances import SMALL, hinged_box
-from test_cli import run
 from test_html_report import HOSTILE, STATES, named, shard
 from test_maker import CABINET, TINY
 
