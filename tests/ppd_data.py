@@ -1,16 +1,48 @@
-"""A small data set of hinged boxes on the disk, with its manifest."""
+"""Shards of hinged boxes on the disk, and a small data set of them with its manifest."""
 
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from instances import SMALL, hinged_box
 
 from articugen.core.recipe import Recipe
+from articugen.core.schema import Instance
 from articugen.store.manifest import Manifest, Timings
 from articugen.store.outcome import Key, Outcome
+from articugen.store.shards import open_shard
 from articugen.store.writer import write_shard
 
 RECIPE_SHA256 = SMALL.for_one_object().sha256()
+
+
+def attributes_of(recipe: Recipe = SMALL, **others: Any) -> dict[str, Any]:
+    """Return the attributes of a shard of boxes, but for the given ones."""
+    return {
+        "category": "box",
+        "split": "train",
+        "recipe": recipe.text(),
+        "recipe_sha256": recipe.sha256(),
+        "seed": 0,
+        "articugen_version": "0",
+    } | others
+
+
+def shard(path: Path, instances: Iterable[Instance], split: str = "train") -> Path:
+    """Write a shard, and return its path."""
+    write_shard(path, instances, attributes_of(split=split))
+    return path
+
+
+def rewrite(
+    path: Path, edit: Callable[[list[Instance]], Sequence[Instance]], **attributes: Any
+) -> list[Instance]:
+    """Write a shard again, of what `edit` makes of its instances; return those it was of."""
+    with open_shard(path) as before:
+        rows, about = [before.instance(i) for i in range(len(before))], dict(before.attributes)
+    write_shard(path, edit(rows), about | attributes)
+    return rows
 
 
 def write_boxes(
@@ -35,14 +67,7 @@ def write_boxes(
         angles = [(0.0, 0.0), *zip(rng.uniform(0, 1.7, states), rng.uniform(0, slides, states))]  # noqa: B905
         amounts = [(float(a), float(b)) for a, b in angles]
         rows = hinged_box(amounts, object_id=name, seed=index, recipe=recipe)
-        about = {
-            "category": category,
-            "split": split,
-            "recipe": recipe.text(),
-            "recipe_sha256": recipe.sha256(),
-            "seed": 0,
-            "articugen_version": "0",
-        }
+        about = attributes_of(recipe, category=category, split=split)
         record = write_shard(folder / f"{split}-{index:05d}.h5", rows, about)
         key = Key(
             split=split, object_id=name, ref="r", recipe_sha256=RECIPE_SHA256, seed=0, generator="0"

@@ -8,8 +8,8 @@ from typing import cast
 import numpy as np
 import pytest
 import torch
-from instances import SMALL, hinged_box
-from ppd_data import write_boxes
+from instances import SMALL, edited, hinged_box
+from ppd_data import rewrite, write_boxes
 
 from articugen.core.errors import UnfitData
 from articugen.core.records import is_material
@@ -24,7 +24,6 @@ from articugen.learning.data.fitness import (
 )
 from articugen.learning.data.split import load_split
 from articugen.store.shards import Shard, open_shard
-from articugen.store.writer import write_shard
 
 ASK = BatchSpec(
     surface_points=100, grid_points=40, near_points=30, band_points=60, varying_points=50
@@ -191,10 +190,7 @@ def test_the_finest_grid_up_to_the_limit_is_taken(folder, monkeypatch):
 def write_again(folder, edit, states=1):
     """A data set of one training object; `edit` changes its instances."""
     write_boxes(folder, train=1, test=0, states=states)
-    path = folder / "train-00000.h5"
-    with open_shard(path) as shard:
-        rows, about = [shard.instance(i) for i in range(len(shard))], dict(shard.attributes)
-    write_shard(path, edit(rows), about)
+    rewrite(folder / "train-00000.h5", edit)
     return folder
 
 
@@ -296,11 +292,10 @@ def test_what_lies_otherwise_is_a_hint_before_training(folder, tmp_path):
     assert lying_otherwise(folder) == []
 
     write_boxes(tmp_path, train=3, test=1, states=1)
-    path = tmp_path / "train-00001.h5"
-    with open_shard(path) as shard:
-        rows, about = [shard.instance(i) for i in range(len(shard))], dict(shard.attributes)
-    turned = [dataclasses.replace(row, joint_axis=row.joint_axis[:, [2, 0, 1]]) for row in rows]
-    write_shard(path, turned, about)
+    rewrite(
+        tmp_path / "train-00001.h5",
+        lambda rows: [edited(row, "joint_axis", lambda axes: axes[:, [2, 0, 1]]) for row in rows],
+    )
     assert lying_otherwise(tmp_path) == ["box-1"]
     (hint,) = [h for h in hints(tmp_path) if "along other axes" in h]
     assert (

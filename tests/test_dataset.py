@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from ppd_data import write_boxes
+from instances import changed
+from ppd_data import rewrite, write_boxes
 
 from articugen.core import geometry, schema
 from articugen.core.errors import CorruptShard, UnfitData
@@ -14,7 +15,6 @@ from articugen.learning.data import split
 from articugen.learning.data.batch import BatchSpec
 from articugen.learning.data.split import _places, load_split, unpacked, voxel_centres
 from articugen.store.shards import open_shard
-from articugen.store.writer import write_shard
 
 ASK = BatchSpec(
     surface_points=300, grid_points=200, uniform_points=100, near_points=50, joints=(3, 4)
@@ -191,11 +191,7 @@ def test_a_folder_without_a_manifest_is_refused(tmp_path):
 def rewritten(folder, change, **about):
     """A data set of one training object, whose shard is written again from changed instances."""
     write_boxes(folder, train=1, test=0, states=1)
-    path = folder / "train-00000.h5"
-    with open_shard(path) as shard:
-        rows = [dataclasses.replace(shard.instance(i), **change) for i in range(len(shard))]
-        attributes = dict(shard.attributes) | about
-    write_shard(path, rows, attributes)
+    rewrite(folder / "train-00000.h5", lambda rows: [changed(r, **change) for r in rows], **about)
     return folder
 
 
@@ -239,10 +235,11 @@ def test_shards_of_another_version_are_refused(tmp_path, monkeypatch):
 
 def test_shards_that_do_not_fit_together_are_refused(tmp_path):
     folder = write_boxes(tmp_path, train=2, test=0, states=1)
-    with open_shard(folder / "train-00001.h5") as shard:
-        row, about = shard.instance(0), dict(shard.attributes)
-    less = {n: getattr(row, n)[:500] for n in ("surface_points", "surface_normals", "surface_part")}
-    write_shard(folder / "train-00001.h5", [dataclasses.replace(row, **less)], about)
+    names = ("surface_points", "surface_normals", "surface_part")
+    rewrite(
+        folder / "train-00001.h5",
+        lambda rows: [changed(rows[0], **{name: getattr(rows[0], name)[:500] for name in names})],
+    )
     with pytest.raises(UnfitData, match="shards of different shapes"):
         load_split(folder, "train", ASK, [8])
 
@@ -277,24 +274,22 @@ def test_data_sets_that_do_not_go_together_are_refused(folder, tmp_path):
 def test_enclosed_space_is_occupied_or_free_as_the_recipe_says(tmp_path):
     """No label reaches a batch as a part's number: 255 names none."""
     write_boxes(tmp_path, train=1, test=0, states=1)
-    path = tmp_path / "train-00000.h5"
-    with open_shard(path) as shard:
-        rows, about = [shard.instance(i) for i in range(len(shard))], dict(shard.attributes)
-    changed = [
-        dataclasses.replace(
+
+    def enclosing(row):
+        return changed(
             row,
             near_label=with_enclosed(row.near_label),
             uniform_label=with_enclosed(row.uniform_label),
             occupancy={r: with_enclosed(grid) for r, grid in row.occupancy.items()},
         )
-        for row in rows
-    ]
-    write_shard(path, changed, about)
-    assert (changed[1].occupancy[8] == 255).any()
+
+    rows = rewrite(tmp_path / "train-00000.h5", lambda rows: list(map(enclosing, rows)))
+    enclosed = list(map(enclosing, rows))
+    assert (enclosed[1].occupancy[8] == 255).any()
     for occupancy in ("visible", "material"):
         ask = dataclasses.replace(ASK, occupancy=occupancy)
         packed = load_split(tmp_path, "train", ask, [8])
-        want = changed if occupancy == "visible" else rows
+        want = enclosed if occupancy == "visible" else rows
         for i, row in enumerate(want):
             for have, label in (
                 (packed.grids[8][i], row.occupancy[8].ravel()),
@@ -307,11 +302,11 @@ def test_enclosed_space_is_occupied_or_free_as_the_recipe_says(tmp_path):
 def test_a_grid_that_holds_no_voxel_is_learnt_by_its_surface(tmp_path):
     """A plate between the centres of a coarse grid: each voxel that its surface passes through."""
     write_boxes(tmp_path, train=1, test=0, states=1)
-    path = tmp_path / "train-00000.h5"
-    with open_shard(path) as shard:
-        rows, about = [shard.instance(i) for i in range(len(shard))], dict(shard.attributes)
-    empty = dict(rows[1].occupancy) | {8: np.zeros((8, 8, 8), np.uint8)}
-    write_shard(path, [rows[0], dataclasses.replace(rows[1], occupancy=empty)], about)
+    empty = {8: np.zeros((8, 8, 8), np.uint8)}
+    rows = rewrite(
+        tmp_path / "train-00000.h5",
+        lambda rows: [rows[0], changed(rows[1], occupancy={**rows[1].occupancy, **empty})],
+    )
     packed = load_split(tmp_path, "train", ASK, [8, 16])
     np.testing.assert_array_equal(packed.grids[8][0].numpy(), rows[0].occupancy[8].ravel())
     np.testing.assert_array_equal(packed.grids[16][1].numpy(), rows[1].occupancy[16].ravel())

@@ -14,7 +14,7 @@ from command_line import run
 from hypothesis import given
 from hypothesis import strategies as st
 from instances import hinged_box
-from test_html_report import shard
+from ppd_data import shard
 
 import articugen as ag
 from articugen.core.errors import ArticugenError, InvalidArgument, MissingExtra

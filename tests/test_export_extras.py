@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from instances import changed, hinged_box
 from PIL import Image
+from ppd_data import shard
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from test_extras import ASKING, SLIDE
-from test_html_report import shard
 
 import articugen as ag
 from articugen.core.errors import InvalidArgument

@@ -14,8 +14,8 @@ import pytest
 import trimesh
 from exports import name_of
 from instances import changed, hinged_box
+from ppd_data import shard
 from scipy.spatial import KDTree
-from test_html_report import shard
 
 import articugen as ag
 from articugen.core.geometry import (

@@ -10,7 +10,8 @@ import trimesh
 import yourdfpy
 from exports import MESHES, canonical_meshes, motion_in_metres, name_of, state_in_metres
 from instances import HINGE, HINGE_AXIS, LOWER, SLIDE_AXIS, UPPER, hinged_box
-from test_html_report import named, shard
+from ppd_data import shard
+from test_html_report import named
 
 import articugen as ag
 from articugen.core.geometry import apply, invert_rigid, rotation_about, transform

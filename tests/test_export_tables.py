@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from exports import name_of
 from instances import changed, hinged_box
+from ppd_data import shard
 from python_process import printed
-from test_html_report import named, shard
+from test_html_report import named
 from trouble import small_disk
 
 import articugen as ag

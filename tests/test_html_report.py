@@ -5,7 +5,6 @@ import hashlib
 import io
 import re
 import shutil
-from collections.abc import Sequence
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -18,6 +17,7 @@ from browser import LAPTOP, PHONE
 from command_line import run
 from instances import SMALL, edited, hinged_box
 from PIL import Image
+from ppd_data import rewrite, shard
 from test_cli import TINY
 
 from articugen.core.errors import MachineFault
@@ -32,17 +32,9 @@ from articugen.inspection.report.truth import measured
 from articugen.pictures.surfels import OrientedPoints
 from articugen.store.manifest import Manifest
 from articugen.store.shards import open_shard
-from articugen.store.writer import write_shard
 
 STATES = ((0.0, 0.0), (0.5, 0.1), (1.2, 0.25), (1.7, 0.02))
 HOSTILE = "</title><img src=x onerror=alert(1)><script>alert(2)</script>\u202e'\"&"
-
-
-def shard(path: Path, instances: Sequence[Instance], split: str = "train") -> Path:
-    about = {"category": "box", "split": split, "recipe": SMALL.text(), "seed": 0}
-    about |= {"recipe_sha256": SMALL.sha256(), "articugen_version": "0"}
-    write_shard(path, instances, about)
-    return path
 
 
 def named(instance: Instance) -> Instance:
@@ -134,16 +126,14 @@ def test_labels_agree_with_the_exact_solids_and_wrong_ones_do_not(
     for name, least in (("uniform", 0.9), ("near", 0.9), ("part", 0.99), ("surface", 0.98)):
         assert found.total(name) >= least
     path = next(laptops.glob("train*.h5"))
-    with open_shard(path) as source:
-        about = {
-            k: v for k, v in source.attributes.items() if k not in ("format", "schema_version")
-        }
-        rows = [source.instance(i) for i in range(len(source))]
-    motionless = [
-        edited(r, "part_motion", lambda T: np.tile(np.eye(4), (len(T), 1, 1))) for r in rows
-    ]
-    write_shard(tmp_path / path.name, motionless, about)
-    wrong = measured(facts([tmp_path / path.name]).objects, manifest)
+    still = Path(shutil.copy(path, tmp_path))
+    rewrite(
+        still,
+        lambda rows: [
+            edited(r, "part_motion", lambda T: np.tile(np.eye(4), (len(T), 1, 1))) for r in rows
+        ],
+    )
+    wrong = measured(facts([still]).objects, manifest)
     assert wrong.total("surface") < found.total("surface") - 0.1
     assert "shard alone" in measured(facts([path]).objects, None).why_not
 

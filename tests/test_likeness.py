@@ -9,7 +9,8 @@ import pytest
 from command_line import run as invoke
 from instances import LIMITS, hinged_box
 from PIL import Image
-from test_html_report import STATES, shard
+from ppd_data import shard
+from test_html_report import STATES
 
 from articugen.core.records import dequantize, quantize
 from articugen.core.schema import Instance

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from digests import digest
-from ppd_data import write_boxes
+from ppd_data import rewrite, write_boxes
 
 from articugen.core.errors import InvalidCheckpoint, InvalidRecipe, TrainingDiverged
 from articugen.core.yaml_files import known
@@ -36,8 +36,6 @@ from articugen.learning.run_folder import (
     RunFolder,
     read_checkpoint,
 )
-from articugen.store.shards import open_shard
-from articugen.store.writer import write_shard
 
 TINY = PPDRecipe(
     name="tiny",
@@ -77,12 +75,9 @@ def test_an_object_whose_coarse_grids_are_empty_is_trained_on(tmp_path):
     """Plates between all centres of the first stages' grids: the model still learns that they are
     there, and no term is starved of occupied points."""
     folder = write_boxes(tmp_path / "thin", train=3, test=1, states=2)
+    none = {r: np.zeros((r,) * 3, np.uint8) for r in (8, 16)}
     for path in sorted(folder.glob("*.h5")):
-        with open_shard(path) as shard:
-            rows, about = [shard.instance(i) for i in range(len(shard))], dict(shard.attributes)
-        none = {r: np.zeros((r,) * 3, np.uint8) for r in (8, 16)}
-        thin = [replace(row, occupancy=dict(row.occupancy) | none) for row in rows]
-        write_shard(path, thin, about)
+        rewrite(path, lambda rows: [replace(r, occupancy={**r.occupancy, **none}) for r in rows])
     packed = load_split(folder, "train", SPEC, [8, 16])
     for resolution in (8, 16):
         batch = packed.batch([0, 4, 8], SPEC, resolution, torch.Generator().manual_seed(0))

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from instances import SMALL, hinged_box
-from ppd_data import write_boxes
+from ppd_data import shard, write_boxes
 
 import articugen as ag
 from articugen.core.errors import CorruptShard, InvalidArgument, MissingExtra
@@ -22,7 +22,6 @@ from articugen.store import dataset as data_sets
 from articugen.store import shelf
 from articugen.store.rows import Row, in_units
 from articugen.store.shards import open_shard
-from articugen.store.writer import write_shard
 
 POINTS = ("surface_points", "surface_normals", "surface_part")
 
@@ -304,12 +303,10 @@ def test_each_point_is_as_likely_as_any_other(points):
 
 
 def test_unlike_numbers_of_joints_do_not_stack(tmp_path):
-    about = {"category": "box", "split": "train", "recipe": SMALL.text(),
-             "recipe_sha256": SMALL.sha256(), "seed": 0, "articugen_version": "0"}  # fmt: skip
     rows = hinged_box([(0.0, 0.0), (0.5, 0.1)])
-    write_shard(tmp_path / "train-00000.h5", rows, about)
+    shard(tmp_path / "train-00000.h5", rows)
     fewer = [_without_the_knob(row) for row in rows]
-    write_shard(tmp_path / "train-00001.h5", fewer, about)
+    shard(tmp_path / "train-00001.h5", fewer)
     data = ag.open(tmp_path)
     assert data.batch(4, POINTS, rng=0)["surface_part"].shape == (4, 2048)
     with pytest.raises(

@@ -21,6 +21,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from instances import SMALL, changed, hinged_box
+from ppd_data import attributes_of
 from python_process import NO_BYTECODE
 from trouble import small_disk
 
@@ -49,14 +50,7 @@ NAMED = tuple(
 )
 """With every field that is optional."""
 
-ABOUT = {
-    "category": "box",
-    "split": "train",
-    "recipe": SMALL.text(),
-    "recipe_sha256": SMALL.sha256(),
-    "seed": 0,
-    "articugen_version": "0",
-}
+ABOUT = attributes_of()
 
 
 @pytest.fixture(scope="module")

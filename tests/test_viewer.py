@@ -13,7 +13,8 @@ import pytest
 import trimesh
 from command_line import run
 from instances import SMALL, hinged_box
-from test_html_report import HOSTILE, STATES, named, shard
+from ppd_data import shard
+from test_html_report import HOSTILE, STATES, named
 from test_maker import CABINET, TINY
 
 import articugen as ag

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 from instances import SMALL, hinged_box
-from test_html_report import shard
+from ppd_data import shard
 
 from articugen.core.errors import ArticugenError
 from articugen.inspection.viewer.serve import Served, served

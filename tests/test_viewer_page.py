@@ -16,7 +16,8 @@ import pytest
 from browser import PHONE
 from instances import SMALL, hinged_box
 from PIL import Image
-from test_html_report import HOSTILE, STATES, named, shard
+from ppd_data import shard
+from test_html_report import HOSTILE, STATES, named
 from test_maker import CABINET, TINY
 
 import articugen as ag
