@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from command_line import run
+from python_process import ended
 
 from articugen import __version__
 from articugen.cli import saying
@@ -300,10 +301,7 @@ def test_verify_accepts_what_was_made_and_finds_a_flipped_bit(made: Path, tmp_pa
     done = run("verify", made.parent, "-j", 1)
     assert done.exit_code == 0, done.output
     assert "2 shards, 6 instances" in done.output
-    copy = tmp_path / "laptop"
-    copy.mkdir()
-    for path in made.iterdir():
-        (copy / path.name).write_bytes(path.read_bytes())
+    copy = Path(shutil.copytree(made, tmp_path / "laptop"))
     victim = next(copy.glob("*.h5"))
     flipped = bytearray(victim.read_bytes())
     flipped[len(flipped) // 2] ^= 1
@@ -382,9 +380,7 @@ def test_a_second_ctrl_c_or_sigterm_changes_nothing(
 ) -> None:
     command = ["generate", "-c", "laptop", "-r", str(recipe), "-o", str(tmp_path), "-j", "0"]
     code = INTERRUPTED.replace("len(begun) == 2", "len(begun) == 1").replace("SIGINT", first)
-    done = subprocess.run(
-        [sys.executable, "-c", TWICE + code, *command], capture_output=True, text=True, check=False
-    )
+    done = ended("-c", TWICE + code, *command)
     assert done.returncode == status, done.stderr
     assert done.stderr == "finished work is kept; run the same command to resume\n"
 
@@ -418,13 +414,7 @@ def test_a_stop_is_not_swallowed_by_a_module_that_is_imported(
 ) -> None:
     (tmp_path / "stubborn.py").write_text(STUBBORN.format(signal=name))
     path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
-    done = subprocess.run(
-        [sys.executable, "-c", IMPORTING],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "PYTHONPATH": path},
-    )
+    done = ended("-c", IMPORTING, PYTHONPATH=path)
     assert (done.returncode, done.stdout, done.stderr) == (status, "", "")
 
 

@@ -1,11 +1,8 @@
 """Exports as such: whose folder it is, going on after a kill, what cannot be held, the command."""
 
 import json
-import os
 import shutil
 import signal
-import subprocess
-import sys
 from itertools import product
 from pathlib import Path
 
@@ -15,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from instances import hinged_box
 from ppd_data import shard
+from python_process import ended
 
 import articugen as ag
 from articugen.core.errors import ArticugenError, InvalidArgument, MissingExtra
@@ -76,9 +74,7 @@ def test_a_killed_export_goes_on_to_the_same_bytes(boxes, tmp_path):
         "    if done == 5: os.kill(os.getpid(), signal.SIGKILL)\n"
         "ag.export(sys.argv[1], 'ply', sys.argv[2], on_item=stop)"
     )
-    command = [sys.executable, "-c", code, str(boxes), str(cut)]
-    ended = subprocess.run(command, env={**os.environ, "PYTHONPATH": "."}, check=False)
-    assert ended.returncode == -signal.SIGKILL
+    assert ended("-c", code, boxes, cut, PYTHONPATH=".").returncode == -signal.SIGKILL
     assert len(list(cut.rglob("*.ply"))) == 5
     # what a kill in the middle of a write leaves: half a file, half a record, a file that was lost
     (cut / "train" / ".box-0_0001.ply.0123abcd.partial").write_bytes(b"ply")

@@ -1,7 +1,6 @@
 """What is no fault of an object: disks, limits and processes that fail while a data set is made."""
 
 import errno
-import os
 import subprocess
 import sys
 import time
@@ -12,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import test_pipeline
-from python_process import NO_BYTECODE
+from python_process import NO_BYTECODE, ended
 from test_pipeline import BOX, TINY, broken, contents, job, made, planned
 from test_workers import alive, children
 from trouble import obeying_permissions, small_disk
@@ -183,14 +182,7 @@ def made_under(
     """The last line that a run of its own says on stderr, under limits that `before` sets, or the
     `begin` of its command."""
     code = FULL.format(before=before, recipe=TINY.text(), out=str(out), jobs=jobs)
-    done = subprocess.run(
-        [*begin, sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-        env=os.environ | NO_BYTECODE | environment,
-    )
+    done = ended("-c", code, seconds=60, begin=begin, **NO_BYTECODE | environment)
     return done.stderr.strip().split("\n")[-1]
 
 

@@ -1,14 +1,13 @@
 """The house, read from the imports of the code; docs/architecture.md draws the same picture."""
 
 import ast
-import subprocess
 import sys
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
-from python_process import printed
+from python_process import ended, printed
 
 import articugen
 from articugen import fusion
@@ -259,7 +258,7 @@ def test_a_package_that_is_called_like_a_function_can_be_called(first: str) -> N
         f"{first}import articugen as ag; import articugen.verify.check as module\n"
         "print(ag.verify('.').ok)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    done = ended("-c", code)
     assert done.stdout == "False\n", done.stderr
 
 

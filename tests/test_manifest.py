@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -117,11 +118,7 @@ def complete(tmp_path_factory):
 
 @pytest.fixture
 def folder(complete, tmp_path):
-    copy = tmp_path / "box"
-    copy.mkdir()
-    for path in complete.iterdir():
-        (copy / path.name).write_bytes(path.read_bytes())
-    return copy
+    return Path(shutil.copytree(complete, tmp_path / "box"))
 
 
 def test_manifest_tells_what_was_made(complete):

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from python_process import printed
 from trouble import small_disk
 
 import articugen
@@ -297,10 +298,7 @@ def test_comments_and_new_files_make_no_data_stale(whole: Path, tmp_path: Path) 
         file.write("\n# a remark\n")
     (copied / "rendering" / "another.py").write_text("")
     code = PLANNED.format(recipe=TINY.text(), out=str(whole))
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
-    version, *counts = done.stdout.split()
+    version, *counts = printed("-c", code, folder=tmp_path).split()
     assert version != Manifest.read(whole).articugen_version == code_version()
     assert counts == ["4", "0"]
 

@@ -4,13 +4,13 @@ import json
 import logging
 import os
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from python_process import printed
 
 from articugen.core import plugins
 from articugen.core.errors import BrokenPlugin, InvalidArgument, InvalidSource
@@ -144,20 +144,13 @@ def test_a_run_is_planned_with_it(install: Install, tmp_path: Path) -> None:
     """By the command line and its worker, processes that know nothing but what is installed."""
     install("chest-maker", "chests", CHESTS, chest="chests")
     folder = chests(tmp_path / "models", "a", "b")
-    shown = subprocess.run(
-        [
-            *(sys.executable, "-c", "from articugen.cli import main; main()", "generate"),
-            *("--category", "chest", "--source", str(folder), "--recipe", "quick", "--dry-run"),
-            *("--jobs", "1", "--out", str(tmp_path / "data")),
-        ],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
+    shown = printed(
+        *("-c", "from articugen.cli import main; main()", "generate", "--category", "chest"),
+        *("--source", folder, "--recipe", "quick", "--dry-run"),
+        *("--jobs", 1, "--out", tmp_path / "data"),
+        PYTHONPATH=os.pathsep.join(sys.path),
     )
-    assert shown.returncode == 0, shown.stderr
-    assert "2 objects" in " ".join(shown.stdout.split())
+    assert "2 objects" in " ".join(shown.split())
 
 
 def test_packages_that_cannot_be_used_are_named_once_and_break_no_other(

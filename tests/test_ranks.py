@@ -2,14 +2,12 @@
 
 import hashlib
 import json
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from command_line import run
+from python_process import printed
 from test_pipeline import BOX, TINY, contents, job, made, planned
 from trouble import held_by_another_run
 
@@ -48,17 +46,9 @@ def rank(out: Path, text: str, **changes: object) -> list[str]:
 def processes(out: Path, *rounds: str) -> list[list[int]]:
     """The exit statuses of so many ranks, of one round after the other, as os.waitpid has them."""
     script = Path(__file__).with_name("rank_processes.py")
-    command = [sys.executable, script, out, OBJECTS, *rounds]
-    root = str(script.parents[1])
-    done = subprocess.run(
-        list(map(str, command)),
-        env=os.environ | {"PYTHONPATH": f"{root}:{root}/tests"},
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=300,
-    )
-    return [list(map(int, line.split())) for line in done.stdout.splitlines()]
+    root = script.parents[1]
+    lines = printed(script, out, OBJECTS, *rounds, PYTHONPATH=f"{root}:{root}/tests").splitlines()
+    return [list(map(int, line.split())) for line in lines]
 
 
 def test_eight_ranks_of_which_three_are_killed_make_what_one_process_makes(tmp_path: Path) -> None:

@@ -4,14 +4,13 @@ import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 from command_line import run
+from python_process import ended
 from trouble import held_by_another_run
 
 import articugen as ag
@@ -243,7 +242,7 @@ folder = Path({str(folder)!r})
 for _ in repair(folder, verify(folder), jobs=0):
     os.kill(os.getpid(), signal.SIGKILL)
 """
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
+    assert ended("-c", code).returncode == -signal.SIGKILL
     left = {finding.shard for finding in verify(folder).findings}
     assert len(left) == 2
     assert {each.name for each in mended(folder)} == left

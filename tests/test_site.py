@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from browser import LAPTOP, PHONE
+from python_process import ended
 
 import articugen as ag
 
@@ -41,15 +42,8 @@ pytestmark = [
 
 
 def called(*arguments: object, **env: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, *map(str, arguments)],
-        cwd=CHECKOUT,
-        env={**os.environ, "PYTHONPATH": str(CHECKOUT), "NO_MKDOCS_2_WARNING": "1", **env},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=900,
-    )
+    env |= {"PYTHONPATH": str(CHECKOUT), "NO_MKDOCS_2_WARNING": "1"}
+    return ended(*arguments, folder=CHECKOUT, seconds=900, **env)
 
 
 @pytest.fixture(scope="module")

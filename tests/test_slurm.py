@@ -3,7 +3,6 @@
 import os
 import re
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -13,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from command_line import run
+from python_process import ended
 from slurm_cluster import Daemon, processes_of, said, slurm
 from test_pipeline import PACKAGE, TINY, contents, job, made
 
@@ -130,10 +130,7 @@ def test_it_is_followed_again_and_interrupted(cluster: dict[str, Daemon], tmp_pa
         "door.make(on_slurm(Path(sys.argv[1])), on_notice=lambda _: os.kill(os.getpid(), 9))"
     )
     path = os.pathsep.join([str(Path(__file__).parent), str(PACKAGE.parent)])
-    killed = subprocess.run(
-        [sys.executable, "-c", script, out], env=os.environ | {"PYTHONPATH": path}, check=False
-    )
-    assert killed.returncode == -signal.SIGKILL
+    assert ended("-c", script, out, PYTHONPATH=path).returncode == -signal.SIGKILL
     (first,) = set(said("squeue", "-h", "-o", "%F").split())
 
     def interrupt(report: ObjectReport) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import python_process
 
 from articugen.core import processes as module
 from articugen.core.errors import MachineFault, MissingExtra
@@ -241,9 +242,7 @@ print(sorted(ended.value for ended in told))
 def test_too_few_open_files_mean_fewer_workers_or_one_sentence() -> None:
     def said(spare: int) -> str:
         code = FEW_FILES.format(path=[str(Path(__file__).parent), *sys.path], spare=spare)
-        done = subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, check=False
-        )
+        done = python_process.ended("-c", code)
         return done.stdout + done.stderr.strip().split("\n")[-1]
 
     assert said(7) == "[0, 1, 2, 3, 4, 5]\n"
