@@ -5,6 +5,7 @@ from pathlib import Path
 
 import command_line
 import pytest
+import test_manifest
 from test_manifest import COMPLETE, about, key, keys, make, names_in, run
 from trouble import held_by_another_run
 
@@ -17,17 +18,7 @@ from articugen.pipeline.folder import data_sets
 from articugen.store.manifest import MANIFEST_NAME
 from articugen.verify.dataset import verify
 
-
-@pytest.fixture(scope="module")
-def complete(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("data") / "box"
-    run(folder, keys())
-    return folder
-
-
-@pytest.fixture
-def folder(complete, tmp_path):
-    return Path(shutil.copytree(complete, tmp_path / "box"))
+complete, folder = test_manifest.complete, test_manifest.folder
 
 
 def removed(path: Path, **options) -> list[str]:

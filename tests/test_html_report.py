@@ -13,12 +13,12 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+import test_cli
 from browser import LAPTOP, PHONE
 from command_line import run
 from instances import SMALL, edited, hinged_box
 from PIL import Image
 from ppd_data import rewrite, shard
-from test_cli import TINY
 
 from articugen.core.errors import MachineFault
 from articugen.core.geometry import apply, rotation_about
@@ -108,13 +108,7 @@ def test_facts_are_those_of_the_boxes(page: Path) -> None:
     assert box.occupied.mean() == pytest.approx(solid / box.scale**3, rel=0.15)
 
 
-@pytest.fixture(scope="module")
-def laptops(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("made")
-    (root / "tiny.yaml").write_text(TINY)
-    done = run("generate", "-c", "laptop", "-r", root / "tiny.yaml", "-o", root, "-j", 0)
-    assert done.exit_code == 0, done.output
-    return root / "laptop"
+recipe, laptops = test_cli.recipe, test_cli.made
 
 
 def test_labels_agree_with_the_exact_solids_and_wrong_ones_do_not(

@@ -6,7 +6,6 @@ import io
 import json
 import os
 import re
-import shutil
 from fnmatch import fnmatch
 from functools import reduce
 from operator import getitem
@@ -16,12 +15,13 @@ import command_line
 import h5py
 import numpy as np
 import pytest
+import test_manifest
 from instances import SMALL, changed, edited, hinged_box
 from PIL import Image
 from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
-from test_manifest import STATES, TIMINGS, attributes, key, keys, make, manifest_of, records_in, run
+from test_manifest import STATES, TIMINGS, attributes, key, keys, make, manifest_of, records_in
 
 import articugen as ag
 from articugen.cli import saying
@@ -36,17 +36,7 @@ from articugen.store.writer import write_shard
 from articugen.verify import dataset as verification
 from articugen.verify.dataset import Report, verify
 
-
-@pytest.fixture(scope="module")
-def sound(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("data") / "box"
-    run(folder, keys())
-    return folder
-
-
-@pytest.fixture
-def folder(sound, tmp_path):
-    return Path(shutil.copytree(sound, tmp_path / "box"))
+complete, folder = test_manifest.complete, test_manifest.folder
 
 
 def found(report: Report) -> set[tuple[str, str]]:
@@ -69,17 +59,17 @@ def resealed(manifest: dict) -> dict:
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_sound_data_set(sound, jobs):
+def test_sound_data_set(complete, jobs):
     told = []
-    report = verify(sound, jobs=jobs, on_shard=told.append)
+    report = verify(complete, jobs=jobs, on_shard=told.append)
     assert report == Report((), 3, 6)
     assert told == ["test-00000.h5", "train-00000.h5", "train-00001.h5"]
 
 
-def test_nothing_is_changed(sound):
-    before = {p.name: p.read_bytes() for p in sound.iterdir()}
-    verify(sound)
-    assert {p.name: p.read_bytes() for p in sound.iterdir()} == before
+def test_nothing_is_changed(complete):
+    before = {p.name: p.read_bytes() for p in complete.iterdir()}
+    verify(complete)
+    assert {p.name: p.read_bytes() for p in complete.iterdir()} == before
 
 
 def test_no_manifest(folder):
@@ -198,8 +188,8 @@ def test_a_console_spells_out_whatever_is_printed(terminal):
     assert "second line" in output.splitlines()[-2]
 
 
-def test_a_folder_of_links_is_a_data_set_as_well(sound, tmp_path):
-    for path in sound.iterdir():
+def test_a_folder_of_links_is_a_data_set_as_well(complete, tmp_path):
+    for path in complete.iterdir():
         (tmp_path / path.name).symlink_to(path)
     assert verify(tmp_path).ok
 
