@@ -28,13 +28,13 @@ from articugen.cli import saying
 from articugen.core.errors import CorruptShard
 from articugen.core.files import partial_name
 from articugen.core.ledger import LEDGER
-from articugen.core.schema import CHECKED_ATTRIBUTES
 from articugen.pictures import layout
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.outcome import Outcome, Rejection
 from articugen.store.writer import write_shard
 from articugen.verify import dataset as verification
 from articugen.verify.dataset import Report, verify
+from tests.chaos.corruptions import leaves, set_attributes
 
 complete, folder = test_manifest.complete, test_manifest.folder
 
@@ -194,16 +194,6 @@ def test_a_folder_of_links_is_a_data_set_as_well(complete, tmp_path):
     assert verify(tmp_path).ok
 
 
-def leaves(value, path=()):
-    """The path of every leaf of plain JSON."""
-    if isinstance(value, dict | list):
-        inner = value.items() if isinstance(value, dict) else enumerate(value)
-        for name, item in inner:
-            yield from leaves(item, (*path, name))
-    else:
-        yield path
-
-
 def changes(value):
     """(what was done, what is there then) for one leaf; REMOVED where it is gone."""
     yield "removed", REMOVED
@@ -352,7 +342,7 @@ def test_what_users_add_is_left_alone_and_told_of(folder):
         (lambda f: f["surface_part"].__setitem__((0, 0), 2), {"checksum", "content"}),
         (lambda f: f.move("near_label", "user/near_label"), {"checksum", "schema"}),
         (lambda f: f.__delitem__("occupancy_8"), {"checksum", "content"}),
-        (lambda f: _reword(f, "licence"), {"checksum", "attributes"}),
+        (lambda f: set_attributes(f, licence="mine"), {"checksum", "attributes"}),
         (lambda f: f.create_group("mine"), {"checksum", "schema"}),
     ],
     ids=["a label", "a field moved", "an optional field", "an attribute", "another group"],
@@ -367,14 +357,6 @@ def test_a_group_of_ones_own_excuses_nothing_else(folder, alter, checks):
     if checks != {"checksum", "attributes"}:
         with records_in(folder) as records:
             assert "is missing or altered" in (records.why(keys()[0]) or "")
-
-
-def _reword(file: h5py.File, name: str) -> None:
-    told = json.loads(file.attrs[CHECKED_ATTRIBUTES]) | {name: "mine"}
-    text = json.dumps(told, ensure_ascii=False, sort_keys=True).encode()
-    fixed = h5py.string_dtype("utf-8", len(text))
-    del file.attrs[CHECKED_ATTRIBUTES]
-    file.attrs.create(CHECKED_ATTRIBUTES, np.array(text, fixed), dtype=fixed)
 
 
 def test_cut_short(folder):

@@ -124,12 +124,17 @@ def number_edited(path: Path, rng: Rng) -> None:
 
 def attribute_edited(path: Path, rng: Rng) -> None:
     with h5py.File(path, "r+") as file:
-        told = json.loads(file.attrs[CHECKED_ATTRIBUTES])
-        name = sorted(told)[int(rng.integers(len(told)))]
-        told[name] = told[name] + ("x" if isinstance(told[name], str) else 1)
-        text = json.dumps(told, ensure_ascii=False, sort_keys=True).encode()
-        fixed = h5py.string_dtype("utf-8", len(text))
-        file.attrs.create(CHECKED_ATTRIBUTES, np.array(text, fixed), dtype=fixed)
+        known = json.loads(file.attrs[CHECKED_ATTRIBUTES])
+        name = sorted(known)[int(rng.integers(len(known)))]
+        set_attributes(file, **{name: known[name] + ("x" if isinstance(known[name], str) else 1)})
+
+
+def set_attributes(file: h5py.File, **values: Any) -> None:
+    """Give a shard other values of its attributes, stored as its writer stores them."""
+    known = json.loads(file.attrs[CHECKED_ATTRIBUTES]) | values
+    text = json.dumps(known, ensure_ascii=False, sort_keys=True).encode()
+    fixed = h5py.string_dtype("utf-8", len(text))
+    file.attrs.create(CHECKED_ATTRIBUTES, np.array(text, fixed), dtype=fixed)
 
 
 def swapped(folder: Path, _: Path, rng: Rng) -> set[str]:
@@ -166,7 +171,7 @@ def to_the(name: str, do: Callable[[Path, Rng], None]) -> Corruption:
 def leaf_edited(path: Path, rng: Rng) -> None:
     """One value of a JSON file is another one."""
     told = json.loads(path.read_text())
-    ways = list(_leaves(told))
+    ways = list(leaves(told))
     *way, last = ways[int(rng.integers(len(ways)))]
     where = reduce(getitem, way, told)
     value = where[last]
@@ -179,11 +184,12 @@ def leaf_edited(path: Path, rng: Rng) -> None:
     path.write_text(json.dumps(told, indent=1) + "\n")
 
 
-def _leaves(value: Any, way: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+def leaves(value: Any, way: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Find the path of every leaf of plain JSON."""
     if isinstance(value, dict | list):
         inner = value.items() if isinstance(value, dict) else enumerate(value)
         for name, item in inner:
-            yield from _leaves(item, (*way, name))
+            yield from leaves(item, (*way, name))
     else:
         yield way
 
