@@ -136,6 +136,13 @@ def test_yaw_turns_the_model_about_z(folder):
     np.testing.assert_allclose(obj.T_world_root, np.diag([-1, -1, 1, 1]), atol=1e-15)
 
 
+def resolved(obj, category, settings=None):
+    """The model as the recipe, by default the category's, and its source want it."""
+    choices = SOURCE.categories[category]
+    settings = settings or load_recipe(None, category).articulation
+    return resolve(obj, settings, canonical=choices.canonical, movable=choices.movable)
+
+
 LAPTOPS = ["9748", "10040", "10101", "10125", "10248", "10697", "11030", "11405"]
 GLASSES = ["101287", "101326"]
 OVENS = ["7138", "101940"]
@@ -146,14 +153,8 @@ class Opened:
     """A real model as the paper's protocol has it, to look at its parts at any joint values."""
 
     def __init__(self, category, object_id):
-        settings = SOURCE.categories[category]
         self.source = read(REAL_MODELS / "partnet_mobility" / category / object_id, category)
-        self.obj = resolve(
-            self.source,
-            load_recipe(None, category).articulation,
-            canonical=settings.canonical,
-            movable=settings.movable,
-        )
+        self.obj = resolved(self.source, category)
         self.joints = self.obj.moving_joints
         self.axes = forward_kinematics(self.obj, canonical_state(self.obj)).axes
 
@@ -270,14 +271,12 @@ def real_folders(*roots: str) -> list[tuple[str, Path]]:
 def test_by_default_no_real_model_leaves_the_limits_of_its_urdf():
     made = 0
     for category, folder in real_folders("partnet_mobility", "partnet_mobility_more"):
-        source, settings = read(folder, category), SOURCE.categories[category]
-        articulation = load_recipe(None, category).articulation
-        choices = {"canonical": settings.canonical, "movable": settings.movable}
+        source = read(folder, category)
         if folder.name == "103127":  # a coffee machine of buttons alone
             with pytest.raises(NotOfCategory):
-                resolve(source, articulation, **choices)
+                resolved(source, category)
             continue
-        obj = resolve(source, articulation, **choices)
+        obj = resolved(source, category)
         assert not [note for note in obj.notes if "beyond the limits" in note]
         reach = {j.name: j.upper - j.lower for j in source.joints}
         for joint in obj.moving_joints:
@@ -292,13 +291,7 @@ def test_fronts_of_real_models_look_along_x(category):
     for name, folder in real_folders("partnet_mobility", "partnet_mobility_more"):
         if name != category:
             continue
-        settings = SOURCE.categories[category]
-        obj = resolve(
-            read(folder, category),
-            Articulation(),
-            canonical=settings.canonical,
-            movable=settings.movable,
-        )
+        obj = resolved(read(folder, category), category, Articulation())
         boxes = _part_boxes(obj)
         state = JointState(np.array([j.upper for j in obj.moving_joints]))
         posed = forward_kinematics(obj, state)
