@@ -1,6 +1,7 @@
-"""A digest of a learner's state, to compare two by."""
+"""A digest of a learner's state, to compare two by; a training that must resume exactly."""
 
 import hashlib
+from dataclasses import replace
 from typing import Any
 
 
@@ -25,3 +26,17 @@ def digest(state: dict[str, Any]) -> str:
 
     tell("", state)
     return hashed.hexdigest()
+
+
+def resumed_exactly(what: Any, *stops: int) -> Any:
+    """Train, and again with a stop after so many iterations, which must come to the same state;
+    return the run that was not stopped."""
+    from articugen.learning.loop import train  # noqa: PLC0415 - see above
+    from articugen.learning.run_folder import LATEST, read_checkpoint  # noqa: PLC0415
+
+    whole = train(what)
+    for stop in stops:
+        run = train(replace(what, resume=train(what, stop_after=stop).path))
+        ours, theirs = (read_checkpoint(r.path / LATEST).state for r in (run, whole))
+        assert digest(ours) == digest(theirs)
+    return whole
