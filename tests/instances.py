@@ -198,6 +198,30 @@ def changed(row: Instance, **fields: Any) -> Instance:
     return replace(row, **fields)
 
 
+def without_knob(row: Instance, **fields: Any) -> Instance:
+    """Make the knob of a box a piece of its lid: one joint, two parts; with other fields."""
+    names = ("kind", "parent", "state", "lower", "upper", "axis", "pivot")
+    most = {"surface_part": 1, "partial_part": 1, "uniform_label": 2, "near_label": 2}
+    return changed(
+        row,
+        part_motion=row.part_motion[:2],
+        occupancy={r: np.minimum(grid, 2) for r, grid in row.occupancy.items()},
+        **{f"joint_{name}": getattr(row, f"joint_{name}")[:1] for name in names},
+        **{name: np.minimum(getattr(row, name), number) for name, number in most.items()},
+        **fields,
+    )
+
+
+def assert_same(one: Instance, other: Instance, *fields: str) -> None:
+    """Assert that two instances have the same fields of the same type and, at least in the named
+    fields, the same values."""
+    left, right = one.arrays(), other.arrays()
+    assert left.keys() == right.keys()
+    for name in fields or left:
+        assert np.asarray(left[name]).dtype == np.asarray(right[name]).dtype, name
+        np.testing.assert_array_equal(left[name], right[name], err_msg=name)
+
+
 def edited(
     row: Instance, name: str, edit: Callable[[NDArray[Any]], NDArray[Any] | None]
 ) -> Instance:

@@ -6,7 +6,7 @@ import exports
 import numpy as np
 import pytest
 from exports import name_of
-from instances import changed, hinged_box
+from instances import hinged_box, without_knob
 from ppd_data import shard
 from python_process import printed
 from test_html_report import named
@@ -39,27 +39,12 @@ def test_parquet_in_datasets(exported, rows, tmp_path, datasets):
                 np.testing.assert_array_equal(value, stored, err_msg=name)
 
 
-def without_its_knob(instance):
-    """The box whose knob is a part of the lid: one joint, two parts."""
-
-    labels = {"surface_part": 1, "partial_part": 1, "uniform_label": 2, "near_label": 2}
-    joints = {name: getattr(instance, f"joint_{name}")[:1] for name in
-              ("kind", "parent", "state", "lower", "upper", "axis", "pivot")}  # fmt: skip
-    return changed(
-        instance,
-        **{f"joint_{name}": value for name, value in joints.items()},
-        part_motion=instance.part_motion[:2],
-        occupancy={r: np.minimum(grid, 2) for r, grid in instance.occupancy.items()},
-        **{name: np.minimum(getattr(instance, name), most) for name, most in labels.items()},
-    )
-
-
 def test_parquet_of_objects_with_unlike_numbers_of_joints_in_datasets(tmp_path, datasets):
     """As real categories are: one file's columns are those of all."""
     folder = tmp_path / "boxes"
     folder.mkdir()
     shard(folder / "train-00000.h5", [named(i) for i in hinged_box(object_id="two")])
-    shard(folder / "train-00001.h5", [without_its_knob(i) for i in hinged_box(object_id="one")])
+    shard(folder / "train-00001.h5", [without_knob(i) for i in hinged_box(object_id="one")])
     ag.export(folder, "parquet", tmp_path / "out")
     loaded = datasets.load_dataset(
         str(tmp_path / "out"), split="train", cache_dir=str(tmp_path / "cache")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from instances import SMALL, hinged_box
+from instances import SMALL, hinged_box, without_knob
 from ppd_data import shard, write_boxes
 
 import articugen as ag
@@ -305,7 +305,7 @@ def test_each_point_is_as_likely_as_any_other(points):
 def test_unlike_numbers_of_joints_do_not_stack(tmp_path):
     rows = hinged_box([(0.0, 0.0), (0.5, 0.1)])
     shard(tmp_path / "train-00000.h5", rows)
-    fewer = [_without_the_knob(row) for row in rows]
+    fewer = [without_knob(row, object_id="lid-only") for row in rows]
     shard(tmp_path / "train-00001.h5", fewer)
     data = ag.open(tmp_path)
     assert data.batch(4, POINTS, rng=0)["surface_part"].shape == (4, 2048)
@@ -314,14 +314,6 @@ def test_unlike_numbers_of_joints_do_not_stack(tmp_path):
     ):
         data.batch([0, 2], ["joint_axis"])
     assert data.of("lid-only").batch(2, ["joint_axis"])["joint_axis"].shape == (2, 1, 3)
-
-
-def _without_the_knob(row):
-    from dataclasses import replace  # noqa: PLC0415
-
-    joints = ("kind", "parent", "state", "lower", "upper", "axis", "pivot")
-    fewer = {f"joint_{name}": getattr(row, f"joint_{name}")[:1] for name in joints}
-    return replace(row, object_id="lid-only", part_motion=row.part_motion[:2], **fewer)
 
 
 def test_damage_and_other_files_are_noticed(folder, tmp_path):

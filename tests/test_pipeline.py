@@ -9,9 +9,9 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import trimesh
+from instances import assert_same
 from python_process import printed
 from trouble import small_disk
 
@@ -140,10 +140,7 @@ def test_a_data_set_is_whole_and_holds_what_instance_makes(whole: Path) -> None:
     with open_shard(whole / entry.shard) as shard:
         assert len(shard) == entry.instances == 3
         for n in range(3):
-            stored, fresh = shard.instance(n).arrays(), make_instance(prepared, n).arrays()
-            assert stored.keys() == fresh.keys()
-            for name, value in fresh.items():
-                np.testing.assert_array_equal(stored[name], value, err_msg=name)
+            assert_same(shard.instance(n), make_instance(prepared, n))
 
 
 def _train(count: int) -> list[str]:

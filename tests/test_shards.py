@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from instances import SMALL, changed, hinged_box
+from instances import SMALL, assert_same, changed, hinged_box
 from ppd_data import attributes_of
 from python_process import NO_BYTECODE
 from trouble import small_disk
@@ -62,14 +62,6 @@ def written(tmp_path_factory):
 @pytest.fixture
 def copy(written, tmp_path):
     return Path(shutil.copy(written[0], tmp_path / "copy.h5"))
-
-
-def assert_same(a: Instance, b: Instance) -> None:
-    left, right = a.arrays(), b.arrays()
-    assert left.keys() == right.keys()
-    for name, value in left.items():
-        assert np.asarray(value).dtype == np.asarray(right[name]).dtype, name
-        np.testing.assert_array_equal(value, right[name], err_msg=name)
 
 
 def test_instances_come_back_as_they_were(written):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 from command_line import run
-from instances import SMALL, hinged_box
+from instances import SMALL, assert_same, hinged_box
 from ppd_data import shard
 from test_html_report import HOSTILE, STATES, named
 from test_maker import CABINET, TINY
@@ -65,13 +65,6 @@ def stored(folder: Path) -> list[Instance]:
     (path,) = (folder / "data" / "cabinet").glob("*.h5")
     with open_shard(path) as opened:
         return [opened.instance(row) for row in range(len(opened))]
-
-
-def assert_same(one: Instance, other: Instance, *fields: str) -> None:
-    a, b = one.arrays(), other.arrays()
-    assert a.keys() == b.keys()
-    for name in fields or a:
-        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
 
 
 def test_a_stored_state_is_the_generators_to_the_byte(folder: Path, shown: Shown) -> None:
