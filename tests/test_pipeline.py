@@ -487,15 +487,6 @@ def test_a_disk_that_is_locked_meanwhile_stops_the_run_and_rejects_nothing(
         assert contents(disk / "out") == contents(whole)
 
 
-def test_files_that_are_not_ours_are_left_alone(boxes: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / "train-00000.h5").write_text("someone else's")
-    with pytest.raises(ArticugenError, match="was not made by an earlier run here"):
-        made(job(out, source=str(boxes), category="box"))
-    assert (out / "train-00000.h5").read_text() == "someone else's"
-
-
 def test_unknown_sources_and_categories_name_the_nearest(tmp_path: Path) -> None:
     with pytest.raises(InvalidSource, match="did you mean 'procedural'"):
         planned(job(tmp_path, source="procedurl"))
