@@ -37,3 +37,16 @@ def browser() -> Iterator[Any]:
             yield opened
         finally:
             opened.close()
+
+
+def faults_of(tab: Any, *known: str) -> list[str]:
+    """What will be found wrong with a page: errors of its console and its scripts, dialogs, and
+    what it asks of the net, but for addresses that begin with one of those that are known."""
+    faults: list[str] = []
+    known = (*known, "file:", "data:", "blob:")
+    tab.on("console", lambda m: faults.append(m.text) if m.type == "error" else None)
+    tab.on("pageerror", lambda error: faults.append(str(error)))
+    tab.on("dialog", lambda dialog: (faults.append(dialog.message), dialog.dismiss()))
+    for event in ("request", "websocket"):
+        tab.on(event, lambda r: None if r.url.startswith(known) else faults.append(r.url))
+    return faults

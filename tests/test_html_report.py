@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 import pytest
 import test_cli
-from browser import LAPTOP, PHONE
+from browser import LAPTOP, PHONE, faults_of
 from command_line import run
 from instances import SMALL, edited, hinged_box
 from PIL import Image
@@ -263,14 +263,7 @@ def opened(chromium: Any, html: Path, screen: dict[str, int], **context: Any) ->
     """The page, once its object can be turned, and what the console and dialogs say against it."""
     tab = chromium.new_context(viewport=screen, **context).new_page()
     tab.set_default_timeout(90_000)
-    faults: list[str] = []
-    tab.on("console", lambda m: faults.append(m.text) if m.type == "error" else None)
-    tab.on("pageerror", lambda error: faults.append(str(error)))
-    tab.on("dialog", lambda dialog: (faults.append(dialog.message), dialog.dismiss()))
-    tab.on(
-        "request",
-        lambda r: None if r.url[:5] in ("file:", "data:", "blob:") else faults.append(r.url),
-    )
+    faults = faults_of(tab)
     tab.goto(html.as_uri())
     tab.wait_for_selector("#viewer[data-ready], #viewer[data-failed]", state="attached")
     assert tab.get_attribute("#viewer", "data-ready") == "true", tab.inner_text("#viewer-said")

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import LAPTOP, PHONE
+from browser import LAPTOP, PHONE, faults_of
 from python_process import ended
 
 import articugen as ag
@@ -157,13 +157,7 @@ def opened(chromium: Any, page: Path, screen: dict[str, int], **context: Any) ->
     """The page, and what the console says against it or what it asked of the net."""
     tab = chromium.new_context(viewport=screen, offline=True, **context).new_page()
     tab.set_default_timeout(60_000)
-    faults: list[str] = []
-    tab.on("console", lambda m: faults.append(m.text) if m.type == "error" else None)
-    tab.on("pageerror", lambda error: faults.append(str(error)))
-    tab.on(
-        "request",
-        lambda r: None if r.url[:5] in ("file:", "data:", "blob:") else faults.append(r.url),
-    )
+    faults = faults_of(tab)
     tab.goto(page.as_uri())
     return tab, faults
 

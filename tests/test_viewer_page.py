@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import PHONE
+from browser import PHONE, faults_of
 from instances import SMALL, hinged_box
 from PIL import Image
 from ppd_data import shard
@@ -96,13 +96,7 @@ def opened(chromium: Any, there: Served, screen: dict[str, int]) -> Window:
     """A window that shows the first object."""
     tab = chromium.new_context(viewport=screen).new_page()
     tab.set_default_timeout(PATIENCE)
-    faults: list[str] = []
-    own = (there.url, there.url.replace("http", "ws"), "data:", "blob:")
-    tab.on("console", lambda m: faults.append(m.text) if m.type == "error" else None)
-    tab.on("pageerror", lambda error: faults.append(str(error)))
-    tab.on("dialog", lambda dialog: (faults.append(dialog.message), dialog.dismiss()))
-    tab.on("request", lambda r: None if r.url.startswith(own) else faults.append(r.url))
-    tab.on("websocket", lambda w: None if w.url.startswith(own) else faults.append(w.url))
+    faults = faults_of(tab, there.url, there.url.replace("http", "ws"))
     tab.goto(f"{there.url}/?{SHARP}")
     tab.add_style_tag(content=STILL)
     tab.wait_for_selector("text=as it is stored")
