@@ -4,6 +4,7 @@ Fixtures are taken by name: `boxes, rows = exports.boxes, exports.rows`.
 """
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -47,11 +48,17 @@ def exported(boxes: Path, tmp_path_factory: pytest.TempPathFactory):
 @pytest.fixture(scope="module")
 def laptops(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two procedural laptops, whose models can be made again."""
-    recipe = {"extends": "quick", "views": {"count": 30, "resolution": 128},
-              "sampling": {"grids": [16]}}  # fmt: skip
-    out = tmp_path_factory.mktemp("laptops")
-    ag.generate("laptop", out=out, recipe=recipe, objects=2, states=2, jobs=0)
-    return out / "laptop"
+    return generated("laptop", tmp_path_factory.mktemp("laptops"), objects=2, states=2)
+
+
+def generated(
+    category: str, out: Path, *, objects: int = 1, states: int = 0, views: int = 30, **sampling: Any
+) -> Path:
+    """Generate a small data set of a bundled category, and return its folder."""
+    recipe = {"extends": "quick", "views": {"count": views, "resolution": 128},
+              "sampling": {"grids": [16], **sampling}}  # fmt: skip
+    ag.generate(category, out=out, recipe=recipe, objects=objects, states=states, jobs=0)
+    return out / category
 
 
 def name_of(row: ag.Row) -> str:

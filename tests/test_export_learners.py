@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 import pytest
 import trimesh
-from exports import name_of
+from exports import generated, name_of
 from instances import changed, hinged_box
 from ppd_data import shard
 from scipy.spatial import KDTree
@@ -36,11 +36,7 @@ boxes, rows, exported, laptops = exports.boxes, exports.rows, exports.exported, 
 @pytest.fixture(scope="module")
 def drawers(tmp_path_factory: pytest.TempPathFactory) -> ag.DataSet:
     """A bundled cabinet, shut and in two states between: shut, its drawers hide their boxes."""
-    recipe = {"extends": "quick", "views": {"count": 50, "resolution": 128},
-              "sampling": {"grids": [16]}}  # fmt: skip
-    out = tmp_path_factory.mktemp("drawers")
-    ag.generate("drawer", out=out, recipe=recipe, objects=1, states=2, jobs=0)
-    return ag.open(out / "drawer")
+    return ag.open(generated("drawer", tmp_path_factory.mktemp("drawers"), states=2, views=50))
 
 
 @pytest.fixture(scope="module")
@@ -171,16 +167,9 @@ def check_values(row: ag.Row, points: np.ndarray, values: np.ndarray, resolution
     np.testing.assert_array_equal(values, label > 0)
 
 
-def chainless(tmp_path: Path) -> Path:
-    """The laptops' like of PPD: joints from the base alone, with the grids of its release."""
-    recipe = {"extends": "quick", "views": {"count": 30, "resolution": 128},
-              "sampling": {"grids": [16, 32], "surface_points": 4096}}  # fmt: skip
-    ag.generate("laptop", out=tmp_path, recipe=recipe, objects=2, states=1, jobs=0)
-    return tmp_path / "laptop"
-
-
 def test_ppd_as_its_release_reads_it(tmp_path, boxes):
-    folder = chainless(tmp_path)
+    release = {"grids": [16, 32], "surface_points": 4096}
+    folder = generated("laptop", tmp_path, objects=2, states=1, **release)
     rows = ag.open(folder)
     ag.export(folder, "ppd", tmp_path / "ppd", resolution=64)
     samples = tmp_path / "ppd" / "data" / "sample"
@@ -270,11 +259,8 @@ def test_of_objects_that_ditto_cannot_hold_no_folder_is_left(boxes, tmp_path):
 
 
 def test_an_object_in_one_state_makes_no_scene_of_ditto(tmp_path):
-    recipe = {"extends": "quick", "views": {"count": 30, "resolution": 128},
-              "sampling": {"grids": [16]}}  # fmt: skip
-    ag.generate("laptop", out=tmp_path, recipe=recipe, objects=1, states=0, jobs=0)
     with pytest.raises(ag.ArticugenError, match="one state; Ditto's scenes are of two"):
-        ag.export(tmp_path / "laptop", "ditto", tmp_path / "out")
+        ag.export(generated("laptop", tmp_path), "ditto", tmp_path / "out")
 
 
 def ancsh(folder: Path, category: str, split: str) -> list[dict]:
@@ -470,10 +456,7 @@ def test_opalign_as_its_loader_reads_it(exported, rows):
 
 def test_material_counts_no_enclosed_space(tmp_path):
     """An oven's shut inside is visible occupancy, and no part's material."""
-    recipe = {"extends": "quick", "views": {"count": 30, "resolution": 128},
-              "sampling": {"grids": [16]}}  # fmt: skip
-    ag.generate("oven", out=tmp_path, recipe=recipe, objects=1, states=0, jobs=0)
-    rows = ag.open(tmp_path / "oven")
+    rows = ag.open(generated("oven", tmp_path))
     shares = {}
     for occupancy in ("visible", "material"):
         ag.export(rows, "onet", tmp_path / occupancy, occupancy=occupancy)
