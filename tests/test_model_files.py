@@ -5,6 +5,7 @@ import os
 
 import pytest
 from test_meshes import SQUARE_OBJ, write
+from trouble import unfit
 
 from articugen.core.errors import InvalidSource, MachineFault
 from articugen.meshes import model_files
@@ -133,13 +134,10 @@ def test_only_regular_files_are_read(model):
         model.read(model.folder / "out.obj")
 
 
-@pytest.mark.parametrize("target", ["fifo", "/dev/zero", "loop"])
-def test_a_package_xml_that_is_no_file_is_none(model, target):
+@pytest.mark.parametrize("kind", ["FIFO", "folder", "device", "round link"])
+def test_a_package_xml_that_is_no_file_is_none(model, kind):
     (model.root / "package.xml").unlink()
-    if target == "fifo":
-        os.mkfifo(model.root / "package.xml")
-    else:
-        (model.root / "package.xml").symlink_to("package.xml" if target == "loop" else target)
+    unfit(model.root / "package.xml", kind, 0)
     with pytest.raises(InvalidSource, match=r"no folder above, up to .*, has a package"):
         model.find("package://arm/meshes/a.obj")
     assert model.find("package://pkg/meshes/a.obj") is not None

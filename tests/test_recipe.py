@@ -1,11 +1,11 @@
 import errno
 import json
-import os
 import re
 from pathlib import Path
 
 import pytest
 from python_process import printed
+from trouble import unfit
 
 from articugen.core import recipe as recipe_module
 from articugen.core import schema
@@ -261,17 +261,11 @@ def test_a_bad_setting_is_refused_in_one_sentence(text: str, sentence: str) -> N
     assert str(caught.value).startswith("--set ")
 
 
-@pytest.mark.parametrize("kind", ["fifo", "/dev/zero", "folder", "loop"])
+@pytest.mark.parametrize("kind", ["FIFO", "folder", "device", "round link"])
 def test_a_recipe_is_a_regular_file(tmp_path: Path, kind: str) -> None:
-    path = tmp_path / "mine.yaml"
-    if kind == "fifo":
-        os.mkfifo(path)
-    elif kind == "folder":
-        path.mkdir()
-    else:
-        path.symlink_to(path if kind == "loop" else kind)
+    unfit(tmp_path / "mine.yaml", kind, 0)
     with pytest.raises(InvalidRecipe):
-        load_recipe(path, "laptop")
+        load_recipe(tmp_path / "mine.yaml", "laptop")
 
 
 def test_a_disk_that_does_not_answer_is_no_fault_of_the_recipe(tmp_path, monkeypatch) -> None:
