@@ -85,6 +85,7 @@ def test_links_joints_and_provenance(tmp_path):
         ("<limit upper='2'/>", (0, 2)),
         ("<limit lower='-1'/>", (-1, 0)),
         ("<limit lower='-inf' upper='2'/>", (-np.inf, 2)),
+        ("<limit lower='-1e16' upper='3.4e38'/>", (-np.inf, np.inf)),  # as simulators write none
     ],
 )
 def test_limits(tmp_path, kind, limit, wanted):
@@ -367,11 +368,6 @@ def test_what_says_nothing_of_where_a_joint_ends_is_not_read(tmp_path):
     (j,) = read(tmp_path, two_links(wrong.format('lower="0" upper="1"'))).joints
     assert (j.lower, j.upper) == (0, 1)
     (j,) = read(tmp_path, two_links(wrong.format('lower="x"') * 2, "continuous")).joints
-    assert (j.lower, j.upper) == (-np.inf, np.inf)
-
-
-def test_limits_that_simulators_write_for_none_are_none(tmp_path):
-    (j,) = read(tmp_path, two_links('<limit lower="-1e16" upper="3.4e38"/>')).joints
     assert (j.lower, j.upper) == (-np.inf, np.inf)
 
 
