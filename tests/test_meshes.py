@@ -1,7 +1,6 @@
 """Mesh readers against trimesh and closed forms; files that lie against their refusal."""
 
 import json
-import os
 import re
 import struct
 from itertools import pairwise
@@ -12,6 +11,7 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from real_models import REAL_MODELS, needs_real_models
 
 from articugen.core.errors import InvalidSource
 from articugen.core.records import Mesh
@@ -467,9 +467,9 @@ def test_scaling_keeps_the_outside_outside(scale):
     assert solid(scaled(box((1, 1, 1)), scale)).volume == pytest.approx(abs(np.prod(scale)))
 
 
-@pytest.mark.skipif("ARTICUGEN_REAL_MODELS" not in os.environ, reason="ARTICUGEN_REAL_MODELS unset")
+@needs_real_models
 def test_every_real_obj_agrees_with_trimesh():
-    paths = sorted(Path(os.environ["ARTICUGEN_REAL_MODELS"]).rglob("*.obj"))[::5]
+    paths = sorted(REAL_MODELS.rglob("*.obj"))[::5]
     assert len(paths) > 100
     for path in paths:
         mine = read_mesh(path)

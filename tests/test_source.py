@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from real_models import REAL_MODELS, needs_real_models
 
 from articugen.core.content import SOURCES
 from articugen.core.errors import InvalidSource, MachineFault
@@ -579,15 +580,14 @@ def test_wrong_source_file(tmp_path, yaml, problem):
     assert str(path) in str(caught.value)
 
 
-@pytest.mark.skipif("ARTICUGEN_REAL_MODELS" not in os.environ, reason="ARTICUGEN_REAL_MODELS unset")
+@needs_real_models
 @pytest.mark.parametrize("named", [True, False])
 def test_every_real_model_loads(monkeypatch, named):
-    root = Path(os.environ["ARTICUGEN_REAL_MODELS"])
-    monkeypatch.setenv("ARTICUGEN_SOURCES", str(root))
+    monkeypatch.setenv("ARTICUGEN_SOURCES", str(REAL_MODELS))
     loaded = Counter()
     for source in ("partnet_mobility", "shape2motion"):
-        for category in sorted(path.name for path in (root / source).iterdir()):
-            for ref in open_source(source if named else root / source).objects(category):
+        for category in sorted(path.name for path in (REAL_MODELS / source).iterdir()):
+            for ref in open_source(source if named else REAL_MODELS / source).objects(category):
                 obj = load(ref)
                 loaded[source] += 1
                 assert len(obj.moving_joints) > 0

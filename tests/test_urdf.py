@@ -1,7 +1,6 @@
 """The URDF loader: what is read, what is refused, and agreement with yourdfpy on random trees."""
 
 import io
-import os
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ import yourdfpy
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from lxml import etree
+from real_models import REAL_MODELS, needs_real_models
 from scipy.spatial import cKDTree
 from test_meshes import damaged
 
@@ -18,11 +18,6 @@ from articugen.core.geometry import apply
 from articugen.core.records import ArticulatedObject, Floats
 from articugen.sources import urdf_check
 from articugen.sources.urdf import load_urdf
-
-REAL = Path(os.environ.get("ARTICUGEN_REAL_MODELS", "unset"))
-needs_real_models = pytest.mark.skipif(
-    "ARTICUGEN_REAL_MODELS" not in os.environ, reason="ARTICUGEN_REAL_MODELS unset"
-)
 
 BOX = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
@@ -467,7 +462,7 @@ def test_random_trees_agree_with_yourdfpy(tmp_path, data, size):
 
 
 def real_urdfs() -> list[Path]:
-    return sorted(path for path in REAL.rglob("*.urdf") if "difficult" not in path.parts)
+    return sorted(path for path in REAL_MODELS.rglob("*.urdf") if "difficult" not in path.parts)
 
 
 def area(corners: Floats) -> float:
@@ -482,7 +477,7 @@ def farthest(points: Floats, others: Floats) -> float:
 
 
 @needs_real_models
-@pytest.mark.parametrize("path", real_urdfs() or [REAL], ids=lambda p: f"{p.parent.name}-{p.stem}")
+@pytest.mark.parametrize("path", real_urdfs(), ids=lambda p: f"{p.parent.name}-{p.stem}")
 def test_real_models_agree_with_yourdfpy_scene(path):
     obj = load_urdf(path, object_id="1", category="c", missing_ok="new-*.obj")
     kinds = [joint.get("type") for joint in etree.fromstring(path.read_bytes()).iter("joint")]
@@ -523,7 +518,7 @@ def test_real_models_agree_with_yourdfpy_scene(path):
 )
 def test_difficult_urdf_is_refused(name, problem):
     with pytest.raises(InvalidSource, match=problem):
-        load_urdf(REAL / "difficult" / f"{name}.urdf", object_id="1", category="c")
+        load_urdf(REAL_MODELS / "difficult" / f"{name}.urdf", object_id="1", category="c")
 
 
 @needs_real_models
@@ -539,5 +534,5 @@ def test_difficult_urdf_is_refused(name, problem):
     }.items(),
 )
 def test_difficult_urdf_is_read(name, kinds):
-    obj = load_urdf(REAL / "difficult" / f"{name}.urdf", object_id="1", category="c")
+    obj = load_urdf(REAL_MODELS / "difficult" / f"{name}.urdf", object_id="1", category="c")
     assert " ".join(str(j.kind) for j in obj.joints) == kinds
