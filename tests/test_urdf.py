@@ -19,7 +19,6 @@ from articugen.core.records import ArticulatedObject, Floats
 from articugen.sources import urdf_check
 from articugen.sources.urdf import load_urdf
 
-BOX = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
 
@@ -30,12 +29,16 @@ def read(folder: Path, body: str, **options) -> ArticulatedObject:
     return load_urdf(path, object_id="1", category="thing", **options)
 
 
-def two_links(joint: str, kind: str = "revolute") -> str:
-    """Links a and b, and a joint j between them with `joint` inside."""
-    return (
-        f'<link name="a">{BOX}</link><link name="b"/><joint name="j" type="{kind}">'
-        f'<parent link="a"/><child link="b"/>{joint}</joint>'
-    )
+def visuals(*shapes: str) -> str:
+    return "".join(f"<visual><geometry>{shape}</geometry></visual>" for shape in shapes)
+
+
+BOX = visuals('<box size="1 1 1"/>')
+
+
+def shown(*shapes: str) -> str:
+    """Link a, with a visual of each shape."""
+    return f'<link name="a">{visuals(*shapes)}</link>'
 
 
 def links(*names: str) -> str:
@@ -47,6 +50,11 @@ def joint(name: str, parent: str, child: str, rest: str = "", kind: str = "revol
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
         f"{rest}</joint>"
     )
+
+
+def two_links(rest: str, kind: str = "revolute") -> str:
+    """Links a and b, and a joint j between them with `rest` inside."""
+    return links("a") + '<link name="b"/>' + joint("j", "a", "b", rest, kind)
 
 
 def link_frames(obj: ArticulatedObject) -> dict[str, Floats]:
@@ -158,21 +166,19 @@ def test_what_is_not_used_cannot_hurt(tmp_path):
 
 def test_missing_and_empty_meshes_are_left_out_where_that_is_known(tmp_path):
     (tmp_path / "new-2.obj").write_text("")
-    visual = '<visual><geometry><mesh filename="{}"/></geometry></visual>'
-    body = f'<link name="a">{BOX}' + "".join(
-        visual.format(f"sub/../{name}") for name in ("new-1.obj", "new-2.obj")
-    )
-    obj = read(tmp_path, body + "</link>", missing_ok="new-*.obj")
+    shapes = ['<box size="1 1 1"/>']
+    shapes += [f'<mesh filename="sub/../{name}.obj"/>' for name in ("new-1", "new-2")]
+    obj = read(tmp_path, shown(*shapes), missing_ok="new-*.obj")
     assert obj.notes == ("meshes missing or empty, left out: sub/../new-1.obj, sub/../new-2.obj",)
     assert len(obj.links[0].mesh.faces) == 12
     with pytest.raises(InvalidSource, match=r"link 'a': mesh 'sub/../new-1.obj' does not exist"):
-        read(tmp_path, body + "</link>")
+        read(tmp_path, shown(*shapes))
     with pytest.raises(InvalidSource, match=r"old\.obj"):
-        read(tmp_path, body + visual.format("old.obj") + "</link>", missing_ok="new-*.obj")
+        read(tmp_path, shown(*shapes, '<mesh filename="old.obj"/>'), missing_ok="new-*.obj")
 
 
 def test_hash_changes_with_any_file_and_with_nothing_else(tmp_path):
-    body = '<link name="a"><visual><geometry><mesh filename="m/t.obj"/></geometry></visual></link>'
+    body = shown('<mesh filename="m/t.obj"/>')
     digests = []
     for folder in ("one", "two"):
         (tmp_path / folder / "m").mkdir(parents=True)
@@ -189,14 +195,13 @@ def test_meshes_beside_the_urdf_folder(tmp_path):
     (tmp_path / "urdf").mkdir()
     (tmp_path / "robots").mkdir()
     (tmp_path / "t.obj").write_text(TRIANGLE)
-    body = '<link name="a"><visual><geometry><mesh filename="../t.obj"/></geometry></visual></link>'
+    body = shown('<mesh filename="../t.obj"/>')
     assert len(read(tmp_path / "urdf", body).links[0].mesh.faces) == 1
     assert len(read(tmp_path / "robots", body, root=tmp_path).links[0].mesh.faces) == 1
     with pytest.raises(InvalidSource, match="leads out of"):
         read(tmp_path / "robots", body)
 
 
-VISUAL = '<link name="a"><visual>{}</visual></link>'
 REFUSED = {
     "no links": ("", "no <link>"),
     "no name": (f"<link>{BOX}</link>", "<link> at line 1: has no name"),
@@ -251,18 +256,15 @@ REFUSED = {
         + joint("k", "a", "c", '<mimic joint="j"/>'),
         "joint 'j': its <mimic> leads back to 'j'",
     ),
-    "no geometry": (VISUAL.format(""), "link 'a': has no <geometry>"),
-    "empty geometry": (VISUAL.format("<geometry/>"), "holds 0 shapes"),
-    "two shapes": (
-        VISUAL.format('<geometry><sphere radius="1"/><sphere radius="1"/></geometry>'),
-        "holds 2 shapes",
-    ),
-    "unknown shape": (VISUAL.format("<geometry><cone/></geometry>"), "<cone> is not a shape"),
-    "no radius": (VISUAL.format("<geometry><sphere/></geometry>"), "<sphere> has no radius"),
-    "flat box": (VISUAL.format('<geometry><box size="1 0 1"/></geometry>'), "size is not positive"),
-    "mesh without file": (VISUAL.format("<geometry><mesh/></geometry>"), "<mesh> has no filename"),
+    "no geometry": ('<link name="a"><visual/></link>', "link 'a': has no <geometry>"),
+    "empty geometry": (shown(""), "holds 0 shapes"),
+    "two shapes": (shown('<sphere radius="1"/><sphere radius="1"/>'), "holds 2 shapes"),
+    "unknown shape": (shown("<cone/>"), "<cone> is not a shape"),
+    "no radius": (shown("<sphere/>"), "<sphere> has no radius"),
+    "flat box": (shown('<box size="1 0 1"/>'), "size is not positive"),
+    "mesh without file": (shown("<mesh/>"), "<mesh> has no filename"),
     "huge scale": (
-        VISUAL.format('<geometry><mesh filename="t.obj" scale="1e308"/></geometry>'),
+        shown('<mesh filename="t.obj" scale="1e308"/>'),
         "<mesh> scale='1e308' is beyond 1,000,000",
     ),
     "no place": (two_links('<limit lower="inf" upper="inf"/>'), "leave no place"),
@@ -270,29 +272,23 @@ REFUSED = {
     "many digits": (two_links(f'<origin xyz="0 0 {"0" * 2000}"/>'), "is not 3 numbers"),
     "long name": (links("a" * 256), "has a name of more than 255 bytes; shorten it"),
     "long mesh": (
-        VISUAL.format(f'<geometry><mesh filename="{"a" * 300}.obj"/></geometry>'),
+        shown(f'<mesh filename="{"a" * 300}.obj"/>'),
         "link 'a': file .* has a name of more than 255 bytes; shorten it",
     ),
     "https": (
-        VISUAL.format('<geometry><mesh filename="https://x.org/a.obj"/></geometry>'),
+        shown('<mesh filename="https://x.org/a.obj"/>'),
         "link 'a': file 'https://x.org/a.obj' is on the network",
     ),
     "out of the folder": (
-        VISUAL.format('<geometry><mesh filename="../meshes/a.obj"/></geometry>'),
+        shown('<mesh filename="../meshes/a.obj"/>'),
         "link 'a': file '../meshes/a.obj' leads out of .*; copy the file",
     ),
     "no package": (
-        VISUAL.format('<geometry><mesh filename="package://arm/a.obj"/></geometry>'),
+        shown('<mesh filename="package://arm/a.obj"/>'),
         "link 'a': file 'package://arm/a.obj' is of a package that is not found: .*; put the pack",
     ),
-    "zero scale": (
-        VISUAL.format('<geometry><mesh filename="t.obj" scale="1 0 1"/></geometry>'),
-        "zero scale",
-    ),
-    "missing mesh": (
-        VISUAL.format('<geometry><mesh filename="t.obj"/></geometry>'),
-        "link 'a': mesh 't.obj' does not exist",
-    ),
+    "zero scale": (shown('<mesh filename="t.obj" scale="1 0 1"/>'), "zero scale"),
+    "missing mesh": (shown('<mesh filename="t.obj"/>'), "link 'a': mesh 't.obj' does not exist"),
     "nothing to see": ('<link name="a"/>', "no link has a <visual>"),
     "unexpanded xacro": (
         '<xacro:macro xmlns:xacro="http://www.ros.org/wiki/xacro"/>' + links("a"),
@@ -314,9 +310,8 @@ def test_refused_with_file_element_and_reason(tmp_path, case):
 def test_a_damaged_urdf_is_read_or_refused_and_nothing_else(tmp_path):
     (tmp_path / "t.obj").write_text(TRIANGLE)
     shapes = ('<mesh filename="t.obj" scale="2"/>', '<capsule radius="1" length="2"/>')
-    visuals = "".join(f"<visual><geometry>{shape}</geometry></visual>" for shape in shapes)
     body = two_links('<axis xyz="0 0 1"/><limit lower="0" upper="1" effort="3"/>')
-    body += f'<link name="c">{visuals}</link>'
+    body += f'<link name="c">{visuals(*shapes)}</link>'
     body += joint("k", "b", "c", '<mimic joint="j" multiplier="2"/>', "prismatic")
     read(tmp_path, body)
     path = tmp_path / "model.urdf"
@@ -381,9 +376,7 @@ def test_a_default_namespace_changes_nothing(tmp_path, declared):
 
 
 def test_a_capsule_is_as_long_as_its_cylinder_and_two_radii(tmp_path):
-    shape = '<capsule radius="0.5" length="2"/>'
-    body = f'<link name="a"><visual><geometry>{shape}</geometry></visual></link>'
-    mesh = read(tmp_path, body).links[0].mesh
+    mesh = read(tmp_path, shown('<capsule radius="0.5" length="2"/>')).links[0].mesh
     np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0), [1, 1, 3])
 
 
@@ -402,19 +395,18 @@ def test_a_urdf_that_is_a_link_out_of_its_folder_is_refused(tmp_path):
 def test_many_shapes_are_counted_before_any_is_made(tmp_path, monkeypatch):
     """5,000 spheres took 99 s and 4.8 GB."""
     monkeypatch.setattr("articugen.meshes.read.sphere", lambda radius: pytest.fail("made"))
-    sphere = '<visual><geometry><sphere radius="1"/></geometry></visual>'
+    spheres = ['<sphere radius="1"/>'] * 5001
     with pytest.raises(InvalidSource, match=r"more than 1,000,000 triangles .*use fewer shapes"):
-        read(tmp_path, f'<link name="a">{sphere * 300}</link>')
+        read(tmp_path, shown(*spheres[:300]))
     with pytest.raises(InvalidSource, match="5,001 visuals, at most 5,000 are read"):
-        read(tmp_path, f'<link name="a">{sphere * 5001}</link>')
+        read(tmp_path, shown(*spheres))
 
 
 def test_a_mesh_that_many_visuals_show_counts_each_time(tmp_path, monkeypatch):
     (tmp_path / "t.obj").write_text("v 0 0 0\n" * 500 + TRIANGLE)
-    visual = '<visual><geometry><mesh filename="t.obj"/></geometry></visual>'
     monkeypatch.setattr("articugen.sources.urdf.MAX_OBJECT_VERTICES", 1000)
     with pytest.raises(InvalidSource, match="or 1,000 vertices; simplify"):
-        read(tmp_path, f'<link name="a">{visual * 2}</link>')
+        read(tmp_path, shown(*['<mesh filename="t.obj"/>'] * 2))
 
 
 def test_limits_on_size(tmp_path, monkeypatch):
