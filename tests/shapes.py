@@ -8,8 +8,10 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from articugen.core.recipe import ViewSettings
+from articugen.core.recipe import Fusion, ViewSettings
 from articugen.core.records import DepthMaps, LabelledMesh, Views
+from articugen.fusion.field import FusedField, fuse
+from articugen.rendering.rasterizer import render
 from articugen.rendering.views import fusion_views
 
 Floats = NDArray[np.float64]
@@ -107,6 +109,12 @@ class Convex:
 def views_of(mesh: LabelledMesh, count: int = 100, resolution: int = 256, **options) -> Views:
     box = np.stack([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)])
     return fusion_views(ViewSettings(count=count, resolution=resolution, **options), box)
+
+
+def field_of(*parts: trimesh.Trimesh, settings: Fusion | None = None, **views) -> FusedField:
+    """The field of some parts by views of them all, by default with the settings of `Fusion`."""
+    mesh = labelled(*parts)
+    return fuse(render(mesh, views_of(mesh, **views)), mesh, settings or Fusion())
 
 
 def towards_cameras(views: Views) -> Floats:

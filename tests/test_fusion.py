@@ -7,11 +7,12 @@ import trimesh
 from articugen.core.geometry import rotation_about, transform, voxel_centres
 from articugen.core.recipe import Fusion
 from articugen.core.records import DepthMaps, Views
-from articugen.fusion.field import FusedField, fuse
+from articugen.fusion.field import fuse
 from articugen.rendering.rasterizer import render
 from tests.shapes import (
     Convex,
     box,
+    field_of,
     iou,
     labelled,
     rotated,
@@ -22,11 +23,6 @@ from tests.shapes import (
 )
 
 SEEN, MEAN = Fusion(), Fusion(rule="mean")
-
-
-def field_of(*meshes: trimesh.Trimesh, settings: Fusion = SEEN, **views) -> FusedField:
-    mesh = labelled(*meshes)
-    return fuse(render(mesh, views_of(mesh, **views)), mesh, settings)
 
 
 def uniform_and_near(meshes: list[trimesh.Trimesh], count: int = 8_000) -> list[np.ndarray]:

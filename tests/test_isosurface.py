@@ -3,16 +3,8 @@ import pytest
 import trimesh
 
 from articugen.core.errors import RejectedInstance
-from articugen.core.recipe import Fusion
-from articugen.fusion.field import fuse
 from articugen.fusion.isosurface import extract_mesh
-from articugen.rendering.rasterizer import render
-from tests.shapes import box, labelled, rotated, views_of
-
-
-def field_of(*meshes):
-    mesh = labelled(*meshes)
-    return fuse(render(mesh, views_of(mesh)), mesh, Fusion())
+from tests.shapes import box, field_of, rotated
 
 
 @pytest.mark.parametrize("resolution", [32, 96])

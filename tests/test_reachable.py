@@ -9,17 +9,15 @@ from hypothesis import strategies as st
 
 from articugen.core.geometry import apply, bounds, rotation_about, transform
 from articugen.core.recipe import Fusion, load_recipe
-from articugen.fusion.field import fuse
 from articugen.fusion.reachable import flood, walls
 from articugen.instance import articulation
 from articugen.instance.preparing import Prepared, pose, prepare
 from articugen.meshes.bvh import build
 from articugen.procedural.truth import Truth
-from articugen.rendering.rasterizer import render
 from tests.benchmarks.cases import Scene, link_frames
 from tests.benchmarks.open_space import INSIDE, OUTSIDE, UNDECIDED, open_space
 from tests.procedural_truth import written
-from tests.shapes import Convex, box, iou, labelled, rotated, views_of
+from tests.shapes import Convex, box, field_of, iou, labelled, rotated
 
 OPENING = 1 / 48
 RULE = Fusion(rule="reachable", opening=OPENING)
@@ -38,17 +36,12 @@ def cupboard(slit: float, turn: float = 0.0):
     return panels, lambda points: points @ T[:3, :3].T
 
 
-def field_of(panels, settings=RULE):
-    mesh = labelled(*panels)
-    return fuse(render(mesh, views_of(mesh)), mesh, settings)
-
-
 @pytest.mark.parametrize("turn", [0.0, 0.5])
 @pytest.mark.parametrize(("slit", "opens"), [(2.2 * OPENING, True), (0.45 * OPENING, False)])
 def test_a_cavity_is_outside_where_its_opening_is_wide_enough(slit, opens, turn):
     panels, turned = cupboard(slit + 0.01, turn)  # the top panel takes 0.01 of the slit
     inside = turned(np.random.default_rng(0).uniform(-1, 1, (3000, 3)) * (0.33, 0.18, 0.18))
-    field = field_of(panels)
+    field = field_of(*panels, settings=RULE)
     seen = field.is_seen_free(inside)
     assert np.mean(seen) < 0.6  # most of it is dark
     assert np.mean(field.is_free(inside)) == pytest.approx(
@@ -60,22 +53,22 @@ def test_an_open_cupboard_is_its_panels():
     panels, _ = cupboard(0.2)
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (40_000, 3))
     truth = Convex.of(*panels).inside(points)
-    assert iou(~field_of(panels).is_free(points), truth) > 0.985
-    assert iou(~field_of(panels, Fusion()).is_free(points), truth) < 0.96
+    assert iou(~field_of(*panels, settings=RULE).is_free(points), truth) > 0.985
+    assert iou(~field_of(*panels).is_free(points), truth) < 0.96
 
 
 def test_what_is_seen_stays_outside_and_solids_stay_inside():
     solid = rotated(box((0.6, 0.4, 0.3)), 0.4, (1, 2, 3))
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (20_000, 3))
     assert np.array_equal(
-        field_of([solid]).is_free(points), field_of([solid], Fusion()).is_free(points)
+        field_of(solid, settings=RULE).is_free(points), field_of(solid).is_free(points)
     )
 
 
 def test_value_and_occupancy_agree():
     panels, _ = cupboard(0.2)
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (5000, 3))
-    field = field_of(panels)
+    field = field_of(*panels, settings=RULE)
     assert np.array_equal(field.value(points) > 0, field.is_free(points))
 
 

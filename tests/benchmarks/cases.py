@@ -282,7 +282,3 @@ def depth_along(inside: Inside, feet: Floats, normals: Floats, reach: float) -> 
     points = feet[:, None] + reach * at[:, :, None] * normals[:, None]
     held = inside(points.reshape(-1, 3)).reshape(len(feet), -1)
     return held.mean(axis=1) * 2.0 * reach / VOXEL
-
-
-def iou(a: Bools, b: Bools) -> float:
-    return float(np.sum(a & b) / max(np.sum(a | b), 1))

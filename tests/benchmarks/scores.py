@@ -13,9 +13,10 @@ from articugen.core.records import FREE, Floats, Views, is_material
 from articugen.instance import preparing
 from articugen.instance.preparing import Prepared
 from tests.benchmarks import rows
-from tests.benchmarks.cases import Bools, Case, Inside, iou
+from tests.benchmarks.cases import Bools, Case, Inside
 from tests.benchmarks.peers import Answer
 from tests.benchmarks.rows import Row
+from tests.shapes import iou
 
 TRUTHS = ("material", "visible")
 Held = Mapping[str, Mapping[str, Bools]]
