@@ -14,9 +14,9 @@ from articugen.instance import articulation
 from articugen.instance.preparing import Prepared, pose, prepare
 from articugen.meshes.bvh import build
 from articugen.procedural.truth import Truth
-from tests.benchmarks.cases import Scene, link_frames
+from tests.benchmarks.cases import Scene
 from tests.benchmarks.open_space import INSIDE, OUTSIDE, UNDECIDED, open_space
-from tests.procedural_truth import written
+from tests.procedural_truth import link_frames, written
 from tests.shapes import Convex, box, field_of, iou, labelled, rotated
 
 OPENING = 1 / 48
@@ -113,7 +113,7 @@ def test_open_appliances_are_what_is_open_in_truth(category, index, dark, tmp_pa
     """Against balls that roll in from outside; `dark` is the least share of what no view sees but
     is surely open, where the rule differs from `seen`."""
     prepared, truth = opened(category, index, tmp_path)
-    scene = Scene(truth, link_frames(prepared, 1), prepared)
+    scene = Scene(truth, link_frames(prepared.obj, prepared.states[1].q), prepared)
     fields = pose(prepared, 1)[1]
     points = np.random.default_rng(0).uniform(-0.45, 0.45, (20_000, 3))
     verdict = open_space(scene, OPENING, resolution=160).verdict(points, prepared.views)
@@ -143,7 +143,7 @@ def test_the_fixed_part_keeps_its_solid_while_its_cavities_are_open(tmp_path):
     points = np.random.default_rng(0).uniform(-0.45, 0.45, (20_000, 3))
     known, fixed = np.ones(len(points), bool), []
     for state in (1, 2):
-        scene = Scene(truth, link_frames(prepared, state), prepared)
+        scene = Scene(truth, link_frames(prepared.obj, prepared.states[state].q), prepared)
         verdict = open_space(scene, OPENING, resolution=160).verdict(points, prepared.views)
         open_or_solid = (verdict == OUTSIDE) | scene.solid(points)
         known &= open_or_solid & ~scene.holds(points)[:, 1:].any(axis=1)

@@ -24,12 +24,13 @@ from articugen.core.recipe import Recipe, load_recipe
 from articugen.core.records import ArticulatedObject, Floats, LabelledMesh, Views, dequantize
 from articugen.core.schema import Instance
 from articugen.fusion import reachable
-from articugen.instance import articulation, make
+from articugen.instance import make
 from articugen.instance.again import resolved
 from articugen.instance.preparing import Prepared
 from articugen.procedural.truth import Truth, _meets_box, _meets_cell, truth_of
 from articugen.sources.refs import ObjectRef
 from articugen.sources.source import open_source
+from tests.procedural_truth import link_frames
 
 Bools = NDArray[np.bool_]
 Inside = Callable[[Floats], Bools]
@@ -209,27 +210,20 @@ def sampled(prepared: Prepared, state: int, count: int) -> Instance:
     return make.make_instance(replace(prepared, recipe=recipe, grids={}), state)
 
 
-def link_frames(prepared: Prepared, state: int) -> dict[str, Floats]:
-    """T_world_link (4, 4) of each link by its name."""
-    posed = articulation.forward_kinematics(prepared.obj, prepared.states[state])
-    names = (link.name for link in prepared.obj.links)
-    return dict(zip(names, posed.T_world_link, strict=True))
-
-
 def scene(model: Model, prepared: Prepared, state: int) -> Scene:
     """The exact solids of the posed object, sheets of no thickness as thick as the recipe says."""
     thickness = model.recipe.fusion.sheet_thickness * prepared.unit.scale
     truth = truth_of(
         model.ref.category, model.ref.object_id, messy=model.messy, sheet_thickness=thickness
     )
-    return Scene(truth, link_frames(prepared, state), prepared)
+    return Scene(truth, link_frames(prepared.obj, prepared.states[state].q), prepared)
 
 
 def case(model: Model, prepared: Prepared, state: int, count: int) -> Case:
     """The object at its `state`-th joint state; `count` points of each kind to judge by."""
     made = sampled(prepared, state, count)
     points = {"uniform": dequantize(made.uniform_points), "near": dequantize(made.near_points)}
-    T = link_frames(prepared, state)
+    T = link_frames(prepared.obj, prepared.states[state].q)
     meshes = [(T[link.name], link.mesh) for link in model.obj.links]
     pieces = [(prepared.unit.to_unit(apply(X, m.vertices)), m.faces) for X, m in meshes]
     wanted = model.recipe.sampling
