@@ -95,7 +95,10 @@ _DETAILS = (
 )
 
 
-_OF_OBJECTS = (*LABELS[:2], SHAPES[0], SHAPES[2])
+_OF_OBJECTS = (
+    *LABELS[:2], Metric("", "", "part IoU, matched, %", "matched_part_iou", 100.0, 2),
+    SHAPES[0], SHAPES[2],
+)  # fmt: skip
 """Columns of the table of objects."""
 
 
