@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from articugen.core.geometry import Array, apply, bounds, rotation_about, transform
+from articugen.core.arrays import Floats
+from articugen.core.geometry import apply, bounds, rotation_about, transform
 from articugen.core.records import ArticulatedObject
 from articugen.procedural import build_model, drawer, oven, washing_machine
 from articugen.procedural.kit.model import Model, ModelJoint
@@ -32,7 +33,7 @@ def read(category: str, name: str) -> tuple[ArticulatedObject, Truth]:
         return written(category, name, Path(folder) / name)
 
 
-def link_motions(model: Model, q: list[float]) -> dict[str, Array]:
+def link_motions(model: Model, q: list[float]) -> dict[str, Floats]:
     """The motion of each link of an object whose joints all hang on the body; a naive oracle."""
     motions = {model.links[0].name: np.eye(4)}
     for joint, value in zip(model.joints, q, strict=True):
@@ -46,7 +47,7 @@ def link_motions(model: Model, q: list[float]) -> dict[str, Array]:
     return motions
 
 
-def hit(truth: Truth, frames: dict[str, Array], link: str, start: Array, way: tuple) -> float:
+def hit(truth: Truth, frames: dict[str, Floats], link: str, start: Floats, way: tuple) -> float:
     """How far from `start` along `way` the first point in `link` is, in steps of 1 mm; inf."""
     distance = np.arange(0.0, 1.5, 0.001)
     held = truth.holds(start + distance[:, None] * np.array(way, float), frames)
@@ -107,7 +108,7 @@ def test_kinematics(category: str, name: str):
         assert {tuple(np.asarray(m.axis)) for m in machines} == {*axes}, "hinged on both sides"
 
 
-def box_of(model: Model, joint: ModelJoint) -> Array:
+def box_of(model: Model, joint: ModelJoint) -> Floats:
     """The box (2, 3) around a joint's child, closed."""
     (link,) = (link for link in model.links if link.name == joint.child)
     return bounds(np.concatenate([s.vertices for s in link.solids]))

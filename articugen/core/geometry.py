@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 from articugen.core.arrays import Floats, Indices
 from articugen.core.portable import norm, product, sin_cos, turned
 
-Array = Floats
-
 
 def rotation_about(axis: ArrayLike, angle: float) -> Floats:
     """Return the (3, 3) rotation by `angle` about the unit vector `axis` (Rodrigues' formula)."""

@@ -6,7 +6,8 @@ diagonals: each can be opened whatever the others do.
 
 import numpy as np
 
-from articugen.core.geometry import Array, rotation_about, transform
+from articugen.core.arrays import Floats
+from articugen.core.geometry import rotation_about, transform
 from articugen.procedural.kit import GAP
 from articugen.procedural.kit.model import Model, ModelJoint, ModelLink
 from articugen.procedural.kit.outlines import rectangle
@@ -36,7 +37,7 @@ def build(rng: np.random.Generator) -> Model:
     return Model(tuple(links), tuple(joints))
 
 
-def _outline(reach: float, along: float, count: int) -> Array:
+def _outline(reach: float, along: float, count: int) -> Floats:
     """Return a flap (n, 2) that hangs on the edge x = reach, y from -along to along."""
     edge = reach + GAP
     if count < 4:

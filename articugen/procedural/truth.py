@@ -14,12 +14,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from articugen.core.geometry import Array, cross
+from articugen.core.arrays import Floats
+from articugen.core.geometry import cross
 from articugen.core.portable import norm, turned
 from articugen.procedural import build_model
 from articugen.procedural.kit.writer import truth_file
 
-_Cells = tuple[Array, NDArray[np.int64], Array]
+_Cells = tuple[Floats, NDArray[np.int64], Floats]
 """What the kernels read: planes, first_plane and boxes of `Truth`, all in one frame."""
 
 
@@ -38,8 +39,8 @@ class Truth:
     links: tuple[str, ...]
     link_of_cell: NDArray[np.int64]
     first_plane: NDArray[np.int64]
-    planes: Array
-    boxes: Array
+    planes: Floats
+    boxes: Floats
 
     def of(self, links: NDArray[np.bool_]) -> "Truth":
         """The cells of some of the links alone; `links` has a value for each."""
@@ -54,7 +55,7 @@ class Truth:
             boxes=self.boxes[cells],
         )
 
-    def inside(self, points: Array, T_world_link: Mapping[str, Array]) -> NDArray[np.int64]:
+    def inside(self, points: Floats, T_world_link: Mapping[str, Floats]) -> NDArray[np.int64]:
         """What each world point (N, 3) lies in: 0 for free space, k + 1 for `links[k]`.
 
         Where links cross, as those of no bundled object do, the first one counts.
@@ -65,13 +66,13 @@ class Truth:
         holds = self.holds(points, T_world_link)
         return np.where(holds.any(axis=1), holds.argmax(axis=1) + 1, 0)
 
-    def holds(self, points: Array, T_world_link: Mapping[str, Array]) -> NDArray[np.bool_]:
+    def holds(self, points: Floats, T_world_link: Mapping[str, Floats]) -> NDArray[np.bool_]:
         """(N, links) whether each world point lies in each link."""
         cells = self._posed(T_world_link)
         return _holds(_contiguous(points), cells, self.link_of_cell, len(self.links))
 
     def blocked(
-        self, points: Array, directions: Array, T_world_link: Mapping[str, Array]
+        self, points: Floats, directions: Floats, T_world_link: Mapping[str, Floats]
     ) -> NDArray[np.bool_]:
         """(N, K) whether the ray from point i along direction j meets any cell.
 
@@ -81,7 +82,7 @@ class Truth:
         return _blocked(_contiguous(points), _contiguous(directions), cells, False)
 
     def enclosed(
-        self, points: Array, directions: Array, T_world_link: Mapping[str, Array]
+        self, points: Floats, directions: Floats, T_world_link: Mapping[str, Floats]
     ) -> NDArray[np.bool_]:
         """(N,) whether the rays of each point are blocked along all `directions` (K, 3).
 
@@ -90,7 +91,7 @@ class Truth:
         cells = self._posed(T_world_link)
         return _blocked(_contiguous(points), _contiguous(directions), cells, True)[:, -1]
 
-    def _posed(self, T_world_link: Mapping[str, Array]) -> _Cells:
+    def _posed(self, T_world_link: Mapping[str, Floats]) -> _Cells:
         """The cells in the world frame."""
         T = np.array([T_world_link[name] for name in self.links])[self.link_of_cell]
         center = T[:, :3, 3] + turned(T[:, :3, :3], self.boxes.mean(axis=1))
@@ -139,7 +140,7 @@ def read_truth(data: bytes, *, sheet_thickness: float | None = None) -> Truth:
     )
 
 
-def _cells(link: dict[str, Any], sheet_thickness: float | None) -> list[tuple[Array, Array]]:
+def _cells(link: dict[str, Any], sheet_thickness: float | None) -> list[tuple[Floats, Floats]]:
     """(planes, box) of every cell of a link, its sheets included."""
     cells = [(np.array(cell["half_spaces"]), np.array(cell["box"])) for cell in link["cells"]]
     for sheet in link["sheets"]:
@@ -150,7 +151,7 @@ def _cells(link: dict[str, Any], sheet_thickness: float | None) -> list[tuple[Ar
     return cells
 
 
-def _slab(triangle: Array, thickness: float) -> tuple[Array, Array]:
+def _slab(triangle: Floats, thickness: float) -> tuple[Floats, Floats]:
     """The prism of a triangle (3, 3) that reaches half of `thickness` to either side."""
     edges = np.roll(triangle, -1, axis=0) - triangle
     normal = cross(edges[0], edges[1])
@@ -165,7 +166,7 @@ def _slab(triangle: Array, thickness: float) -> tuple[Array, Array]:
     return np.c_[normals, np.sum(normals * on_plane, axis=1)], box
 
 
-def _contiguous(points: Array) -> Array:
+def _contiguous(points: Floats) -> Floats:
     return np.ascontiguousarray(points, dtype=np.float64)
 
 

@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, NonNegativeInt, field_validator, model_validator
 
-from articugen.core.geometry import Array, rotation_about, transform
+from articugen.core.arrays import Floats
+from articugen.core.geometry import rotation_about, transform
 from articugen.core.yaml_files import Section
 
 NO_LICENCE = "not stated"  # of models that no source.yaml describes
@@ -70,7 +71,7 @@ class CategorySettings(Section):
     aliases: tuple[str, ...] = ()
 
     @property
-    def turn(self) -> Array:
+    def turn(self) -> Floats:
         """(4, 4) the turn by `yaw_degrees`: the T_world_root of its models."""
         return transform(rotation_about((0.0, 0.0, 1.0), np.radians(self.yaw_degrees)))
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from articugen.core.geometry import Array
+from articugen.core.arrays import Floats
 from articugen.core.portable import cos, sin
 from articugen.procedural.drawer.furniture import Carcass, Cell, divided, shell, support, top
 from articugen.procedural.drawer.layouts import Layout, draw_layout
@@ -245,13 +245,13 @@ def _slats(rect: Rect, x0: float, x1: float) -> list[Solid]:
     ]
 
 
-def _bulge(y: Array, carcass: Carcass) -> Array:
+def _bulge(y: Floats, carcass: Carcass) -> Floats:
     """Return the bow's height, 1 in the middle of the carcass and 0 at its sides."""
     s = (y - carcass.outer.center[0]) / (0.5 * carcass.outer.width)
     return np.maximum(1.0 - s * s, 0.0)
 
 
-def _notched(rect: Rect) -> Array:
+def _notched(rect: Rect) -> Floats:
     """Return the outline (n, 2) in (y, z) of a plate with a grip cut out of its upper edge."""
     half, deep = min(0.07, 0.22 * rect.width), min(0.2 * rect.height, 0.035)
     angle = np.linspace(0.0, np.pi, 11)

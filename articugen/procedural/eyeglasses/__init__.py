@@ -20,7 +20,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from articugen.core.geometry import Array, rotation_about, transform
+from articugen.core.arrays import Floats
+from articugen.core.geometry import rotation_about, transform
 from articugen.core.portable import cos, norm, power, product, sin
 from articugen.procedural.eyeglasses.shape import HIGHEST, Glasses, draw, elsewise
 from articugen.procedural.kit import MM
@@ -139,7 +140,7 @@ def _eye(s: Glasses) -> list[Solid]:
     return [*lens, brow, s.placed(sweep(path, thin, closed=True, up=(1, 0, 0)))]
 
 
-def _shield(rng: np.random.Generator, s: Glasses) -> tuple[list[Solid], Array]:
+def _shield(rng: np.random.Generator, s: Glasses) -> tuple[list[Solid], Floats]:
     """Build one pane bent around the face, with a bar above, and the top of its right end."""
     half, bend = rng.uniform(62, 72) * MM, np.deg2rad(rng.uniform(28, 48))
     radius = half / sin(bend)
@@ -163,12 +164,12 @@ def _shield(rng: np.random.Generator, s: Glasses) -> tuple[list[Solid], Array]:
     return [pane, rim, pad, pad.mirrored(1)], end
 
 
-def _flat_section(thickness: float, height: float) -> Array:
+def _flat_section(thickness: float, height: float) -> Floats:
     """Return a section with cut corners."""
     return rounded_rectangle(thickness, height, 0.3 * min(thickness, height), segments=1)
 
 
-def _upper_run(outline: Array) -> list[int]:
+def _upper_run(outline: Floats) -> list[int]:
     """Return the vertices of the upper half, in the order of the outline."""
     n = len(outline)
     above = outline[:, 1] > 0.12 * outline[:, 1].max()
@@ -189,7 +190,7 @@ def _bridge(rng: np.random.Generator, s: Glasses) -> list[Solid]:
     return bars
 
 
-def _arch(s: Glasses, start: Array, rise: float, forward: float) -> Solid:
+def _arch(s: Glasses, start: Floats, rise: float, forward: float) -> Solid:
     """Build a bar from `start`, in the right rim, to its mirror image, arched up and forward."""
     u = np.linspace(1.0, -1.0, 11)
     bow = 1.0 - u**2
@@ -203,7 +204,7 @@ def _arch(s: Glasses, start: Array, rise: float, forward: float) -> Solid:
     return sweep(path, section)
 
 
-def _inner_point(s: Glasses, z: float) -> Array:
+def _inner_point(s: Glasses, z: float) -> Floats:
     """Return the point (y, z) of the lens's edge that is nearest to the nose at height `z`."""
     inner = s.lens[s.lens[:, 0] < 0.0]
     order = np.argsort(inner[:, 1], kind="stable")
@@ -271,13 +272,13 @@ def _hinge_depth(s: Glasses, face: list[Solid], temple: list[Solid], lean: float
     return max(deepest + max(inward, _knuckle_radius(s)) + _SLIT, _clear(s) + 2 * MM)
 
 
-def _temple_section(s: Glasses, scale: float = 1.0) -> Array:
+def _temple_section(s: Glasses, scale: float = 1.0) -> Floats:
     if s.round_temple:
         return circle(s.temple[0] / 2 * scale, 8)
     return _flat_section(s.temple[0], s.temple[1] * scale)
 
 
-def _outer_point(s: Glasses, z: float) -> Array:
+def _outer_point(s: Glasses, z: float) -> Floats:
     """Return where the right end piece starts at a height: on the rim or, without one, a little
     inside the lens."""
     outer = s.lens[s.lens[:, 0] > 0.0]
@@ -286,7 +287,7 @@ def _outer_point(s: Glasses, z: float) -> Array:
     return s.place(np.array([y - (4 * MM if s.style == "rimless" else 0.0), z]))
 
 
-def _end_piece(s: Glasses, start: Array, hinge: Array) -> Solid:
+def _end_piece(s: Glasses, start: Floats, hinge: Floats) -> Solid:
     """From the right rim outwards and back to the hinge."""
     end = hinge - np.array([_clear(s), 0.0, 0.0])
     bend = min(3 * MM, 0.6 * (end[0] - start[0]))

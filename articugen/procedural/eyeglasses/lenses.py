@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from articugen.core.geometry import Array
+from articugen.core.arrays import Floats
 from articugen.core.portable import cos, norm, power, sin
 
 
@@ -44,7 +44,7 @@ def lens_shapes(rng: np.random.Generator) -> dict[str, Lens]:
     }
 
 
-def lens_outline(lens: Lens, width: float, slant: float) -> Array:
+def lens_outline(lens: Lens, width: float, slant: float) -> Floats:
     """Return the outline (n, 2) of the right lens about its middle: x outward, y up."""
     # Vertices at equal steps of length: first many, then as many as wanted.
     angles = np.linspace(0.0, 2.0 * np.pi, 721)

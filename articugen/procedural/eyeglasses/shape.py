@@ -4,7 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from articugen.core.geometry import Array, rotation_about, transform
+from articugen.core.arrays import Floats
+from articugen.core.geometry import rotation_about, transform
 from articugen.core.portable import product, turned
 from articugen.procedural.eyeglasses.lenses import lens_outline, lens_shapes
 from articugen.procedural.kit import MM
@@ -36,7 +37,7 @@ class Glasses:
     """
 
     style: str
-    lens: Array
+    lens: Floats
     lens_y: float
     lens_thickness: float
     wire: float
@@ -58,7 +59,7 @@ class Glasses:
             turn = product(rotation_about((0, 1, 0), -self.tilt), turn)
         return solid.moved(transform(turn)).shifted(y=self.lens_y)
 
-    def place(self, point: Array) -> Array:
+    def place(self, point: Floats) -> Floats:
         """Return (y, z) on the right lens's plane to where it stands (x, y, z)."""
         wrapped = turned(rotation_about((0, 0, 1), -self.wrap), (0.0, *point))
         if self.tilt:

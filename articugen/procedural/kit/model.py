@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from articugen.core.geometry import Array
+from articugen.core.arrays import Floats
 from articugen.procedural.kit.solids import Solid
 
 ROOT_NAME = "base"  # the empty link on which a messy model stands
@@ -55,7 +55,7 @@ class Model:
 
     links: tuple[ModelLink, ...]
     joints: tuple[ModelJoint, ...]
-    bounds: Array = field(init=False)
+    bounds: Floats = field(init=False)
 
     def __post_init__(self) -> None:
         hung = [self.links[0].name]

@@ -6,11 +6,11 @@ A line of a laptop's edge, of a lens or of a door starts here; `solids` gives it
 import numpy as np
 from numpy.typing import ArrayLike
 
-from articugen.core.geometry import Array
+from articugen.core.arrays import Floats
 from articugen.core.portable import arctan2, cos, product, sin
 
 
-def rectangle(width: float, height: float, center: ArrayLike = (0.0, 0.0)) -> Array:
+def rectangle(width: float, height: float, center: ArrayLike = (0.0, 0.0)) -> Floats:
     """Four corners; `width` along x, `height` along y."""
     half = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 0.5
     return half * (width, height) + np.asarray(center, dtype=np.float64)
@@ -22,7 +22,7 @@ def rounded_rectangle(
     radius: float | ArrayLike,
     center: ArrayLike = (0.0, 0.0),
     segments: int = 4,
-) -> Array:
+) -> Floats:
     """Return a rectangle whose corners are arcs of `segments` chords; 4 * (segments + 1) vertices.
 
     Args:
@@ -41,19 +41,19 @@ def rounded_rectangle(
     return np.concatenate(corners) + np.asarray(center, dtype=np.float64)
 
 
-def circle(radius: float, sides: int = 32, center: ArrayLike = (0.0, 0.0)) -> Array:
+def circle(radius: float, sides: int = 32, center: ArrayLike = (0.0, 0.0)) -> Floats:
     """A regular polygon inscribed in the circle; the first vertex lies at half a step from +x."""
     return ellipse(radius, radius, sides, center)
 
 
-def ellipse(a: float, b: float, sides: int = 32, center: ArrayLike = (0.0, 0.0)) -> Array:
+def ellipse(a: float, b: float, sides: int = 32, center: ArrayLike = (0.0, 0.0)) -> Floats:
     """Return a polygon inscribed in the ellipse with half-axes `a` along x and `b` along y."""
     angles = (np.arange(sides) + 0.5) * (2.0 * np.pi / sides)
     unit = np.stack([cos(angles), sin(angles)], axis=1)
     return unit * (a, b) + np.asarray(center, dtype=np.float64)
 
 
-def matched(outer: Array, inner: Array, center: ArrayLike = (0.0, 0.0)) -> tuple[Array, Array]:
+def matched(outer: Floats, inner: Floats, center: ArrayLike = (0.0, 0.0)) -> tuple[Floats, Floats]:
     """Both outlines with a vertex in each direction from `center` in which either has one.
 
     The result fits `solids.ring`: a round hole in a square panel. Both must be star-shaped about
@@ -67,7 +67,7 @@ def matched(outer: Array, inner: Array, center: ArrayLike = (0.0, 0.0)) -> tuple
     return _seen_from_origin(shapes[0], kept) + middle, _seen_from_origin(shapes[1], kept) + middle
 
 
-def _seen_from_origin(outline: Array, angles: Array) -> Array:
+def _seen_from_origin(outline: Floats, angles: Floats) -> Floats:
     """Return where rays from the origin at `angles` meet a star-shaped outline."""
     direction = np.stack([cos(angles), sin(angles)], axis=1)
     start, end = outline, np.roll(outline, -1, axis=0)
@@ -83,7 +83,7 @@ def _seen_from_origin(outline: Array, angles: Array) -> Array:
     return direction * reach[:, None]
 
 
-def convex_pieces(outline: Array) -> list[list[int]]:
+def convex_pieces(outline: Floats) -> list[list[int]]:
     """A simple polygon cut into convex ones, each a counter-clockwise list of vertex indices.
 
     Ears are clipped, then neighbours merged while their union stays convex (Hertel and Mehlhorn
@@ -106,16 +106,16 @@ def convex_pieces(outline: Array) -> list[list[int]]:
     return pieces
 
 
-def _turn(a: Array, b: Array, c: Array) -> float:
+def _turn(a: Floats, b: Floats, c: Floats) -> float:
     return float((b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0]))
 
 
-def _is_convex(polygon: Array) -> bool:
+def _is_convex(polygon: Floats) -> bool:
     n = len(polygon)
     return all(_turn(polygon[i - 1], polygon[i], polygon[(i + 1) % n]) > -1e-14 for i in range(n))
 
 
-def _ears(outline: Array) -> list[list[int]]:
+def _ears(outline: Floats) -> list[list[int]]:
     left = list(range(len(outline)))
     if _is_convex(outline):
         return [left]

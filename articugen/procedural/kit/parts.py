@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from articugen.core.geometry import Array, transform
+from articugen.core.arrays import Floats
+from articugen.core.geometry import transform
 from articugen.core.portable import cos, norm, sin
 from articugen.procedural.kit.outlines import circle, rounded_rectangle
 from articugen.procedural.kit.solids import (
@@ -52,7 +53,7 @@ class Rect:
         z = y if z is None else z
         return Rect(self.y0 + y, self.z0 + z, self.y1 - y, self.z1 - z)
 
-    def outline(self, radius: float = 0.0, segments: int = 4) -> Array:
+    def outline(self, radius: float = 0.0, segments: int = 4) -> Floats:
         """Return (n, 2) in (y, z); outlines with equal `segments` fit `solids.ring`."""
         return rounded_rectangle(self.width, self.height, radius, self.center, segments)
 

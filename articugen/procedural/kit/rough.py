@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.core.geometry import Array, cross
+from articugen.core.arrays import Floats
+from articugen.core.geometry import cross
 from articugen.core.portable import dot, norm, product
 from articugen.core.seeding import generator
 from articugen.procedural.kit.model import Model, ModelLink
@@ -29,7 +30,7 @@ _SUNK = 4  # hidden faces from which a solid goes on into another, at most
 _FINEST = 4  # parts that an edge is cut into, at most
 _NOWHERE = 1e-6  # metres: thinner gaps than that hide what is behind them
 
-_Mesh = tuple[Array, NDArray[np.integer]]
+_Mesh = tuple[Floats, NDArray[np.integer]]
 """Vertices (n, 3), metres, and triangles (m, 3)."""
 
 
@@ -38,8 +39,8 @@ class _Cells:
     """The convex cells of several solids: whose each is, its planes (m, 4), its box (C, 2, 3)."""
 
     owners: tuple[Solid, ...]
-    planes: tuple[Array, ...]
-    boxes: Array
+    planes: tuple[Floats, ...]
+    boxes: Floats
 
     @staticmethod
     def of(solids: Iterable[Solid]) -> "_Cells":
@@ -89,7 +90,7 @@ def decorated(model: Model, object_id: str) -> Model:
     return Model(tuple(links), model.joints)
 
 
-def _decal(triangle: Array, size: float, lift: float) -> Solid:
+def _decal(triangle: Floats, size: float, lift: float) -> Solid:
     """A plate on a triangle (3, 3): the parallelogram at its widest corner, `size` of it."""
     edges = norm(np.roll(triangle, -1, axis=0) - triangle)
     a, b, c = np.roll(triangle, -((int(np.argmax(edges)) + 2) % 3), axis=0)
@@ -152,7 +153,7 @@ class _Rough:
             drawn += [_shrunken(solid, rng.uniform(0.6, 0.95))]
         return [_cut(triangles, self.longest_edge) for triangles in drawn]
 
-    def _sunk(self, triangle: Array, cell: int) -> Array:
+    def _sunk(self, triangle: Floats, cell: int) -> Floats:
         """(6, 3, 3) walls that go on from a hidden face into the cell that hides it."""
         planes, down = self.cells.planes[cell], _normals(triangle[None])[0]
         foot = triangle.mean(axis=0) + 0.9 * (triangle - triangle.mean(axis=0))
@@ -165,7 +166,7 @@ class _Rough:
         return np.array([(q[0], q[k], q[k + 1]) for q in walls for k in (1, 2)])
 
 
-def _shrunken(solid: Solid, size: float) -> Array:
+def _shrunken(solid: Solid, size: float) -> Floats:
     """(n, 3, 3) the faces of each cell of a solid, drawn together towards the cell's middle."""
     triangles = []
     for cell in solid.cells:
@@ -175,7 +176,7 @@ def _shrunken(solid: Solid, size: float) -> Array:
     return np.concatenate(triangles)
 
 
-def _cut(triangles: Array, longest_edge: float) -> _Mesh:
+def _cut(triangles: Floats, longest_edge: float) -> _Mesh:
     """Cut triangles (n, 3, 3) into k x k alike, k as their longest edge asks, whatever their
     neighbours are cut into."""
     edges = norm(np.roll(triangles, -1, axis=1) - triangles).max(axis=1, initial=0.0)
@@ -192,7 +193,7 @@ def _cut(triangles: Array, longest_edge: float) -> _Mesh:
     return np.concatenate(vertices), np.concatenate(faces)
 
 
-def _lattice(k: int) -> tuple[Array, NDArray[np.int64]]:
+def _lattice(k: int) -> tuple[Floats, NDArray[np.int64]]:
     """Return the barycentric weights (v, 3) of a triangle cut k times a side, and its k^2 parts."""
     index = {
         (i, j): n for n, (i, j) in enumerate((i, j) for i in range(k + 1) for j in range(k + 1 - i))
@@ -203,7 +204,7 @@ def _lattice(k: int) -> tuple[Array, NDArray[np.int64]]:
     return weights, np.array([[index[corner] for corner in part] for part in up + down])
 
 
-def _normals(triangles: Array) -> Array:
+def _normals(triangles: Floats) -> Floats:
     """(n, 3) unit normals of triangles (n, 3, 3)."""
     normals = cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     return normals / norm(normals)[:, None]

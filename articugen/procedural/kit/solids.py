@@ -16,7 +16,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from articugen.core.geometry import Array, apply, cross, rotation_about, transform
+from articugen.core.arrays import Floats
+from articugen.core.geometry import apply, cross, rotation_about, transform
 from articugen.core.portable import arctan2, dot, norm, product, turned
 from articugen.procedural.kit.outlines import circle, convex_pieces, rounded_rectangle
 
@@ -42,18 +43,18 @@ class Sheet:
             something; 0 for the middle of one that is seen from both sides.
     """
 
-    triangles: Array
+    triangles: Floats
     thickness: float
     seen: int = 0
 
     @property
-    def drawn(self) -> Array:
+    def drawn(self) -> Floats:
         """(n, 3, 3) the triangles where messy models have them."""
         edges = self.triangles[0, 1:] - self.triangles[0, :1]
         normal = cross(edges[0], edges[1])
         return self.triangles + self.seen * self.thickness / 2 * normal / norm(normal)
 
-    def moved(self, T: Array) -> "Sheet":
+    def moved(self, T: Floats) -> "Sheet":
         """Return the sheet after the rigid transform `T` (4, 4)."""
         return replace(self, triangles=apply(T, self.triangles))
 
@@ -68,7 +69,7 @@ class Solid:
         sheet: what `messy` models may write instead of a thin panel.
     """
 
-    vertices: Array
+    vertices: Floats
     cells: tuple[tuple[Face, ...], ...]
     sheet: Sheet | None = None
 
@@ -84,7 +85,7 @@ class Solid:
         return _triangles(self.vertices, list(outer.values()))
 
     @cached_property
-    def half_spaces(self) -> tuple[Array, ...]:
+    def half_spaces(self) -> tuple[Floats, ...]:
         """Rows (m, 4) for each cell: (nx, ny, nz, d); inside is n . x <= d.
 
         Raises:
@@ -103,7 +104,7 @@ class Solid:
         return by_cell
 
     @cached_property
-    def cell_bounds(self) -> Array:
+    def cell_bounds(self) -> Floats:
         """(cells, 2, 3) the box around each cell."""
         used = [self.vertices[sorted({v for face in cell for v in face})] for cell in self.cells]
         return np.array([[points.min(axis=0), points.max(axis=0)] for points in used])
@@ -120,7 +121,7 @@ class Solid:
         a, b, c = np.moveaxis(self.vertices[np.array(triangles)], 1, 0)
         return float(np.sum(a * cross(b, c)) / 6.0)
 
-    def moved(self, T: Array) -> "Solid":
+    def moved(self, T: Floats) -> "Solid":
         """Build the solid after the rigid transform `T` (4, 4)."""
         sheet = None if self.sheet is None else self.sheet.moved(T)
         return Solid(apply(T, self.vertices), self.cells, sheet)
@@ -167,7 +168,7 @@ def box(lower: ArrayLike, upper: ArrayLike, *, panel: bool = False) -> Solid:
     return turned(prism(outline, a[thin], b[thin], panel=panel))
 
 
-def prism(outline: Array, z0: float, z1: float, *, panel: bool = False, seen: int = 0) -> Solid:
+def prism(outline: Floats, z0: float, z1: float, *, panel: bool = False, seen: int = 0) -> Solid:
     """Build a simple polygon (n, 2), convex or not, raised from `z0` to `z1`.
 
     Args:
@@ -208,7 +209,7 @@ def loft(rings: ArrayLike, *, closed: bool = False) -> Solid:
     return Solid(vertices, tuple(cells))
 
 
-def stack(outlines: Sequence[Array], heights: Sequence[float]) -> Solid:
+def stack(outlines: Sequence[Floats], heights: Sequence[float]) -> Solid:
     """Convex outlines of equal length (n, 2), one at each height, upwards: bevels, cones, domes."""
     return loft([np.c_[o, np.full(len(o), z)] for o, z in zip(outlines, heights, strict=True)])
 
@@ -249,7 +250,7 @@ def block(
     return stack(outlines, [z for _, z in layers])
 
 
-def ring(outer: Array, inner: Array, z0: float, z1: float) -> Solid:
+def ring(outer: Floats, inner: Floats, z0: float, z1: float) -> Solid:
     """Build the space between two outlines of equal length (n, 2), raised: frames, tubes, panels
     with a hole. Vertex i of both is joined by a cut, so each piece between two cuts must be convex
     (`outlines.matched` makes it so)."""
@@ -299,7 +300,7 @@ def sweep(
     return loft(rings, closed=closed)
 
 
-def _carried(v: Array, before: Array, after: Array) -> Array:
+def _carried(v: Floats, before: Floats, after: Floats) -> Floats:
     """`v` turned by the least rotation that takes `before` to `after`."""
     axis = cross(before, after)
     sine = norm(axis)
@@ -308,7 +309,7 @@ def _carried(v: Array, before: Array, after: Array) -> Array:
     return turned(rotation_about(axis / sine, arctan2(sine, dot(before, after))), v)
 
 
-def _side(vertices: Array, a: list[int], b: list[int], i: int) -> list[Face]:
+def _side(vertices: Floats, a: list[int], b: list[int], i: int) -> list[Face]:
     """Return the quad between edge i of two rings, or two triangles where it is not plane.
 
     Of the two diagonals the one is taken that leaves the cell convex.
@@ -325,7 +326,7 @@ def _side(vertices: Array, a: list[int], b: list[int], i: int) -> list[Face]:
     return [(quad[0], quad[1], quad[2]), (quad[0], quad[2], quad[3])]
 
 
-def _planes(vertices: Array, faces: list[Face]) -> Array:
+def _planes(vertices: Floats, faces: list[Face]) -> Floats:
     """(len(faces), 4) each face's outward unit normal, by Newell's method, and its offset."""
     longest = max(map(len, faces))
     # Faces are made equally long by repeating their last vertex, which adds nothing to the sum.
@@ -340,7 +341,7 @@ def _planes(vertices: Array, faces: list[Face]) -> Array:
     return np.c_[normals, np.sum(normals * (centers + middle), axis=1)]
 
 
-def _triangles(vertices: Array, faces: list[Face]) -> NDArray[np.int32]:
+def _triangles(vertices: Floats, faces: list[Face]) -> NDArray[np.int32]:
     """Return the faces as triangles (n, 3), none of them flat though corners of a face may be."""
     quads = np.array([face for face in faces if len(face) == 4], np.int32).reshape(-1, 4)
     others = [t for face in faces if len(face) != 4 for t in _clipped(vertices, face)]
@@ -354,7 +355,7 @@ def _triangles(vertices: Array, faces: list[Face]) -> NDArray[np.int32]:
     return np.concatenate([halves, np.array(others, np.int32).reshape(-1, 3)])
 
 
-def _clipped(vertices: Array, face: Face) -> list[Face]:
+def _clipped(vertices: Floats, face: Face) -> list[Face]:
     """Return a convex polygon as triangles, cut off ear by ear, the fattest first."""
     left = list(face)
     triangles = []

@@ -22,9 +22,10 @@ from pathlib import Path
 
 import numpy as np
 
+from articugen.core.arrays import Floats
 from articugen.core.errors import MachineFault
 from articugen.core.files import cannot_write, make_folder, within
-from articugen.core.geometry import Array, apply, invert_rigid, rotation_from_rpy, transform
+from articugen.core.geometry import apply, invert_rigid, rotation_from_rpy, transform
 from articugen.core.portable import turned
 from articugen.meshes.model_text import Joint, Visual, obj_text, urdf_text
 from articugen.procedural.kit import rough
@@ -95,14 +96,14 @@ def truth_file(model: Model, *, object_id: str, category: str, messy: int = 0) -
     return f"{json.dumps(header, separators=(',', ':'))}\n".encode()
 
 
-def _turn(messy: int) -> Array:
+def _turn(messy: int) -> Floats:
     """Return the rotation (3, 3) from the object's frame to that of its root link."""
     return rotation_from_rpy(_YUP_RPY).round() if messy else np.eye(3)
 
 
 def _posed(
     model: Model, object_id: str, messy: int
-) -> Iterator[tuple[ModelLink, list[bool], Array]]:
+) -> Iterator[tuple[ModelLink, list[bool], Floats]]:
     """Yield the links, which of their solids are sheets, and T_link_object."""
     if messy == rough.ROUGH:
         model = rough.decorated(model, object_id)
@@ -116,7 +117,7 @@ def _posed(
         yield link, sheets, invert_rigid(transform(_turn(messy), at))
 
 
-def _link_truth(link: ModelLink, sheets: list[bool], T_link_object: Array) -> dict[str, list]:
+def _link_truth(link: ModelLink, sheets: list[bool], T_link_object: Floats) -> dict[str, list]:
     cells, slabs = [], []
     for solid, as_sheet in zip(link.solids, sheets, strict=True):
         here = solid.moved(T_link_object)
@@ -131,11 +132,11 @@ def _link_truth(link: ModelLink, sheets: list[bool], T_link_object: Array) -> di
     return {"cells": cells, "sheets": slabs}
 
 
-def _rounded(array: Array) -> list:
+def _rounded(array: Floats) -> list:
     return (array.round(12) + 0.0).tolist()
 
 
-def _urdf(model: Model, object_id: str, files: dict[str, list[str]], R: Array, messy: int) -> str:
+def _urdf(model: Model, object_id: str, files: dict[str, list[str]], R: Floats, messy: int) -> str:
     body = model.links[0].name
     pivot = {body: np.zeros(3)}
     joints = []

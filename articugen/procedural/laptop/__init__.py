@@ -14,7 +14,8 @@ at most, and the base ends before the axis.
 
 import numpy as np
 
-from articugen.core.geometry import Array, transform
+from articugen.core.arrays import Floats
+from articugen.core.geometry import transform
 from articugen.core.portable import cos, norm, sin
 from articugen.procedural.kit import MM, RANGE
 from articugen.procedural.kit.model import Model, ModelJoint, ModelLink
@@ -91,7 +92,7 @@ def _chassis(s: LaptopShape) -> list[Solid]:
     return body
 
 
-def _behind(s: LaptopShape, left: float, right: float) -> Array:
+def _behind(s: LaptopShape, left: float, right: float) -> Floats:
     """Return the outline of the base around and behind the hinge, from x = `left` to `right`."""
     size = right - left, s.reach + s.barrel + 2 * MM
     ends = (right > s.width / 2 - MM, left < MM - s.width / 2)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from articugen.core.geometry import Array
+from articugen.core.arrays import Floats
 from articugen.core.portable import norm
 from articugen.procedural.kit import MM
 from articugen.procedural.kit.outlines import rounded_rectangle
@@ -160,18 +160,18 @@ class LaptopShape:
         return -self.reach - self.depth
 
     @property
-    def middle(self) -> Array:
+    def middle(self) -> Floats:
         return np.array([0.0, (self.rear + self.front) / 2])
 
-    def outline(self, inset: float, segments: int = 5) -> Array:
+    def outline(self, inset: float, segments: int = 5) -> Floats:
         """Return the outline from above up to the hinge, `inset` within the base's walls."""
         return self._rounded(self.rear, inset, float(self.drops), segments)
 
-    def lid_outline(self, inset: float, segments: int = 5) -> Array:
+    def lid_outline(self, inset: float, segments: int = 5) -> Floats:
         """Return the lid's outline from above when closed, `inset` within its walls."""
         return self._rounded(self.lid_rear, inset, 1.0, segments)
 
-    def _rounded(self, rear: float, inset: float, rear_share: float, segments: int) -> Array:
+    def _rounded(self, rear: float, inset: float, rear_share: float, segments: int) -> Floats:
         """Return a rounded rectangle from the front to `rear`; its rear corners have `rear_share`
         of the radius of the others."""
         depth = rear - self.front
@@ -180,7 +180,7 @@ class LaptopShape:
         size = self.width - 2 * inset, depth - 2 * inset
         return rounded_rectangle(*size, np.maximum(radii, 0.5 * MM), middle, segments)
 
-    def bottom(self, y: Array | float) -> Array | float:
+    def bottom(self, y: Floats | float) -> Floats | float:
         """Return the height of the base's underside, which falls to the rear."""
         t = (np.asarray(y) - self.front) / self.depth
         return self.bottom_front + t * (self.bottom_rear - self.bottom_front)

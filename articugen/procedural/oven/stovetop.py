@@ -4,7 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from articugen.core.geometry import Array, rotation_about, transform
+from articugen.core.arrays import Floats
+from articugen.core.geometry import rotation_about, transform
 from articugen.core.portable import arctan2
 from articugen.procedural.kit.outlines import circle
 from articugen.procedural.kit.parts import Rect, knob, plate, rod, row, tapered
@@ -29,7 +30,7 @@ def control_panel(rng: np.random.Generator, oven: Oven, rect: Rect) -> list[Soli
     return [along_y(prism(outline, rect.y0, rect.y1)), *_row_of_controls(rng, oven, rect, T)]
 
 
-def _row_of_controls(rng: np.random.Generator, oven: Oven, rect: Rect, T: Array) -> list[Solid]:
+def _row_of_controls(rng: np.random.Generator, oven: Oven, rect: Rect, T: Floats) -> list[Solid]:
     """Knobs on both sides of a display, or along the whole panel; `T` places the panel's middle."""
     e, half = oven.extent, rect.width / 2
     radius = min(rng.uniform(0.018, 0.026) * max(e, 0.7), 0.36 * rect.height)

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from articugen.core.arrays import Floats
 from articugen.core.errors import InvalidSource
-from articugen.core.geometry import Array
 from articugen.core.records import Joint, Mesh
 from articugen.meshes.model_files import MAX_NAME_BYTES, ModelFiles, quoted
 from articugen.sources.urdf_check import MAX_LINKS, MAX_NUMBER
@@ -183,7 +183,7 @@ class _Reading:
             names.append(own)
         return names
 
-    def _meshes(self, found: _Found, physics: Stage, origins: Array) -> list[Mesh | None]:
+    def _meshes(self, found: _Found, physics: Stage, origins: Floats) -> list[Mesh | None]:
         """All that each link shows, in its frame."""
         own: list[list[Any]] = [[] for _ in origins]
         for prim in found.shapes:
@@ -225,7 +225,7 @@ _WORLD_NAME = "world"
 _EMPTY = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
 
 
-def _joined(shapes: Sequence[Mesh], origin: Array) -> Mesh:
+def _joined(shapes: Sequence[Mesh], origin: Floats) -> Mesh:
     first = np.cumsum([0, *(len(shape.vertices) for shape in shapes)])
     return Mesh(
         np.concatenate([_EMPTY.vertices, *(shape.vertices - origin for shape in shapes)]),

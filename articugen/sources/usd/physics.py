@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from articugen.core.arrays import Floats
 from articugen.core.errors import InvalidSource
-from articugen.core.geometry import Array, transform
+from articugen.core.geometry import transform
 from articugen.core.portable import product, turned
 from articugen.core.records import JointKind
 from articugen.meshes.model_files import quoted
@@ -47,10 +48,10 @@ class Stage:
     where: str
     places: Places
     bodies: Mapping[Any, int]
-    turn: Array
+    turn: Floats
     metres: float
 
-    def to_metres(self, points: Array) -> Array:
+    def to_metres(self, points: Floats) -> Floats:
         """Stage points (..., 3) to metres, z up."""
         return turned(self.turn, points) * self.metres
 
@@ -71,7 +72,7 @@ class PhysicsJoint:
     path: str
     kind: JointKind
     bodies: tuple[int, int]
-    frames: tuple[Array, Array]
+    frames: tuple[Floats, Floats]
     axis: tuple[float, float, float]
     lower: float
     upper: float
@@ -124,7 +125,7 @@ def read_joint(prim: Any, stage: Stage) -> PhysicsJoint | None:
     return PhysicsJoint(str(prim.GetPath()), kind, bodies, frames, axis, lower, upper, notes)
 
 
-def _end(prim: Any, stage: Stage, number: int, by: str) -> tuple[int, Array]:
+def _end(prim: Any, stage: Stage, number: int, by: str) -> tuple[int, Floats]:
     """The body at one end of a joint, and the joint's frame as that end has it, (4, 4) metres."""
     targets = prim.GetRelationship(f"physics:body{number}").GetTargets()
     T, body = np.eye(4), WORLD

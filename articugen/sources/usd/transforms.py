@@ -4,8 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from articugen.core.arrays import Floats
 from articugen.core.errors import InvalidSource
-from articugen.core.geometry import Array, cross, rotation_about
+from articugen.core.geometry import cross, rotation_about
 from articugen.core.portable import dot, norm, product, turned
 from articugen.meshes.model_files import quoted
 from articugen.sources.usd.layers import pxr
@@ -21,9 +22,9 @@ class Places:
 
     def __init__(self, where: str) -> None:
         self._where = where
-        self._known: dict[Any, Array] = {}
+        self._known: dict[Any, Floats] = {}
 
-    def of(self, prim: Any) -> Array:
+    def of(self, prim: Any) -> Floats:
         """Return (4, 4), stage units; with scale and all."""
         (UsdGeom,) = pxr("UsdGeom")
         if prim.IsPseudoRoot():
@@ -38,7 +39,7 @@ class Places:
             self._known[path] = above
         return self._known[path]
 
-    def _own(self, xformable: Any) -> Array:
+    def _own(self, xformable: Any) -> Floats:
         T = np.eye(4)
         by = f"{self._where}: {xformable.GetPath()}"
         for op in _steps(xformable, by):
@@ -78,7 +79,7 @@ def value_of(attribute: Any, by: str) -> Any:
     return attribute.Get()
 
 
-def numbers(value: Any, shape: tuple[int, ...], by: str, what: str) -> Array:
+def numbers(value: Any, shape: tuple[int, ...], by: str, what: str) -> Floats:
     """Return a value as an array of that shape; InvalidSource if it is none, or of a number that is
     not finite or too large."""
     try:
@@ -92,7 +93,7 @@ def numbers(value: Any, shape: tuple[int, ...], by: str, what: str) -> Array:
     return array
 
 
-def rotation_of(quaternion: Any, by: str, what: str) -> Array:
+def rotation_of(quaternion: Any, by: str, what: str) -> Floats:
     """Return (3, 3) of a quaternion of OpenUSD, of any length; InvalidSource if it is none."""
     parts = None if quaternion is None else (quaternion.GetReal(), *quaternion.GetImaginary())
     q = numbers(parts, (4,), by, what)
@@ -109,7 +110,7 @@ def rotation_of(quaternion: Any, by: str, what: str) -> Array:
     )
 
 
-def inverse(T: Array, by: str) -> Array:
+def inverse(T: Floats, by: str) -> Floats:
     """Return (4, 4) of an affine transform, by cofactors; InvalidSource if it has none."""
     x, y, z = T[:3, 0], T[:3, 1], T[:3, 2]
     volume = dot(x, cross(y, z))
@@ -121,7 +122,7 @@ def inverse(T: Array, by: str) -> Array:
     return back
 
 
-def turn_of(T: Array, by: str) -> Array:
+def turn_of(T: Floats, by: str) -> Floats:
     """Return (3, 3) the rotation in a transform that turns, scales and perhaps mirrors;
     InvalidSource if it shears, or scales to nothing. Of a mirrored one all three scales count as
     negative, as OpenUSD has it."""
@@ -146,7 +147,7 @@ def axis_of(token: Any, by: str) -> tuple[float, float, float]:
     return _AXES[str(token)]
 
 
-def _step(kind: str, value: Any, by: str) -> Array:
+def _step(kind: str, value: Any, by: str) -> Floats:
     """Return (4, 4) of one xformOp. OpenUSD's matrices multiply rows, and are transposed here."""
     T = np.eye(4)
     if kind == "transform":

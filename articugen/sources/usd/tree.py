@@ -5,8 +5,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from articugen.core.arrays import Floats
 from articugen.core.errors import InvalidSource
-from articugen.core.geometry import Array, rotation_about, transform
+from articugen.core.geometry import rotation_about, transform
 from articugen.core.portable import arctan2, dot, norm, product, turned
 from articugen.core.records import Joint, JointKind
 from articugen.sources.usd.physics import WORLD, PhysicsJoint
@@ -122,7 +123,7 @@ class Tree:
             T = transform(rotation_about(axis, -rest), offset)
         self.joints.append(Joint(name, joint.kind, *names, T, axis, joint.lower, joint.upper))
 
-    def _axis(self, joint: PhysicsJoint) -> tuple[Array, float]:
+    def _axis(self, joint: PhysicsJoint) -> tuple[Floats, float]:
         """Return the axis (3,) in the world, and at which joint state the model was drawn."""
         here, there = joint.frames
         axis = turned(here[:3, :3], joint.axis)
@@ -145,7 +146,7 @@ class Tree:
         return axis, float(rest)
 
 
-def _turn_about(R: Array, axis: Sequence[float]) -> float:
+def _turn_about(R: Floats, axis: Sequence[float]) -> float:
     """Return the angle of a rotation about a coordinate axis."""
     x = list(axis).index(1.0)
     y, z = (x + 1) % 3, (x + 2) % 3
