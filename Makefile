@@ -87,7 +87,7 @@ endif
 verify: $(generator)  ## check every byte and the geometry of OUT (or of CATEGORY= alone); REPAIR=1 mends
 	@$(articugen) verify "$(OUT)$(if $(CATEGORY),/$(CATEGORY))" $(if $(REPAIR),--repair)
 
-train: $(learner)  ## train PPD on CATEGORY= (RECIPE=ppd_quick, ppd_hour, ppd_plain, ppd_paper or ppd_release)
+train: $(learner)  ## train PPD on CATEGORY= (RECIPE=ppd_quick, ppd_hour, ppd_real, ppd_plain, ppd_paper or ppd_release)
 ifdef CATEGORY
 	@$(articugen) train --category "$(CATEGORY)" --data "$(OUT)/$(CATEGORY)" --runs "$(RUNS)" --recipe "$(or $(RECIPE),ppd_quick)" $(settings) $(if $(SEED),--seed "$(SEED)") $(if $(SEEDS),--seeds "$(SEEDS)")
 else
