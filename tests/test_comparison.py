@@ -123,6 +123,13 @@ def test_what_counts_iterations_is_scaled_and_no_seeds_race():
     assert (scaled.fourfold, scaled.restart_after) == (2000, 200)
     assert [stage.iterations for stage in scaled.schedule.stages] == [400, 400, 400]
     assert load_recipe("ppd_plain").scaled(0.5, 5).seeds.count == 1
+    for name in ("npcs", "opalign"):  # the rate falls as often in a short run as in a long one
+        recipe = load_recipe(name)
+        (counted,) = recipe.schedule.COUNTED
+        short = recipe.scaled(0.1, 5).schedule
+        assert getattr(short, counted) == getattr(recipe.schedule, counted) // 10
+        last = recipe.schedule.rate_at(recipe.schedule.iterations - 1)
+        assert short.rate_at(short.iterations - 1) == pytest.approx(last)
 
 
 def test_lists_name_recipes_that_there_are(tmp_path):

@@ -67,6 +67,9 @@ class Schedule(Section):
         validate_every, save_every, log_every: iterations.
     """
 
+    COUNTED: ClassVar[tuple[str, ...]] = ()
+    """More keys that count iterations or samples: a budget scales them too."""
+
     batch: int = Field(default=18, ge=2)
     optimiser: Literal["adam", "soap"] = "adam"
     learning_rate: float = Field(default=1e-4, gt=0)
@@ -186,6 +189,7 @@ class TrainRecipe(Section):
         stages = [s | {"iterations": times(s["iterations"])} for s in data["schedule"]["stages"]]
         every = -(-sum(s["iterations"] for s in stages) // checks)
         often = {"stages": stages, "validate_every": every, "save_every": every}
+        often |= {key: times(data["schedule"][key]) for key in self.schedule.COUNTED}
         data |= {"schedule": data["schedule"] | often, "seeds": {}}
         data |= {key: times(data[key]) for key in self.COUNTED}
         return validated(type(self), data | more, self.name)

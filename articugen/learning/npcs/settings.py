@@ -45,6 +45,8 @@ class NPCSSchedule(Schedule):
         fall_after: samples between two steps.
     """
 
+    COUNTED = ("fall_after",)
+
     fall: float = Field(default=0.7, gt=0, le=1)
     fall_after: int = Field(default=200_000, ge=1)
 

@@ -35,6 +35,8 @@ class OPAlignSchedule(Schedule):
     """Schedule that halves the rate, and the weight of the whole shape, after so many iterations
     again and again."""
 
+    COUNTED = ("halve_after",)
+
     halve_after: int = Field(default=5000, ge=1)
 
     def share_at(self, iteration: int) -> float:
