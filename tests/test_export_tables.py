@@ -19,10 +19,12 @@ boxes, rows, exported, laptops = exports.boxes, exports.rows, exports.exported, 
 
 
 @pytest.fixture
-def datasets(tmp_path, monkeypatch):
-    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
-    monkeypatch.setenv("HF_HOME", str(tmp_path / "home"))
-    return pytest.importorskip("datasets", reason="make exporters installs it")
+def datasets(monkeypatch):
+    """Without a network; not by the environment, which would be read once for all other tests."""
+    library = pytest.importorskip("datasets", reason="make exporters installs it")
+    for module in ("datasets.config", "huggingface_hub.constants"):
+        monkeypatch.setattr(f"{module}.HF_HUB_OFFLINE", True)
+    return library
 
 
 def test_parquet_in_datasets(exported, rows, tmp_path, datasets):
