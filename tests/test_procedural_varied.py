@@ -124,5 +124,8 @@ def test_they_are_a_source_of_their_own(tmp_path: Path) -> None:
     for each in (False, True, False):
         obj, _ = written("drawer", fewer, folder, varied=each)
         assert len(obj.moving_joints) == (1 if each else 3), "what is there is seen to be another"
-    recipe = load_recipe(None, "drawer", SOURCE)
-    assert (recipe.objects, recipe.articulation.states) == (300, 16)
+    for source in (SOURCE, "procedural_rough"):
+        recipe = load_recipe(None, "drawer", source)
+        assert (recipe.objects, recipe.articulation.states) == (300, 16)
+    (rough,) = open_source("procedural_rough").objects("drawer", ids=[fewer])
+    assert len(readers.load(rough).moving_joints) == 1

@@ -34,7 +34,7 @@ MODELS = {
 }  # fmt: skip
 """The same for the shapes of bundled models, by category: models and their data are made again."""
 
-FORMS = {"varied": 2, "rough": 1}  # the same for all models drawn, or written, in such a form
+FORMS = {"varied": 2, "rough": 2}  # the same for all models drawn, or written, in such a form
 
 _INSTALLED = Path(__file__).resolve().parents[1] / "_bundled"
 _ROOT = _INSTALLED if _INSTALLED.is_dir() else _INSTALLED.parent.parent

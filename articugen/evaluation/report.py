@@ -95,10 +95,7 @@ _DETAILS = (
 )
 
 
-_OF_OBJECTS = (
-    *LABELS[:2], Metric("", "", "part IoU, matched, %", "matched_part_iou", 100.0, 2),
-    SHAPES[0], SHAPES[2],
-)  # fmt: skip
+_OF_OBJECTS = (*LABELS[:2], POSES[0], SHAPES[0], SHAPES[2])
 """Columns of the table of objects."""
 
 
@@ -350,7 +347,7 @@ def _objects(result: Evaluation) -> list[str]:
         ]
         table.append((name, len(values), cells))
     table.sort(key=lambda row: row[2][:1])
-    head = [["object", "instances", *(m.title.replace("label IoU, %, ", "") for m in columns)]]
+    head = [["object", "instances", *(m.header for m in columns)]]
     lines = [
         [
             name.replace("|", "\\|"),

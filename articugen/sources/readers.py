@@ -37,9 +37,9 @@ MAX_METRES = 1e6  # how far from its link's origin anything may lie
 class Reader(Protocol):
     """One layout; a module with these functions is one.
 
-    A module of another package has a third one, `find(base) -> list[Found]`: the models in a folder
-    of a source whose source.yaml names this reader. Without it they are what `find_at(child)`, if
-    there is one, or else `detect` makes of each thing in that folder.
+    A module of another package must have a third one, `find(base) -> list[Found]`: the models in a
+    folder of a source whose source.yaml names this reader. Of ours they are what `find_at(child)`,
+    if there is one, or else `detect` makes of each thing in that folder.
     """
 
     def detect(self, path: Path) -> Found | None:

@@ -1,10 +1,11 @@
 """Whether bundled objects are sound: python -m tests.benchmarks.objects [--quick]
 
-Makes objects of each category of `procedural` and `procedural_varied` (`procedural_messy` has the
-same solids, written otherwise), writes them, reads them back and looks at them closed, open and in
-between. Counts those that fail or have a solid that is not closed, those whose parts are in one
-another anywhere (`crossings`: nothing is sampled), and those that, closed, do not stand on the
-floor. Exit status 1 if there is any. --first and --category take it in pieces.
+Makes objects of each category of `procedural`, `procedural_varied` and `procedural_rough`
+(`procedural_messy` has the solids of the first, written otherwise), writes them, reads them back
+and looks at them closed, open and in between. Counts those that fail or have a solid that is not
+closed, those whose parts are in one another anywhere (`crossings`: nothing is sampled), and those
+that, closed, do not stand on the floor. Exit status 1 if there is any. --first and --category take
+it in pieces.
 """
 
 import argparse
@@ -32,7 +33,7 @@ from articugen.sources.source import open_source
 from articugen.sources.urdf import load_urdf
 from tests.procedural_truth import assert_sound, crossings, link_frames, object_id
 
-SOURCES = ("procedural", "procedural_varied")
+SOURCES = ("procedural", "procedural_varied", "procedural_rough")
 ON_THE_FLOOR = 1e-9
 """Metres."""
 
@@ -53,12 +54,12 @@ def faults(source: str, category: str, index: int) -> list[Fault]:
 
 
 def _faults(source: str, category: str, name: str, folder: Path) -> Iterator[Fault]:
-    model = build_model(category, name, varied=source == "procedural_varied")
+    of = open_source(source)
+    model = build_model(category, name, varied=of.file.varied)
     assert_sound(model)
-    write_model(model, folder, object_id=name, category=category)
+    write_model(model, folder, object_id=name, category=category, messy=of.file.messy)
     obj = load_urdf(folder / URDF_NAME, object_id=name, category=category)
     truth = read_truth((folder / TRUTH_NAME).read_bytes())
-    of = open_source(source)
     obj = resolve(
         obj,
         load_recipe(None, category, source).articulation,

@@ -77,6 +77,7 @@ def write_report(
     if html.suffix.lower() not in (".html", ".htm"):  # it may be somebody's data
         raise InvalidArgument(f"{html}: a report is an HTML file; give it a name ending in .html")
     check_place(html)
+    alike = None if beside is None else (beside, likeness(path, beside))
     manifest = Manifest.read(path) if (path / MANIFEST_NAME).is_file() else None
     found = facts(shards)
     category = str(found.about["category"])
@@ -92,7 +93,7 @@ def write_report(
         sheet=portraits(some_of(drawable, objects), states=states, pooling=POOLED, size=PICTURE),
         turnable=turnable(found.objects),
         measured=measured(found.objects, manifest),
-        alike=None if beside is None else (beside, likeness(path, beside)),
+        alike=alike,
     )
     data = page(report).encode()
     write_atomically(html, data)

@@ -71,7 +71,8 @@ class _Cells:
 
 
 def decorated(model: Model, object_id: str) -> Model:
-    """Return the model with decals on some of its large faces: thin solids that become sheets."""
+    """Return the model with decals on some of its large faces, but on none that looks down, which
+    may be what it stands on: thin solids that become sheets."""
     longest = float(np.max(model.bounds[1] - model.bounds[0]))
     links = []
     for link in model.links:
@@ -83,7 +84,7 @@ def decorated(model: Model, object_id: str) -> Model:
             *(s.vertices[s.faces[cells.hiding(s) < 0]] for s in solids),
         ])  # fmt: skip
         sides = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        large = np.flatnonzero(norm(sides) > (longest / 15) ** 2)
+        large = np.flatnonzero((norm(sides) > (longest / 15) ** 2) & (sides[:, 2] > -1e-9))
         chosen = rng.permutation(large)[: rng.integers(_DECALS + 1)]
         decals = (_decal(corners[i], rng.uniform(0.3, 0.9), _LIFT * longest) for i in chosen)
         links.append(replace(link, solids=(*link.solids, *decals)))
@@ -106,7 +107,7 @@ def _decal(triangle: Floats, size: float, lift: float) -> Solid:
 def meshes(
     link: ModelLink, sheets: list[bool], object_id: str, level: int
 ) -> Iterator[tuple[str, _Mesh]]:
-    """Yield a name and a mesh, in the link's own frame, for each piece of a link.
+    """Yield a name and a mesh, in the object's frame at q = 0, for each piece of a link.
 
     Args:
         sheets: which of its solids are written as sheets.
