@@ -75,6 +75,8 @@ def _faults(source: str, category: str, name: str, folder: Path) -> Iterator[Fau
     lowest = min(
         apply(T[k.name], k.mesh.vertices)[:, 2].min() for k in obj.links if len(k.mesh.vertices)
     )
+    if of.file.messy:  # a sheet is drawn in the middle of the solid that it stands for
+        lowest = min(lowest, truth._posed(T)[2][:, 0, 2].min())
     if abs(lowest) > ON_THE_FLOOR:
         yield "off the floor", f"{source} {name}: its lowest point is {lowest:.1e} m high"
 
