@@ -74,6 +74,10 @@ def test_evaluate_predict(folder, monkeypatch):
     done = articugen("evaluate", runs / "box", "-d", data, *others, data)
     assert done.exit_code == 2
     assert "two of the data sets have one name" in done.output
+    done = articugen("evaluate", runs / "box", "-d", data, *others, folder / "gone")
+    assert done.exit_code == 1
+    assert str(folder / "gone") in done.output
+    assert "none trained on" not in done.output  # refused before the first is measured
     done = articugen("tables", runs / "box")
     assert done.exit_code == 0, done.output
     assert re.search(r"\| tiny +\| +\d+\.\d\d \|", done.output)

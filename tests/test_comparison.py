@@ -138,6 +138,11 @@ def test_lists_name_recipes_that_there_are(tmp_path):
         if name.startswith("ppd_paper w/o"):
             assert f"ppd_paper {variant}" == name
     assert {recipe.method for recipe in recipes_of("comparison")} >= {"bae", "bsp", "nsd", "ppd"}
+    hinges = {
+        category: [r.model.revolute for r in recipes_of("comparison", category) if "op" in r.name]
+        for category in ("laptop", "eyeglasses")
+    }
+    assert hinges == {"laptop": [1], "eyeglasses": [1, 2]}
     for text, error in (("- bae\n- bae\n", "two recipes are called bae"), ("{}", "is no list")):
         (tmp_path / "list.yaml").write_text(text)
         with pytest.raises(InvalidRecipe, match=error):

@@ -174,10 +174,13 @@ def evaluate(
     with said():
         from articugen.evaluation.report import markdown
         from articugen.learning import commands
+        from articugen.store.manifest import Manifest
 
         folders = [commands.evaluation_folder(run, protocol, place) for place in on or [None]]
         if len(set(folders)) < len(folders):
             raise typer.BadParameter("--on: two of the data sets have one name; rename a folder")
+        for place in on or ():
+            commands.check_splits(data, Manifest.read(data).category, place)
         for place, out in zip(on or [None], folders, strict=True):
             with stderr.status("evaluating ...") as status:
                 result = commands.evaluate(

@@ -149,7 +149,7 @@ def compare(
             Training(recipe, category, data, folder / _file_name(recipe.name), device=device),
             range(seeds), 60.0 * minutes, states,
         )
-        for recipe in recipes_of(recipes)
+        for recipe in recipes_of(recipes, category)
     ]  # fmt: skip
     refused: dict[str, str] = {}
     make_folder(folder)
@@ -175,8 +175,11 @@ def compare(
     return Compared(folder, text, folder / FIGURE)
 
 
-def recipes_of(name: str) -> list[TrainRecipe]:
+def recipes_of(name: str, category: str | None = None) -> list[TrainRecipe]:
     """Return the recipes of a list: a name under recipes/lists/, or a YAML file.
+
+    Args:
+        category: leaves out what is `only:` for another one.
 
     Raises:
         InvalidRecipe: there is none, it is no list, or a recipe in it is wrong.
@@ -186,7 +189,11 @@ def recipes_of(name: str) -> list[TrainRecipe]:
     entries: Any = read_yaml(path, InvalidRecipe)
     if not (isinstance(entries, list) and entries):
         raise InvalidRecipe(f"{path}: is no list of recipes; write one after a hyphen on each line")
-    recipes = [load_recipe(e if isinstance(e, Mapping) else str(e)) for e in entries]
+    wanted = [dict(e) if isinstance(e, Mapping) else str(e) for e in entries]
+    only = [e.pop("only", category) if isinstance(e, dict) else category for e in wanted]
+    recipes = [
+        load_recipe(e) for e, one in zip(wanted, only, strict=True) if category in (one, None)
+    ]
     names = [_file_name(recipe.name) for recipe in recipes]
     if twice := next((n for n in names if names.count(n) > 1), ""):
         raise InvalidRecipe(f"{path}: two recipes are called {twice}; give one another name")
