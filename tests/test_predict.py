@@ -1,6 +1,7 @@
 """Rigged predictions: what is written is read back by yourdfpy and moves as predicted."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ from articugen.core.errors import ArticugenError
 from articugen.core.geometry import apply
 from articugen.core.records import Normalization
 from articugen.evaluation.reconstruction import Reconstruction, truth
-from articugen.learning.predict import write_rig
+from articugen.learning.predict import cut, write_cut, write_rig
 from articugen.meshes.distances import distance
 from articugen.meshes.marching_cubes import zero_level
+from articugen.meshes.points import Cloud
 
 
 def three_balls() -> Reconstruction:
@@ -91,3 +93,47 @@ def test_a_rig_stands_where_its_cloud_stood(tmp_path):
     assert large.joint_map["joint_2"].limit.upper == pytest.approx(
         2.0 * (1.0 - found.joints.state[2])
     )
+
+
+def area(triangles: np.ndarray) -> float:
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2.0)
+
+
+def test_a_mesh_is_cut_where_another_part_is_nearer():
+    """Base and lid are balls about (0, 0, -0.3) and (0.1, 0, 0.1): the border is the plane between.
+
+    A sheet reaches through both; nothing of it is lost."""
+    found, corners = three_balls(), np.array([[0.0, 0, -0.4], [0.2, 0, 0.2], [-0.1, 0, 0.2]])
+    cloud = Cloud(np.zeros((64, 3)), triangles=corners[None])
+    pieces = cut(cloud, found)
+    assert area(pieces.triangles) == pytest.approx(area(corners[None]))
+    assert set(pieces.part) == {0, 1}
+    along = pieces.triangles.mean(1) @ [0.1, 0.0, 0.4] - np.dot([0.05, 0, -0.1], [0.1, 0.0, 0.4])
+    sure = np.abs(along) / np.linalg.norm([0.1, 0.4]) > 0.02  # balls of 16^3 are not quite round
+    assert sure.mean() > 0.2
+    np.testing.assert_array_equal(pieces.part[sure], (along[sure] > 0).astype(int))
+
+
+@pytest.mark.parametrize("is_mesh", [False, True])
+def test_what_was_given_moves_as_predicted(tmp_path, is_mesh):
+    found = three_balls()
+    frame = Normalization(np.array([1.0, 2.0, 3.0]), 2.0)
+    cloud = Cloud(found.triangles.mean(1), frame, triangles=found.triangles if is_mesh else None)
+    written = write_cut(cloud, found, tmp_path)
+    data = (tmp_path / "input.glb").read_bytes()
+    scene = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    primitives = [mesh["primitives"][0] for mesh in scene["meshes"]]
+    assert [primitive.get("mode", 4) for primitive in primitives] == [4 if is_mesh else 0] * 3
+    turning, sliding = (animation["extras"] for animation in scene["animations"])
+    assert (turning["kind"], sliding["kind"]) == ("revolute", "prismatic")
+    assert (turning["lower"], turning["upper"]) == pytest.approx((-0.4, np.pi / 2 - 0.4))
+    slid = 2.0 * found.joints.state[2]
+    assert (sliding["lower"], sliding["upper"]) == pytest.approx((-slid, 0.6 - slid))
+    base = np.array(scene["accessors"][primitives[0]["attributes"]["POSITION"]]["max"])
+    np.testing.assert_allclose(base, frame.to_world(np.array([0.1, 0.1, -0.2])), atol=0.05)
+    assert [path.name for path in written] == ["input.glb", "input.urdf"][: 1 + is_mesh]
+    if is_mesh:
+        robot = URDF.load(str(written[1]))
+        assert robot.joint_map["joint_1"].limit.lower == pytest.approx(-0.4)
+        assert len(robot.scene.geometry) == 3

@@ -284,10 +284,10 @@ def predict(
     fit: Annotated[
         bool, typer.Option("--fit", help="Bring the cloud's box into the unit frame first.")
     ] = False,
-    out: Annotated[Path, typer.Option(help="The folder for meshes and URDF.")] = Path("rig"),
+    out: Annotated[Path, typer.Option(help="The folder for meshes, URDF and GLB.")] = Path("rig"),
     resolution: Annotated[int, typer.Option(min=8, max=256, help="Of the meshes' grid.")] = 64,
 ) -> None:
-    """Segment and rig a shape: a mesh for each part, and a URDF with the predicted joints."""
+    """Segment and rig a shape: what is reconstructed, and what was given, cut into the parts."""
     with said():
         from articugen.learning import commands
 
@@ -298,7 +298,8 @@ def predict(
             stderr.print(made.cloud.hint, soft_wrap=True)
         for line in made.lines():
             stdout.print(line)
-        stdout.print(f"written: {made.path}", soft_wrap=True)
+        cut = "".join(f", {path.name}" for path in made.cut)
+        stdout.print(f"written: {made.path}{cut}", soft_wrap=True)
 
 
 @app.command()

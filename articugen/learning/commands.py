@@ -31,7 +31,7 @@ from articugen.learning import loop
 from articugen.learning.data.fitness import lying_otherwise
 from articugen.learning.loop import Tell
 from articugen.learning.method import Yardstick, find_method, load_recipe
-from articugen.learning.predict import cloud_of_shard, seen_by_a_camera, write_rig
+from articugen.learning.predict import cloud_of_shard, seen_by_a_camera, write_cut, write_rig
 from articugen.learning.race import race
 from articugen.learning.recipe import TrainRecipe
 from articugen.learning.run_folder import LATEST, RunFolder, read_checkpoint
@@ -302,12 +302,14 @@ class Predicted:
     Attributes:
         cloud: what was given.
         found: what the model makes of it.
-        path: of the URDF.
+        path: of the URDF of what is reconstructed.
+        cut: of the GLB of what was given, cut into parts; of its URDF too, if that was a mesh.
     """
 
     cloud: Cloud
     found: Reconstruction
     path: Path
+    cut: tuple[Path, ...]
 
     def lines(self) -> list[str]:
         """Each part that has a surface; kind and state of its joint, in the cloud's own unit."""
@@ -332,7 +334,8 @@ def predict(
     out: FolderLike = "rig",
     resolution: int = 64,
 ) -> Predicted:
-    """Segment and rig a shape: a mesh for each part, and a URDF with the predicted joints.
+    """Segment and rig a shape: what is reconstructed, and what was given, cut into the parts, as
+    meshes on the predicted joints.
 
     Args:
         run: a run's folder, or that of a category's runs, whose newest is meant.
@@ -341,7 +344,7 @@ def predict(
         camera: which of a shard's depth cameras, where the run learned from what one sees; a file's
             points are taken for what some camera sees then.
         fit: bring the file's box into the unit frame first.
-        out: the folder for meshes and URDF.
+        out: the folder for meshes, URDF and GLB.
         resolution: of the meshes' grid.
 
     Raises:
@@ -359,7 +362,8 @@ def predict(
     else:
         given = cloud_of_file(cloud, fit=fit)
     found = learner.reconstruct(given.points, resolution=resolution)
-    return Predicted(given, found, write_rig(found, Path(out), frame=given.frame))
+    path = write_rig(found, Path(out), frame=given.frame)
+    return Predicted(given, found, path, tuple(write_cut(given, found, Path(out))))
 
 
 def hints(data: FolderLike | Sequence[FolderLike]) -> list[str]:

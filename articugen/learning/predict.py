@@ -1,10 +1,12 @@
-"""Predictions: clouds out of the shards of a data set, and the rigged model that is made of one, a
-mesh a part and a URDF whose joints are the predicted ones."""
+"""Predictions: clouds out of the shards of a data set, and the rigged models that are made of one:
+what is reconstructed, and what was given, cut into the parts."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from articugen.core.colours import colour_of
 from articugen.core.errors import ArticugenError, InvalidSource, UnfitData
@@ -12,10 +14,19 @@ from articugen.core.files import write_atomically
 from articugen.core.records import Floats, JointKind, Normalization, dequantize
 from articugen.core.schema import Instance
 from articugen.core.seeding import generator
+from articugen.evaluation.metrics import nearest_part
 from articugen.evaluation.reconstruction import PartJoints, Reconstruction
+from articugen.meshes.glb import Moving, Part, glb_of
 from articugen.meshes.model_text import Joint, Visual, obj_text, urdf_text
 from articugen.meshes.points import UNIT, Cloud, checked
+from articugen.pictures.shading import linear
 from articugen.store.shards import open_shard
+
+_CUTS, _SMALLEST = 6, 0.01
+"""A triangle that parts share is quartered so often, unless its edges are shorter than that."""
+
+_SHOWN = {JointKind.REVOLUTE: math.pi / 2.0, JointKind.PRISMATIC: 0.3}
+"""Animations show joints from state 0 to where the cloud has them, or to here if it is farther."""
 
 
 def cloud_of_shard(
@@ -60,10 +71,68 @@ def seen_by_a_camera(instance: Instance) -> Floats:
     return dequantize(instance.partial_points[chosen])
 
 
+def cut(cloud: Cloud, found: Reconstruction) -> Reconstruction:
+    """Return what was given in the place of the reconstructed surfaces: each triangle of a mesh, or
+    each point as a triangle of no size, with the part whose surface is nearest. Triangles that
+    parts share are cut small first."""
+
+    def part_of(points: Floats) -> NDArray[np.int64]:
+        return nearest_part(points, found.triangles, found.part, found.parts)
+
+    if cloud.triangles is None:
+        triangles = np.repeat(cloud.points[:, None], 3, axis=1)
+        return replace(found, triangles=triangles, part=part_of(cloud.points))
+    rest, pieces = cloud.triangles, list[Floats]()
+    for _ in range(_CUTS):
+        if not len(rest):
+            break
+        corners = part_of(rest.reshape(-1, 3)).reshape(-1, 3)
+        edge = np.linalg.norm(rest - np.roll(rest, 1, axis=1), axis=2).max(1)
+        is_shared = (corners != part_of(rest.mean(1))[:, None]).any(1) & (edge > _SMALLEST)
+        pieces.append(rest[~is_shared])
+        a, b, c = np.moveaxis(rest[is_shared], 1, 0)
+        ab, bc, ca = (a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0
+        quarters = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+        rest = np.concatenate([np.stack(corners, 1) for corners in quarters])
+    triangles = np.concatenate([*pieces, rest])
+    return replace(found, triangles=triangles, part=part_of(triangles.mean(1)))
+
+
+def write_cut(cloud: Cloud, found: Reconstruction, folder: Path) -> list[Path]:
+    """Write what was given, cut into the parts of a reconstruction: input.glb, in which each joint
+    is an animation, and, of a mesh, input.urdf. The files are in the cloud's own frame."""
+    pieces, joints, parts = cut(cloud, found), found.joints, list[Part]()
+    for i in range(found.parts):
+        corners = cloud.frame.to_world(pieces.triangles[pieces.part == i])
+        if i and not len(corners):
+            continue
+        kind = joints.kind[i] if joints else JointKind.FIXED
+        origin, how = np.zeros(3), None
+        if joints and kind != JointKind.FIXED:
+            origin = cloud.frame.to_world(joints.pivot[i])
+            moving = _moving(joints, i, origin, cloud.frame.scale)
+            unit = 1.0 if kind == JointKind.REVOLUTE else cloud.frame.scale
+            most = max(moving.lower + _SHOWN[JointKind(kind)] * unit, 0.0)
+            how = Moving(moving.name, moving.kind, np.asarray(moving.axis), moving.lower, most)
+        vertices, faces = _welded(corners) if cloud.triangles is not None else (corners[:, 0], None)
+        parts.append(Part(f"part_{i}", 0, origin, vertices, faces, linear(colour_of(i)), how))
+    write_atomically(folder / "input.glb", glb_of("input", parts))
+    if cloud.triangles is None:
+        return [folder / "input.glb"]
+    return [folder / "input.glb", write_rig(pieces, folder, "input", cloud.frame, "input_")]
+
+
+def _welded(triangles: Floats) -> tuple[Floats, NDArray[np.int64]]:
+    """Return vertices and faces of triangles (F, 3, 3)."""
+    vertices, faces = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
+    return vertices, faces.reshape(-1, 3)
+
+
 def write_rig(
-    found: Reconstruction, folder: Path, name: str = "predicted", frame: Normalization = UNIT
-) -> Path:
-    """Write part_<i>.obj and <name>.urdf; every joint is 0 where the cloud has it.
+    found: Reconstruction, folder: Path, name: str = "predicted", frame: Normalization = UNIT,
+    prefix: str = "",
+) -> Path:  # fmt: skip
+    """Write <prefix>part_<i>.obj and <name>.urdf; every joint is 0 where the cloud has it.
 
     The base link is part 0, or an empty one where that has no surface. A part's link sits at its
     pivot; limits reach from joint state 0 to pi (revolute) or to 1 unit (prismatic). Where a method
@@ -99,12 +168,10 @@ def write_rig(
             origin = frame.to_world(found.joints.pivot[i])
         links[link] = []
         if len(triangles):
-            corners = (triangles - origin).reshape(-1, 3)
-            vertices, faces = np.unique(corners, axis=0, return_inverse=True)
-            text = obj_text([(vertices, faces.reshape(-1, 3))])
-            write_atomically(folder / f"{link}.obj", text.encode())
+            file = f"{prefix}{link}.obj"
+            write_atomically(folder / file, obj_text([_welded(triangles - origin)]).encode())
             red, green, blue = (int(colour_of(i)[k : k + 2], 16) / 255.0 for k in (1, 3, 5))
-            links[link] = [Visual(f"{link}.obj", rgba=(red, green, blue, 1.0))]
+            links[link] = [Visual(file, rgba=(red, green, blue, 1.0))]
         if found.joints and kind != JointKind.FIXED:
             joints.append(_moving(found.joints, i, origin, frame.scale))
         elif i:

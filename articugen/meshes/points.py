@@ -38,11 +38,14 @@ class Cloud:
         points: (n, 3) in the unit frame.
         frame: leads back to the file's own frame; the identity for a shard.
         hint: what looks wrong, in a sentence, or nothing.
+        triangles: (F, 3, 3) of the mesh that the points were spread over, in the unit frame; None
+            where points were given.
     """
 
     points: Floats
     frame: Normalization = UNIT
     hint: str = ""
+    triangles: Floats | None = None
 
 
 def cloud_of_file(path: Path, *, fit: bool = False) -> Cloud:
@@ -56,7 +59,7 @@ def cloud_of_file(path: Path, *, fit: bool = False) -> Cloud:
     Raises:
         InvalidSource: it cannot be read, or is no cloud to make sense of.
     """
-    stored = numbers_of_file(path)
+    stored, triangles = _shape_of_file(path)
     name = str(path)
     points = _finite(stored, name)
     frame = UNIT
@@ -73,11 +76,16 @@ def cloud_of_file(path: Path, *, fit: bool = False) -> Cloud:
             f"{name}: reaches from {_text(low)} to {_text(high)}, which is small or off centre for "
             "the unit frame; --fit if its frame is another"
         )
-    return Cloud(points, frame, hint)
+    return Cloud(points, frame, hint, None if triangles is None else frame.to_unit(triangles))
 
 
 def numbers_of_file(path: Path) -> Floats:
     """Return the array that a PLY, .npy, .npz or .xyz file holds, its frame; or InvalidSource."""
+    return _shape_of_file(path)[0]
+
+
+def _shape_of_file(path: Path) -> tuple[Floats, Floats | None]:
+    """Return the same, and the triangles (F, 3, 3) of a mesh that these points were spread over."""
     read = _READERS.get(path.suffix.lower())
     if read is None:
         known = ", ".join(_READERS)
@@ -88,7 +96,8 @@ def numbers_of_file(path: Path) -> Floats:
         raise InvalidSource(f"{path}: cannot be read ({error.strerror})") from None
     try:
         with np.errstate(all="ignore"):  # of what is no number `checked` tells
-            return np.asarray(read(data), np.float64)
+            numbers, triangles = read(data)
+            return np.asarray(numbers, np.float64), triangles
     except MemoryError:
         raise
     except Exception as error:  # whatever a parser meets in a broken file
@@ -126,14 +135,15 @@ def _text(vector: Floats) -> str:
 
 
 def _ply(data: bytes) -> Any:
-    """Vertices; where there are faces, points spread over them."""
+    """Vertices; where there are faces, points spread over them, and these."""
     claimed = claimed_rows(data)
     cloud: Any = trimesh.load(io.BytesIO(data), file_type="ply", process=False)
     if len(getattr(cloud, "faces", ())):
-        return sample(np.asarray(cloud.triangles), _POINTS_ON_A_MESH, generator(0, "cloud of mesh"))
+        triangles = np.asarray(cloud.triangles, np.float64)
+        return sample(triangles, _POINTS_ON_A_MESH, generator(0, "cloud of mesh")), triangles
     if len(cloud.vertices) < claimed.get("vertex", 1):
         raise ValueError("cut short")
-    return cloud.vertices
+    return cloud.vertices, None
 
 
 def _npy(data: bytes) -> Any:
@@ -168,7 +178,7 @@ def _npz(data: bytes) -> Any:
 
 _READERS: dict[str, Callable[[bytes], Any]] = {
     ".ply": _ply,
-    ".npy": _npy,
-    ".npz": _npz,
-    ".xyz": lambda data: np.loadtxt(io.BytesIO(data), usecols=(0, 1, 2), ndmin=2),
+    ".npy": lambda data: (_npy(data), None),
+    ".npz": lambda data: (_npz(data), None),
+    ".xyz": lambda data: (np.loadtxt(io.BytesIO(data), usecols=(0, 1, 2), ndmin=2), None),
 }
