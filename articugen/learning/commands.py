@@ -31,7 +31,13 @@ from articugen.learning import loop
 from articugen.learning.data.fitness import lying_otherwise
 from articugen.learning.loop import Tell
 from articugen.learning.method import Yardstick, find_method, load_recipe
-from articugen.learning.predict import cloud_of_shard, seen_by_a_camera, write_cut, write_rig
+from articugen.learning.predict import (
+    cloud_of_shard,
+    draw_cut,
+    seen_by_a_camera,
+    write_cut,
+    write_rig,
+)
 from articugen.learning.race import race
 from articugen.learning.recipe import TrainRecipe
 from articugen.learning.run_folder import LATEST, RunFolder, read_checkpoint
@@ -303,7 +309,8 @@ class Predicted:
         cloud: what was given.
         found: what the model makes of it.
         path: of the URDF of what is reconstructed.
-        cut: of the GLB of what was given, cut into parts; of its URDF too, if that was a mesh.
+        cut: of the GLB of what was given, cut into parts; of its URDF too, if that was a mesh; of
+            the picture.
     """
 
     cloud: Cloud
@@ -363,7 +370,8 @@ def predict(
         given = cloud_of_file(cloud, fit=fit)
     found = learner.reconstruct(given.points, resolution=resolution)
     path = write_rig(found, Path(out), frame=given.frame)
-    return Predicted(given, found, path, tuple(write_cut(given, found, Path(out))))
+    files = [*write_cut(given, found, Path(out)), draw_cut(given, found, Path(out) / "input.png")]
+    return Predicted(given, found, path, tuple(files))
 
 
 def hints(data: FolderLike | Sequence[FolderLike]) -> list[str]:

@@ -14,16 +14,21 @@ from articugen.core.files import write_atomically
 from articugen.core.records import Floats, JointKind, Normalization, dequantize
 from articugen.core.schema import Instance
 from articugen.core.seeding import generator
+from articugen.evaluation.figures import Names, solid_of
 from articugen.evaluation.metrics import nearest_part
 from articugen.evaluation.reconstruction import PartJoints, Reconstruction
 from articugen.meshes.glb import Moving, Part, glb_of
 from articugen.meshes.model_text import Joint, Visual, obj_text, urdf_text
 from articugen.meshes.points import UNIT, Cloud, checked
+from articugen.pictures.layout import Row, save, sheet
+from articugen.pictures.portrait import solid_portrait, tile_camera
 from articugen.pictures.shading import linear
 from articugen.store.shards import open_shard
 
 _CUTS, _SMALLEST = 6, 0.01
 """A triangle that parts share is quartered so often, unless its edges are shorter than that."""
+
+_AZIMUTH = math.radians(35.0)
 
 _SHOWN = {JointKind.REVOLUTE: math.pi / 2.0, JointKind.PRISMATIC: 0.3}
 """Animations show joints from state 0 to where the cloud has them, or to here if it is farther."""
@@ -120,6 +125,35 @@ def write_cut(cloud: Cloud, found: Reconstruction, folder: Path) -> list[Path]:
     if cloud.triangles is None:
         return [folder / "input.glb"]
     return [folder / "input.glb", write_rig(pieces, folder, "input", cloud.frame, "input_")]
+
+
+def draw_cut(cloud: Cloud, found: Reconstruction, path: Path) -> Path:
+    """Draw what is reconstructed, and below what was given, cut into the parts: with all joints at
+    state 0, as they are, and open."""
+    given = replace(cut(cloud, found), whole=found.whole if cloud.triangles is not None else None)
+    names = Names(range(found.parts), range(found.parts))
+    camera, floor = tile_camera(cloud.points, _AZIMUTH), float(cloud.points[:, 2].min())
+    rows = []
+    for title, shape in (("reconstruction", found), ("what was given", given)):
+        posed = [shape] if found.joints is None else [_at(shape, s) for s in (0.0, None, 1.0)]
+        drawn = [solid_portrait(solid_of(one, names), camera, floor) for one in posed]
+        rows.append(Row(title, drawn, [[] for _ in drawn]))
+    save(sheet(rows), path)
+    return path
+
+
+def _at(shape: Reconstruction, share: float | None) -> Reconstruction:
+    """Return the shape with its joints at this share of what animations show; None is as it is."""
+    if share is None or shape.joints is None:
+        return shape
+    most = np.array([_SHOWN.get(JointKind(kind), 0.0) for kind in shape.joints.kind])
+    open_ = np.maximum(most, shape.joints.state)
+    motion = shape.joint_motion_to(
+        replace(shape, joints=replace(shape.joints, state=share * open_))
+    )
+    assert motion is not None
+    R, t = motion[shape.part, :3, :3], motion[shape.part, :3, 3]
+    return replace(shape, triangles=np.einsum("fij,fkj->fki", R, shape.triangles) + t[:, None])
 
 
 def _welded(triangles: Floats) -> tuple[Floats, NDArray[np.int64]]:
