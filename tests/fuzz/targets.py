@@ -311,9 +311,9 @@ def _into(folder: Path) -> None:
 
 
 def _unpack(path: Path) -> object:
-    from articugen.sources.fetch.models import unpack
+    from articugen.sources.fetch.archives import unpack
 
-    return unpack(path, path.parent / "into", lambda _: True, lambda _model, _folder: None)
+    return list(unpack(path, path.parent / "into", lambda *_: True))
 
 
 _IN_XML = (

@@ -1,79 +1,143 @@
-"""Archives from strangers: what is in a .zip or .tar.gz, examined whole before a byte is written.
+"""Archives from strangers: models in a .zip or .tar.gz, examined before a byte is written.
 
 An archive with a name that leads out of a folder, a link, a device, or more in it than a bound
-allows is refused as a whole: what tries such a thing is not to be trusted with the rest.
+allows is refused as a whole: what tries such a thing is not to be trusted with the rest. (The
+filters of `tarfile` work file by file, bound no sizes and let links within the folder pass.)
 """
 
 import gzip
+import io
+import shutil
 import stat
 import sys
 import tarfile
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import IO, BinaryIO, NoReturn
+from typing import IO, BinaryIO, NamedTuple, NoReturn
 
-from articugen.core.errors import InvalidSource, machine_fault, printable
-from articugen.core.files import open_regular
+from articugen.core.errors import InvalidSource, MachineFault, machine_fault, printable
+from articugen.core.files import cannot_write, megabytes, open_regular, room_at, sha256_of
 from articugen.meshes.model_files import MAX_NAME_BYTES, quoted
+from articugen.sources.usd.reader import LAYER_FOLDERS
 
-MAX_FILES = 1_000_000  # in one archive; Artiverse's largest has 313,000
+MAX_FILES = 1_000_000  # and folders in one archive; Artiverse's largest has 313,000
 MAX_FILE_BYTES = 2**30  # of one file in it
 MAX_RATIO = 200
-"""How many times its own size an archive may unpack to; OBJ files and textures give 3 to 10."""
+"""How many times its size an archive may unpack to; OBJ files and textures give 3 to 10."""
 MAX_DEPTH = 32
-MAX_FOLDERS = 250_000  # in one archive, those included that only the names of others tell of
 MAX_DENSITY = 16
-"""Bytes of an archive that an entry takes at least, beyond the first `_ALWAYS_ENTRIES`; a header
-and some content give more than 60."""
+"""Bytes of an archive that a name takes at least, beyond the first `_ALWAYS_FILES`; a header and
+some content give more than 60."""
 
-_ALWAYS_ENTRIES = 10_000
+_ALWAYS_FILES = 10_000
 _ALWAYS_BYTES = 64 * 2**20  # what any archive may unpack to, small as it is
 _MOST_HEADER_BYTES = 2**16
-"""Of what a tar tells before one entry: names of 8 kB, attributes of files. `tarfile` takes headers
+"""Of what a tar says before one entry: names of 8 kB, attributes of files. `tarfile` takes headers
 within each other and the square of a header's length; it is not let to read more."""
 
 _DAMAGED = (
     *(zipfile.BadZipFile, tarfile.TarError, zlib.error, gzip.BadGzipFile, EOFError),
     *(NotImplementedError, ValueError, OverflowError, RecursionError),
 )
+_BELOW = ("urdf", "urdf_w_collider")  # folders of URDFs inside of a model's folder
+_USD = (".usd", ".usda", ".usdc", ".usdz")
 
 
-@dataclass(frozen=True)
-class Member:
-    """A file in an archive: its name, plain and relative, and its size."""
-
-    name: PurePosixPath
-    bytes: int
-
-
-@dataclass(frozen=True)
-class _Entry:
-    """What an archive says of something in it; `odd` is what it is that is no file or folder."""
+class Entry(NamedTuple):
+    """A file or folder in an archive, whose bytes are to be read before the next is asked for;
+    `plain` is whether it is one, packed as usual."""
 
     name: str
     size: int
     folder: bool
-    odd: str
+    plain: bool
     open: Callable[[], IO[bytes] | None]
 
 
-Archive = Callable[[], Iterator[_Entry]]
-"""Goes through an open archive; an entry's bytes are to be read before the next is asked for."""
+Archive = Callable[[], Iterator[Entry]]  # goes through an open one
+
+
+class Unpacked(NamedTuple):
+    """A model that was unpacked: the archive's digest, its folder there, the size of each file by
+    its name in that, and where it is now."""
+
+    sha256: str
+    root: PurePosixPath
+    sizes: dict[str, int]
+    folder: Path
+
+
+def unpack(
+    path: Path, into: Path, wanted: Callable[[str, PurePosixPath], bool]
+) -> Iterator[Unpacked]:
+    """Unpack the models of an archive, one after the other; nothing before all of it was examined.
+
+    Args:
+        into: a folder; a model is unpacked to a new folder in it, which may then be moved.
+        wanted: whether to unpack a model, by the archive's digest and its folder there (`.` is the
+            archive itself); asked of all before any is.
+
+    Raises:
+        InvalidSource: unsafe, damaged, or without a model.
+        MachineFault, MemoryError: the disk is full, or the like.
+    """
+    with _opened(path) as archive:
+        sha256 = sha256_of(path)
+        sizes = _examined(archive, path)
+        root_of = _roots(sizes)
+        roots = sorted(set(root_of.values()))
+        if not roots:
+            raise InvalidSource(
+                f"{path}: holds no URDF and no motion_attributes.json, nor USD; name another"
+            )
+        models = {
+            root: Unpacked(sha256, root, {}, into / str(number) / (root.name or "model"))
+            for number, root in enumerate(roots)
+            if wanted(sha256, root)
+        }
+        left = Counter(root for root in root_of.values() if root in models)
+        needed = sum(sizes[name] for name, root in root_of.items() if root in models)
+        with suppress(OSError):  # nobody knows how much is free
+            if needed > (free := room_at(into)):
+                raise MachineFault(
+                    f"{into}: {megabytes(needed)} are to be unpacked from {path.name} and "
+                    f"{megabytes(free)} are free; free some, or choose a folder on another disk"
+                )
+        for name, entry in _named(archive, path) if models else ():
+            model = models.get(root_of[name]) if name in root_of else None
+            if model is None:
+                continue
+            inner = name.relative_to(model.root)
+            with entry.open() or io.BytesIO() as data:
+                _write(data, model.folder / inner, entry.size, path)
+            model.sizes[str(inner)] = entry.size
+            left[model.root] -= 1
+            if not left[model.root]:
+                yield models.pop(model.root)
+
+
+def _write(data: IO[bytes], to: Path, size: int, path: Path) -> None:
+    try:
+        to.parent.mkdir(parents=True, exist_ok=True)
+        with to.open("xb") as file:
+            shutil.copyfileobj(data, file)  # to the end, where the checksum is compared
+            if file.tell() != size:
+                raise InvalidSource(f"{path}: is damaged ({to.name} is cut short); get it again")
+    except gzip.BadGzipFile:
+        raise
+    except OSError as error:
+        raise MachineFault(cannot_write(to, error, size)) from error
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Archive]:
-    """An archive, by what its first bytes say that it is.
-
-    Raises:
-        InvalidSource: it is none, or damaged; also what its reading raises within the block.
-        MachineFault, MemoryError: the disk does not answer, or the like.
-    """
+def _opened(path: Path) -> Iterator[Archive]:
+    """An archive, by what its first bytes say that it is; InvalidSource where it is none, or
+    whatever reads it within the block finds it damaged."""
     try:
         with open_regular(path, sys.maxsize) as file:
             start = file.read(4)
@@ -93,73 +157,58 @@ def opened(path: Path) -> Iterator[Archive]:
         ) from error
 
 
-def checked_members(archive: Archive, path: Path) -> list[Member]:
-    """Return the files of an archive whose names and sizes are all in order, as `contents` will
-    have them; InvalidSource, with the entry, if one is not, or together they break a bound."""
+def _examined(archive: Archive, path: Path) -> dict[PurePosixPath, int]:
+    """Return the sizes of an archive's files, by their names; InvalidSource, with the entry, if one
+    is not in order, or together they break a bound."""
     packed = path.stat().st_size
     most_bytes = max(_ALWAYS_BYTES, MAX_RATIO * packed)
-    most_entries = min(MAX_FILES, _ALWAYS_ENTRIES + packed // MAX_DENSITY)
-    members: list[Member] = []
-    files: set[PurePosixPath] = set()
-    folders: set[PurePosixPath] = set()
+    most_names = min(MAX_FILES, _ALWAYS_FILES + packed // MAX_DENSITY)
+    sizes: dict[PurePosixPath, int] = {}
+    folders: set[PurePosixPath] = set()  # those too that only the names of files tell of
     total = 0
-    for count, entry in enumerate(archive(), 1):
-        name = _plain_name(entry, path)
+    for count, (name, entry) in enumerate(_named(archive, path), 1):
+        if not entry.folder and name.parts:
+            if name in sizes:
+                _refuse(path, entry.name, "is there twice")
+            sizes[name] = entry.size
+        for folder in (name, *name.parents) if entry.folder else name.parents:
+            if folder in folders:  # and so are those above it
+                break
+            folders.add(folder)
         total += max(entry.size, tarfile.BLOCKSIZE)
-        if count > most_entries or len(folders) > MAX_FOLDERS:
+        if max(count, len(sizes) + len(folders)) > most_names:
             raise InvalidSource(
-                f"{path}: holds more than {most_entries:,} files or {MAX_FOLDERS:,} folders; "
-                "split it, or get it from its authors"
+                f"{path}: holds more than {most_names:,} files and folders; split it, or get it "
+                "from its authors"
             )
         if total > most_bytes:
             raise InvalidSource(
                 f"{path}: unpacks to more than {MAX_RATIO} times its size; it is a trap, or made "
                 "wrongly: get it from its authors"
             )
-        if name is None:
-            continue
-        for folder in (name, *name.parents) if entry.folder else name.parents:
-            if folder in folders:  # and so are those above it
-                break
-            folders.add(folder)
-        if entry.folder:
-            continue
-        if name in files:
-            _refuse(path, entry.name, "is there twice")
-        files.add(name)
-        members.append(Member(name, entry.size))
-    for name in files & folders:
+    for name in sizes.keys() & folders:
         _refuse(path, str(name), "is a file and a folder")
-    return members
+    return sizes
 
 
-def contents(archive: Archive, path: Path) -> Iterator[tuple[Member, IO[bytes]]]:
-    """Yield the files of an archive with their bytes, checked again as by `checked_members`; each
-    must be read before the next."""
+def _named(archive: Archive, path: Path) -> Iterator[tuple[PurePosixPath, Entry]]:
+    """Yield what is in an archive, with names that can only lie below a folder."""
     for entry in archive():
-        name = _plain_name(entry, path)
-        if name is not None and not entry.folder and (data := entry.open()):
-            with data:
-                yield Member(name, entry.size), data
-
-
-def _plain_name(entry: _Entry, path: Path) -> PurePosixPath | None:
-    """The entry's name, where it is one that can only lie below a folder; None for the folder."""
-    name = entry.name
-    if entry.odd:
-        _refuse(path, name, f"is {entry.odd}")
-    if name.startswith("/") or name[1:2] == ":":
-        _refuse(path, name, "is an absolute name")
-    if "\\" in name or not name.isprintable():
-        _refuse(path, name, "has a backslash or a control character in its name")
-    parts = [part for part in name.split("/") if part not in ("", ".")]
-    if ".." in parts:
-        _refuse(path, name, "leads out of the folder")
-    if len(parts) > MAX_DEPTH or any(len(part.encode()) > MAX_NAME_BYTES for part in parts):
-        _refuse(path, name, "has too long a name")
-    if not 0 <= entry.size <= MAX_FILE_BYTES:
-        _refuse(path, name, f"has more than {MAX_FILE_BYTES // 2**20} MiB")
-    return PurePosixPath(*parts) if parts else None
+        name = entry.name
+        parts = [part for part in name.split("/") if part not in ("", ".")]
+        if not entry.plain:
+            _refuse(path, name, "is a link, a device, encrypted or packed in an unusual way")
+        if name.startswith("/") or name[1:2] == ":":
+            _refuse(path, name, "is an absolute name")
+        if "\\" in name or not name.isprintable():
+            _refuse(path, name, "has a backslash or a control character in its name")
+        if ".." in parts:
+            _refuse(path, name, "leads out of the folder")
+        if len(parts) > MAX_DEPTH or any(len(part.encode()) > MAX_NAME_BYTES for part in parts):
+            _refuse(path, name, "has too long a name")
+        if not 0 <= entry.size <= MAX_FILE_BYTES:
+            _refuse(path, name, f"has more than {MAX_FILE_BYTES // 2**20} MiB")
+        yield PurePosixPath(*parts), entry
 
 
 def _refuse(path: Path, name: str, why: str) -> NoReturn:
@@ -169,35 +218,30 @@ def _refuse(path: Path, name: str, why: str) -> NoReturn:
     )
 
 
-def _zip_entries(archive: zipfile.ZipFile) -> Iterator[_Entry]:
+def _zip_entries(archive: zipfile.ZipFile) -> Iterator[Entry]:
     for info in archive.infolist():
-        kind = stat.S_IFMT(info.external_attr >> 16)
-        odd = ""
-        if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
-            odd = "a link" if kind == stat.S_IFLNK else "a device"
-        elif info.flag_bits & 0x1:
-            odd = "encrypted"
-        elif info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            odd = "packed in an unusual way"
+        plain = (
+            stat.S_IFMT(info.external_attr >> 16) in (0, stat.S_IFREG, stat.S_IFDIR)
+            and not info.flag_bits & 0x1
+            and info.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+        )
         # `filename` ends where a NUL hides the rest; `is_dir` of 3.11 stumbles over no letters
         folder = info.filename.endswith("/")
-        yield _Entry(info.orig_filename, info.file_size, folder, odd, partial(archive.open, info))
+        yield Entry(info.orig_filename, info.file_size, folder, plain, partial(archive.open, info))
 
 
-def _tar_entries(packed: BinaryIO) -> Iterator[_Entry]:
+def _tar_entries(packed: BinaryIO) -> Iterator[Entry]:
     packed.seek(0)
     file = _Allowed(fileobj=packed, mode="rb")
     archive = tarfile.TarFile(fileobj=file, encoding="utf-8", errors="surrogateescape")
     while info := archive.next():
         archive.members.clear()  # pyright: ignore[reportAttributeAccessIssue] - it would keep all
-        sparse = any(key.startswith("GNU.sparse") for key in info.pax_headers)
-        odd = ""
-        if info.issym() or info.islnk():
-            odd = "a link"
-        elif not (info.isdir() or info.isreg()) or info.sparse is not None or sparse:
-            odd = "a device, or packed in an unusual way"
+        sparse = info.sparse is not None or any(
+            k.startswith("GNU.sparse") for k in info.pax_headers
+        )
+        plain = (info.isdir() or info.isreg()) and not sparse
         file.allowed = max(0, info.size)
-        yield _Entry(info.name, info.size, info.isdir(), odd, partial(archive.extractfile, info))
+        yield Entry(info.name, info.size, info.isdir(), plain, partial(archive.extractfile, info))
         file.allowed = _MOST_HEADER_BYTES
     file.allowed = sys.maxsize
     while block := file.read(2**18):  # to the end, where gzip has its checksum
@@ -216,3 +260,29 @@ class _Allowed(gzip.GzipFile):
         data = super().read(size)
         self.allowed -= len(data)
         return data
+
+
+def _roots(files: Iterable[PurePosixPath]) -> dict[PurePosixPath, PurePosixPath]:
+    """Return the model's folder of each file that lies in one; of folders in each other the inner
+    one."""
+    names = [  # without what file managers leave behind
+        n for n in files if not any(p.startswith(".") or p == "__MACOSX" for p in n.parts)
+    ]
+    roots = {
+        name.parent.parent if name.parent.name in _BELOW else name.parent
+        for name in names
+        if name.suffix.lower() == ".urdf"
+        or name.name in ("motion_attributes.json", f"{name.parent.name}.articulations.json")
+    }
+    if not roots:  # beside other marks USD files are meshes, and so are layers of another's model
+        folders = {name.parent for name in names if name.suffix.lower() in _USD}
+        roots = {
+            folder
+            for folder in folders
+            if not any(
+                above.name.lower() in LAYER_FOLDERS and above.parent in folders
+                for above in (folder, *folder.parents)
+            )
+        }
+    nearest = {name: next((f for f in name.parents if f in roots), None) for name in names}
+    return {name: root for name, root in nearest.items() if root is not None}

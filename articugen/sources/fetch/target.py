@@ -1,59 +1,47 @@
 """The folder that models are fetched into: what is whole in it, and the list of all that came.
 
 Each model has a record in the ledger, written before its folder gets its name: a model is there
-with all files that its record tells of, whole and checked, or not at all. `fetched.json` is the
-list of the records, with the terms.
+with all files that its record lists, whole and checked, or not at all. `fetched.json` is the list
+of the records, with the terms. Nothing in the folder that has a name is ever deleted.
 """
 
-import fcntl
 import json
 import os
 import secrets
 import shutil
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import BinaryIO
 
 from pydantic import TypeAdapter
 
-from articugen.core.content import VERSION
-from articugen.core.errors import (
-    ArticugenError,
-    InvalidArgument,
-    InvalidSource,
-    MachineFault,
-    NotFetched,
-    printable,
-)
+from articugen.core.errors import InvalidSource, MachineFault, NotFetched, printable
 from articugen.core.files import (
     UnfitFile,
     cannot_write,
-    is_no_folder,
+    lock_folder,
     make_folder,
-    sha256_of,
     whole_name,
     within,
-    write_atomically,
 )
 from articugen.core.ledger import Ledger
 from articugen.core.place import Folder
-from articugen.sources.fetch.models import Unpacked, unpack
+from articugen.sources.fetch.archives import Unpacked, unpack
 from articugen.sources.fetch.terms import NAMES, Terms, terms_of
 from articugen.sources.source import load_path
 
 LIST_NAME = "fetched.json"
-WORK_NAME = ".fetch"  # of the folder in it for what is not finished
 TERMS_NAME = "terms"  # of the folder in it for what the publisher says of them
-ASIDE_NAME = ".set-aside"  # of the folder in it for what was in the way and did not come from here
-CATEGORIES_NAME = "categories.json"
-"""In that of what is not finished: which model is of which category, where that is looked up."""
+WORK_NAME = ".fetch"  # of the folder in it for what is not finished
+_UNPACKING = f"{WORK_NAME}/unpacking"
+_RENAME = "rename the folder of one, or fetch it into another folder"
+_ASIDE = ".set-aside"  # of the folder in it for models that others have taken the place of
 
 
 @dataclass(frozen=True)
 class Fetched:
-    """What is there now of what was asked for.
+    """Result of a call: what is there now of the models that were asked for.
 
     Attributes:
         folder: where it is.
@@ -78,33 +66,27 @@ class Receipt:
     Attributes:
         source: the data set's name.
         archive, archive_sha256: what it was unpacked from.
-        bytes: of all its files.
+        sizes: of each file, by its name; `fetched.json` has their number and sum.
         sha256: the digest of the model as it is read; None of one that is refused.
         refused: why it cannot be used, in a sentence.
-        checked_by: the version of articugen that says so.
-        listing: the SHA-256 of each file, by its name; the list of all models has their number.
     """
 
     source: str
     archive: str
     archive_sha256: str
-    bytes: int
+    sizes: dict[str, int]
     sha256: str | None
     refused: str | None
-    checked_by: str = VERSION
-    listing: Mapping[str, str] = field(default_factory=dict)
 
 
 _RECEIPT = TypeAdapter(Receipt)
 
 
 class Target:
-    """A folder that one process at a time fetches into; `receipts` are of all models that are there
-    whole, by the name of their folder in it."""
+    """A folder that one process at a time fetches into (`place`); `receipts` are of all models that
+    are there whole, by the name of their folder in it."""
 
-    def __init__(
-        self, folder: Path, terms: Terms, notice: Callable[[str], None] = lambda _: None
-    ) -> None:
+    def __init__(self, folder: Path, terms: Terms, notice: Callable[[str], None]) -> None:
         """
         Args:
             notice: called with a sentence for each folder that is set aside.
@@ -115,45 +97,41 @@ class Target:
         """
         self.folder, self.terms, self._notice = folder, terms, notice
         self.failed: dict[str, str] = {}
-        self._claims: dict[PurePosixPath, tuple[str, str]] = {}
-        self._ledger = Ledger(Folder(folder))
-        self.work = self.path(WORK_NAME)
+        self.receipts: dict[str, Receipt] = {}
+        self._recorded: set[str] = set()  # with those of which something is missing
+        self._new = 0
+        self._origins: dict[PurePosixPath, tuple[Path, PurePosixPath]] = {}
+        self.place = Folder(folder)
+        self._ledger = Ledger(self.place)
+        work = self.path(WORK_NAME)
         try:
-            make_folder(self.work)
-            flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
-            self._lock: BinaryIO = os.fdopen(os.open(self.work / "lock", flags, 0o666), "r+b")
+            make_folder(work)
+            self._lock = lock_folder(work)
         except OSError as error:
             raise MachineFault(cannot_write(folder, error)) from error
-        except ValueError:
-            raise InvalidArgument(
-                f"{str(folder)!r}: no folder can have that name; choose another"
-            ) from None
         try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            self._lock.close()
-            raise ArticugenError(
-                f"{folder}: another process fetches into it; wait for it, or choose another folder"
-            ) from None
-        try:
-            self._begin()
+            self._begin(work)
         except BaseException:
-            self._lock.close()
+            os.close(self._lock)
             raise
 
-    def _begin(self) -> None:
+    def _begin(self, work: Path) -> None:
         """Remove what a killed process was writing, and read what came before."""
-        shutil.rmtree(self.work / "unpacking", ignore_errors=True)
-        self._ledger.place.delete(self._ledger.leftovers())
-        for path in (*self.folder.glob(".*.partial"), *self.work.glob(".*.partial")):
-            if whole_name(path.name) in (LIST_NAME, CATEGORIES_NAME) and path.is_file():
+        shutil.rmtree(self.folder / _UNPACKING, ignore_errors=True)
+        self.place.delete(self._ledger.leftovers())
+        for path in (*self.folder.glob(f".{LIST_NAME}.*.partial"), *work.glob(".*.partial")):
+            if whole_name(path.name) and path.is_file():
                 path.unlink(missing_ok=True)
-        self._recorded = {
-            name: _receipt(data)
-            for name, data in sorted(self._ledger.known().items())
-            if (self.folder / name).is_dir()
-        }
-        self.receipts = {n: r for n, r in self._recorded.items() if r and self._is_whole(n, r)}
+        for name, data in sorted(self._ledger.known().items()):
+            with suppress(OSError, ValueError):  # and what is no record of ours counts for nothing
+                folder = within(self.folder, name)
+                if not folder.is_dir():
+                    continue
+                self._recorded.add(name)
+                receipt = _RECEIPT.validate_json(data)
+                sizes = {file: os.lstat(folder / file).st_size for file in receipt.sizes}
+                if sizes and sizes == receipt.sizes and receipt.source in NAMES:
+                    self.receipts[name] = receipt
 
     def path(self, name: str) -> Path:
         """Return the path of something of that name in the folder, to be written; MachineFault
@@ -163,195 +141,134 @@ class Target:
         except UnfitFile as error:
             raise MachineFault(cannot_write(self.folder / name, error)) from error
 
-    def _is_whole(self, name: str, receipt: Receipt) -> bool:
-        """Return whether all that came of a model is there, whatever else is there."""
-        with suppress(OSError, ValueError):
-            folder = within(self.folder, name)
-            sizes = (os.lstat(folder / file).st_size for file in receipt.listing)
-            return bool(receipt.listing) and receipt.bytes == sum(sizes)
-        return False
-
     def lacks(self, place: PurePosixPath, archive_sha256: str | None, name: str) -> bool:
         """Return whether a model is to be fetched: it is not there whole, from just that archive
         (None: from any), and nothing is in its way; what is in the way is noted under the model's
         `name`.
 
-        A model that is there and was checked by another version is checked again.
+        A refused model that is there is read again: it may have been an older version's refusal.
         """
         receipt = self.receipts.get(str(place))
         if receipt and archive_sha256 in (None, receipt.archive_sha256):
-            if receipt.checked_by != VERSION:
-                sha256, refused = self._judged(self.folder / place)
-                self._record(
-                    place, replace(receipt, sha256=sha256, refused=refused, checked_by=VERSION)
-                )
+            if receipt.refused:
+                sha256, refused = _read(self.folder / place, place)
+                self._record(place, replace(receipt, sha256=sha256, refused=refused))
             return False
-        try:
-            self._free(place)
-        except InvalidSource as error:
-            self.fail(name, error)
-            return False
-        return True
+        why = self._in_the_way(place)
+        if why:
+            self.fail(name, f"{place}: {why}")
+        return not why
 
-    def _free(self, place: PurePosixPath) -> Path:
-        """Return the folder of a model; InvalidSource if its name is kept for others, a model is in
-        a model, or something that was not fetched is in the way."""
-        to = self.folder / place
+    def _in_the_way(self, place: PurePosixPath) -> str:
+        """Return why no model can be put there, "" where one can: its name is kept for others, it
+        would lie in another model, or something that was not fetched is there."""
         first = place.parts[0].casefold() if place.parts else ""
-        if (
-            first in ("", LIST_NAME, TERMS_NAME)
-            or any(part.startswith(".") for part in place.parts)
-            or not str(place).isprintable()
-        ):
-            raise InvalidSource(f"{to}: no model can be called so here; rename its folder")
+        hidden = any(part.startswith(".") for part in place.parts)
+        if hidden or first in ("", LIST_NAME, TERMS_NAME) or not str(place).isprintable():
+            return "no model can be called so here; rename its folder"
         try:
-            within(self.folder, str(place))
+            to = within(self.folder, str(place))
         except UnfitFile as error:
-            raise InvalidSource(f"{to}: {error.strerror}; move it away to fetch it") from None
+            return f"{error.strerror}; move it away to fetch it"
         for above in place.parents[:-1]:
-            if above in self._claims or str(above) in self._recorded:
-                raise InvalidSource(
-                    f"{to}: lies in the folder of another model, {above}; unpack it elsewhere"
-                )
-            if is_no_folder(self.folder / above):
-                raise InvalidSource(f"{self.folder / above}: is no folder; move it away")
-        ours = str(place) in self._recorded or self._ledger.is_damaged(str(place))
-        if os.path.lexists(to) and not ours:
-            raise InvalidSource(f"{to}: is there, and was not fetched; move it away to fetch it")
-        return to
+            if above in self._origins or str(above) in self._recorded:
+                return f"lies in the folder of another model, {above}; unpack it elsewhere"
+        known = str(place) in self._recorded or self._ledger.is_damaged(str(place))
+        if os.path.lexists(to) and not known:
+            return "is there, and was not fetched; move it away to fetch it"
+        return ""
 
     def take(
-        self, path: Path, archive: str, sha256: str, place: Callable[[PurePosixPath], PurePosixPath]
-    ) -> tuple[list[str], int]:
+        self, path: Path, archive: str, place: Callable[[PurePosixPath], PurePosixPath]
+    ) -> list[str]:
         """Unpack the models of an archive that are not there, check them and give each its folder.
 
         Args:
-            archive, sha256: what the archive is called in the list, and its digest.
+            archive: what it is called in the list.
             place: the folder here of a model's folder in the archive.
 
         Returns:
-            the places of all models in it, and how many came now; raises as `unpack`.
+            the places of all models in it; raises as `unpack`.
         """
-        new = 0
+        places: list[str] = []
 
-        def wanted(root: PurePosixPath) -> bool:
-            to, origin, name = place(root), f"{sha256}/{root}", str(path.name / root)
-            first, called = self._claims.setdefault(to, (origin, name))
-            if first == origin:
+        def wanted(sha256: str, root: PurePosixPath) -> bool:
+            to, name = place(root), str(path.name / root)
+            places.append(str(to))
+            origin = self._origins.setdefault(to, (path, root))
+            if origin == (path, root):
                 return self.lacks(to, sha256, name)
-            why = f"{self.folder / to}: is where another model goes, {printable(called)}; "
-            cure = "rename the folder of one, or fetch it into another folder"
-            self.fail(name, InvalidSource(why + cure))
+            other = printable(str(origin[0].name / origin[1]))
+            self.fail(name, f"{to}: is where another model goes, {other}; {_RENAME}")
             return False
 
-        def take_in(model: Unpacked, staged: Path) -> None:
-            nonlocal new
-            self._take_in(place(model.root), model, staged, archive, sha256)
-            new += 1
-
-        folder = self.path(f"{WORK_NAME}/unpacking/{secrets.token_hex(4)}")
+        folder = self.path(_UNPACKING)
         try:
-            folder.mkdir(parents=True)
-        except OSError as error:
-            raise MachineFault(cannot_write(folder, error)) from error
-        try:
-            roots = unpack(path, folder, wanted, take_in)
+            for model in unpack(path, folder, wanted):
+                self._take_in(place(model.root), model, archive)
         finally:
             shutil.rmtree(folder, ignore_errors=True)
-        return [str(place(root)) for root in roots], new
+        return places
 
-    def _take_in(
-        self, place: PurePosixPath, model: Unpacked, staged: Path, archive: str, sha256: str
-    ) -> None:
-        """Check a model and give it its folder, in one step; what was there of it before is gone,
-        or set aside where anything in it is somebody's own."""
-        to = self._free(place)
-        judged = self._judged(staged, to)
-        receipt = Receipt(
-            self.terms.source, archive, sha256, model.bytes, *judged, listing=model.listing
-        )
+    def _take_in(self, place: PurePosixPath, model: Unpacked, archive: str) -> None:
+        """Check a model and give it its folder, in one step; what was there of it before is set
+        aside."""
+        to, source = self.folder / place, self.terms.source
+        receipt = Receipt(source, archive, model.sha256, model.sizes, *_read(model.folder, place))
         try:
             make_folder(to.parent)
             if to.exists():
-                away = staged.with_name(f"{staged.name}.old")
-                old = self._recorded.get(str(place))
-                if not _only(to, {*model.listing.items(), *(old.listing.items() if old else ())}):
-                    number = 1
-                    while os.path.lexists(away := self.path(f"{ASIDE_NAME}/{number}/{place}")):
-                        number += 1
-                    make_folder(away.parent)
-                    self._notice(
-                        f"{to}: holds what was not fetched, or has changed; it is in {away} now"
-                    )
-                to.rename(away)
+                aside = self.path(f"{_ASIDE}/{secrets.token_hex(4)}/{place}")
+                make_folder(aside.parent)
+                to.rename(aside)
+                self._notice(f"{to}: was of another version, or had changed; it is in {aside} now")
             self._record(place, receipt)
-            staged.rename(to)
+            model.folder.rename(to)
         except OSError as error:
             raise MachineFault(cannot_write(to, error)) from error
+        self._new += 1
 
     def _record(self, place: PurePosixPath, receipt: Receipt) -> None:
         self._ledger.record(str(place), _text(asdict(receipt)))
-        self._recorded[str(place)] = self.receipts[str(place)] = receipt
+        self._recorded.add(str(place))
+        self.receipts[str(place)] = receipt
 
-    def _judged(self, path: Path, shown: Path | None = None) -> tuple[str | None, str | None]:
-        """Return a model's digest, or why it cannot be used: it is read as any command reads it."""
-        shown = shown or path
-        try:
-            return load_path(path).sha256, None
-        except InvalidSource as error:
-            why = str(error).replace(str(path.resolve()), str(shown)).replace(str(path), str(shown))
-            return None, why.replace(f"{self.folder}/", "")
-
-    def fail(self, name: str, error: Exception, archive: Path | None = None) -> None:
-        """Note what could not be fetched or unpacked, without the paths of this machine."""
-        why = str(error)
+    def fail(self, name: str, why: str, archive: Path | None = None) -> None:
+        """Note why something is not fetched or unpacked, without the paths of this machine."""
         if archive:
             why = why.replace(printable(str(archive)), printable(archive.name))
-        self.failed[printable(name)] = why.replace(f"{self.folder}/", "")
+        self.failed[printable(name)] = printable(why.replace(f"{self.folder}/", ""))
 
-    def outcome(self, places: Collection[str], new: int) -> Fetched:
+    def outcome(self, places: Collection[str]) -> Fetched:
         """Return what is there of the models in these folders; NotFetched if not one of them is."""
         there = {name: self.receipts[name] for name in places if name in self.receipts}
         if self.failed and not there:
             raise NotFetched(next(iter(self.failed.values())))
         refused = {name: receipt.refused for name, receipt in there.items() if receipt.refused}
-        return Fetched(self.folder, self.terms, len(there), new, refused, dict(self.failed))
+        return Fetched(self.folder, self.terms, len(there), self._new, refused, self.failed)
 
     def close(self) -> None:
         """Write the list of all that came, and let others in."""
         models = {name: asdict(receipt) for name, receipt in self.receipts.items()}
         for model in models.values():
-            model["files"] = len(model.pop("listing"))
+            sizes = model.pop("sizes").values()
+            model |= {"files": len(sizes), "bytes": sum(sizes)}
         sources = {self.terms.source, *(receipt.source for receipt in self.receipts.values())}
-        terms = {name: asdict(terms_of(name)) for name in sources}
+        terms = {name: terms_of(name)._asdict() for name in sources}
         try:
-            write_atomically(
-                self.folder / LIST_NAME,
-                _text({"terms": terms, "models": models, "failed": self.failed}),
-            )
+            report = {"terms": terms, "models": models, "failed": self.failed}
+            self.place.write(LIST_NAME, _text(report))
         finally:
-            self._lock.close()
+            os.close(self._lock)
 
 
-def _receipt(data: bytes) -> Receipt | None:
-    """Return a model's record; None where it is none that can be believed."""
-    with suppress(ValueError):
-        receipt = _RECEIPT.validate_json(data)
-        return receipt if receipt.source in NAMES else None
-    return None
-
-
-def _only(folder: Path, known: set[tuple[str, str]]) -> bool:
-    """Return whether every file below a folder is one of these, by name and SHA-256."""
+def _read(folder: Path, place: PurePosixPath) -> tuple[str | None, str | None]:
+    """Return a model's digest, or why it cannot be used: it is read as any command reads it."""
     try:
-        return all(
-            not file.is_symlink()
-            and (file.relative_to(folder).as_posix(), sha256_of(file)) in known
-            for file in folder.rglob("*")
-            if is_no_folder(file)
-        )
-    except OSError:
-        return False
+        return load_path(folder).sha256, None
+    except InvalidSource as error:
+        why = str(error).replace(str(folder.resolve()), str(place))
+        return None, why.replace(str(folder), str(place))
 
 
 def _text(value: object) -> bytes:

@@ -1,23 +1,21 @@
 """Whose the models are, and on which terms; shown before they are fetched, and kept beside them."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from articugen.core.errors import InvalidArgument
 from articugen.core.yaml_files import nearest
 from articugen.sources.source_file import plain, read_source_file, source_files
 
 
-@dataclass(frozen=True)
-class Terms:
-    """Of one data set."""
+class Terms(NamedTuple):
+    """Origin and licence of one data set."""
 
     source: str
     origin: str
     licence: str
 
 
-_OTHERS: Mapping[str, tuple[str, str]] = {
+_OTHERS = {
     "articraft": (
         "Articraft-10K (arXiv 2605.15187), camvsl/Articraft-10K at Hugging Face, compiled URDFs",
         "CC BY 4.0",
@@ -46,13 +44,11 @@ NAMES = ("partnet-mobility", "shape2motion", *_OTHERS)
 def terms_of(name: str) -> Terms:
     """Return the terms of a data set, by its name in any writing; InvalidArgument if there is
     none."""
-    own = next((known for known in NAMES if plain(known) == plain(name)), None)
-    if own is None:
-        raise InvalidArgument(
-            f"no data set {name!r} to fetch{nearest(name, list(NAMES))}; there are: "
-            f"{', '.join(NAMES)}"
-        )
-    if own in _OTHERS:
-        return Terms(own, *_OTHERS[own])
-    file = read_source_file(source_files()[own.replace("-", "_")])
-    return Terms(own, file.origin, file.licence)
+    source = next((known for known in NAMES if plain(known) == plain(name)), None)
+    if source is None:
+        hint = nearest(name, list(NAMES))
+        raise InvalidArgument(f"no data set {name!r} to fetch{hint}; there are: {', '.join(NAMES)}")
+    if source in _OTHERS:
+        return Terms(source, *_OTHERS[source])
+    file = read_source_file(source_files()[source.replace("-", "_")])
+    return Terms(source, file.origin, file.licence)

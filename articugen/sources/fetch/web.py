@@ -1,51 +1,54 @@
-"""A web server's files: resumed where a connection is cut, checked against their digest.
+"""A web server's files: resumed where a connection is cut, compared with their digest.
 
 The standard library does it: Hugging Face's own client (2.4) begins a file again once its process
 has ended, examines sizes alone, and knows no other publisher.
 """
 
 import http.client
-import io
-import json
 import re
 import ssl
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from threading import Event
-from typing import Any, TypeVar
-from urllib.parse import urljoin, urlsplit
+from typing import Any, NamedTuple, TypeVar
+from urllib.parse import urlsplit
 
 from articugen.core.errors import AccessRefused, MachineFault, NotFetched, printable
-from articugen.core.files import cannot_write, sha256_of, within
+from articugen.core.files import cannot_write, sha256_of
 
-MAX_FILE_BYTES = 4 * 2**30  # of a file, whatever size is told
+MAX_FILE_BYTES = 4 * 2**30  # of a file, whatever size its publisher states
 
 WAITS = (1.0, 2.0, 4.0, 8.0)
 """Seconds before each further try, where a connection is cut or the server is busy."""
 
-_MAX_JSON_BYTES = 16 * 2**20
+_AT_ONCE = 8  # requests
+_MAX_ANSWER_BYTES = 16 * 2**20
 _BLOCK = 2**18
-_MOST_DIGITS = 20
-_TAIL = 2**16
 _SECONDS = 30.0
 _LONGEST_WAIT = 300.0
 _BUSY = (408, 429, 500, 502, 503, 504)
+_REFUSALS = {
+    401: ("the token is missing or wrong (401); {cure}", AccessRefused),
+    403: ("access is not granted (403); {cure}", AccessRefused),
+    404: ("is not there (404); look for its name at the publisher's", NotFetched),
+}
+_TOO_LARGE = "is larger than it should be; report it to its publisher"
+_OTHER = "the server answers {code}; try again later"
 _CUT = (
-    urllib.error.URLError,
-    http.client.HTTPException,
-    ConnectionError,
-    TimeoutError,
-    ssl.SSLError,
+    *(urllib.error.URLError, http.client.HTTPException, ssl.SSLError),
+    *(ConnectionError, TimeoutError),
 )
 _Answer = TypeVar("_Answer")
 
 
 class _Redirects(urllib.request.HTTPRedirectHandler):
-    """Leads on to other servers, where files lie, without the token, and to other places of the
-    same server with it; never from https to http, nor to what is neither."""
+    """Redirects to other servers, where files lie, without the token, and within a server with it;
+    never from https to http, nor to what is neither."""
 
     def redirect_request(
         self, req: Any, fp: Any, code: int, msg: str, headers: Any, newurl: str
@@ -69,33 +72,25 @@ class _Redirects(urllib.request.HTTPRedirectHandler):
 _OPENER = urllib.request.build_opener(_Redirects)
 
 
-@dataclass(frozen=True)
-class Published:
-    """A file as it is published.
+class Published(NamedTuple):
+    """A file as it is published: where on its server, its name in the list of what came, and what
+    is stated of it."""
 
-    Attributes:
-        name: from the data set's folder on.
-        address: where its server has it.
-        size, sha256: None where nobody tells.
-        called: its name in the list of what came, with the version of the data set.
-    """
-
-    name: str
     address: str
+    called: str
     size: int | None = None
     sha256: str | None = None
-    called: str = ""
 
 
 @dataclass(frozen=True)
 class Server:
-    """Where files are published.
+    """A publisher's server.
 
     Attributes:
         base: its address.
-        token: sent as `Authorization: Bearer`, to no other server, and told to nobody.
+        token: sent as `Authorization: Bearer`, to no other server, and shown to nobody.
         cure: what to do where it refuses access.
-        stop: once it is set, what is under way ends with the block that is at hand.
+        stop: once it is set, what is under way ends with the present block.
     """
 
     base: str
@@ -103,124 +98,97 @@ class Server:
     cure: str = ""
     stop: Event = field(default_factory=Event, repr=False, compare=False)
 
-    def json(self, address: str) -> tuple[Any, str]:
-        """Return what an address answers, and the address of the next page, "" after the last;
-        AccessRefused or NotFetched where it does not answer, or with something else."""
+    def each(
+        self, ask: Callable[[str], _Answer], names: Iterable[str]
+    ) -> Generator[tuple[str, Future[_Answer]], None, None]:
+        """Ask for names, some at once, and yield what each one gives as it comes; to be closed.
+
+        After an error no more is asked for, and nobody waits for what is under way: a silent server
+        is no reason to stay.
+        """
+        pool, waiting = ThreadPoolExecutor(_AT_ONCE), iter(names)
+        coming: dict[Future[_Answer], str] = {}
+        try:
+            while True:
+                for name in islice(waiting, 2 * _AT_ONCE - len(coming)):
+                    coming[pool.submit(ask, name)] = name
+                if not coming:
+                    break
+                for future in wait(coming, return_when=FIRST_COMPLETED).done:
+                    yield coming.pop(future), future
+        except BaseException:
+            self.stop.set()
+            raise
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+    def get(self, address: str, part: range | None = None) -> tuple[bytes, str]:
+        """Return what an address answers, or the bytes `part` of it, and the header `Link` that
+        comes with it; AccessRefused or NotFetched where it does not answer, or not with these."""
+        headers = {"Range": f"bytes={part.start}-{part.stop - 1}"} if part else {}
+        most = len(part) if part else _MAX_ANSWER_BYTES
 
         def once() -> tuple[bytes, str]:
-            with self._ask(address) as response:
-                return response.read(_MAX_JSON_BYTES), response.headers.get("Link", "")
-
-        data, link = self._persist(address, once)
-        try:
-            answer = json.loads(data)
-        except (ValueError, RecursionError):
-            raise self._not_fetched(address, "answers what is no JSON; try again later") from None
-        following = re.search(r'<([^<>]*)>;\s*rel="next"', link)
-        if not following:
-            return answer, ""
-        try:
-            whole = urljoin(self.base, following[1])
-        except ValueError:
-            whole = ""
-        if not whole.startswith(f"{self.base}/"):
-            raise NotFetched(f"{_shown(self.base)}: leads on to another server; try again later")
-        return answer, whole.removeprefix(self.base)
-
-    def part(self, address: str, first: int, last: int) -> bytes:
-        """Return the bytes `first` to `last` of a file, both counted; AccessRefused or NotFetched
-        where it does not answer, or not with these."""
-
-        def once() -> bytes:
-            with self._ask(address, {"Range": f"bytes={first}-{last}"}) as response:
-                if response.status != 206:
+            with self._ask(address, headers) as response:
+                if part and response.status != 206:
                     raise self._not_fetched(address, "no part of the file is given")
-                data = response.read(last - first + 1)
-            if len(data) <= last - first:
-                raise ConnectionError("the connection was cut")
-            return data
+                data = response.read(most)
+                if response.length and len(data) < most:
+                    raise ConnectionError("the connection was cut")
+                return data, response.headers.get("Link", "")
 
         return self._persist(address, once)
 
-    def download(self, file: Published, to: Path) -> str:
-        """Get a file, or what is missing of it; its digest.
+    def download(self, file: Published, to: Path) -> None:
+        """Get a file, or what is missing of it.
 
-        What came before a cut, or before a process was killed, is kept beside `to` and gone on
-        from; of a file whose digest nobody tells, only what came within this call.
+        What came before a cut, or before a process was killed, is kept and completed; of a file
+        whose digest nobody states, only what came within this call.
 
         Raises:
             AccessRefused, NotFetched: it does not come, or is another than it should be.
             MachineFault: the disk is full, or the like.
         """
-        address, size = file.address, file.size
-        if size is not None and size > MAX_FILE_BYTES:
-            raise self._too_large(address)
-        marks: dict[str, str] = {}
+        if (file.size or 0) > MAX_FILE_BYTES:
+            raise self._not_fetched(file.address, _TOO_LARGE)
         try:
             to.parent.mkdir(parents=True, exist_ok=True)
-            part = within(to.parent, f".{to.name}.part")
-            if file.sha256 is None or (size is not None and _length(part) > size):
-                part.unlink(missing_ok=True)
-            if size is None or not part.exists() or _length(part) != size:
-                self._persist(
-                    address,
-                    lambda: self._continue(address, part, size, marks),
-                    lambda: _length(part),
-                )
-            digest = sha256_of(part)
-            if file.sha256 not in (None, digest):
-                part.unlink()
+            if file.sha256 is None:
+                to.unlink(missing_ok=True)
+            self._persist(file.address, lambda: self._continue(file, to), lambda: _length(to))
+            if file.sha256 not in (None, sha256_of(to)):
+                to.unlink()
                 raise self._not_fetched(
-                    address,
-                    "came with another digest than its publisher tells; try again, and tell them "
-                    "if it stays so",
+                    file.address,
+                    "came with another digest than its publisher states; try again, and report "
+                    "it to them if it stays so",
                 )
-            part.replace(to)
         except OSError as error:
-            raise MachineFault(cannot_write(to, error, size or 0)) from error
-        return digest
+            raise MachineFault(cannot_write(to, error, file.size or 0)) from error
 
-    def _continue(self, address: str, part: Path, size: int | None, marks: dict[str, str]) -> None:
-        """Ask for what is missing of a file and append it; `marks` is what the server called the
-        version that came so far."""
-        have = _length(part)
-        headers = {"Range": f"bytes={have}-"} if have else {}
-        if have and marks.get("ETag"):
-            headers["If-Range"] = marks["ETag"]
-        try:
-            response = self._ask(address, headers)
-        except urllib.error.HTTPError as error:
-            if error.code == 416:  # it has become shorter than what came
-                error.close()
-                part.unlink()
-                raise ConnectionError("the file has changed") from None
-            raise
-        with response:
-            told = response.headers
+    def _continue(self, file: Published, to: Path) -> None:
+        """Ask for what is missing of a file and append it."""
+        have, size = _length(to), file.size
+        if size is not None and 0 < size <= have:
+            return
+        most = MAX_FILE_BYTES if size is None else size
+        with self._ask(file.address, {"Range": f"bytes={have}-"} if have else {}) as response:
             resumed = response.status == 206
-            resumed = resumed and told.get("Content-Range", "").startswith(f"bytes {have}-")
             have = have if resumed else 0
-            mark = told.get("ETag", "")
-            marks["ETag"] = "" if mark.startswith("W/") else mark
-            rest = told.get("Content-Length", "")
-            whole = size
-            if size is None and rest.isdecimal() and len(rest) < _MOST_DIGITS:
-                whole = have + int(rest)
-            most = MAX_FILE_BYTES if size is None else size
-            with part.open("ab" if resumed else "wb") as file:
+            with to.open("ab" if resumed else "wb") as out:
                 while have <= most and (block := response.read(_BLOCK)):
-                    file.write(block)
-                    have += len(block)
-                    self._go_on(address)
+                    have += out.write(block)
+                    self._check_stop(file.address)
+            rest = response.length or 0
         if have > most:
-            part.unlink()
-            raise self._too_large(address)
-        if whole is not None and have < whole:
+            to.unlink()
+            raise self._not_fetched(file.address, _TOO_LARGE)
+        if rest or have < (size or 0):
             raise ConnectionError("the connection was cut")
 
-    def _ask(self, address: str, headers: Mapping[str, str] | None = None) -> Any:
+    def _ask(self, address: str, headers: Mapping[str, str]) -> Any:
         try:
-            request = urllib.request.Request(self.base + address, headers=dict(headers or {}))
+            request = urllib.request.Request(self.base + address, headers=dict(headers))
             if request.type not in ("http", "https"):
                 raise ValueError(request.type)
             request.add_header("User-Agent", "articugen")
@@ -237,19 +205,22 @@ class Server:
     def _persist(
         self, address: str, once: Callable[[], _Answer], have: Callable[[], int] = lambda: 0
     ) -> _Answer:
-        """What `once` gives, tried again after a cut; while more comes (`have`) without end."""
+        """Return what `once` gives, tried again after a cut; while more comes (`have`) without
+        end."""
         failures = 0
         while True:
-            before, wait = have(), 0.0
+            before, pause = have(), 0.0
             try:
                 return once()
             except urllib.error.HTTPError as error:
                 error.close()
                 if error.code not in _BUSY:
-                    raise self._refusal(address, error.code) from None
+                    why, kind = _REFUSALS.get(error.code, (_OTHER, NotFetched))
+                    why = why.format(code=error.code, cure=self.cure)
+                    raise kind(f"{_shown(self.base + address)}: {why}") from None
                 reason = f"it answers {error.code}"
                 after = error.headers.get("Retry-After", "") if error.headers else ""
-                wait = min(float(after), _LONGEST_WAIT) if after.isdecimal() else 0.0
+                pause = min(float(after), _LONGEST_WAIT) if after.isdecimal() else 0.0
             except _CUT as error:
                 reason = printable(str(getattr(error, "reason", "") or error))[:100]
             failures = 0 if have() > before else failures + 1
@@ -258,70 +229,15 @@ class Server:
                     address,
                     f"cannot be got ({reason}); what came is kept, run the same command later",
                 )
-            self.stop.wait(max(wait, WAITS[max(failures, 1) - 1]))
-            self._go_on(address)
+            self.stop.wait(max(pause, WAITS[max(failures, 1) - 1]))
+            self._check_stop(address)
 
-    def _go_on(self, address: str) -> None:
+    def _check_stop(self, address: str) -> None:
         if self.stop.is_set():
             raise self._not_fetched(address, "interrupted; what came is kept")
 
-    def _too_large(self, address: str) -> NotFetched:
-        return self._not_fetched(address, "is larger than it should be; tell its publisher")
-
-    def _refusal(self, address: str, code: int) -> NotFetched:
-        if code in (401, 403):
-            why = "the token is missing or wrong" if code == 401 else "access is not granted"
-            return AccessRefused(f"{_shown(self.base + address)}: {why} ({code}); {self.cure}")
-        why = f"the server answers {code}; try again later"
-        if code == 404:
-            why = "is not there (404); look for its name at the publisher's"
-        return self._not_fetched(address, why)
-
     def _not_fetched(self, address: str, why: str) -> NotFetched:
         return NotFetched(f"{_shown(self.base + address)}: {why}")
-
-
-class RemoteFile(io.RawIOBase):
-    """A published file that is read where it lies, a part at a time; its end first, where archives
-    have their list."""
-
-    def __init__(self, server: Server, address: str, size: int) -> None:
-        self._server, self._address, self._size = server, address, size
-        self._at, self._first = 0, max(0, size - _TAIL)
-        self._held = server.part(address, self._first, size - 1) if size else b""
-
-    def readable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
-    def tell(self) -> int:
-        return self._at
-
-    def read(self, size: int = -1) -> bytes:
-        if size > _MAX_JSON_BYTES:  # room would be made at once
-            raise ValueError("an archive's list of files has no such size")
-        return super().read(size) or b""
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        start = {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self._size}[whence]
-        self._at = max(0, start + offset)
-        return self._at
-
-    def readinto(self, buffer: Any) -> int:
-        last = min(self._at + len(buffer), self._size) - 1
-        if last < self._at:
-            return 0
-        if self._at < self._first or last >= self._first + len(self._held):
-            self._held = self._server.part(
-                self._address, self._at, max(last, min(self._at + _TAIL, self._size) - 1)
-            )
-            self._first = self._at
-        data = self._held[self._at - self._first : last + 1 - self._first]
-        buffer[: len(data)] = data
-        self._at += len(data)
-        return len(data)
 
 
 def _length(path: Path) -> int:
@@ -330,9 +246,4 @@ def _length(path: Path) -> int:
 
 def _shown(address: str) -> str:
     """Return an address without what may be secret in it: user, password and query."""
-    try:
-        parts = urlsplit(address)
-        host = f"{parts.hostname or ''}:{parts.port}" if parts.port else parts.hostname or ""
-    except ValueError:
-        return printable(address.partition("?")[0].rpartition("@")[2])
-    return printable(f"{parts.scheme}://{host}{parts.path}")
+    return printable(re.sub(r"//[^/]*@", "//", address.partition("?")[0]))
