@@ -27,15 +27,12 @@ from articugen.sources.usd.reader import LAYER_FOLDERS
 
 MAX_FILES = 1_000_000  # and folders in one archive; Artiverse's largest has 313,000
 MAX_FILE_BYTES = 2**30  # of one file in it
-MAX_RATIO = 200
-"""How many times its size an archive may unpack to; OBJ files and textures give 3 to 10."""
+MAX_RATIO = 200  # of its bytes unpacked and packed; OBJ files and textures give 3 to 10
 MAX_DEPTH = 32
-MAX_DENSITY = 16
-"""Bytes of an archive that a name takes at least, beyond the first `_ALWAYS_FILES`; a header and
-some content give more than 60."""
+MAX_DENSITY = 16  # bytes that a name takes at least; a header and some content give more than 60
 
-_ALWAYS_FILES = 10_000
-_ALWAYS_BYTES = 64 * 2**20  # what any archive may unpack to, small as it is
+_ALWAYS_FILES = 10_000  # which any archive may hold, small as it is
+_ALWAYS_BYTES = 64 * 2**20
 _MOST_HEADER_BYTES = 2**16
 """Of what a tar says before one entry: names of 8 kB, attributes of files. `tarfile` takes headers
 within each other and the square of a header's length; it is not let to read more."""
@@ -176,15 +173,10 @@ def _examined(archive: Archive, path: Path) -> dict[PurePosixPath, int]:
                 break
             folders.add(folder)
         total += max(entry.size, tarfile.BLOCKSIZE)
-        if max(count, len(sizes) + len(folders)) > most_names:
+        if max(count, len(sizes) + len(folders)) > most_names or total > most_bytes:
             raise InvalidSource(
-                f"{path}: holds more than {most_names:,} files and folders; split it, or get it "
-                "from its authors"
-            )
-        if total > most_bytes:
-            raise InvalidSource(
-                f"{path}: unpacks to more than {MAX_RATIO} times its size; it is a trap, or made "
-                "wrongly: get it from its authors"
+                f"{path}: holds more than {most_names:,} files and folders, or unpacks to more "
+                f"than {MAX_RATIO} times its size; split it, or get it from its authors"
             )
     for name in sizes.keys() & folders:
         _refuse(path, str(name), "is a file and a folder")

@@ -157,7 +157,8 @@ def _categories(
                 progress(done, len(models), f"category of {name}")
     finally:
         if todo:
-            target.place.write(_CATEGORIES, json.dumps(known, indent=0).encode())
+            sure = {name: category for name, category in known.items() if category}
+            target.place.write(_CATEGORIES, json.dumps(sure, indent=0).encode())
     return known
 
 
