@@ -39,7 +39,7 @@ def test_what_is_exported_as_usd_is_read_as_a_source_again(tmp_path, category):
     data = ag.open(tmp_path / category)
     for to in ("usd", "urdf"):
         ag.export(tmp_path / category, to, tmp_path / to, resolution=128)
-    (usd,), (urdf,) = (sorted((tmp_path / to).rglob(f"*.{to}*")) for to in ("usd", "urdf"))
+    (usd,), (urdf,) = (sorted(tmp_path.rglob(f"*.{ending}")) for ending in ("usdc", "urdf"))
     ours, theirs = (load_path(path, category) for path in (usd, urdf))
     own = [joint for joint in ours.joints if joint.kind != JointKind.FIXED]
     assert tuple(link.name for link in ours.links[1:]) == part_names(data[0])

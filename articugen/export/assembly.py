@@ -15,6 +15,7 @@ from articugen.core.records import Mesh
 from articugen.export.items import Item, canonical
 from articugen.export.parts import MetricJoint, in_metres, metric_joints, part_names
 from articugen.export.target import Target
+from articugen.meshes.model_text import obj_text
 from articugen.meshes.simpler import simpler
 
 DENSITY = 500.0
@@ -22,7 +23,20 @@ DENSITY = 500.0
 
 SLOWING = 0.1
 """Seconds in which a joint that nothing drives loses two thirds of its speed. A lid that is let go
-sinks on its stop instead of hitting it. What friction is by material, models do not tell either."""
+sinks on its stop instead of hitting it."""
+
+# Drawers: ball bearings have .02, wood on wood .25 to .5 (Engineering ToolBox). Hinges: a cabinet's
+# door of 2 kg gets 1 N m, where furniture_sim's (Franka Kitchen's) has 2; a room's of 15 kg wants
+# 18 N at its handle, where the ADA allows 22 (404.2.9). It holds glasses whose hinges lean by ten
+# degrees, and a lid that is let go sinks all the same.
+JOINT_FRICTION = {"revolute": 0.2, "prismatic": 0.1}
+"""By kind of joint: what holds what it moves at rest, as a share of the weight of that; about a
+hinge it acts at the radius of gyration."""
+
+SURFACE_FRICTION = 0.5
+"""Of what touches a part: wood on wood, and what PhysX takes where nothing is stated."""
+
+_GRAVITY = 9.81  # m/s^2
 
 _CONCAVITY = 0.05  # CoACD's threshold: lower means more convex parts. 0.05 is its own default
 
@@ -52,7 +66,8 @@ class Body:
 
     Attributes:
         name: none is there twice.
-        origin: (3,) where its frame stands in that of the body it hangs on, metres.
+        place: (3,) where its frame stands in the model's own, canonical pose, metres.
+        origin: (3,) where its frame stands in that of the body it hangs on.
         mesh: watertight, in its frame.
         hulls: convex meshes that together fill about the same space; () unless asked for.
         inertia: of the mesh, filled with DENSITY, in its frame.
@@ -60,6 +75,7 @@ class Body:
     """
 
     name: str
+    place: Floats
     origin: Floats
     mesh: Mesh
     hulls: tuple[Mesh, ...]
@@ -79,28 +95,30 @@ def bodies(item: Item, target: Target) -> tuple[Body, ...]:
         joint = joints[part - 1] if part else None
         hulls = convex_parts(mesh) if target.options.collision else ()
         origin = at[part] - at[joint.parent] if joint else at[0]
-        built.append(Body(names[part], origin, mesh, hulls, inertia(mesh, DENSITY), joint))
+        solid = inertia(mesh, DENSITY)
+        built.append(Body(names[part], at[part], origin, mesh, hulls, solid, joint))
     return tuple(built)
 
 
-def damping(parts: Sequence[Body], part: int) -> float:
-    """Compute the damping of the joint that moves `part`, N m s/rad or N s/m: inertia over SLOWING.
+def resistance(parts: Sequence[Body], part: int) -> tuple[float, float]:
+    """Compute what slows the joint that moves `part`: its damping, N m s/rad or N s/m, which is
+    inertia over SLOWING; and its friction, N m or N, by JOINT_FRICTION.
 
     The inertia is that of all that moves with it, canonical pose, about a hinge's axis, or its mass
     on a slide.
     """
     joint = parts[part].joint
     assert joint is not None
-    places, inert = {part: np.zeros(3)}, 0.0
-    for k in from_the_root(parts, part):
-        body = parts[k]
-        if k != part and body.joint:
-            places[k] = places[body.joint.parent] + body.origin
-        solid = body.inertia
-        arm = np.cross(joint.axis, places[k] + solid.center)
-        turned = float(joint.axis @ solid.tensor @ joint.axis + solid.mass * arm @ arm)
-        inert += turned if joint.kind == "revolute" else solid.mass
-    return inert / SLOWING
+    mass = turned = 0.0
+    for body in (parts[k] for k in from_the_root(parts, part)):
+        arm = np.cross(joint.axis, body.place + body.inertia.center - joint.pivot)
+        turned += float(joint.axis @ body.inertia.tensor @ joint.axis)
+        turned += float(body.inertia.mass * arm @ arm)
+        mass += body.inertia.mass
+    weight = JOINT_FRICTION[joint.kind] * _GRAVITY * mass
+    if joint.kind == "prismatic":
+        return mass / SLOWING, weight
+    return turned / SLOWING, weight * float(np.sqrt(turned / mass))
 
 
 def from_the_root(parts: Sequence[Body], root: int = 0) -> list[int]:
@@ -109,6 +127,16 @@ def from_the_root(parts: Sequence[Body], root: int = 0) -> list[int]:
     for above in order:
         order += [k for k, body in enumerate(parts) if body.joint and body.joint.parent == above]
     return order
+
+
+def write_meshes(item: Item, target: Target, part: int, body: Body) -> list[str]:
+    """Write a part's meshes as OBJ files, and return their names in the folder `meshes`, without
+    the ending: what is seen, then the convex ones."""
+    names = [f"part_{part}", *(f"part_{part}_convex_{k}" for k in range(len(body.hulls)))]
+    for name, mesh in zip(names, (body.mesh, *body.hulls), strict=True):
+        text = obj_text([(mesh.vertices, mesh.faces)])
+        target.write(f"{item.key}/meshes/{name}.obj", text.encode())
+    return names
 
 
 def convex_parts(mesh: Mesh) -> tuple[Mesh, ...]:

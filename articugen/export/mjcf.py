@@ -6,20 +6,33 @@ and a drawer would stick in the hull of its cabinet. Parts that share a joint ne
 
 from xml.etree import ElementTree as ET
 
-from articugen.core.records import Mesh
-from articugen.export.assembly import DENSITY, bodies, damping, from_the_root, numbers
+from articugen.export.assembly import (
+    DENSITY,
+    SURFACE_FRICTION,
+    bodies,
+    from_the_root,
+    numbers,
+    resistance,
+    write_meshes,
+)
 from articugen.export.formats import Format
 from articugen.export.items import Item, of_objects
 from articugen.export.parts import unique
 from articugen.export.target import Target
-from articugen.meshes.model_text import obj_text
 
 _WORLD = "world"  # MuJoCo's own body, whose name many URDFs give to their first link
 _STOP = "0.01 1"
 """A stop gives way for half as long as MuJoCo's own, and so half as far, and does not bounce."""
 
-_SEEN = {"type": "mesh", "contype": "0", "conaffinity": "0", "group": "2"}
-_FELT = {"type": "mesh", "group": "3", "density": "0"}
+_STUCK = "0.9999 0.9999 0.001"
+"""Friction holds as hard as MuJoCo can: by its own .9 what leans creeps at a degree a second."""
+
+_SEEN = {
+    "type": "mesh", "contype": "0", "conaffinity": "0", "group": "2", "density": f"{DENSITY:g}",
+}  # fmt: skip
+_FELT = {
+    "type": "mesh", "group": "3", "density": "0", "friction": f"{SURFACE_FRICTION:g} 0.005 0.0001",
+}  # fmt: skip
 
 
 def _write(item: Item, target: Target) -> None:
@@ -37,15 +50,15 @@ def _write(item: Item, target: Target) -> None:
         placed[part] = ET.SubElement(above, "body", name=names[part], pos=numbers(body.origin))
         if body.joint is not None:
             joint, kind = body.joint, "hinge" if body.joint.kind == "revolute" else "slide"
+            damping, friction = (f"{number:.6g}" for number in resistance(parts, part))
             about = {"name": joint.name, "type": kind, "axis": numbers(joint.axis)}
             about |= {"range": numbers([joint.lower, joint.upper]), "solreflimit": _STOP}
-            slowed = f"{damping(parts, part):.6g}"
-            ET.SubElement(placed[part], "joint", {**about, "damping": slowed})
-        visual = _asset(item, target, assets, f"part_{part}", body.mesh, inertia="exact")
-        ET.SubElement(placed[part], "geom", {**_SEEN, "mesh": visual, "density": f"{DENSITY:g}"})
-        for k, hull in enumerate(body.hulls):
-            felt = _asset(item, target, assets, f"part_{part}_convex_{k}", hull)
-            ET.SubElement(placed[part], "geom", {**_FELT, "mesh": felt})
+            about |= {"damping": damping, "frictionloss": friction, "solimpfriction": _STUCK}
+            ET.SubElement(placed[part], "joint", about)
+        for k, mesh in enumerate(write_meshes(item, target, part, body)):
+            exact = {} if k else {"inertia": "exact"}
+            ET.SubElement(assets, "mesh", {"name": mesh, "file": f"{mesh}.obj", **exact})
+            ET.SubElement(placed[part], "geom", {**(_FELT if k else _SEEN), "mesh": mesh})
     contact = ET.SubElement(root, "contact")
     for part, body in enumerate(parts):
         if body.joint is not None:
@@ -53,14 +66,6 @@ def _write(item: Item, target: Target) -> None:
             ET.SubElement(contact, "exclude", body1=above, body2=names[part])
     ET.indent(root)
     target.write(f"{item.key}/{name}.xml", ET.tostring(root, encoding="utf-8") + b"\n")
-
-
-def _asset(
-    item: Item, target: Target, assets: ET.Element, name: str, mesh: Mesh, **more: str
-) -> str:
-    target.write(f"{item.key}/meshes/{name}.obj", obj_text([(mesh.vertices, mesh.faces)]).encode())
-    ET.SubElement(assets, "mesh", {"name": name, "file": f"{name}.obj", **more})
-    return name
 
 
 FORMAT = Format(

@@ -4,12 +4,10 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from articugen.core.records import Mesh
-from articugen.export.assembly import Body, bodies, damping, numbers
+from articugen.export.assembly import Body, bodies, numbers, resistance, write_meshes
 from articugen.export.formats import Format
 from articugen.export.items import Item, of_objects
 from articugen.export.target import Target
-from articugen.meshes.model_text import obj_text
 
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
@@ -25,24 +23,16 @@ def _write(item: Item, target: Target) -> None:
         ET.SubElement(inertial, "mass", value=numbers([inertia.mass]))
         upper = zip(_MOMENTS, inertia.tensor[np.triu_indices(3)], strict=True)
         ET.SubElement(inertial, "inertia", {name: f"{moment:.12g}" for name, moment in upper})
-        _add_mesh(link, "visual", _mesh_file(item, target, f"part_{part}", body.mesh))
-        for k, hull in enumerate(body.hulls):
-            _add_mesh(link, "collision", _mesh_file(item, target, f"part_{part}_convex_{k}", hull))
+        for k, mesh in enumerate(write_meshes(item, target, part, body)):
+            geometry = ET.SubElement(
+                ET.SubElement(link, "collision" if k else "visual"), "geometry"
+            )
+            ET.SubElement(geometry, "mesh", filename=f"meshes/{mesh}.obj")
     for part in range(1, len(parts)):
         _add_joint(robot, part, parts)
     ET.indent(robot)
     text = ET.tostring(robot, encoding="utf-8", xml_declaration=True)
     target.write(f"{item.key}/{item.key.rpartition('/')[2]}.urdf", text + b"\n")
-
-
-def _mesh_file(item: Item, target: Target, name: str, mesh: Mesh) -> str:
-    target.write(f"{item.key}/meshes/{name}.obj", obj_text([(mesh.vertices, mesh.faces)]).encode())
-    return f"meshes/{name}.obj"
-
-
-def _add_mesh(link: ET.Element, kind: str, file: str) -> None:
-    geometry = ET.SubElement(ET.SubElement(link, kind), "geometry")
-    ET.SubElement(geometry, "mesh", filename=file)
 
 
 def _add_joint(robot: ET.Element, part: int, parts: tuple[Body, ...]) -> None:
@@ -55,7 +45,8 @@ def _add_joint(robot: ET.Element, part: int, parts: tuple[Body, ...]) -> None:
     ET.SubElement(element, "axis", xyz=numbers(joint.axis))
     limits = {"lower": numbers([joint.lower]), "upper": numbers([joint.upper])}
     ET.SubElement(element, "limit", {**limits, "effort": "10", "velocity": "10"})
-    ET.SubElement(element, "dynamics", damping=f"{damping(parts, part):.6g}", friction="0")
+    damping, friction = (f"{number:.6g}" for number in resistance(parts, part))
+    ET.SubElement(element, "dynamics", damping=damping, friction=friction)
 
 
 FORMAT = Format(

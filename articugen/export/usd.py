@@ -5,21 +5,32 @@ wants them, posed canonically; they collide where convex meshes are asked for.
 """
 
 import tempfile
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from articugen.core.arrays import Floats
 from articugen.core.colours import colour_of
 from articugen.core.records import Mesh
-from articugen.export.assembly import Body, bodies, damping, from_the_root
+from articugen.export.assembly import SURFACE_FRICTION, Body, bodies, resistance
 from articugen.export.formats import Format
 from articugen.export.items import Item, of_objects
 from articugen.export.parts import unique
 from articugen.export.target import Target
-from articugen.pictures.shading import linear
+from articugen.pictures.layout import save
+from articugen.pictures.portrait import AZIMUTHS, solid_portrait, tile_camera
+from articugen.pictures.shading import Picture, linear
+from articugen.pictures.solids import ColouredMesh
+from articugen.store.dataset import DataSet
+
+_QCODES = {
+    "box": "Q188075", "drawer": "Q14745", "eyeglasses": "Q37501", "laptop": "Q3962",
+    "microwave": "Q127956", "oven": "Q36539", "refrigerator": "Q37828",
+    "washing_machine": "Q124441", "": "Q223557",
+}  # fmt: skip
+"""Of categories, in Wikidata: drawers are furniture, and "" is any physical object."""
 
 
 def _pxr(*names: str) -> list[Any]:
@@ -29,13 +40,16 @@ def _pxr(*names: str) -> list[Any]:
 
 def _write(item: Item, target: Target) -> None:
     name = item.key.rpartition("/")[2]
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "object.usdc"  # a stage has no other way to bytes
-        _fill(path, name, bodies(item, target))
-        target.write(f"{item.key}.usdc", path.read_bytes())
+    file = f"{name}.usdc"  # alone in a folder of the object's own: SimReady's NP.005
+    with tempfile.TemporaryDirectory() as aside:  # a stage has no other way to bytes
+        path, picture = Path(aside) / "object.usdc", Path(aside) / "object.png"
+        _fill(path, name, item, bodies(item, target))
+        target.write(f"{item.key}/usd/{file}", path.read_bytes())
+        save(_thumbnail(target.meshes.of(item.rows)), picture)
+        target.write(f"{item.key}/usd/.thumbs/256x256/{file}.png", picture.read_bytes())
 
 
-def _fill(path: Path, name: str, parts: tuple[Body, ...]) -> None:
+def _fill(path: Path, name: str, item: Item, parts: tuple[Body, ...]) -> None:
     Usd, UsdGeom, UsdPhysics = _pxr("Usd", "UsdGeom", "UsdPhysics")
 
     stage = Usd.Stage.CreateNew(str(path))
@@ -46,19 +60,56 @@ def _fill(path: Path, name: str, parts: tuple[Body, ...]) -> None:
     root.GetPrim().SetDisplayName(name)
     stage.SetDefaultPrim(root.GetPrim())
     UsdPhysics.ArticulationRootAPI.Apply(root.GetPrim())
-    places: dict[int, Floats] = {}
-    for part in from_the_root(parts):
-        body = parts[part]
-        places[part] = body.origin + (places[body.joint.parent] if body.joint else 0.0)
+    facts = _facts(item.rows, parts)
+    stage.GetRootLayer().customLayerData = {**facts, "SimReady_Metadata": facts}
+    _add_label(root.GetPrim(), "class", facts["category"])
+    _add_label(root.GetPrim(), "wikidata_qcode", facts["qcode"])
     for part, body in enumerate(parts):
-        _add_body(stage, f"{root.GetPath()}/part_{part}", part, body, places[part])
+        _add_body(stage, f"{root.GetPath()}/part_{part}", part, body)
     fixed = UsdPhysics.FixedJoint.Define(stage, f"{root.GetPath()}/to_world")
     fixed.CreateBody1Rel().SetTargets([f"{root.GetPath()}/part_0"])
-    ours = [fixed.GetPrim().GetName(), *(f"part_{part}" for part in range(len(parts)))]
+    ours = ["Looks", fixed.GetPrim().GetName(), *(f"part_{part}" for part in range(len(parts)))]
     joints = [_identifier(body.joint.name) for body in parts if body.joint]
     for part, joint in enumerate(unique((*ours, *joints))[len(ours) :], 1):
         _add_joint(stage, f"{root.GetPath()}/{joint}", part, parts)
     stage.GetRootLayer().Save()
+
+
+def _facts(rows: DataSet, parts: tuple[Body, ...]) -> dict[str, Any]:
+    """Return what SimReady's SR.001 and SR.004 want to know; nothing in it is of the clock."""
+    (Gf,) = _pxr("Gf")
+
+    manifest, row = rows.manifest, rows[0]
+    corners = np.concatenate([body.place + body.mesh.vertices for body in parts])
+    return {
+        "author": "articugen",
+        "asset_name": row.object_id,
+        "asset_type": "prop",
+        "asset_license": (manifest.licence if manifest else "") or "not stated",
+        "category": row.category,
+        "source_file": row.object_id + (f" of {manifest.source}" if manifest else ""),
+        "usd_date_generated": "undated: equal data give equal files",
+        "qcode": _QCODES.get(row.category, _QCODES[""]),
+        "rigid_body_count": len(parts),
+        "asset_extents": Gf.Vec3f(*np.ptp(corners, axis=0).tolist()),
+        "mass": sum(body.inertia.mass for body in parts),
+    }
+
+
+def _thumbnail(meshes: Sequence[Mesh]) -> Picture:
+    """Draw the parts, in the unit frame, as portraits are."""
+    triangles = np.concatenate([mesh.vertices[mesh.faces] for mesh in meshes])
+    group = np.repeat(np.arange(len(meshes)), [len(mesh.faces) for mesh in meshes])
+    solid = ColouredMesh(triangles, group, [colour_of(part) for part in range(len(meshes))])
+    corners = triangles.reshape(-1, 3)
+    camera = tile_camera(corners, AZIMUTHS[0], size=256)
+    return solid_portrait(solid, camera, float(corners[:, 2].min()))
+
+
+def _add_label(prim: Any, kind: str, label: str) -> None:
+    (UsdSemantics,) = _pxr("UsdSemantics")
+
+    UsdSemantics.LabelsAPI.Apply(prim, kind).CreateLabelsAttr([label])
 
 
 def _identifier(name: str) -> str:
@@ -69,13 +120,14 @@ def _identifier(name: str) -> str:
     return Tf.MakeValidIdentifier(f"_{name}" if name[:1].isdigit() else name)
 
 
-def _add_body(stage: Any, path: str, part: int, body: Body, place: Floats) -> None:
+def _add_body(stage: Any, path: str, part: int, body: Body) -> None:
     Gf, UsdGeom, UsdPhysics = _pxr("Gf", "UsdGeom", "UsdPhysics")
 
     xform = UsdGeom.Xform.Define(stage, path)
-    xform.AddTranslateOp().Set(Gf.Vec3d(*place.tolist()))
+    xform.AddTranslateOp().Set(Gf.Vec3d(*body.place.tolist()))
     prim = xform.GetPrim()
     prim.SetDisplayName(body.name)
+    _add_label(prim, "class", body.name)
     UsdPhysics.RigidBodyAPI.Apply(prim)
     mass = UsdPhysics.MassAPI.Apply(prim)
     inertia = body.inertia
@@ -86,14 +138,33 @@ def _add_body(stage: Any, path: str, part: int, body: Body, place: Floats) -> No
     turn = Gf.Matrix3d(*axes.T.ravel().tolist()).ExtractRotation().GetQuat()
     mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*moments.tolist()))
     mass.CreatePrincipalAxesAttr(Gf.Quatf(turn.GetReal(), *turn.GetImaginary()))
-    visual = _add_mesh(stage, f"{path}/visual", body.mesh)
-    visual.CreateDisplayColorAttr([Gf.Vec3f(*linear(colour_of(part)).tolist())])
+    colour = Gf.Vec3f(*linear(colour_of(part)).tolist())
+    _bind_material(prim, colour)
+    _add_mesh(stage, f"{path}/visual", body.mesh).CreateDisplayColorAttr([colour])
     for k, hull in enumerate(body.hulls):
         felt = _add_mesh(stage, f"{path}/convex_{k}", hull)
         felt.CreatePurposeAttr(UsdGeom.Tokens.guide)
         UsdPhysics.CollisionAPI.Apply(felt.GetPrim())
         shape = UsdPhysics.MeshCollisionAPI.Apply(felt.GetPrim())
         shape.CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
+
+
+def _bind_material(prim: Any, colour: Any) -> None:
+    """Give a part one material of its own, for what is seen of it and for what touches it."""
+    Sdf, UsdPhysics, UsdShade = _pxr("Sdf", "UsdPhysics", "UsdShade")
+
+    path = prim.GetParent().GetPath().AppendPath(f"Looks/{prim.GetName()}")
+    material = UsdShade.Material.Define(prim.GetStage(), path)
+    shader = UsdShade.Shader.Define(prim.GetStage(), path.AppendChild("preview"))
+    shader.CreateIdAttr("UsdPreviewSurface")
+    shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(colour)
+    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.8)
+    material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+    rubbed = UsdPhysics.MaterialAPI.Apply(material.GetPrim())
+    rubbed.CreateStaticFrictionAttr(SURFACE_FRICTION)
+    rubbed.CreateDynamicFrictionAttr(SURFACE_FRICTION)
+    _add_label(material.GetPrim(), "material", "wood")  # as DENSITY and SURFACE_FRICTION are of it
+    UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
 
 
 def _add_mesh(stage: Any, path: str, mesh: Mesh) -> Any:
@@ -104,19 +175,25 @@ def _add_mesh(stage: Any, path: str, mesh: Mesh) -> Any:
     prim.CreatePointsAttr(points)
     prim.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.faces), 3, np.int32)))
     prim.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(mesh.faces.ravel()))
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
+    across = np.cross(b - a, c - a)
+    length = np.linalg.norm(across, axis=1, keepdims=True)
+    flat = np.where(length > 0.0, across / np.where(length > 0.0, length, 1.0), (0.0, 0.0, 1.0))
+    prim.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(flat.astype(np.float32)))
+    prim.SetNormalsInterpolation(UsdGeom.Tokens.uniform)
     prim.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(points))
     prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     return prim
 
 
 def _add_joint(stage: Any, path: str, part: int, parts: tuple[Body, ...]) -> None:
-    Gf, UsdPhysics = _pxr("Gf", "UsdPhysics")
+    Gf, Sdf, UsdPhysics = _pxr("Gf", "Sdf", "UsdPhysics")
 
     body, own, root = parts[part], parts[part].joint, path.rpartition("/")[0]
     assert own is not None
     revolute = own.kind == "revolute"
-    kind = UsdPhysics.RevoluteJoint if revolute else UsdPhysics.PrismaticJoint
-    joint = kind.Define(stage, path)
+    schema = UsdPhysics.RevoluteJoint if revolute else UsdPhysics.PrismaticJoint
+    joint = schema.Define(stage, path)
     joint.GetPrim().SetDisplayName(own.name)
     joint.CreateBody0Rel().SetTargets([f"{root}/part_{own.parent}"])
     joint.CreateBody1Rel().SetTargets([f"{root}/part_{part}"])
@@ -129,9 +206,15 @@ def _add_joint(stage: Any, path: str, part: int, parts: tuple[Body, ...]) -> Non
     unit = np.degrees(1.0) if revolute else 1.0
     joint.CreateLowerLimitAttr(own.lower * unit)
     joint.CreateUpperLimitAttr(own.upper * unit)
-    drive = UsdPhysics.DriveAPI.Apply(joint.GetPrim(), "angular" if revolute else "linear")
+    along = "angular" if revolute else "linear"
+    damping, friction = resistance(parts, part)
+    drive = UsdPhysics.DriveAPI.Apply(joint.GetPrim(), along)
     drive.CreateStiffnessAttr(0.0)
-    drive.CreateDampingAttr(damping(parts, part) / unit)
+    drive.CreateDampingAttr(damping / unit)
+    joint.GetPrim().AddAppliedSchema(f"PhysxJointAxisAPI:{along}")  # UsdPhysics has no friction
+    for kind in ("static", "dynamic"):
+        effort = f"physxJointAxis:{along}:{kind}FrictionEffort"
+        joint.GetPrim().CreateAttribute(effort, Sdf.ValueTypeNames.Float, False).Set(friction)
 
 
 FORMAT = Format(
