@@ -67,7 +67,6 @@ class Body:
     Attributes:
         name: none is there twice.
         place: (3,) where its frame stands in the model's own, canonical pose, metres.
-        origin: (3,) where its frame stands in that of the body it hangs on.
         mesh: watertight, in its frame.
         hulls: convex meshes that together fill about the same space; () unless asked for.
         inertia: of the mesh, filled with DENSITY, in its frame.
@@ -76,7 +75,6 @@ class Body:
 
     name: str
     place: Floats
-    origin: Floats
     mesh: Mesh
     hulls: tuple[Mesh, ...]
     inertia: Inertia
@@ -94,9 +92,7 @@ def bodies(item: Item, target: Target) -> tuple[Body, ...]:
         mesh = Mesh(placed.vertices - at[part], placed.faces)
         joint = joints[part - 1] if part else None
         hulls = convex_parts(mesh) if target.options.collision else ()
-        origin = at[part] - at[joint.parent] if joint else at[0]
-        solid = inertia(mesh, DENSITY)
-        built.append(Body(names[part], at[part], origin, mesh, hulls, solid, joint))
+        built.append(Body(names[part], at[part], mesh, hulls, inertia(mesh, DENSITY), joint))
     return tuple(built)
 
 
@@ -111,10 +107,10 @@ def resistance(parts: Sequence[Body], part: int) -> tuple[float, float]:
     assert joint is not None
     mass = turned = 0.0
     for body in (parts[k] for k in from_the_root(parts, part)):
-        arm = np.cross(joint.axis, body.place + body.inertia.center - joint.pivot)
-        turned += float(joint.axis @ body.inertia.tensor @ joint.axis)
-        turned += float(body.inertia.mass * arm @ arm)
-        mass += body.inertia.mass
+        solid = body.inertia
+        arm = np.cross(joint.axis, body.place + solid.center - joint.pivot)
+        turned += float(joint.axis @ solid.tensor @ joint.axis + solid.mass * arm @ arm)
+        mass += solid.mass
     weight = JOINT_FRICTION[joint.kind] * _GRAVITY * mass
     if joint.kind == "prismatic":
         return mass / SLOWING, weight

@@ -46,10 +46,12 @@ def _write(item: Item, target: Target) -> None:
     placed: dict[int, ET.Element] = {}
     for part in from_the_root(parts):
         body = parts[part]
-        above = world if body.joint is None else placed[body.joint.parent]
-        placed[part] = ET.SubElement(above, "body", name=names[part], pos=numbers(body.origin))
-        if body.joint is not None:
-            joint, kind = body.joint, "hinge" if body.joint.kind == "revolute" else "slide"
+        above, origin, joint = world, body.place, body.joint
+        if joint is not None:
+            above, origin = placed[joint.parent], origin - parts[joint.parent].place
+        placed[part] = ET.SubElement(above, "body", name=names[part], pos=numbers(origin))
+        if joint is not None:
+            kind = "hinge" if joint.kind == "revolute" else "slide"
             damping, friction = (f"{number:.6g}" for number in resistance(parts, part))
             about = {"name": joint.name, "type": kind, "axis": numbers(joint.axis)}
             about |= {"range": numbers([joint.lower, joint.upper]), "solreflimit": _STOP}

@@ -24,9 +24,8 @@ def _write(item: Item, target: Target) -> None:
         upper = zip(_MOMENTS, inertia.tensor[np.triu_indices(3)], strict=True)
         ET.SubElement(inertial, "inertia", {name: f"{moment:.12g}" for name, moment in upper})
         for k, mesh in enumerate(write_meshes(item, target, part, body)):
-            geometry = ET.SubElement(
-                ET.SubElement(link, "collision" if k else "visual"), "geometry"
-            )
+            shape = ET.SubElement(link, "collision" if k else "visual")
+            geometry = ET.SubElement(shape, "geometry")
             ET.SubElement(geometry, "mesh", filename=f"meshes/{mesh}.obj")
     for part in range(1, len(parts)):
         _add_joint(robot, part, parts)
@@ -41,7 +40,8 @@ def _add_joint(robot: ET.Element, part: int, parts: tuple[Body, ...]) -> None:
     element = ET.SubElement(robot, "joint", name=joint.name, type=joint.kind)
     ET.SubElement(element, "parent", link=parts[joint.parent].name)
     ET.SubElement(element, "child", link=body.name)
-    ET.SubElement(element, "origin", xyz=numbers(body.origin), rpy="0 0 0")
+    origin = numbers(body.place - parts[joint.parent].place)
+    ET.SubElement(element, "origin", xyz=origin, rpy="0 0 0")
     ET.SubElement(element, "axis", xyz=numbers(joint.axis))
     limits = {"lower": numbers([joint.lower]), "upper": numbers([joint.upper])}
     ET.SubElement(element, "limit", {**limits, "effort": "10", "velocity": "10"})

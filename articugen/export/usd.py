@@ -177,8 +177,8 @@ def _add_mesh(stage: Any, path: str, mesh: Mesh) -> Any:
     prim.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(mesh.faces.ravel()))
     a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
     across = np.cross(b - a, c - a)
-    length = np.linalg.norm(across, axis=1, keepdims=True)
-    flat = np.where(length > 0.0, across / np.where(length > 0.0, length, 1.0), (0.0, 0.0, 1.0))
+    across[~across.any(axis=1)] = 0.0, 0.0, 1.0  # of a face without area
+    flat = across / np.linalg.norm(across, axis=1, keepdims=True)
     prim.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(flat.astype(np.float32)))
     prim.SetNormalsInterpolation(UsdGeom.Tokens.uniform)
     prim.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(points))
@@ -189,7 +189,7 @@ def _add_mesh(stage: Any, path: str, mesh: Mesh) -> Any:
 def _add_joint(stage: Any, path: str, part: int, parts: tuple[Body, ...]) -> None:
     Gf, Sdf, UsdPhysics = _pxr("Gf", "Sdf", "UsdPhysics")
 
-    body, own, root = parts[part], parts[part].joint, path.rpartition("/")[0]
+    own, root = parts[part].joint, path.rpartition("/")[0]
     assert own is not None
     revolute = own.kind == "revolute"
     schema = UsdPhysics.RevoluteJoint if revolute else UsdPhysics.PrismaticJoint
@@ -199,7 +199,7 @@ def _add_joint(stage: Any, path: str, part: int, parts: tuple[Body, ...]) -> Non
     joint.CreateBody1Rel().SetTargets([f"{root}/part_{part}"])
     joint.CreateAxisAttr("X")
     turn = Gf.Quatf(Gf.Rotation(Gf.Vec3d(1, 0, 0), Gf.Vec3d(*own.axis.tolist())).GetQuat())
-    joint.CreateLocalPos0Attr(Gf.Vec3f(*np.asarray(body.origin).tolist()))
+    joint.CreateLocalPos0Attr(Gf.Vec3f(*(own.pivot - parts[own.parent].place).tolist()))
     joint.CreateLocalPos1Attr(Gf.Vec3f(0.0))
     joint.CreateLocalRot0Attr(turn)
     joint.CreateLocalRot1Attr(turn)
