@@ -158,6 +158,19 @@ def test_two_poses_are_enough_and_any_frame_will_do() -> None:
     assert abs(joint.states[1] - 1.2) < 0.05
 
 
+@pytest.mark.parametrize("angle", [1.0, 1.6])
+def test_what_a_lid_uncovers_is_not_where_it_went(angle: float) -> None:
+    """The front of the body is under the lid, and out of sight, until that is open."""
+    lid, motion = ((0.03, 0.48, 0.48), (0.03, 0.0, 0.0)), turn((0, 1, 0), (0.03, 0.0, -0.24))
+    closed, opened = posed([(lid, motion)], np.array([[0.0], [angle]]))
+    under = (np.abs(closed[:, 0]) < 0.02) & (np.abs(closed[:, 1:]).max(1) < 0.239)
+    found = discover([closed[~under], opened])
+    (joint,) = found.joints
+    assert joint.kind is JointKind.REVOLUTE
+    assert line_distance(found, 0, (0, 1, 0), (0.03, 0, -0.24)) < 0.05
+    assert abs(joint.states[1] - angle) < 0.1
+
+
 def faces(states: Floats) -> tuple[list[Floats], list[Floats]]:
     """Clouds and normals: a body, the outer face of a back wall and that of a front that slides."""
     rng, out = np.random.default_rng(3), np.array([1.0, 0.0, 0.0])

@@ -21,8 +21,11 @@ _FEWEST_POINTS = 64
 _STAYS = 0.03  # of a pose's points, at least so many lie where pose 0 has matter
 _ACROSS = 0.008  # planes so near may be the same
 
+_COLUMNS, _FEW_IN_SIGHT = 32, 0.05  # see `_in_sight`
+
 _TELLING, _COMMON = 4, 0.55
-"""Of so many poses or more, what this share of the others has at the same place is no news."""
+"""Of so many poses or more, what this share of the others has at the same place is no news; of
+fewer, what was out of sight in pose 0."""
 _NEAR = np.array([0.008, 0.05])
 
 
@@ -223,7 +226,11 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
         )
     stays = Cells.of([start[~movers]], near)
     new = [_new(surface, stays, near) for surface in surfaces]
-    targets = Cells.of(_rare(new, searched, near), near)
+    if len(new) < _TELLING:
+        telling = [each[_in_sight(each.points, points[0])] for each in new]
+    else:
+        telling = _rare(new, searched, near)
+    targets = Cells.of(telling, near)
     return Change(frame, clouds, near, start, first, chosen, searched, targets, gone, movers)
 
 
@@ -314,11 +321,29 @@ def _new(surface: Surface, stays: Cells, near: float) -> Surface:
     return surface[far & (_share_about(surface.points, far, near) > 0.4)]
 
 
+def _in_sight(points: Floats, cloud: Floats) -> NDArray[np.bool_]:
+    """(n,) whether points would be in sight of one who looks at a cloud along the axes, from either
+    side: what is new elsewhere may have been there all the time, behind a door or under a lid.
+    True of all where it would be of next to none."""
+    R, visible = _COLUMNS, np.zeros(len(points), bool)
+    for axis in range(3):
+        across = [other for other in range(3) if other != axis]
+        column, of = (
+            tuple(np.clip((each[:, across].T + 0.5) * R, 0, R - 1).astype(int))
+            for each in (cloud, points)
+        )
+        for sign in (1.0, -1.0):
+            depth = np.full((R, R), -np.inf)
+            np.maximum.at(depth, column, sign * cloud[:, axis])
+            for way in (0, 1):
+                depth = np.max([np.roll(depth, step, way) for step in (-1, 0, 1)], axis=0)
+            visible |= sign * points[:, axis] > depth[of]
+    return visible if visible.mean() > _FEW_IN_SIGHT else np.ones_like(visible)
+
+
 def _rare(new: Sequence[Surface], poses: Cells, near: float) -> list[Surface]:
     """What is new in each pose without what most of the others have at the same place: insides that
     an open door or drawer shows, which say nothing of how far it has moved."""
-    if len(new) < _TELLING:
-        return list(new)
     others = [poses.met(surface, still(len(new)), near).sum(0) - 1 for surface in new]
     return [
         surface[there <= _COMMON * (len(new) - 1)]

@@ -44,8 +44,9 @@ _SURE = 0.2  # by so much the next part is farther, where a point is sure of its
 # What is preferred where both explain about as much:
 _SLIDES_FIRST = 1.05  # a slide, which has two parameters fewer, to a turn
 _FAR_TURNS = 0.03  # a lesser turn, by this share a radian: a plate may have been turned over
-_PLAIN = 1.03  # a coordinate axis to one beside it, by 30 degrees (slides) or 12 (turns)
-_BESIDE = np.cos(np.radians([30.0, 12.0]))
+_FAR_AXES = 0.5  # an axis by its part, by this share a unit: a hinge does not hang in the air
+_PLAIN = 1.03  # the coordinate axis nearest to one, that of turns no farther than 12 degrees
+_BESIDE = np.cos(np.radians(12.0))
 _SAME_WAY = 0.99  # directions are one where the cosine between them, of any sign, is no less
 
 # How far a point may be from where it should land as a candidate grows: so many times `near`, or
@@ -205,9 +206,16 @@ class _Found:
             return -1.0
         mine = grown.follow & self.left[among]
         gain = grown.right[:, mine].sum() - 2.0 * grown.wrong[:, mine].sum()
-        if grown.joint.turns:
-            return float(gain * (1.0 - _FAR_TURNS * np.abs(grown.joint.states).mean()))
-        return float(gain * _SLIDES_FIRST)
+        return float(gain * self._liking(grown.joint, self.part.points[among][mine]))
+
+    def _liking(self, joint: Candidate, points: Floats) -> float:
+        """Return by how much it is preferred to others that explain as much of its points."""
+        if not joint.turns:
+            return _SLIDES_FIRST
+        off = points - joint.pivot
+        off -= (off @ joint.axis)[:, None] * joint.axis
+        away = float(np.sqrt((off**2).sum(1).min(initial=1.0)))
+        return 1.0 - _FAR_TURNS * float(np.abs(joint.states).mean()) - _FAR_AXES * away
 
     def _patches(self) -> list[NDArray[np.intp]]:
         """Of the movers that nothing explains yet: patches of neighbours about points that are far
@@ -272,7 +280,7 @@ class _Found:
             return replace(grown, polished=True)
         tried = [grown, self._revoted(grown.joint, core, tilts=True)]
         nearest = int(np.abs(grown.joint.axis).argmax())
-        if np.abs(grown.joint.axis[nearest]) > _BESIDE[int(grown.joint.turns)]:
+        if not grown.joint.turns or np.abs(grown.joint.axis[nearest]) > _BESIDE:
             axis = np.eye(3)[nearest] * np.sign(grown.joint.axis[nearest])
             tried.append(self._revoted(replace(grown.joint, axis=axis), core, tilts=False))
         gains = [self._gain(each) * (1.0, 1.0, _PLAIN)[n] for n, each in enumerate(tried)]
@@ -337,7 +345,7 @@ class _Found:
         nearest = int(np.abs(joint.axis).argmax())
         plain = np.eye(3)[nearest] * np.sign(joint.axis[nearest])
         as_it_is, hits = refit(joint, tilts=np.abs(joint.axis).max() < 1.0)
-        if joint.turns or np.abs(joint.axis[nearest]) < _BESIDE[0]:
+        if joint.turns:
             return as_it_is
         snapped, as_many = refit(replace(joint, axis=plain), tilts=False)
         return snapped if as_many * _PLAIN >= hits else as_it_is
@@ -355,7 +363,11 @@ class _Found:
             )
             if needed.min() >= 1.0:
                 break
-            joints.pop(int(needed.argmin()))
+            liked = [
+                self._liking(joint, self.part.points[mine > 0]) * mine.sum()
+                for joint, mine in zip(joints, hits, strict=True)
+            ]
+            joints.pop(int(np.where(needed < 1.0, liked, np.inf).argmin()))
         return joints
 
 
