@@ -6,13 +6,14 @@ import json
 import numpy as np
 import pytest
 from instances import hinged_box
+from PIL import Image
 from yourdfpy import URDF
 
 from articugen.core.errors import ArticugenError
 from articugen.core.geometry import apply
 from articugen.core.records import Normalization
 from articugen.evaluation.reconstruction import Reconstruction, truth
-from articugen.learning.predict import cut, write_cut, write_rig
+from articugen.learning.predict import cut, draw_cut, write_cut, write_rig
 from articugen.meshes.distances import distance
 from articugen.meshes.marching_cubes import zero_level
 from articugen.meshes.points import Cloud
@@ -132,6 +133,11 @@ def test_what_was_given_moves_as_predicted(tmp_path, is_mesh):
     assert (sliding["lower"], sliding["upper"]) == pytest.approx((-slid, 0.6 - slid))
     base = np.array(scene["accessors"][primitives[0]["attributes"]["POSITION"]]["max"])
     np.testing.assert_allclose(base, frame.to_world(np.array([0.1, 0.1, -0.2])), atol=0.05)
+    with Image.open(draw_cut(cloud, found, tmp_path / "input.png")) as picture:
+        tiles = np.asarray(picture.convert("RGB"), int)
+    third = tiles.shape[1] // 3
+    closed, ajar = tiles[:, :third], tiles[:, third : 2 * third]
+    assert np.abs(closed - ajar).max() > 100  # the lid and the knob have moved
     assert [path.name for path in written] == ["input.glb", "input.urdf"][: 1 + is_mesh]
     if is_mesh:
         robot = URDF.load(str(written[1]))

@@ -30,6 +30,9 @@ _CUTS, _SMALLEST = 6, 0.01
 
 _AZIMUTH = math.radians(35.0)
 
+_SHARES = {"state 0": 0.0, "as given": None, "open": 1.0}
+"""How pictures show joints, as `_at` takes it."""
+
 _SHOWN = {JointKind.REVOLUTE: math.pi / 2.0, JointKind.PRISMATIC: 0.3}
 """Animations show joints from state 0 to where the cloud has them, or to here if it is farther."""
 
@@ -132,12 +135,15 @@ def draw_cut(cloud: Cloud, found: Reconstruction, path: Path) -> Path:
     state 0, as they are, and open."""
     given = replace(cut(cloud, found), whole=found.whole if cloud.triangles is not None else None)
     names = Names(range(found.parts), range(found.parts))
-    camera, floor = tile_camera(cloud.points, _AZIMUTH), float(cloud.points[:, 2].min())
-    rows = []
-    for title, shape in (("reconstruction", found), ("what was given", given)):
-        posed = [shape] if found.joints is None else [_at(shape, s) for s in (0.0, None, 1.0)]
-        drawn = [solid_portrait(solid_of(one, names), camera, floor) for one in posed]
-        rows.append(Row(title, drawn, [[] for _ in drawn]))
+    shares = _SHARES if found.joints else {"as given": None}
+    posed = [[_at(shape, share) for share in shares.values()] for shape in (found, given)]
+    corners = np.concatenate([shape.triangles[:, 0] for shape in posed[1]])
+    camera, floor = tile_camera(corners, _AZIMUTH), float(cloud.points[:, 2].min())
+    captions = [[(name, colour_of(0))] for name in shares]
+    rows = [
+        Row(title, [solid_portrait(solid_of(s, names), camera, floor) for s in shapes], captions)
+        for title, shapes in zip(("reconstruction", "what was given"), posed, strict=True)
+    ]
     save(sheet(rows), path)
     return path
 
