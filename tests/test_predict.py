@@ -121,7 +121,8 @@ def test_what_was_given_moves_as_predicted(tmp_path, is_mesh):
     found = three_balls()
     frame = Normalization(np.array([1.0, 2.0, 3.0]), 2.0)
     cloud = Cloud(found.triangles.mean(1), frame, triangles=found.triangles if is_mesh else None)
-    written = write_cut(cloud, found, tmp_path)
+    pieces = cut(cloud, found)
+    written = write_cut(pieces, tmp_path, frame)
     data = (tmp_path / "input.glb").read_bytes()
     scene = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
     primitives = [mesh["primitives"][0] for mesh in scene["meshes"]]
@@ -133,7 +134,7 @@ def test_what_was_given_moves_as_predicted(tmp_path, is_mesh):
     assert (sliding["lower"], sliding["upper"]) == pytest.approx((-slid, 0.6 - slid))
     base = np.array(scene["accessors"][primitives[0]["attributes"]["POSITION"]]["max"])
     np.testing.assert_allclose(base, frame.to_world(np.array([0.1, 0.1, -0.2])), atol=0.05)
-    with Image.open(draw_cut(cloud, found, tmp_path / "input.png")) as picture:
+    with Image.open(draw_cut(pieces, found, tmp_path / "input.png")) as picture:
         tiles = np.asarray(picture.convert("RGB"), int)
     third = tiles.shape[1] // 3
     closed, ajar = tiles[:, :third], tiles[:, third : 2 * third]

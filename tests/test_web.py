@@ -32,7 +32,7 @@ def test_a_refusal_is_not_asked_again(hub):
 
 
 @pytest.mark.parametrize("harm", ["deep", "damaged", "encrypted", "long"])
-def test_what_a_published_archive_calls_its_model_may_be_anything(monkeypatch, harm):
+def test_what_a_published_archive_calls_its_model_may_be_anything(hub, harm):
     data = io.BytesIO()
     with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(
@@ -46,8 +46,9 @@ def test_what_a_published_archive_calls_its_model_may_be_anything(monkeypatch, h
     if harm == "encrypted":
         image[6] |= 1
         image[image.index(b"PK\1\2") + 8] |= 1
-    monkeypatch.setattr(Server, "get", lambda _, __, part: (image[part.start : part.stop], ""))
-    category = partnet_mobility._category(Server(""), Published("", "", len(image)))
+    hub.files["m.zip"] = hub.cdn.files["m.zip"] = bytes(image)
+    server = Server(hub.base, token=TOKEN)
+    category = partnet_mobility._category(server, Published("/m.zip", "m.zip", len(image)))
     assert category == ("Oven" if harm == "long" else "")
 
 

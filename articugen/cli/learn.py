@@ -291,9 +291,10 @@ def predict(
     with said():
         from articugen.learning import commands
 
-        made = commands.predict(
-            run, cloud, row=row, camera=camera, fit=fit, out=out, resolution=resolution
-        )
+        with stderr.status("looking, cutting, drawing ..."):
+            made = commands.predict(
+                run, cloud, row=row, camera=camera, fit=fit, out=out, resolution=resolution
+            )
         if made.cloud.hint:
             stderr.print(made.cloud.hint, soft_wrap=True)
         for line in made.lines():

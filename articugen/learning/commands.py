@@ -33,6 +33,7 @@ from articugen.learning.loop import Tell
 from articugen.learning.method import Yardstick, find_method, load_recipe
 from articugen.learning.predict import (
     cloud_of_shard,
+    cut,
     draw_cut,
     seen_by_a_camera,
     write_cut,
@@ -370,7 +371,9 @@ def predict(
         given = cloud_of_file(cloud, fit=fit)
     found = learner.reconstruct(given.points, resolution=resolution)
     path = write_rig(found, Path(out), frame=given.frame)
-    files = [*write_cut(given, found, Path(out)), draw_cut(given, found, Path(out) / "input.png")]
+    pieces = cut(given, found)
+    files = write_cut(pieces, Path(out), given.frame)
+    files.append(draw_cut(pieces, found, Path(out) / "input.png"))
     return Predicted(given, found, path, tuple(files))
 
 

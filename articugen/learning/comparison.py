@@ -189,10 +189,11 @@ def recipes_of(name: str, category: str | None = None) -> list[TrainRecipe]:
     entries: Any = read_yaml(path, InvalidRecipe)
     if not (isinstance(entries, list) and entries):
         raise InvalidRecipe(f"{path}: is no list of recipes; write one after a hyphen on each line")
-    wanted = [dict(e) if isinstance(e, Mapping) else str(e) for e in entries]
-    only = [e.pop("only", category) if isinstance(e, dict) else category for e in wanted]
+    keys = [dict(e) if isinstance(e, Mapping) else {} for e in entries]
     recipes = [
-        load_recipe(e) for e, one in zip(wanted, only, strict=True) if category in (one, None)
+        load_recipe({k: v for k, v in own.items() if k != "only"} or str(entry))
+        for entry, own in zip(entries, keys, strict=True)
+        if category in (own.get("only", category), None)
     ]
     names = [_file_name(recipe.name) for recipe in recipes]
     if twice := next((n for n in names if names.count(n) > 1), ""):

@@ -16,7 +16,7 @@ from articugen.core.schema import Instance
 from articugen.core.seeding import generator
 from articugen.evaluation.figures import Names, solid_of
 from articugen.evaluation.metrics import nearest_part
-from articugen.evaluation.reconstruction import PartJoints, Reconstruction
+from articugen.evaluation.reconstruction import PartJoints, Reconstruction, labelled_points
 from articugen.meshes.glb import Moving, Part, glb_of
 from articugen.meshes.model_text import Joint, Visual, obj_text, urdf_text
 from articugen.meshes.points import UNIT, Cloud, checked
@@ -80,16 +80,16 @@ def seen_by_a_camera(instance: Instance) -> Floats:
 
 
 def cut(cloud: Cloud, found: Reconstruction) -> Reconstruction:
-    """Return what was given in the place of the reconstructed surfaces: each triangle of a mesh, or
-    each point as a triangle of no size, with the part whose surface is nearest. Triangles that
-    parts share are cut small first."""
+    """Return what was given in the place of the reconstructed surfaces: labelled points, or the
+    triangles of a mesh, each of the part whose surface is nearest. Triangles that parts share are
+    cut small first."""
 
     def part_of(points: Floats) -> NDArray[np.int64]:
         return nearest_part(points, found.triangles, found.part, found.parts)
 
     if cloud.triangles is None:
-        triangles = np.repeat(cloud.points[:, None], 3, axis=1)
-        return replace(found, triangles=triangles, part=part_of(cloud.points))
+        known = {"T_part": found.T_part, "joints": found.joints}
+        return labelled_points(cloud.points, part_of(cloud.points), found.parts, **known)
     rest, pieces = cloud.triangles, list[Floats]()
     for _ in range(_CUTS):
         if not len(rest):
@@ -106,39 +106,38 @@ def cut(cloud: Cloud, found: Reconstruction) -> Reconstruction:
     return replace(found, triangles=triangles, part=part_of(triangles.mean(1)))
 
 
-def write_cut(cloud: Cloud, found: Reconstruction, folder: Path) -> list[Path]:
-    """Write what was given, cut into the parts of a reconstruction: input.glb, in which each joint
-    is an animation, and, of a mesh, input.urdf. The files are in the cloud's own frame."""
-    pieces, joints, parts = cut(cloud, found), found.joints, list[Part]()
-    for i in range(found.parts):
-        corners = cloud.frame.to_world(pieces.triangles[pieces.part == i])
+def write_cut(pieces: Reconstruction, folder: Path, frame: Normalization = UNIT) -> list[Path]:
+    """Write what `cut` returns: input.glb, in which each joint is an animation, and, of a mesh,
+    input.urdf; `frame` as in `write_rig`."""
+    is_mesh, joints, parts = pieces.whole is not None, pieces.joints, list[Part]()
+    for i in range(pieces.parts):
+        corners = frame.to_world(pieces.triangles[pieces.part == i])
         if i and not len(corners):
             continue
         kind = joints.kind[i] if joints else JointKind.FIXED
         origin, how = np.zeros(3), None
         if joints and kind != JointKind.FIXED:
-            origin = cloud.frame.to_world(joints.pivot[i])
-            moving = _moving(joints, i, origin, cloud.frame.scale)
-            unit = 1.0 if kind == JointKind.REVOLUTE else cloud.frame.scale
+            origin = frame.to_world(joints.pivot[i])
+            moving = _moving(joints, i, origin, frame.scale)
+            unit = 1.0 if kind == JointKind.REVOLUTE else frame.scale
             most = max(moving.lower + _SHOWN[JointKind(kind)] * unit, 0.0)
             how = Moving(moving.name, moving.kind, np.asarray(moving.axis), moving.lower, most)
-        vertices, faces = _welded(corners) if cloud.triangles is not None else (corners[:, 0], None)
+        vertices, faces = _welded(corners) if is_mesh else (corners[:, 0], None)
         parts.append(Part(f"part_{i}", 0, origin, vertices, faces, linear(colour_of(i)), how))
     write_atomically(folder / "input.glb", glb_of("input", parts))
-    if cloud.triangles is None:
+    if not is_mesh:
         return [folder / "input.glb"]
-    return [folder / "input.glb", write_rig(pieces, folder, "input", cloud.frame, "input_")]
+    return [folder / "input.glb", write_rig(pieces, folder, "input", frame, "input_")]
 
 
-def draw_cut(cloud: Cloud, found: Reconstruction, path: Path) -> Path:
-    """Draw what is reconstructed, and below what was given, cut into the parts: with all joints at
+def draw_cut(pieces: Reconstruction, found: Reconstruction, path: Path) -> Path:
+    """Draw what is reconstructed, and below what was given, as `cut` returns it: with all joints at
     state 0, as they are, and open."""
-    given = replace(cut(cloud, found), whole=found.whole if cloud.triangles is not None else None)
     names = Names(range(found.parts), range(found.parts))
     shares = _SHARES if found.joints else {"as given": None}
-    posed = [[_at(shape, share) for share in shares.values()] for shape in (found, given)]
+    posed = [[_at(shape, share) for share in shares.values()] for shape in (found, pieces)]
     corners = np.concatenate([shape.triangles[:, 0] for shape in posed[1]])
-    camera, floor = tile_camera(corners, _AZIMUTH), float(cloud.points[:, 2].min())
+    camera, floor = tile_camera(corners, _AZIMUTH), float(pieces.triangles[..., 2].min())
     captions = [[(name, colour_of(0))] for name in shares]
     rows = [
         Row(title, [solid_portrait(solid_of(s, names), camera, floor) for s in shapes], captions)
