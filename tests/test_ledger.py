@@ -248,6 +248,22 @@ def test_a_file_system_without_links_serves_as_well(
     test_one_of_many_threads_wins(tmp_path)
 
 
+def test_a_plan_that_is_being_written_is_waited_for(tmp_path: Path) -> None:
+    assert Ledger(Folder(tmp_path / "whole")).agree(b"theirs") == b"theirs"
+    whole = (tmp_path / "whole" / LEDGER / "plan.json").read_bytes()
+    path = tmp_path / LEDGER / "plan.json"
+    path.parent.mkdir()
+    path.write_bytes(whole[:10])  # as it stands there without links, for a moment
+    with ThreadPoolExecutor(1) as pool:
+        ours = pool.submit(Ledger(Folder(tmp_path)).agree, b"ours")
+        time.sleep(0.05)
+        path.write_bytes(whole)
+        assert ours.result() == b"theirs"
+    path.write_bytes(whole[:10])
+    with pytest.raises(ArticugenError, match=r"plan\.json: damaged; delete it"):
+        Ledger(Folder(tmp_path)).agree(b"ours")
+
+
 @pytest.mark.parametrize("kind", ["FIFO", "folder", "device", "round link", "too large"])
 def test_what_is_no_file_is_no_record(tmp_path: Path, kind: str) -> None:
     ledger = Ledger(Folder(tmp_path))

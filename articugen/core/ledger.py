@@ -28,6 +28,10 @@ _DONE = f"{LEDGER}/done"
 _CLAIMS = f"{LEDGER}/claims"
 _CLOCKS = f"{LEDGER}/clocks"
 
+_PAUSES = (0.0, 0.01, 0.1, 0.5)
+"""Seconds before each look at a plan: on a file system without links another process may be
+writing it just now."""
+
 _UNSAFE = re.compile(r"[^A-Za-z0-9_-]+")
 _LONGEST = 60  # letters of a key that its file is called by; a digest tells keys apart
 
@@ -71,14 +75,16 @@ class Ledger:
 
     def agreed(self) -> bytes | None:
         """Return what is made here, None where nobody has said so; ArticugenError if damaged."""
-        try:
-            data = self.place.read(_PLAN)
-        except UnfitFile as error:
-            raise self._damage(f"({error.strerror})") from None
-        about = None if data is None else _opened("", data)
-        if data is not None and about is None:
-            raise self._damage("")
-        return about
+        for pause in _PAUSES:
+            time.sleep(pause)
+            try:
+                data = self.place.read(_PLAN)
+            except UnfitFile as error:
+                raise self._damage(f"({error.strerror})") from None
+            about = None if data is None else _opened("", data)
+            if data is None or about is not None:
+                return about
+        raise self._damage("")
 
     def _damage(self, why: str) -> ArticugenError:
         return ArticugenError(
